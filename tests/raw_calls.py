@@ -55,7 +55,7 @@ def wrong_calls(operator: Any, args: Sequence[Any]) -> Iterator[Call]:
         if batch > 1:
             yield call(f"{names[i]} of another batch", {i: x.new_ones(batch + x.shape[0], *x.shape[1:])})
     for i in images if len(images) > 1 else []:
-        for axis in (-1, -2):
+        for axis in (axis for axis in (-1, -2) if args[i].shape[axis]):
             yield call(f"{names[i]} cut along axis {axis}", {i: args[i].narrow(axis, 0, args[i].shape[axis] - 1)})
     if "border" in names and all(args[i] for i, name in enumerate(names) if name == "same"):
         pixels = {i: args[i][..., :1, :1] for i in images}

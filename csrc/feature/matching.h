@@ -1,0 +1,123 @@
+// The two nearest descriptors of the other set, in one direction or both, and the gradient of their distances.
+//
+//               b_0  b_1  ...  b_M-1
+//         a_0 [ d00  d01  ...        ]  -> the two smallest of a row:    neighbors of a_0
+//         a_1 [ d10  d11  ...        ]
+//         ... [                      ]      d_ij = |a_i - b_j|
+//               |
+//               v the two smallest of a column: neighbors of b_0
+//
+// Distances are computed in tiles and never stored. A tile leaves the two smallest of its rows and columns; another
+// kernel merges those of all tiles. Squares are sums of squared differences, so that equal descriptors have distance 0.
+// Equal distances are ordered by index, so the results do not depend on the tiles. NaN is no distance: a descriptor
+// with NaN has no neighbors and is none. Included by matching_cpu.cpp, matching.cu and matching_op.cpp.
+#pragma once
+
+#include "core/hd.h"
+#include "core/isa.h"
+
+namespace kv::feature {
+
+// The two nearest neighbors of a descriptor, by squared distances; index -1 where there is none.
+template <class F>
+struct Neighbors {
+  F square[2];
+  int index[2];
+
+  static KV_HD Neighbors none() { return {{F(__builtin_inf()), F(__builtin_inf())}, {-1, -1}}; }
+  KV_HD static bool precedes(F square, int index, F other_square, int other_index) {
+    return square < other_square || (square == other_square && index < other_index);
+  }
+  KV_HD void insert(F candidate, int at) {
+    if (!precedes(candidate, at, square[1], index[1])) return;
+    bool const first = precedes(candidate, at, square[0], index[0]);
+    square[1] = first ? square[0] : candidate;
+    index[1] = first ? index[0] : at;
+    if (first) square[0] = candidate, index[0] = at;
+  }
+  KV_HD void merge(Neighbors const& other) {
+    for (int k = 0; k < 2; ++k)
+      if (other.index[k] >= 0) insert(other.square[k], other.index[k]);
+  }
+};
+
+// Descriptors of one of the two sets: (batch, count, width).
+template <class T>
+struct DescriptorSet {
+  T const* values;
+  bool const* mask;    // (batch, count), false for those to leave out; null: there are none
+  T const* positions;  // (batch, count, 2); null unless pairs with near positions are left out
+  int count;
+  // Results:
+  int splits;             // a row of partial results for each part of the other set
+  Neighbors<T>* partial;  // (batch, splits, count); null if the neighbors are not wanted
+  T* distances;           // (batch, count, 2)
+  int64_t* indices;       // (batch, count, 2)
+};
+
+template <class T>
+struct TwoNearest {
+  DescriptorSet<T> first, second;
+  int64_t batch;
+  int width;
+  T radius_squared;  // a pair of which the positions are nearer does not count
+
+  KV_HD bool is_wanted(DescriptorSet<T> const& set, int64_t b, int i) const {
+    return i < set.count && (!set.mask || set.mask[b * set.count + i]);
+  }
+  KV_HD bool counts(int64_t b, int i, int j) const {
+    if (!first.positions) return true;
+    T const *const p = first.positions + 2 * (b * first.count + i), *const q =
+                                                                        second.positions + 2 * (b * second.count + j);
+    T const x = p[0] - q[0], y = p[1] - q[1];
+    return !(x * x + y * y < radius_squared);
+  }
+};
+
+// Merges the partial results of element `i` of the results of a set, and stores them.
+template <class T>
+KV_HD void merge_neighbors(DescriptorSet<T> const& set, int64_t i) {
+  int64_t const b = i / set.count, at = i - b * set.count;
+  Neighbors<T> merged = Neighbors<T>::none();
+  for (int s = 0; s < set.splits; ++s) merged.merge(set.partial[(b * set.splits + s) * set.count + at]);
+  for (int k = 0; k < 2; ++k) {
+    set.distances[2 * i + k] = sqrt(merged.square[k]);
+    set.indices[2 * i + k] = merged.index[k];
+  }
+}
+
+// The gradient to both sets. With unit vectors u from the neighbor to the descriptor,
+//
+//   grad_a_i = sum over neighbors j of a_i: grad_ij u + sum over b_j with neighbor a_i: grad_ji u
+template <class T>
+struct NeighborGradient {
+  T const* values;         // (batch, count, width)
+  T const* grad;           // (batch, listed, 2), to the distances of the neighbors of this set
+  int64_t const* indices;  // (batch, listed, 2)
+  int count, listed;       // listed: count, or 0 if these neighbors were not wanted
+  T* grad_values;          // (batch, count, width)
+};
+
+template <class T>
+struct TwoNearestBackward {
+  NeighborGradient<T> first, second;
+  int64_t batch;
+  int width;
+};
+
+// The weight of x - y in the gradient to x from the gradient to |x - y|. The gradient at 0 is taken as 0.
+template <class F>
+KV_HD F distance_vjp(F grad, F square) {
+  return square > 0 ? grad / sqrt(square) : F(0);
+}
+
+KV_KERNEL(two_nearest, TwoNearest)
+KV_KERNEL(two_nearest_merge, TwoNearest)
+KV_KERNEL(two_nearest_backward, TwoNearestBackward)
+
+// Rows of a chunk that one thread of the CPU or one block of CUDA processes.
+constexpr int kMatchingCpuRows = 256;
+template <class T>
+constexpr int kMatchingTile = sizeof(T) == 4 ? 128 : 64;
+
+}  // namespace kv::feature

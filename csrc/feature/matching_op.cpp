@@ -1,0 +1,136 @@
+// The two nearest descriptors: schemas and operators, for CPU and CUDA.
+#include "feature/matching.h"
+#include "glue/batch.h"
+
+namespace kv::feature {
+namespace {
+
+// Two sets of descriptors (B, N, D) and (B, M, D), checked; a batch of size 1 is expanded.
+struct DescriptorPair {
+  Tensor first, second;
+  int64_t batch, width;
+
+  DescriptorPair(char const* op, Tensor const& a, Tensor const& b) {
+    KV_CHECK(a.dim() == 3 && b.dim() == 3 && a.size(2) > 0 && a.size(2) == b.size(2), op,
+             ": expected desc1 (B, N, D) and desc2 (B, M, D)");
+    KV_CHECK(a.scalar_type() == compute_dtype(a), op, ": expected float32 or float64");
+    KV_CHECK(a.size(1) < INT32_MAX / 2 && b.size(1) < INT32_MAX / 2 && a.size(2) < INT32_MAX, op,
+             ": expected fewer than 2^30 descriptors");
+    batch = a.size(0) == 1 ? b.size(0) : a.size(0), width = a.size(2);
+    check_sizes(op, "desc1", a, a, {batch, a.size(1), width});
+    check_sizes(op, "desc2", b, a, {batch, b.size(1), width});
+    first = expand_batch(a, batch), second = expand_batch(b, batch);
+  }
+};
+
+std::optional<Tensor> checked_mask(char const* op, char const* name, std::optional<Tensor> const& mask,
+                                   Tensor const& descriptors) {
+  if (!mask) return {};
+  int64_t const batch = descriptors.size(0), count = descriptors.size(1);
+  KV_CHECK(mask->scalar_type() == ScalarType::Bool && mask->dim() == 2 && mask->device() == descriptors.device() &&
+               (mask->size(0) == batch || mask->size(0) == 1) && mask->size(1) == count,
+           op, ": expected ", name, " to be bool, one for each descriptor");
+  return expand_batch(*mask, batch);
+}
+
+#if defined(KV_CUDA)
+// Tiles of columns are divided over blocks such that there are this many, about 8 for every place on the largest GPU.
+constexpr int64_t kMatchingBlocks = 2048;
+#endif
+
+std::tuple<Tensor, Tensor, Tensor, Tensor> two_nearest(
+    Tensor const& desc1, Tensor const& desc2, std::optional<Tensor> const& mask1, std::optional<Tensor> const& mask2,
+    std::optional<Tensor> const& positions1, std::optional<Tensor> const& positions2, double distance, bool both) {
+  constexpr char const* op = "two_nearest";
+  DescriptorPair const x(op, desc1, desc2);
+  int64_t const batch = x.batch, n = desc1.size(1), m = desc2.size(1), listed = both ? m : 0;
+  auto const wanted1 = checked_mask(op, "mask1", mask1, x.first), wanted2 = checked_mask(op, "mask2", mask2, x.second);
+  KV_CHECK(positions1.has_value() == positions2.has_value(), op, ": expected positions of both sets or none");
+  std::optional<Tensor> at1, at2;
+  if (positions1) {
+    check_sizes(op, "positions1", *positions1, x.first, {batch, n, 2});
+    check_sizes(op, "positions2", *positions2, x.first, {batch, m, 2});
+    at1 = expand_batch(*positions1, batch), at2 = expand_batch(*positions2, batch);
+  }
+  Tensor const distances1 = empty({batch, n, 2}, x.first), distances2 = empty({batch, listed, 2}, x.first);
+  Tensor const indices1 = empty({batch, n, 2}, x.first, Layout::planar, ScalarType::Long);
+  Tensor const indices2 = empty({batch, listed, 2}, x.first, Layout::planar, ScalarType::Long);
+  auto const run = [&](auto type) {
+    using T = typename decltype(type)::type;
+#if defined(KV_CUDA)
+    int64_t const tile = kMatchingTile<T>, tiles1 = (n + tile - 1) / tile, tiles2 = (m + tile - 1) / tile;
+    int64_t const blocks = batch * tiles1 < 1 ? 1 : batch * tiles1;
+    int64_t const splits1 = clamp((kMatchingBlocks + blocks - 1) / blocks, int64_t(1), tiles2 < 1 ? 1 : tiles2);
+    int64_t const splits2 = tiles1;
+#else
+    int64_t const splits1 = 1, splits2 = (n + kMatchingCpuRows - 1) / kMatchingCpuRows;
+#endif
+    int64_t const words = sizeof(Neighbors<T>) / 4;
+    Tensor const partial1 = empty({batch, splits1, n, words}, x.first, Layout::planar, ScalarType::Int);
+    Tensor const partial2 = empty({batch, splits2, listed, words}, x.first, Layout::planar, ScalarType::Int);
+    auto const set = [](Tensor const& values, std::optional<Tensor> const& mask, std::optional<Tensor> const& positions,
+                        int64_t splits, Tensor const& partial, Tensor const& distances, Tensor const& indices) {
+      return DescriptorSet<T>{data_ptr<T const>(values),
+                              mask ? data_ptr<bool const>(*mask) : nullptr,
+                              positions ? data_ptr<T const>(*positions) : nullptr,
+                              int(values.size(1)),
+                              int(splits),
+                              static_cast<Neighbors<T>*>(partial.mutable_data_ptr()),
+                              data_ptr<T>(distances),
+                              data_ptr<int64_t>(indices)};
+    };
+    TwoNearest<T> params{set(x.first, wanted1, at1, splits1, partial1, distances1, indices1),
+                         set(x.second, wanted2, at2, splits2, partial2, distances2, indices2), batch, int(x.width),
+                         T(distance * distance)};
+    if (!both) params.second.partial = nullptr;
+    KV_RUN(two_nearest, x.first, params, batch * splits2, kMatchingCpuRows * m * x.width);
+    KV_RUN(two_nearest_merge, x.first, params, batch * (n + listed), 8);
+  };
+  x.first.scalar_type() == ScalarType::Double ? run(Type<double>{}) : run(Type<float>{});
+  return {distances1, indices1, distances2, indices2};
+}
+
+std::tuple<Tensor, Tensor> two_nearest_backward(Tensor const& grad1, Tensor const& grad2, Tensor const& desc1,
+                                                Tensor const& desc2, Tensor const& indices1, Tensor const& indices2) {
+  constexpr char const* op = "two_nearest_backward";
+  DescriptorPair const x(op, desc1, desc2);
+  auto const check = [&](char const* name, Tensor const& grad, Tensor const& indices, Tensor const& descriptors) {
+    KV_CHECK(grad.dim() == 3 && grad.size(0) == x.batch && grad.size(2) == 2 &&
+                 (grad.size(1) == descriptors.size(1) || grad.size(1) == 0) &&
+                 grad.scalar_type() == descriptors.scalar_type() && grad.device() == descriptors.device(),
+             op, ": expected ", name, " to be that of the distances");
+    KV_CHECK(indices.dim() == 3 && indices.size(0) == x.batch && indices.size(1) == grad.size(1) &&
+                 indices.size(2) == 2 && indices.scalar_type() == ScalarType::Long &&
+                 indices.device() == descriptors.device(),
+             op, ": expected indices like ", name);
+  };
+  check("grad1", grad1, indices1, x.first);
+  check("grad2", grad2, indices2, x.second);
+  Tensor const g1 = dense(grad1), g2 = dense(grad2), i1 = dense(indices1), i2 = dense(indices2);
+  Tensor const grad_desc1 = empty({x.batch, desc1.size(1), x.width}, x.first);
+  Tensor const grad_desc2 = empty({x.batch, desc2.size(1), x.width}, x.first);
+  auto const run = [&](auto type) {
+    using T = typename decltype(type)::type;
+    auto const set = [](Tensor const& values, Tensor const& grad, Tensor const& indices, Tensor const& grad_values) {
+      return NeighborGradient<T>{data_ptr<T const>(values), data_ptr<T const>(grad), data_ptr<int64_t const>(indices),
+                                 int(values.size(1)),       int(grad.size(1)),       data_ptr<T>(grad_values)};
+    };
+    TwoNearestBackward<T> const params{set(x.first, g1, i1, grad_desc1), set(x.second, g2, i2, grad_desc2), x.batch,
+                                       int(x.width)};
+    KV_RUN(two_nearest_backward, x.first, params, desc1.size(1) + desc2.size(1) > 0 ? x.batch : 0,
+           (grad1.size(1) + grad2.size(1)) * 4 * x.width);
+  };
+  x.first.scalar_type() == ScalarType::Double ? run(Type<double>{}) : run(Type<float>{});
+  return {grad_desc1, grad_desc2};
+}
+
+}  // namespace
+
+KV_OPERATOR(two_nearest,
+            "(Tensor desc1, Tensor desc2, Tensor? mask1, Tensor? mask2, Tensor? positions1, Tensor? positions2, "
+            "float distance, bool both) -> (Tensor, Tensor, Tensor, Tensor)")
+KV_OPERATOR(two_nearest_backward,
+            "(Tensor grad1, Tensor grad2, Tensor desc1, Tensor desc2, Tensor indices1, Tensor indices2) "
+            "-> (Tensor, Tensor)")
+
+}  // namespace kv::feature

@@ -1,0 +1,568 @@
+"""Matches of descriptors: nearest neighbors, mutual ones, ratio tests, and tests that know positions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from kvision import _check
+from kvision._dtype import as_dtype, compute_dtype, floats
+from kvision._ops import register
+from kvision.core.exceptions import ShapeError, TypeCheckError
+
+# --- the two nearest ------------------------------------------------------------------------------------------------
+#
+# Without the distance matrix, so that memory grows with N + M. Descriptors that are left out, and those with NaN, have no
+# neighbors: distance inf and index -1.
+
+
+def _smallest_two(distances: Tensor) -> tuple[Tensor, Tensor]:
+    """The two smallest entries of every row, the first of equal ones, and their columns; NaN is no entry."""
+    distances = nn.functional.pad(torch.where(distances.isnan(), math.inf, distances), (0, 2), value=math.inf)
+    first = distances.argmin(-1, keepdim=True)
+    others = distances.scatter(-1, first, math.inf)
+    second = others.argmin(-1, keepdim=True)
+    values = torch.cat([distances.gather(-1, first), others.gather(-1, second)], -1)
+    return values, torch.where(values < math.inf, torch.cat([first, second], -1), -1)
+
+
+def _distances_of_pairs(desc: Tensor, others: Tensor, indices: Tensor) -> Tensor:
+    """The distances (B, N, 2) of desc (B, N, D) from the rows of others (B, M, D) with these indices, inf for -1."""
+    is_pair = indices >= 0
+    if others.shape[1] == 0:
+        return desc.new_full(indices.shape, math.inf)
+    rows = torch.where(is_pair, indices, 0).flatten(1)[..., None].expand(-1, -1, others.shape[2])
+    neighbors = others.gather(1, rows).unflatten(1, indices.shape[1:])
+    differences = torch.where(is_pair[..., None], desc[:, :, None] - neighbors, 0)
+    squares = differences.square().sum(-1)
+    is_positive = squares > 0  # the gradient at 0 is 0
+    distances = torch.where(is_positive, torch.where(is_positive, squares, 1).sqrt(), 0)
+    return torch.where(is_pair, distances, math.inf)
+
+
+def _reference(
+    desc1: Tensor,
+    desc2: Tensor,
+    mask1: Tensor | None,
+    mask2: Tensor | None,
+    positions1: Tensor | None,
+    positions2: Tensor | None,
+    distance: float,
+    both: bool,
+) -> tuple[Tensor, ...]:
+    batch = max(len(desc1), len(desc2)) if len(desc1) and len(desc2) else 0
+    desc1, desc2 = (x.expand(batch, *x.shape[1:]) for x in (desc1, desc2))
+    with torch.no_grad():
+        distances = torch.cdist(desc1.detach(), desc2.detach(), compute_mode="donot_use_mm_for_euclid_dist")
+        if mask1 is not None:
+            distances = torch.where(mask1[:, :, None], distances, math.inf)
+        if mask2 is not None:
+            distances = torch.where(mask2[:, None, :], distances, math.inf)
+        if positions1 is not None and positions2 is not None:
+            x, y = (positions1[:, :, None] - positions2[:, None]).detach().unbind(-1)
+            distances = torch.where(x * x + y * y < distance * distance, math.inf, distances)
+        _, indices1 = _smallest_two(distances)
+        _, indices2 = _smallest_two(distances.mT)
+    if not both:
+        indices2 = indices2[:, :0]
+    backward = _distances_of_pairs(desc2, desc1, indices2) if both else desc2[..., :2][:, :0] * desc1.new_ones(2)
+    return _distances_of_pairs(desc1, desc2, indices1), indices1, backward, indices2
+
+
+def _reference_backward(
+    grad1: Tensor, grad2: Tensor, desc1: Tensor, desc2: Tensor, indices1: Tensor, indices2: Tensor
+) -> tuple[Tensor, Tensor]:
+    batch = max(len(desc1), len(desc2)) if len(desc1) and len(desc2) else 0
+    a, b = (x.expand(batch, *x.shape[1:]) for x in (desc1, desc2))
+
+    def weighted(grad: Tensor, desc: Tensor, others: Tensor, indices: Tensor) -> tuple[Tensor, Tensor]:
+        """The gradient of each pair to its descriptor, and the rows of the other one."""
+        rows = torch.where(indices >= 0, indices, 0).flatten(1)[..., None].expand(-1, -1, others.shape[2])
+        difference = desc[:, :, None] - others.gather(1, rows).unflatten(1, indices.shape[1:])
+        squares = difference.square().sum(-1, keepdim=True)
+        is_pair = (indices >= 0)[..., None] & (squares > 0)
+        weights = torch.where(is_pair, grad[..., None] / torch.where(is_pair, squares, 1).sqrt(), 0)
+        return weights * torch.where(is_pair, difference, 0), rows
+
+    grad_a, grad_b = torch.zeros_like(a), torch.zeros_like(b)
+    if indices1.numel() and b.shape[1]:
+        pairs, rows = weighted(grad1, a, b, indices1)
+        grad_a = grad_a + pairs.sum(2)
+        grad_b = grad_b.scatter_add(1, rows, -pairs.flatten(1, 2))
+    if indices2.numel() and a.shape[1]:
+        pairs, rows = weighted(grad2, b, a, indices2)
+        grad_b = grad_b + pairs.sum(2)
+        grad_a = grad_a.scatter_add(1, rows, -pairs.flatten(1, 2))
+    return grad_a, grad_b
+
+
+def _fake(
+    desc1: Tensor,
+    desc2: Tensor,
+    mask1: Tensor | None,
+    mask2: Tensor | None,
+    positions1: Tensor | None,
+    positions2: Tensor | None,
+    distance: float,
+    both: bool,
+) -> list[Any]:
+    batch = desc2.shape[0] if desc1.shape[0] == 1 else desc1.shape[0]
+    sizes = [(batch, desc1.shape[1], 2), (batch, desc2.shape[1] if both else 0, 2)]
+    return [x for size in sizes for x in (desc1.new_empty(size), desc1.new_empty(size, dtype=torch.int64))]
+
+
+def _fake_backward(grad1: Tensor, grad2: Tensor, desc1: Tensor, desc2: Tensor, *_: Tensor) -> list[Any]:
+    return [(grad1.shape[0], *x.shape[1:]) for x in (desc1, desc2)]
+
+
+def _backward(needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
+    grad1, _, grad2, _, distances1, indices1, distances2, indices2, desc1, desc2, *_rest = grads_and_args
+    grad1 = torch.zeros_like(distances1) if grad1 is None else grad1
+    grad2 = torch.zeros_like(distances2) if grad2 is None else grad2
+    grads = _two_nearest_backward(grad1, grad2, desc1, desc2, indices1, indices2)
+    summed = (g.sum(0, keepdim=True) if len(x) == 1 and len(g) != 1 else g for g, x in zip(grads, (desc1, desc2)))
+    return [g if need else None for g, need in zip(summed, needs)] + [None] * 4
+
+
+_two_nearest_backward = register(
+    "two_nearest_backward", _reference_backward, fake=_fake_backward, casts_outputs=True
+)
+_two_nearest = register(
+    "two_nearest",
+    _reference,
+    fake=_fake,
+    backward=_backward,
+    saves_results=True,
+    non_differentiable=(1, 3),
+    casts_outputs=True,
+)
+
+# --- neighbors of both sets, or from a distance matrix --------------------------------------------------------------
+
+
+class _Neighbors:
+    """The two nearest of the other set for every descriptor: distances and indices (B, N, 2), and (B, M, 2) the way back.
+
+    In float32 for half types, so that ratios are those of the descriptors and not of rounded distances.
+    """
+
+    def __init__(
+        self,
+        desc1: Tensor,
+        desc2: Tensor,
+        dm: Tensor | None = None,
+        mask1: Tensor | None = None,
+        mask2: Tensor | None = None,
+        positions: tuple[Tensor, Tensor, float] | None = None,
+        both: bool = True,
+    ) -> None:
+        self.dtype = floats(desc1 if dm is None else dm).dtype  # of the results
+        if dm is None:
+            x, y = (as_dtype(floats(d), compute_dtype(desc1)) for d in (desc1, desc2))
+            p, q, distance = positions if positions is not None else (None, None, 0.0)
+            found = _two_nearest(x, y, mask1, mask2, p, q, distance, both)
+        else:
+            d = as_dtype(floats(dm), compute_dtype(dm))
+            if mask1 is not None and mask2 is not None:
+                d = torch.where(mask1[:, :, None] & mask2[:, None, :], d, math.inf)
+            if positions is not None:
+                p, q, distance = positions
+                offsets = p[:, :, None] - q[:, None]
+                d = torch.where(offsets.square().sum(-1) < distance * distance, math.inf, d)
+            found = (*_smallest_two(d), *(_smallest_two(d.mT) if both else (d[:, :0, :2], d[:, :0, :2].long())))
+        self.distances1, self.indices1, self.distances2, self.indices2 = found
+
+
+def _ratio(distances: Tensor, indices: Tensor) -> Tensor:
+    """The nearest distance over the second; NaN, which passes no test, where there are no two."""
+    return torch.where(indices[..., 1] >= 0, distances[..., 0] / distances[..., 1], math.nan)
+
+
+def _at(x: Tensor, indices: Tensor) -> Tensor:
+    """The entries of x (B, M) at indices (B, N), where -1 reads any."""
+    return x.gather(1, indices.clamp(min=0))
+
+
+def _is_mutual(nearest: Tensor, nearest_back: Tensor) -> Tensor:
+    """Whether the nearest neighbor of the nearest neighbor is the descriptor itself: (B, N)."""
+    own = torch.arange(nearest.shape[1], device=nearest.device)
+    return (nearest >= 0) & (_at(nearest_back, nearest) == own)
+
+
+def _ratio_test(both: _Neighbors, th: float) -> tuple[Tensor, Tensor]:
+    """The larger ratio (B, N) of mutual neighbors, and where both ratios are at most th."""
+    nearest = both.indices1[..., 0]
+    ratio, back = _ratio(both.distances1, both.indices1), _ratio(both.distances2, both.indices2)
+    larger = torch.maximum(ratio, _at(back, nearest))
+    return larger, _is_mutual(nearest, both.indices2[..., 0]) & (larger <= th)
+
+
+def _selected(scores: Tensor, nearest: Tensor, kept: Tensor, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """The list of matches: scores (K, 1) and indices (K, 2) of those that are kept, from (N,)."""
+    own = kept.nonzero()[:, 0]
+    return as_dtype(scores[own, None], dtype), torch.stack([own, nearest[own]], 1)
+
+
+def _no_matches(like: Tensor, columns: int = 2) -> tuple[Tensor, Tensor]:
+    return floats(like).new_zeros(0, 1), torch.zeros(0, columns, dtype=torch.int64, device=like.device)
+
+
+def _check_descriptors(op: str, desc1: Any, desc2: Any, dm: Any, *batch: str) -> None:
+    _check.shape(op, "desc1", desc1, *batch, "N", "D")
+    _check.shape(op, "desc2", desc2, *batch, "M", "D")
+    if desc1.shape[-1] != desc2.shape[-1] or desc1.shape[: len(batch)] != desc2.shape[: len(batch)]:
+        raise ShapeError(
+            f"{op}: expected descriptors of one {'batch and ' if batch else ''}width, got {tuple(desc1.shape)} and "
+            f"{tuple(desc2.shape)}",
+            actual_shape=desc2.shape,
+        )
+    if desc1.dtype != desc2.dtype:
+        raise TypeCheckError(f"{op}: expected descriptors of one type, got {desc1.dtype} and {desc2.dtype}")
+    _check.same_device(op, desc1=desc1, desc2=desc2)
+    if dm is not None:
+        _check.shape(op, "dm", dm, *desc1.shape[:-1], desc2.shape[-2])
+        _check.same_device(op, desc1=desc1, dm=dm)
+
+
+def _one(x: Tensor | None) -> Tensor | None:
+    return None if x is None else x[None]
+
+
+# --- functions ------------------------------------------------------------------------------------------------------
+
+
+def match_nn(desc1: Tensor, desc2: Tensor, dm: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Match every descriptor with its nearest one of the other set, by Euclidean distance.
+
+    Descriptors are (N, D) and (M, D). Neighbors are found without storing the N x M distances. Half types are computed in
+    float32. The gradient goes to both sets through the distances, not through the choice of neighbors. A descriptor with
+    NaN is no neighbor; its own distance is inf, with index 0.
+
+    Args:
+        desc1: descriptors (N, D) of the first image.
+        desc2: descriptors (M, D) of the second image.
+        dm: distances (N, M) to choose from instead; smaller is better.
+
+    Returns:
+        The distances (N, 1), and the int64 indices (N, 2) in desc1 and desc2. Both are empty if either set is.
+
+    Raises:
+        TypeCheckError: descriptors that are no tensors, or of two types.
+        ShapeError: descriptors that are not (N, D), or of two widths; dm that is not (N, M).
+        DeviceError: tensors on several devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> distances, indices = K.feature.match_nn(torch.tensor([[0.0, 1.0]]), torch.tensor([[3.0, 1.0], [0.0, 3.0]]))
+        >>> distances.tolist(), indices.tolist()
+        ([[2.0]], [[0, 1]])
+    """
+    _check_descriptors("match_nn", desc1, desc2, dm)
+    if 0 in (desc1.shape[0], desc2.shape[0]):
+        return _no_matches(desc1)
+    found = _Neighbors(desc1[None], desc2[None], _one(dm), both=False)
+    own = torch.arange(desc1.shape[0], device=desc1.device)
+    indices = torch.stack([own, found.indices1[0, :, 0].clamp(min=0)], 1)
+    return as_dtype(found.distances1[0, :, :1], found.dtype), indices
+
+
+def match_mnn(desc1: Tensor, desc2: Tensor, dm: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Match descriptors that are each other's nearest ones, by Euclidean distance.
+
+    Args:
+        desc1: descriptors (N, D) of the first image.
+        desc2: descriptors (M, D) of the second image.
+        dm: distances (N, M) to choose from instead; smaller is better.
+
+    Returns:
+        The distances (K, 1), and the int64 indices (K, 2) in desc1 and desc2, ordered by those of the smaller set. Their
+        number depends on the values, so a GPU is waited for.
+
+    Raises:
+        TypeCheckError, ShapeError, DeviceError: as in `match_nn`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> a, b = torch.tensor([[0.0], [1.0], [1.5]]), torch.tensor([[1.4], [0.1]])
+        >>> K.feature.match_mnn(a, b)[1].tolist()
+        [[2, 0], [0, 1]]
+    """
+    _check_descriptors("match_mnn", desc1, desc2, dm)
+    if 0 in (desc1.shape[0], desc2.shape[0]):
+        return _no_matches(desc1)
+    found = _Neighbors(desc1[None], desc2[None], _one(dm))
+    nearest, back = found.indices1[..., 0], found.indices2[..., 0]
+    if desc1.shape[0] <= desc2.shape[0]:
+        return _selected(found.distances1[0, :, 0], nearest[0], _is_mutual(nearest, back)[0], found.dtype)
+    distances, indices = _selected(found.distances2[0, :, 0], back[0], _is_mutual(back, nearest)[0], found.dtype)
+    return distances, indices.flip(1)
+
+
+def match_snn(desc1: Tensor, desc2: Tensor, th: float = 0.8, dm: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Match descriptors with their nearest ones where these are clearly nearer than the second nearest: Lowe's ratio test.
+
+    A match has a ratio d1 / d2 of at most `th`. Where both distances are 0 there is none.
+
+    Args:
+        desc1: descriptors (N, D) of the first image.
+        desc2: descriptors (M, D) of the second image. Fewer than two give no match.
+        th: the largest ratio.
+        dm: distances (N, M) to choose from instead, at least 0.
+
+    Returns:
+        The ratios (K, 1), and the int64 indices (K, 2) in desc1 and desc2, ordered by the first.
+
+    Raises:
+        TypeCheckError, ShapeError, DeviceError: as in `match_nn`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> ratios, indices = K.feature.match_snn(torch.tensor([[0.0], [5.0]]), torch.tensor([[1.0], [4.0]]), 0.5)
+        >>> ratios.tolist(), indices.tolist()
+        ([[0.25], [0.25]], [[0, 0], [1, 1]])
+    """
+    _check_descriptors("match_snn", desc1, desc2, dm)
+    th = _check.number("match_snn", "th", th)
+    if desc1.shape[0] == 0 or desc2.shape[0] < 2:
+        return _no_matches(desc1 if dm is None else dm)
+    found = _Neighbors(desc1[None], desc2[None], _one(dm), both=False)
+    ratio = _ratio(found.distances1, found.indices1)[0]
+    return _selected(ratio, found.indices1[0, :, 0], ratio <= th, found.dtype)
+
+
+def match_smnn(desc1: Tensor, desc2: Tensor, th: float = 0.95, dm: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Match descriptors that are each other's nearest ones and pass the ratio test in both directions.
+
+    Args:
+        desc1: descriptors (N, D) of the first image. Fewer than two in either set give no match.
+        desc2: descriptors (M, D) of the second image.
+        th: the largest ratio of the nearest distance to the second.
+        dm: distances (N, M) to choose from instead, at least 0.
+
+    Returns:
+        The larger one of both ratios (K, 1), and the int64 indices (K, 2) in desc1 and desc2, ordered by the first.
+
+    Raises:
+        TypeCheckError, ShapeError, DeviceError: as in `match_nn`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> ratios, indices = K.feature.match_smnn(torch.tensor([[0.0], [5.0]]), torch.tensor([[1.0], [4.0]]))
+        >>> ratios.tolist(), indices.tolist()
+        ([[0.25], [0.25]], [[0, 0], [1, 1]])
+    """
+    _check_descriptors("match_smnn", desc1, desc2, dm)
+    th = _check.number("match_smnn", "th", th)
+    if desc1.shape[0] < 2 or desc2.shape[0] < 2:
+        return _no_matches(desc1 if dm is None else dm)
+    found = _Neighbors(desc1[None], desc2[None], _one(dm))
+    ratio, kept = _ratio_test(found, th)
+    return _selected(ratio[0], found.indices1[0, :, 0], kept[0], found.dtype)
+
+
+def match_smnn_batched(
+    desc1: Tensor,
+    desc2: Tensor,
+    th: float = 0.95,
+    dm: Tensor | None = None,
+    mask1: Tensor | None = None,
+    mask2: Tensor | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Match the descriptors of every sample of a batch as `match_smnn` does, all samples at once.
+
+    Args:
+        desc1: descriptors (B, N, D) of the first images.
+        desc2: descriptors (B, M, D) of the second images.
+        th: the largest ratio of the nearest distance to the second.
+        dm: distances (B, N, M) to choose from instead, at least 0.
+        mask1: bool (B, N), True for the descriptors to use; default: all.
+        mask2: bool (B, M), the same of the second images.
+
+    Returns:
+        The larger one of both ratios (K, 1), and the int64 indices (K, 3): sample, in desc1, in desc2.
+
+    Raises:
+        TypeCheckError: descriptors that are no tensors, or of two types; masks that are not bool.
+        ShapeError: descriptors that are not (B, N, D), or of two batches or widths; masks or dm of another shape.
+        DeviceError: tensors on several devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> a, b = torch.tensor([[[0.0], [5.0]]]), torch.tensor([[[1.0], [4.0], [5.0]]])
+        >>> mask = torch.tensor([[True, True, False]])
+        >>> K.feature.match_smnn_batched(a, b, mask2=mask)[1].tolist()
+        [[0, 0, 0], [0, 1, 1]]
+    """
+    op = "match_smnn_batched"
+    _check_descriptors(op, desc1, desc2, dm, "B")
+    th = _check.number(op, "th", th)
+    for name, mask, desc in (("mask1", mask1, desc1), ("mask2", mask2, desc2)):
+        if mask is not None:
+            _check.shape(op, name, mask, *desc.shape[:2])
+            if mask.dtype != torch.bool:
+                raise TypeCheckError(f"{op}: expected {name} to be bool, got {mask.dtype}", actual_type=mask.dtype)
+            _check.same_device(op, desc1=desc, mask=mask)
+    if desc1.shape[0] == 0 or desc1.shape[1] < 2 or desc2.shape[1] < 2:
+        return _no_matches(desc1 if dm is None else dm, 3)
+    if dm is not None:
+        mask1 = desc1.new_ones(desc1.shape[:2], dtype=torch.bool) if mask1 is None else mask1
+        mask2 = desc2.new_ones(desc2.shape[:2], dtype=torch.bool) if mask2 is None else mask2
+    found = _Neighbors(desc1, desc2, dm, mask1, mask2)
+    ratio, kept = _ratio_test(found, th)
+    sample, own = kept.nonzero().unbind(1)
+    indices = torch.stack([sample, own, found.indices1[sample, own, 0]], 1)
+    return as_dtype(ratio[sample, own, None], found.dtype), indices
+
+
+def match_fginn(
+    desc1: Tensor,
+    desc2: Tensor,
+    lafs1: Tensor,
+    lafs2: Tensor,
+    th: float = 0.8,
+    spatial_th: float = 10.0,
+    mutual: bool = False,
+    dm: Tensor | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Match descriptors by a ratio test whose second neighbor is elsewhere in the image: first geometrically inconsistent.
+
+    Where several features of one place have similar descriptors, the second nearest one is no wrong match, and the test of
+    `match_snn` fails. Here the second neighbor is the nearest one whose center is at least `spatial_th` pixels from the
+    center of the nearest. If there is none, the ratio is 0.
+
+    Args:
+        desc1: descriptors (N, D) of the first image.
+        desc2: descriptors (M, D) of the second image. Fewer than two give no match.
+        lafs1: local affine frames (1, N, 2, 3) of the first image; only their shape is read.
+        lafs2: local affine frames (1, M, 2, 3) of the second image.
+        th: the largest ratio.
+        spatial_th: distance in pixels.
+        mutual: whether matches have to be nearest ones in both directions.
+        dm: distances (N, M) to choose from instead, at least 0.
+
+    Returns:
+        The ratios (K, 1), and the int64 indices (K, 2) in desc1 and desc2, ordered by the first.
+
+    Raises:
+        TypeCheckError, ShapeError, DeviceError: as in `match_nn`; frames of another shape.
+
+    Source: D. Mishkin, J. Matas, M. Perdoch, "MODS: Fast and robust method for two-view matching" (2015).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> lafs = torch.zeros(1, 3, 2, 3)
+        >>> lafs[0, :, 0, 2] = torch.tensor([0.0, 1.0, 90.0])
+        >>> K.feature.match_fginn(torch.tensor([[0.0]]), torch.tensor([[1.0], [1.1], [4.0]]), lafs[:, :1], lafs)
+        (tensor([[0.2500]]), tensor([[0, 0]]))
+    """
+    op = "match_fginn"
+    _check_descriptors(op, desc1, desc2, dm)
+    _check.shape(op, "lafs1", lafs1, 1, desc1.shape[0], 2, 3)
+    _check.shape(op, "lafs2", lafs2, 1, desc2.shape[0], 2, 3)
+    _check.same_device(op, desc1=desc1, lafs1=lafs1, lafs2=lafs2)
+    th = _check.number(op, "th", th)
+    spatial_th = _check.number(op, "spatial_th", spatial_th, 0.0)
+    _check.flag(op, "mutual", mutual)
+    if desc1.shape[0] == 0 or desc2.shape[0] < 2:
+        return _no_matches(desc1 if dm is None else dm)
+    found = _Neighbors(desc1[None], desc2[None], _one(dm), both=mutual)
+    nearest = found.indices1[..., 0]
+    centers = as_dtype(floats(lafs2[..., 2]), found.distances1.dtype)
+    of_nearest = centers.gather(1, nearest.clamp(min=0)[..., None].expand(-1, -1, 2))
+    elsewhere = _Neighbors(desc1[None], desc2[None], _one(dm), positions=(of_nearest, centers, spatial_th), both=False)
+    ratio = torch.where(nearest >= 0, found.distances1[..., 0] / elsewhere.distances1[..., 0], math.nan)
+    kept = ratio <= th
+    if mutual:
+        kept = kept & _is_mutual(nearest, found.indices2[..., 0])
+    return _selected(ratio[0], nearest[0], kept[0], found.dtype)
+
+
+# --- modules --------------------------------------------------------------------------------------------------------
+
+
+def _mode(op: str, match_mode: Any, modes: Sequence[str]) -> str:
+    mode = match_mode.lower() if isinstance(match_mode, str) else match_mode
+    _check.choice(op, "match_mode", mode, modes, _check.UnknownChoiceError)
+    return mode
+
+
+class DescriptorMatcher(nn.Module):
+    """Match descriptors by one of the functions that need no positions.
+
+    Args:
+        match_mode: 'nn', 'mnn', 'snn' or 'smnn', for the function `match_<mode>`.
+        th: the largest ratio of 'snn' and 'smnn'.
+
+    Its call takes descriptors (N, D) and (M, D) and returns what the function does.
+
+    Raises:
+        ValueCheckError: another mode, which is a NotImplementedError, too.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> matcher = K.feature.DescriptorMatcher("mnn")
+        >>> matcher(torch.tensor([[0.0], [5.0]]), torch.tensor([[4.0], [1.0]]))[1].tolist()
+        [[0, 1], [1, 0]]
+    """
+
+    known_modes = ("nn", "mnn", "snn", "smnn")
+
+    def __init__(self, match_mode: str = "snn", th: float = 0.8) -> None:
+        super().__init__()
+        self.match_mode = _mode("DescriptorMatcher", match_mode, self.known_modes)
+        self.th = _check.number("DescriptorMatcher", "th", th)
+
+    def extra_repr(self) -> str:
+        return f"match_mode={self.match_mode!r}, th={self.th}"
+
+    def forward(self, desc1: Tensor, desc2: Tensor) -> tuple[Tensor, Tensor]:
+        if self.match_mode == "nn":
+            return match_nn(desc1, desc2)
+        if self.match_mode == "mnn":
+            return match_mnn(desc1, desc2)
+        return (match_snn if self.match_mode == "snn" else match_smnn)(desc1, desc2, self.th)
+
+
+class GeometryAwareDescriptorMatcher(nn.Module):
+    """Match descriptors by a function that knows where they are.
+
+    Args:
+        match_mode: 'fginn' or 'adalam', for the function `match_<mode>`.
+        params: for 'fginn' its arguments `th` (default here .85), `spatial_th` and `mutual`; for 'adalam' its config.
+
+    Its call takes descriptors (N, D) and (M, D) with their local affine frames (1, N, 2, 3) and (1, M, 2, 3), and returns
+    what the function does.
+
+    Raises:
+        ValueCheckError: another mode, which is a NotImplementedError, too.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> matcher = K.feature.GeometryAwareDescriptorMatcher("fginn", {"spatial_th": 5.0})
+        >>> x, lafs = torch.eye(3), torch.zeros(1, 3, 2, 3)
+        >>> lafs[0, :, 0, 2] = torch.arange(3) * 10.0
+        >>> matcher(x, x, lafs, lafs)[1].tolist()
+        [[0, 0], [1, 1], [2, 2]]
+    """
+
+    known_modes = ("fginn", "adalam")
+
+    def __init__(self, match_mode: str = "fginn", params: dict[str, Any] | None = None) -> None:
+        super().__init__()
+        self.match_mode = _mode("GeometryAwareDescriptorMatcher", match_mode, self.known_modes)
+        self.params = dict(params or {})
+
+    def extra_repr(self) -> str:
+        return f"match_mode={self.match_mode!r}, params={self.params}"
+
+    def forward(self, desc1: Tensor, desc2: Tensor, lafs1: Tensor, lafs2: Tensor) -> tuple[Tensor, Tensor]:
+        if self.match_mode == "adalam":
+            from kvision.feature.adalam import match_adalam
+
+            return match_adalam(desc1, desc2, lafs1, lafs2, config=self.params)
+        known = {name: self.params[name] for name in ("spatial_th", "mutual") if name in self.params}
+        return match_fginn(desc1, desc2, lafs1, lafs2, self.params.get("th", 0.85), **known)

@@ -21,6 +21,11 @@ inline Tensor of_frames(char const* op, char const* name, Tensor const& x, Tenso
 }
 inline Tensor rows_of_frames(Tensor const& laf) { return laf.reshape({-1, 2, 3}); }
 
+inline void descriptors(char const* op, Tensor const& desc1, Tensor const& desc2) {
+  TORCH_CHECK_VALUE(desc1.dim() == 2 && desc2.dim() == 2 && desc1.size(1) == desc2.size(1), op,
+                    ": expected descriptors (N, D) and (M, D), got ", desc1.sizes(), " and ", desc2.sizes());
+}
+
 }  // namespace detail
 
 inline Tensor get_laf_center(Tensor const& laf) { return detail::frames("get_laf_center", "LAF", laf).select(-1, 2); }
@@ -70,6 +75,40 @@ inline Tensor perspective_transform_lafs(Tensor const& trans_01, Tensor const& l
       "perspective_transform_lafs: expected trans_01 of shape (B, 3, 3), got ", trans_01.sizes());
   Tensor const each = trans_01.to(x.scalar_type()).unsqueeze(1).expand({x.size(0), x.size(1), 3, 3});
   return ops::perspective_transform_laf(each.reshape({-1, 3, 3}), detail::rows_of_frames(x)).view(x.sizes());
+}
+
+// --- matching ------------------------------------------------------------------------------------------------------
+
+// The distances (N, 1) of descriptors (N, D) from their nearest ones of (M, D), and the indices (N, 2) in both.
+inline std::tuple<Tensor, Tensor> match_nn(Tensor const& desc1, Tensor const& desc2) {
+  detail::descriptors("match_nn", desc1, desc2);
+  Tensor const x = detail::computed(desc1, desc1), y = detail::computed(desc2, desc2);
+  if (x.size(0) == 0 || y.size(0) == 0) return {x.new_zeros({0, 1}), at::zeros({0, 2}, x.options().dtype(at::kLong))};
+  auto const [distances, indices, _, __] = ops::two_nearest(x.unsqueeze(0), y.unsqueeze(0), {}, {}, {}, {}, 0.0, false);
+  Tensor const own = at::arange(x.size(0), indices.options());
+  return {distances[0].narrow(1, 0, 1).to(desc1.scalar_type()),
+          at::stack({own, indices[0].select(1, 0).clamp_min(0)}, 1)};
+}
+
+// Those that are each other's nearest ones and have a ratio of the nearest to the second distance of at most th in both
+// directions: the larger ratio (K, 1), and the indices (K, 2). A GPU is waited for.
+inline std::tuple<Tensor, Tensor> match_smnn(Tensor const& desc1, Tensor const& desc2, double th = 0.95) {
+  detail::descriptors("match_smnn", desc1, desc2);
+  Tensor const x = detail::computed(desc1, desc1), y = detail::computed(desc2, desc2);
+  auto const longs = x.options().dtype(at::kLong);
+  if (x.size(0) < 2 || y.size(0) < 2) return {x.new_zeros({0, 1}), at::zeros({0, 2}, longs)};
+  at::NoGradGuard no_grad;
+  auto const [to, there, from, back] = ops::two_nearest(x.unsqueeze(0), y.unsqueeze(0), {}, {}, {}, {}, 0.0, true);
+  auto const ratio = [](Tensor const& distances, Tensor const& indices) {
+    Tensor const r = distances[0].select(1, 0) / distances[0].select(1, 1);
+    return r.masked_fill(indices[0].select(1, 1) < 0, std::nan(""));
+  };
+  Tensor const nearest = there[0].select(1, 0), safe = nearest.clamp_min(0), own = at::arange(x.size(0), longs);
+  Tensor const larger = at::maximum(ratio(to, there), ratio(from, back).index_select(0, safe));
+  Tensor const is_match = (nearest >= 0) & (back[0].select(1, 0).index_select(0, safe) == own) & (larger <= th);
+  Tensor const kept = is_match.nonzero().select(1, 0);
+  return {larger.index_select(0, kept).unsqueeze(1).to(desc1.scalar_type()),
+          at::stack({kept, nearest.index_select(0, kept)}, 1)};
 }
 
 }  // namespace kvision

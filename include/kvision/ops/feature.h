@@ -20,4 +20,24 @@ inline constexpr Operator<"ellipse_to_laf", Tensor(Tensor ellipse)> ellipse_to_l
 inline constexpr Operator<"perspective_transform_laf", Tensor(Tensor homography, Tensor laf)> perspective_transform_laf{
     side_by_side};
 
+// --- matching ------------------------------------------------------------------------------------------------------
+
+namespace detail {
+
+// From the distances of the first set's neighbors; those of the second set are constants.
+inline constexpr Rule two_nearest{
+    [](Backward const& b) {
+      Tensor const none = at::zeros_like(b.results[1]);
+      return b.call("two_nearest_backward",
+                    {{"grad1", b.grad()}, {"grad2", none}, {"indices1", b.results[0]}, {"indices2", b.results[2]}});
+    },
+    3};
+
+}  // namespace detail
+
+inline constexpr Operator<"two_nearest",
+                          Four(Tensor desc1, Tensor desc2, OptionalTensor mask1, OptionalTensor mask2,
+                               OptionalTensor positions1, OptionalTensor positions2, double distance, bool both)>
+    two_nearest{detail::two_nearest};
+
 }  // namespace kvision::ops

@@ -4,6 +4,9 @@ Frames are (B, N, 2, 3), one of N slots for each feature; a frame of zeros is an
 Everything but the choice of features is differentiable.
 """
 
+from kvision.feature.hardnet import HardNet, HardNet8
+from kvision.feature.hynet import TLU, FilterResponseNorm2d, HyNet
+from kvision.feature.keynet import KeyNet
 from kvision.feature.laf import (
     denormalize_laf,
     ellipse_to_laf,
@@ -24,3 +27,16 @@ from kvision.feature.laf import (
     scale_laf,
     set_laf_orientation,
 )
+from kvision.feature.matching import (
+    DescriptorMatcher,
+    GeometryAwareDescriptorMatcher,
+    match_fginn,
+    match_mnn,
+    match_nn,
+    match_smnn,
+    match_smnn_batched,
+    match_snn,
+)
+from kvision.feature.orinet import OriNet
+from kvision.feature.sosnet import SOSNet
+from kvision.feature.tfeat import TFeat

@@ -60,6 +60,7 @@ if TYPE_CHECKING:
         tensor_to_image,
     )
     from kvision.losses import dice_loss, focal_loss, psnr_loss, ssim_loss, tversky_loss
+    from kvision.patch import patch_kornia
     from kvision.utils import (
         get_cuda_device_if_available,
         get_cuda_or_mps_device_if_available,
@@ -109,6 +110,7 @@ __all__ = [
     "morphology",
     "normal_transform_pixel",
     "normalize",
+    "patch_kornia",
     "print_image",
     "psnr_loss",
     "pyrdown",
@@ -158,6 +160,7 @@ _HOMES = {
     "get_mps_device_if_available": "utils",
     "is_autocast_enabled": "utils",
     "xla_is_available": "utils",
+    "patch_kornia": "patch",
 }
 
 

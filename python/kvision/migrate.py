@@ -21,6 +21,8 @@ from typing import Any
 
 SAME, DIFFERENT, MISSING = "same", "different", "not in kvision yet"
 
+STAR = "\\* "  # in front of the rows of docs/differences.md that `kvision.patch_kornia` reads
+
 # Sections of docs/differences.md and the modules that they describe.
 _SECTIONS = {
     "Filters": ("filters",),
@@ -34,7 +36,10 @@ _SECTIONS = {
 
 @dataclass(frozen=True)
 class Difference:
-    """A row of docs/differences.md: the modules and names it concerns (`f`, `Class.member`), and what both libraries do."""
+    """A row of docs/differences.md: the modules and names it concerns (`f`, `Class.member`), and what both libraries do.
+
+    `values` is true for the rows with a star: calls that both libraries serve give other values, beyond rounding.
+    """
 
     line: int
     modules: tuple[str, ...]
@@ -42,6 +47,7 @@ class Difference:
     where: str
     kornia: str
     kvision: str
+    values: bool = False
 
 
 @dataclass(frozen=True)
@@ -243,7 +249,9 @@ def differences(text: str | None = None) -> list[Difference]:
         if from_kornia and line.startswith("|") and len(cells) == 3 and cells[0] != "where" and "---" not in line:
             quoted = re.findall(r"`(\w+(?:\.\w+)?)(?:\([^`]*\))?`", cells[0])
             names = frozenset(name for name in quoted if any(resolves((m, *name.split("."))) for m in modules))
-            rows.append(Difference(number, modules, names, *cells))
+            where, kornia, kvision = cells
+            starred = where.startswith(STAR)
+            rows.append(Difference(number, modules, names, where.removeprefix(STAR), kornia, kvision, starred))
     return rows
 
 

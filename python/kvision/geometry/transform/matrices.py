@@ -410,7 +410,7 @@ def get_projective_transform(center: Tensor, angles: Tensor, scales: Tensor) -> 
     Args:
         center: (B, 3) as (x, y, z).
         angles: (B, 3), the axis of rotation times the angle in degrees.
-        scales: (B, 3) along x, y and z.
+        scales: (B, 3) along x, y and z, or (B, 1) along all of them.
 
     Returns:
         (B, 3, 4), source voxels to result voxels.
@@ -426,6 +426,8 @@ def get_projective_transform(center: Tensor, angles: Tensor, scales: Tensor) -> 
         >>> K.geometry.get_projective_transform(torch.zeros(1, 3), about_z, torch.ones(1, 3)).round().long()[0, 0]
         tensor([ 0, -1,  0,  0])
     """
+    if isinstance(scales, Tensor) and scales.dim() == 2 and scales.shape[1] == 1:
+        scales = scales.expand(-1, 3)
     _batch("get_projective_transform", center=(center, 3), angles=(angles, 3), scales=(scales, 3))
     return affine_matrix3d(*angles.unbind(-1), None, scales, center, *[None] * 6, 1.0, 0.0, 0.0, 0.0, 3)
 

@@ -142,11 +142,15 @@ def _same_names() -> Iterator[tuple[str, Any, Any]]:
                 yield f"{path}.{name}", value, other
 
 
+# Random augmentations of one seed would not be the same ones. What they call is replaced.
+_KEPT = ("augmentation",)
+
+
 def _public_modules() -> Iterator[str]:
     """Paths of the packages that both libraries have."""
     for name in list(sys.modules):
         library, _, path = name.partition(".")
-        if library != "kornia" or not path or "._" in name or path.count(".") > 1:
+        if library != "kornia" or not path or "._" in name or path.count(".") > 1 or path.split(".")[0] in _KEPT:
             continue
         try:
             spec = importlib.util.find_spec(f"kvision.{path}")

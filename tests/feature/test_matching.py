@@ -237,7 +237,7 @@ def test_errors():
         K.feature.match_snn(x, x, "high")
     with pytest.raises(NotImplementedError, match="DescriptorMatcher: match_mode must be one of nn, mnn, snn, smnn"):
         K.feature.DescriptorMatcher("best")
-    with pytest.raises(NotImplementedError, match="match_mode must be one of fginn"):
+    with pytest.raises(NotImplementedError, match="match_mode must be one of fginn, adalam"):
         K.feature.GeometryAwareDescriptorMatcher("nn")
 
 

@@ -55,9 +55,7 @@ def test_patches_equal_kornia(name, device):
     compare(*twins(name, device), torch.rand(5, 1, 32, 32, device=device))
 
 
-@pytest.mark.parametrize(
-    "options", [{"is_bias": False}, {"dim_desc": 64, "drop_rate": 0.1}], ids=str
-)
+@pytest.mark.parametrize("options", [{"is_bias": False}, {"dim_desc": 64, "drop_rate": 0.1}], ids=str)
 def test_options_of_hynet(options, device):
     compare(*twins("HyNet", device, **options), torch.rand(3, 1, 32, 32, device=device))
 

@@ -4,6 +4,7 @@ Frames are (B, N, 2, 3), one of N slots for each feature; a frame of zeros is an
 Everything but the choice of features is differentiable.
 """
 
+from kvision.feature.adalam import match_adalam
 from kvision.feature.hardnet import HardNet, HardNet8
 from kvision.feature.hynet import TLU, FilterResponseNorm2d, HyNet
 from kvision.feature.keynet import KeyNet

@@ -529,8 +529,8 @@ class GeometryAwareDescriptorMatcher(nn.Module):
     """Match descriptors by a function that knows where they are.
 
     Args:
-        match_mode: 'fginn', for the function `match_fginn`.
-        params: its arguments `th` (default here .85), `spatial_th` and `mutual`.
+        match_mode: 'fginn' or 'adalam', for the function `match_<mode>`.
+        params: for 'fginn' its arguments `th` (default here .85), `spatial_th` and `mutual`; for 'adalam' its config.
 
     Its call takes descriptors (N, D) and (M, D) with their local affine frames (1, N, 2, 3) and (1, M, 2, 3), and returns
     what the function does.
@@ -547,7 +547,7 @@ class GeometryAwareDescriptorMatcher(nn.Module):
         [[0, 0], [1, 1], [2, 2]]
     """
 
-    known_modes = ("fginn",)
+    known_modes = ("fginn", "adalam")
 
     def __init__(self, match_mode: str = "fginn", params: dict[str, Any] | None = None) -> None:
         super().__init__()
@@ -558,5 +558,9 @@ class GeometryAwareDescriptorMatcher(nn.Module):
         return f"match_mode={self.match_mode!r}, params={self.params}"
 
     def forward(self, desc1: Tensor, desc2: Tensor, lafs1: Tensor, lafs2: Tensor) -> tuple[Tensor, Tensor]:
+        if self.match_mode == "adalam":
+            from kvision.feature.adalam import match_adalam
+
+            return match_adalam(desc1, desc2, lafs1, lafs2, config=self.params)
         known = {name: self.params[name] for name in ("spatial_th", "mutual") if name in self.params}
         return match_fginn(desc1, desc2, lafs1, lafs2, self.params.get("th", 0.85), **known)

@@ -1,6 +1,7 @@
 // Local features, as python/kvision/feature has them. Frames (LAFs) are (B, N, 2, 3). A second derivative is an error.
 #pragma once
 
+#include "kvision/geometry/transform.h"
 #include "kvision/ops/feature.h"
 #include "kvision/types.h"
 
@@ -109,6 +110,62 @@ inline std::tuple<Tensor, Tensor> match_smnn(Tensor const& desc1, Tensor const& 
   Tensor const kept = is_match.nonzero().select(1, 0);
   return {larger.index_select(0, kept).unsqueeze(1).to(desc1.scalar_type()),
           at::stack({kept, nearest.index_select(0, kept)}, 1)};
+}
+
+// --- patches, as python/kvision/feature/patches.py, sift.py, orientation.py and affine_shape.py have them
+
+namespace detail {
+
+inline Tensor sample_levels(char const* op, std::vector<Tensor> const& levels, Tensor const& laf, int64_t size) {
+  Tensor const& image = levels[0];
+  Tensor const x = frames(op, "laf", laf);
+  TORCH_CHECK_VALUE(x.size(0) == image.size(0), op, ": expected laf for ", image.size(0), " images, got ", x.size(0));
+  TORCH_CHECK_VALUE(size > 0, op, ": expected PS of at least 1, got ", size);
+  std::vector<Tensor> rows;
+  for (Tensor const& level : levels) rows.push_back(level.flatten(2));
+  Tensor const pyramid = rows.size() == 1 ? rows[0] : at::cat(rows, 2);
+  return ops::sample_patches(pyramid, computed(x, image), image.sizes().slice(2).vec(), int64_t(levels.size()), size,
+                             double(size));
+}
+inline Tensor square_patches(char const* op, Tensor const& x) {
+  TORCH_CHECK_VALUE(x.dim() == 4 && x.size(1) == 1 && x.size(2) == x.size(3) && x.size(2) > 0, op,
+                    ": expected patches of shape (B, 1, n, n), got ", x.sizes());
+  return floats(x);
+}
+
+}  // namespace detail
+
+// Patches (B, N, C, PS, PS) of frames in pixels of the images.
+inline Tensor extract_patches_simple(Tensor const& img, Tensor const& laf, int64_t PS = 32) {
+  detail::images("extract_patches_simple", "img", img);
+  return detail::sample_levels("extract_patches_simple", {detail::floats(img)}, laf, PS);
+}
+inline Tensor extract_patches_from_pyramid(Tensor const& img, Tensor const& laf, int64_t PS = 32) {
+  detail::images("extract_patches_from_pyramid", "img", img);
+  std::vector<Tensor> levels{detail::floats(img)};
+  for (int64_t side = std::min(img.size(2), img.size(3)); side > 2 && side / 2 >= PS && levels.size() < 16; side /= 2)
+    levels.push_back(pyrdown(levels.back()));
+  return detail::sample_levels("extract_patches_from_pyramid", levels, laf, PS);
+}
+
+struct SiftOptions {
+  TORCH_ARG(int64_t, num_ang_bins) = 8;
+  TORCH_ARG(int64_t, num_spatial_bins) = 4;
+  TORCH_ARG(bool, rootsift) = true;
+  TORCH_ARG(double, clipval) = 0.2;
+};
+// Descriptors (B, num_ang_bins num_spatial_bins^2) of patches (B, 1, n, n).
+inline Tensor sift_descriptor(Tensor const& patches, SiftOptions const& options = {}) {
+  return ops::sift(detail::square_patches("sift_descriptor", patches), options.num_ang_bins(),
+                   options.num_spatial_bins(), options.clipval(), options.rootsift());
+}
+// Angles (B,) of patches (B, 1, n, n), in radians, counter-clockwise as seen in the image.
+inline Tensor dominant_orientation(Tensor const& patches, int64_t num_angular_bins = 36, double eps = 1e-8) {
+  return ops::orientation(detail::square_patches("dominant_orientation", patches), num_angular_bins, eps);
+}
+// Ellipses (B, 1, 3) of patches (B, 1, n, n).
+inline Tensor affine_shape(Tensor const& patches, double eps = 1e-10) {
+  return ops::affine_shape(detail::square_patches("affine_shape", patches), eps).unsqueeze(1);
 }
 
 }  // namespace kvision

@@ -40,4 +40,24 @@ inline constexpr Operator<"two_nearest",
                                OptionalTensor positions1, OptionalTensor positions2, double distance, bool both)>
     two_nearest{detail::two_nearest};
 
+// --- patches -------------------------------------------------------------------------------------------------------
+
+// A pyramid (B, C, P) has the rows of all levels of an image of `size`, one after the other. Gradients are sums in the
+// type that computes.
+inline constexpr Operator<"sample_patches", Tensor(Tensor pyramid, Tensor laf, Ints size, int64_t levels,
+                                                   int64_t patch_size, double window)>
+    sample_patches{[](Backward const& b) -> variable_list {
+      variable_list gradients =
+          b.call("sample_patches_backward", {{"wants_pyramid", b.needs(0)}, {"wants_laf", b.needs(1)}});
+      for (size_t i = 0; i < 2; ++i) gradients[i] = b.needs(i) ? gradients[i].to(b.tensor(i).scalar_type()) : Tensor();
+      return gradients;
+    }};
+inline constexpr Operator<"sift",
+                          Tensor(Tensor patches, int64_t angular_bins, int64_t spatial_bins, double clip, bool root)>
+    sift{from<"sift_backward">};
+inline constexpr Operator<"orientation", Tensor(Tensor patches, int64_t bins, double eps)> orientation{
+    from<"orientation_backward">};
+inline constexpr Operator<"affine_shape", Tensor(Tensor patches, double eps)> affine_shape{
+    from<"affine_shape_backward">};
+
 }  // namespace kvision::ops

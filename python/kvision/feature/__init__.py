@@ -5,6 +5,7 @@ Everything but the choice of features is differentiable.
 """
 
 from kvision.feature.adalam import match_adalam
+from kvision.feature.affine_shape import LAFAffineShapeEstimator, PatchAffineShapeEstimator
 from kvision.feature.hardnet import HardNet, HardNet8
 from kvision.feature.hynet import TLU, FilterResponseNorm2d, HyNet
 from kvision.feature.keynet import KeyNet
@@ -38,6 +39,15 @@ from kvision.feature.matching import (
     match_smnn_batched,
     match_snn,
 )
+from kvision.feature.mkd import MKDDescriptor
+from kvision.feature.orientation import LAFOrienter, PatchDominantGradientOrientation
 from kvision.feature.orinet import OriNet
+from kvision.feature.patches import extract_patches_from_pyramid, extract_patches_simple
+from kvision.feature.sift import (
+    DenseSIFTDescriptor,
+    SIFTDescriptor,
+    SIFTDescriptorFromPyramid,
+    convert_sift_descriptor_layout,
+)
 from kvision.feature.sosnet import SOSNet
 from kvision.feature.tfeat import TFeat

@@ -29,6 +29,7 @@ Weights = bool | str | os.PathLike | Mapping[str, Any]
 _AFFNET = "https://github.com/ducha-aiki/affnet/raw/master/pretrained"
 _HARDNET = "https://github.com/DagnyT/hardnet/raw/master/pretrained"
 _KEYNET = "https://github.com/axelBarroso/Key.Net-Pytorch/raw/main/model"
+_MKD = "https://github.com/manyids2/mkd_pytorch/raw/master/mkd_pytorch"
 PUBLISHED = {
     "HardNet": Checkpoint(f"{_HARDNET}/train_liberty_with_aug/checkpoint_liberty_with_aug.pth"),
     "HardNet8": Checkpoint("https://cmp.felk.cvut.cz/~mishkdmy/hardnet8v2.pt"),
@@ -39,6 +40,13 @@ PUBLISHED = {
     "LAFAffNetShapeEstimator": Checkpoint(
         f"{_AFFNET}/AffNet.pth", "65c8bb2cf71e913818522d09dcc4262bcbcef5d756baa86a41f28526c2d61160"
     ),
+    "MKDDescriptor-cart": Checkpoint(
+        f"{_MKD}/mkd-cart-64.pth", "a9f907bbc0eacd19e31228f839ed12ff6ecbbbfafa2bbde1266788c722c38d56"
+    ),
+    "MKDDescriptor-concat": Checkpoint(
+        f"{_MKD}/mkd-concat-64.pth", "e31112000009e0d6e159dd7726aeea9f6a7d746cfe7d59b59bfb86c570667641"
+    ),
+    "MKDDescriptor-polar": Checkpoint(f"{_MKD}/mkd-polar-64.pth"),
     "OriNet": Checkpoint(f"{_AFFNET}/OriNet.pth", "030e7964ae3e136d00431c7e11c6b67df40ad299f02ac384fee0f1c3fd1dcb30"),
     "SOSNet": Checkpoint("https://github.com/yuruntian/SOSNet/raw/master/sosnet-weights/sosnet_32x32_liberty.pth"),
     "TFeat": Checkpoint(
@@ -55,19 +63,9 @@ def load_weights(network: nn.Module, pretrained: Weights) -> None:
     mapping: a state dict, or a checkpoint that has one as "state_dict". False: none.
     """
     name = type(network).__name__
-    if isinstance(pretrained, bool):
-        if not pretrained:
-            return
-        weights = _published(name)
-    elif isinstance(pretrained, (str, os.PathLike)):
-        weights = _read(name, Path(pretrained))
-    elif isinstance(pretrained, Mapping):
-        weights = pretrained
-    else:
-        raise TypeCheckError(
-            f"{name}: expected pretrained to be a bool, a path or a state dict, got {type(pretrained).__name__}",
-            actual_type=type(pretrained),
-        )
+    if pretrained is False:
+        return
+    weights = read_weights(name, name, pretrained)
     state: Mapping[str, Tensor] = weights.get("state_dict", weights)
     try:
         network.load_state_dict(state)
@@ -76,8 +74,22 @@ def load_weights(network: nn.Module, pretrained: Weights) -> None:
     network.eval()
 
 
-def _published(name: str) -> Mapping[str, Any]:
-    checkpoint = PUBLISHED[name]
+def read_weights(name: str, published: str, pretrained: Weights) -> Mapping[str, Any]:
+    """What `pretrained` names: the file that is published as `published`, that of a path, or a mapping itself."""
+    if pretrained is True:
+        return _published(name, published)
+    if isinstance(pretrained, (str, os.PathLike)):
+        return _read(name, Path(pretrained))
+    if isinstance(pretrained, Mapping):
+        return pretrained
+    raise TypeCheckError(
+        f"{name}: expected pretrained to be a bool, a path or a state dict, got {type(pretrained).__name__}",
+        actual_type=type(pretrained),
+    )
+
+
+def _published(name: str, published: str) -> Mapping[str, Any]:
+    checkpoint = PUBLISHED[published]
     if not checkpoint.file.exists():
         checkpoint.file.parent.mkdir(parents=True, exist_ok=True)
         try:

@@ -15,6 +15,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.feature.patches import extract_patches_from_pyramid, extract_patches_simple
 from kvision.geometry._formula import batch_of, of_rows, register_formula
 from kvision.geometry.conversions.angles import cos_sin
 from kvision.geometry.linalg import root, transform_points
@@ -22,6 +23,8 @@ from kvision.geometry.linalg import root, transform_points
 __all__ = [
     "denormalize_laf",
     "ellipse_to_laf",
+    "extract_patches_from_pyramid",
+    "extract_patches_simple",
     "get_laf_center",
     "get_laf_orientation",
     "get_laf_pts_to_draw",

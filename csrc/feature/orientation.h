@@ -1,0 +1,100 @@
+// The dominant gradient orientation of square patches, and its derivative.
+//
+// Pixels vote with their Sobel gradients, weighted by a Gaussian of sigma n / 6, for the two bins around their angle.
+// The histogram is smoothed around the circle by a Gaussian of 5 bins, and a parabola through its largest bin and the
+// two beside it gives the peak. The angle is counter-clockwise as seen in the image, so it is that from x to y,
+// negated:
+//
+//   angle = pi - 2 pi (peak + 1/2 (l - r) / (l + r - 2 m)) / bins     l, m, r: the bin before, the largest, the next
+//   one
+//
+// Included by orientation_cpu.cpp, orientation.cu and orientation_op.cpp.
+#pragma once
+
+#include "core/isa.h"
+#include "patch_gradient.h"
+
+namespace kv::feature {
+
+constexpr int kMostOrientationBins = 64;
+
+// The weights of bins 0, 1 and 2 away: the discrete Gaussian I_k(s) of s = 1.6^2, over its sum.
+constexpr int kSmoothing = 2;
+template <class F>
+KV_HD F smoothing_weight(int distance) {
+  return F(distance == 0 ? 0.29962780949740747 : distance == 1 ? 0.2311235920177775 : 0.11906250323351877);
+}
+
+template <class T>
+struct Orientation {
+  T const* patches;  // (count, n, n)
+  T* angles;         // (count)
+  int64_t count;
+  int n, bins;
+  Compute<T> eps;
+};
+
+template <class T>
+struct OrientationBackward {
+  T const* grad;
+  T const* patches;
+  T* grad_patches;
+  int64_t count;
+  int n, bins;
+  Compute<T> eps;
+};
+
+KV_KERNEL(orientation, Orientation)
+KV_KERNEL(orientation_backward, OrientationBackward)
+
+template <class F>
+KV_HD F orientation_weight(int y, int x, int n) {
+  return centered_gaussian(y, n, F(n) / 6) * centered_gaussian(x, n, F(n) / 6);
+}
+
+// A bin around the circle, for one at most 64 bins away.
+KV_HD int around_circle(int bin, int bins) { return ((bin % bins) + bins) % bins; }
+
+template <class F>
+KV_HD F smoothed_bin(F const* histogram, int bin, int bins) {
+  F sum = histogram[bin] * smoothing_weight<F>(0);
+  for (int d = 1; d <= kSmoothing; ++d)
+    sum += (histogram[around_circle(bin - d, bins)] + histogram[around_circle(bin + d, bins)]) * smoothing_weight<F>(d);
+  return sum;
+}
+
+// The largest bin of a smoothed histogram with its neighbors. A histogram without a peak has bend 0.
+template <class F>
+struct Peak {
+  int bin;
+  F left, middle, right;
+
+  KV_HD Peak(F const* smoothed, int bin, int bins)
+      : bin(bin),
+        left(smoothed[around_circle(bin - 1, bins)]),
+        middle(smoothed[bin]),
+        right(smoothed[around_circle(bin + 1, bins)]) {}
+  KV_HD F bend() const { return left + right - 2 * middle; }
+  KV_HD F angle(int bins) const {
+    F const b = bend(), offset = b != 0 ? (left - right) / b / 2 : F(0);
+    return F(kPi) - F(2 * kPi) * (F(bin) + offset) / F(bins);
+  }
+  // The derivatives of the angle along left, middle and right.
+  KV_HD void slopes(int bins, F (&d)[3]) const {
+    F const b = bend(), scale = -F(2 * kPi) / F(bins);
+    F const offset = b != 0 ? (left - right) / b / 2 : F(0), inverse = b != 0 ? scale / b : F(0);
+    d[0] = (F(0.5) - offset) * inverse, d[1] = 2 * offset * inverse, d[2] = (F(-0.5) - offset) * inverse;
+  }
+};
+
+// The derivative of the angle along bin `bin` of the histogram before it was smoothed.
+template <class F>
+KV_HD F orientation_slope(Peak<F> const& peak, F const (&d)[3], int bin, int bins) {
+  F sum = 0;
+  for (int k = -1; k <= 1; ++k)
+    for (int e = -kSmoothing; e <= kSmoothing; ++e)
+      if (around_circle(peak.bin + k + e, bins) == bin) sum += d[k + 1] * smoothing_weight<F>(e < 0 ? -e : e);
+  return sum;
+}
+
+}  // namespace kv::feature

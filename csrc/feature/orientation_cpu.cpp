@@ -1,0 +1,100 @@
+// Dominant orientations of patches [begin, end) on the CPU. Compiled once per instruction set.
+#include "orientation.h"
+#include "patch_gradient_cpu.h"
+
+namespace kv::feature::KV_ISA {
+namespace {
+
+// The working memory of a patch, and what both passes do with it.
+template <class F>
+struct OrientationPatch {
+  int n, bins;
+  F* weights;  // of the Gaussian along an axis
+  PaddedPatch<F> patch;
+  F *magnitudes, *angles;  // of a row
+  F *histogram, *smoothed;
+
+  static KV_HD int64_t size(int n, int bins) { return 3 * n + PaddedPatch<F>::size(n) + 2 * bins; }
+  KV_HD OrientationPatch(int n, int bins, F* memory) : n(n), bins(bins), weights(memory), patch{memory + n, n} {
+    magnitudes = patch.data + PaddedPatch<F>::size(n), angles = magnitudes + n;
+    histogram = angles + n, smoothed = histogram + bins;
+    for (int i = 0; i < n; ++i) weights[i] = centered_gaussian(i, n, F(n) / 6);
+  }
+
+  template <class T>
+  KV_HD void fill_row(int y, F eps) {
+    for_each_gradient<T>(patch, y, sobel_stencil<F>(), [&](auto width, int64_t x, auto g) {
+      constexpr int N = decltype(width)::value;
+      auto const polar = to_polar<F, N>(g, eps);
+      store<N>(magnitudes + x, polar.magnitude);
+      store<N>(angles + x, polar.angle);
+    });
+  }
+
+  template <class T, class Params>
+  KV_HD Peak<F> find_peak(T const* from, Params const& p) {
+    patch.read(from);
+    for (int b = 0; b < bins; ++b) histogram[b] = 0;
+    for (int y = 0; y < n; ++y) {
+      fill_row<T>(y, p.eps);
+      for (int x = 0; x < n; ++x) {
+        auto const vote = angular_vote(angles[x], bins, F(bins) / 2);
+        F const m = magnitudes[x] * (weights[y] * weights[x]);
+        histogram[vote.first] += m * (1 - vote.t);
+        histogram[vote.second] += m * vote.t;
+      }
+    }
+    int peak = 0;
+    for (int b = 0; b < bins; ++b) {
+      smoothed[b] = smoothed_bin(histogram, b, bins);
+      if (smoothed[b] > smoothed[peak]) peak = b;
+    }
+    return Peak<F>(smoothed, peak, bins);
+  }
+};
+
+}  // namespace
+
+template <class T>
+void orientation(Orientation<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  Scratch<F> scratch(OrientationPatch<F>::size(p.n, p.bins));
+  OrientationPatch<F> s(p.n, p.bins, scratch.data);
+  for (int64_t k = begin; k < end; ++k) store<1>(p.angles + k, s.find_peak(p.patches + k * p.n * p.n, p).angle(p.bins));
+}
+
+template <class T>
+void orientation_backward(OrientationBackward<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int const n = p.n, bins = p.bins;
+  int64_t const padded = PaddedPatch<F>::size(n), own = OrientationPatch<F>::size(n, bins);
+  Scratch<F> scratch(own + 2 * padded);
+  OrientationPatch<F> s(n, bins, scratch.data);
+  PaddedPatch<F> const u{scratch.data + own, n}, v{u.data + padded, n};
+  F const per_radian = F(bins) / F(2 * kPi);
+  for (int64_t k = begin; k < end; ++k) {
+    Peak<F> const peak = s.find_peak(p.patches + k * n * n, p);
+    F d[3];
+    peak.slopes(bins, d);
+    F* const slopes = s.histogram;
+    F const grad = load<1>(p.grad + k);
+    for (int b = 0; b < bins; ++b) slopes[b] = grad * orientation_slope(peak, d, b, bins);
+    for (int y = 0; y < n; ++y) {
+      s.template fill_row<T>(y, p.eps);
+      for (int x = 0; x < n; ++x) {
+        auto const vote = angular_vote(s.angles[x], bins, F(bins) / 2);
+        F const weight = s.weights[y] * s.weights[x], a = slopes[vote.first], b = slopes[vote.second];
+        auto const gradient = patch_gradient(sobel_stencil<F>(), neighbors<1>(s.patch, y, x));
+        auto const back = to_polar_vjp(gradient, s.magnitudes[x], weight * (a + vote.t * (b - a)),
+                                       weight * (b - a) * s.magnitudes[x] * per_radian);
+        u.row(y)[x] = back.x, v.row(y)[x] = back.y;
+      }
+    }
+    write_patch_gradient(p.grad_patches + k * n * n, sobel_stencil<F>(), u, v);
+  }
+}
+
+KV_INSTANTIATE(orientation, Orientation)
+KV_INSTANTIATE(orientation_backward, OrientationBackward)
+
+}  // namespace kv::feature::KV_ISA

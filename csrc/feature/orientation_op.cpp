@@ -1,0 +1,44 @@
+// Dominant orientations: schemas and operators, for CPU and CUDA.
+#include "orientation.h"
+#include "patch_glue.h"
+
+namespace kv::feature {
+namespace {
+
+int checked_bins(char const* op, int64_t bins) {
+  KV_CHECK(bins >= 3 && bins <= kMostOrientationBins, op, ": expected bins of 3 to ", kMostOrientationBins, ", got ",
+           bins);
+  return int(bins);
+}
+
+Tensor orientation(Tensor const& patches, int64_t bins, double eps) {
+  int const n = check_patches("orientation", patches), count = checked_bins("orientation", bins);
+  Tensor const x = dense(patches), angles = empty({x.size(0)}, x);
+  dispatch_floating("orientation", x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    Orientation<T> const params{data_ptr<T const>(x), data_ptr<T>(angles), x.size(0), n, count, Compute<T>(eps)};
+    KV_RUN(orientation, x, params, params.count, 20 * n * n);
+  });
+  return angles;
+}
+
+Tensor orientation_backward(Tensor const& grad, Tensor const& patches, int64_t bins, double eps) {
+  constexpr char const* op = "orientation_backward";
+  int const n = check_patches(op, patches), count = checked_bins(op, bins);
+  check_patch_gradient(op, grad, patches, {patches.size(0)});
+  Tensor const g = dense(grad), x = dense(patches), grad_x = empty(x.sizes(), x);
+  dispatch_floating(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    OrientationBackward<T> const params{
+        data_ptr<T const>(g), data_ptr<T const>(x), data_ptr<T>(grad_x), x.size(0), n, count, Compute<T>(eps)};
+    KV_RUN(orientation_backward, x, params, params.count, 40 * n * n);
+  });
+  return grad_x;
+}
+
+}  // namespace
+
+KV_OPERATOR(orientation, "(Tensor patches, int bins, float eps) -> Tensor")
+KV_OPERATOR(orientation_backward, "(Tensor grad, Tensor patches, int bins, float eps) -> Tensor")
+
+}  // namespace kv::feature

@@ -1,0 +1,120 @@
+// Patches of local affine frames: schemas and operators, for CPU and CUDA.
+#include "glue/batch.h"
+#include "patches.h"
+
+namespace kv::feature {
+namespace {
+
+constexpr int64_t kLargestPatch = (1 << 15) - 1;
+
+// Shapes of levels: each has half the height and width of the one before, rounded down.
+PyramidShape pyramid_shape(char const* op, std::vector<int64_t> const& size, int64_t levels) {
+  KV_CHECK(size.size() == 2 && size[0] > 0 && size[1] > 0 && size[0] <= INT32_MAX && size[1] <= INT32_MAX, op,
+           ": expected a size of height and width");
+  KV_CHECK(levels > 0 && levels <= kMostLevels, op, ": expected 1 to ", kMostLevels, " levels, got ", levels);
+  PyramidShape shape{};
+  shape.levels = int(levels);
+  for (int l = 0; l < shape.levels; ++l) {
+    shape.heights[l] = int(size[0] >> l), shape.widths[l] = int(size[1] >> l);
+    KV_CHECK(shape.heights[l] > 0 && shape.widths[l] > 0, op, ": there is no level ", l, " of this image");
+    KV_CHECK(int64_t(shape.heights[l]) * shape.widths[l] <= INT32_MAX, op, ": expected less than 2^31 pixels");
+    shape.offsets[l] = shape.size;
+    shape.size += int64_t(shape.heights[l]) * shape.widths[l];
+  }
+  return shape;
+}
+
+struct PatchArguments {
+  Tensor pyramid, frames;
+  PyramidShape shape;
+  int64_t batch, count, channels, n;
+
+  // Images and frames of one sample serve all of `samples`.
+  PatchArguments(char const* op, Tensor const& x, Tensor const& laf, std::vector<int64_t> const& size, int64_t levels,
+                 int64_t patch_size, double window, int64_t samples)
+      : shape(pyramid_shape(op, size, levels)), batch(samples), n(patch_size) {
+    KV_CHECK(patch_size > 0 && patch_size <= kLargestPatch, op, ": expected patch_size of 1 to ", kLargestPatch,
+             ", got ", patch_size);
+    KV_CHECK(window > 0, op, ": expected a window of more than 0");
+    KV_CHECK(x.dim() == 3 && x.size(2) == shape.size && (x.size(0) == batch || x.size(0) == 1), op,
+             ": expected a pyramid of shape (B, C, ", shape.size, ")");
+    KV_CHECK(laf.dim() == 4 && (laf.size(0) == batch || laf.size(0) == 1) && laf.size(2) == 2 && laf.size(3) == 3 &&
+                 laf.scalar_type() == compute_dtype(x) && laf.device() == x.device(),
+             op, ": expected laf of shape (B, N, 2, 3) of the type that computes");
+    pyramid = expand_batch(x, batch), frames = expand_batch(laf, batch);
+    channels = x.size(1), count = laf.size(1);
+    KV_CHECK(channels <= INT32_MAX && batch * count <= INT32_MAX, op, ": expected less than 2^31 patches");
+  }
+};
+
+Tensor sample_patches(Tensor const& pyramid, Tensor const& laf, std::vector<int64_t> size, int64_t levels,
+                      int64_t patch_size, double window) {
+  constexpr char const* op = "sample_patches";
+  PatchArguments const a(op, pyramid, laf, size, levels, patch_size, window, pyramid.dim() > 0 ? pyramid.size(0) : 0);
+  Tensor const patches = empty({a.batch, a.count, a.channels, a.n, a.n}, pyramid);
+  dispatch_floating(op, a.pyramid, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    SamplePatches<T> const params{data_ptr<T const>(a.pyramid),
+                                  data_ptr<F const>(a.frames),
+                                  data_ptr<T>(patches),
+                                  a.shape,
+                                  a.batch,
+                                  a.count,
+                                  int(a.channels),
+                                  int(a.n),
+                                  F(window)};
+    KV_RUN(sample_patches, a.pyramid, params, patches.numel() > 0 ? a.batch * a.count : 0,
+           4 * (1 + a.channels) * a.n * a.n);
+  });
+  return patches;
+}
+
+std::tuple<Tensor, Tensor> sample_patches_backward(Tensor const& grad, Tensor const& pyramid, Tensor const& laf,
+                                                   std::vector<int64_t> size, int64_t levels, int64_t patch_size,
+                                                   double window, bool wants_pyramid, bool wants_laf) {
+  constexpr char const* op = "sample_patches_backward";
+  KV_CHECK(grad.dim() == 5, op, ": grad does not fit the patches");
+  PatchArguments const a(op, pyramid, laf, size, levels, patch_size, window, grad.size(0));
+  KV_CHECK(grad.size(1) == a.count && grad.size(2) == a.channels && grad.size(3) == a.n && grad.size(4) == a.n &&
+               grad.scalar_type() == pyramid.scalar_type() && grad.device() == pyramid.device(),
+           op, ": grad does not fit the patches");
+  Tensor const g = dense(grad);
+  Tensor grad_pyramid =
+      empty({a.batch, wants_pyramid ? a.channels : 0, a.shape.size}, pyramid, Layout::planar, compute_dtype(pyramid));
+  Tensor grad_laf = empty({a.batch, wants_laf ? a.count : 0, 2, 3}, laf);
+  if (grad_pyramid.numel() > 0) torch::stable::zero_(grad_pyramid);
+  if (grad.numel() == 0) {  // there are no patches, or frames of images without channels
+    if (grad_laf.numel() > 0) torch::stable::zero_(grad_laf);
+    return {grad_pyramid, grad_laf};
+  }
+  dispatch_floating(op, a.pyramid, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    SamplePatchesBackward<T> const params{data_ptr<T const>(g),
+                                          data_ptr<T const>(a.pyramid),
+                                          data_ptr<F const>(a.frames),
+                                          wants_pyramid ? data_ptr<F>(grad_pyramid) : nullptr,
+                                          wants_laf ? data_ptr<F>(grad_laf) : nullptr,
+                                          a.shape,
+                                          a.batch,
+                                          a.count,
+                                          int(a.channels),
+                                          int(a.n),
+                                          F(window)};
+    int64_t const rows = (wants_pyramid ? a.batch * a.channels : 0) + (wants_laf ? a.batch * a.count : 0);
+    KV_RUN(sample_patches_backward, a.pyramid, params, rows, 8 * (1 + a.channels) * a.n * a.n);
+  });
+  return {grad_pyramid, grad_laf};
+}
+
+}  // namespace
+
+#define KV_PATCHES "SymInt[] size, int levels, int patch_size, float window"
+
+KV_OPERATOR(sample_patches, "(Tensor pyramid, Tensor laf, " KV_PATCHES ") -> Tensor")
+KV_OPERATOR(sample_patches_backward, "(Tensor grad, Tensor pyramid, Tensor laf, " KV_PATCHES
+                                     ", bool wants_pyramid, bool wants_laf)"
+                                     " -> (Tensor, Tensor)")
+
+}  // namespace kv::feature

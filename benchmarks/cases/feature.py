@@ -1,0 +1,76 @@
+"""Local features. An image of a case's size, in gray, has 2000 frames; patches are 2000 of 32 x 32, whatever the size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache, partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+import kvision
+from benchmarks.case import Bars, Case, Size, nbytes, nonlinear_backward, photographs
+from benchmarks.peers import optional
+
+kornia = optional("kornia")
+
+COUNT, SIDE = 2000, 32
+
+
+def frames(size: Size, device: torch.device) -> Tensor:
+    """Frames of 6 to 48 pixels, most of them small, in any orientation."""
+    b, _, h, w = size
+    random = torch.Generator().manual_seed(0)
+    center = torch.rand(b, COUNT, 2, generator=random) * torch.tensor([w, h])
+    scale = 6 * 8 ** torch.rand(b, COUNT, 1, 1, generator=random).square()
+    angle = 360 * torch.rand(b, COUNT, 1, generator=random)
+    return kvision.feature.laf_from_center_scale_ori(center, scale, angle).to(device)
+
+
+def images_and_frames(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
+    gray = (size[0], 1, *size[2:])
+    return *photographs(gray, dtype, device), frames(gray, device)
+
+
+def patches(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
+    """Patches of one image."""
+    image, laf = images_and_frames((1, 1, 480, 640), torch.float32, device)
+    return (kvision.feature.extract_patches_from_pyramid(image, laf, SIDE)[0].to(dtype),)
+
+
+@lru_cache
+def module(library: Any, name: str, device: torch.device, dtype: torch.dtype) -> torch.nn.Module:
+    made: torch.nn.Module = getattr(library.feature, name)(SIDE).to(device, dtype)
+    return made
+
+
+def of_patches(name: str, title: str) -> Case:
+    def call(library: Any, x: Tensor) -> Tensor:
+        result: Tensor = module(library, name, x.device, x.dtype)(x)
+        return result
+
+    return case(title, call, patches, Bars(), backward=nonlinear_backward)
+
+
+def case(name: str, call: Callable[..., Any], inputs: Callable[..., Any], bars: Bars, **more: Any) -> Case:
+    return Case(name, partial(call, kvision), {"kornia": partial(call, kornia)}, bars, inputs, **more)
+
+
+def of_frames(inputs: Any, outputs: Any) -> int:
+    """Bytes of the backward of patches: their gradient is read and that of the image is written."""
+    return nbytes(outputs) + nbytes(inputs[:1])
+
+
+CASES = [
+    case(
+        "extract_patches",
+        lambda K, x, laf: K.feature.extract_patches_from_pyramid(x, laf, SIDE),
+        images_and_frames,
+        Bars(launches=None),
+        backward=of_frames,
+    ),
+    of_patches("SIFTDescriptor", "sift_descriptor"),
+    of_patches("PatchDominantGradientOrientation", "dominant_orientation"),
+    of_patches("PatchAffineShapeEstimator", "affine_shape"),
+]

@@ -22,15 +22,13 @@ __global__ void __launch_bounds__(kThreads) sample_patch(__grid_constant__ Sampl
   T const* const level = p.pyramid + k / p.count * p.channels * p.shape.size + p.shape.offsets[f.level];
   for (int i = threadIdx.x; i < area; i += kThreads) {
     int const row = i / p.n;
-    BilinearTaps<F> const taps(f, patch_coordinate<F>(i - row * p.n, p.n), patch_coordinate<F>(row, p.n));
-    F w[4];
-    taps.weights(w);
+    BilinearTaps<F, F> const taps(f, patch_coordinate<F>(i - row * p.n, p.n), patch_coordinate<F>(row, p.n));
     for (int c = 0; c < p.channels; ++c) {
       T const* const plane = level + c * p.shape.size;
-      F sum = 0;
+      F values[4];
 #pragma unroll
-      for (int t = 0; t < 4; ++t) sum += weighted_tap(w[t], read(plane[taps.indices[t]]));
-      out[int64_t(c) * area + i] = round_to<T>(sum);
+      for (int t = 0; t < 4; ++t) values[t] = read(plane[taps.indices[t]]);
+      out[int64_t(c) * area + i] = round_to<T>(taps.sample(values));
     }
   }
 }
@@ -48,7 +46,7 @@ __global__ void __launch_bounds__(kThreads) sample_patch_backward(__grid_constan
     for (int i = threadIdx.x; i < area; i += kThreads) {
       int const row = i / p.n;
       F const u = patch_coordinate<F>(i - row * p.n, p.n), v = patch_coordinate<F>(row, p.n);
-      BilinearTaps<F> const taps(f, u, v);
+      BilinearTaps<F, F> const taps(f, u, v);
       F w[4], gx = 0, gy = 0;
       taps.weights(w);
       for (int c = 0; c < p.channels; ++c) {

@@ -11,6 +11,13 @@
 #pragma once
 
 #include "core/isa.h"
+#include "geometry/transform/taps.h"
+
+#if defined(__CUDACC__)
+#define KV_SAMPLES __device__ __forceinline__
+#else
+#define KV_SAMPLES KV_HD
+#endif
 
 namespace kv::feature {
 
@@ -82,52 +89,60 @@ KV_HD F patch_coordinate(int k, int n) {
 }
 
 // The two taps of a coordinate along an axis, and the weight of the second one. Both read the same pixel outside of the
-// image, so that the derivative is 0 there.
-template <class F>
+// image, so that the derivative is 0 there. NaN is outside, to the left.
+template <class V, class I>
 struct LinearTaps {
-  int first, second;
-  F t;
+  I first, second;
+  V t;
 };
-template <class F>
-KV_HD LinearTaps<F> linear_taps(F x, int size) {
-  x = x > -1 ? x < F(size) ? x : F(size) : F(-1);  // NaN is outside, to the left
-  int whole = int(x);
-  whole -= F(whole) > x;
-  return {clamp(whole, 0, size - 1), clamp(whole + 1, 0, size - 1), x - F(whole)};
+template <class F, class V>
+KV_SAMPLES auto linear_taps(V x, int size) {
+  V const zero{};
+  x = geometry::vclamp(x, V(zero - 1), V(zero + F(size)));
+  auto const whole = geometry::floor_to_int<F>(x);
+  using I = decltype(geometry::floor_to_int<F>(x));
+  I const none{}, last = none + (size - 1);
+  return LinearTaps<V, I>{min(last, max(none, whole)), min(last, max(none, I(whole + 1))),
+                          V(x - geometry::to_float<F>(whole))};
 }
 
-// A tap of weight 0 contributes nothing, even if it is inf or NaN.
-template <class F>
-KV_HD F weighted_tap(F weight, F value) {
-  return weight == 0 ? F(0) : weight * value;
-}
-
-template <class F>
+// The four taps of samples at (u, v) of a frame, row by row. V is F or lanes of it.
+template <class F, class V>
 struct BilinearTaps {
-  LinearTaps<F> x, y;
-  int indices[4];  // of the pixels in their level, row by row
+  using I = decltype(geometry::floor_to_int<F>(V{}));
+  LinearTaps<V, I> x, y;
+  I indices[4];  // of the pixels in their level
 
-  KV_HD BilinearTaps() = default;
-  KV_HD BilinearTaps(LevelFrame<F> const& f, F u, F v)
-      : x(linear_taps(f.xx * u + f.xy * v + f.x, f.width)),
-        y(linear_taps(f.yx * u + f.yy * v + f.y, f.height)),
+  KV_SAMPLES BilinearTaps(LevelFrame<F> const& f, V u, F v)
+      : x(linear_taps<F>(V(u * f.xx + (f.xy * v + f.x)), f.width)),
+        y(linear_taps<F>(V(u * f.yx + (f.yy * v + f.y)), f.height)),
         indices{y.first * f.width + x.first, y.first * f.width + x.second, y.second * f.width + x.first,
                 y.second * f.width + x.second} {}
-  KV_HD void weights(F (&w)[4]) const {
+  KV_SAMPLES void weights(V (&w)[4]) const {
     w[0] = (1 - x.t) * (1 - y.t), w[1] = x.t * (1 - y.t), w[2] = (1 - x.t) * y.t, w[3] = x.t * y.t;
   }
+  // A tap of weight 0 contributes nothing, even if it is inf or NaN.
+  KV_SAMPLES V sample(V const (&values)[4]) const {
+    V const zero{};
+    V w[4], sum{};
+    weights(w);
+    for (int i = 0; i < 4; ++i) sum = sum + (w[i] == 0 ? zero : V(w[i] * values[i]));
+    return sum;
+  }
   // The derivatives of the sample along x and y.
-  KV_HD void slopes(F const (&v)[4], F& along_x, F& along_y) const {
+  KV_SAMPLES void slopes(V const (&v)[4], V& along_x, V& along_y) const {
     along_x = (1 - y.t) * (v[1] - v[0]) + y.t * (v[3] - v[2]);
     along_y = (1 - x.t) * (v[2] - v[0]) + x.t * (v[3] - v[1]);
   }
 };
 
 // Adds to the gradient of a frame what a sample with derivatives gx, gy on its level contributes.
-template <class F>
-KV_HD void add_frame_gradient(F (&sums)[6], F gx, F gy, F u, F v) {
+template <class F, class V>
+KV_HD void add_frame_gradient(V (&sums)[6], V gx, V gy, V u, F v) {
   sums[0] += gx * u, sums[1] += gx * v, sums[2] += gx;
   sums[3] += gy * u, sums[4] += gy * v, sums[5] += gy;
 }
 
 }  // namespace kv::feature
+
+#undef KV_SAMPLES

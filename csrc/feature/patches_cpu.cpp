@@ -1,16 +1,51 @@
 // Patches of local affine frames on the CPU. Compiled once per instruction set.
 #include "core/lanes.h"
+#include "core/scratch.h"
 #include "patches.h"
 
 namespace kv::feature::KV_ISA {
 namespace {
 
-// Calls sample(index, u, v) over a patch.
-template <class F, class Call>
-KV_HD void for_each_sample(int n, Call sample) {
+// The coordinates of the samples along an axis of a patch.
+template <class F>
+struct PatchCoordinates {
+  Scratch<F> u;
+  KV_HD explicit PatchCoordinates(int n) : u(n) {
+    for (int k = 0; k < n; ++k) u.data[k] = patch_coordinate<F>(k, n);
+  }
+};
+
+// Calls samples(width, index, u, v) over a patch, without overlap.
+template <class T, class Call>
+KV_HD void for_each_sample(PatchCoordinates<Compute<T>> const& at, int n, Call samples) {
+  constexpr int N = kLanes<T>;
   for (int i = 0; i < n; ++i) {
-    F const v = patch_coordinate<F>(i, n);
-    for (int j = 0; j < n; ++j) sample(int64_t(i) * n + j, patch_coordinate<F>(j, n), v);
+    int j = 0;
+    for (; j + N <= n; j += N) samples(Width<N>{}, int64_t(i) * n + j, load<N>(at.u.data + j), at.u.data[i]);
+    for (; j < n; ++j) samples(Width<1>{}, int64_t(i) * n + j, at.u.data[j], at.u.data[i]);
+  }
+}
+
+// Pixels at indices.
+template <int N, class T, class I>
+KV_HD Lanes<Compute<T>, N> gather(T const* p, I const& indices) {
+  if constexpr (N == 1) {
+    return load<1>(p + indices);
+  } else {
+    Lanes<Compute<T>, N> v;
+    for (int i = 0; i < N; ++i) v[i] = load<1>(p + indices[i]);
+    return v;
+  }
+}
+
+template <class V>
+KV_HD auto sum_of_lanes(V const& v) {
+  if constexpr (__is_same(V, float) || __is_same(V, double)) {
+    return v;
+  } else {
+    auto sum = v[0];
+    for (int i = 1; i < int(sizeof(V) / sizeof(v[0])); ++i) sum += v[i];
+    return sum;
   }
 }
 
@@ -21,6 +56,7 @@ template <class T>
 void sample_patches(SamplePatches<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   int64_t const area = int64_t(p.n) * p.n;
+  PatchCoordinates<F> const at(p.n);
   for (int64_t k = begin; k < end; ++k) {
     T* const out = p.patches + k * p.channels * area;
     LevelFrame<F> const f = level_frame(p.frames + 6 * k, p.shape, p.window);
@@ -29,15 +65,15 @@ void sample_patches(SamplePatches<T> const& p, int64_t begin, int64_t end) {
       continue;
     }
     T const* const level = p.pyramid + k / p.count * p.channels * p.shape.size + p.shape.offsets[f.level];
-    for_each_sample<F>(p.n, [&](int64_t i, F u, F v) {
-      BilinearTaps<F> const taps(f, u, v);
-      F w[4];
-      taps.weights(w);
+    for_each_sample<T>(at, p.n, [&](auto width, int64_t i, auto u, F v) KV_INLINE {
+      constexpr int N = decltype(width)::value;
+      using V = Lanes<F, N>;
+      BilinearTaps<F, V> const taps(f, u, v);
       for (int c = 0; c < p.channels; ++c) {
         T const* const plane = level + c * p.shape.size;
-        F sum = 0;
-        for (int t = 0; t < 4; ++t) sum += weighted_tap(w[t], load<1>(plane + taps.indices[t]));
-        store<1>(out + c * area + i, sum);
+        V values[4];
+        for (int t = 0; t < 4; ++t) values[t] = gather<N>(plane, taps.indices[t]);
+        store<N>(out + c * area + i, taps.sample(values));
       }
     });
   }
@@ -47,7 +83,7 @@ namespace {
 
 // Adds the gradient of a plane's patches to it, in their order.
 template <class T>
-KV_HD void scatter_to_plane(SamplePatchesBackward<T> const& p, int64_t plane) {
+KV_HD void scatter_to_plane(SamplePatchesBackward<T> const& p, PatchCoordinates<Compute<T>> const& at, int64_t plane) {
   using F = Compute<T>;
   int64_t const area = int64_t(p.n) * p.n, b = plane / p.channels, c = plane % p.channels;
   for (int64_t k = b * p.count; k < (b + 1) * p.count; ++k) {
@@ -55,40 +91,52 @@ KV_HD void scatter_to_plane(SamplePatchesBackward<T> const& p, int64_t plane) {
     if (f.level < 0) continue;
     F* const to = p.grad_pyramid + plane * p.shape.size + p.shape.offsets[f.level];
     T const* const grad = p.grad + (k * p.channels + c) * area;
-    for_each_sample<F>(p.n, [&](int64_t i, F u, F v) {
-      BilinearTaps<F> const taps(f, u, v);
-      F w[4];
+    for_each_sample<T>(at, p.n, [&](auto width, int64_t i, auto u, F v) KV_INLINE {
+      constexpr int N = decltype(width)::value;
+      using V = Lanes<F, N>;
+      BilinearTaps<F, V> const taps(f, u, v);
+      V w[4];
       taps.weights(w);
-      F const g = load<1>(grad + i);
-      for (int t = 0; t < 4; ++t) to[taps.indices[t]] += w[t] * g;
+      V const g = load<N>(grad + i);
+      for (int t = 0; t < 4; ++t) {
+        V const share = w[t] * g;
+        if constexpr (N == 1)
+          to[taps.indices[t]] += share;
+        else
+          for (int lane = 0; lane < N; ++lane) to[taps.indices[t][lane]] += share[lane];
+      }
     });
   }
 }
 
 template <class T>
-KV_HD void differentiate_frame(SamplePatchesBackward<T> const& p, int64_t k) {
+KV_HD void differentiate_frame(SamplePatchesBackward<T> const& p, PatchCoordinates<Compute<T>> const& at, int64_t k) {
   using F = Compute<T>;
   int64_t const area = int64_t(p.n) * p.n;
-  F sums[6] = {};
+  F total[6] = {};
   LevelFrame<F> const f = level_frame(p.frames + 6 * k, p.shape, p.window);
   if (f.level >= 0) {
     T const* const level = p.pyramid + k / p.count * p.channels * p.shape.size + p.shape.offsets[f.level];
     T const* const grad = p.grad + k * p.channels * area;
-    for_each_sample<F>(p.n, [&](int64_t i, F u, F v) {
-      BilinearTaps<F> const taps(f, u, v);
-      F gx = 0, gy = 0;
+    for_each_sample<T>(at, p.n, [&](auto width, int64_t i, auto u, F v) KV_INLINE {
+      constexpr int N = decltype(width)::value;
+      using V = Lanes<F, N>;
+      BilinearTaps<F, V> const taps(f, u, v);
+      V gx{}, gy{};
       for (int c = 0; c < p.channels; ++c) {
         T const* const plane = level + c * p.shape.size;
-        F values[4], along_x, along_y;
-        for (int t = 0; t < 4; ++t) values[t] = load<1>(plane + taps.indices[t]);
+        V values[4], along_x, along_y;
+        for (int t = 0; t < 4; ++t) values[t] = gather<N>(plane, taps.indices[t]);
         taps.slopes(values, along_x, along_y);
-        F const g = load<1>(grad + c * area + i);
+        V const g = load<N>(grad + c * area + i);
         gx += g * along_x, gy += g * along_y;
       }
-      add_frame_gradient(sums, gx, gy, u, v);
+      V sums[6] = {};
+      add_frame_gradient<F, V>(sums, gx, gy, u, v);
+      for (int s = 0; s < 6; ++s) total[s] += sum_of_lanes(sums[s]);
     });
   }
-  for (int i = 0; i < 6; ++i) p.grad_frames[6 * k + i] = sums[i] * (i < 3 ? f.scale_x : f.scale_y);
+  for (int i = 0; i < 6; ++i) p.grad_frames[6 * k + i] = total[i] * (i < 3 ? f.scale_x : f.scale_y);
 }
 
 }  // namespace
@@ -97,11 +145,12 @@ KV_HD void differentiate_frame(SamplePatchesBackward<T> const& p, int64_t k) {
 template <class T>
 void sample_patches_backward(SamplePatchesBackward<T> const& p, int64_t begin, int64_t end) {
   int64_t const planes = p.grad_pyramid ? p.batch * p.channels : 0;
+  PatchCoordinates<Compute<T>> const at(p.n);
   for (int64_t i = begin; i < end; ++i)
     if (i < planes)
-      scatter_to_plane(p, i);
+      scatter_to_plane(p, at, i);
     else
-      differentiate_frame(p, i - planes);
+      differentiate_frame(p, at, i - planes);
 }
 
 KV_INSTANTIATE(sample_patches, SamplePatches)

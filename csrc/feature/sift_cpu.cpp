@@ -5,6 +5,23 @@
 namespace kv::feature::KV_ISA {
 namespace {
 
+// Vectors of four: there are as many cells along an axis.
+template <class F>
+KV_HD void add_scaled(F* to, F const* from, F scale, int size) {
+  int i = 0;
+  for (; i + 4 <= size; i += 4) store<4>(to + i, load<4>(to + i) + load<4>(from + i) * scale);
+  for (; i < size; ++i) to[i] += from[i] * scale;
+}
+template <class F>
+KV_HD F dot(F const* a, F const* b, int size) {
+  Lanes<F, 4> sums{};
+  F sum = 0;
+  int i = 0;
+  for (; i + 4 <= size; i += 4) sums += load<4>(a + i) * load<4>(b + i);
+  for (; i < size; ++i) sum += a[i] * b[i];
+  return sum + ((sums[0] + sums[1]) + (sums[2] + sums[3]));
+}
+
 // The working memory of a patch, and what both passes do with it.
 template <class F>
 struct SiftPatch {
@@ -26,8 +43,8 @@ struct SiftPatch {
     angles = magnitudes + g.n;
     row = angles + g.n;
     h = row + planes;
-    for (int c = 0; c < g.cells; ++c)
-      for (int x = 0; x < g.n; ++x) pooling[c * g.n + x] = g.template pooling<F>(c, x);
+    for (int x = 0; x < g.n; ++x)
+      for (int c = 0; c < g.cells; ++c) pooling[x * g.cells + c] = g.template pooling<F>(c, x);
   }
 
   template <class T>
@@ -40,14 +57,6 @@ struct SiftPatch {
     });
   }
 
-  // Calls f(x, vote, cell, weight) for all pixels of a row and the cells that they belong to.
-  template <class Call>
-  KV_HD void for_each_vote(Call f) {
-    for (int c = 0; c < grid.cells; ++c)
-      for (int x = grid.first(c); x < grid.end(c); ++x)
-        f(x, angular_vote(angles[x], grid.bins, F(0)), c, pooling[c * grid.n + x]);
-  }
-
   template <class T>
   KV_HD void fill_histogram(T const* from) {
     patch.read(from);
@@ -55,20 +64,16 @@ struct SiftPatch {
     for (int y = 0; y < grid.n; ++y) {
       fill_row<T>(y);
       for (int i = 0; i < planes; ++i) row[i] = 0;
-      for_each_vote([&](int x, AngularVote<F> vote, int c, F weight) KV_INLINE {
-        F const m = magnitudes[x] * weight;
-        row[vote.first * grid.cells + c] += m * (1 - vote.t);
-        row[vote.second * grid.cells + c] += m * vote.t;
-      });
+      for (int x = 0; x < grid.n; ++x) {
+        auto const vote = angular_vote(angles[x], grid.bins, F(0));
+        F const later = magnitudes[x] * vote.t;
+        add_scaled(row + vote.first * grid.cells, pooling + x * grid.cells, magnitudes[x] - later, grid.cells);
+        add_scaled(row + vote.second * grid.cells, pooling + x * grid.cells, later, grid.cells);
+      }
       for (int c = 0; c < grid.cells; ++c) {
-        F const weight = pooling[c * grid.n + y];
+        F const weight = pooling[y * grid.cells + c];
         if (weight == 0) continue;
-        for_each_vector<F>(0, planes / kLanes<F> * kLanes<F>, [&](auto width, int64_t i) {
-          constexpr int N = decltype(width)::value;
-          F* const to = h + c * planes + i;
-          store<N>(to, load<N>(to) + load<N>(row + i) * weight);
-        });
-        for (int i = planes / kLanes<F> * kLanes<F>; i < planes; ++i) h[c * planes + i] += row[i] * weight;
+        add_scaled(h + c * planes, row, weight, planes);
       }
     }
   }
@@ -110,11 +115,10 @@ void sift_backward(SiftBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   int const size = p.grid.size(), n = p.grid.n, cells = p.grid.cells;
   int64_t const padded = PaddedPatch<F>::size(n);
-  Scratch<F> scratch(SiftPatch<F>::size(p.grid) + size + 2 * padded + 2 * n);
+  Scratch<F> scratch(SiftPatch<F>::size(p.grid) + size + 2 * padded);
   SiftPatch<F> s(p.grid, scratch.data);
   F* const g = s.h + size;
   PaddedPatch<F> const u{g + size, n}, v{u.data + padded, n};
-  F *const grad_magnitudes = v.data + padded, *const grad_angles = grad_magnitudes + n;
   F const per_radian = F(p.grid.bins) / F(2 * kPi);
   for (int64_t k = begin; k < end; ++k) {
     s.fill_histogram(p.patches + k * n * n);
@@ -122,20 +126,15 @@ void sift_backward(SiftBackward<T> const& p, int64_t begin, int64_t end) {
     normalize_sift_vjp(s.h, g, p.clip, p.root, Entries<F>{size});
     for (int y = 0; y < n; ++y) {
       s.template fill_row<T>(y);
-      for (int i = 0; i < s.planes; ++i) {
-        s.row[i] = 0;
-        for (int c = 0; c < cells; ++c) s.row[i] += s.pooling[c * n + y] * g[c * s.planes + i];
-      }
-      for (int x = 0; x < n; ++x) grad_magnitudes[x] = grad_angles[x] = 0;
-      s.for_each_vote([&](int x, AngularVote<F> vote, int c, F weight) KV_INLINE {
-        F const a = s.row[vote.first * cells + c], b = s.row[vote.second * cells + c];
-        grad_magnitudes[x] += weight * (a + vote.t * (b - a));
-        grad_angles[x] += weight * (b - a);
-      });
+      for (int i = 0; i < s.planes; ++i) s.row[i] = 0;
+      for (int c = 0; c < cells; ++c) add_scaled(s.row, g + c * s.planes, s.pooling[y * cells + c], s.planes);
       for (int x = 0; x < n; ++x) {
+        auto const vote = angular_vote(s.angles[x], p.grid.bins, F(0));
+        F const a = dot(s.row + vote.first * cells, s.pooling + x * cells, cells);
+        F const b = dot(s.row + vote.second * cells, s.pooling + x * cells, cells);
         auto const gradient = patch_gradient(central_differences<F>(), neighbors<1>(s.patch, y, x));
         auto const back =
-            to_polar_vjp(gradient, s.magnitudes[x], grad_magnitudes[x], grad_angles[x] * s.magnitudes[x] * per_radian);
+            to_polar_vjp(gradient, s.magnitudes[x], a + vote.t * (b - a), (b - a) * s.magnitudes[x] * per_radian);
         u.row(y)[x] = back.x, v.row(y)[x] = back.y;
       }
     }

@@ -45,12 +45,12 @@ def module(library: Any, name: str, device: torch.device, dtype: torch.dtype) ->
     return made
 
 
-def of_patches(name: str, title: str) -> Case:
+def of_patches(name: str, title: str, bars: Bars) -> Case:
     def call(library: Any, x: Tensor) -> Tensor:
         result: Tensor = module(library, name, x.device, x.dtype)(x)
         return result
 
-    return case(title, call, patches, Bars(), backward=nonlinear_backward)
+    return case(title, call, patches, bars, backward=nonlinear_backward, rim=0)
 
 
 def case(name: str, call: Callable[..., Any], inputs: Callable[..., Any], bars: Bars, **more: Any) -> Case:
@@ -70,7 +70,8 @@ CASES = [
         Bars(launches=None),
         backward=of_frames,
     ),
-    of_patches("SIFTDescriptor", "sift_descriptor"),
-    of_patches("PatchDominantGradientOrientation", "dominant_orientation"),
-    of_patches("PatchAffineShapeEstimator", "affine_shape"),
+    # 0.06 ms on an H200, and 0.2 with the backward; 0.04; 0.08.
+    of_patches("SIFTDescriptor", "sift_descriptor", Bars(floor=28, both=32)),
+    of_patches("PatchDominantGradientOrientation", "dominant_orientation", Bars(floor=20)),
+    of_patches("PatchAffineShapeEstimator", "affine_shape", Bars(floor=40)),
 ]

@@ -71,7 +71,7 @@ void affine_shape_backward(AffineShapeBackward<T> const& p, int64_t begin, int64
     for (int i = 0; i < 3; ++i) g[i] = load<1>(p.grad + 3 * k + i);
     to_shape_vjp(m, p.eps, g);
     for (int y = 0; y < n; ++y)
-      for_each_gradient<T>(patch, y, sobel_stencil<F>(), [&](auto width, int64_t x, auto gradient) {
+      for_each_gradient<T>(patch, y, sobel_stencil<F>(), [&](auto width, int64_t x, auto gradient) KV_INLINE {
         constexpr int N = decltype(width)::value;
         auto const w = load<N>(weights + x) * (weights[y] * p.scale);
         store<N>(u.row(y) + x, w * (gradient.x * (2 * g[0]) + gradient.y * g[1]));

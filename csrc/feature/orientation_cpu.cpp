@@ -23,7 +23,7 @@ struct OrientationPatch {
 
   template <class T>
   KV_HD void fill_row(int y, F eps) {
-    for_each_gradient<T>(patch, y, sobel_stencil<F>(), [&](auto width, int64_t x, auto g) {
+    for_each_gradient<T>(patch, y, sobel_stencil<F>(), [&](auto width, int64_t x, auto g) KV_INLINE {
       constexpr int N = decltype(width)::value;
       auto const polar = to_polar<F, N>(g, eps);
       store<N>(magnitudes + x, polar.magnitude);

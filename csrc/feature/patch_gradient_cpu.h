@@ -4,7 +4,8 @@
 #include "core/scratch.h"
 #include "patch_gradient.h"
 
-namespace kv::feature {
+namespace kv::feature::KV_ISA {
+namespace {
 
 template <class F>
 struct PaddedPatch {
@@ -22,7 +23,7 @@ struct PaddedPatch {
   template <class T>
   KV_HD void read(T const* from) const {
     for (int y = 0; y < n; ++y)
-      for_each_vector<T>(0, n, [&](auto width, int64_t x) {
+      for_each_vector<T>(0, n, [&](auto width, int64_t x) KV_INLINE {
         constexpr int N = decltype(width)::value;
         store<N>(row(y) + x, load<N>(from + int64_t(y) * n + x));
       });
@@ -38,7 +39,7 @@ KV_HD auto neighbors(PaddedPatch<F> const& p, int y, int64_t x) {
 // Calls f(width, x, gradient) over row y.
 template <class T, class F, class Call>
 KV_HD void for_each_gradient(PaddedPatch<F> const& p, int y, Stencil<F> stencil, Call f) {
-  for_each_vector<T>(0, p.n, [&](auto width, int64_t x) {
+  for_each_vector<T>(0, p.n, [&](auto width, int64_t x) KV_INLINE {
     constexpr int N = decltype(width)::value;
     f(width, x, patch_gradient(stencil, neighbors<N>(p, y, x)));
   });
@@ -50,10 +51,11 @@ KV_HD void write_patch_gradient(T* to, Stencil<F> stencil, PaddedPatch<F> const&
   u.extend(-1, 1);
   v.extend(1, -1);
   for (int y = 0; y < u.n; ++y)
-    for_each_vector<T>(0, u.n, [&](auto width, int64_t x) {
+    for_each_vector<T>(0, u.n, [&](auto width, int64_t x) KV_INLINE {
       constexpr int N = decltype(width)::value;
       store<N>(to + int64_t(y) * u.n + x, patch_gradient_vjp(stencil, neighbors<N>(u, y, x), neighbors<N>(v, y, x)));
     });
 }
 
-}  // namespace kv::feature
+}  // namespace
+}  // namespace kv::feature::KV_ISA

@@ -49,7 +49,7 @@ struct SiftPatch {
 
   template <class T>
   KV_HD void fill_row(int y) {
-    for_each_gradient<T>(patch, y, central_differences<F>(), [&](auto width, int64_t x, auto g) {
+    for_each_gradient<T>(patch, y, central_differences<F>(), [&](auto width, int64_t x, auto g) KV_INLINE {
       constexpr int N = decltype(width)::value;
       auto const polar = to_polar<F, N>(g, F(kSiftEpsilon));
       store<N>(magnitudes + x, polar.magnitude);

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from kvision.color import bgr_to_rgb, rgb_to_grayscale
     from kvision.contrib import extract_tensor_patches
     from kvision.enhance import normalize  # type: ignore[no-redef]  # the name of a module of enhance as well
+    from kvision.feature import HardNet, match_smnn
     from kvision.filters import gaussian_blur2d, sobel  # type: ignore[no-redef]
     from kvision.geometry import (
         ConvQuadInterp3d,
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ConvQuadInterp3d",
     "DepthWarper",
+    "HardNet",
     "HomographyWarper",
     "ScalePyramid",
     "__version__",
@@ -106,6 +108,7 @@ __all__ = [
     "io",
     "is_autocast_enabled",
     "losses",
+    "match_smnn",
     "metrics",
     "morphology",
     "normal_transform_pixel",
@@ -142,6 +145,8 @@ _HOMES = {
     "normal_transform_pixel": "geometry",
     "pyrdown": "geometry",
     "warp_perspective": "geometry",
+    "HardNet": "feature",
+    "match_smnn": "feature",
     "draw_convex_polygon": "image",
     "draw_line": "image",
     "draw_point2d": "image",

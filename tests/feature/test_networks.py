@@ -7,6 +7,7 @@ import shutil
 
 import kornia.feature as KF
 import pytest
+import skimage.data
 import torch
 from torch import nn
 
@@ -80,6 +81,42 @@ def test_published_keynet(data, device):
     scale = float(expected.abs().max())
     torch.testing.assert_close(ours(x) / scale, expected / scale, atol=1e-5, rtol=0)
     compare(ours, theirs, 0.01 * x)
+
+
+def frames(device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
+    """Frames inside of a photograph 160 x 160, and two empty slots."""
+    image = torch.tensor(skimage.data.camera()[:160, :160] / 255.0, dtype=torch.float32, device=device)
+    centers, scales, angles = 100 * torch.rand(1, 20, 2) + 30, 10 * torch.rand(1, 20, 1, 1) + 5, 360 * torch.rand(1, 20, 1)
+    lafs = K.feature.laf_from_center_scale_ori(centers, scales, angles)
+    return torch.cat([lafs, torch.zeros(1, 2, 2, 3)], 1).to(device), image[None, None]
+
+
+@pytest.mark.parametrize("preserve_orientation", [False, True])
+def test_published_affnet(preserve_orientation, data, device):
+    path = data / "weights" / "AffNet.pth"
+    theirs = KF.LAFAffNetShapeEstimator(False, preserve_orientation).eval().to(device)
+    theirs.load_state_dict(torch.load(path, map_location=device, weights_only=True)["state_dict"])
+    lafs, image = frames(device)
+    found = K.feature.LAFAffNetShapeEstimator(path, preserve_orientation).to(device)(lafs, image)
+    torch.testing.assert_close(found[:, :20], theirs(lafs[:, :20], image), atol=1e-2, rtol=1e-3)
+    assert torch.equal(found[:, 20:], lafs[:, 20:])  # Kornia makes NaN of empty slots
+
+
+def test_affnet_adapts_frames(device):
+    lafs, image = frames(device)
+    network = K.feature.LAFAffNetShapeEstimator(pretrained=False).eval().to(device)
+    image.requires_grad_()
+    lafs.requires_grad_()
+    found = network(lafs, image)
+    for value in (K.feature.get_laf_center, K.feature.get_laf_scale):
+        torch.testing.assert_close(value(found), value(lafs), atol=1e-3, rtol=1e-3)
+    turned = K.feature.get_laf_orientation(found[:, :20]) - K.feature.get_laf_orientation(lafs[:, :20])
+    assert ((turned + 180) % 360 - 180).abs().max() < 0.01
+    found.square().sum().backward()
+    assert image.grad.isfinite().all() and image.grad.abs().sum() > 0 and lafs.grad.isfinite().all()
+    assert network(lafs[:, :0], image).shape == (1, 0, 2, 3)
+    with pytest.raises(ValueError, match="LAFAffNetShapeEstimator: expected "):
+        network(lafs, image.expand(1, 3, 160, 160))
 
 
 def test_files_in_the_sample_data_have_the_checksums(data):

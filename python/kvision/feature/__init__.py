@@ -6,6 +6,7 @@ Everything but the choice of features is differentiable.
 
 from kvision.feature.adalam import match_adalam
 from kvision.feature.affine_shape import LAFAffineShapeEstimator, PatchAffineShapeEstimator
+from kvision.feature.affnet import LAFAffNetShapeEstimator
 from kvision.feature.hardnet import HardNet, HardNet8
 from kvision.feature.hynet import TLU, FilterResponseNorm2d, HyNet
 from kvision.feature.keynet import KeyNet

@@ -263,7 +263,7 @@ def _verify(x: _Putative, areas: Sequence[Tensor], options: Mapping[str, Any]) -
     first = (uniform[..., 0] * counts).long()
     second = (uniform[..., 1] * (counts - 1)).long()
     samples = torch.stack([first, second + (second >= first)], -1)  # two different neighbors each
-    best, best_maps = None, None
+    best, best_maps = offsets1.new_full((size,), -1.0), offsets1.new_zeros(size, 2, 2)
     per_part = max(1, NUMBERS_AT_ONCE // max(1, offsets1[..., 0].numel()))
     sets = torch.arange(size, device=offsets1.device)[:, None]
     for part in samples.split(per_part):
@@ -274,12 +274,9 @@ def _verify(x: _Putative, areas: Sequence[Tensor], options: Mapping[str, Any]) -
         score = score + confidence / (1 + confidence)  # the more confident of equal numbers
         score, index = score.max(0)
         maps = maps[index, sets[:, 0]]
-        if best is None:
-            best, best_maps = score, maps
-        else:
-            is_better = score > best
-            best = torch.where(is_better, score, best)
-            best_maps = torch.where(is_better[:, None, None], maps, best_maps)
+        is_better = score > best
+        best = torch.where(is_better, score, best)
+        best_maps = torch.where(is_better[:, None, None], maps, best_maps)
     squares = _residuals(best_maps[None], offsets1, offsets2, valid)
     inliers, limit, confidence = _count_inliers(squares, counts, options["min_confidence"])
     if options["refit"]:

@@ -174,6 +174,26 @@ int main() {
   check("histogram", [&](auto const& t) { return kvision::histogram(t[0], row[0], 0.2); }, {column}, false);
   check("image_histogram2d", [](auto const& t) { return kvision::image_histogram2d(t[0], 0, 1, 4); }, {x}, false);
 
+  // --- augmentation
+
+  Tensor const keys = torch::tensor({5}, torch::kLong), half = torch::tensor({1.f, 0.f});
+  kvision::ops::Ints const draw = {0, 0, 1, 0};
+  auto const noise = [&](auto const& t) { return ops::gaussian_noise(t[0], t[1], keys, none, half, draw); };
+  check("gaussian_noise", noise, {x, torch::rand({2, 2})});
+  Tensor const shares = torch::full({1, 2}, 0.5, torch::kDouble), boxes = torch::tensor({{1.f, 2.f, 3.f, 2.f}});
+  check(
+      "salt_and_pepper", [&](auto const& t) { return ops::salt_and_pepper(t[0], shares, keys, none, none, draw); }, {x},
+      false);
+  check(
+      "erase_rectangles", [&](auto const& t) { return ops::erase_rectangles(t[0], boxes, t[1]); },
+      {x, torch::rand({2})}, false);
+  check(
+      "transform_matrix",
+      [](auto const& t) {
+        return ops::transform_matrix(t[0], {0, 0, 1, -1, 2, -1, -1, -1, -1, -1}, {0, 0, 3, 1, 1, 0.1, 0, 2, 1});
+      },
+      {row}, false);
+
   // --- losses, metrics, morphology, contrib
 
   Tensor const labels = torch::randint(0, 2, {2, 7, 6}), hinge = labels.unsqueeze(1);

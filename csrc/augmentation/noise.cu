@@ -1,0 +1,121 @@
+// Noise on CUDA: a thread takes four pixels of a plane, whose words are those of one block.
+#include "augmentation/noise.h"
+#include "core/launch.cuh"
+
+namespace kv::augmentation::cuda {
+namespace {
+
+constexpr int kNoiseThreads = 256;
+
+// Four adjacent pixels of a plane, fewer at its end. Vectorized: planar images whose planes are whole vectors.
+template <class T, bool Vectorized>
+struct FourPixels {
+  Vector<T, 4> v;
+  T const* x;
+  T* y;
+  int64_t step;
+  int count;
+
+  __device__ __forceinline__ FourPixels(PixelNoise<T> const& p, int64_t b, int64_t c, int64_t block)
+      : x(p.x + p.offset(b, c) + 4 * block * p.step),
+        y(p.y + p.offset(b, c) + 4 * block * p.step),
+        step(p.step),
+        count(int(min(p.pixels - 4 * block, int64_t(4)))) {
+    if constexpr (Vectorized) {
+      v = *reinterpret_cast<Vector<T, 4> const*>(x);
+    } else {
+#pragma unroll
+      for (int i = 0; i < 4; ++i)
+        if (i < count) v.v[i] = x[i * step];
+    }
+  }
+  __device__ __forceinline__ void store() const {
+    if constexpr (Vectorized) {
+      *reinterpret_cast<Vector<T, 4>*>(y) = v;
+    } else {
+#pragma unroll
+      for (int i = 0; i < 4; ++i)
+        if (i < count) y[i * step] = v.v[i];
+    }
+  }
+};
+
+template <class F>
+__device__ __forceinline__ void variates(PhiloxWords const& words, F (&n)[4]) {
+  if constexpr (sizeof(F) == 8) {
+    normals_of(words, n);
+  } else {
+#pragma unroll
+    for (int i = 0; i < 4; i += 2) normal_pair<1>(int32_t(words.w[i]), int32_t(words.w[i + 1]), n[i], n[i + 1]);
+  }
+}
+
+// Blocks are numbered with channels fastest in channels-last images, so that a warp reads adjacent memory.
+template <class T, bool Vectorized>
+__global__ void __launch_bounds__(kNoiseThreads) add_noise(__grid_constant__ PixelNoise<T> const p) {
+  using F = Compute<T>;
+  int64_t const b = blockIdx.y, blocks = p.blocks(), i = blockIdx.x * int64_t(kNoiseThreads) + threadIdx.x;
+  if (i >= p.channels * blocks) return;
+  bool const planar = p.step == 1;
+  int64_t const c = planar ? i / blocks : i % p.channels, block = planar ? i - c * blocks : i / p.channels;
+  FourPixels<T, Vectorized> four(p, b, c, block);
+  if (p.is_chosen(b)) {
+    F const mean = p.parameters[b * p.parameter_stride] * p.full_range,
+            deviation = p.parameters[b * p.parameter_stride + 1] * p.full_range;
+    F n[4];
+    variates(p.source(b).words(p.draw, uint32_t(c * blocks + block)), n);
+#pragma unroll
+    for (int k = 0; k < 4; ++k) four.v.v[k] = round_to<T>(read(four.v.v[k]) + (n[k] * deviation + mean));
+  }
+  four.store();
+}
+
+template <class T, bool Vectorized>
+__global__ void __launch_bounds__(kNoiseThreads) hit_pixels(__grid_constant__ PixelNoise<T> const p) {
+  int64_t const b = blockIdx.y, block = blockIdx.x * int64_t(kNoiseThreads) + threadIdx.x;
+  if (block >= p.blocks()) return;
+  bool const chosen = p.is_chosen(b);
+  PhiloxWords words{};
+  if (chosen) words = p.source(b).words(p.draw, uint32_t(block));
+  SaltAndPepper const hit(p.parameters[b * p.parameter_stride], p.parameters[b * p.parameter_stride + 1]);
+  T const pepper = round_to<T>(Compute<T>(0)), salt = round_to<T>(p.salt);
+  for (int64_t c = 0; c < p.channels; ++c) {
+    FourPixels<T, Vectorized> four(p, b, c, block);
+#pragma unroll
+    for (int k = 0; k < 4; ++k)
+      if (chosen && hit.is_hit(words.w[k])) four.v.v[k] = hit.is_salt(words.w[k]) ? salt : pepper;
+    four.store();
+  }
+}
+
+template <class T>
+bool has_whole_vectors(PixelNoise<T> const& p) {
+  constexpr size_t bytes = alignof(Vector<T, 4>);
+  return p.step == 1 && p.pixels % 4 == 0 && reinterpret_cast<uintptr_t>(p.x) % bytes == 0 &&
+         reinterpret_cast<uintptr_t>(p.y) % bytes == 0;
+}
+
+dim3 noise_grid(int64_t blocks, int64_t batch) { return {unsigned(ceil_div(blocks, kNoiseThreads)), unsigned(batch)}; }
+
+}  // namespace
+
+template <class T>
+int gaussian_noise(PixelNoise<T> const& p, CUstream_st* stream) {
+  dim3 const grid = noise_grid(p.channels * p.blocks(), p.batch);
+  with_alignment<T>(has_whole_vectors(p),
+                    [&](auto vectorized) { add_noise<T, vectorized.value><<<grid, kNoiseThreads, 0, stream>>>(p); });
+  return cudaGetLastError();
+}
+
+template <class T>
+int salt_and_pepper(PixelNoise<T> const& p, CUstream_st* stream) {
+  dim3 const grid = noise_grid(p.blocks(), p.batch);
+  with_alignment<T>(has_whole_vectors(p),
+                    [&](auto vectorized) { hit_pixels<T, vectorized.value><<<grid, kNoiseThreads, 0, stream>>>(p); });
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE_WITH_BYTES(gaussian_noise, PixelNoise)
+KV_INSTANTIATE_WITH_BYTES(salt_and_pepper, PixelNoise)
+
+}  // namespace kv::augmentation::cuda

@@ -1,0 +1,157 @@
+// Noise on the CPU: chunks [begin, end) of the planes of samples. Compiled once per instruction set.
+#include "core/lanes.h"
+// Included after core/lanes.h, whose vectors it uses.
+#include "augmentation/noise.h"
+
+namespace kv::augmentation::KV_ISA {
+namespace {
+
+constexpr int kWide = kVectorBytes / 8;  // blocks at once: products of words take 64 bits
+using Words = Lanes<uint64_t, kWide>;
+
+// The products of the lower 32 bits of lanes with m.
+KV_HD Words times(Words a, uint32_t m) {
+#if defined(__AVX512F__)
+  return (Words)_mm512_mul_epu32((__m512i)a, _mm512_set1_epi64(m));
+#elif defined(__AVX2__)
+  return (Words)_mm256_mul_epu32((__m256i)a, _mm256_set1_epi64x(m));
+#elif defined(__SSE2__)
+  return (Words)_mm_mul_epu32((__m128i)a, _mm_set1_epi64x(m));
+#else
+  return (a & 0xffffffffu) * m;
+#endif
+}
+
+// The words of kWide blocks from `block` on; see philox in core/philox.h. Upper halves are garbage.
+KV_HD void philox_blocks(DrawSource const& source, uint32_t draw, uint32_t block, Words (&w)[4]) {
+  Words a = Words{} + draw, b = Words{} + block, c = Words{} + source.sample, d = Words{} + source.position;
+  for (int i = 0; i < kWide; ++i) b[i] = uint32_t(block + uint32_t(i));
+  uint32_t low = uint32_t(source.key), high = uint32_t(source.key >> 32);
+  for (int round = 0; round < 10; ++round) {
+    Words const first = times(a, 0xD2511F53u), second = times(c, 0xCD9E8D57u);
+    a = (second >> 32) ^ b ^ low;
+    c = (first >> 32) ^ d ^ high;
+    b = second;
+    d = first;
+    low += 0x9E3779B9u;
+    high += 0xBB67AE85u;
+  }
+  w[0] = a, w[1] = b, w[2] = c, w[3] = d;
+}
+
+constexpr int kChunk = kNoiseChunk, kBuffer = kChunk + 8 * kWide;
+
+// Variates of the chunk that begins with `block`.
+KV_HD void fill_normals(DrawSource const& source, uint32_t draw, uint32_t block, int count, float* to) {
+  constexpr int N = 2 * kWide;
+  using Ints = Lanes<int32_t, N>;
+  for (int first = 0; first < count; first += 4 * N) {
+    Words low[4], high[4];
+    philox_blocks(source, draw, block + uint32_t(first / 4), low);
+    philox_blocks(source, draw, block + uint32_t(first / 4 + kWide), high);
+    // As twice as many lanes of 32 bits: lane 2 k is of block k, lane 2 k + 1 of block kWide + k.
+    Ints words[4];
+    for (int i = 0; i < 4; ++i) words[i] = __builtin_bit_cast(Ints, Words((low[i] & 0xffffffffu) | high[i] << 32));
+    Lanes<float, N> n[4];
+    for (int i = 0; i < 4; i += 2) normal_pair<N>(words[i], words[i + 1], n[i], n[i + 1]);
+    float lanes[4][N];
+    for (int i = 0; i < 4; ++i) store<N>(lanes[i], n[i]);
+    for (int k = 0; k < kWide; ++k)
+      for (int i = 0; i < 4; ++i) {
+        to[first + 4 * k + i] = lanes[i][2 * k];
+        to[first + 4 * (kWide + k) + i] = lanes[i][2 * k + 1];
+      }
+  }
+}
+KV_HD void fill_normals(DrawSource const& source, uint32_t draw, uint32_t block, int count, double* to) {
+  for (int first = 0; first < count; first += 4) {
+    double n[4];
+    normals_of(source.words(draw, block + uint32_t(first / 4)), n);
+    for (int i = 0; i < 4; ++i) to[first + i] = n[i];
+  }
+}
+
+KV_HD void fill_words(DrawSource const& source, uint32_t draw, uint32_t block, int count, uint32_t* to) {
+  for (int first = 0; first < count; first += 4 * kWide) {
+    Words w[4];
+    philox_blocks(source, draw, block + uint32_t(first / 4), w);
+    for (int k = 0; k < kWide; ++k)
+      for (int i = 0; i < 4; ++i) to[first + 4 * k + i] = uint32_t(w[i][k]);
+  }
+}
+
+template <class T>
+KV_HD void copy_chunk(PixelNoise<T> const& p, int64_t at, int count) {
+  if (p.step == 1)
+    __builtin_memcpy(p.y + at, p.x + at, size_t(count) * sizeof(T));
+  else
+    for (int i = 0; i < count; ++i) p.y[at + i * p.step] = p.x[at + i * p.step];
+}
+
+}  // namespace
+
+template <class T>
+void gaussian_noise(PixelNoise<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  F normals[kBuffer];
+  int64_t const chunks = (p.pixels + kChunk - 1) / kChunk;
+  for (int64_t unit = begin; unit < end; ++unit) {
+    int64_t const b = unit / chunks, first = unit % chunks * kChunk;
+    int const count = int(min(p.pixels - first, int64_t(kChunk)));
+    F const mean = p.parameters[b * p.parameter_stride] * p.full_range,
+            deviation = p.parameters[b * p.parameter_stride + 1] * p.full_range;
+    for (int64_t c = 0; c < p.channels; ++c) {
+      int64_t const at = p.offset(b, c) + first * p.step;
+      if (!p.is_chosen(b)) {
+        copy_chunk(p, at, count);
+        continue;
+      }
+      fill_normals(p.source(b), p.draw, uint32_t(c * p.blocks() + first / 4), count, normals);
+      auto const pixels = [&](auto n, int64_t i) {
+        constexpr int N = decltype(n)::value;
+        int64_t const element = at + i * p.step;
+        store<N>(p.y + element, Lanes<F, N>(load<N>(p.x + element) + (load<N>(normals + i) * deviation + mean)));
+      };
+      if (p.step == 1)
+        for_each_vector<T>(0, count, pixels);
+      else
+        for (int64_t i = 0; i < count; ++i) pixels(Width<1>{}, i);
+    }
+  }
+}
+
+template <class T>
+void salt_and_pepper(PixelNoise<T> const& p, int64_t begin, int64_t end) {
+  uint32_t words[kBuffer];
+  struct Hit {
+    int at;
+    T value;
+  } hits[kChunk];
+  T pepper, salt;
+  store<1>(&pepper, Compute<T>(0));
+  store<1>(&salt, p.salt);
+  int64_t const chunks = (p.pixels + kChunk - 1) / kChunk;
+  for (int64_t unit = begin; unit < end; ++unit) {
+    int64_t const b = unit / chunks, first = unit % chunks * kChunk;
+    int const count = int(min(p.pixels - first, int64_t(kChunk)));
+    int num_hits = 0;
+    if (p.is_chosen(b)) {
+      SaltAndPepper const hit(p.parameters[b * p.parameter_stride], p.parameters[b * p.parameter_stride + 1]);
+      fill_words(p.source(b), p.draw, uint32_t(first / 4), count, words);
+      for (int i = 0; i < count; ++i) {
+        hits[num_hits] = {i, hit.is_salt(words[i]) ? salt : pepper};
+        num_hits += hit.is_hit(words[i]);
+      }
+    }
+    for (int64_t c = 0; c < p.channels; ++c) {
+      int64_t const at = p.offset(b, c) + first * p.step;
+      copy_chunk(p, at, count);
+      for (int i = 0; i < num_hits; ++i) p.y[at + hits[i].at * p.step] = hits[i].value;
+    }
+  }
+}
+
+KV_INSTANTIATE_WITH_BYTES(gaussian_noise, PixelNoise)
+KV_INSTANTIATE_WITH_BYTES(salt_and_pepper, PixelNoise)
+
+}  // namespace kv::augmentation::KV_ISA

@@ -1,0 +1,165 @@
+"""Noise of images as a function of keys, samples and pixels: drawn where it is used, and the same wherever that is.
+
+The words of a pixel are those of the draw's block at `c * ceil(H * W / 4) + (y * W + x) // 4`, by the generator of
+`draws`; c is 0 where all channels share the words of a pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from kvision._ops import Operator, match_layout, register, saturate_to_byte
+from kvision.augmentation.draws import philox, unit
+
+# Arguments of the operators: images (B, C, H, W); parameters (B, 2) of the type that is computed in, for images in [0, 1]
+# (bytes have 255 times their noise); keys (K,) int64 on the CPU or the images' device; seeds (B,) int64, which replace the
+# keys, or None; chosen (B,) float32, 0 for samples that stay as they are, or None; and the plan: index of the key, position
+# in the chain, index of the draw, same_on_batch.
+
+
+def _words(
+    images: Tensor, planes: int, keys: Tensor, seeds: Tensor | None, plan: Sequence[int]
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The four words (B, planes, n) of each block of four pixels."""
+    batch, device = images.shape[0], images.device
+    index, position, draw, same = plan
+    key = keys.to(device)[index].expand(batch) if seeds is None else seeds.expand(batch)
+    sample = torch.arange(batch, device=device)
+    sample = torch.zeros_like(sample) if same or seeds is not None else sample
+    blocks = (images.shape[2] * images.shape[3] + 3) // 4
+    block = torch.arange(planes * blocks, device=device)
+    words = philox(key[:, None], (torch.full_like(block, draw), block, sample[:, None], position))
+    first, second, third, fourth = (word.expand(batch, -1).view(batch, planes, blocks) for word in words)
+    return first, second, third, fourth
+
+
+def _by_pixel(four: Sequence[Tensor], images: Tensor) -> Tensor:
+    """The values (B, planes, H, W) of pixels, from those of the four pixels of each block."""
+    height, width = images.shape[2:]
+    return torch.stack(tuple(four), -1).flatten(2)[..., : height * width].unflatten(-1, (height, width))
+
+
+def _normals(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
+    """Two variates of the standard normal distribution in float64, by the transform of Box and Muller.
+
+    The first word, by its upper 31 bits in float32, gives the radius. The upper two bits of the second one are a quarter of
+    a turn, the others the angle in it.
+    """
+    u = (a >> 1).float() * 2.0**-31 + 2.0**-32
+    rest = (b << 2) & 0xFFFFFFFF
+    rest = torch.where(rest < 2**31, rest, rest - 2**32)
+    angle = 2 * torch.pi * ((b >> 30).double() * 0.25 + rest.double() * 2.0**-34)
+    radius = (-2 * u.double().log()).sqrt()
+    return radius * angle.cos(), radius * angle.sin()
+
+
+def _is_chosen(chosen: Tensor | None, images: Tensor) -> Tensor:
+    if chosen is None:
+        return torch.ones((), dtype=torch.bool, device=images.device)
+    return chosen[:, None, None, None] != 0
+
+
+def _stored(noisy: Tensor, images: Tensor, chosen: Tensor | None) -> Tensor:
+    y = saturate_to_byte(noisy) if images.dtype == torch.uint8 else noisy.to(images.dtype)
+    return match_layout(torch.where(_is_chosen(chosen, images), y, images), images)
+
+
+def _full_range(images: Tensor) -> float:
+    return 255.0 if images.dtype == torch.uint8 else 1.0
+
+
+def _computed(images: Tensor) -> Tensor:
+    return images if images.dtype == torch.float64 else images.float()
+
+
+def _gaussian_reference(
+    images: Tensor,
+    parameters: Tensor,
+    keys: Tensor,
+    seeds: Tensor | None,
+    chosen: Tensor | None,
+    plan: Sequence[int],
+) -> Tensor:
+    first, second, third, fourth = _words(images, images.shape[1], keys, seeds, plan)
+    normals = _by_pixel((*_normals(first, second), *_normals(third, fourth)), images).to(parameters.dtype)
+    mean, deviation = (_full_range(images) * parameters[:, :, None, None, None]).unbind(1)
+    return _stored(_computed(images) + (deviation * normals + mean), images, chosen)
+
+
+def _gaussian_backward(
+    needs: Sequence[bool],
+    grad: Tensor,
+    images: Tensor,
+    parameters: Tensor,
+    keys: Tensor,
+    seeds: Tensor | None,
+    chosen: Tensor | None,
+    plan: Sequence[int],
+) -> list[Tensor | None]:
+    if not needs[1]:
+        return [grad, None]
+    # The noise alone, which only ranges with gradients need.
+    standard = torch.tensor([[0.0, 1.0]], dtype=parameters.dtype, device=parameters.device)
+    wide = _computed(grad)
+    noise = gaussian_noise(torch.zeros_like(wide), standard, keys, seeds, chosen, plan)
+    to_mean = torch.where(_is_chosen(chosen, images), wide, 0.0).sum((1, 2, 3))
+    return [grad, torch.stack([to_mean, (wide * noise).sum((1, 2, 3))], 1).sum_to_size(parameters.shape)]
+
+
+gaussian_noise = register(
+    "gaussian_noise", _gaussian_reference, backward=_gaussian_backward, bytes=True, casts_outputs=True
+)
+
+
+def _hits(
+    images: Tensor, parameters: Tensor, keys: Tensor, seeds: Tensor | None, plan: Sequence[int]
+) -> tuple[Tensor, Tensor]:
+    """Which pixels (B, 1, H, W) are hit, and which of them by salt."""
+    words = unit(_by_pixel(_words(images, 1, keys, seeds, plan), images))
+    amount, share = parameters.double()[:, :, None, None, None].unbind(1)
+    return words < amount, words < amount * share
+
+
+def _salt_and_pepper_reference(
+    images: Tensor,
+    parameters: Tensor,
+    keys: Tensor,
+    seeds: Tensor | None,
+    chosen: Tensor | None,
+    plan: Sequence[int],
+) -> Tensor:
+    """A pixel is hit with a probability of the amount, the first parameter, and by salt with the second one's share."""
+    hit, salt = _hits(images, parameters, keys, seeds, plan)
+    x = _computed(images)
+    return _stored(torch.where(hit, salt.to(x.dtype) * _full_range(images), x), images, chosen)
+
+
+def _salt_and_pepper_backward_reference(
+    grad: Tensor,
+    parameters: Tensor,
+    keys: Tensor,
+    seeds: Tensor | None,
+    chosen: Tensor | None,
+    plan: Sequence[int],
+) -> Tensor:
+    hit, _ = _hits(grad, parameters, keys, seeds, plan)
+    return _stored(torch.where(hit, 0.0, _computed(grad)), grad, chosen)
+
+
+_salt_and_pepper_backward: Operator = register(
+    "salt_and_pepper_backward",
+    _salt_and_pepper_backward_reference,
+    backward=lambda needs, grad, *args: [_salt_and_pepper_backward(grad, *args[1:])],
+    linear=True,
+    casts_outputs=True,
+)
+salt_and_pepper = register(
+    "salt_and_pepper",
+    _salt_and_pepper_reference,
+    backward=lambda needs, grad, *args: [_salt_and_pepper_backward(grad, *args[1:])],
+    bytes=True,
+    casts_outputs=True,
+)

@@ -1,0 +1,81 @@
+"""Erased rectangles."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from kvision.augmentation.erase import erase_rectangles
+from op_tests import OpTests, assert_close
+
+
+def boxes(x: Tensor) -> Tensor:
+    """Some inside, some across the border, some without area."""
+    height, width = x.shape[-2:]
+    some = torch.tensor(
+        [[1, 2, 3, 4], [-2.5, 0.5, 4, 2], [width - 2, height - 1, 9, 9], [0, 0, 0, 3], [0, 0, width, height]]
+    )
+    return some.repeat(x.shape[0] // 5 + 1, 1)[: x.shape[0]]
+
+
+class TestEraseRectangles(OpTests):
+    operators = ("erase_rectangles",)
+    bytes = True
+    variants = [{"boxes": lambda x: (2 * boxes(x)).long(), "values": lambda x: torch.rand(x.shape[0])}]
+    accepted = ("boxes of torch.float32",)
+    mixed = ("boxes",)
+
+    @staticmethod
+    def function(x: Tensor, boxes: Tensor, values: Tensor) -> Tensor:
+        # Boxes get no gradient, so that the variants have integers: twice the numbers.
+        x = x if x.is_floating_point() or x.dtype == torch.uint8 else x.float()
+        return erase_rectangles(x, boxes.float() / 2, values)
+
+    def test_wrong_kinds(self, variant, device):
+        pytest.skip("the classes that call the operator check its input")
+
+
+def test_rectangles(device):
+    x = torch.ones(5, 2, 6, 8, device=device)
+    values = torch.tensor([0.0, 0.25, 0.5, 0.75, 2.0], device=device)
+    found = erase_rectangles(x, boxes(x).float().to(device), values)
+    expected = torch.ones(5, 2, 6, 8)
+    expected[0, :, 2:6, 1:4] = 0
+    expected[1, :, 1:3, :2] = 0.25
+    expected[2, :, 5:, 6:] = 0.5
+    expected[4] = 2
+    assert torch.equal(found.cpu(), expected)
+    assert torch.equal(erase_rectangles(x, boxes(x)[:1].float().to(device), values[:1])[4].cpu(), expected[0])
+
+
+def test_nan_erases_nothing(device):
+    x = torch.ones(1, 1, 4, 4, device=device)
+    for i in range(4):
+        box = torch.tensor([[0.0, 0.0, 4.0, 4.0]], device=device)
+        box[0, i] = float("nan")
+        assert torch.equal(erase_rectangles(x, box, torch.zeros(1, device=device)), x)
+
+
+@pytest.mark.parametrize("dtype", [torch.int64, torch.int32, torch.bool, torch.int16], ids=str)
+def test_masks_of_integers(dtype, device):
+    mask = torch.ones(2, 1, 5, 5, dtype=dtype, device=device)
+    found = erase_rectangles(
+        mask, torch.tensor([[1.0, 1.0, 2.0, 3.0]], device=device).expand(2, 4), torch.zeros(2, device=device)
+    )
+    assert found.dtype == dtype and found.sum() == 2 * (25 - 6) and not found[:, :, 1:4, 1:3].any()
+
+
+def test_bytes_are_rounded_and_saturated(device):
+    x = torch.full((3, 1, 2, 2), 7, dtype=torch.uint8, device=device)
+    values = torch.tensor([-3.0, 2.5, 300.0], device=device)
+    found = erase_rectangles(x, torch.tensor([[0.0, 0, 1, 1]], device=device).expand(3, 4), values)
+    assert found[:, 0, 0, 0].tolist() == [0, 2, 255] and (found.flatten(1)[:, 1:] == 7).all()
+
+
+def test_gradients(device):
+    x = torch.rand(5, 2, 6, 8, dtype=torch.float64, device=device, requires_grad=True)
+    values = torch.rand(5, dtype=torch.float64, device=device, requires_grad=True)
+    erased = erase_rectangles(torch.zeros_like(x), boxes(x).float().to(device), torch.ones_like(values))
+    found = erase_rectangles(x, boxes(x).float().to(device), values)
+    to_x, to_values = torch.autograd.grad(found.sum(), (x, values))
+    assert_close(to_x, 1 - erased.detach())
+    assert_close(to_values, erased.sum((1, 2, 3)).detach())

@@ -1,0 +1,208 @@
+"""Noise of images: the same on all devices, in all layouts, batches and types; its distribution; its gradients."""
+
+import pytest
+import torch
+from scipy import stats
+from torch import Tensor
+
+import kvision as K
+from kvision.augmentation.draws import philox
+from kvision.augmentation.noise import gaussian_noise, salt_and_pepper
+from op_tests import OpTests, assert_close, instruction_set
+
+KEYS = torch.tensor([0x123456789ABCDEF, -3])
+PLAN = [1, 2, 3, 0]  # key, position, draw, same_on_batch
+LEVEL = 1e-4 / 40
+
+
+def parameters(x: Tensor) -> Tensor:
+    return torch.rand(x.shape[0], 2) * torch.tensor([0.2, 0.5])
+
+
+def seeds(x: Tensor) -> Tensor:
+    return torch.arange(x.shape[0]) * 7919 - 3
+
+
+def chosen(x: Tensor) -> Tensor:
+    return (torch.arange(x.shape[0]) % 2 == 0).float()
+
+
+class NoiseTests(OpTests):
+    bytes = True
+    variants = [
+        {"parameters": parameters, "seeds": seeds},
+        {"parameters": parameters, "seeds": seeds, "chosen": lambda x: chosen(x).to(torch.int64)},
+    ]
+    accepted = ("keys of torch.int64", "keys of another batch", "seeds of torch.int64", "chosen of torch.float32")
+
+    @classmethod
+    def function(cls, x: Tensor, parameters: Tensor, seeds: Tensor, chosen: Tensor | None = None) -> Tensor:
+        if chosen is not None:
+            chosen = chosen.float()  # an integer in the variants, since it has no gradient
+        x = x if x.is_floating_point() or x.dtype == torch.uint8 else x.float()
+        return cls.operator(x, parameters, KEYS[:1], seeds, chosen, [0, *PLAN[1:]])
+
+    def test_wrong_kinds(self, variant, device):
+        pytest.skip("the classes that call the operator check its input")
+
+
+class TestGaussianNoise(NoiseTests):
+    operator = gaussian_noise
+    operators = ("gaussian_noise",)
+
+
+class TestSaltAndPepper(NoiseTests):
+    operators = ("salt_and_pepper", "salt_and_pepper_backward")
+
+    @staticmethod
+    def operator(x: Tensor, parameters: Tensor, *args) -> Tensor:
+        # Parameters decide and get no gradient: zero times them, so that the suite may ask for one.
+        return salt_and_pepper(x, parameters.detach(), *args) + (0 * parameters.sum()).to(x.dtype)
+
+
+OPERATORS = [gaussian_noise, salt_and_pepper]
+MIDDLE = torch.tensor([[0.1, 0.4]])
+
+
+def noisy(operator, x: Tensor, keys: Tensor = KEYS, seeds: Tensor | None = None, plan: list[int] = PLAN) -> Tensor:
+    given = MIDDLE.to(x.device, torch.float64 if x.dtype == torch.float64 else torch.float32)
+    return operator(x, given, keys, seeds, None, plan)
+
+
+@pytest.mark.parametrize("operator", OPERATORS, ids=lambda o: o.name)
+def test_noise_is_a_function_of_key_sample_and_pixel(operator, device):
+    x = torch.rand(4, 3, 10, 14, device=device)
+    whole = noisy(operator, x)
+    assert_close(noisy(operator, x[:2]), whole[:2], 0, 0)
+    assert_close(noisy(operator, x, KEYS.to(device)), whole, 0, 0)
+    # One plane of pixels, whatever its height and width.
+    assert_close(noisy(operator, x.reshape(4, 3, 14, 10)).reshape(x.shape), whole, 0, 0)
+    same = noisy(operator, x[:1].expand_as(x), plan=[*PLAN[:3], 1])
+    assert_close(same, same[:1].expand_as(same), 0, 0)
+    assert_close(same[:1], whole[:1], 0, 0)
+    for other in ([0, 2, 3, 0], [1, 3, 3, 0], [1, 2, 4, 0]):
+        assert not torch.equal(noisy(operator, x, plan=other), whole)
+    assert not torch.equal(whole[0] - x[0], whole[1] - x[1])
+
+
+@pytest.mark.parametrize("operator", OPERATORS, ids=lambda o: o.name)
+def test_seeds_belong_to_samples(operator, device):
+    x = torch.rand(1, 2, 9, 11, device=device).expand(6, -1, -1, -1)
+    seeds, order = torch.randint(-(2**63), 2**63 - 1, (6,), device=device), torch.randperm(6, device=device)
+    whole = noisy(operator, x, seeds=seeds)
+    assert_close(noisy(operator, x, seeds=seeds[order]), whole[order], 0, 0)
+    assert_close(noisy(operator, x[:1], seeds[2:3].cpu(), plan=[0, *PLAN[1:]]), whole[2:3], 0, 0)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16, torch.float64, torch.uint8], ids=str)
+@pytest.mark.parametrize("operator", OPERATORS, ids=lambda o: o.name)
+def test_samples_that_are_not_chosen_keep_their_bits(operator, dtype, device):
+    x = (255 * torch.rand(3, 3, 7, 9)).to(dtype).to(device)
+    if dtype != torch.uint8:
+        x[1, 0, 0, :4] = torch.tensor([float("nan"), float("inf"), -0.0, 1e-7], dtype=dtype)
+    given = MIDDLE.to(device, torch.float64 if dtype == torch.float64 else torch.float32)
+    mask = torch.tensor([1.0, 0.0, 1.0], device=device)
+    found = operator(x, given, KEYS, None, mask, PLAN)
+    assert torch.equal(found[1].view(torch.uint8), x[1].view(torch.uint8))
+    assert torch.equal(found[2], operator(x, given, KEYS, None, None, PLAN)[2]) and not torch.equal(found[2], x[2])
+
+
+def test_devices_give_the_same_noise(device):
+    zeros = torch.zeros(2, 3, 61, 67)
+    expected = gaussian_noise(zeros, torch.tensor([[0.0, 1.0]]), KEYS, None, None, PLAN)
+    found = gaussian_noise(zeros.to(device), torch.tensor([[0.0, 1.0]], device=device), KEYS, None, None, PLAN)
+    torch.testing.assert_close(found.cpu(), expected, rtol=2e-6, atol=1e-9)
+    x = torch.rand(2, 3, 61, 67)
+    assert torch.equal(noisy(salt_and_pepper, x.to(device)).cpu(), noisy(salt_and_pepper, x))
+
+
+@pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
+def test_instruction_sets_give_the_same_noise(isa, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    x = torch.rand(2, 3, 61, 67)
+    given = torch.tensor([[0.0, 1.0]], dtype=torch.float64)
+    with K.backend("reference"):
+        expected = gaussian_noise(torch.zeros_like(x, dtype=torch.float64), given, KEYS, None, None, PLAN)
+        hits = noisy(salt_and_pepper, x)
+    with instruction_set(isa):
+        found = gaussian_noise(torch.zeros_like(x), given.float(), KEYS, None, None, PLAN)
+        assert torch.equal(noisy(salt_and_pepper, x), hits)
+    torch.testing.assert_close(found.double(), expected, rtol=1e-6, atol=1e-9)
+
+
+def test_words_are_those_of_philox(device):
+    """Of the block of four pixels, which all channels of salt and pepper share."""
+    x = torch.full((1, 2, 3, 3), 0.5, device=device)
+    found = salt_and_pepper(x, MIDDLE.to(device) + 0.4, KEYS, None, None, PLAN)[0].cpu()
+    for pixel in range(9):
+        word = philox(int(KEYS[1]), (PLAN[2], pixel // 4, 0, PLAN[1]))[pixel % 4] / 2**32
+        expected = 0.5 if word >= 0.5 else 1.0 if word < 0.5 * 0.8 else 0.0
+        assert found.flatten(1)[:, pixel].tolist() == [expected] * 2
+
+
+# --- statistics ---
+
+
+def test_noise_is_normal(device):
+    x = torch.full((2, 3, 80, 100), 5.0, dtype=torch.float64, device=device)
+    given = torch.tensor([[1.0, 0.5], [-2.0, 3.0]], dtype=torch.float64, device=device)
+    found = gaussian_noise(x, given, KEYS, None, None, PLAN).cpu()
+    for sample, (mean, deviation) in zip(found, given.tolist()):
+        assert stats.kstest(sample.flatten(), stats.norm(5 + mean, deviation).cdf).pvalue > LEVEL
+    # Neighbors of a block share words. Neither they nor channels nor samples depend on each other, nor do their squares.
+    flat = ((found - 5 - given[:, 0, None, None, None].cpu()) / given[:, 1, None, None, None].cpu()).flatten(2)
+    pairs = [(flat[..., i::4], flat[..., k::4]) for i in range(4) for k in range(i)]
+    pairs += [(flat[:, 0], flat[:, 1]), (flat[0], flat[1]), (flat[..., 1:], flat[..., :-1])]
+    for a, b in pairs:
+        assert stats.spearmanr(a.flatten(), b.flatten()).pvalue > LEVEL
+        assert stats.spearmanr(a.flatten() ** 2, b.flatten() ** 2).pvalue > LEVEL
+
+
+@pytest.mark.parametrize("amount, share", [(0.05, 0.5), (0.3, 0.9), (1.0, 0.25)])
+def test_shares_of_salt_and_pepper(amount, share, device):
+    x = torch.full((1, 3, 200, 200), 0.5, device=device)
+    given = torch.tensor([[amount, share]], device=device)
+    found = salt_and_pepper(x, given, KEYS, None, None, PLAN)
+    assert torch.equal(found, found[:, :1].expand_as(found))
+    salt, pepper = int((found[:, 0] == 1).sum()), int((found[:, 0] == 0).sum())
+    assert amount == 1 or stats.binomtest(salt + pepper, 40000, amount).pvalue > LEVEL
+    assert stats.binomtest(salt, salt + pepper, share).pvalue > LEVEL
+    bytes_ = salt_and_pepper((255 * x).byte(), given, KEYS, None, None, PLAN)
+    assert torch.equal(bytes_ == 255, found == 1) and torch.equal(bytes_ == 0, found == 0)
+    assert torch.equal(salt_and_pepper(x, 0 * given, KEYS, None, None, PLAN), x)
+
+
+# --- gradients ---
+
+
+def test_gradients_of_gaussian_noise(device):
+    x = torch.rand(3, 2, 5, 7, dtype=torch.float64, device=device)
+    given = torch.rand(3, 2, dtype=torch.float64, device=device, requires_grad=True)
+    mask = torch.tensor([1.0, 0.0, 1.0], device=device)
+    found = gaussian_noise(x, given, KEYS, None, mask, PLAN)
+    noise = gaussian_noise(
+        torch.zeros_like(x), torch.tensor([[0.0, 1.0]], dtype=x.dtype, device=device), KEYS, None, mask, PLAN
+    )
+    assert_close(found, x + mask[:, None, None, None] * given[:, :1, None, None] + given[:, 1:, None, None] * noise)
+    (grad,) = torch.autograd.grad(found.sum(), given)
+    assert_close(grad, torch.stack([70 * mask.double(), noise.sum((1, 2, 3))], 1))
+    shared = torch.rand(1, 2, dtype=torch.float64, device=device, requires_grad=True)
+    (of_one,) = torch.autograd.grad(gaussian_noise(x, shared, KEYS, None, mask, PLAN).sum(), shared)
+    assert_close(of_one, grad.sum(0, keepdim=True))
+
+
+def test_pixels_that_are_hit_get_no_gradient(device):
+    x = torch.full((2, 3, 9, 9), 0.5, device=device, requires_grad=True)
+    found = noisy(salt_and_pepper, x)
+    (grad,) = torch.autograd.grad(found.sum(), x)
+    assert torch.equal(grad, (found == 0.5).float())
+
+
+@pytest.mark.native
+@pytest.mark.parametrize("operator", OPERATORS, ids=lambda o: o.name)
+def test_plans_are_checked(operator, device):
+    x, given = torch.zeros(2, 1, 2, 2, device=device), MIDDLE.to(device)
+    for plan, message in (([2, 0, 1, 0], "no key 2"), ([0, 0, 1], "four numbers"), ([0, -1, 1, 0], "out of range")):
+        with pytest.raises(RuntimeError, match=f"{operator.name}: .*{message}"):
+            operator(x, given, KEYS, None, None, plan)

@@ -1,4 +1,4 @@
-// Local affine frames [A | c], 2 x 3: formulas of kvision.feature.laf. Included by geometry/formulas.h.
+// Local affine frames [A | c], 2 x 3: formulas of kvision.feature.laf, and of detectors. Included by geometry/formulas.h.
 //
 //   x = a11 a12 cx a21 a22 cy, the numbers of a frame
 //
@@ -156,6 +156,22 @@ struct PerspectiveTransformLaf {
       map(h, f[2] + f[i], f[5] + f[3 + i], y[i], y[3 + i]);
       y[i] = y[i] - y[2], y[3 + i] = y[3 + i] - y[5];
     }
+  }
+};
+
+// The offset (x, y) of the top of the quadratic through 3 x 3 values v, row by row, from the middle; 0 where it has no
+// top or one that is more than a pixel away.
+struct QuadraticPeak2d : VectorInput<9, 2> {
+  template <class V>
+  static KV_HD void evaluate(V const* v, V* y, FormulaOptions const&) {
+    V const dx = (v[5] - v[3]) * .5, dy = (v[7] - v[1]) * .5;
+    V const xx = v[5] - v[4] * 2. + v[3], yy = v[7] - v[4] * 2. + v[1], xy = (v[8] - v[6] - v[2] + v[0]) * .25;
+    V const det = xx * yy - xy * xy;
+    auto const has_top = (det > 0.) & (xx < 0.);
+    V const divisor = select(has_top, det, constant<V>(1));
+    V const across = (xy * dy - yy * dx) / divisor, down = (xy * dx - xx * dy) / divisor;
+    auto const near = has_top & (across * across <= 1.) & (down * down <= 1.);
+    y[0] = select(near, across, constant<V>(0)), y[1] = select(near, down, constant<V>(0));
   }
 };
 

@@ -80,6 +80,7 @@ namespace kv::geometry {
   _(scale_laf_parts, feature::ScaleLafParts, "Tensor laf, float shape, float x, float y")                        \
   _(make_upright, feature::MakeUpright, "Tensor laf, float eps")                                                 \
   _(ellipse_to_laf, feature::EllipseToLaf, "Tensor ellipse")                                                     \
+  _(quadratic_peak2d, feature::QuadraticPeak2d, "Tensor values")                                                 \
   _(perspective_transform_laf, feature::PerspectiveTransformLaf, "Tensor homography, Tensor laf")                \
   KV_PLANE_FORMULAS(_)                                                                                           \
   KV_SPACE_FORMULAS(_)

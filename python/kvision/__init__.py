@@ -36,7 +36,15 @@ if TYPE_CHECKING:
     from kvision.color import bgr_to_rgb, rgb_to_grayscale
     from kvision.contrib import extract_tensor_patches
     from kvision.enhance import normalize  # type: ignore[no-redef]  # the name of a module of enhance as well
-    from kvision.feature import HardNet, match_smnn
+    from kvision.feature import (
+        BlobHessian,
+        HardNet,
+        LAFAffineShapeEstimator,
+        LAFOrienter,
+        ScaleSpaceDetector,
+        extract_patches_from_pyramid,
+        match_smnn,
+    )
     from kvision.filters import gaussian_blur2d, sobel  # type: ignore[no-redef]
     from kvision.geometry import (
         ConvQuadInterp3d,
@@ -71,11 +79,15 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "BlobHessian",
     "ConvQuadInterp3d",
     "DepthWarper",
     "HardNet",
     "HomographyWarper",
+    "LAFAffineShapeEstimator",
+    "LAFOrienter",
     "ScalePyramid",
+    "ScaleSpaceDetector",
     "__version__",
     "backend",
     "bgr_to_rgb",
@@ -89,6 +101,7 @@ __all__ = [
     "draw_point2d",
     "draw_rectangle",
     "enhance",
+    "extract_patches_from_pyramid",
     "extract_tensor_patches",
     "feature",
     "filters",
@@ -145,7 +158,12 @@ _HOMES = {
     "normal_transform_pixel": "geometry",
     "pyrdown": "geometry",
     "warp_perspective": "geometry",
+    "BlobHessian": "feature",
     "HardNet": "feature",
+    "LAFAffineShapeEstimator": "feature",
+    "LAFOrienter": "feature",
+    "ScaleSpaceDetector": "feature",
+    "extract_patches_from_pyramid": "feature",
     "match_smnn": "feature",
     "draw_convex_polygon": "image",
     "draw_line": "image",

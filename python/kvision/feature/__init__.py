@@ -41,9 +41,23 @@ from kvision.feature.matching import (
     match_snn,
 )
 from kvision.feature.mkd import MKDDescriptor
+from kvision.feature.multi_resolution_detector import MultiResolutionDetector, get_default_detector_config
 from kvision.feature.orientation import LAFOrienter, PatchDominantGradientOrientation
 from kvision.feature.orinet import OriNet
 from kvision.feature.patches import extract_patches_from_pyramid, extract_patches_simple
+from kvision.feature.responses import (
+    BlobDoG,
+    BlobDoGSingle,
+    BlobHessian,
+    CornerGFTT,
+    CornerHarris,
+    dog_response,
+    dog_response_single,
+    gftt_response,
+    harris_response,
+    hessian_response,
+)
+from kvision.feature.scale_space_detector import PassLAF, ScaleSpaceDetector
 from kvision.feature.sift import (
     DenseSIFTDescriptor,
     SIFTDescriptor,

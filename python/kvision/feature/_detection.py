@@ -1,0 +1,86 @@
+"""What detectors share: masks, the choice of the strongest candidates, and modules that they compile."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError
+
+EMPTY = float("-inf")  # the score of a position without a feature
+
+
+def check_mask(op: str, mask: Tensor | None, image: Tensor) -> None:
+    """Raise unless `mask` is None or (B, 1, H, W) or (1, 1, H, W) for images (B, C, H, W)."""
+    if mask is None:
+        return
+    _check.shape(op, "mask", mask, "B", 1, *image.shape[2:])
+    _check.same_device(op, img=image, mask=mask)
+    if mask.shape[0] not in (1, image.shape[0]):
+        raise ShapeError(f"{op}: expected mask with a batch of 1 or {image.shape[0]}, got {tuple(mask.shape)}")
+
+
+def resized_mask(mask: Tensor, size: tuple[int, int]) -> Tensor:
+    """The smallest weight, at most 1, under each pixel of a level, so that thin forbidden regions stay forbidden.
+
+    A mask of bools or integers has the weights 0 and 1.
+    """
+    weights = mask.float().clamp(max=1) if mask.is_floating_point() else (mask != 0).float()
+    return -F.adaptive_max_pool2d(-weights, size)
+
+
+def weighted(scores: Tensor, weights: Tensor, mask: Tensor) -> Tensor:
+    """Scores moved towards the worst by weights in (0, 1]; no candidates where a weight is not above 0."""
+    if mask.is_floating_point():
+        weights = weights.to(scores.dtype)
+        positive = torch.where(weights > 0, weights, 1)
+        least = torch.finfo(scores.dtype).min  # still ahead of empty slots
+        scores = torch.where(scores >= 0, scores * positive, (scores / positive).clamp(min=least))
+    return torch.where(weights > 0, scores, EMPTY)
+
+
+def no_candidates(image: Tensor) -> tuple[Tensor, Tensor]:
+    """No scores (B, 0) and no frames (B, 0, 2, 3) for images, with a gradient of 0 where one is wanted."""
+    none = image.flatten()[:0]
+    batch = image.shape[0]
+    wide = none.to(torch.promote_types(none.dtype, torch.float32))
+    return none.reshape(batch, 0), wide.reshape(batch, 0, 2, 3)
+
+
+def strongest(scores: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """The `count` largest scores of each row of (B, M), in decreasing order, and their indices; fewer if M is less."""
+    return scores.topk(min(count, scores.shape[1]), 1)
+
+
+def gather_frames(lafs: Tensor, index: Tensor) -> Tensor:
+    return lafs.gather(1, index[..., None, None].expand(-1, -1, 2, 3))
+
+
+def filled_slots(image: Tensor, scores: list[Tensor], lafs: list[Tensor], count: int) -> tuple[Tensor, Tensor]:
+    """Of candidates (B, M_i) the `count` strongest, and their frames; slots without a candidate are 0.
+
+    A constant image has no features: what its levels differ by is rounding.
+    """
+    least, most = image.detach().flatten(1).aminmax(dim=1)
+    every, frames = torch.cat(scores, 1), torch.cat(lafs, 1)
+    missing = max(count - every.shape[1], 0)
+    every = F.pad(every, (0, missing), value=EMPTY)
+    frames = F.pad(frames, (0, 0, 0, 0, 0, missing))
+    best, index = strongest(every, count)
+    filled = (best > EMPTY) & (least != most)[:, None]
+    return torch.where(filled, best, 0), torch.where(filled[..., None, None], gather_frames(frames, index), 0)
+
+
+def compiled(op: str, modules: dict[str, nn.Module], wanted: bool | Collection[str]) -> dict[str, nn.Module]:
+    """The modules, those whose names are wanted with torch.compile around them; True wants all."""
+    names = set(modules) if wanted is True else set(wanted or ())
+    unknown = names - set(modules)
+    if unknown:
+        raise _check.ValueCheckError(
+            f"{op}: compile_modules must be of {', '.join(modules)}; got {', '.join(sorted(unknown))}"
+        )
+    return {name: torch.compile(m, dynamic=True) if name in names else m for name, m in modules.items()}  # type: ignore[misc]

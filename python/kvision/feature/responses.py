@@ -1,0 +1,305 @@
+"""Responses of corners and blobs: how much each pixel of an image looks like one."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import as_dtype, floats
+from kvision._modes import DERIVATIVE_MODE
+from kvision._modules import FunctionModule
+from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.filters.gaussian import gaussian_blur2d
+from kvision.filters.spatial_gradient import spatial_gradient
+from kvision.geometry.linalg import root
+
+__all__ = [
+    "BlobDoG",
+    "BlobDoGSingle",
+    "BlobHessian",
+    "CornerGFTT",
+    "CornerHarris",
+    "dog_response",
+    "dog_response_single",
+    "gftt_response",
+    "harris_response",
+    "hessian_response",
+]
+
+_WINDOW, _SIGMA = (7, 7), (1.0, 1.0)
+
+
+def _arguments(op: str, input: Tensor, grads_mode: str, sigmas: Tensor | None) -> Tensor:
+    """The image as floating-point numbers; raise unless all arguments are right."""
+    _check.images(op, "input", input)
+    _check.choice(op, "grads_mode", grads_mode, tuple(DERIVATIVE_MODE))
+    if sigmas is not None:
+        _check.shape(op, "sigmas", sigmas, input.shape[0])
+        _check.same_device(op, input=input, sigmas=sigmas)
+    return floats(input)
+
+
+def _scaled(response: Tensor, sigmas: Tensor | None) -> Tensor:
+    return response if sigmas is None else response * as_dtype(sigmas, response.dtype).pow(4)[:, None, None, None]
+
+
+def _structure_tensor(x: Tensor, grads_mode: str) -> tuple[Tensor, Tensor, Tensor]:
+    """The windowed products of the gradients: xx, yy, xy."""
+    dx, dy = spatial_gradient(x, grads_mode).unbind(2)
+    products = torch.cat([dx * dx, dy * dy, dx * dy], 1)
+    xx, yy, xy = gaussian_blur2d(products, _WINDOW, _SIGMA).chunk(3, 1)
+    return xx, yy, xy
+
+
+def harris_response(
+    input: Tensor, k: float | Tensor = 0.04, grads_mode: str = "sobel", sigmas: Tensor | None = None
+) -> Tensor:
+    """Compute Harris' corner response: det M - k trace(M)^2 of the structure tensor M.
+
+    M is the sum of products of the gradients in a 7 x 7 Gaussian window of sigma 1. The response is large at corners
+    and negative at edges. Gradients have a replicated border, the window a reflected one.
+
+    Args:
+        input: image (B, C, H, W); integers give float32. At least 4 pixels along each side.
+        k: a number, or a tensor with one, between 0.04 and 0.06 usually.
+        grads_mode: 'sobel', or 'diff' for images that are blurred already.
+        sigmas: (B,), whose fourth powers multiply the responses, so that those of a pyramid's levels compare.
+
+    Returns:
+        (B, C, H, W).
+
+    Raises:
+        TypeCheckError: an argument is no tensor of real numbers, or no number.
+        ShapeError: other shapes.
+        ValueCheckError: an unknown mode.
+        DeviceError: tensors on different devices.
+
+    Source: C. Harris and M. Stephens, "A combined corner and edge detector" (1988).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> square = torch.zeros(1, 1, 9, 9)
+        >>> square[..., 4:, 4:] = 1
+        >>> K.feature.harris_response(square)[0, 0].argmax()
+        tensor(40)
+    """
+    op = "harris_response"
+    x = _arguments(op, input, grads_mode, sigmas)
+    if isinstance(k, Tensor):
+        _check.numbers(op, "k", k)
+        _check.same_device(op, input=input, k=k)
+        if k.numel() != 1:
+            raise ShapeError(f"{op}: expected k to be one number, got {tuple(k.shape)}")
+        k = as_dtype(k, x.dtype).reshape(())
+    else:
+        _check.number(op, "k", k)
+    xx, yy, xy = _structure_tensor(x, grads_mode)
+    return _scaled(xx * yy - xy * xy - k * (xx + yy) ** 2, sigmas)
+
+
+def gftt_response(input: Tensor, grads_mode: str = "sobel", sigmas: Tensor | None = None) -> Tensor:
+    """Compute Shi and Tomasi's corner response ("good features to track"): the smaller eigenvalue of the structure tensor.
+
+    The structure tensor is that of :func:`harris_response`.
+
+    Args:
+        input: image (B, C, H, W); integers give float32. At least 4 pixels along each side.
+        grads_mode: 'sobel', or 'diff' for images that are blurred already.
+        sigmas: (B,), whose fourth powers multiply the responses, so that those of a pyramid's levels compare.
+
+    Returns:
+        (B, C, H, W), not negative up to rounding.
+
+    Raises:
+        TypeCheckError: an argument is no tensor of real numbers.
+        ShapeError: other shapes.
+        ValueCheckError: an unknown mode.
+        DeviceError: tensors on different devices.
+
+    Source: J. Shi and C. Tomasi, "Good features to track" (1994).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.feature.gftt_response(torch.arange(8.0).expand(1, 1, 8, 8)).max() < 1e-6
+        tensor(True)
+    """
+    x = _arguments("gftt_response", input, grads_mode, sigmas)
+    xx, yy, xy = _structure_tensor(x, grads_mode)
+    # The discriminant as a sum of squares is never negative, and its root has a gradient of 0 where it is 0.
+    return _scaled((xx + yy - root((xx - yy) ** 2 + 4 * xy * xy)) / 2, sigmas)
+
+
+def hessian_response(input: Tensor, grads_mode: str = "sobel", sigmas: Tensor | None = None) -> Tensor:
+    """Compute the determinant of the Hessian: positive at bright and dark blobs, negative at saddles.
+
+    Derivatives have a replicated border.
+
+    Args:
+        input: image (B, C, H, W); integers give float32.
+        grads_mode: 'sobel', or 'diff' for images that are blurred already.
+        sigmas: (B,), whose fourth powers multiply the responses, so that those of a pyramid's levels compare.
+
+    Returns:
+        (B, C, H, W).
+
+    Raises:
+        TypeCheckError: an argument is no tensor of real numbers.
+        ShapeError: other shapes.
+        ValueCheckError: an unknown mode.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> y, x = torch.meshgrid(torch.arange(9.0), torch.arange(9.0), indexing="ij")
+        >>> K.feature.hessian_response((x**2 + y**2)[None, None] / 2)[0, 0, 4, 4]
+        tensor(1.)
+    """
+    x = _arguments("hessian_response", input, grads_mode, sigmas)
+    xx, xy, yy = spatial_gradient(x, grads_mode, 2).unbind(2)
+    return _scaled(xx * yy - xy * xy, sigmas)
+
+
+def dog_response(input: Tensor) -> Tensor:
+    """Compute differences of Gaussians from levels of increasing blur: level l + 1 minus level l.
+
+    Args:
+        input: levels (B, C, L, H, W); integers give float32.
+
+    Returns:
+        (B, C, L - 1, H, W): negative at bright blobs, positive at dark ones.
+
+    Raises:
+        TypeCheckError: `input` is no tensor of real numbers.
+        ShapeError: another shape.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.feature.dog_response(torch.rand(2, 1, 5, 8, 8)).shape
+        torch.Size([2, 1, 4, 8, 8])
+    """
+    _check.volumes("dog_response", "input", input)
+    x = floats(input)
+    return x[:, :, 1:] - x[:, :, :-1]
+
+
+def dog_response_single(input: Tensor, sigma1: float = 1.0, sigma2: float = 1.6) -> Tensor:
+    """Compute the difference of two Gaussian blurs: that with `sigma2` minus that with `sigma1`.
+
+    Kernels have int(8 sigma + 1) pixels, rounded up to an odd number, and a reflected border. Both blurs of an image
+    smaller than that have the largest odd size that fits.
+
+    Args:
+        input: image (B, C, H, W); integers give float32.
+        sigma1: in pixels, above 0.
+        sigma2: in pixels, above 0.
+
+    Returns:
+        (B, C, H, W).
+
+    Raises:
+        TypeCheckError: `input` is no tensor of real numbers, a sigma no number.
+        ShapeError: another shape.
+        ValueCheckError: a sigma is not above 0.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.feature.dog_response_single(torch.ones(1, 1, 20, 20)).abs().max() < 1e-6
+        tensor(True)
+    """
+    op = "dog_response_single"
+    _check.images(op, "input", input)
+    x = floats(input)
+    blurred = []
+    for name, sigma in (("sigma1", sigma1), ("sigma2", sigma2)):
+        if _check.number(op, name, sigma, 0) == 0:
+            raise _check.ValueCheckError(f"{op}: expected {name} above 0, got {sigma!r}")
+        size = [min(int(8 * sigma + 1) // 2 * 2 + 1, (side - 1) // 2 * 2 + 1) for side in x.shape[2:]]
+        blurred.append(gaussian_blur2d(x, (size[0], size[1]), (float(sigma), float(sigma))))
+    return blurred[1] - blurred[0]
+
+
+class CornerHarris(FunctionModule):
+    """Module form of :func:`harris_response`, whose `k` is a buffer.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.feature.CornerHarris(0.04)(torch.rand(2, 1, 8, 8)).shape
+        torch.Size([2, 1, 8, 8])
+    """
+
+    k: Tensor
+
+    def __init__(self, k: float | Tensor, grads_mode: str = "sobel") -> None:
+        if not isinstance(k, Tensor):
+            _check.number("CornerHarris", "k", k)
+        super().__init__(grads_mode=grads_mode)
+        self.number = None if isinstance(k, Tensor) else float(k)
+        self.register_buffer("k", k if isinstance(k, Tensor) else torch.tensor(float(k)))
+
+    def forward(self, input: Tensor, sigmas: Tensor | None = None) -> Tensor:
+        return harris_response(input, self.k, self.grads_mode, sigmas)
+
+
+class CornerGFTT(FunctionModule):
+    """Module form of :func:`gftt_response`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.feature.CornerGFTT()(torch.rand(2, 1, 8, 8)).shape
+        torch.Size([2, 1, 8, 8])
+    """
+
+    def __init__(self, grads_mode: str = "sobel") -> None:
+        super().__init__(grads_mode=grads_mode)
+
+    def forward(self, input: Tensor, sigmas: Tensor | None = None) -> Tensor:
+        return gftt_response(input, self.grads_mode, sigmas)
+
+
+class BlobHessian(FunctionModule):
+    """Module form of :func:`hessian_response`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.BlobHessian()(torch.rand(2, 1, 8, 8)).shape
+        torch.Size([2, 1, 8, 8])
+    """
+
+    def __init__(self, grads_mode: str = "sobel") -> None:
+        super().__init__(grads_mode=grads_mode)
+
+    def forward(self, input: Tensor, sigmas: Tensor | None = None) -> Tensor:
+        return hessian_response(input, self.grads_mode, sigmas)
+
+
+class BlobDoG(FunctionModule):
+    """Module form of :func:`dog_response`; it ignores `sigmas`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.feature.BlobDoG()(torch.rand(2, 1, 5, 8, 8)).shape
+        torch.Size([2, 1, 4, 8, 8])
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+
+    def forward(self, input: Tensor, sigmas: Tensor | None = None) -> Tensor:
+        return dog_response(input)
+
+
+class BlobDoGSingle(FunctionModule):
+    """Module form of :func:`dog_response_single`; it ignores `sigmas`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.feature.BlobDoGSingle()(torch.rand(2, 1, 20, 20)).shape
+        torch.Size([2, 1, 20, 20])
+    """
+
+    def __init__(self, sigma1: float = 1.0, sigma2: float = 1.6) -> None:
+        super().__init__(sigma1=sigma1, sigma2=sigma2)
+
+    def forward(self, input: Tensor, sigmas: Tensor | None = None) -> Tensor:
+        return dog_response_single(input, self.sigma1, self.sigma2)

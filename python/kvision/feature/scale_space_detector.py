@@ -1,0 +1,212 @@
+"""Features as maxima of a response over position and scale, refined between pixels and levels."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import torch
+from torch import Tensor, nn
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision.core.exceptions import ShapeError
+from kvision.feature import _detection as detection
+from kvision.feature.laf import laf_is_filled
+from kvision.feature.responses import BlobHessian
+from kvision.geometry.subpix import AdaptiveQuadInterp3d, ConvQuadInterp3d, IterativeQuadInterp3d, nms3d_minmax
+from kvision.geometry.transform.pyramid import ScalePyramid
+
+__all__ = ["PassLAF", "ScaleSpaceDetector"]
+
+_BORDER = 5  # pixels of an octave between a feature's middle half and the edge of the image
+_SMALLEST = 2 * _BORDER + 1  # side of an octave that has room for a feature
+_MASKED_REFINEMENTS = (ConvQuadInterp3d, IterativeQuadInterp3d, AdaptiveQuadInterp3d)
+
+
+class PassLAF(nn.Module):
+    """Return frames as they are: the detectors' default for affine shapes and orientations.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.feature.PassLAF()(torch.ones(1, 1, 2, 3), torch.zeros(1, 1, 8, 8)).shape
+        torch.Size([1, 1, 2, 3])
+    """
+
+    def forward(self, laf: Tensor, img: Tensor) -> Tensor:
+        return laf
+
+
+class ScaleSpaceDetector(nn.Module):
+    """Detect features at the maxima of a response over position and scale.
+
+    The response of each level of a scale pyramid is searched for voxels above all of their 26 neighbors. These are
+    refined between pixels and levels, and the strongest of all octaves get an affine shape and an orientation.
+    Nothing waits for the GPU. An image's features do not depend on the rest of its batch.
+
+    Args:
+        num_features: slots of each image, at least 1.
+        mr_size: scale of a frame over the blur of the level at which it is found.
+        scale_pyr_module: makes the levels; None for ScalePyramid(3, 1.6, 16). Its octaves are resized with
+            align_corners=True. The first `n_levels + 2` levels of an octave are used, or one more for the difference
+            of Gaussians.
+        resp_module: the response, called with images (B * L, 1, H, W) and their blurs (B * L); None for BlobHessian().
+        subpix_module: refines maxima, returns coordinates (B, 1, 3, L, H, W) and values (B, 1, L, H, W); None for
+            AdaptiveQuadInterp3d(). Gradients pass through it.
+        ori_module: gives frames an orientation, such as LAFOrienter; None for no change.
+        aff_module: gives frames an affine shape, such as LAFAffineShapeEstimator; None for no change.
+        minima_are_also_good: minima are features, too, with their negative value as response.
+        scale_space_response: call `resp_module` with whole octaves (B, 1, L, H, W), as BlobDoG needs it.
+        compile_modules: True, or names out of scale_pyr, resp, subpix, ori, aff, for torch.compile.
+        nms_module: another name of `subpix_module`.
+
+    `forward(img, mask=None)` takes images (B, 1, H, W) and a mask (B, 1, H, W) or (1, 1, H, W): features are where it
+    is not 0, and floating-point weights below 1 make responses weaker. It returns frames (B, num_features, 2, 3) and
+    responses (B, num_features), strongest first. Empty slots are 0. The middle half of a frame stays 5 pixels of its
+    octave inside of the image. Frames of half-type images are float32.
+
+    Raises:
+        TypeCheckError: a mask or an image is no tensor of real numbers.
+        ShapeError: another shape of an image, of a mask or of a response.
+        ValueCheckError: `num_features` is below 1, or an unknown name in `compile_modules`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> lafs, responses = K.ScaleSpaceDetector(10)(torch.rand(2, 1, 48, 64))
+        >>> lafs.shape, responses.shape
+        (torch.Size([2, 10, 2, 3]), torch.Size([2, 10]))
+    """
+
+    def __init__(
+        self,
+        num_features: int = 500,
+        mr_size: float = 6.0,
+        scale_pyr_module: nn.Module | None = None,
+        resp_module: nn.Module | None = None,
+        subpix_module: nn.Module | None = None,
+        ori_module: nn.Module | None = None,
+        aff_module: nn.Module | None = None,
+        minima_are_also_good: bool = False,
+        scale_space_response: bool = False,
+        compile_modules: bool | Collection[str] = False,
+        nms_module: nn.Module | None = None,
+    ) -> None:
+        super().__init__()
+        op = "ScaleSpaceDetector"
+        (self.num_features,) = _check.ints(op, "num_features", num_features, 1)
+        self.mr_size = _check.number(op, "mr_size", mr_size)
+        if subpix_module is not None and nms_module is not None:
+            raise _check.ValueCheckError(f"{op}: expected one of subpix_module and nms_module, got both")
+        subpix = subpix_module or nms_module or AdaptiveQuadInterp3d()
+        self._takes_candidates = isinstance(subpix, _MASKED_REFINEMENTS)
+        modules = {
+            "scale_pyr": scale_pyr_module or ScalePyramid(3, 1.6, 16, extra_levels=3 if scale_space_response else 2),
+            "resp": resp_module or BlobHessian(),
+            "subpix": subpix,
+            "ori": ori_module or PassLAF(),
+            "aff": aff_module or PassLAF(),
+        }
+        for name, module in detection.compiled(op, modules, compile_modules).items():
+            setattr(self, name, module)
+        self.minima_are_also_good = minima_are_also_good
+        self.scale_space_response = scale_space_response
+
+    def forward(self, img: Tensor, mask: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        responses, lafs = self.detect(img, self.num_features, mask)
+        filled = laf_is_filled(lafs)
+        lafs = self.ori(self.aff(lafs, img), img)
+        return torch.where(filled[..., None, None], lafs, 0), responses
+
+    def detect(self, img: Tensor, num_feats: int, mask: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Find features before they have an affine shape and an orientation: responses (B, N) and frames."""
+        op = "ScaleSpaceDetector"
+        _check.images(op, "img", img)
+        detection.check_mask(op, mask, img)
+        image = floats(img)
+        octaves, sigmas, _ = self.scale_pyr(image)
+        scores, lafs = ([x] for x in detection.no_candidates(image))
+        for octave, sigma in zip(octaves, sigmas):
+            if min(octave.shape[3:]) < _SMALLEST:
+                continue
+            response = self._response(op, octave, sigma)
+            lafs_and_scores = self._strongest_of_octave(response, sigma, image.shape[2:], num_feats, mask)
+            lafs.append(lafs_and_scores[0])
+            scores.append(lafs_and_scores[1])
+        return detection.filled_slots(image, scores, lafs, num_feats)
+
+    def _response(self, op: str, octave: Tensor, sigmas: Tensor) -> Tensor:
+        """The response (B, 1, L, H, W) of the levels 0 to n_levels + 1 of an octave."""
+        count = int(self.scale_pyr.n_levels) + 2
+        batch, channels, _, height, width = octave.shape
+        if self.scale_space_response:
+            response = self.resp(octave, sigmas.reshape(-1))
+            if response.dim() != 5 or response.shape[:2] != (batch, 1) or response.shape[3:] != (height, width):
+                raise ShapeError(
+                    f"{op}: expected resp_module to give ({batch}, 1, L, {height}, {width}), got {tuple(response.shape)}"
+                )
+            return response[:, :, :count].contiguous()
+        levels = octave[:, :, :count].transpose(1, 2)
+        response = self.resp(levels.flatten(0, 1), sigmas[:, :count].reshape(-1))
+        if response.shape != (levels.shape[0] * levels.shape[1], 1, height, width):
+            raise ShapeError(
+                f"{op}: expected resp_module to give one response for each image, (*, 1, {height}, {width}), got "
+                f"{tuple(response.shape)} for {channels} channels"
+            )
+        return response.reshape(batch, 1, levels.shape[1], height, width)
+
+    def _strongest_of_octave(
+        self, response: Tensor, sigmas: Tensor, image_size: torch.Size, count: int, mask: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
+        """Frames (B, N, 2, 3) in pixels of the image and scores (B, N), -inf for those that are none."""
+        stored = response.dtype
+        if stored in (torch.float16, torch.bfloat16):
+            response = response.float()
+        coords, values, found = self._refined(response)
+        level, x, y = coords[:, 0].unbind(1)
+        height, width = response.shape[3:]
+        n_levels = int(self.scale_pyr.n_levels)
+        scale = self.mr_size * sigmas[:, :1, None, None].to(response.dtype) * torch.exp2(level / n_levels)
+        with torch.no_grad():
+            room = _BORDER + scale / 2
+            found = found[:, 0] & (x >= room) & (y >= room) & (x + room <= width - 1) & (y + room <= height - 1)
+        scores = values[:, 0]
+        if mask is not None:
+            weights = detection.resized_mask(mask, (height, width)).expand(len(response), -1, -1, -1)
+            scores = detection.weighted(scores, weights, mask)
+            with torch.no_grad():
+                found = found & _is_allowed(weights, x, y)
+        scores, index = detection.strongest(torch.where(found, scores, detection.EMPTY).flatten(1), count)
+        scale, x, y = (v.flatten(1).gather(1, index) for v in (scale, x, y))
+        to_x, to_y = (image_size[1] - 1) / (width - 1), (image_size[0] - 1) / (height - 1)
+        none = torch.zeros_like(x)
+        rows = [scale * to_x, none, x * to_x, none, scale * to_y, y * to_y]
+        return torch.stack(rows, -1).unflatten(-1, (2, 3)), scores.to(stored)
+
+    def _refined(self, response: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Coordinates (B, 1, 3, L, H, W) in the order level, x, y, values and whether there is a candidate."""
+        maxima, minima = nms3d_minmax(response)
+        if not self.minima_are_also_good:
+            return *self._subpixel(response, maxima), maxima
+        coords, values = self._subpixel(torch.cat([response, -response]), torch.cat([maxima, minima]))
+        (upper, lower), (high, low) = coords.chunk(2), values.chunk(2)
+        # A minimum counts where its negative value is above the response, which the refinement may move across 0.
+        is_minimum = minima & (low > high)
+        coords = torch.where(is_minimum[:, :, None], lower, upper)
+        return coords, torch.where(is_minimum, low, high), maxima | is_minimum
+
+    def _subpixel(self, response: Tensor, candidates: Tensor) -> tuple[Tensor, Tensor]:
+        if self._takes_candidates:
+            return self.subpix(response, precomputed_nms_mask=candidates)  # type: ignore[no-any-return]
+        return self.subpix(response)  # type: ignore[no-any-return]
+
+
+def _is_allowed(weights: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """Whether the weights (B, 1, H, W) of the four pixels around points are above 0."""
+    height, width = weights.shape[2:]
+    flat = (weights > 0).flatten(1)
+    columns = [v.long().clamp(0, width - 1) for v in (x.floor(), x.ceil())]
+    rows = [v.long().clamp(0, height - 1) for v in (y.floor(), y.ceil())]
+    allowed = torch.ones_like(x, dtype=torch.bool)
+    for row in rows:
+        for column in columns:
+            allowed = allowed & flat.gather(1, (row * width + column).flatten(1)).view(x.shape)
+    return allowed

@@ -1,0 +1,100 @@
+"""Responses of corners and blobs."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+import kvision as K
+from op_tests import assert_close
+
+F = K.feature
+SMALL = torch.rand(2, 2, 9, 11, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+SIGMAS = torch.tensor([0.7, 1.5], dtype=torch.float64)
+OF_IMAGES = ("harris_response", "gftt_response", "hessian_response")
+
+
+@pytest.mark.parametrize("mode", ["sobel", "diff"])
+@pytest.mark.parametrize("name", OF_IMAGES)
+def test_values_are_those_of_kornia(name, mode, device):
+    theirs = pytest.importorskip("kornia").feature
+    x = torch.rand(2, 3, 17, 24, dtype=torch.float64)
+    for sigmas in (None, SIGMAS):
+        moved = None if sigmas is None else sigmas.to(device)
+        ours = getattr(F, name)(x.to(device), grads_mode=mode, sigmas=moved)
+        assert_close(ours.cpu(), getattr(theirs, name)(x, grads_mode=mode, sigmas=sigmas), 1e-9, 1e-12)
+
+
+def test_harris_has_a_constant_that_learns(device):
+    theirs = pytest.importorskip("kornia").feature
+    x, k = SMALL.to(device), torch.tensor(0.06, dtype=torch.float64, device=device, requires_grad=True)
+    assert_close(F.harris_response(x, k), F.harris_response(x, 0.06))
+    assert_close(F.harris_response(x, k).cpu(), theirs.harris_response(SMALL, k.detach().cpu()), 1e-9, 1e-12)
+    (grad,) = torch.autograd.grad(F.harris_response(x, k).sum(), k)
+    assert_close(grad, F.harris_response(x, 1.0).sum() - F.harris_response(x, 0.0).sum(), 1e-9, 1e-9)
+
+
+def test_differences_of_gaussians(device):
+    theirs = pytest.importorskip("kornia").feature
+    x = torch.rand(2, 3, 20, 24, dtype=torch.float64)
+    assert_close(F.dog_response_single(x.to(device)).cpu(), theirs.dog_response_single(x), 1e-9, 1e-12)
+    levels = x.unflatten(1, (1, 3))
+    assert_close(F.dog_response(levels.to(device)).cpu(), theirs.dog_response(levels), 0, 0)
+
+
+@pytest.mark.parametrize("mode", ["sobel", "diff"])
+@pytest.mark.parametrize("name", OF_IMAGES)
+def test_gradients(name, mode, device):
+    x, sigmas = SMALL.to(device).requires_grad_(), SIGMAS.to(device).requires_grad_()
+    f = getattr(F, name)
+    torch.autograd.gradcheck(lambda x, s: f(x, grads_mode=mode, sigmas=s), (x, sigmas), fast_mode=True)
+
+
+@pytest.mark.parametrize("name", OF_IMAGES)
+def test_flat_images_have_zero_responses_and_gradients(name, device):
+    x = torch.full((1, 1, 12, 12), 0.3, device=device, dtype=torch.float64, requires_grad=True)
+    y = getattr(F, name)(x)
+    (grad,) = torch.autograd.grad(y.sum(), x)
+    assert y.abs().max() < 1e-12 and grad.abs().max() < 1e-12
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+@pytest.mark.parametrize("name", OF_IMAGES)
+def test_half_types_keep_their_type(name, dtype, device):
+    x = torch.rand(1, 1, 16, 16, device=device)
+    y = getattr(F, name)(x.to(dtype))
+    assert y.dtype == dtype and y.isfinite().all()
+
+
+def test_modules_are_their_functions():
+    x = SMALL
+    for module, value in [
+        (F.CornerHarris(0.05), F.harris_response(x, 0.05, sigmas=SIGMAS)),
+        (F.CornerHarris(torch.tensor(0.05), "diff"), F.harris_response(x, torch.tensor(0.05), "diff", SIGMAS)),
+        (F.CornerGFTT("diff"), F.gftt_response(x, "diff", SIGMAS)),
+        (F.BlobHessian(), F.hessian_response(x, sigmas=SIGMAS)),
+        (F.BlobDoGSingle(0.5, 0.9), F.dog_response_single(x, 0.5, 0.9)),
+    ]:
+        assert_close(module(x, SIGMAS), value, 1e-6, 1e-9)
+    assert list(F.CornerHarris(0.05).state_dict()) == ["k"]
+    levels = SMALL[:, None]
+    assert_close(F.BlobDoG()(levels, SIGMAS), F.dog_response(levels))
+
+
+BAD = [
+    (lambda: F.harris_response([1]), TypeError, "harris_response: expected input to be a Tensor, got list"),
+    (lambda: F.harris_response(SMALL, "a"), TypeError, "expected k to be a number"),
+    (lambda: F.harris_response(SMALL, torch.ones(2)), ValueError, "expected k to be one number"),
+    (lambda: F.gftt_response(SMALL[0]), ValueError, r"gftt_response: expected input of shape \(B, C, H, W\)"),
+    (lambda: F.gftt_response(SMALL, "scharr"), ValueError, "grads_mode must be one of"),
+    (lambda: F.hessian_response(SMALL, sigmas=torch.ones(3)), ValueError, r"sigmas of shape \(2,\)"),
+    (lambda: F.hessian_response(SMALL, sigmas=1.0), TypeError, "sigmas to be a Tensor"),
+    (lambda: F.dog_response(SMALL), ValueError, r"expected input of shape \(B, C, D, H, W\)"),
+    (lambda: F.dog_response_single(SMALL, 0.0), ValueError, "expected sigma1 above 0"),
+]
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors(call, error, message):
+    with pytest.raises(error, match=message):
+        call()

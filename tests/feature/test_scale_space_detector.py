@@ -102,7 +102,9 @@ def test_one_feature_and_its_gradient(device):
 
 
 def test_refinement_by_soft_argmax(device):
-    subpix = K.geometry.ConvSoftArgmax3d((3, 3, 3), (1, 1, 1), (1, 1, 1), normalized_coordinates=False, output_value=True)
+    subpix = K.geometry.ConvSoftArgmax3d(
+        (3, 3, 3), (1, 1, 1), (1, 1, 1), normalized_coordinates=False, output_value=True
+    )
     for name in ("subpix_module", "nms_module"):
         lafs, responses = F.ScaleSpaceDetector(20, **{name: subpix})(photo(64, 70).to(device))
         assert (responses > 0).sum() > 5 and lafs.isfinite().all()

@@ -10,13 +10,13 @@ namespace kvision::ops {
 inline constexpr Operator<"laf_scale", Tensor(Tensor laf)> laf_scale{side_by_side};
 inline constexpr Operator<"rotate_laf", Tensor(Tensor laf, Tensor degrees)> rotate_laf{side_by_side};
 inline constexpr Operator<"set_laf_orientation", Tensor(Tensor laf, Tensor degrees)> set_laf_orientation{side_by_side};
-inline constexpr Operator<"laf_from_parts",
-                          Tensor(Tensor center, std::optional<Tensor> scale, std::optional<Tensor> degrees)>
+inline constexpr Operator<"laf_from_parts", Tensor(Tensor center, OptionalTensor scale, OptionalTensor degrees)>
     laf_from_parts{side_by_side};
 inline constexpr Operator<"scale_laf_parts", Tensor(Tensor laf, double shape, double x, double y)> scale_laf_parts{
     side_by_side};
 inline constexpr Operator<"make_upright", Tensor(Tensor laf, double eps)> make_upright{side_by_side};
 inline constexpr Operator<"ellipse_to_laf", Tensor(Tensor ellipse)> ellipse_to_laf{side_by_side};
+inline constexpr Operator<"quadratic_peak2d", Tensor(Tensor values)> quadratic_peak2d{side_by_side};
 inline constexpr Operator<"perspective_transform_laf", Tensor(Tensor homography, Tensor laf)> perspective_transform_laf{
     side_by_side};
 

@@ -195,7 +195,9 @@ def _neighborhoods(
             near &= growth.abs() <= math.log(options["scale_rate_threshold"])
         near[torch.arange(len(part), device=part.device), part] = False
         size = int(near.sum(1).max())
-        lists.append(near.byte().sort(dim=1, descending=True, stable=True)[1][:, :size] if size else part[:, None][:, :0])
+        lists.append(
+            near.byte().sort(dim=1, descending=True, stable=True)[1][:, :size] if size else part[:, None][:, :0]
+        )
         lists[-1] = torch.where(near.gather(1, lists[-1]), lists[-1], -1)
     size = max(rows.shape[1] for rows in lists)
     rows = torch.cat([torch.nn.functional.pad(r, (0, size - r.shape[1]), value=-1) for r in lists])

@@ -640,13 +640,13 @@ def laf_is_inside_image(laf: Tensor, images: Tensor, border: int = 0) -> Tensor:
     """
     laf = check_lafs("laf_is_inside_image", laf)
     _check.images("laf_is_inside_image", "images", images)
-    border = _check.number("laf_is_inside_image", "border", border)
+    room = _check.number("laf_is_inside_image", "border", border)
     height, width = images.shape[-2:]
     laf = as_dtype(laf, compute_dtype(laf))
     extent = torch.linalg.vector_norm(laf[..., :2], dim=-1)
     least, most = laf[..., 2] - extent, laf[..., 2] + extent
-    inside = (least >= border).all(-1) & (most[..., 0] <= width - 1 - border)
-    return inside & (most[..., 1] <= height - 1 - border)
+    inside = (least >= room).all(-1) & (most[..., 0] <= width - 1 - room)
+    return inside & (most[..., 1] <= height - 1 - room)
 
 
 def perspective_transform_lafs(trans_01: Tensor, lafs_1: Tensor) -> Tensor:

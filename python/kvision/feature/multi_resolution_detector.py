@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TypedDict
+from typing import Any, TypedDict
 
 import torch
 import torch.nn.functional as F
@@ -106,6 +106,11 @@ class MultiResolutionDetector(nn.Module):
         >>> lafs.shape, responses.shape
         (torch.Size([2, 10, 2, 3]), torch.Size([2, 10]))
     """
+
+    model: Any
+    nms: Any
+    ori: Any
+    aff: Any
 
     def __init__(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -31,6 +32,9 @@ class PassLAF(nn.Module):
         >>> K.feature.PassLAF()(torch.ones(1, 1, 2, 3), torch.zeros(1, 1, 8, 8)).shape
         torch.Size([1, 1, 2, 3])
     """
+
+    def __init__(self) -> None:
+        super().__init__()
 
     def forward(self, laf: Tensor, img: Tensor) -> Tensor:
         return laf
@@ -75,6 +79,12 @@ class ScaleSpaceDetector(nn.Module):
         >>> lafs.shape, responses.shape
         (torch.Size([2, 10, 2, 3]), torch.Size([2, 10]))
     """
+
+    scale_pyr: Any
+    resp: Any
+    subpix: Any
+    ori: Any
+    aff: Any
 
     def __init__(
         self,
@@ -195,8 +205,8 @@ class ScaleSpaceDetector(nn.Module):
 
     def _subpixel(self, response: Tensor, candidates: Tensor) -> tuple[Tensor, Tensor]:
         if self._takes_candidates:
-            return self.subpix(response, precomputed_nms_mask=candidates)  # type: ignore[no-any-return]
-        return self.subpix(response)  # type: ignore[no-any-return]
+            return self.subpix(response, precomputed_nms_mask=candidates)
+        return self.subpix(response)
 
 
 def _is_allowed(weights: Tensor, x: Tensor, y: Tensor) -> Tensor:

@@ -582,6 +582,22 @@ int main() {
       "undistort_map of a tilted sensor", [](auto const& t) { return ops::undistort_map(t[0], t[1], t[2], {3, 5}); },
       {torch::rand({1, 3, 3}) + 3, 0.1 * torch::rand({2, 14}), torch::eye(3) + 0.1 * torch::rand({2, 3, 3})}, false);
 
+  // --- features
+
+  torch::manual_seed(0);  // the functions have kinks, which few pixels rarely meet
+  Tensor const gray = torch::rand({1, 1, 8, 8}) + 0.2 * torch::arange(8);
+  Tensor const frames = torch::cat({3 * torch::eye(2) + torch::rand({1, 3, 2, 2}), 4 + torch::rand({1, 3, 2, 1})}, 3);
+  for (auto const extract : {&kvision::extract_patches_simple, &kvision::extract_patches_from_pyramid})
+    check("extract_patches", [=](auto const& t) { return extract(t[0], t[1], 4); }, {gray, frames}, false);
+  check(
+      "sift_descriptor",
+      [](auto const& t) {
+        return kvision::sift_descriptor(t[0], kvision::SiftOptions().num_spatial_bins(2).rootsift(false));
+      },
+      {gray}, false);
+  check("dominant_orientation", [](auto const& t) { return kvision::dominant_orientation(t[0]); }, {gray}, false);
+  check("affine_shape", [](auto const& t) { return kvision::affine_shape(t[0]); }, {gray}, false);
+
   std::cout << checks << " derivatives, " << failures << " failures\n";
   return failures > 0;
 }

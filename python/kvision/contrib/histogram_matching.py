@@ -80,10 +80,10 @@ def histogram_matching(source: Tensor, template: Tensor) -> Tensor:
     stored = source.dtype if source.is_floating_point() else torch.float32
     if source.numel() == 0:
         return source.to(stored)
-    wide = compute_dtype(source)
-    values = template.flatten().to(wide).sort().values
+    computes = compute_dtype(source)
+    values = template.flatten().to(computes).sort().values
     places = torch.cat([values.new_zeros(1), _ranks(values.detach())])
-    ordered, order = source.detach().flatten().to(wide).sort()
+    ordered, order = source.detach().flatten().to(computes).sort()
     matched = interp(_ranks(ordered), places, torch.cat([values[:1], values]))
     return torch.empty_like(matched).scatter(0, order, matched).view(source.shape).to(stored)
 

@@ -33,8 +33,8 @@ def _mixed(x: Tensor, y: Tensor, alpha: float | Tensor, beta: float | Tensor, ga
 
 def _backward(needs, grad, x, y, alpha, beta, gamma, a, b, c):
     def of_weight(weight: Tensor, image: Tensor | None) -> Tensor:
-        wide = grad.to(weight.dtype)
-        pixels = wide if image is None else wide * image
+        promoted = grad.to(weight.dtype)
+        pixels = promoted if image is None else promoted * image
         return pixels.sum((2, 3))[..., None].sum_to_size(weight.shape)
 
     return [

@@ -172,9 +172,9 @@ def histogram(x: Tensor, bins: Tensor, bandwidth: Tensor, epsilon: float = 1e-10
         tensor([[0.3333, 0.6667]])
     """
     _check.shape("histogram", "x", x, "B", "D")
-    wide, centers, width, dtype = _arguments("histogram", x, bins, bandwidth)
+    promoted, centers, width, dtype = _arguments("histogram", x, bins, bandwidth)
     epsilon = _check.number("histogram", "epsilon", epsilon, minimum=0)
-    density = kernel_counts(wide, centers, width, "gaussian") / x.shape[1]
+    density = kernel_counts(promoted, centers, width, "gaussian") / x.shape[1]
     return (density / (density.sum(1, keepdim=True) + epsilon)).to(dtype)
 
 
@@ -206,10 +206,10 @@ def histogram2d(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor, epsilon
     _check.shape("histogram2d", "x1", x1, "B", "D")
     _check.shape("histogram2d", "x2", x2, *x1.shape)
     _check.same_device("histogram2d", x1=x1, x2=x2)
-    wide, centers, width, dtype = _arguments("histogram2d", x1, bins, bandwidth)
+    promoted, centers, width, dtype = _arguments("histogram2d", x1, bins, bandwidth)
     epsilon = _check.number("histogram2d", "epsilon", epsilon, minimum=0)
     with torch.autocast(x1.device.type, enabled=False):
-        counts = joint_counts(wide, x2.to(wide.dtype), centers, width)
+        counts = joint_counts(promoted, x2.to(promoted.dtype), centers, width)
     return (counts / (counts.sum((1, 2), keepdim=True) + epsilon)).to(dtype)
 
 
@@ -224,8 +224,8 @@ def _arguments(op: str, x: Tensor, bins: Tensor, bandwidth: Tensor) -> tuple[Ten
         raise ShapeError(f"{op}: expected at least one sample, got {tuple(x.shape)}", actual_shape=x.shape)
     dtype = torch.promote_types(x.dtype, bins.dtype)
     dtype = dtype if dtype.is_floating_point else torch.float32
-    wide = torch.float64 if dtype == torch.float64 else torch.float32
-    return x.to(wide), bins.to(wide), bandwidth.to(wide), dtype
+    computes = torch.float64 if dtype == torch.float64 else torch.float32
+    return x.to(computes), bins.to(computes), bandwidth.to(computes), dtype
 
 
 def image_histogram2d(

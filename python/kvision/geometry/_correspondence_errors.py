@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision._leading import broadcast_shapes
 from kvision._modes import CORRESPONDENCE_ERROR, CORRESPONDENCE_ERROR_NAMES
 from kvision._ops import register
-from kvision.geometry._precision import length, quotient, wide
+from kvision.geometry._precision import length, promoted, quotient
 from kvision.geometry.linalg import adjugate, root
 
 
@@ -44,7 +44,7 @@ def _one_batch(x: Tensor, leading: Sequence[int]) -> Tensor:
 
 def _reference(points1: Tensor, points2: Tensor, matrix: Tensor, number: int, squared: bool) -> Tensor:
     kind = CORRESPONDENCE_ERROR_NAMES[number]
-    x, y, m = wide(points1), wide(points2), wide(matrix)
+    x, y, m = promoted(points1), promoted(points2), promoted(matrix)
     if kind in ("sampson", "symmetrical", "right", "left"):
         error = _epipolar(x, y, m, kind)
         errors = error if squared or kind in ("right", "left") else root(error)

@@ -50,7 +50,7 @@ def _map(f: Callable[[Any], Any], values: Any) -> Any:
     return f(values) if isinstance(values, Tensor) and values.is_floating_point() else values
 
 
-def wide(x: Tensor) -> Tensor:
+def promoted(x: Tensor) -> Tensor:
     """In double, where the device has it."""
     return x if x.device.type == "mps" else x.double()
 

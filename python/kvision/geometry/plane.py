@@ -11,7 +11,7 @@ from kvision._modules import FunctionModule
 from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.core.tensor_wrapper import TensorWrapper
-from kvision.geometry._precision import wide
+from kvision.geometry._precision import promoted
 from kvision.geometry.linalg import adjugate, batched_dot_product, dominant_eigenvector, normalized
 from kvision.geometry.vector import Scalar, Vector3
 
@@ -121,10 +121,10 @@ def _least_plane(points: Tensor) -> tuple[Tensor, Tensor]:
 
 def scatter_of(offsets: Tensor, weights: Tensor | None = None) -> Tensor:
     """Sums (*, D, D) of products of offsets (*, N, D) from their mean, up to a factor."""
-    offsets = wide(offsets)
+    offsets = promoted(offsets)
     scale = offsets.detach().abs().amax((-2, -1), keepdim=True)
     offsets = offsets / torch.where(scale > 0, scale, 1)
-    heavy = offsets if weights is None else offsets * wide(weights)[..., None]
+    heavy = offsets if weights is None else offsets * promoted(weights)[..., None]
     return heavy.mT @ offsets
 
 

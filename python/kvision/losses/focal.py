@@ -37,10 +37,10 @@ def _reference(
 
     `first` weighs class 0, `other` the others, `weight` (losses or 1, C) all.
     """
-    losses, classes, wide = pred.shape[0], pred.shape[2], pred.to(compute_dtype(pred))
+    losses, classes, promoted = pred.shape[0], pred.shape[2], pred.to(compute_dtype(pred))
     target = target.expand(losses, *target.shape[1:])
-    index, counts = selected(target.flatten(0, 1), classes, ignored if ignores else None, wide.dtype)
-    log_p = masked(wide.flatten(0, 1), counts).log_softmax(1).gather(1, index[:, None]).squeeze(1)
+    index, counts = selected(target.flatten(0, 1), classes, ignored if ignores else None, promoted.dtype)
+    log_p = masked(promoted.flatten(0, 1), counts).log_softmax(1).gather(1, index[:, None]).squeeze(1)
     factor = counts * torch.full_like(counts, other).masked_fill(index == 0, first)
     loss = (-factor * _power(-torch.expm1(log_p), gamma) * log_p).view(target.shape)
     if weight is not None:

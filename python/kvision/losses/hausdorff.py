@@ -70,8 +70,8 @@ _hausdorff = register("hausdorff", _reference, fake=_fake, backward=_backward, c
 
 
 def _loss(pred: Tensor, target: Tensor, alpha: float, k: int, reduction: str) -> Tensor:
-    wide = as_dtype(pred, compute_dtype(pred))
-    loss = _hausdorff(wide, target[:, 0], alpha, k, reduction != "none")
+    promoted = as_dtype(pred, compute_dtype(pred))
+    loss = _hausdorff(promoted, target[:, 0], alpha, k, reduction != "none")
     if reduction == "none":
         loss = loss.movedim(1, 0)[:, :, None]
     else:

@@ -18,13 +18,13 @@ from kvision.losses.reduction import check_labels, check_weight, selected
 def _reference(pred: Tensor, target: Tensor, hinge: bool) -> tuple[Tensor, Tensor]:
     """(B, C): the Lovász extension of the Jaccard loss for the errors of logits (B, C, H, W), for every class; and
     (B, C, H, W): its gradients by the errors. With `hinge` there is one class with label 1; 0 is the background."""
-    wide = pred.to(compute_dtype(pred)).flatten(2)
+    promoted = pred.to(compute_dtype(pred)).flatten(2)
     first, classes = (1, 2) if hinge else (0, pred.shape[1])
     target = target.expand(pred.shape[0], -1, -1).flatten(1).long()
-    index, counts = selected(target, classes, None, wide.dtype)
+    index, counts = selected(target, classes, None, promoted.dtype)
     inside = index[:, None] == torch.arange(first, classes, device=pred.device)[:, None]
-    labels = inside.to(wide.dtype)
-    errors = (1 - wide * (2 * labels - 1)).relu() if hinge else (labels - wide.softmax(1)).abs()
+    labels = inside.to(promoted.dtype)
+    errors = (1 - promoted * (2 * labels - 1)).relu() if hinge else (labels - promoted.softmax(1)).abs()
     errors, order = (errors * counts[:, None]).sort(dim=-1, stable=True, descending=True)
     slopes = _slopes(labels.gather(-1, order))
     return (errors * slopes).sum(-1), torch.zeros_like(slopes).scatter(-1, order, slopes).view(pred.shape)

@@ -45,10 +45,10 @@ def _reference(
 
 
 def _sums(pred: Tensor, target: Tensor, ignored: int | None) -> Tensor:
-    classes, wide = pred.shape[2], pred.to(compute_dtype(pred)).flatten(0, 1)
+    classes, promoted = pred.shape[2], pred.to(compute_dtype(pred)).flatten(0, 1)
     target = target.expand(pred.shape[0], *target.shape[1:]).flatten(0, 1)
-    index, counts = selected(target, classes, ignored, wide.dtype)
-    p = masked(wide, counts).softmax(1) * counts[:, None]
+    index, counts = selected(target, classes, ignored, promoted.dtype)
+    p = masked(promoted, counts).softmax(1) * counts[:, None]
     own = index[:, None] == torch.arange(classes, device=pred.device).view(-1, 1, 1)
     sums = torch.where(own, p, 0).sum((2, 3)), p.sum((2, 3)), torch.where(own, counts[:, None], 0).sum((2, 3))
     return torch.stack(sums, 1).unflatten(0, pred.shape[:2])

@@ -14,8 +14,8 @@ from kvision.core.exceptions import ShapeError, TypeCheckError
 
 def _reference(x: Tensor, along_y: float, along_x: float) -> Tensor:
     """(B, C): the weighted sums of absolute differences of neighbors along y and along x, for every plane."""
-    wide = x.to(compute_dtype(x))
-    return along_y * wide.diff(dim=-2).abs().sum((-2, -1)) + along_x * wide.diff(dim=-1).abs().sum((-2, -1))
+    promoted = x.to(compute_dtype(x))
+    return along_y * promoted.diff(dim=-2).abs().sum((-2, -1)) + along_x * promoted.diff(dim=-1).abs().sum((-2, -1))
 
 
 def _fake(x: Tensor, *_: float) -> Tensor:

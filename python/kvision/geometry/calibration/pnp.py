@@ -12,7 +12,7 @@ from kvision import _check
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._normalization import normalized
-from kvision.geometry._precision import in_full_precision, length, wide
+from kvision.geometry._precision import in_full_precision, length, promoted
 from kvision.geometry.solvers.null_vector import null_vector
 
 __all__ = ["solve_pnp_dlt"]
@@ -79,9 +79,9 @@ def solve_pnp_dlt(
 
 
 def _reference(points: Tensor, pixels: Tensor, camera: Tensor, weights: Tensor | None, flat: float) -> Tensor:
-    w = None if weights is None else wide(weights).square()
-    X, T = normalized(wide(points), w)
-    x, U = normalized(_before_camera(wide(pixels), wide(camera)), w)
+    w = None if weights is None else promoted(weights).square()
+    X, T = normalized(promoted(points), w)
+    x, U = normalized(_before_camera(promoted(pixels), promoted(camera)), w)
     p = torch.cat([X, torch.ones_like(X[..., :1])], -1)
     zero = torch.zeros_like(p)
     rows = torch.cat([torch.cat([p, zero, -x[..., :1] * p], -1), torch.cat([zero, p, -x[..., 1:] * p], -1)], 1)

@@ -65,12 +65,12 @@ def _backward(needs, grad, _1, _2, _3, loss, to_depth, weight, to_projections, *
 
 def _image_gradients(needs, weight, views, target, depth, projections, distance, eps):
     batch, count = views.shape[:2]
-    wide = compute_dtype(views)
+    computes = compute_dtype(views)
     grad_views, grad_target = [], 0.0
     for i in range(count):
-        view, projection = views[:, i].to(wide), projections[:, i]
+        view, projection = views[:, i].to(computes), projections[:, i]
         coords = source_coords(depth.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1))
-        residual = depth_warp_of(view, depth, projection, *_OPTIONS) - target.to(wide)
+        residual = depth_warp_of(view, depth, projection, *_OPTIONS) - target.to(computes)
         grad_residual = (
             distance_derivative(residual, PHOTOMETRIC_DISTANCE_NAMES[distance], eps) * weight[:, None, None, None]
         )

@@ -56,8 +56,8 @@ def _reference(image, depth, projection, interpolation, padding, align_corners):
 def _backward(needs, grad, image, depth, projection, *options):
     grads = [None, None, None]
     if needs[0]:
-        wide = grad.to(compute_dtype(grad))
-        grads[0] = image_gradient_of(wide, depth, projection, list(image.shape[2:]), *options).to(grad.dtype)
+        promoted = grad.to(compute_dtype(grad))
+        grads[0] = image_gradient_of(promoted, depth, projection, list(image.shape[2:]), *options).to(grad.dtype)
     if needs[1] or needs[2]:
         coord_grads = _coords_backward(grad, image, depth, projection, *options)
         grads[1:] = (g.sum_to_size(x.shape) for g, x in zip(coord_grads, (depth, projection)))
@@ -81,14 +81,14 @@ def _image_gradient_backward(needs, grad_grad, grad, depth, projection, size, *o
 
 
 def _coords_backward_reference(grad, image, depth, projection, *options):
-    wide, batch = depth.dtype, len(grad)
+    computes, batch = depth.dtype, len(grad)
 
     def of_coords(depth: Tensor, projection: Tensor) -> Tensor:
-        return _reference(image.to(wide).expand(batch, -1, -1, -1), depth, projection, *options)
+        return _reference(image.to(computes).expand(batch, -1, -1, -1), depth, projection, *options)
 
     expanded = depth.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1)
     _, vjp_fn = torch.func.vjp(of_coords, *expanded)
-    return vjp_fn(grad.to(wide))
+    return vjp_fn(grad.to(computes))
 
 
 depth_warp_of = register(

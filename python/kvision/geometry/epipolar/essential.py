@@ -11,7 +11,7 @@ from kvision import _check
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._formula import of_all, register_formula
-from kvision.geometry._precision import in_full_precision, wide
+from kvision.geometry._precision import in_full_precision, promoted
 from kvision.geometry.epipolar.projection import cross_product_matrix, depth_from_point, projection_from_KRt
 from kvision.geometry.epipolar.triangulation import triangulate_points, triangulated_backward
 from kvision.geometry.linalg import root
@@ -219,7 +219,7 @@ def project_to_essential(E_mat: Tensor) -> Tensor:
 
 
 def _nearest_reference(E: Tensor) -> Tensor:
-    isometry, size = _polar(wide(E))
+    isometry, size = _polar(promoted(E))
     return (isometry * (size / 2)[..., None, None]).to(E.dtype) + 0
 
 
@@ -279,7 +279,7 @@ def decompose_essential_matrix(E_mat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def _motions_reference(E: Tensor) -> tuple[Tensor, Tensor]:
     """The rotations (B, 4, 3, 3) and directions (B, 4, 3, 1) of `motion_from_essential` for E (B, 3, 3)."""
-    E, dtype = wide(E), E.dtype
+    E, dtype = promoted(E), E.dtype
     isometry, _ = _polar(E)
     t = null_vector_3x3(E.mT)
     # [t]x rotates by 90 degrees about t, one way or the other. `_completion` adds the component along t.

@@ -9,7 +9,7 @@ from kvision import _check
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.core.ops import eye_like
 from kvision.geometry._formula import register_formula
-from kvision.geometry._precision import in_full_precision, wide
+from kvision.geometry._precision import in_full_precision, promoted
 from kvision.geometry.solvers.null_vector import null_vector_3x3
 
 __all__ = [
@@ -117,14 +117,14 @@ def KRt_from_projection(P: Tensor, eps: float = 1e-6) -> tuple[Tensor, Tensor, T
 def _parts_reference(P: Tensor) -> Tensor:
     """The rows of K, those of R, and t: (B, 7, 3)."""
     # RQ decomposition: from the last row up, a row of R is the normalized component orthogonal to the rows below it.
-    a, b, c = wide(P)[..., :3].unbind(-2)
+    a, b, c = promoted(P)[..., :3].unbind(-2)
     f, third = _unit(c)
     e = (b * third).sum(-1)
     d, second = _unit(b - e[:, None] * third)
     m, n = (a * second).sum(-1), (a * third).sum(-1)
     h, first = _unit(a - m[:, None] * second - n[:, None] * third)
     turned = torch.where((torch.linalg.cross(first, second) * third).sum(-1) < 0, -1.0, 1.0).to(d.dtype)[:, None]
-    u, v, w = (wide(P)[..., 3] * turned).unbind(-1)
+    u, v, w = (promoted(P)[..., 3] * turned).unbind(-1)
     z = w / f
     y = (v - e * z) / d
     x = (u - m * y - n * z) / h

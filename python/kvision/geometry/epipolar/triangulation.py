@@ -12,7 +12,7 @@ from kvision import _check
 from kvision._leading import broadcast_shapes
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._precision import in_full_precision, wide
+from kvision.geometry._precision import in_full_precision, promoted
 from kvision.geometry.solvers.null_vector import null_vector
 
 __all__ = ["triangulate_points"]
@@ -69,7 +69,7 @@ def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor,
 
 def _reference(x1: Tensor, x2: Tensor, P1: Tensor, P2: Tensor) -> Tensor:
     """Points in space (B, N, 3) from image points (B, N, 2) and projections (B, 3, 4)."""
-    rows = [wide(x)[..., None] * wide(P)[:, None, 2:] - wide(P)[:, None, :2] for x, P in ((x1, P1), (x2, P2))]
+    rows = [promoted(x)[..., None] * promoted(P)[:, None, 2:] - promoted(P)[:, None, :2] for x, P in ((x1, P1), (x2, P2))]
     X = null_vector(torch.cat(rows, -2))
     w = X[..., 3:]
     infinite = w.detach().abs() <= 1e-13 + 4 * torch.finfo(x1.dtype).eps

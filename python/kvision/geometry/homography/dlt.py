@@ -13,7 +13,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.geometry._normalization import normalized, to_unit_last
-from kvision.geometry._precision import in_full_precision, wide
+from kvision.geometry._precision import in_full_precision, promoted
 from kvision.geometry.homography.errors import line_segment_transfer_error_one_way, symmetric_transfer_error
 from kvision.geometry.solvers.correspondences import check_correspondences, register_fit
 from kvision.geometry.solvers.null_vector import null_vector
@@ -60,9 +60,9 @@ def find_homography_dlt(points1: Tensor, points2: Tensor, weights: Tensor | None
 
 
 def _reference(points1: Tensor, points2: Tensor, weights: Tensor | None) -> Tensor:
-    w = None if weights is None else wide(weights)
-    x, T1 = normalized(wide(points1), w)
-    y, T2 = normalized(wide(points2), w)
+    w = None if weights is None else promoted(weights)
+    x, T1 = normalized(promoted(points1), w)
+    y, T2 = normalized(promoted(points2), w)
     p = torch.cat([x, torch.ones_like(x[..., :1])], -1)
     zero = torch.zeros_like(p)
     across = torch.cat([zero, -p, y[..., 1:] * p], -1)
@@ -155,10 +155,10 @@ def find_homography_lines_dlt(ls1: Tensor, ls2: Tensor, weights: Tensor | None =
 
 
 def _lines_reference(ls1: Tensor, ls2: Tensor, weights: Tensor | None) -> Tensor:
-    w = None if weights is None else wide(weights)
+    w = None if weights is None else promoted(weights)
     of_ends = None if w is None else w.repeat_interleave(2, 1)
-    x, T1 = normalized(wide(ls1).flatten(1, 2), of_ends)
-    y, T2 = normalized(wide(ls2).flatten(1, 2), of_ends)
+    x, T1 = normalized(promoted(ls1).flatten(1, 2), of_ends)
+    y, T2 = normalized(promoted(ls2).flatten(1, 2), of_ends)
     ends = torch.cat([y, torch.ones_like(y[..., :1])], -1).unflatten(1, (-1, 2))
     line = torch.linalg.cross(*ends.unbind(2))
     p = torch.cat([x, torch.ones_like(x[..., :1])], -1)

@@ -8,7 +8,7 @@ from torch import Tensor
 from kvision._modes import MODEL, MODEL_NAMES
 from kvision._ops import register
 from kvision.geometry._normalization import normalized, to_unit_last
-from kvision.geometry._precision import wants_derivative, wide
+from kvision.geometry._precision import promoted, wants_derivative
 from kvision.geometry.homography.dlt import of_lines
 from kvision.geometry.homography.errors import sample_is_valid_for_homography
 from kvision.geometry.linalg import adjugate
@@ -87,7 +87,7 @@ def minimal_solver(points1: Tensor, points2: Tensor, draws: Tensor | None, model
 
 def _four_points(points1: Tensor, points2: Tensor) -> Tensor:
     """Homographies of four points. NaN where three points change orientation: a point between them maps to infinity."""
-    H = from_unit_square(wide(points2)) @ adjugate(from_unit_square(wide(points1)))
+    H = from_unit_square(promoted(points2)) @ adjugate(from_unit_square(promoted(points1)))
     is_valid = sample_is_valid_for_homography(points1, points2)
     return torch.where(is_valid[:, None, None], H, torch.nan)[:, None].to(points1.dtype)
 
@@ -96,9 +96,9 @@ def _four_points(points1: Tensor, points2: Tensor) -> Tensor:
 
 
 def _eight_points(points1: Tensor, points2: Tensor, weights: Tensor | None) -> Tensor:
-    w = None if weights is None else wide(weights)
-    x, T1 = normalized(wide(points1), w)
-    y, T2 = normalized(wide(points2), w)
+    w = None if weights is None else promoted(weights)
+    x, T1 = normalized(promoted(points1), w)
+    y, T2 = normalized(promoted(points2), w)
     F = null_vector(epipolar_rows(x, y), w).unflatten(-1, (3, 3))
     return to_unit_last(T2.mT @ of_rank_two(F) @ T1).to(points1.dtype)
 
@@ -109,8 +109,8 @@ eight_points = register_fit("fundamental_dlt", _eight_points)
 
 def seven_points(points1: Tensor, points2: Tensor) -> Tensor:
     """(B, 3, 3, 3), NaN for missing ones: a F1 + (1 - a) F2 is of rank 2 for the roots a of a cubic."""
-    x, T1 = normalized(wide(points1), None)
-    y, T2 = normalized(wide(points2), None)
+    x, T1 = normalized(promoted(points1), None)
+    y, T2 = normalized(promoted(points2), None)
     F1, F2 = null_space(epipolar_rows(x, y), 2).unflatten(-2, (3, 3)).unbind(-1)
     D = F1 - F2
     one, two = adjugate(D), adjugate(F2)
@@ -135,7 +135,7 @@ def of_rank_two(F: Tensor) -> Tensor:
 
 def five_points(points1: Tensor, points2: Tensor) -> Tensor:
     """det E = 0 and 2 E E^T E = tr(E E^T) E for E = x X + y Y + z Z + W, ten cubic equations in x, y and z."""
-    basis = null_space(epipolar_rows(wide(points1), wide(points2)), 4).unflatten(-2, (3, 3))  # (B, 3, 3, 4)
+    basis = null_space(epipolar_rows(promoted(points1), promoted(points2)), 4).unflatten(-2, (3, 3))  # (B, 3, 3, 4)
     is_defined = basis.isfinite().flatten(1).all(-1)[:, None]
     E = torch.where(is_defined[..., None, None], basis, 0)
     # Each equation keeps one of the first ten monomials. The last six of them are x^2 z, x^2, y^2 z, y^2, xyz, xy.

@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._ops import register
 from kvision._torch_compat import in_forward_ad
-from kvision.geometry._precision import in_full_precision, wide
+from kvision.geometry._precision import in_full_precision, promoted
 from kvision.geometry.linalg import adjugate
 
 __all__ = ["null_vector_3x4"]
@@ -61,8 +61,8 @@ _eigenvectors = register(
 
 
 def _reference(rows: Tensor, weights: Tensor | None, found: Tensor | None = None) -> Tensor:
-    A = wide(rows)
-    weighted = A if weights is None else A * wide(weights)[..., None]
+    A = promoted(rows)
+    weighted = A if weights is None else A * promoted(weights)[..., None]
     return _smallest_eigenvector(weighted.mT @ A, found).to(rows.dtype)
 
 
@@ -81,7 +81,7 @@ def _smallest_eigenvector(matrix: Tensor, found: Tensor | None) -> Tensor:
     gap = values - values[..., :1]
     inverse = torch.where(gap > _GAP, 1 / torch.where(gap > _GAP, gap, 1), 0)
     pseudo_inverse = (vectors * inverse[..., None, :]) @ vectors.mT
-    v = vectors[..., :1] * _sign(vectors[..., 0])[..., None, None] if found is None else wide(found.detach())[..., None]
+    v = vectors[..., :1] * _sign(vectors[..., 0])[..., None, None] if found is None else promoted(found.detach())[..., None]
     for _ in range(2):
         residual = M @ v - v * (v.mT @ M @ v)
         v = v - pseudo_inverse @ residual

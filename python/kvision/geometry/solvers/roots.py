@@ -7,7 +7,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._ops import register
-from kvision.geometry._precision import in_full_precision, wide
+from kvision.geometry._precision import in_full_precision, promoted
 from kvision.geometry.linalg import root
 
 __all__ = ["solve_cubic", "solve_quadratic", "solve_quartic"]
@@ -107,7 +107,7 @@ def _scaled(coeffs: Tensor) -> Tensor:
 
 
 def _reference(coeffs: Tensor) -> Tensor:
-    found = _isolated(_scaled(wide(coeffs)))
+    found = _isolated(_scaled(promoted(coeffs)))
     return torch.where((coeffs == 0).all(-1, keepdim=True), torch.nan, found).to(
         coeffs.dtype
     )  # every number is a root of the zero polynomial
@@ -123,7 +123,7 @@ def real_roots(coeffs: Tensor) -> Tensor:
 
     Two steps of Newton's method from what was found change nothing but add the first and the second derivative.
     """
-    p = _scaled(wide(coeffs))
+    p = _scaled(promoted(coeffs))
     found = _real_roots(p.detach())
     missing = found.isnan()
     x = torch.where(missing, 0, found)

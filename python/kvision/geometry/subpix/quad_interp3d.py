@@ -114,8 +114,8 @@ def _backward(needs, grad_coords, grad_values, x, chosen, *how):
 
 
 def _gradient(grad_coords, grad_values, x, chosen, *how):
-    wide = torch.float64 if x.dtype == torch.float64 else torch.float32
-    x, grads = x.to(wide), (grad_coords.to(wide), grad_values.to(wide))
+    computes = torch.float64 if x.dtype == torch.float64 else torch.float32
+    x, grads = x.to(computes), (grad_coords.to(computes), grad_values.to(computes))
     _, vjp_fn = torch.func.vjp(lambda x: _reference(x, chosen, *how), x)
     return vjp_fn(grads)[0]
 

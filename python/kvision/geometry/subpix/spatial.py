@@ -69,10 +69,10 @@ def spatial_softmax2d(input: Tensor, temperature: Tensor | float | None = None) 
 
 
 def _softmax(op: str, input: Tensor, temperature: Tensor | float | None) -> Tensor:
-    wide = as_dtype(input, compute_dtype(input))
+    promoted = as_dtype(input, compute_dtype(input))
     if temperature is not None:
-        wide = wide / positive(op, input, temperature)
-    return wide.flatten(2).softmax(-1).view(input.shape)
+        promoted = promoted / positive(op, input, temperature)
+    return promoted.flatten(2).softmax(-1).view(input.shape)
 
 
 def spatial_expectation2d(input: Tensor, normalized_coordinates: bool = True) -> Tensor:

@@ -14,7 +14,7 @@ from torch import Tensor
 from kvision import _check
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.geometry._formula import batch_of, register_formula
-from kvision.geometry._precision import wide
+from kvision.geometry._precision import promoted
 from kvision.geometry.bbox import corners
 from kvision.geometry.conversions.angles import cos_sin
 from kvision.geometry.conversions.homogeneous import homogeneous
@@ -133,18 +133,18 @@ def _inverse2d_reference(matrix):
 
 
 def _perspective_reference(points_src, points_dst):
-    matrix = from_unit_square(wide(points_dst)) @ adjugate(from_unit_square(wide(points_src)))
+    matrix = from_unit_square(promoted(points_dst)) @ adjugate(from_unit_square(promoted(points_src)))
     return (matrix / matrix[:, 2:, 2:] + 0).to(points_src.dtype)  # no negative zeros
 
 
 def _crop_matrix_reference(quads, first, across, down):
     """The map from result pixels to image pixels. In this direction a side of one pixel needs no special case."""
-    matrix = from_unit_square(wide(quads))
+    matrix = from_unit_square(promoted(quads))
     last = matrix[:, 2:, 2:]
     right, downwards, origin = (matrix / torch.where(last == 0, 1, last)).split(1, -1)
     right, downwards = right / across, downwards / down
     if first is not None:
-        x, y = wide(first)[..., None, None].unbind(1)
+        x, y = promoted(first)[..., None, None].unbind(1)
         origin = origin - right * x - downwards * y
     linear = torch.cat([right, downwards], -1)
     return torch.cat([linear.expand(len(origin), -1, -1), origin], -1).to(quads.dtype)
@@ -154,7 +154,7 @@ def _perspective3d_reference(points_src, points_dst, *extent):
     if points_dst is None:
         last = matrix_of([list(extent)], points_src[:1])[:, 0]
         points_dst = corners(torch.zeros_like(last), last)
-    p, q = (wide(torch.cat([x[:, :3], x[:, 5::2]], 1)) for x in (points_src, points_dst))  # no four of them coplanar
+    p, q = (promoted(torch.cat([x[:, :3], x[:, 5::2]], 1)) for x in (points_src, points_dst))  # no four of them coplanar
     matrix = _from_simplex(q) @ torch.linalg.inv_ex(_from_simplex(p))[0]
     return (matrix / matrix[:, 3:, 3:]).to(points_src.dtype)
 

@@ -110,7 +110,7 @@ def source_coords(
     matrix: Tensor, output: Sequence[int], source: Sequence[int], align_corners: bool, inverse: bool, normalized: bool
 ) -> list[Tensor]:
     """Sampling coordinates in the source of the pixels of the output: x and y, (B, h, w)."""
-    promoted = matrices.wide(matrix)
+    promoted = matrices.promoted(matrix)
     if promoted.shape[1] == 2:
         promoted = homogeneous(promoted)
     if inverse:

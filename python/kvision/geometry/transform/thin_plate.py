@@ -162,8 +162,8 @@ def get_tps_transform(points_src: Tensor, points_dst: Tensor) -> tuple[Tensor, T
         _check.floating(op, name, points)
     _check.shape(op, "points_dst", points_dst, *points_src.shape)
     _check.same_device(op, points_src=points_src, points_dst=points_dst)
-    values = torch.nn.functional.pad(matrices.wide(points_dst), (0, 0, 0, 3))
-    weights = as_dtype(_weights(matrices.wide(points_src), values), points_src.dtype)
+    values = torch.nn.functional.pad(matrices.promoted(points_dst), (0, 0, 0, 3))
+    weights = as_dtype(_weights(matrices.promoted(points_src), values), points_src.dtype)
     return weights[:, :-3], weights[:, -3:]
 
 

@@ -323,7 +323,7 @@ def _how(op: str, dsize: tuple[int, ...], mode: str, padding_mode: str, align_co
 
 
 def _reference(volumes, matrix, size, interpolation, padding, align_corners, inverse, normalized):
-    m = matrices.wide(matrix)
+    m = matrices.promoted(matrix)
     m = homogeneous(m) if m.shape[1] == 3 else m
     if inverse:
         m = torch.linalg.inv_ex(m)[0]

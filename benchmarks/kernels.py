@@ -134,9 +134,9 @@ def main() -> None:
         parser.error("this needs a GPU, and Nsight Compute's ncu on the PATH or in CUDA_HOME/bin")
     metrics = ",".join(metric for *_, metric in _COLUMNS)
     watched = [sys.executable, "-m", "benchmarks.kernels", *sys.argv[1:]]
-    how = ["--clock-control", "none", "--profile-from-start", "off", "--nvtx", "--csv", "--print-units", "base"]
+    flags = ["--clock-control", "none", "--profile-from-start", "off", "--nvtx", "--csv", "--print-units", "base"]
     done = subprocess.run(
-        [ncu, *how, "--metrics", metrics, *watched],
+        [ncu, *flags, "--metrics", metrics, *watched],
         env={**os.environ, _INSIDE: "1"},
         capture_output=True,
         text=True,

@@ -71,13 +71,13 @@ def warp_opencv(name: str, flags: str) -> Callable[..., Any]:
     return lambda x, m, out=None: getattr(cv2, name)(x, m, size_of(x)[::-1], out, getattr(cv2, flags))
 
 
-def resized(name: str, factor: float, mode: str, opencv: str | None, bars: Bars, **how: Any) -> Case:
+def resized(name: str, factor: float, mode: str, opencv: str | None, bars: Bars, **options: Any) -> Case:
     def scaled(x: Any) -> tuple[int, int]:
         h, w = size_of(x)
         return int(h * factor), int(w * factor)
 
     peer = opencv and (lambda x, out=None: cv2.resize(x, scaled(x)[::-1], out, interpolation=getattr(cv2, opencv)))
-    return case(name, lambda G, x: G.resize(x, scaled(x), mode, **how), bars, peer or None)
+    return case(name, lambda G, x: G.resize(x, scaled(x), mode, **options), bars, peer or None)
 
 
 def antialiased(factor: float, x: Tensor) -> Tensor:

@@ -129,8 +129,8 @@ def _reference(x: Tensor, white: Tensor, colors: Tensor) -> Tensor:
     n = colors.shape[2]
     index = torch.where(x >= 1, n - 1, (x * max(n - 2, 1)).ceil()).clamp(0, n - 1)
     images = torch.arange(x.shape[0], device=x.device)[:, None, None, None]
-    found = colors.expand(x.shape[0], -1, -1)[images, :, index.nan_to_num().long()].movedim(-1, 2)
-    return torch.where(x.isnan()[:, :, None], torch.nan, found).flatten(1, 2)
+    mapped = colors.expand(x.shape[0], -1, -1)[images, :, index.nan_to_num().long()].movedim(-1, 2)
+    return torch.where(x.isnan()[:, :, None], torch.nan, mapped).flatten(1, 2)
 
 
 def _fake(x: Tensor, white: Tensor, colors: Tensor) -> Tensor:

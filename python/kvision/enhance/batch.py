@@ -71,10 +71,10 @@ def broadcast(value: Tensor, x: Tensor) -> Tensor:
 
 def per_pixel(op: str, name: str, value: float | Tensor, x: Tensor) -> float | Tensor:
     """Return a parameter with one value for all channels of a pixel."""
-    found = parameter(op, name, value, x)
-    if isinstance(found, Tensor) and found.shape[1] != 1:
+    checked = parameter(op, name, value, x)
+    if isinstance(checked, Tensor) and checked.shape[1] != 1:
         raise ShapeError(f"{op}: expected one {name} for all channels, got {tuple(value.shape)}")  # type: ignore[union-attr]
-    return found
+    return checked
 
 
 def floats(op: str, name: str, x: Tensor) -> None:

@@ -90,12 +90,12 @@ _histogram_backward = register("histogram_backward", vjp(_reference), fake=lambd
 
 def _backward(needs, grad, x, centers, bandwidth):
     """The kernel computes the gradient of x. Centers and bandwidth, seldom learned, take the reference."""
-    found = [None] * 3
+    grads = [None] * 3
     if any(needs[1:]):
-        found = _histogram.differentiate_reference((False, *needs[1:]), grad, x, centers, bandwidth)
+        grads = _histogram.differentiate_reference((False, *needs[1:]), grad, x, centers, bandwidth)
     if needs[0]:
-        found[0] = _histogram_backward(grad, x, centers, bandwidth)
-    return found
+        grads[0] = _histogram_backward(grad, x, centers, bandwidth)
+    return grads
 
 
 _histogram = register(

@@ -79,10 +79,10 @@ def _dct(like: Tensor) -> Tensor:
     return torch.where(i[:, None] == 0, math.sqrt(1 / 8), rows)
 
 
-def _table(standard: tuple[tuple[int, ...], ...], given: Tensor | None, x: Tensor) -> Tensor:
+def _table(standard: tuple[tuple[int, ...], ...], table: Tensor | None, x: Tensor) -> Tensor:
     """A table (B, 8, 8), or the standard one (1, 8, 8)."""
-    if given is not None:
-        return given
+    if table is not None:
+        return table
     if type(x) is Tensor and not torch.compiler.is_compiling() and not in_function_transform():
         return _kept_table(standard, x.device, x.dtype)
     return torch.tensor(standard, device=x.device, dtype=x.dtype)[None]  # a tracer stores it as a constant
@@ -158,10 +158,10 @@ def _fake_backward(grad, x, quality, table_y, table_c, number, of_image, of_step
 def _backward(needs, grad, x, quality, table_y, table_c, number):
     of_steps = any(needs[1:4])
     of_x, of_quality, *of_tables = _jpeg_backward(grad, x, quality, table_y, table_c, number, needs[0], of_steps)
-    of_each, given = (of_quality.flatten(), *of_tables), (quality, table_y, table_c)
+    of_each, options = (of_quality.flatten(), *of_tables), (quality, table_y, table_c)
     return [
         of_x if needs[0] else None,
-        *(e.sum_to_size(t.shape) if need else None for need, e, t in zip(needs[1:4], of_each, given)),
+        *(e.sum_to_size(t.shape) if need else None for need, e, t in zip(needs[1:4], of_each, options)),
     ]
 
 
@@ -211,10 +211,10 @@ def jpeg_codec_differentiable(
     if 0 in input.shape[-2:]:
         raise ShapeError(f"{op}: expected input with H, W of at least 1, got {tuple(input.shape)}")
     x = as_batch(input)
-    number, given = 0.0, {}
+    number, options = 0.0, {}
     if isinstance(jpeg_quality, Tensor):
         _check.numbers(op, "jpeg_quality", jpeg_quality)
-        given["jpeg_quality"] = jpeg_quality
+        options["jpeg_quality"] = jpeg_quality
     else:
         number = _check.number(op, "jpeg_quality", jpeg_quality, minimum=0)
         if number > 100:
@@ -222,18 +222,18 @@ def jpeg_codec_differentiable(
     for name, table in (("quantization_table_y", quantization_table_y), ("quantization_table_c", quantization_table_c)):
         if table is not None:
             _check.numbers(op, name, table)
-            given[name] = table[None] if table.dim() == 2 else table
-    _check.same_device(op, input=x, **given)
-    for name, tensor in given.items():
+            options[name] = table[None] if table.dim() == 2 else table
+    _check.same_device(op, input=x, **options)
+    for name, tensor in options.items():
         inner = () if name == "jpeg_quality" else (8, 8)
         if tensor.dim() == 0 or tensor.shape[0] not in (1, x.shape[0]) or tensor.shape[1:] != inner:
             want = ", ".join(map(str, ("B", *inner)))
             raise ShapeError(
                 f"{op}: expected {name} of shape ({want},) for B = {x.shape[0]}, got {tuple(tensor.shape)}"
             )
-        given[name] = as_dtype(tensor, compute_dtype(x))
+        options[name] = as_dtype(tensor, compute_dtype(x))
     y = _jpeg(
-        x, *(given.get(name) for name in ("jpeg_quality", "quantization_table_y", "quantization_table_c")), number
+        x, *(options.get(name) for name in ("jpeg_quality", "quantization_table_y", "quantization_table_c")), number
     )
     return y.reshape(input.shape)
 

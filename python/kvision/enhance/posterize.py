@@ -14,12 +14,12 @@ _SPLIT = {torch.float16: 2.0**13 + 1, torch.bfloat16: 2.0**16 + 1}
 
 
 def _reference(x: Tensor, bits: float | Tensor, split: float) -> Tensor:
-    kept = bits.detach().clamp(0, 8) if isinstance(bits, Tensor) else bits
-    step = 2.0 ** (8 - kept)
+    count = bits.detach().clamp(0, 8) if isinstance(bits, Tensor) else bits
+    step = 2.0 ** (8 - count)
     level = x.detach().nan_to_num(0.0).clamp(0, 1) * 255
     high = level * split
     coarse = torch.floor((high - (high - level)).floor() / step) * step / 255
-    return torch.where((torch.as_tensor(kept, device=x.device) < 8) & ~x.isnan(), coarse, x)
+    return torch.where((torch.as_tensor(count, device=x.device) < 8) & ~x.isnan(), coarse, x)
 
 
 _posterize = step("posterize", _reference)
@@ -50,8 +50,8 @@ def posterize(input: Tensor, bits: int | Tensor) -> Tensor:
     """
     images("posterize", "input", input)
     if isinstance(bits, Tensor):
-        kept = parameter("posterize", "bits", bits, input)
-        return shaped(_posterize(as_batch(input), kept, _SPLIT.get(input.dtype, 1.0)), input)
+        bits = parameter("posterize", "bits", bits, input)
+        return shaped(_posterize(as_batch(input), bits, _SPLIT.get(input.dtype, 1.0)), input)
     if type(bits) is not int:
         raise TypeCheckError(f"posterize: expected bits to be an int or a Tensor, got {bits!r}", actual_type=type(bits))
     if not 0 <= bits <= 8:

@@ -108,8 +108,8 @@ class ColorProgram(nn.Module):
         self.dtype, self.memory_format = dtype, memory_format
         self._layout = LAYOUTS[memory_format]
         self._steps: list[tuple[str, list[Any]]] = []  # a tensor is represented by its attribute's name
-        for i, given in enumerate(steps):
-            name, values = _checked(given)
+        for i, args in enumerate(steps):
+            name, values = _checked(args)
             for k, parameter in enumerate(_KINDS[name].parameters):
                 value, attribute = values[k], f"{parameter}_{i}"
                 if not isinstance(value, Tensor):
@@ -164,12 +164,12 @@ class ColorProgram(nn.Module):
             raise TypeCheckError(f"ColorProgram: expected image to be floating point or uint8, got {image.dtype}")
         if 0 in image.shape[-2:]:
             raise ShapeError(f"ColorProgram: expected image with H, W of at least 1, got {tuple(image.shape)}")
-        given = self._arguments
-        if parameters or given is None:
-            given = arguments(self._all_slots(parameters or {}, image))
+        args = self._arguments
+        if parameters or args is None:
+            args = arguments(self._all_slots(parameters or {}, image))
         if order is not None or enabled is not None:
             order = _order(order, enabled, len(self._program), image)
-        return apply_on_batch(run, image, self._program, given, order, self.dtype, self._layout)
+        return apply_on_batch(run, image, self._program, args, order, self.dtype, self._layout)
 
     def _all_slots(self, parameters: Mapping[str | int, Any], image: Tensor) -> list[float | Tensor]:
         """The parameters of the program: numbers, or tensors (B or 1, 1, P) that fit the image."""

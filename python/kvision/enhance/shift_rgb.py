@@ -42,7 +42,7 @@ def shift_rgb(image: Tensor, r_shift: float | Tensor, g_shift: float | Tensor, b
 
 
 def _shift(name: str, shift: float | Tensor, image: Tensor) -> float | Tensor:
-    found = parameter("shift_rgb", name, shift, image)
-    if isinstance(found, Tensor) and found.shape[1:].numel() != 1:
+    checked = parameter("shift_rgb", name, shift, image)
+    if isinstance(checked, Tensor) and checked.shape[1:].numel() != 1:
         raise ShapeError(f"shift_rgb: expected {name} of shape (B,), got {tuple(shift.shape)}")  # type: ignore[union-attr]
-    return found
+    return checked

@@ -18,8 +18,8 @@ Value = float | Tensor
 
 
 def _reference(x: Tensor, limit: Value, above: Value, below: Value, keeps_above: float, keeps_below: float) -> Tensor:
-    def value(kept: float, other: Value) -> Tensor:
-        return x if kept else other if isinstance(other, Tensor) else x.new_full((), other)
+    def value(unchanged: float, other: Value) -> Tensor:
+        return x if unchanged else other if isinstance(other, Tensor) else x.new_full((), other)
 
     return torch.where(x > limit, value(keeps_above, above), value(keeps_below, below))
 

@@ -8,15 +8,15 @@ import torch
 from torch import Tensor
 
 from kvision.geometry._precision import length
-from kvision.geometry.solvers.correspondences import shares
+from kvision.geometry.solvers.correspondences import normalized_weights
 
 
 def normalized(points: Tensor, weights: Tensor | None, eps: float = 1e-8) -> tuple[Tensor, Tensor]:
     """`normalize_points` of points (B, N, D) of any dimension: mean distance sqrt(D), and a matrix (B, D + 1, D + 1)."""
-    share = shares(points, weights)
-    mean = (share * points).sum(1, keepdim=True)
+    fraction = normalized_weights(points, weights)
+    mean = (fraction * points).sum(1, keepdim=True)
     centered = points - mean
-    scale = math.sqrt(points.shape[-1]) / ((share * length(centered, keepdim=True)).sum(1, keepdim=True) + eps)
+    scale = math.sqrt(points.shape[-1]) / ((fraction * length(centered, keepdim=True)).sum(1, keepdim=True) + eps)
     eye = torch.eye(points.shape[-1], device=points.device, dtype=points.dtype)
     T = torch.cat([scale * eye, (-scale * mean).mT], -1)
     last = torch.zeros_like(T[:, :1])

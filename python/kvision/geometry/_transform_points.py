@@ -52,16 +52,16 @@ def _backward(needs, grad, points, depth, matrix, kind):
 
 def _backward_reference(grad, points, depth, matrix, kind, to_matrix):
     computes = matrix.dtype
-    given = [points.to(computes), matrix.expand(points.shape[0], -1, -1)]
-    given += [] if depth is None else [depth.to(computes)]
+    args = [points.to(computes), matrix.expand(points.shape[0], -1, -1)]
+    args += [] if depth is None else [depth.to(computes)]
 
     def of_tensors(points: Tensor, matrix: Tensor, depth: Tensor | None = None) -> Tensor:
         return _reference(points, depth, matrix, kind)
 
-    _, vjp_fn = torch.func.vjp(of_tensors, *given)
-    found = vjp_fn(grad.to(computes))
-    to_depth = points.new_empty(*points.shape[:2], 0) if depth is None else found[2].to(depth.dtype)
-    return found[0].to(points.dtype), to_depth, found[1] if to_matrix else found[1][:, :0]
+    _, vjp_fn = torch.func.vjp(of_tensors, *args)
+    grads = vjp_fn(grad.to(computes))
+    to_depth = points.new_empty(*points.shape[:2], 0) if depth is None else grads[2].to(depth.dtype)
+    return grads[0].to(points.dtype), to_depth, grads[1] if to_matrix else grads[1][:, :0]
 
 
 def _backward_shapes(grad, points, depth, matrix, kind, to_matrix):

@@ -88,12 +88,12 @@ class Quaternion(FunctionModule):
     @classmethod
     def from_coeffs(cls, w: Tensor | float, x: Tensor | float, y: Tensor | float, z: Tensor | float) -> Quaternion:
         """Quaternions of their entries, tensors (*) or numbers."""
-        given = (w, x, y, z)
-        if all(isinstance(c, Tensor) for c in given):
-            return cls(torch.stack(given, -1))  # type: ignore[arg-type]  # all are tensors
-        if any(isinstance(c, Tensor) for c in given):
+        parts = (w, x, y, z)
+        if all(isinstance(c, Tensor) for c in parts):
+            return cls(torch.stack(parts, -1))  # type: ignore[arg-type]  # all are tensors
+        if any(isinstance(c, Tensor) for c in parts):
             raise TypeCheckError("Quaternion.from_coeffs: expected tensors or numbers, got both")
-        return cls(torch.tensor(given))
+        return cls(torch.tensor(parts))
 
     @classmethod
     def from_matrix(cls, matrix: Tensor, check_rotation: bool = False) -> Quaternion:

@@ -248,7 +248,7 @@ def _binary_fake(pred: Tensor, *args: Any) -> Tensor:
     return pred.new_empty(pred.shape[0], dtype=compute_dtype(pred)) if args[-1] else pred.new_empty(pred.shape)
 
 
-def _binary_slope(grad: Tensor, pred: Tensor, target: Tensor, *args: Any) -> Tensor:
+def _binary_backward_reference(grad: Tensor, pred: Tensor, target: Tensor, *args: Any) -> Tensor:
     *terms, by_target = args
     rows = (x.expand(grad.shape[0], -1) for x in (pred, target))
     vjp_fn = torch.func.vjp(lambda pred, target: _binary_reference(pred, target, *terms), *rows)[1]
@@ -256,16 +256,16 @@ def _binary_slope(grad: Tensor, pred: Tensor, target: Tensor, *args: Any) -> Ten
 
 
 def _binary_gradients(needs, grad, pred, target, yes, no, *plain):
-    found = [
+    grads = [
         _binary_backward(grad, pred, target, yes, no, *plain, by_target) if needs[by_target] else None
         for by_target in (False, True)
     ]
     if needs[1] and target.shape != pred.shape:
-        found[1] = found[1].sum(0, keepdim=True)
+        grads[1] = grads[1].sum(0, keepdim=True)
     only_factors = (False, False, *needs[2:])
     if any(only_factors):
-        found += _binary.differentiate_reference(only_factors, grad, pred, target, yes, no, *plain)[2:]
-    return found
+        grads += _binary.differentiate_reference(only_factors, grad, pred, target, yes, no, *plain)[2:]
+    return grads
 
 
 _MIN_PIXELS = 64  # per class; shorter rows leave a CUDA block too little work
@@ -280,7 +280,7 @@ def _binary_supports(pred: Tensor, target: Tensor, yes: Tensor | None, no: Tenso
 
 _binary_backward = register(
     "binary_focal_backward",
-    _binary_slope,
+    _binary_backward_reference,
     fake=lambda grad, pred, *_: pred.new_empty(grad.shape[0], pred.shape[1]),
     casts_outputs=True,
 )

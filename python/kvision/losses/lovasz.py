@@ -26,11 +26,11 @@ def _reference(pred: Tensor, target: Tensor, hinge: bool) -> tuple[Tensor, Tenso
     labels = inside.to(promoted.dtype)
     errors = (1 - promoted * (2 * labels - 1)).relu() if hinge else (labels - promoted.softmax(1)).abs()
     errors, order = (errors * counts[:, None]).sort(dim=-1, stable=True, descending=True)
-    slopes = _slopes(labels.gather(-1, order))
-    return (errors * slopes).sum(-1), torch.zeros_like(slopes).scatter(-1, order, slopes).view(pred.shape)
+    gradient = _lovasz_gradient(labels.gather(-1, order))
+    return (errors * gradient).sum(-1), torch.zeros_like(gradient).scatter(-1, order, gradient).view(pred.shape)
 
 
-def _slopes(labels: Tensor) -> Tensor:
+def _lovasz_gradient(labels: Tensor) -> Tensor:
     """The increase of the Jaccard loss by each pixel over the pixels before it; `labels` are 1 in the region, or 0."""
     inside = labels.cumsum(-1)
     region, size = inside[..., -1:], torch.arange(1, labels.shape[-1] + 1, device=labels.device, dtype=labels.dtype)
@@ -43,18 +43,18 @@ def _fake(pred: Tensor, *_: Any) -> list[Any]:
     return [pred.new_empty(pred.shape[:2], dtype=dtype), pred.new_empty(pred.shape, dtype=dtype)]
 
 
-def _backward(needs, grad, _, losses, slopes, *args):
-    return [_lovasz_backward(grad, slopes, *args) if needs[0] else None, None]
+def _backward(needs, grad, _, losses, gradient, *args):
+    return [_lovasz_backward(grad, gradient, *args) if needs[0] else None, None]
 
 
-def _slope(grad: Tensor, slopes: Tensor, pred: Tensor, *args: Any) -> Tensor:
+def _backward_reference(grad: Tensor, gradient: Tensor, pred: Tensor, *args: Any) -> Tensor:
     return vjp(lambda pred: _reference(pred, *args)[0])(grad, pred)
 
 
 _lovasz_backward = register(
     "lovasz_backward",
-    _slope,
-    fake=lambda grad, slopes, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
+    _backward_reference,
+    fake=lambda grad, gradient, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
     casts_outputs=True,
 )
 _lovasz = register(

@@ -86,27 +86,28 @@ def _reference(
     of_both, separately = entropy(joint), entropy(rows) + entropy(columns)
     loss = -separately / of_both if normalized else of_both - separately
     loss = torch.where((x_sound & y_sound)[..., None], loss, torch.nan)
-    slopes = rows.log() + columns.log()
-    slopes = (slopes + loss * joint.log()) / of_both if normalized else slopes - joint.log() - loss
-    slopes = torch.where(counts < torch.finfo(counts.dtype).eps, 0, slopes / total)
+    count_grads = rows.log() + columns.log()
+    count_grads = (count_grads + loss * joint.log()) / of_both if normalized else count_grads - joint.log() - loss
+    count_grads = torch.where(counts < torch.finfo(counts.dtype).eps, 0, count_grads / total)
     ranges = [end.expand(x.shape[0], 1) for end in (*range_x, *range_y)]
-    return loss[:, 0, 0], slopes.detach(), torch.cat(ranges, 1).detach()
+    return loss[:, 0, 0], count_grads.detach(), torch.cat(ranges, 1).detach()
 
 
 def _fake(x: Tensor, y: Tensor, x_mask: Any, y_mask: Any, kernel: int, bins: int, *_: Any) -> list[Any]:
     return [(x.shape[0],), (x.shape[0], bins, bins), (x.shape[0], 4)]
 
 
-def _backward(needs, grad, _, __, loss, slopes, ranges, x, y, *args):
-    found = [
-        _information_backward(grad, slopes, ranges, x, y, *args, other) if needs[other] else None for other in (0, 1)
+def _backward(needs, grad, _, __, loss, count_grads, ranges, x, y, *args):
+    grads = [
+        _information_backward(grad, count_grads, ranges, x, y, *args, other) if needs[other] else None
+        for other in (0, 1)
     ]
-    if found[1] is not None and found[1].shape != y.shape:
-        found[1] = found[1].sum(0, keepdim=True)
-    return [*found, None, None]
+    if grads[1] is not None and grads[1].shape != y.shape:
+        grads[1] = grads[1].sum(0, keepdim=True)
+    return [*grads, None, None]
 
 
-def _slope(grad: Tensor, slopes: Tensor, ranges: Tensor, x: Tensor, y: Tensor, *args: Any) -> Tensor:
+def _backward_reference(grad: Tensor, count_grads: Tensor, ranges: Tensor, x: Tensor, y: Tensor, *args: Any) -> Tensor:
     *options, by_other = args
     x, y = x.expand(grad.shape[0], -1), y.expand(grad.shape[0], -1)
     return torch.func.vjp(lambda x, y: _reference(x, y, *options)[0], x, y)[1](grad)[by_other]
@@ -114,8 +115,8 @@ def _slope(grad: Tensor, slopes: Tensor, ranges: Tensor, x: Tensor, y: Tensor, *
 
 _information_backward = register(
     "mutual_information_backward",
-    _slope,
-    fake=lambda grad, slopes, ranges, x, *_: (grad.shape[0], x.shape[1]),
+    _backward_reference,
+    fake=lambda grad, count_grads, ranges, x, *_: (grad.shape[0], x.shape[1]),
 )
 _information = register(
     "mutual_information", _reference, fake=_fake, backward=_backward, saves_results=True, non_differentiable=(1, 2)

@@ -78,13 +78,13 @@ def _backward(needs, grad, _, loss, sums, pred, target, weight, *plain):
     return [_overlap_backward(grad, sums, pred, target, weight, *plain) if needs[0] else None, None, grad_weight]
 
 
-def _slope(grad: Tensor, sums: Tensor, pred: Tensor, *args: Any) -> Tensor:
+def _backward_reference(grad: Tensor, sums: Tensor, pred: Tensor, *args: Any) -> Tensor:
     return vjp(lambda pred: _reference(pred, *args)[0])(grad, pred)
 
 
 _overlap_backward = register(
     "overlap_backward",
-    _slope,
+    _backward_reference,
     fake=lambda grad, sums, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
     casts_outputs=True,
 )

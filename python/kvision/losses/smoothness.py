@@ -47,7 +47,7 @@ def _roughness(depth: Tensor, image: Tensor, along_y: float, along_x: float) -> 
     return along_y * along(2) + along_x * along(3)
 
 
-def _roughness_slope(
+def _roughness_backward_reference(
     grad: Tensor, depth: Tensor, image: Tensor, along_y: float, along_x: float, of_image: bool
 ) -> Tensor:
     vjp_fn = torch.func.vjp(lambda d, x: _roughness(d, x, along_y, along_x), depth, image)[1]
@@ -55,12 +55,12 @@ def _roughness_slope(
 
 
 def _roughness_backward(needs, grad, *args):
-    return [_smoothness_slope(grad, *args, of_image) if needs[of_image] else None for of_image in (False, True)]
+    return [_smoothness_backward(grad, *args, of_image) if needs[of_image] else None for of_image in (False, True)]
 
 
-_smoothness_slope = register(
+_smoothness_backward = register(
     "smoothness_backward",
-    _roughness_slope,
+    _roughness_backward_reference,
     fake=lambda grad, depth, image, *plain: torch.empty_like(
         image if plain[-1] else depth, memory_format=torch.contiguous_format
     ),

@@ -105,9 +105,11 @@ def l1_ssim_loss(
         tensor(0.)
     """
     arguments = checked("l1_ssim_loss", img1, img2, window_size, max_val, eps, "same")
-    share = _check.number("l1_ssim_loss", "ssim_weight", ssim_weight)
+    fraction = _check.number("l1_ssim_loss", "ssim_weight", ssim_weight)
     weight = _weight("mean", img1.numel())
-    return dissimilarity(floats(img1), floats(img2), window_size, *arguments, share * weight, (1 - share) * weight)
+    return dissimilarity(
+        floats(img1), floats(img2), window_size, *arguments, fraction * weight, (1 - fraction) * weight
+    )
 
 
 def ssim3d_loss(

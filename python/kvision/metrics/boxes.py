@@ -141,10 +141,10 @@ def mean_average_precision(
     precisions = torch.stack([_average(right, label == c, (true_label == c).sum()) for c in range(1, n_classes)])
     there = precisions >= 0
     mean = torch.where(there.any(), precisions.where(there, 0).sum() / there.sum().clamp_min(1), -1)
-    *found, is_wrong = torch.cat([precisions, wrong[None]]).tolist()  # the only synchronization with the device
+    *precisions, is_wrong = torch.cat([precisions, wrong[None]]).tolist()  # the only synchronization with the device
     if is_wrong:
         raise ValueCheckError(f"{op}: expected labels in [0, {n_classes})")
-    return mean, dict(enumerate(found, 1))
+    return mean, dict(enumerate(precisions, 1))
 
 
 def _images(boxes: Sequence[Tensor]) -> Tensor:
@@ -156,11 +156,11 @@ def _right(detected: Tensor, true: Tensor, possible: Tensor, threshold: float) -
     if true.shape[0] == 0:
         return torch.zeros_like(detected[:, 0])
     overlap, box = mean_iou_bbox(detected, true).where(possible, -1).max(1)
-    found = overlap > threshold
+    matches = overlap > threshold
     rank = torch.arange(len(detected), device=detected.device)
     none = torch.full_like(true[:, 0], len(detected), dtype=rank.dtype)
-    first = none.scatter_reduce(0, box, torch.where(found, rank, len(detected)), "amin")
-    return (found & (first[box] == rank)).to(detected.dtype)
+    first = none.scatter_reduce(0, box, torch.where(matches, rank, len(detected)), "amin")
+    return (matches & (first[box] == rank)).to(detected.dtype)
 
 
 def _average(right: Tensor, mine: Tensor, count: Tensor) -> Tensor:

@@ -53,8 +53,8 @@ def aepe(input: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:
         x, y = (z.movedim(-1, 1).flatten(2) for z in (x, y))
     else:
         x, y = (z.reshape(1, -1, 2) for z in (x, y))
-    found = _errors(x, y, planar, reduction != "none", factor)
-    return found.view(sizes) if reduction == "none" else as_dtype(found.sum(), x.dtype)
+    errors = _errors(x, y, planar, reduction != "none", factor)
+    return errors.view(sizes) if reduction == "none" else as_dtype(errors.sum(), x.dtype)
 
 
 def _reference(input: Tensor, target: Tensor, planar: bool, summed: bool, factor: float) -> Tensor:
@@ -72,8 +72,8 @@ def _fake(input: Tensor, target: Tensor, planar: bool, summed: bool, factor: flo
 
 
 def _backward(needs, grad, input, target, *plain):
-    found = _gradient(grad, input, target, *plain) if needs[0] or needs[1] else None
-    return [found if needs[0] else None, _of_rows(-found, target) if needs[1] else None]
+    grad_input = _gradient(grad, input, target, *plain) if needs[0] or needs[1] else None
+    return [grad_input if needs[0] else None, _of_rows(-grad_input, target) if needs[1] else None]
 
 
 def _of_rows(grad: Tensor, like: Tensor) -> Tensor:
@@ -81,14 +81,14 @@ def _of_rows(grad: Tensor, like: Tensor) -> Tensor:
     return grad if grad.shape == like.shape else grad.sum(0, keepdim=True)
 
 
-def _slope(grad: Tensor, input: Tensor, target: Tensor, *plain: Any) -> Tensor:
+def _backward_reference(grad: Tensor, input: Tensor, target: Tensor, *plain: Any) -> Tensor:
     x, y = (z.expand(grad.shape[0], -1, -1) for z in (input, target))
     return torch.func.vjp(lambda x: _reference(x, y, *plain), x)[1](grad)[0]
 
 
 _gradient = register(
     "endpoint_error_backward",
-    _slope,
+    _backward_reference,
     fake=lambda grad, input, *_: input.new_empty(grad.shape[0], *input.shape[1:]),
     casts_outputs=True,
 )

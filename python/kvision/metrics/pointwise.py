@@ -68,14 +68,14 @@ def _map_reference(x: Tensor, y: Tensor, kind: int) -> Tensor:
     return _FUNCTIONS[kind](x, y)
 
 
-def _map_slope(grad: Tensor, x: Tensor, y: Tensor, kind: int, by_other: bool) -> Tensor:
+def _map_backward_reference(grad: Tensor, x: Tensor, y: Tensor, kind: int, by_other: bool) -> Tensor:
     vjp_fn = torch.func.vjp(_FUNCTIONS[kind], x.expand_as(grad), y.expand_as(grad))[1]
     return vjp_fn(grad)[by_other]
 
 
 def _map_backward(needs, grad, x, y, kind):
-    found = [_loss_backward(grad, x, y, kind, other) if needs[other] else None for other in (False, True)]
-    return _of_one_row(found, y)
+    grads = [_loss_backward(grad, x, y, kind, other) if needs[other] else None for other in (False, True)]
+    return _of_one_row(grads, y)
 
 
 def _of_one_row(grads: list[Tensor | None], y: Tensor) -> list[Tensor | None]:
@@ -95,7 +95,7 @@ def _sum_reference(x: Tensor, y: Tensor, kind: int, factor: float, decibels: flo
     return torch.where(nothing, -math.copysign(math.inf, decibels), decibels * torch.where(nothing, 1, total).log10())
 
 
-def _sum_slope(
+def _sum_backward_reference(
     grad: Tensor, sums: Tensor, x: Tensor, y: Tensor, kind: int, factor: float, decibels: float, by_other: bool
 ) -> Tensor:
     rows = grad.shape[0]
@@ -105,19 +105,19 @@ def _sum_slope(
 
 
 def _sum_backward(needs, grad, sums, x, y, *plain):
-    slopes = [_sum_slopes(grad, sums, x, y, *plain, other) if needs[other] else None for other in (False, True)]
-    return _of_one_row(slopes, y)
+    grads = [_loss_sum_backward(grad, sums, x, y, *plain, other) if needs[other] else None for other in (False, True)]
+    return _of_one_row(grads, y)
 
 
 def _fake_sum(x: Tensor, *_: Any) -> Tensor:
     return x.new_empty(x.shape[:1], dtype=compute_dtype(x))
 
 
-_loss_backward = register("pointwise_loss_backward", _map_slope)
+_loss_backward = register("pointwise_loss_backward", _map_backward_reference)
 _loss = register("pointwise_loss", _map_reference, backward=_map_backward)
-_sum_slopes = register(
+_loss_sum_backward = register(
     "pointwise_sum_backward",
-    _sum_slope,
+    _sum_backward_reference,
     fake=lambda grad, sums, x, *_: x.new_empty((grad.shape[0], x.shape[1])),
     casts_outputs=True,
 )

@@ -172,8 +172,8 @@ def auc_from_errors(errors: Tensor, thresholds: float | Sequence[float] = (1, 3,
         {5.0: 100.0}
     """
     _check.numbers("auc_from_errors", "errors", errors)
-    given = thresholds if isinstance(thresholds, (tuple, list)) else (thresholds,)
-    limits = [_check.number("auc_from_errors", "thresholds", t) for t in given]
+    requested = thresholds if isinstance(thresholds, (tuple, list)) else (thresholds,)
+    limits = [_check.number("auc_from_errors", "thresholds", t) for t in requested]
     if not limits or not min(limits) > 0:
         raise ValueCheckError(f"auc_from_errors: expected thresholds above 0, got {thresholds!r}")
     values = sorted(errors.double().flatten().tolist())

@@ -215,10 +215,10 @@ def _through_lens(
     else:
         flat = points[None] if not leading else _of_all(points, leading, 2)
     tilts = None if tilt is None else of_problems(tilt, 2)
-    found: Tensor = operator(flat, of_problems(camera, 2), of_problems(wanted, 2), of_problems(dist, 1), tilts, *plain)
+    result: Tensor = operator(flat, of_problems(camera, 2), of_problems(wanted, 2), of_problems(dist, 1), tilts, *plain)
     if len(leading) == 1:
-        return found
-    return found[0] if not leading else found.reshape(*leading, *points.shape[-2:])
+        return result
+    return result[0] if not leading else result.reshape(*leading, *points.shape[-2:])
 
 
 def _of_all(x: Tensor, leading: Sequence[int], axes: int) -> Tensor:
@@ -250,18 +250,18 @@ def _map_reference(camera: Tensor, coefficients: Tensor, tilt: Tensor | None, si
 
 def _map_backward(needs: Sequence[bool], grad: Tensor, *args: Any) -> list[Tensor | None]:
     lens = args[:3]
-    found = _map_gradient(grad, *lens)
-    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, found, lens)]
+    grads = _map_gradient(grad, *lens)
+    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, grads, lens)]
 
 
 def _map_gradient_reference(grad: Tensor, *lens: Tensor | None) -> tuple[Tensor, ...]:
-    given = [x.expand(grad.shape[0], *x.shape[1:]) for x in lens if x is not None]
+    args = [x.expand(grad.shape[0], *x.shape[1:]) for x in lens if x is not None]
 
     def of_lens(camera: Tensor, coefficients: Tensor, tilt: Tensor | None = None) -> Tensor:
         return _map_reference(camera, coefficients, tilt, list(grad.shape[2:]))
 
-    found = torch.func.vjp(of_lens, *given)[1](grad)
-    return found if len(found) == 3 else (*found, grad.new_empty(grad.shape[0], 0, 3))
+    grads = torch.func.vjp(of_lens, *args)[1](grad)
+    return grads if len(grads) == 3 else (*grads, grad.new_empty(grad.shape[0], 0, 3))
 
 
 _undistort = register("undistort_points", _undistorted)

@@ -98,9 +98,9 @@ def _backward_reference(
     return torch.func.vjp(lambda x, y, k, w: _reference(x, y, k, w, flat), points, pixels, camera, w)[1](grad)
 
 
-def _backward(needs: Sequence[bool], grad: Tensor, *given: Any) -> tuple[Tensor | None, ...]:
-    *found, to_weights = _pose_dlt_backward(grad, *given)
-    return (*found, None if given[3] is None else to_weights)
+def _backward(needs: Sequence[bool], grad: Tensor, *args: Any) -> tuple[Tensor | None, ...]:
+    *grads, to_weights = _pose_dlt_backward(grad, *args)
+    return (*grads, None if args[3] is None else to_weights)
 
 
 _pose_dlt = register("pose_dlt", _reference, fake=lambda points, *rest: (points.shape[0], 3, 4), backward=_backward)

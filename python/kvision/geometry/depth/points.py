@@ -101,7 +101,7 @@ depth_points = register(
 _to_depth = register(
     "depth_points_backward",
     _points_transposed,
-    fake=lambda grad, *how: (grad.shape[0], 1, *grad.shape[2:]),
+    fake=lambda grad, *options: (grad.shape[0], 1, *grad.shape[2:]),
     backward=_to_depth_backward,
 )
 _to_camera = register(
@@ -113,11 +113,11 @@ _to_camera = register(
 _depth_normals = register(
     "depth_normals",
     _normals,
-    fake=lambda depth, *how: (depth.shape[0], 3, *depth.shape[2:]),
+    fake=lambda depth, *options: (depth.shape[0], 3, *depth.shape[2:]),
     backward=_normals_backward,
 )
 _normals_to_depth = register(
-    "depth_normals_backward", vjp(_normals), fake=lambda grad, *how: (grad.shape[0], 1, *grad.shape[2:])
+    "depth_normals_backward", vjp(_normals), fake=lambda grad, *options: (grad.shape[0], 1, *grad.shape[2:])
 )
 _normals_to_points = register("depth_normals_points_backward", _normals_transposed)
 

@@ -178,14 +178,14 @@ def _motion(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tuple[Tensor, Ten
     return R, t2 - R @ t1
 
 
-def _camera_motion_reference(*given: Tensor) -> Tensor:
+def _camera_motion_reference(*args: Tensor) -> Tensor:
     """The three rows of the rotation and the translation: (B, 4, 3)."""
-    R, t = _motion(*given)
+    R, t = _motion(*args)
     return torch.cat([R.expand(t.shape[0], 3, 3), t.mT], -2)
 
 
-def _from_motions_reference(*given: Tensor) -> Tensor:
-    R, t = _motion(*given)
+def _from_motions_reference(*args: Tensor) -> Tensor:
+    R, t = _motion(*args)
     return cross_product_matrix(t[..., 0]) @ R
 
 
@@ -294,8 +294,8 @@ def _motions_backward_reference(grad: Tensor, grad_directions: Tensor, E: Tensor
     return torch.func.vjp(_motions_reference, E)[1]((grad, grad_directions))[0]
 
 
-def _motions_gradient(needs: Sequence[bool], *given: Tensor) -> tuple[Tensor]:
-    return (_motions_backward(*given),)
+def _motions_gradient(needs: Sequence[bool], *args: Tensor) -> tuple[Tensor]:
+    return (_motions_backward(*args),)
 
 
 _motions = register(
@@ -305,7 +305,7 @@ _motions = register(
     backward=_motions_gradient,
 )
 _motions_backward = register(
-    "essential_motions_backward", _motions_backward_reference, fake=lambda *given: given[2].shape
+    "essential_motions_backward", _motions_backward_reference, fake=lambda *args: args[2].shape
 )
 
 

@@ -50,9 +50,9 @@ def normalize_points(points: Tensor, eps: float = 1e-8, weights: Tensor | None =
     if weights is not None:
         _check.shape("normalize_points", "weights", weights, *points.shape[:2])
         _check.same_device("normalize_points", points=points, weights=weights)
-    given = None if weights is None else as_dtype(weights, points.dtype)
-    found: tuple[Tensor, Tensor] = _normalize(points, given, float(eps))
-    return found
+    promoted_weights = None if weights is None else as_dtype(weights, points.dtype)
+    result: tuple[Tensor, Tensor] = _normalize(points, promoted_weights, float(eps))
+    return result
 
 
 def _reference(points: Tensor, weights: Tensor | None, eps: float) -> tuple[Tensor, Tensor]:

@@ -69,7 +69,9 @@ def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor,
 
 def _reference(x1: Tensor, x2: Tensor, P1: Tensor, P2: Tensor) -> Tensor:
     """Points in space (B, N, 3) from image points (B, N, 2) and projections (B, 3, 4)."""
-    rows = [promoted(x)[..., None] * promoted(P)[:, None, 2:] - promoted(P)[:, None, :2] for x, P in ((x1, P1), (x2, P2))]
+    rows = [
+        promoted(x)[..., None] * promoted(P)[:, None, 2:] - promoted(P)[:, None, :2] for x, P in ((x1, P1), (x2, P2))
+    ]
     X = null_vector(torch.cat(rows, -2))
     w = X[..., 3:]
     infinite = w.detach().abs() <= 1e-13 + 4 * torch.finfo(x1.dtype).eps
@@ -77,8 +79,8 @@ def _reference(x1: Tensor, x2: Tensor, P1: Tensor, P2: Tensor) -> Tensor:
 
 
 def _gradient(needs: Sequence[bool], grad: Tensor, *pictures: Tensor) -> tuple[Tensor, ...]:
-    found: tuple[Tensor, ...] = triangulated_backward(grad, *pictures)
-    return found
+    grads: tuple[Tensor, ...] = triangulated_backward(grad, *pictures)
+    return grads
 
 
 def _backward_reference(grad: Tensor, *pictures: Tensor) -> tuple[Tensor, ...]:

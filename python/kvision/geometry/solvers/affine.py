@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision.geometry._precision import in_full_precision, length, promoted
-from kvision.geometry.solvers.correspondences import check_correspondences, register_fit, shares
+from kvision.geometry.solvers.correspondences import check_correspondences, normalized_weights, register_fit
 
 __all__ = ["find_affine"]
 
@@ -42,7 +42,7 @@ def find_affine(points1: Tensor, points2: Tensor, weights: Tensor | None = None)
 
 def _reference(points1: Tensor, points2: Tensor, weights: Tensor | None) -> Tensor:
     x, y = promoted(points1), promoted(points2)
-    w = shares(x, None if weights is None else promoted(weights))
+    w = normalized_weights(x, None if weights is None else promoted(weights))
     x_mean, y_mean = (w * x).sum(-2, keepdim=True), (w * y).sum(-2, keepdim=True)
     x, y = x - x_mean, y - y_mean
     size = (w * length(x.detach(), keepdim=True)).sum(-2, keepdim=True)

@@ -37,7 +37,7 @@ def check_correspondences(
         _check.same_device(op, **{names[0]: points1}, weights=weights)
 
 
-def shares(points: Tensor, weights: Tensor | None) -> Tensor:
+def normalized_weights(points: Tensor, weights: Tensor | None) -> Tensor:
     """The weight of each point (B, N, D) in a mean, (B, N, 1) or a number. Equal weights where all `weights` are 0."""
     if weights is None:
         return points.new_full((), 1 / max(1, points.shape[1]))

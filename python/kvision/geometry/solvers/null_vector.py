@@ -60,16 +60,16 @@ _eigenvectors = register(
 )
 
 
-def _reference(rows: Tensor, weights: Tensor | None, found: Tensor | None = None) -> Tensor:
+def _reference(rows: Tensor, weights: Tensor | None, computed: Tensor | None = None) -> Tensor:
     A = promoted(rows)
     weighted = A if weights is None else A * promoted(weights)[..., None]
-    return _smallest_eigenvector(weighted.mT @ A, found).to(rows.dtype)
+    return _smallest_eigenvector(weighted.mT @ A, computed).to(rows.dtype)
 
 
-def _smallest_eigenvector(matrix: Tensor, found: Tensor | None) -> Tensor:
+def _smallest_eigenvector(matrix: Tensor, computed: Tensor | None) -> Tensor:
     """The unit eigenvector (*, n) of symmetric matrices (*, n, n) for the smallest eigenvalue; NaN if not finite.
 
-    Where several are equally good, the result is `found` if that is not None. The decomposition carries no gradient,
+    Where several are equally good, the result is `computed` if that is not None. The decomposition carries no gradient,
     because the gradient of the other eigenvectors may not exist. Two steps of Newton's method from the solution leave its
     value as it is and add the first and the second derivative.
     """
@@ -81,7 +81,11 @@ def _smallest_eigenvector(matrix: Tensor, found: Tensor | None) -> Tensor:
     gap = values - values[..., :1]
     inverse = torch.where(gap > _GAP, 1 / torch.where(gap > _GAP, gap, 1), 0)
     pseudo_inverse = (vectors * inverse[..., None, :]) @ vectors.mT
-    v = vectors[..., :1] * _sign(vectors[..., 0])[..., None, None] if found is None else promoted(found.detach())[..., None]
+    v = (
+        vectors[..., :1] * _sign(vectors[..., 0])[..., None, None]
+        if computed is None
+        else promoted(computed.detach())[..., None]
+    )
     for _ in range(2):
         residual = M @ v - v * (v.mT @ M @ v)
         v = v - pseudo_inverse @ residual
@@ -154,7 +158,7 @@ def null_space(rows: Tensor, count: int) -> Tensor:
     vectors: list[Tensor] = []
     for _ in range(count):  # earlier vectors are added as equations
         vectors.append(null_vector(torch.cat([rows, *(size * v[..., None, :] for v in vectors)], -2)))
-    found = torch.stack(vectors[::-1], -1)
+    vector = torch.stack(vectors[::-1], -1)
     spare = null_vector(torch.cat([rows, *(size * v[..., None, :] for v in vectors)], -2).detach())
     left = torch.linalg.vector_norm(rows.detach() @ spare[..., None], dim=-2, keepdim=True)
-    return torch.where(left > size * _GAP**0.5, found, torch.nan)
+    return torch.where(left > size * _GAP**0.5, vector, torch.nan)

@@ -107,8 +107,8 @@ def _scaled(coeffs: Tensor) -> Tensor:
 
 
 def _reference(coeffs: Tensor) -> Tensor:
-    found = _isolated(_scaled(promoted(coeffs)))
-    return torch.where((coeffs == 0).all(-1, keepdim=True), torch.nan, found).to(
+    roots = _isolated(_scaled(promoted(coeffs)))
+    return torch.where((coeffs == 0).all(-1, keepdim=True), torch.nan, roots).to(
         coeffs.dtype
     )  # every number is a root of the zero polynomial
 
@@ -121,27 +121,27 @@ _real_roots = register(
 def real_roots(coeffs: Tensor) -> Tensor:
     """Real roots (B, n) of polynomials (B, n + 1), highest power first, ascending; NaN for those that are missing.
 
-    Two steps of Newton's method from what was found change nothing but add the first and the second derivative.
+    Two steps of Newton's method from the roots change nothing but add the first and the second derivative.
     """
     p = _scaled(promoted(coeffs))
-    found = _real_roots(p.detach())
-    missing = found.isnan()
-    x = torch.where(missing, 0, found)
-    steep = _value_and_slope(p.detach().abs(), x.abs())[1]
+    roots = _real_roots(p.detach())
+    missing = roots.isnan()
+    x = torch.where(missing, 0, roots)
+    steep = _value_and_derivative(p.detach().abs(), x.abs())[1]
     for _ in range(2):
-        value, slope = _value_and_slope(p, x)
-        simple = slope.detach().abs() > 1e-7 * steep
-        x = x - torch.where(simple, value / torch.where(simple, slope, 1), 0)
+        value, derivative = _value_and_derivative(p, x)
+        simple = derivative.detach().abs() > 1e-7 * steep
+        x = x - torch.where(simple, value / torch.where(simple, derivative, 1), 0)
     return torch.where(missing, torch.nan, x).to(coeffs.dtype)
 
 
-def _value_and_slope(p: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+def _value_and_derivative(p: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
     value = torch.zeros_like(x)
-    slope = torch.zeros_like(x)
+    derivative = torch.zeros_like(x)
     for c in p.unbind(-1):
-        slope = slope * x + value
+        derivative = derivative * x + value
         value = value * x + c[..., None]
-    return value, slope
+    return value, derivative
 
 
 # A value below this fraction of the sum of the absolute terms counts as 0. Whether the curve crosses, touches or
@@ -161,32 +161,32 @@ def _in_unit(p: Tensor) -> Tensor:
     """Roots in [-1, 1]: between two adjacent roots of its derivative a polynomial has one root or none."""
     n = p.shape[-1] - 1
     powers = torch.arange(n, -1, -1, device=p.device, dtype=p.dtype)
-    found = p.new_zeros(*p.shape[:-1], 0)
+    roots = p.new_zeros(*p.shape[:-1], 0)
     for degree in range(1, n + 1):
         derivative = p[..., : degree + 1]
         for i in range(n - degree):
             derivative = derivative * (powers[: degree + 1] - i)
-        found = _between(_scaled(derivative), found)
-    return found
+        roots = _between(_scaled(derivative), roots)
+    return roots
 
 
 def _between(p: Tensor, critical: Tensor) -> Tensor:
     """Roots of p in [-1, 1] from those of its derivative. Both are ascending, with NaN at the end."""
-    rim = p.new_ones(*p.shape[:-1], 1)
-    ends = torch.cat([-rim, critical.nan_to_num(1.0), rim], -1)
-    value = _value_and_slope(p, ends)[0]
-    flat = value.abs() <= _TOUCH * _value_and_slope(p.abs(), ends.abs())[0]
+    one = p.new_ones(*p.shape[:-1], 1)
+    ends = torch.cat([-one, critical.nan_to_num(1.0), one], -1)
+    value = _value_and_derivative(p, ends)[0]
+    flat = value.abs() <= _TOUCH * _value_and_derivative(p.abs(), ends.abs())[0]
     sign = torch.where(flat, 0.0, value.sign())
     low, high = ends[..., :-1], ends[..., 1:]
     crosses = sign[..., :-1] * sign[..., 1:] < 0
     rising = sign[..., 1:] > 0
     x = (low + high) / 2
     for _ in range(_STEPS):  # Newton's method, with bisection where a step leaves [low, high]
-        at, slope = _value_and_slope(p, x)
+        at, derivative = _value_and_derivative(p, x)
         right = (at < 0) == rising
         low, high = torch.where(right, x, low), torch.where(right, high, x)
-        step = x - at / torch.where(slope == 0, 1, slope)
-        x = torch.where((step >= low) & (step <= high) & (slope != 0), step, (low + high) / 2)
+        step = x - at / torch.where(derivative == 0, 1, derivative)
+        x = torch.where((step >= low) & (step <= high) & (derivative != 0), step, (low + high) / 2)
     simple = torch.where(crosses, x, torch.nan)
     # A root of the derivative that is also a root of p has a multiplicity one higher in p.
     touches = flat[..., 1:-1] & critical.isfinite()

@@ -32,10 +32,10 @@ def _is_maximum(x, window, volumes):
             yield axis, b + k, x.shape[axis] - b - a
 
     def look(offset):
-        found = x
+        crop = x
         for axis, start, length in shifted(offset):
-            found = found.narrow(axis, start, length)
-        return found
+            crop = crop.narrow(axis, start, length)
+        return crop
 
     center = look((0, 0, 0))
     above = torch.ones_like(center, dtype=torch.bool)
@@ -71,7 +71,7 @@ def _no_flags(x):
     return x.new_empty(x.shape[0], 0, dtype=torch.uint8)
 
 
-def _backward(needs, grad, _1, values, flags, x, *how):
+def _backward(needs, grad, _1, values, flags, x, *options):
     return [_keep_marked(grad, flags)]
 
 
@@ -97,13 +97,13 @@ _keep_marked = register(
 _maximum = register("nms_mask", _flags, fake=_empty_flags, casts_outputs=True)
 _extrema = register(
     "nms_minmax_masks",
-    lambda x, *how: tuple(_flags(v, *how) for v in (x, -x)),
+    lambda x, *options: tuple(_flags(v, *options) for v in (x, -x)),
     fake=lambda x, *options: [_empty_flags(x, *options) for _ in range(2)],
     casts_outputs=True,
 )
 
 
-def _found(x, window, volumes, mask_only):
+def _nms(x, window, volumes, mask_only):
     if mask_only:
         return _as_bool(_maximum(x.detach(), window, volumes))
     return _maxima(x, window, volumes, wants_derivative(x))[0]
@@ -143,8 +143,8 @@ def nms2d(input: Tensor, kernel_size: tuple[int, int], mask_only: bool = False) 
     _check.images("nms2d", "input", input)
     window = [1, *_check.ints("nms2d", "kernel_size", kernel_size, 2)]
     _check.flag("nms2d", "mask_only", mask_only)
-    found: Tensor = _found(floats(input), window, False, mask_only)
-    return found
+    result: Tensor = _nms(floats(input), window, False, mask_only)
+    return result
 
 
 def nms3d(input: Tensor, kernel_size: tuple[int, int, int], mask_only: bool = False) -> Tensor:
@@ -175,8 +175,8 @@ def nms3d(input: Tensor, kernel_size: tuple[int, int, int], mask_only: bool = Fa
     _check.volumes("nms3d", "input", input)
     window = list(_check.ints("nms3d", "kernel_size", kernel_size, 3))
     _check.flag("nms3d", "mask_only", mask_only)
-    found: Tensor = _found(_stacked(input), window, True, mask_only)
-    return found.reshape(input.shape)
+    result: Tensor = _nms(_stacked(input), window, True, mask_only)
+    return result.reshape(input.shape)
 
 
 def nms3d_minmax(input: Tensor) -> tuple[Tensor, Tensor]:
@@ -202,8 +202,8 @@ def nms3d_minmax(input: Tensor) -> tuple[Tensor, Tensor]:
         (0, 1)
     """
     _check.volumes("nms3d_minmax", "input", input)
-    found: Any = _extrema(_stacked(input).detach(), [3, 3, 3], True)
-    maxima, minima = (_as_bool(x).reshape(input.shape) for x in found)
+    result: Any = _extrema(_stacked(input).detach(), [3, 3, 3], True)
+    maxima, minima = (_as_bool(x).reshape(input.shape) for x in result)
     return maxima, minima
 
 

@@ -34,9 +34,9 @@ def _reference(x, chosen, steps, largest_shift, radius, along_scale):
     if min(x.shape[2:]) < 3:
         return torch.stack([g.expand(x.shape) for g in grid], 2).to(x.dtype), x.clone()
     center, settled = _search(x.detach(), chosen, steps, largest_shift, radius, along_scale)
-    value, slopes, hessian = _quadratic(x, center)
-    shift, _ = _solve(hessian, [-g for g in slopes], settled)
-    rise = sum(g * s for g, s in zip(slopes, shift)) / 2
+    value, gradient, hessian = _quadratic(x, center)
+    shift, _ = _solve(hessian, [-g for g in gradient], settled)
+    rise = sum(g * s for g, s in zip(gradient, shift)) / 2
     coords = [torch.where(settled, c + s, g) for c, s, g in zip(center, shift, grid)]
     return torch.stack(coords, 2).to(x.dtype), torch.where(settled, value + rise, x)
 
@@ -58,8 +58,8 @@ def _search(x, chosen, steps, largest_shift, radius, along_scale):
         inside = [c.clamp(1, n) for c, n in zip(center, ends)]
         for c, i, s in zip(center, inside, start):
             searching = searching & (c == i) & ((c - s).abs() <= radius)
-        _, slopes, hessian = _quadratic(x, inside)
-        shift, solved = _solve(hessian, [-g for g in slopes], searching)
+        _, gradient, hessian = _quadratic(x, inside)
+        shift, solved = _solve(hessian, [-g for g in gradient], searching)
         searching = searching & solved
         by = [(s > largest_shift).long() - (s < -largest_shift).long() for s in shift]
         if not along_scale:
@@ -85,13 +85,13 @@ def _quadratic(x, center):
 
     value = at(0)
     around = [(at(-u), at(u)) for u in units]
-    slopes = [(after - before) / 2 for before, after in around]
+    gradient = [(after - before) / 2 for before, after in around]
     hessian = [[None] * 3 for _ in units]
     for i, u in enumerate(units):
         hessian[i][i] = around[i][1] - 2 * value + around[i][0]
         for j, v in enumerate(units[:i]):
             hessian[i][j] = hessian[j][i] = (at(u + v) - at(u - v) - at(v - u) + at(-u - v)) / 4
-    return value, slopes, hessian
+    return value, gradient, hessian
 
 
 def _solve(hessian, right, wanted):
@@ -109,27 +109,27 @@ def _solve(hessian, right, wanted):
     return [sum(c * r for c, r in zip(row, right)) * scale for row in cofactors], solved
 
 
-def _backward(needs, grad_coords, grad_values, x, chosen, *how):
-    return [_peaks_backward(grad_coords, grad_values, x, chosen, *how).to(x.dtype), None]
+def _backward(needs, grad_coords, grad_values, x, chosen, *options):
+    return [_peaks_backward(grad_coords, grad_values, x, chosen, *options).to(x.dtype), None]
 
 
-def _gradient(grad_coords, grad_values, x, chosen, *how):
+def _gradient(grad_coords, grad_values, x, chosen, *options):
     computes = torch.float64 if x.dtype == torch.float64 else torch.float32
     x, grads = x.to(computes), (grad_coords.to(computes), grad_values.to(computes))
-    _, vjp_fn = torch.func.vjp(lambda x: _reference(x, chosen, *how), x)
+    _, vjp_fn = torch.func.vjp(lambda x: _reference(x, chosen, *options), x)
     return vjp_fn(grads)[0]
 
 
 _peaks = register(
     "conv_quad_interp3d",
     _reference,
-    fake=lambda x, *how: [(*x.shape[:2], 3, *x.shape[2:]), x.shape],
+    fake=lambda x, *options: [(*x.shape[:2], 3, *x.shape[2:]), x.shape],
     backward=_backward,
 )
 _peaks_backward = register(
     "conv_quad_interp3d_backward",
     _gradient,
-    fake=lambda coords, values, x, *how: x.new_empty(
+    fake=lambda coords, values, x, *options: x.new_empty(
         x.shape, dtype=torch.float64 if x.dtype == torch.float64 else torch.float32
     ),
     casts_outputs=True,
@@ -262,8 +262,8 @@ def _largest(x: Tensor, chosen: Tensor | None, count: int) -> Tensor:
     """The `count` largest of the chosen voxels of each volume."""
     mask = nms3d(x, (3, 3, 3), mask_only=True) if chosen is None else chosen != 0
     ranked = torch.where(mask, x, -torch.inf).flatten(2)
-    kept = ranked.topk(min(count, ranked.shape[2]), 2).indices
-    return mask.to(torch.uint8) * torch.zeros_like(ranked, dtype=torch.uint8).scatter(2, kept, 1).view(x.shape)
+    best = ranked.topk(min(count, ranked.shape[2]), 2).indices
+    return mask.to(torch.uint8) * torch.zeros_like(ranked, dtype=torch.uint8).scatter(2, best, 1).view(x.shape)
 
 
 # --- modules --------------------------------------------------------------------------------------------------------

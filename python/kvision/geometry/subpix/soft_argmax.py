@@ -24,10 +24,10 @@ def _reference(x, window, stride, padding, temperature, normalized, scale_too, w
     reach = [side for pad in reversed(padding) for side in (pad, pad)]
 
     def windows(outside):
-        found = F.pad(x, reach, value=outside)
+        windows = F.pad(x, reach, value=outside)
         for axis, (size, step) in enumerate(zip(window, stride), 2):
-            found = found.unfold(axis, size, step)
-        return found.flatten(-3)
+            windows = windows.unfold(axis, size, step)
+        return windows.flatten(-3)
 
     weights = (windows(-torch.inf) / temperature).softmax(-1)
     like = {"dtype": x.dtype, "device": x.device}
@@ -49,16 +49,16 @@ def _outputs(x, window, stride, padding, temperature, normalized, scale_too, wit
     return [(*x.shape[:2], 3 if scale_too else 2, d, h, w), (*x.shape[:2], d if with_values else 0, h, w)]
 
 
-def _gradient(grad_coords, grad_values, x, *how):
-    return vjp(_reference)((grad_coords, grad_values), x, *how)
+def _gradient(grad_coords, grad_values, x, *options):
+    return vjp(_reference)((grad_coords, grad_values), x, *options)
 
 
-def _backward(needs, grad_coords, grad_values, x, *how):
-    return [_soft_argmax_backward(grad_coords, grad_values, x, *how)]
+def _backward(needs, grad_coords, grad_values, x, *options):
+    return [_soft_argmax_backward(grad_coords, grad_values, x, *options)]
 
 
 _soft_argmax = register("soft_argmax", _reference, fake=_outputs, backward=_backward)
-_soft_argmax_backward = register("soft_argmax_backward", _gradient, fake=lambda grad, values, x, *how: x.shape)
+_soft_argmax_backward = register("soft_argmax_backward", _gradient, fake=lambda grad, values, x, *options: x.shape)
 
 
 def conv_soft_argmax2d(
@@ -103,7 +103,7 @@ def conv_soft_argmax2d(
     """
     op = "conv_soft_argmax2d"
     _check.images(op, "input", input)
-    found = _of_windows(
+    results = _of_windows(
         op,
         input[:, :, None],
         [1, *_check.ints(op, "kernel_size", kernel_size, 2)],
@@ -115,8 +115,8 @@ def conv_soft_argmax2d(
         False,
         output_value,
     )
-    coords: Tensor = found[0].squeeze(3)
-    return (coords, found[1].squeeze(2)) if output_value else coords
+    coords: Tensor = results[0].squeeze(3)
+    return (coords, results[1].squeeze(2)) if output_value else coords
 
 
 def conv_soft_argmax3d(
@@ -167,7 +167,7 @@ def conv_soft_argmax3d(
     op = "conv_soft_argmax3d"
     _check.volumes(op, "input", input)
     warn_of_bonus(op, strict_maxima_bonus)
-    found = _of_windows(
+    results = _of_windows(
         op,
         input,
         [*_check.ints(op, "kernel_size", kernel_size, 3)],
@@ -179,7 +179,7 @@ def conv_soft_argmax3d(
         True,
         output_value,
     )
-    return (found[0], found[1]) if output_value else found[0]
+    return (results[0], results[1]) if output_value else results[0]
 
 
 def warn_of_bonus(op: str, strict_maxima_bonus: Any, stacklevel: int = 3) -> None:

@@ -30,10 +30,10 @@ __all__ = [
 def positive(op: str, x: Tensor, temperature: Any) -> Tensor | float:
     """A temperature as a number, or as a tensor without axes, in the dtype of the computation and on the device of `x`."""
     if not isinstance(temperature, Tensor):
-        found = _check.number(op, "temperature", temperature)
-        if not found > 0:
-            raise ValueCheckError(f"{op}: expected temperature to be positive, got {found}", actual_value=found)
-        return found
+        value = _check.number(op, "temperature", temperature)
+        if not value > 0:
+            raise ValueCheckError(f"{op}: expected temperature to be positive, got {value}", actual_value=value)
+        return value
     _check.numbers(op, "temperature", temperature)
     if temperature.numel() != 1:
         raise ShapeError(
@@ -100,10 +100,10 @@ def spatial_expectation2d(input: Tensor, normalized_coordinates: bool = True) ->
     _check.images("spatial_expectation2d", "input", input)
     _check.flag("spatial_expectation2d", "normalized_coordinates", normalized_coordinates)
     x = floats(input)
-    return as_dtype(_mean_place(x, False, 1.0, normalized_coordinates)[0], x.dtype)
+    return as_dtype(_expectation(x, False, 1.0, normalized_coordinates)[0], x.dtype)
 
 
-def _mean_place_reference(input: Tensor, softmax: bool, scale: float, normalized: bool) -> tuple[Tensor, Tensor]:
+def _expectation_reference(input: Tensor, softmax: bool, scale: float, normalized: bool) -> tuple[Tensor, Tensor]:
     """The expected coordinates (B, C, 2) of images (B, C, H, W), weighted by their values or by the softmax of
     `scale` times the values. Also (B, C, 2): the maximum, and the sum of exponentials relative to it, for the softmax."""
     p = input.to(compute_dtype(input))
@@ -121,22 +121,22 @@ def _fake(input: Tensor, *_: Any) -> list[Tensor]:
 
 
 def _backward(needs, grad, _, *args):
-    return [_mean_place_backward(grad, *args)]
+    return [_expectation_backward(grad, *args)]
 
 
-def _slope(grad: Tensor, coords: Tensor, parts: Tensor, input: Tensor, *args: Any) -> Tensor:
-    return vjp(lambda x: _mean_place_reference(x, *args)[0])(grad, input)
+def _backward_reference(grad: Tensor, coords: Tensor, parts: Tensor, input: Tensor, *args: Any) -> Tensor:
+    return vjp(lambda x: _expectation_reference(x, *args)[0])(grad, input)
 
 
-_mean_place_backward = register(
+_expectation_backward = register(
     "spatial_expectation_backward",
-    _slope,
+    _backward_reference,
     fake=lambda grad, coords, parts, input, *_: torch.empty_like(input, memory_format=torch.contiguous_format),
     casts_outputs=True,
 )
-_mean_place = register(
+_expectation = register(
     "spatial_expectation",
-    _mean_place_reference,
+    _expectation_reference,
     fake=_fake,
     backward=_backward,
     saves_results=True,
@@ -185,7 +185,7 @@ def spatial_soft_argmax2d(
         x = as_dtype(x, compute_dtype(x)) / divisor
     elif divisor is not None:
         scale = 1 / divisor
-    return as_dtype(_mean_place(x, True, scale, normalized_coordinates)[0], floats(input).dtype)
+    return as_dtype(_expectation(x, True, scale, normalized_coordinates)[0], floats(input).dtype)
 
 
 def render_gaussian2d(mean: Tensor, std: Tensor, size: tuple[int, int], normalized_coordinates: bool = True) -> Tensor:
@@ -226,8 +226,8 @@ def render_gaussian2d(mean: Tensor, std: Tensor, size: tuple[int, int], normaliz
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
     height, width = _check.ints(op, "size", size, 2)
     leading = broadcast_shapes(mean.shape[:-1], std.shape[:-1])
-    given = (expand_to_batch(x, leading, 1) for x in (mean, std))
-    return _gaussian_maps(*given, height, width, normalized_coordinates).reshape(*leading, height, width)
+    args = (expand_to_batch(x, leading, 1) for x in (mean, std))
+    return _gaussian_maps(*args, height, width, normalized_coordinates).reshape(*leading, height, width)
 
 
 def _gaussian_reference(mean: Tensor, std: Tensor, height: int, width: int, normalized: bool) -> Tensor:
@@ -241,8 +241,8 @@ def _gaussian_reference(mean: Tensor, std: Tensor, height: int, width: int, norm
 
 
 def _gaussian_backward(needs, grad, mean, std, height, width, normalized):
-    found = _gaussian_slopes(grad, mean, std, normalized)
-    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, found, (mean, std))]
+    grads = _gaussian_maps_backward(grad, mean, std, normalized)
+    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, grads, (mean, std))]
 
 
 def _gaussian_slopes_reference(grad: Tensor, mean: Tensor, std: Tensor, normalized: bool) -> tuple[Tensor, ...]:
@@ -258,7 +258,7 @@ _gaussian_maps = register(
     fake=lambda mean, std, height, width, _: (batch_of(mean, std), height, width),
     backward=_gaussian_backward,
 )
-_gaussian_slopes = register(
+_gaussian_maps_backward = register(
     "render_gaussian2d_backward", _gaussian_slopes_reference, fake=lambda grad, *_: [(grad.shape[0], 2)] * 2
 )
 

@@ -69,7 +69,7 @@ def _batch(op: str, **vectors: tuple[Tensor, int]) -> None:
         raise TypeCheckError(f"{op}: expected tensors of one type, got {dtypes}")
 
 
-def _given(**vectors: Tensor | None) -> dict[str, tuple[Tensor, int]]:
+def _optional_vectors(**vectors: Tensor | None) -> dict[str, tuple[Tensor, int]]:
     return {name: (x, 0) for name, x in vectors.items() if x is not None}
 
 
@@ -154,7 +154,9 @@ def _perspective3d_reference(points_src, points_dst, *extent):
     if points_dst is None:
         last = matrix_of([list(extent)], points_src[:1])[:, 0]
         points_dst = corners(torch.zeros_like(last), last)
-    p, q = (promoted(torch.cat([x[:, :3], x[:, 5::2]], 1)) for x in (points_src, points_dst))  # no four of them coplanar
+    p, q = (
+        promoted(torch.cat([x[:, :3], x[:, 5::2]], 1)) for x in (points_src, points_dst)
+    )  # no four of them coplanar
     matrix = _from_simplex(q) @ torch.linalg.inv_ex(_from_simplex(p))[0]
     return (matrix / matrix[:, 3:, 3:]).to(points_src.dtype)
 
@@ -282,7 +284,7 @@ def get_shear_matrix2d(center: Tensor, sx: Tensor | None = None, sy: Tensor | No
         >>> K.geometry.get_shear_matrix2d(torch.zeros(1, 2), torch.tensor([0.5]))[0, 0]
         tensor([ 1.0000, -0.5463,  0.0000])
     """
-    _batch("get_shear_matrix2d", center=(center, 2), **_given(sx=sx, sy=sy))
+    _batch("get_shear_matrix2d", center=(center, 2), **_optional_vectors(sx=sx, sy=sy))
     return _shear_matrix2d(center, sx, sy)
 
 
@@ -321,7 +323,7 @@ def get_affine_matrix2d(
                  [ 0.,  0.,  1.]]])
     """
     parts = {"translations": (translations, 2), "center": (center, 2), "scale": (scale, 2), "angle": (angle, 0)}
-    _batch("get_affine_matrix2d", **parts, **_given(sx=sx, sy=sy))
+    _batch("get_affine_matrix2d", **parts, **_optional_vectors(sx=sx, sy=sy))
     return affine_matrix2d(angle, translations, scale, sx, sy, center, -1.0, 0.0, 0.0, 3)
 
 
@@ -466,7 +468,7 @@ def get_shear_matrix3d(
         tensor([ 1.0000,  0.0000, -0.5463,  0.0000])
     """
     angles = {"sxy": sxy, "sxz": sxz, "syx": syx, "syz": syz, "szx": szx, "szy": szy}
-    _batch("get_shear_matrix3d", center=(center, 3), **_given(**angles))
+    _batch("get_shear_matrix3d", center=(center, 3), **_optional_vectors(**angles))
     return _shear_matrix3d(center, *angles.values())
 
 
@@ -513,7 +515,7 @@ def get_affine_matrix3d(
     """
     shears = {"sxy": sxy, "sxz": sxz, "syx": syx, "syz": syz, "szx": szx, "szy": szy}
     parts = {"translations": (translations, 3), "center": (center, 3), "scale": (scale, 3), "angles": (angles, 3)}
-    _batch("get_affine_matrix3d", **parts, **_given(**shears))
+    _batch("get_affine_matrix3d", **parts, **_optional_vectors(**shears))
     rotation = angles.unbind(-1)
     return affine_matrix3d(*rotation, translations, scale, center, *shears.values(), -1.0, 0.0, 0.0, 0.0, 4)
 

@@ -37,13 +37,16 @@ def _detail_reference(smaller, image, align_corners, border):
 
 
 def _detail_backward(needs, grad, smaller, image, align_corners, border):
-    how = (INTERPOLATION["pyrup"], align_corners, False, border)
-    return [-resized_backward(grad, list(smaller.shape[2:]), *how) if needs[0] else None, grad if needs[1] else None]
+    options = (INTERPOLATION["pyrup"], align_corners, False, border)
+    return [
+        -resized_backward(grad, list(smaller.shape[2:]), *options) if needs[0] else None,
+        grad if needs[1] else None,
+    ]
 
 
 # The difference of an image and the pyrup of the next smaller level.
 _detail = register(
-    "pyramid_detail", _detail_reference, fake=lambda smaller, image, *how: image.shape, backward=_detail_backward
+    "pyramid_detail", _detail_reference, fake=lambda smaller, image, *options: image.shape, backward=_detail_backward
 )
 
 # --- functions ------------------------------------------------------------------------------------------------------

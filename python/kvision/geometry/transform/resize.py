@@ -104,24 +104,24 @@ def _blur_taps(n: int, border: str, like: Tensor) -> Taps:
     return inside, weight
 
 
-def _backward_reference(grad, size, *how):
+def _backward_reference(grad, size, *options):
     def f(image: Tensor) -> Tensor:
-        return resize_reference(image, grad.shape[2:], *how)
+        return resize_reference(image, grad.shape[2:], *options)
 
     _, vjp_fn = torch.func.vjp(f, grad.new_zeros(*grad.shape[:2], *size))
     return vjp_fn(grad)[0]
 
 
-def _size(x, size, *how):
+def _size(x, size, *options):
     return (*x.shape[:2], *size)
 
 
-def _backward(needs, grad, sizes, size, *how):
-    return [resized_backward(grad, list(sizes[2:]), *how)]
+def _backward(needs, grad, sizes, size, *options):
+    return [resized_backward(grad, list(sizes[2:]), *options)]
 
 
-def _backward_of_backward(needs, grad_grad, sizes, size, *how):
-    return [resized(grad_grad, list(sizes[2:]), *how)]
+def _backward_of_backward(needs, grad_grad, sizes, size, *options):
+    return [resized(grad_grad, list(sizes[2:]), *options)]
 
 
 resized = register("resize", resize_reference, fake=_size, backward=_backward, linear=True, bytes=True)
@@ -194,7 +194,7 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
         if height < h or width < w:
             images = _blurred(images.to(compute_dtype(images)), h / height, w / width)
         antialias = False
-    found = resized(
+    result = resized(
         pixels(images),
         [height, width],
         INTERPOLATION[interpolation],
@@ -202,12 +202,12 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
         antialias,
         BORDER["replicate"],
     )
-    if input.dtype == torch.uint8 and found.dtype != torch.uint8:
-        found = saturate_to_byte(found)
-    if found.dim() != input.dim():
-        found = found.reshape(*input.shape[:-2], height, width)
-    blurred_wide = input.is_floating_point() and found.dtype != input.dtype
-    return found.to(input.dtype) if blurred_wide else found
+    if input.dtype == torch.uint8 and result.dtype != torch.uint8:
+        result = saturate_to_byte(result)
+    if result.dim() != input.dim():
+        result = result.reshape(*input.shape[:-2], height, width)
+    is_promoted = input.is_floating_point() and result.dtype != input.dtype
+    return result.to(input.dtype) if is_promoted else result
 
 
 def _check_images(op: str, input: Tensor) -> None:

@@ -189,9 +189,9 @@ def rotate3d(
         center = sampling.cast_to_image("rotate3d", volumes, "center", center)
     middle = [(n - 1) / 2 for n in reversed(volumes.shape[2:])]
     size = tuple(volumes.shape[2:])
-    given = (*angles, None, None, center)
+    args = (*angles, None, None, center)
     result = by_formula(
-        "rotate3d", volumes, size, mode, padding_mode, align_corners, True, "affine_matrix3d", [1.0, *middle], *given
+        "rotate3d", volumes, size, mode, padding_mode, align_corners, True, "affine_matrix3d", [1.0, *middle], *args
     )
     return result[0] if tensor.dim() == 4 else result
 
@@ -302,11 +302,11 @@ def by_formula(
     inverse: bool,
     formula: str,
     numbers: list[float],
-    *given: Tensor | None,
+    *args: Tensor | None,
 ) -> Tensor:
     """Warp volumes by the matrix that a formula computes from numbers and up to six tensors in the dtype of the computation."""
     options = _how(op, dsize, mode, padding_mode, align_corners)
-    six = given + (None,) * (6 - len(given))
+    six = args + (None,) * (6 - len(args))
     return _warp3d_by_formula(floats(volumes), *six, WARP_FORMULA[formula], numbers, *options, inverse, False)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benchmarks import machine, table, verdict
+from benchmarks import bars, machine, table
 from benchmarks.case import Size
 from benchmarks.cases import ALL
 from benchmarks.measure import measure, name_of
@@ -54,15 +54,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     rows.append(row)
                     print(layout.line(row), flush=True)
 
-    verdicts = verdict.judge(cases, rows, on_gpu)
-    lost = verdict.losses(rows)
-    print("", table.summary(verdicts, lost), sep="\n")
+    checked = bars.check(cases, rows, on_gpu)
+    lost = bars.losses(rows)
+    print("", table.summary(checked, lost), sep="\n")
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         report = {
             "machine": {**about, "copy_bandwidth": bandwidth},
             "rows": [dataclasses.asdict(row) for row in rows],
-            "bars": [{**dataclasses.asdict(v), "met": v.met} for v in verdicts],
+            "bars": [{**dataclasses.asdict(v), "met": v.met} for v in checked],
             "losses": [dataclasses.asdict(loss) for loss in lost],
         }
         options.json.write_text(json.dumps(report, indent=1) + "\n")

@@ -36,14 +36,14 @@ def dead_leaves(size: Size, leaves: int = 400) -> Tensor:
     channels, height, width = size
     random = torch.Generator().manual_seed(0)
     picture = torch.full(size, 0.5)
-    for y, x, shrink, *colour in torch.rand(leaves, 3 + channels, generator=random).tolist():
+    for y, x, shrink, *color in torch.rand(leaves, 3 + channels, generator=random).tolist():
         radius = max(1.0, 0.25 * max(height, width) * (1 - shrink) ** 2)
         y, x = y * height, x * width
         top, left = max(0, int(y - radius)), max(0, int(x - radius))
         box = picture[:, top : int(y + radius) + 1, left : int(x + radius) + 1]
         rows = torch.arange(box.shape[1]).unsqueeze(1) + (top - y)
         columns = torch.arange(box.shape[2]) + (left - x)
-        box[:, rows**2 + columns**2 <= radius**2] = torch.tensor(colour).unsqueeze(1)
+        box[:, rows**2 + columns**2 <= radius**2] = torch.tensor(color).unsqueeze(1)
     return (picture + 0.01 * torch.randn(size, generator=random)).clamp(0, 1)
 
 

@@ -18,11 +18,11 @@ PICTURES = ROOT / "docs" / "pictures"
 # Titles of panels, and the tables of results that they show.
 H200 = [
     ("Filters", "filters"),
-    ("Color and enhance", "colour"),
+    ("Color and enhance", "color"),
     ("Warps and sizes", "geometry"),
     ("Losses, morphology", "losses"),
 ]
-EPYC = [("Filters", ["filters"]), ("Color and enhance", ["colour"]), ("Warps and sizes", ["warps", "sizes"])]
+EPYC = [("Filters", ["filters"]), ("Color and enhance", ["color"]), ("Warps and sizes", ["warps", "sizes"])]
 GPU_SIZES = ("128x3x256x256", "32x3x1080x1920")
 CPU_SIZES = ("16x3x256x256", "1x3x1080x1920")
 COLORS = ("#0f766e", "#c2410c")

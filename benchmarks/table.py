@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from benchmarks.bars import CheckedBar, Loss
 from benchmarks.measure import KVISION, Row
-from benchmarks.verdict import Loss, Verdict
 
 LEGEND = """\
 ms: median, min: minimum, +-: interquartile range over median; floor: ms that the bytes to read and write once take at
@@ -86,11 +86,11 @@ def heading(machine: dict[str, Any], bandwidth: float) -> str:
     )
 
 
-def summary(verdicts: Sequence[Verdict], lost: Sequence[Loss]) -> str:
+def summary(checked: Sequence[CheckedBar], lost: Sequence[Loss]) -> str:
     """Bars, a line for each case and size, missed ones in capitals. Then every peer that is faster than kvision."""
-    lines = [f"bars: {sum(v.met for v in verdicts)} met, {sum(not v.met for v in verdicts)} missed (measured/bar)"]
-    for place in dict.fromkeys((v.case, v.size, v.dtype) for v in verdicts):
-        here = (v for v in verdicts if (v.case, v.size, v.dtype) == place)
+    lines = [f"bars: {sum(v.met for v in checked)} met, {sum(not v.met for v in checked)} missed (measured/bar)"]
+    for place in dict.fromkeys((v.case, v.size, v.dtype) for v in checked):
+        here = (v for v in checked if (v.case, v.size, v.dtype) == place)
         lines.append(f"  {place[0]:17}{place[1]:18}{place[2]:9}" + "  ".join(map(_bar, here)))
     lines.append("kvision is slower than" if lost else "kvision is nowhere slower than a peer")
     for place in dict.fromkeys((loss.case, loss.stage, loss.size, loss.dtype) for loss in lost):
@@ -102,6 +102,6 @@ def summary(verdicts: Sequence[Verdict], lost: Sequence[Loss]) -> str:
     return "\n".join(lines)
 
 
-def _bar(verdict: Verdict) -> str:
-    text = f"{verdict.what} {number(verdict.measured)}/{number(verdict.limit)}"
-    return text if verdict.met else f"MISSED {text}"
+def _bar(bar: CheckedBar) -> str:
+    text = f"{bar.what} {number(bar.measured)}/{number(bar.limit)}"
+    return text if bar.met else f"MISSED {text}"

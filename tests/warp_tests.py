@@ -9,7 +9,7 @@ from torch import Tensor
 from op_tests import OpTests, recorded
 
 # Sampling coordinates are float32 numbers of some tens, and adjacent pixels of noise differ by up to 1.
-FLOAT_PLACES = {torch.float32: (2e-5, 2e-5), torch.uint8: (0, 1)}
+FLOAT_COORDS = {torch.float32: (2e-5, 2e-5), torch.uint8: (0, 1)}
 
 
 def affine(x: Tensor) -> Tensor:
@@ -43,7 +43,7 @@ def middle(x: Tensor) -> Tensor:
 @pytest.mark.native
 class WarpTests(OpTests):
     bytes = True
-    tolerances = FLOAT_PLACES
+    tolerances = FLOAT_COORDS
 
     @pytest.fixture(autouse=True)
     def same_bits_where_asked(self, device, request):

@@ -26,9 +26,9 @@ Tensor add_weighted(Tensor const& input, Tensor const& other, OptionalTensor con
   bool const last = layout == Layout::channels_last;
   Tensor const x = whole(input, layout), y = whole(other, layout), result = empty_like(x, layout);
   bool by_image = one, by_channel = false;
-  for (OptionalTensor const* given : {&alpha, &beta, &gamma}) {
-    if (!*given) continue;
-    Tensor const& w = **given;
+  for (OptionalTensor const* weight : {&alpha, &beta, &gamma}) {
+    if (!*weight) continue;
+    Tensor const& w = **weight;
     KV_CHECK(w.dim() == 3 && (w.size(0) == 1 || w.size(0) == x.size(0)) && (w.size(1) == 1 || w.size(1) == x.size(1)) &&
                  w.size(2) == 1,
              "add_weighted: expected weights of shape (B, C, 1) or with axes of size 1");

@@ -120,8 +120,8 @@ __global__ void __launch_bounds__(kThreads) map_cells(Clahe<T> p, bool aligned, 
   __shared__ uint32_t cell[kLevels];
   int const across = p.across.count + 1, down = p.down.count + 1;
   unsigned const index = blockIdx.x / chunks, plane = index / unsigned(across * down);
-  int const chunk = int(blockIdx.x - index * chunks), place = int(index - plane * unsigned(across * down));
-  int const cy = place / across, cx = place - cy * across;
+  int const chunk = int(blockIdx.x - index * chunks), position = int(index - plane * unsigned(across * down));
+  int const cy = position / across, cx = position - cy * across;
   int const x0 = p.across.cell(cx), x1 = p.across.cell(cx + 1), top = p.down.cell(cy), rows = p.down.cell(cy + 1) - top;
   int const y0 = top + int(int64_t(rows) * chunk / chunks), y1 = top + int(int64_t(rows) * (chunk + 1) / chunks);
   if (x0 >= x1 || y0 >= y1) return;

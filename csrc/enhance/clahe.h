@@ -76,15 +76,15 @@ KV_KERNEL(clahe, Clahe)
 // Redistribution of the counts above the clip limit: an equal amount for every level. OpenCV adds the remainder one by
 // one to levels at equal distances.
 struct Excess {
-  int32_t share, rest, distance, inverse;
+  int32_t each, rest, distance, inverse;
   KV_HD explicit Excess(int32_t excess)
-      : share(excess / kLevels),
+      : each(excess / kLevels),
         rest(excess % kLevels),
         distance(rest ? kLevels / rest : kLevels),
         inverse((1 << 16) / distance + 1) {}
   KV_HD int32_t of(int level) const {
-    int const place = level * inverse >> 16;  // level / distance: both are at most 256
-    return share + (place * distance == level && place < rest);
+    int const position = level * inverse >> 16;  // level / distance: both are at most 256
+    return each + (position * distance == level && position < rest);
   }
 };
 

@@ -32,7 +32,7 @@ KV_HD void make_table(LevelCounts const& counts, int32_t limit, F scale, uint8_t
   for (int i = 0; i < N; ++i) excess += above[i];
   Excess const spread(excess);
   for (int i = 0; i < spread.rest; ++i) ++count[i * spread.distance];
-  for (int32_t& n : count) n = sum += n + spread.share;
+  for (int32_t& n : count) n = sum += n + spread.each;
   for (int i = 0; i < kLevels; i += N) {
     V const level = round_even(product(__builtin_convertvector(at(i), V), scale), F());
     store<N>(table + i, __builtin_convertvector(level, Lanes<float, N>));  // at most 255
@@ -72,12 +72,12 @@ KV_HD bool make_tables(Clahe<T> const& p, int64_t plane, uint8_t* tables, uint16
 }
 
 template <class F, int N>
-KV_HD Lanes<F, N> byte_of(uint32_t const* four, int place) {
+KV_HD Lanes<F, N> byte_of(uint32_t const* four, int position) {
   if constexpr (N == 1)
-    return F(*four >> (8 * place) & 255);
+    return F(*four >> (8 * position) & 255);
   else
     return __builtin_convertvector(
-        __builtin_convertvector(*reinterpret_cast<Lanes<uint32_t, N> const*>(four) >> (8 * place) & 255,
+        __builtin_convertvector(*reinterpret_cast<Lanes<uint32_t, N> const*>(four) >> (8 * position) & 255,
                                 Lanes<int32_t, N>),
         Lanes<F, N>);
 }

@@ -104,8 +104,8 @@ __device__ __forceinline__ void count_by_cells(float const* x, int samples, floa
       }
 #pragma unroll
       for (int k = 0; k < kAtOnce; ++k) {
-        float const place = v[k] * grid.inverse, whole = floorf(place), at = whole - first;
-        moments.add(at >= 0 && at < float(cells) ? int(at) : -1, place - whole - 0.5f);
+        float const position = v[k] * grid.inverse, whole = floorf(position), at = whole - first;
+        moments.add(at >= 0 && at < float(cells) ? int(at) : -1, position - whole - 0.5f);
       }
     }
     __syncthreads();
@@ -192,10 +192,10 @@ __device__ __forceinline__ void differentiate_by_cells(float const* x, int sampl
     float const first = float(grid.first + part);
 #pragma unroll 4
     for (int i = threadIdx.x; i < samples; i += kThreads) {
-      float const place = x[i] * grid.inverse, whole = floorf(place), at = whole - first;
+      float const position = x[i] * grid.inverse, whole = floorf(position), at = whole - first;
       if (at >= 0 && at < float(cells)) {
         float4 const c = table[int(at)];
-        float const t = place - whole - 0.5f;
+        float const t = position - whole - 0.5f;
         grad_x[i] = c.x + t * (c.y + t * (c.z + t * c.w));
       } else if (part == 0) {
         grad_x[i] = 0;

@@ -38,10 +38,10 @@ KV_HD void cells_of(MomentGrid const& grid, float const* x, int64_t n, int32_t* 
   for_each_vector<float>(0, n, [&](auto width, int64_t i) {
     constexpr int N = decltype(width)::value;
     using V = Lanes<float, N>;
-    V const place = load<N>(x + i) * grid.inverse, whole = vfloor(place), at = whole - float(grid.first);
+    V const position = load<N>(x + i) * grid.inverse, whole = vfloor(position), at = whole - float(grid.first);
     auto const inside = (at >= 0) & (at < float(grid.cells));
     V const place_or_behind = inside ? at : broadcast<N>(float(grid.cells));
-    store<N>(t + i, inside ? V(place - whole - 0.5f) : broadcast<N>(0.f));
+    store<N>(t + i, inside ? V(position - whole - 0.5f) : broadcast<N>(0.f));
     if constexpr (N == 1)
       cell[i] = int32_t(place_or_behind);
     else

@@ -23,8 +23,8 @@ struct Fixed<double> {
 
 template <class T>
 __device__ __forceinline__ void place_of(ImageHistogram2d<T> const& p, T x, int& bin, T& t) {
-  T const place = (x - p.low) * p.inverse + T(0.5), whole = floor(place);
-  t = place - whole;
+  T const position = (x - p.low) * p.inverse + T(0.5), whole = floor(position);
+  t = position - whole;
   bin = whole >= 0 && whole <= T(p.bins + 1) ? int(whole) - 1 : -2;  // NaN is in no bin
 }
 

@@ -19,9 +19,9 @@ KV_HD void for_each_sample(ImageHistogram2d<T> const& p, T const* x, F f) {
     for_each_vector<T>(0, n, [&](auto width, int64_t i) {
       constexpr int N = decltype(width)::value;
       using V = Lanes<T, N>;
-      V const place = (load<N>(x + begin + i) - p.low) * p.inverse + T(0.5), whole = vfloor(place);
+      V const position = (load<N>(x + begin + i) - p.low) * p.inverse + T(0.5), whole = vfloor(position);
       V const inside = (whole >= 0) & (whole <= T(p.bins + 1)) ? whole : broadcast<N>(T(-1));
-      store<N>(t + i, V(place - whole));
+      store<N>(t + i, V(position - whole));
       if constexpr (N == 1)
         bin[i] = int32_t(inside);
       else

@@ -73,11 +73,11 @@ KV_HD void load_levels(Images<T const> const& x, JpegTilePosition const& at, Jpe
     };
     for_each_pixel<T>(x.step, at.x, end, [&](auto n, int64_t i) { pixel(n, i, i - at.x); });
     for (int i = end - at.x; i < at.columns; ++i) pixel(Width<1>{}, x.width - 1, i);
-    auto const beside = [&](int i) {
+    auto const adjacent = [&](int i) {
       pixel(Width<1>{}, min(border_index(Border::reflect, at.x + i, at.width), int(x.width) - 1), i);
     };
-    beside(-1);
-    beside(at.columns);
+    adjacent(-1);
+    adjacent(at.columns);
   }
 }
 

@@ -71,10 +71,10 @@ __device__ __forceinline__ S of_plane(F const* partial, int64_t chunks) {
   return of_block<S, F>(mine);
 }
 
-struct Place {
+struct ChunkPosition {
   int64_t plane, chunk;
   int begin, end;
-  __device__ __forceinline__ Place(unsigned block, int64_t size, int64_t chunks, int64_t pixels)
+  __device__ __forceinline__ ChunkPosition(unsigned block, int64_t size, int64_t chunks, int64_t pixels)
       : plane(block / chunks),
         chunk(block - plane * chunks),
         begin(int(chunk * size)),
@@ -85,7 +85,7 @@ template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads) find_range(MinMax<T> p) {
   using F = Compute<T>;
   constexpr int P = kPixels<T>;
-  Place const at(blockIdx.x, p.chunk, p.chunks, p.x.width);
+  ChunkPosition const at(blockIdx.x, p.chunk, p.chunks, p.x.width);
   Range<F> range = Range<F>::none();
   for_each_vector<kThreads, Vectorized, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end,
                                            [&](Vector<T, P> const& vector, int i) {
@@ -102,7 +102,7 @@ template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads) map_range(MinMax<T> p) {
   using F = Compute<T>;
   constexpr int P = kPixels<T>;
-  Place const at(gridDim.x - 1 - blockIdx.x, p.chunk, p.chunks, p.x.width);
+  ChunkPosition const at(gridDim.x - 1 - blockIdx.x, p.chunk, p.chunks, p.x.width);
   auto const range = of_plane<Range<F>>(p.partial + 2 * at.plane * p.chunks, p.chunks);
   F const smallest = range.smallest, low = p.low, factor = p.scale / (range.largest - smallest + p.eps);
   if (at.chunk == 0 && threadIdx.x == 0) {
@@ -124,7 +124,7 @@ template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
   using F = Compute<T>;
   constexpr int P = kPixels<T>;
-  Place const at(blockIdx.x, p.chunk, p.chunks, p.x.width);
+  ChunkPosition const at(blockIdx.x, p.chunk, p.chunks, p.x.width);
   F const smallest = read(p.range[2 * at.plane]), largest = read(p.range[2 * at.plane + 1]);
   T const* const grad = p.grad.plane(at.plane);
   Sums<F> sums{};
@@ -149,7 +149,7 @@ template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
   using F = Compute<T>;
   constexpr int P = kPixels<T>;
-  Place const at(gridDim.x - 1 - blockIdx.x, p.chunk, p.chunks, p.x.width);
+  ChunkPosition const at(gridDim.x - 1 - blockIdx.x, p.chunk, p.chunks, p.x.width);
   F const smallest = read(p.range[2 * at.plane]), largest = read(p.range[2 * at.plane + 1]);
   RangeGradient<F> const to(of_plane<Sums<F>>(p.partial + 4 * at.plane * p.chunks, p.chunks), smallest, largest,
                             p.scale, p.eps);

@@ -28,8 +28,8 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8   ? 1
   T* out = p.y.row(plane, y0);
   F const factor = p.factor.of(plane);
 
-  F above[P], beside[P], own[P], next[P];  // horizontal sums of three, and the pixels of this row and the next one
-  auto ahead = strip.fetch(rows.next());   // prefetches a row while another one is processed
+  F above[P], adjacent[P], own[P], next[P];  // horizontal sums of three, and the pixels of this row and the next one
+  auto ahead = strip.fetch(rows.next());     // prefetches a row while another one is processed
   auto const down = [&](F(&sums)[P]) {
     auto const now = ahead;
     ahead = strip.fetch(rows.next());
@@ -44,7 +44,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8   ? 1
     }
   };
   down(above);
-  down(beside);
+  down(adjacent);
 #pragma unroll 3
   for (int y = y0; y < y1; ++y) {
     F below[P], result[P];
@@ -53,10 +53,10 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8   ? 1
 #pragma unroll
     for (int i = 0; i < P; ++i) {
       bool const sharpens = inner && (i > 0 || x > 0) && ((Aligned && i + 1 < P) || x + i + 1 < width);
-      F const smooth = smoothed(above[i] + beside[i] + below[i], own[i], F(0));
+      F const smooth = smoothed(above[i] + adjacent[i] + below[i], own[i], F(0));
       result[i] = sharpens ? sharpened(own[i], smooth, factor) : clipped(own[i], F(0));
-      above[i] = beside[i];
-      beside[i] = below[i];
+      above[i] = adjacent[i];
+      adjacent[i] = below[i];
     }
     strip.store(out, result);
     out += p.y.row_stride;
@@ -90,10 +90,10 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
   RowCursor<T> rows_x(p.x, plane, first - 1), rows_g(p.grad, plane, first);
   // Horizontal sums of three in three rows of x, and the pixels of this row and the next one; element 4 is the
   // additional pixel.
-  F above[5], beside[5], below[5]{}, own[5], next[5]{}, g[4], g_more{}, derivative = 0;
+  F above[5], adjacent[5], below[5]{}, own[5], next[5]{}, g[4], g_more{}, derivative = 0;
   auto const down_x = [&] {
 #pragma unroll
-    for (int i = 0; i < 5; ++i) above[i] = beside[i], beside[i] = below[i], own[i] = next[i];
+    for (int i = 0; i < 5; ++i) above[i] = adjacent[i], adjacent[i] = below[i], own[i] = next[i];
     T const* const row = rows_x.next();
     F const far = more_left || more_right ? read(row[beyond]) : F(0);
     F v[6];
@@ -110,7 +110,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
     down_x();
     bool const inner = y > 0 && y + 1 < height;
     auto const pull = [&](int i, int at, F grad) {
-      F const smooth = smoothed(above[i] + beside[i] + below[i], own[i], F(0));
+      F const smooth = smoothed(above[i] + adjacent[i] + below[i], own[i], F(0));
       SharpenedVjp<F> of = sharpened_vjp(own[i], smooth, grad, factor);
       bool const never_last = Aligned && i < 3;
       if (!inner || (at <= 0 && (i == 0 || i == 4)) || (!never_last && at + 1 >= width))

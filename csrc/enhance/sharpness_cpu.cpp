@@ -33,9 +33,9 @@ void sharpness(Sharpness<T> const& p, int64_t begin, int64_t end) {
     T const* const x = p.x.row(plane, y);
     T* const to = p.y.row(plane, y);
     F const factor = p.factor.of(plane);
-    auto const rim = [&](int64_t i) { store<1>(to + i * step, clipped(load<1>(x + i * step), F(0))); };
-    rim(0);
-    rim(width - 1);
+    auto const border = [&](int64_t i) { store<1>(to + i * step, clipped(load<1>(x + i * step), F(0))); };
+    border(0);
+    border(width - 1);
     for_each_inner<T>(width, step, [&](auto n, int64_t i) {
       constexpr int N = decltype(n)::value;
       using V = Lanes<F, N>;
@@ -70,14 +70,14 @@ void sharpness_backward(SharpnessBackward<T> const& p, int64_t begin, int64_t en
     if (y < 0 || y >= height) return;
     T const *const x = p.x.row(plane, y), *const g = p.grad.row(plane, y);
     F const factor = p.factor.of(plane);
-    auto const rim = [&](auto n, int64_t i) {
+    auto const border = [&](auto n, int64_t i) {
       constexpr int N = decltype(n)::value;
       using V = Lanes<F, N>;
       store<N>(to_own + i, clipped_vjp(V(load<N>(x + i * step)), V(load<N>(g + i * step)), F(0)));
     };
-    rim(Width<1>{}, 0);
-    rim(Width<1>{}, width - 1);
-    if (y == 0 || y + 1 == height) return for_each_inner<T>(width, step, rim);
+    border(Width<1>{}, 0);
+    border(Width<1>{}, width - 1);
+    if (y == 0 || y + 1 == height) return for_each_inner<T>(width, step, border);
     for_each_inner<T>(width, step, [&](auto n, int64_t i) {
       constexpr int N = decltype(n)::value;
       using V = Lanes<F, N>;

@@ -186,7 +186,7 @@ __global__ void __launch_bounds__(256) keep_strong(CannyHysteresis<T> p, unsigne
   unsigned const y = row - plane * unsigned(p.edges.height), x = (blockIdx.x - row * across) * 256 + threadIdx.x;
   if (x >= p.edges.width) return;
   int const* const labels = p.labels + plane * p.edges.height * p.edges.width;
-  p.kept.row(plane, y)[x] = round_to<T>(root(labels, labels[y * p.edges.width + x]) == 0 ? 1 : 0);
+  p.result.row(plane, y)[x] = round_to<T>(root(labels, labels[y * p.edges.width + x]) == 0 ? 1 : 0);
 }
 
 }  // namespace

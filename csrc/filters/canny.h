@@ -20,7 +20,7 @@ struct CannySuppress {
 template <class T>
 struct CannyHysteresis {
   Planes<T const> edges;
-  Planes<T> kept;
+  Planes<T> result;
   int32_t* labels;  // one for each pixel; CUDA only
 };
 

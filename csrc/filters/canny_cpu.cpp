@@ -109,7 +109,7 @@ void canny_hysteresis(CannyHysteresis<T> const& p, int64_t begin, int64_t end) {
         }
       }
     for (int64_t y = 0; y < height; ++y) {
-      T* const row = p.kept.row(plane, y);
+      T* const row = p.result.row(plane, y);
       uint8_t const* const from = pixels + y * stride;
       for_each_vector<T, kBytesAtOnce<T>>(0, width, [&](auto vector, int64_t x) {
         constexpr int N = decltype(vector)::value;

@@ -23,7 +23,7 @@ Tensor canny_hysteresis(Tensor const& edges) {
   check_images("canny_hysteresis", "edges", edges);
   KV_CHECK(edges.size(2) * edges.size(3) <= INT32_MAX, "canny_hysteresis: expected at most 2^31 pixels a plane");
   Layout const layout = Layout::planar;
-  Tensor const e = as_layout(edges, layout), kept = empty_like(e, layout);
+  Tensor const e = as_layout(edges, layout), result = empty_like(e, layout);
 #if defined(KV_CUDA)
   Tensor const labels = empty(e.sizes(), e, Layout::planar, ScalarType::Int);
   auto* const memory = static_cast<int32_t*>(labels.mutable_data_ptr());
@@ -32,10 +32,10 @@ Tensor canny_hysteresis(Tensor const& edges) {
 #endif
   dispatch_floating("canny_hysteresis", e, [&](auto type) {
     using T = typename decltype(type)::type;
-    CannyHysteresis<T> const params{planes<T const>(e, layout), planes<T>(kept, layout), memory};
+    CannyHysteresis<T> const params{planes<T const>(e, layout), planes<T>(result, layout), memory};
     KV_RUN(canny_hysteresis, e, params, params.edges.count(), params.edges.height * params.edges.width);
   });
-  return kept;
+  return result;
 }
 
 }  // namespace

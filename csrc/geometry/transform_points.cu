@@ -8,7 +8,7 @@ constexpr int kThreads = 256;
 
 template <class Map, class T>
 __global__ void __launch_bounds__(kThreads)
-    map_of(__grid_constant__ TransformPoints<T> const p, int64_t runs_of_matrix, int64_t runs, bool fours) {
+    map_of(__grid_constant__ TransformPoints<T> const p, int64_t runs_of_matrix, int64_t runs, bool vectorized) {
   using F = Compute<T>;
   int64_t const run = blockIdx.x * int64_t(kThreads) + threadIdx.x;
   if (run >= runs) return;
@@ -19,10 +19,10 @@ __global__ void __launch_bounds__(kThreads)
   F m[Map::entries], points[kRun][Map::in], y[kRun][Map::out];
 #pragma unroll
   for (int i = 0; i < Map::entries; ++i) m[i] = __ldg(from + i);
-  load_arguments<Map>(p.points, p.depth, first, n, fours, points);
+  load_arguments<Map>(p.points, p.depth, first, n, vectorized, points);
 #pragma unroll
   for (int i = 0; i < kRun; ++i) Map::value(m, p.distance, points[i], y[i]);
-  store_points<Map::out>(p.y, first, n, fours, y);
+  store_points<Map::out>(p.y, first, n, vectorized, y);
 }
 
 }  // namespace
@@ -31,9 +31,10 @@ template <class T>
 int transform_points(TransformPoints<T> const& p, CUstream_st* stream) {
   int64_t const runs_of_matrix = ceil_div(p.count, kRun), runs = runs_of_matrix * (p.total / p.count);
   unsigned const blocks = unsigned(ceil_div(runs, kThreads));
-  bool const fours = in_fours(p.count, p.points, p.depth, static_cast<T const*>(p.y));
-  with_map(p.map,
-           [&](auto map) { map_of<decltype(map)><<<blocks, kThreads, 0, stream>>>(p, runs_of_matrix, runs, fours); });
+  bool const vectorized = is_vectorizable_by_4(p.count, p.points, p.depth, static_cast<T const*>(p.y));
+  with_map(p.map, [&](auto map) {
+    map_of<decltype(map)><<<blocks, kThreads, 0, stream>>>(p, runs_of_matrix, runs, vectorized);
+  });
   return cudaGetLastError();
 }
 

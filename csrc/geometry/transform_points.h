@@ -166,10 +166,10 @@ struct Meet {
   KV_HD static V along(F const* m, V const (&p)[2], V (&r)[2], V& varies) {
     r[0] = (p[0] - m[2]) / m[0];
     r[1] = (p[1] - m[3]) / m[1];
-    V const one = V{} + 1, eps = V{} + m[8], found = r[0] * m[4] + r[1] * m[5] + m[6];
-    V const magnitude = found < 0 ? -found : found;
+    V const one = V{} + 1, eps = V{} + m[8], depth_of = r[0] * m[4] + r[1] * m[5] + m[6];
+    V const magnitude = depth_of < 0 ? -depth_of : depth_of;
     varies = magnitude < eps ? V{} : one;
-    return magnitude < eps ? (found < 0 ? -eps : eps) : found;
+    return magnitude < eps ? (depth_of < 0 ? -eps : eps) : depth_of;
   }
   template <class F, class V>
   KV_HD static void value(F const* m, bool, V const (&p)[2], V (&y)[1]) {

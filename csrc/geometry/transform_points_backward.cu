@@ -8,7 +8,7 @@ constexpr int kThreads = 256;
 
 template <class Map, class T>
 __global__ void __launch_bounds__(kThreads)
-    gradients_of(__grid_constant__ TransformPointsBackward<T> const p, int64_t parts, bool fours) {
+    gradients_of(__grid_constant__ TransformPointsBackward<T> const p, int64_t parts, bool vectorized) {
   using F = Compute<T>;
   __shared__ F shared[Map::entries][kThreads / 32];
   int64_t const matrix = blockIdx.x / parts, begin = (blockIdx.x - matrix * parts) * p.part;
@@ -21,8 +21,8 @@ __global__ void __launch_bounds__(kThreads)
     int64_t const first = matrix * p.count + at;
     int const n = int(min(end - at, int64_t(kRun)));
     F points[kRun][Map::in], grad[kRun][Map::out], to_points[kRun][Map::in];
-    load_arguments<Map>(p.points, p.depth, first, n, fours, points);
-    load_points<Map::out>(p.grad, first, n, fours, grad);
+    load_arguments<Map>(p.points, p.depth, first, n, vectorized, points);
+    load_points<Map::out>(p.grad, first, n, vectorized, grad);
 #pragma unroll
     for (int i = 0; i < kRun; ++i) {
       F to_m[Map::entries];
@@ -32,10 +32,10 @@ __global__ void __launch_bounds__(kThreads)
         if (i < n && p.partial) sums[e] += to_m[e];
     }
     if constexpr (__is_same(Map, Unproject)) {
-      store_points<2>(p.to_points, first, n, fours, to_points);
-      store_points<1>(p.to_depth, first, n, fours, to_points, 2);
+      store_points<2>(p.to_points, first, n, vectorized, to_points);
+      store_points<1>(p.to_depth, first, n, vectorized, to_points, 2);
     } else {
-      store_points<Map::in>(p.to_points, first, n, fours, to_points);
+      store_points<Map::in>(p.to_points, first, n, vectorized, to_points);
     }
   }
   if (!p.partial) return;
@@ -68,11 +68,11 @@ template <class T>
 int transform_points_backward(TransformPointsBackward<T> const& p, CUstream_st* stream) {
   int64_t const parts = p.parts(), wanted = ceil_div(ceil_div(min(p.part, p.count), kRun), 32) * 32;
   unsigned const threads = unsigned(min(wanted, int64_t(kThreads))), blocks = unsigned(p.matrices_count * parts);
-  bool const fours =
-      in_fours(p.count, p.points, p.depth, p.grad) && in_fours<T>(p.count, p.to_points, p.to_depth, nullptr);
+  bool const vectorized = is_vectorizable_by_4(p.count, p.points, p.depth, p.grad) &&
+                          is_vectorizable_by_4<T>(p.count, p.to_points, p.to_depth, nullptr);
   with_map(p.map, [&](auto map) {
     using Map = decltype(map);
-    gradients_of<Map><<<blocks, threads, 0, stream>>>(p, parts, fours);
+    gradients_of<Map><<<blocks, threads, 0, stream>>>(p, parts, vectorized);
     if (p.partial)
       add_parts<<<unsigned(p.matrices_count * Map::entries), 32, 0, stream>>>(p.partial, parts, Map::entries,
                                                                               p.to_matrix);

@@ -14,14 +14,14 @@ T* data_ptr(std::optional<Tensor> const& x) {
 }
 
 // Points (B, N, D), depths (B, N, 1) and matrices (B or 1, ., .), checked and contiguous.
-struct Given {
+struct PointTransform {
   Tensor points, matrix;
   std::optional<Tensor> depth;
   PointMap map{};
   bool distance = false;
   int64_t out = 3;
 
-  Given(char const* op, Tensor const& p, std::optional<Tensor> const& d, Tensor const& m, int64_t kind)
+  PointTransform(char const* op, Tensor const& p, std::optional<Tensor> const& d, Tensor const& m, int64_t kind)
       : points(p), matrix(m) {
     KV_CHECK(p.dim() == 3 && m.dim() == 3 && (m.size(0) == 1 || m.size(0) == p.size(0)) &&
                  m.scalar_type() == compute_dtype(p) && m.device() == p.device(),
@@ -81,19 +81,19 @@ void add_parts(TransformPointsBackward<T> const& p, int64_t entries) {
 #endif
 
 Tensor transform_points(Tensor const& points, std::optional<Tensor> const& depth, Tensor const& matrix, int64_t kind) {
-  Given const given("transform_points", points, depth, matrix, kind);
-  Tensor const y = empty({points.size(0), points.size(1), given.out}, points);
+  PointTransform const args("transform_points", points, depth, matrix, kind);
+  Tensor const y = empty({points.size(0), points.size(1), args.out}, points);
   dispatch_floating("transform_points", points, [&](auto type) {
     using T = typename decltype(type)::type;
-    TransformPoints<T> const params{data_ptr<T const>(given.points),
-                                    data_ptr<T const>(given.depth),
-                                    data_ptr<Compute<T> const>(given.matrix),
+    TransformPoints<T> const params{data_ptr<T const>(args.points),
+                                    data_ptr<T const>(args.depth),
+                                    data_ptr<Compute<T> const>(args.matrix),
                                     data_ptr<T>(y),
-                                    given.entries(),
-                                    given.count(),
-                                    given.total(),
-                                    given.map,
-                                    given.distance};
+                                    args.entries(),
+                                    args.count(),
+                                    args.total(),
+                                    args.map,
+                                    args.distance};
     KV_RUN(transform_points, points, params, params.total, 8);
   });
   return y;
@@ -103,14 +103,14 @@ std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad,
                                                              std::optional<Tensor> const& depth, Tensor const& matrix,
                                                              int64_t kind, bool to_matrix) {
   char const* const op = "transform_points_backward";
-  Given const given(op, points, depth, matrix, kind);
+  PointTransform const args(op, points, depth, matrix, kind);
   KV_CHECK(grad.dim() == 3 && grad.size(0) == points.size(0) && grad.size(1) == points.size(1) &&
-               grad.size(2) == given.out && grad.scalar_type() == points.scalar_type() &&
+               grad.size(2) == args.out && grad.scalar_type() == points.scalar_type() &&
                grad.device() == points.device(),
            op, ": expected grad to be that of the points");
   Tensor const g = dense(grad);
   // One gradient for each sample, also if one matrix serves all: vmap over samples needs them apart.
-  int64_t const count = points.size(1), matrices = points.size(0), entries = given.entries();
+  int64_t const count = points.size(1), matrices = points.size(0), entries = args.entries();
 #if defined(KV_CUDA)
   // Enough blocks to keep the device busy, each with at least one thousand points.
   int64_t const blocks = matrices < 1024 ? (1024 + matrices - 1) / (matrices > 0 ? matrices : 1) : 1;
@@ -128,19 +128,19 @@ std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad,
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     TransformPointsBackward<T> const params{data_ptr<T const>(g),
-                                            data_ptr<T const>(given.points),
-                                            data_ptr<T const>(given.depth),
-                                            data_ptr<F const>(given.matrix),
+                                            data_ptr<T const>(args.points),
+                                            data_ptr<T const>(args.depth),
+                                            data_ptr<F const>(args.matrix),
                                             data_ptr<T>(to_points),
                                             data_ptr<T>(to_depth),
                                             to_matrix ? data_ptr<F>(partial) : nullptr,
                                             to_matrix ? data_ptr<F>(sums) : nullptr,
-                                            given.matrices() == 1 ? 0 : entries,
+                                            args.matrices() == 1 ? 0 : entries,
                                             count,
                                             matrices,
                                             part,
-                                            given.map,
-                                            given.distance};
+                                            args.map,
+                                            args.distance};
     KV_RUN(transform_points_backward, points, params, matrices * parts, 16 * part);
 #if !defined(KV_CUDA)
     if (to_matrix) add_parts(params, entries);

@@ -151,8 +151,8 @@ __global__ void __launch_bounds__(kScanThreads) scan_digits(uint32_t* counts, ui
   constexpr int kGroups = kScanThreads / kDigits;
   __shared__ unsigned sums[kGroups][kDigits];
   unsigned const digit = threadIdx.x % kDigits, group = threadIdx.x / kDigits;
-  unsigned const share = (chunks + kGroups - 1) / kGroups, first = min(group * share, chunks);
-  unsigned const last = min(first + share, chunks);
+  unsigned const chunks_per_group = (chunks + kGroups - 1) / kGroups, first = min(group * chunks_per_group, chunks);
+  unsigned const last = min(first + chunks_per_group, chunks);
   counts += int64_t(blockIdx.x) * chunks * kDigits + digit;
   unsigned sum = 0;
 #pragma unroll 8

@@ -59,11 +59,11 @@ __global__ void __launch_bounds__(kThreads) count_pairs(__grid_constant__ Mutual
   F const scale = F(1ll << p.bits);
   for (int64_t i = at.first + threadIdx.x; i < at.last; i += kThreads) {
     if (!p.x.counts(at.row, i) || !p.y.counts(at.row, i)) continue;
-    F const share_x = of_x.share(p.x.at(at.row, i), p.binning.epsilon);
-    F const share_y = of_y.share(p.y.at(at.row, i), p.binning.epsilon);
-    p.binning.for_each_bin(share_x, [&](int k, F t) {
+    F const fraction_x = of_x.fraction(p.x.at(at.row, i), p.binning.epsilon);
+    F const fraction_y = of_y.fraction(p.y.at(at.row, i), p.binning.epsilon);
+    p.binning.for_each_bin(fraction_x, [&](int k, F t) {
       F const weight = p.binning.weight(t < 0 ? -t : t) * scale;
-      p.binning.for_each_bin(share_y, [&](int m, F u) {
+      p.binning.for_each_bin(fraction_y, [&](int m, F u) {
         auto const fixed = fixed_point(weight * p.binning.weight(u < 0 ? -u : u));
         int const cell = k * bins + m;
         if (!shared) {
@@ -106,29 +106,29 @@ __global__ void __launch_bounds__(kFinalizeThreads) find_information(__grid_cons
   }
   // If there are more threads than columns, several threads split a column.
   __shared__ double parts[kFinalizeThreads];
-  int const share = max(kFinalizeThreads / bins, 1), columns = kFinalizeThreads / share;
+  int const fraction = max(kFinalizeThreads / bins, 1), columns = kFinalizeThreads / fraction;
   int const part = int(threadIdx.x) / columns, of_part = int(threadIdx.x) % columns;
   for (int first = 0; first < bins; first += columns) {
     int const m = first + of_part;
     double sum = 0;
-    if (part < share && m < bins)
-      for (int k = part; k < bins; k += share) sum += count_of(k * bins + m);
+    if (part < fraction && m < bins)
+      for (int k = part; k < bins; k += fraction) sum += count_of(k * bins + m);
     __syncthreads();
     parts[threadIdx.x] = sum;
     __syncthreads();
-    for (int i = 1; part == 0 && i < share; ++i) sum += parts[i * columns + of_part];
+    for (int i = 1; part == 0 && i < fraction; ++i) sum += parts[i * columns + of_part];
     if (part == 0 && m < bins) of_y[m] = F(sum);
   }
   block_reduce<kFinalizeThreads>(of_all, Sum());  // its barrier also publishes the sums of other threads
   F const all = F(of_all[0]), inverse = 1 / all;
   double entropies[3] = {};
   for (int i = threadIdx.x; i < 2 * bins; i += kFinalizeThreads) {
-    F const share = of_x[i] * inverse, log_of = ::log(share);
-    entropies[i < bins ? 1 : 2] -= share * log_of;
+    F const fraction = of_x[i] * inverse, log_of = ::log(fraction);
+    entropies[i < bins ? 1 : 2] -= fraction * log_of;
   }
   for (int i = threadIdx.x; i < cells; i += kFinalizeThreads) {
-    F const share = count_of(i) * inverse;
-    entropies[0] -= share * ::log(share);
+    F const fraction = count_of(i) * inverse;
+    entropies[0] -= fraction * ::log(fraction);
   }
   block_reduce<kFinalizeThreads>(entropies, Sum());
   Entropies<F> const h{entropies[0], entropies[1], entropies[2]};
@@ -152,13 +152,13 @@ __global__ void __launch_bounds__(kThreads) sample_gradients(__grid_constant__ M
   F const inverse = 1 / (range.high - range.low);
   EndSums<F> ends{};
   for (int64_t i = at.first + threadIdx.x; i < at.last; i += kThreads) {
-    F const of_share = flat ? F(0) : p.to_share(at.row, i);
+    F const grad_fraction = flat ? F(0) : p.to_share(at.row, i);
     if (own.counts(at.row, i)) {
       F const x = own.at(at.row, i);
-      ends.add(of_share, range.share(x, p.binning.epsilon));
+      ends.add(grad_fraction, range.fraction(x, p.binning.epsilon));
       ends.count(x == range.low, x == range.high);
     }
-    p.out[at.row * p.samples + i] = flat ? F(0) : of_share * inverse;
+    p.out[at.row * p.samples + i] = flat ? F(0) : grad_fraction * inverse;
   }
   double result[] = {ends.low, ends.high, ends.lowest, ends.highest};
   block_reduce<kSumThreads>(result, Sum());

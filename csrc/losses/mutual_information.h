@@ -50,13 +50,13 @@ struct Binning {
     if (kernel == BinKernel::truncated_gaussian) return F(-t * ::exp(-t * t / 2));
     return t < F(0.5) ? F(-3.6) * t - F(0.1) : F(3.6) * t - F(3.7);
   }
-  // Calls f(bin, signed distance in radii) for the bins to which a sample at fraction `share` of its range adds.
+  // Calls f(bin, signed distance in radii) for the bins to which a sample at fraction `fraction` of its range adds.
   template <class Call>
-  KV_HD void for_each_bin(F share, Call f) const {
-    F const place = share * F(bins - 1);
-    int const first = int(max(F(0), place - radius)), end = int(min(F(bins), place + radius + 2));
+  KV_HD void for_each_bin(F fraction, Call f) const {
+    F const position = fraction * F(bins - 1);
+    int const first = int(max(F(0), position - radius)), end = int(min(F(bins), position + radius + 2));
     for (int k = first; k < end; ++k) {
-      F const t = (place - F(k)) * inverse;
+      F const t = (position - F(k)) * inverse;
       if (t <= 1 && t >= -1) f(k, t);
     }
   }
@@ -70,7 +70,7 @@ struct SignalRange {
   KV_HD bool is_flat(F epsilon) const { return !(high - low > epsilon); }
   // There are samples, and all are finite.
   KV_HD bool is_sound() const { return (high - low) - (high - low) == 0; }
-  KV_HD F share(F x, F epsilon) const { return is_flat(epsilon) ? F(0) : (x - low) / (high - low); }
+  KV_HD F fraction(F x, F epsilon) const { return is_flat(epsilon) ? F(0) : (x - low) / (high - low); }
 };
 
 template <class F>
@@ -120,8 +120,9 @@ struct MutualInformationBackward {
   KV_HD F to_share(int64_t row, int64_t i) const {
     if (!x.counts(row, i) || !y.counts(row, i)) return 0;
     SignalRange<F> const of_x = range(row, false), of_y = range(row, true);
-    F const share_x = of_x.share(x.at(row, i), binning.epsilon), share_y = of_y.share(y.at(row, i), binning.epsilon);
-    F const own = by_y ? share_y : share_x, other = by_y ? share_x : share_y;
+    F const fraction_x = of_x.fraction(x.at(row, i), binning.epsilon),
+            fraction_y = of_y.fraction(y.at(row, i), binning.epsilon);
+    F const own = by_y ? fraction_y : fraction_x, other = by_y ? fraction_x : fraction_y;
     F const* const table = gradients + row * binning.bins * binning.bins;
     int const step = by_y ? binning.bins : 1, other_step = by_y ? 1 : binning.bins;
     F sum = 0;
@@ -142,7 +143,9 @@ template <class F>
 struct EndSums {
   double low, high, lowest, highest;
 
-  KV_HD void add(F of_share, F share) { low += of_share * (share - 1), high -= of_share * share; }
+  KV_HD void add(F grad_fraction, F fraction) {
+    low += grad_fraction * (fraction - 1), high -= grad_fraction * fraction;
+  }
   KV_HD void count(bool is_lowest, bool is_highest) { lowest += is_lowest, highest += is_highest; }
 };
 

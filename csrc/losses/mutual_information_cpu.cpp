@@ -34,11 +34,11 @@ void mutual_information(MutualInformation<F> const& p, int64_t begin, int64_t en
     bool const sound = of_x.is_sound() && of_y.is_sound();
     for (int64_t i = 0; sound && i < p.samples; ++i) {
       if (!p.x.counts(row, i) || !p.y.counts(row, i)) continue;
-      F const share_x = of_x.share(p.x.at(row, i), p.binning.epsilon);
-      F const share_y = of_y.share(p.y.at(row, i), p.binning.epsilon);
-      p.binning.for_each_bin(share_x, [&](int k, F t) {
+      F const fraction_x = of_x.fraction(p.x.at(row, i), p.binning.epsilon);
+      F const fraction_y = of_y.fraction(p.y.at(row, i), p.binning.epsilon);
+      p.binning.for_each_bin(fraction_x, [&](int k, F t) {
         F const weight = p.binning.weight(t < 0 ? -t : t);
-        p.binning.for_each_bin(share_y,
+        p.binning.for_each_bin(fraction_y,
                                [&](int m, F u) { joint[k * bins + m] += weight * p.binning.weight(u < 0 ? -u : u); });
       });
     }
@@ -57,8 +57,8 @@ void mutual_information(MutualInformation<F> const& p, int64_t begin, int64_t en
     }
     F* const gradients = p.gradients + row * cells;
     for (int64_t i = 0; i < cells; ++i) {
-      double const share = max(joint[i] * scale, double(p.least)) / all, log_of = ::log(share);
-      h.joint -= share * log_of;
+      double const fraction = max(joint[i] * scale, double(p.least)) / all, log_of = ::log(fraction);
+      h.joint -= fraction * log_of;
       gradients[i] = F(log_of);
     }
     F const nan = F(__builtin_nan("")), loss = sound ? F(h.loss(p.normalized)) : nan;
@@ -86,12 +86,12 @@ void mutual_information_backward(MutualInformationBackward<F> const& p, int64_t 
     F const inverse = 1 / (range.high - range.low);
     EndSums<F> ends{};
     for (int64_t i = 0; i < p.samples; ++i) {
-      F const x = own.at(row, i), of_share = p.to_share(row, i);
+      F const x = own.at(row, i), grad_fraction = p.to_share(row, i);
       if (own.counts(row, i)) {
-        ends.add(of_share, range.share(x, epsilon));
+        ends.add(grad_fraction, range.fraction(x, epsilon));
         ends.count(x == range.low, x == range.high);
       }
-      out[i] = of_share * inverse;
+      out[i] = grad_fraction * inverse;
     }
     F const to_low = F(ends.low / ends.lowest) * inverse, to_high = F(ends.high / ends.highest) * inverse;
     for (int64_t i = 0; i < p.samples; ++i) {

@@ -202,8 +202,8 @@ void overlap_backward(OverlapBackward<T> const& p, int64_t begin, int64_t end) {
       for_each_vector<T>(0, count, [&](auto width, int64_t i) {
         constexpr int N = decltype(width)::value;
         using V = Lanes<F, N>;
-        V const counts = load<N>(block.counts + i), share = load<N>(e + i) * load<N>(block.sum + i);
-        V const d = counts * share * (gradient(width, c, i) - load<N>(dot + i));
+        V const counts = load<N>(block.counts + i), probability = load<N>(e + i) * load<N>(block.sum + i);
+        V const d = counts * probability * (gradient(width, c, i) - load<N>(dot + i));
         store<N>(to + i, V(counts == 0 ? V{} : d));
       });
     }

@@ -80,9 +80,9 @@ __global__ void __launch_bounds__(kThreads)
         along_x += fabs(read(pixel[right]) - own);
         along_y += fabs(read(pixel[under]) - own);
       }
-      F const own = read(*at.depth), beside = read(at.depth[right]);
+      F const own = read(*at.depth), adjacent = read(at.depth[right]);
       F const below = read(at.depth[has_below ? at.depth_stride : 0]);
-      sum += at.rough(right != 0, along_x, beside - own, p.of.along_x, false) +
+      sum += at.rough(right != 0, along_x, adjacent - own, p.of.along_x, false) +
              at.rough(has_below, along_y, below - own, p.of.along_y, false);
     }
   }
@@ -96,7 +96,8 @@ __global__ void __launch_bounds__(kThreads)
   using F = Compute<T>;
   Column<T> at(p.of, across, down);
   if (at.x >= at.width) return;
-  F const g = p.grad[at.sample], of_x = g * p.of.along_x, of_y = g * p.of.along_y, share = F(1) / F(at.channels);
+  F const g = p.grad[at.sample], of_x = g * p.of.along_x, of_y = g * p.of.along_y,
+          inverse_channels = F(1) / F(at.channels);
   bool const signs = !p.of_image;
   int const left = at.to_left(), right = at.to_right();
   F up = 0;
@@ -129,7 +130,7 @@ __global__ void __launch_bounds__(kThreads)
         F const middle = read(*pixel);
         auto const part = [&](F edge, int64_t to) { return part_of(edge, F(read(pixel[to]) - middle)); };
         F const sum = (part(before, left) + part(behind, right)) + (part(up, over) + part(down_edge, under));
-        p.out.row(at.sample * at.channels + c, at.y)[at.x] = round_to<T>(sum * share);
+        p.out.row(at.sample * at.channels + c, at.y)[at.x] = round_to<T>(sum * inverse_channels);
       }
     }
     up = down_edge;

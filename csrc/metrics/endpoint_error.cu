@@ -12,7 +12,7 @@ __device__ __forceinline__ void for_each_difference(VectorPairs<T> const& p, int
   T const *const x = p.x + row * p.x_stride, *const y = p.y + row * p.y_stride;
 #pragma unroll 4
   for (int64_t i = first + threadIdx.x; i < last; i += kSumThreads) {
-    int64_t const at = p.at(i), other = at + p.beside();
+    int64_t const at = p.at(i), other = at + p.adjacent();
     f(i, read(x[at]) - read(y[at]), read(x[other]) - read(y[other]));
   }
 }
@@ -44,7 +44,7 @@ __global__ void __launch_bounds__(kSumThreads)
     F const error = fast_sqrt(u * u + v * v), g = p.grad ? read(p.grad[row * p.pairs.size + i]) : of_row;
     F const scale = error == 0 ? F(0) : g / error;
     T* const to = p.grad_x + 2 * row * p.pairs.size + p.pairs.at(i);
-    to[0] = round_to<T>(u * scale), to[p.pairs.beside()] = round_to<T>(v * scale);
+    to[0] = round_to<T>(u * scale), to[p.pairs.adjacent()] = round_to<T>(v * scale);
   });
 }
 

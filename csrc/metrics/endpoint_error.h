@@ -18,9 +18,9 @@ struct VectorPairs {
   int64_t x_stride, y_stride, rows, size;  // strides from row to row; 0 broadcasts one row
 
   KV_HD int64_t chunks() const { return (size + kEndpointChunk - 1) / kEndpointChunk; }
-  // The index of the first component of vector i in a row; the second component is `beside` elements after it.
+  // The index of the first component of vector i in a row; the second component is `adjacent` elements after it.
   KV_HD int64_t at(int64_t i) const { return planar ? i : 2 * i; }
-  KV_HD int64_t beside() const { return planar ? size : 1; }
+  KV_HD int64_t adjacent() const { return planar ? size : 1; }
 };
 
 template <class T>

@@ -20,20 +20,20 @@ struct Components {
   V first, second;
 
   template <class T>
-  KV_HD static Components of(T const* from, bool planar, int64_t beside) {
+  KV_HD static Components of(T const* from, bool planar, int64_t adjacent) {
     if constexpr (M > 1)
       if (!planar) return split(load<M>(from), load<M>(from + M), std::make_integer_sequence<int, M>());
-    return {V(load<M>(from)), V(load<M>(from + beside))};
+    return {V(load<M>(from)), V(load<M>(from + adjacent))};
   }
   template <class T>
-  KV_HD void to(T* to, bool planar, int64_t beside) const {
+  KV_HD void to(T* to, bool planar, int64_t adjacent) const {
     if constexpr (M > 1)
       if (!planar) {
         store<M>(to, joined(std::make_integer_sequence<int, M>(), From<0>()));
         store<M>(to + M, joined(std::make_integer_sequence<int, M>(), From<M / 2>()));
         return;
       }
-    store<M>(to, first), store<M>(to + beside, second);
+    store<M>(to, first), store<M>(to + adjacent, second);
   }
 
  private:
@@ -52,8 +52,8 @@ struct Components {
 template <int M, class T>
 KV_HD Components<Compute<T>, M> difference(VectorPairs<T> const& p, int64_t row, int64_t i) {
   using C = Components<Compute<T>, M>;
-  C const x = C::of(p.x + row * p.x_stride + p.at(i), p.planar, p.beside());
-  C const y = C::of(p.y + row * p.y_stride + p.at(i), p.planar, p.beside());
+  C const x = C::of(p.x + row * p.x_stride + p.at(i), p.planar, p.adjacent());
+  C const y = C::of(p.y + row * p.y_stride + p.at(i), p.planar, p.adjacent());
   return {x.first - y.first, x.second - y.second};
 }
 
@@ -102,7 +102,7 @@ void endpoint_error_backward(EndpointErrorBackward<T> const& p, int64_t begin, i
       V const zero{}, error = length<F, M>(d), g = p.grad ? V(load<M>(p.grad + row * size + e)) : zero + of_row;
       V const scale = error == zero ? zero : V(g / error);
       d.first *= scale, d.second *= scale;
-      d.to(p.grad_x + 2 * row * size + p.pairs.at(e), p.pairs.planar, p.pairs.beside());
+      d.to(p.grad_x + 2 * row * size + p.pairs.at(e), p.pairs.planar, p.pairs.adjacent());
     });
   }
 }

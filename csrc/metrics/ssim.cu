@@ -38,12 +38,12 @@ struct Work {
 // The position of a block and its threads. Along y each thread has the column `column`; along x it has the columns from
 // `x` on of row `r` of the rows that are processed together. Adjacent blocks overlap by the reach of their windows.
 template <int K>
-struct Place {
+struct BlockPosition {
   int64_t plane;
   int left, column, r, x, y0, y1, width, height, first, last;  // the block writes columns from `first` to before `last`
 
   // `reach`: columns on either side of the block whose results are incomplete; a multiple of kRows.
-  __device__ __forceinline__ Place(Work<K> const& work, int reach)
+  __device__ __forceinline__ BlockPosition(Work<K> const& work, int reach)
       : width(int(work.x.width)), height(int(work.x.height)) {
     unsigned const line = blockIdx.x / work.across, block = blockIdx.x - line * work.across;
     plane = line / work.down;
@@ -123,17 +123,17 @@ struct Pixels {
 
   // Starts at row `first`; rows after `last` are not needed.
   template <int K>
-  __device__ __forceinline__ Pixels(Work<K> const& work, Place<K> const& place, int first, int last)
+  __device__ __forceinline__ Pixels(Work<K> const& work, BlockPosition<K> const& position, int first, int last)
       : x_stride(work.x.row_stride),
         y_stride(work.y.row_stride),
-        height(place.height),
+        height(position.height),
         last(last),
         border(work.border),
         stored(work.stored),
         next(first) {
-    int64_t const offset = int64_t(min(place.column, place.width - 1)) * (stored == DType::float32 ? 4 : 2);
-    x = work.x.plane(place.plane) + offset + first * x_stride;
-    y = work.y.plane(place.plane) + offset + first * y_stride;
+    int64_t const offset = int64_t(min(position.column, position.width - 1)) * (stored == DType::float32 ? 4 : 2);
+    x = work.x.plane(position.plane) + offset + first * x_stride;
+    y = work.y.plane(position.plane) + offset + first * y_stride;
   }
   __device__ __forceinline__ Pixels from(int row) const {
     Pixels there = *this;
@@ -171,29 +171,29 @@ struct Pixels {
 
 // Writes a thread's columns of a row along x, of which only those that the block owns and that are in the result.
 template <int K>
-__device__ __forceinline__ void write_row(Work<K> const& work, Place<K> const& place, uint8_t* row,
+__device__ __forceinline__ void write_row(Work<K> const& work, BlockPosition<K> const& position, uint8_t* row,
                                           float const (&values)[kRows]) {
   dispatch_floating_dtype(work.stored, [&](auto type) {
     using T = decltype(type);
-    T* const to = reinterpret_cast<T*>(row) + (place.x - work.offset);
-    if (work.vectors && place.x >= place.first && place.x + kRows <= place.last) {
+    T* const to = reinterpret_cast<T*>(row) + (position.x - work.offset);
+    if (work.vectors && position.x >= position.first && position.x + kRows <= position.last) {
       store_vector(to, values);
       return;
     }
 #pragma unroll
     for (int j = 0; j < kRows; ++j)
-      if (place.owns(place.x + j, work.offset)) to[j] = round_to<T>(values[j]);
+      if (position.owns(position.x + j, work.offset)) to[j] = round_to<T>(values[j]);
   });
 }
 
 // Reads the same part of a row of gradients, which has `offset` columns less on either side; other elements stay.
 template <int K>
-__device__ __forceinline__ void read_row(Work<K> const& work, Place<K> const& place, uint8_t const* row,
+__device__ __forceinline__ void read_row(Work<K> const& work, BlockPosition<K> const& position, uint8_t const* row,
                                          float (&values)[kRows]) {
   dispatch_floating_dtype(work.stored, [&](auto type) {
     using T = decltype(type);
-    T const* const from = reinterpret_cast<T const*>(row) + (place.x - work.offset);
-    if (work.vectors && place.x + kRows <= place.width) {
+    T const* const from = reinterpret_cast<T const*>(row) + (position.x - work.offset);
+    if (work.vectors && position.x + kRows <= position.width) {
       auto const vector = *reinterpret_cast<Vector<T, kRows> const*>(from);
 #pragma unroll
       for (int j = 0; j < kRows; ++j) values[j] = read(vector.v[j]);
@@ -201,14 +201,14 @@ __device__ __forceinline__ void read_row(Work<K> const& work, Place<K> const& pl
     }
 #pragma unroll
     for (int j = 0; j < kRows; ++j)
-      if (place.x + j >= work.offset && place.x + j < place.width - work.offset) values[j] = read(from[j]);
+      if (position.x + j >= work.offset && position.x + j < position.width - work.offset) values[j] = read(from[j]);
   });
 }
 
 // Along y: adds four rows of pixels and writes the rows that they complete.
 template <int K>
 __device__ __forceinline__ void take_rows(float const (&xs)[kRows], float const (&ys)[kRows], Work<K> const& work,
-                                          Place<K> const& place, bool near_end, RunningSums<4, K>& down,
+                                          BlockPosition<K> const& position, bool near_end, RunningSums<4, K>& down,
                                           Rows<4>& rows) {
   int const at = int(threadIdx.x) + K / 2;
 #pragma unroll
@@ -217,11 +217,11 @@ __device__ __forceinline__ void take_rows(float const (&xs)[kRows], float const 
 #pragma unroll
     for (int m = 0; m < 4; ++m) {
       float const complete = down.add(m, values[m], work.weights);
-      if (place.column < place.width) rows[r][m][at] = complete;
+      if (position.column < position.width) rows[r][m][at] = complete;
     }
   }
   if (near_end)
-    place.for_each_mirror(place.column, [&](int to) {
+    position.for_each_mirror(position.column, [&](int to) {
 #pragma unroll
       for (int r = 0; r < kRows; ++r)
 #pragma unroll
@@ -241,30 +241,31 @@ __global__ void __launch_bounds__(kThreads, 3) ssim_forward(__grid_constant__ Wo
   __shared__ __align__(16) Rows<4> memory[2];
   for (int i = threadIdx.x; i < int(sizeof(memory) / 4); i += blockDim.x) memory[0][0][0][i] = 0;
   __syncthreads();
-  Place<K> const place(work, kReach<K>);
-  Pixels pixels(work, place, place.y0 - R, place.y1 - 1 + R);
+  BlockPosition<K> const position(work, kReach<K>);
+  Pixels pixels(work, position, position.y0 - R, position.y1 - 1 + R);
   RunningSums<4, K> down;
-  bool const near_end = work.border == Border::reflect && place.is_near_end(place.column, 1);
-  bool const owns_column = place.owns(place.column);
-  bool const whole = place.owns(place.x, work.offset) && place.owns(place.x + kRows - 1, work.offset);
-  uint8_t* const out = work.result.data ? work.result.plane(place.plane) : nullptr;
+  bool const near_end = work.border == Border::reflect && position.is_near_end(position.column, 1);
+  bool const owns_column = position.owns(position.column);
+  bool const whole = position.owns(position.x, work.offset) && position.owns(position.x + kRows - 1, work.offset);
+  uint8_t* const out = work.result.data ? work.result.plane(position.plane) : nullptr;
   float apart = 0, unlike = 0, a[kRows], b[kRows];
   pixels.fetch(a, b);
 #pragma unroll 1
-  for (int y = place.y0 - 2 * R, next = 0; y < place.y1; y += kRows, next ^= 1) {  // y: the rows that are completed
+  for (int y = position.y0 - 2 * R, next = 0; y < position.y1;
+       y += kRows, next ^= 1) {  // y: the rows that are completed
     Rows<4>& rows = memory[next];
     if (work.loss.absolute != 0 && owns_column) {
 #pragma unroll
       for (int r = 0; r < kRows; ++r)
-        if (y + R + r >= place.y0 && y + R + r < place.y1) apart += fabsf(a[r] - b[r]);
+        if (y + R + r >= position.y0 && y + R + r < position.y1) apart += fabsf(a[r] - b[r]);
     }
-    take_rows(a, b, work, place, near_end, down, rows);
+    take_rows(a, b, work, position, near_end, down, rows);
     pixels.fetch(a, b);
     __syncthreads();
-    int const q = y + place.r;
-    if (q < max(place.y0, work.offset) || q >= min(place.y1, place.height - work.offset)) continue;
+    int const q = y + position.r;
+    if (q < max(position.y0, work.offset) || q >= min(position.y1, position.height - work.offset)) continue;
     float means[4][kRows], result[kRows];
-    sum_across<K, R>(rows[place.r], place.x - place.left, work.weights, means);
+    sum_across<K, R>(rows[position.r], position.x - position.left, work.weights, means);
 #pragma unroll
     for (int j = 0; j < kRows; ++j) {
       SsimTerms<float> const terms({means[0][j], means[1][j], means[2][j], means[3][j]}, work.constants);
@@ -275,13 +276,13 @@ __global__ void __launch_bounds__(kThreads, 3) ssim_forward(__grid_constant__ Wo
     } else {
 #pragma unroll
       for (int j = 0; j < kRows; ++j)
-        if (place.owns(place.x + j, work.offset)) unlike += result[j];
+        if (position.owns(position.x + j, work.offset)) unlike += result[j];
     }
     if (!out) continue;
     float similarity[kRows];
 #pragma unroll
     for (int j = 0; j < kRows; ++j) similarity[j] = 1 - result[j];
-    write_row(work, place, out + (q - work.offset) * work.result.row_stride, similarity);
+    write_row(work, position, out + (q - work.offset) * work.result.row_stride, similarity);
   }
   if (!out) {
     float const sum = warp_sum(work.loss.structure * unlike + work.loss.absolute * apart);
@@ -307,34 +308,35 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
   GradientRows<M>& memory = *reinterpret_cast<GradientRows<M>*>(shared);
   for (int i = threadIdx.x; i < int(sizeof(memory) / 4); i += blockDim.x) shared[i] = 0;
   __syncthreads();
-  Place<K> const place(work, kReachOfGradients<K>);
-  int const width = place.width, height = place.height, y0 = place.y0, y1 = place.y1;
-  Pixels pixels(work, place, y0 - 2 * R, y1 - 1 + 2 * R);
+  BlockPosition<K> const position(work, kReachOfGradients<K>);
+  int const width = position.width, height = position.height, y0 = position.y0, y1 = position.y1;
+  Pixels pixels(work, position, y0 - 2 * R, y1 - 1 + 2 * R);
   RunningSums<4, K> down;
   RunningSums<M, K> back_down;
   bool const mirrored = work.border == Border::reflect;
-  bool const near_end = mirrored && place.is_near_end(place.column, 1);
-  bool const group_near_end = mirrored && place.is_near_end(place.x, kRows);
-  bool const special = place.x <= work.offset ||
-                       place.x + kRows >= width - work.offset;  // some columns are first or last ones of the result
-  bool const owns_column = place.owns(place.column);
+  bool const near_end = mirrored && position.is_near_end(position.column, 1);
+  bool const group_near_end = mirrored && position.is_near_end(position.x, kRows);
+  bool const special = position.x <= work.offset ||
+                       position.x + kRows >= width - work.offset;  // some columns are first or last ones of the result
+  bool const owns_column = position.owns(position.column);
   auto const at_end = [](int i, int n) { return i == 0 || i == n - 1; };
-  float const column_scale = mirrored && at_end(place.column, width) ? 0.5f : 1.f;
-  uint8_t const* const g = work.grad.data ? work.grad.plane(place.plane) : nullptr;
-  float const of_loss = g ? 0.f : work.of_loss[place.plane / work.loss.planes];
-  uint8_t *const to_x = work.result.plane(place.plane), *const to_y =
-                                                            M == 4 ? work.other_result.plane(place.plane) : nullptr;
+  float const column_scale = mirrored && at_end(position.column, width) ? 0.5f : 1.f;
+  uint8_t const* const g = work.grad.data ? work.grad.plane(position.plane) : nullptr;
+  float const of_loss = g ? 0.f : work.of_loss[position.plane / work.loss.planes];
+  uint8_t *const to_x = work.result.plane(position.plane), *const to_y = M == 4
+                                                                             ? work.other_result.plane(position.plane)
+                                                                             : nullptr;
 
   // The derivatives by the means in row q, from the sums along y.
   auto const differentiate = [&](int q, float const(&summed)[4][kLine], float(&derivatives)[M][kLine]) {
-    int const from = border_index(work.border, q, height), at = place.x - place.left;
+    int const from = border_index(work.border, q, height), at = position.x - position.left;
     float result[M][kRows] = {};
     if (from >= work.offset && from < height - work.offset) {
       float means[4][kRows], of_pixels[kRows];
       sum_across<K, R>(summed, at, work.weights, means);
 #pragma unroll
       for (int j = 0; j < kRows; ++j) of_pixels[j] = -work.loss.structure * of_loss;
-      if (g) read_row(work, place, g + (from - work.offset) * work.grad.row_stride, of_pixels);
+      if (g) read_row(work, position, g + (from - work.offset) * work.grad.row_stride, of_pixels);
       float const twice = mirrored && at_end(q, height) ? 2.f : 1.f;
 #pragma unroll
       for (int j = 0; j < kRows; ++j) {
@@ -348,7 +350,7 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
       if (special)
 #pragma unroll
         for (int j = 0; j < kRows; ++j) {
-          int const x = place.x + j;
+          int const x = position.x + j;
           float const scale = mirrored && at_end(x, width) ? 2.f : 1.f;
           bool const there = x >= work.offset && x < width - work.offset;
 #pragma unroll
@@ -357,18 +359,18 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
     }
 #pragma unroll
     for (int m = 0; m < M; ++m)
-      if (place.x + kRows <= width)
+      if (position.x + kRows <= width)
         *reinterpret_cast<Vector<float, 4>*>(&derivatives[m][at + kBeside]) = {result[m][0], result[m][1], result[m][2],
                                                                                result[m][3]};
       else
 #pragma unroll
         for (int j = 0; j < kRows; ++j)
-          if (place.x + j < width) derivatives[m][at + kBeside + j] = result[m][j];
+          if (position.x + j < width) derivatives[m][at + kBeside + j] = result[m][j];
     if (group_near_end)
 #pragma unroll
       for (int j = 0; j < kRows; ++j)
-        if (place.x + j < width)
-          place.for_each_mirror(place.x + j, [&](int to) {
+        if (position.x + j < width)
+          position.for_each_mirror(position.x + j, [&](int to) {
 #pragma unroll
             for (int m = 0; m < M; ++m) derivatives[m][kBeside + to] = result[m][j];
           });
@@ -410,8 +412,8 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
 #pragma unroll
       for (int r = 0; r < kRows; ++r) {
         if (y + r >= y0 && y + r < y1) {
-          reinterpret_cast<T*>(x)[place.column] = round_to<T>(a[r]);
-          if (M == 4) reinterpret_cast<T*>(other)[place.column] = round_to<T>(b[r]);
+          reinterpret_cast<T*>(x)[position.column] = round_to<T>(a[r]);
+          if (M == 4) reinterpret_cast<T*>(other)[position.column] = round_to<T>(b[r]);
         }
         x += work.result.row_stride, other += work.other_result.row_stride;
       }
@@ -429,18 +431,18 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
     int const complete = q - 3 * kRows - R;
     float own_a[kRows], own_b[kRows];
     if (complete + kRows > y0 - 2 * R) pixels.from(complete).fetch(own_a, own_b);
-    if (i < steps) take_rows<K>(a, b, work, place, near_end, down, memory.summed[now]);
+    if (i < steps) take_rows<K>(a, b, work, position, near_end, down, memory.summed[now]);
     if (complete + kRows > y0 - 2 * R) finish(complete, own_a, own_b, memory.across[before]);
     if (i + 1 < steps) pixels.fetch(a, b);
     auto const is_needed = [&](int row) { return row >= y0 - R && row < y1 + R; };
-    if (int const row = q - kRows + place.r; is_needed(row))
-      differentiate(row, memory.summed[before][place.r], memory.derivatives[before][place.r]);
-    if (int const row = q - 2 * kRows + place.r; is_needed(row)) {
+    if (int const row = q - kRows + position.r; is_needed(row))
+      differentiate(row, memory.summed[before][position.r], memory.derivatives[before][position.r]);
+    if (int const row = q - 2 * kRows + position.r; is_needed(row)) {
       float sums[M][kRows];
-      sum_across<K, kBeside>(memory.derivatives[now][place.r], place.x - place.left, work.weights, sums);
+      sum_across<K, kBeside>(memory.derivatives[now][position.r], position.x - position.left, work.weights, sums);
 #pragma unroll
       for (int m = 0; m < M; ++m)
-        *reinterpret_cast<Vector<float, 4>*>(&memory.across[now][place.r][m][place.x - place.left]) = {
+        *reinterpret_cast<Vector<float, 4>*>(&memory.across[now][position.r][m][position.x - position.left]) = {
             sums[m][0], sums[m][1], sums[m][2], sums[m][3]};
     }
     __syncthreads();

@@ -36,10 +36,10 @@ struct Rows {
   int64_t const size, step, margin, stride;  // in elements; step: from one pixel to the next
   Scratch<F> memory;
 
-  KV_HD Rows(int count, int64_t size, int64_t step, int64_t beside)
+  KV_HD Rows(int count, int64_t size, int64_t step, int64_t adjacent)
       : size(size),
         step(step),
-        margin((beside * step + 15) / 16 * 16),
+        margin((adjacent * step + 15) / 16 * 16),
         stride((size + 15) / 16 * 16 + 2 * margin),
         memory(count * stride) {}
 
@@ -200,7 +200,7 @@ struct GradientRows {
   bool const mirrored;
   int64_t const step, width, height;
   MeansOfRows<T> means;
-  Rows<F> derivatives, kept;
+  Rows<F> derivatives, history;
   Rows<F> sums;  // the result: along x and y
   Scratch<F const*> pointers;
   Scratch<F> weights;
@@ -217,7 +217,7 @@ struct GradientRows {
         height(images.x.height),
         means(images, p.grad.width),
         derivatives(kMeans, images.x.row_size(), step, size),
-        kept(kMeans * size, images.x.row_size(), step, 0),
+        history(kMeans * size, images.x.row_size(), step, 0),
         sums(kMeans, images.x.row_size(), step, 0),
         pointers(size),
         weights(size) {}
@@ -257,7 +257,7 @@ struct GradientRows {
     for (int m = 0; m < used; ++m) {
       scale_ends(derivatives[m], columns, F(2));
       derivatives.extend(m, images.border, columns, lead, width - columns + size - 1 - lead);
-      derivatives.filter(m, images.weights, size, lead, pointers.data, width * step, kept[q % size * kMeans + m]);
+      derivatives.filter(m, images.weights, size, lead, pointers.data, width * step, history[q % size * kMeans + m]);
     }
   }
 
@@ -285,7 +285,7 @@ struct GradientRows {
       if (r == begin || y == 0) filled = max(y - lead, int64_t(0)) - 1;
       for (int64_t const last = min(y - lead + size - 1, rows - 1); filled < last;) fill(plane, ++filled);
       for (int m = 0; m < used; ++m) {
-        sum_along(y, height, rows, [&](int64_t q) { return kept[q % size * kMeans + m]; }, width * step, sums[m]);
+        sum_along(y, height, rows, [&](int64_t q) { return history[q % size * kMeans + m]; }, width * step, sums[m]);
         scale_ends(sums[m], width, F(0.5));
       }
       f(plane, y);
@@ -333,7 +333,7 @@ struct MsGradientRows {
   ImagesAtScales<T> at_scales;
   int const count, size, used;  // count: of scales; size: of the largest window
   int64_t const width, height;
-  Rows<F> factors, derivatives, kept, kept_differences, sums;
+  Rows<F> factors, derivatives, history, difference_history, sums;
   Scratch<F const*> pointers;
   Scratch<F> weights;
 
@@ -347,8 +347,8 @@ struct MsGradientRows {
         height(p.images.x.height),
         factors(count + 1, width, 1, 0),
         derivatives(kMeans * count, width, 1, size),
-        kept(kMeans * count * size, width, 1, 0),
-        kept_differences(size, width, 1, 0),
+        history(kMeans * count * size, width, 1, 0),
+        difference_history(size, width, 1, 0),
         sums(kMeans + 1, width, 1, 0),
         pointers(count * size),
         weights(count * size) {}
@@ -381,21 +381,21 @@ struct MsGradientRows {
       at_scales.take(s);
       for_each_padded_vector<T>(width, [&](auto n, int64_t e) {
         constexpr int N = decltype(n)::value;
-        Lanes<F, N> share = load<N>(factors[count] + e);
+        Lanes<F, N> factor = load<N>(factors[count] + e);
         for (int t = 0; t < count; ++t)
-          if (t != s) share *= load<N>(factors[t] + e);
+          if (t != s) factor *= load<N>(factors[t] + e);
         for (int m = 0; m < used; ++m) {
           F* const to = derivatives[s * kMeans + m] + e;
-          store<N>(to, Lanes<F, N>(load<N>(to) * share));
+          store<N>(to, Lanes<F, N>(load<N>(to) * factor));
         }
       });
-      for (int m = 0; m < used; ++m) along_x(s * kMeans + m, kept[(q % size * count + s) * kMeans + m]);
+      for (int m = 0; m < used; ++m) along_x(s * kMeans + m, history[(q % size * count + s) * kMeans + m]);
     }
     for_each_vector<T>(0, width, [&](auto n, int64_t e) {
       constexpr int N = decltype(n)::value;
       store<N>(derivatives[0] + e, load<N>(g + e));
     });
-    along_x(0, kept_differences[q % size]);
+    along_x(0, difference_history[q % size]);
   }
   // Filters a row of derivatives in the window of the current scale.
   void along_x(int row, F* out) {
@@ -426,8 +426,8 @@ struct MsGradientRows {
       if (r == begin || y == 0) filled = max(y - R, int64_t(0)) - 1;
       while (filled < min(y + R, height - 1)) fill(plane, ++filled);
       for (int m = 0; m < used; ++m)
-        sum_down(y, 0, [&](int s, int64_t slot) { return kept[(slot * count + s) * kMeans + m]; }, sums[m]);
-      sum_down(y, count - 1, [&](int, int64_t slot) { return kept_differences[slot]; }, sums[kMeans]);
+        sum_down(y, 0, [&](int s, int64_t slot) { return history[(slot * count + s) * kMeans + m]; }, sums[m]);
+      sum_down(y, count - 1, [&](int, int64_t slot) { return difference_history[slot]; }, sums[kMeans]);
       write_gradients(p.images, p.grad_x, p.grad_y, plane, y, sums, [&](auto n, int64_t e) {
         constexpr int N = decltype(n)::value;
         return Lanes<F, N>(load<N>(sums[kMeans] + e) * p.loss.absolute);
@@ -483,9 +483,11 @@ void ssim_backward(SsimBackward<T> const& p, int64_t begin, int64_t end) {
 
   using F = Compute<T>;
   int64_t const depth = p.images.depth, slices = p.images.slices(), height = rows.height, width = rows.width;
-  Rows<F> const kept(rows.size * rows.used * height, width, 1,
-                     0);  // of as many slices as the window has, filtered along x and y
-  auto const row_of = [&](int64_t q, int m, int64_t y) { return kept[(q % rows.size * rows.used + m) * height + y]; };
+  Rows<F> const history(rows.size * rows.used * height, width, 1,
+                        0);  // of as many slices as the window has, filtered along x and y
+  auto const row_of = [&](int64_t q, int m, int64_t y) {
+    return history[(q % rows.size * rows.used + m) * height + y];
+  };
   int64_t filled = -1;  // the last slice of the volume that is stored
   for (int64_t plane = begin; plane < end; ++plane) {
     int64_t const volume = plane / depth, z = plane % depth;

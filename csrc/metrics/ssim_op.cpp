@@ -252,12 +252,12 @@ struct Scales {
       bool const last = weights.size() + 1 == sigmas.size();
       KV_CHECK(sigma > 0, op, ": expected sigmas above 0");
       std::vector<F> window = gaussian_window<F>(size, sigma);
-      int64_t beside = size / 2;
-      while (!last && beside > 0 &&
-             window[size / 2 + beside] < window[size / 2] * std::numeric_limits<F>::epsilon() / 16)
-        --beside;
-      all += 2 * beside + 1;
-      weights.emplace_back(window.begin() + (size / 2 - beside), window.begin() + (size / 2 + beside + 1));
+      int64_t adjacent = size / 2;
+      while (!last && adjacent > 0 &&
+             window[size / 2 + adjacent] < window[size / 2] * std::numeric_limits<F>::epsilon() / 16)
+        --adjacent;
+      all += 2 * adjacent + 1;
+      weights.emplace_back(window.begin() + (size / 2 - adjacent), window.begin() + (size / 2 + adjacent + 1));
     }
     KV_CHECK(all <= kMaxSsimWeights, op, ": the windows are too large");
     for (auto const& window : weights) {

@@ -29,7 +29,7 @@ struct Work {
   F* map;                                      // several scales: the loss, the mean over the planes of a sample
   F const* of_map;                             // its gradient
   Double4<F>* derivatives;                     // by the means, scale after scale
-  F* shares;                                   // several scales: the factors of the derivatives
+  F* scale_factors;                            // several scales: the factors of the derivatives
   int64_t first, band;                         // first plane and number of planes of a launch
   int top, bottom;                             // first and last row of the launch
   int stored_top, stored_bottom, stored_rows;  // rows with derivatives, and their maximum number
@@ -67,13 +67,13 @@ __device__ __forceinline__ T* channel(StoredPlanes const& p, int64_t plane, int6
 }
 
 // The position of a block, and of its threads along x: each has the pixels of row y from column x on.
-struct Place {
+struct BlockPosition {
   int64_t plane;
   int x0, y0, x, y, line;  // line: start of its row in shared memory
   bool within;
 
   template <class F>
-  __device__ __forceinline__ explicit Place(Work<F> const& p) {
+  __device__ __forceinline__ explicit BlockPosition(Work<F> const& p) {
     unsigned const tile = blockIdx.x / p.across, group = tile / p.down;
     int const thread = int(threadIdx.x), row = thread % kSide, column = thread / kSide * kSide;
     plane = p.first + int64_t(group) * p.together;
@@ -87,8 +87,9 @@ using Rows = Row[kMaxSsimWeights + kSide];
 
 // The rows in the last scale's windows of a tile: of the images, or of the derivatives.
 template <class F>
-__device__ __forceinline__ void list_rows(Work<F> const& p, Place const& place, bool derivatives, Rows& rows) {
-  int const taps = p.sizes[p.scales - 1], above = place.y0 - taps / 2;
+__device__ __forceinline__ void list_rows(Work<F> const& p, BlockPosition const& position, bool derivatives,
+                                          Rows& rows) {
+  int const taps = p.sizes[p.scales - 1], above = position.y0 - taps / 2;
   int const first = derivatives ? p.stored_top : 0, end = derivatives ? p.stored_bottom : p.height;
   for (int i = int(threadIdx.x); i < kSide + taps - 1; i += int(blockDim.x)) {
     int const row = border_index(p.border, above + i, p.height);
@@ -98,13 +99,14 @@ __device__ __forceinline__ void list_rows(Work<F> const& p, Place const& place, 
   }
 }
 
-// Adds to `sums` the sums over windows of scale s around the pixels of `place`. value(column) returns a function from a
-// Row to the summands. Rows out of bounds are read as well: a branch would make each load wait for the previous one.
+// Adds to `sums` the sums over windows of scale s around the pixels of `position`. value(column) returns a function
+// from a Row to the summands. Rows out of bounds are read as well: a branch would make each load wait for the previous
+// one.
 template <int M, class F, class Value>
-__device__ __forceinline__ void sum_tile(Work<F> const& p, Place const& place, int s, int start, int offset,
+__device__ __forceinline__ void sum_tile(Work<F> const& p, BlockPosition const& position, int s, int start, int offset,
                                          Rows const& all_rows, void* shared, Value value, F (&sums)[M][kSide]) {
   Vector<F, M>* const lines = static_cast<Vector<F, M>*>(shared);
-  int const taps = p.sizes[s], left = place.x0 - taps / 2;
+  int const taps = p.sizes[s], left = position.x0 - taps / 2;
   Row const* const rows = all_rows + (p.sizes[p.scales - 1] - taps) / 2;
   auto const weight = [&](int t) { return p.weights[start + t]; };
   __syncthreads();  // publishes the rows, and waits for the readers of earlier lines
@@ -129,7 +131,7 @@ __device__ __forceinline__ void sum_tile(Work<F> const& p, Place const& place, i
     }
   }
   __syncthreads();
-  if (place.within) sum_window<M>(taps, weight, [&](int i) { return lines[place.line + i]; }, sums);
+  if (position.within) sum_window<M>(taps, weight, [&](int i) { return lines[position.line + i]; }, sums);
 }
 
 // Computes the similarity, its loss or the derivatives by the means.
@@ -139,15 +141,15 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles(__grid_c
   extern __shared__ __align__(16) uint8_t shared[];
   Double4<F>* const lines = reinterpret_cast<Double4<F>*>(shared);
   F* const factors = reinterpret_cast<F*>(lines + kSide * p.stride) + threadIdx.x;  // per scale and pixel
-  Place const place(p);
+  BlockPosition const position(p);
   __shared__ Rows rows;
-  list_rows(p, place, false, rows);
+  list_rows(p, position, false, rows);
   int const threads = int(blockDim.x);
   bool const several = p.map || p.of_map;
   F result[kSide] = {};
 #pragma unroll 1
   for (int c = 0; c < p.together; ++c) {
-    int64_t const plane = place.plane + c;
+    int64_t const plane = position.plane + c;
     T const *const xs = channel<T const>(p.x, plane), *const ys = channel<T const>(p.y, plane);
     auto const pixels = [&](int column) {
       auto const *const x = reinterpret_cast<uint8_t const*>(xs + column * p.x.step),
@@ -171,17 +173,17 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles(__grid_c
           return Double4<F>{a, b, a * a + b * b, d * d};
         };
       };
-      sum_tile<4>(p, place, s, start, 0, rows, shared, values, means);
+      sum_tile<4>(p, position, s, start, 0, rows, shared, values, means);
       SsimConstants<F> constants = p.constants;
       if (s + 1 < p.scales) constants.c1 = 1, constants.luminance = 0;
       if (p.derivatives) __syncthreads();  // the derivatives reuse the lines
-      if (place.within) {
+      if (position.within) {
 #pragma unroll
         for (int j = 0; j < kSide; ++j) {
           Means<F> const m{means[0][j], means[1][j], means[2][j], means[3][j]};
           SsimTerms<F> const terms(m, constants);
           F const inverse = fast_reciprocal(terms.denominator), unlike = terms.numerator * inverse;
-          int const x = place.x + j;
+          int const x = position.x + j;
           if (!p.derivatives) {
             if (several)
               similar[j] *= 1 - unlike;
@@ -194,10 +196,10 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles(__grid_c
             factors[(s * kSide + j) * threads] = 1 - unlike;
           else if (!p.grad.data)
             g = -p.loss.structure * p.of_loss[plane / p.loss.planes];
-          else if (p.has_result(place.y, x))
-            g = read(channel<T const>(p.grad, plane, place.y - p.offset)[(x - p.offset) * p.grad.step]);
-          Means<F> const d = ssim_of_means_vjp(m, terms, inverse, g * p.ends(place.y, x, F(2)), constants.luminance);
-          lines[place.line + j] = {d.x, d.y, d.squares, d.apart};
+          else if (p.has_result(position.y, x))
+            g = read(channel<T const>(p.grad, plane, position.y - p.offset)[(x - p.offset) * p.grad.step]);
+          Means<F> const d = ssim_of_means_vjp(m, terms, inverse, g * p.ends(position.y, x, F(2)), constants.luminance);
+          lines[position.line + j] = {d.x, d.y, d.squares, d.apart};
         }
       }
       if (!p.derivatives) continue;
@@ -206,22 +208,23 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles(__grid_c
       for (int r = int(threadIdx.x) / 32; r < kSide; r += threads / 32)
 #pragma unroll 1
         for (int i = int(threadIdx.x) % 32; i < p.columns; i += 32)
-          if (place.y0 + r < p.bottom && p.has_result(place.y0 + r, place.x0 + i))
-            p.derivatives[p.plane_at(s, plane) + p.pixel_at(place.y0 + r, place.x0 + i)] = lines[r * p.stride + i];
+          if (position.y0 + r < p.bottom && p.has_result(position.y0 + r, position.x0 + i))
+            p.derivatives[p.plane_at(s, plane) + p.pixel_at(position.y0 + r, position.x0 + i)] =
+                lines[r * p.stride + i];
     }
     if (p.derivatives) {
-      if (!several || !place.within) continue;
+      if (!several || !position.within) continue;
 #pragma unroll 1
-      for (int j = 0; j < kSide && place.x + j < p.width; ++j) {
+      for (int j = 0; j < kSide && position.x + j < p.width; ++j) {
         F const of_pixel =
-            -p.loss.structure * p.of_map[(plane / p.loss.planes * p.height + place.y) * p.width + place.x + j];
+            -p.loss.structure * p.of_map[(plane / p.loss.planes * p.height + position.y) * p.width + position.x + j];
 #pragma unroll 1
         for (int s = 0; s < p.scales; ++s) {
-          F share = of_pixel;
+          F factor = of_pixel;
 #pragma unroll 1
           for (int t = 0; t < p.scales; ++t)
-            if (t != s) share *= factors[(t * kSide + j) * threads];
-          p.shares[p.plane_at(s, plane) + p.pixel_at(place.y, place.x + j)] = share;
+            if (t != s) factor *= factors[(t * kSide + j) * threads];
+          p.scale_factors[p.plane_at(s, plane) + p.pixel_at(position.y, position.x + j)] = factor;
         }
       }
       continue;
@@ -234,32 +237,32 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles(__grid_c
           return Vector<F, 1>{::fabs(a - b)};
         };
       };
-      sum_tile<1>(p, place, p.scales - 1, start - p.sizes[p.scales - 1], 0, rows, shared, difference, apart);
+      sum_tile<1>(p, position, p.scales - 1, start - p.sizes[p.scales - 1], 0, rows, shared, difference, apart);
 #pragma unroll
       for (int j = 0; j < kSide; ++j) result[j] += p.loss.structure * (1 - similar[j]) + p.loss.absolute * apart[0][j];
       continue;
     }
-    T* const to = p.result.data ? channel<T>(p.result, plane, place.y - p.offset) : nullptr;
+    T* const to = p.result.data ? channel<T>(p.result, plane, position.y - p.offset) : nullptr;
 #pragma unroll
     for (int j = 0; j < kSide; ++j) {
-      int const x = place.x + j;
-      if (!place.within || !p.has_result(place.y, x)) continue;
+      int const x = position.x + j;
+      if (!position.within || !p.has_result(position.y, x)) continue;
       if (to) {
         to[(x - p.offset) * p.result.step] = round_to<T>(1 - similar[j]);
       } else {
         result[0] += p.loss.structure * similar[j];
         if (p.loss.absolute != 0) {
-          auto const [a, b] = pixels(x)(rows[place.y - place.y0 + p.sizes[0] / 2]).v;
+          auto const [a, b] = pixels(x)(rows[position.y - position.y0 + p.sizes[0] / 2]).v;
           result[0] += p.loss.absolute * ::fabs(a - b);
         }
       }
     }
   }
-  if (p.map && place.within) {
-    F* const to = p.map + (place.plane / p.together * p.height + place.y) * p.width + place.x;
+  if (p.map && position.within) {
+    F* const to = p.map + (position.plane / p.together * p.height + position.y) * p.width + position.x;
 #pragma unroll
     for (int j = 0; j < kSide; ++j)
-      if (place.x + j < p.width) to[j] = result[j];
+      if (position.x + j < p.width) to[j] = result[j];
   }
   if (p.partial) {
     F const sum = warp_sum(result[0]);
@@ -271,10 +274,10 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles(__grid_c
 template <class F>
 __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles_back(__grid_constant__ Work<F> const p) {
   extern __shared__ __align__(16) uint8_t shared[];
-  Place const place(p);
+  BlockPosition const position(p);
   __shared__ Rows rows;
-  list_rows(p, place, true, rows);
-  int64_t const plane = place.plane;
+  list_rows(p, position, true, rows);
+  int64_t const plane = position.plane;
   F sums[4][kSide] = {}, apart[1][kSide] = {};
   int start = 0;
 #pragma unroll 1
@@ -283,20 +286,20 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles_back(__g
     auto const derivatives = [&](int column) {
       int64_t const from = first + column - p.offset;
       Double4<F> const* const result = p.derivatives + from;
-      F const* const shares = p.shares + (p.shares ? from : 0);
+      F const* const scale_factors = p.scale_factors + (p.scale_factors ? from : 0);
       return [=, &p](Row const& row) {
         Double4<F> of_pixel = result[row.x];
-        if (p.shares) {
-          F const share = shares[row.x];
+        if (p.scale_factors) {
+          F const factor = scale_factors[row.x];
 #pragma unroll
-          for (int m = 0; m < 4; ++m) of_pixel.v[m] *= share;
+          for (int m = 0; m < 4; ++m) of_pixel.v[m] *= factor;
         }
 #pragma unroll
         for (int m = 0; m < 4; ++m) of_pixel.v[m] = row.there ? of_pixel.v[m] : F(0);
         return of_pixel;
       };
     };
-    sum_tile<4>(p, place, s, start, p.offset, rows, shared, derivatives, sums);
+    sum_tile<4>(p, position, s, start, p.offset, rows, shared, derivatives, sums);
   }
   if (p.of_map) {
     F const* const g = p.of_map + (plane / p.loss.planes * p.height + p.stored_top) * p.width;
@@ -306,21 +309,21 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles_back(__g
         return Vector<F, 1>{row.there ? of_pixel : F(0)};
       };
     };
-    sum_tile<1>(p, place, p.scales - 1, start - p.sizes[p.scales - 1], 0, rows, shared, gradient, apart);
+    sum_tile<1>(p, position, p.scales - 1, start - p.sizes[p.scales - 1], 0, rows, shared, gradient, apart);
   }
-  if (!place.within) return;
+  if (!position.within) return;
   F const of_absolute = p.of_loss ? p.loss.absolute * p.of_loss[plane / p.loss.planes] : F(0);
   dispatch_floating_dtype<F>(p.stored, [&](auto type) {
     using T = decltype(type);
-    T const *const xs = channel<T const>(p.x, plane, place.y), *const ys = channel<T const>(p.y, plane, place.y);
-    T* const to_x = channel<T>(p.result, plane, place.y);
-    T* const to_y = p.other_result.data ? channel<T>(p.other_result, plane, place.y) : nullptr;
+    T const *const xs = channel<T const>(p.x, plane, position.y), *const ys = channel<T const>(p.y, plane, position.y);
+    T* const to_x = channel<T>(p.result, plane, position.y);
+    T* const to_y = p.other_result.data ? channel<T>(p.other_result, plane, position.y) : nullptr;
 #pragma unroll
     for (int j = 0; j < kSide; ++j) {
-      int const x = place.x + j;
+      int const x = position.x + j;
       if (x >= p.width) break;
       F const a = read(xs[x * p.x.step]), b = read(ys[x * p.y.step]), d = a - b;
-      F const scale = p.ends(place.y, x, F(0.5)), sign = d > 0 ? F(1) : d < 0 ? F(-1) : d;
+      F const scale = p.ends(position.y, x, F(0.5)), sign = d > 0 ? F(1) : d < 0 ? F(-1) : d;
       F const flat = sign * (of_absolute + p.loss.absolute * apart[0][j]);
       F const of_x = sums[0][j] + a * sums[2][j] + d * sums[3][j];
       F const of_y = sums[1][j] + b * sums[2][j] - d * sums[3][j];
@@ -396,7 +399,7 @@ int launch_gradients(Work<Compute<T>>& work, int size, int64_t room, Compute<T>*
   work.together = 1, work.band = busiest(max(most_rows / all, int64_t(1)), planes, blocks);
   work.stored_rows = int(min(most_rows, int64_t(all)));
   work.derivatives = reinterpret_cast<Double4<F>*>(derivatives);
-  work.shares = several ? derivatives + 4 * work.band * work.stored_rows * row : nullptr;
+  work.scale_factors = several ? derivatives + 4 * work.band * work.stored_rows * row : nullptr;
   int const rows = work.stored_rows < all ? work.stored_rows - 2 * reach : work.height;
   for (; work.first < planes; work.first += work.band)
     for (int top = 0; top < work.height; top += rows) {

@@ -84,7 +84,7 @@ class BorderType(_NamedEnum):
 
 
 class SamplePadding(_NamedEnum):
-    """What a warp reads outside the picture; FILL is a constant colour.
+    """What a warp reads outside the picture; FILL is a constant color.
 
     Example:
         >>> import kvision as K

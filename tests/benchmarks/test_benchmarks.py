@@ -13,13 +13,13 @@ import torch
 
 from benchmarks import __main__ as command
 from benchmarks import kernels, overhead, sobel_figure, threads
+from benchmarks.bars import EXTRA, check, losses
 from benchmarks.case import Bars, Case, dead_leaves, nonlinear_backward, photographs
 from benchmarks.cases import ALL
 from benchmarks.measure import BACKWARD, BOTH, FORWARD, KVISION, Row, measure
 from benchmarks.peers import PEERS, agreement
 from benchmarks.table import Table, summary
 from benchmarks.timing import CpuClock, Timing
-from benchmarks.verdict import EXTRA, judge, losses
 
 CPU = torch.device("cpu")
 SIZE = (2, 3, 8, 9)
@@ -132,7 +132,7 @@ def row(library: str, stage: str = FORWARD, value: float = 1.0, dtype: str = "fl
 
 
 def judged(bars: Bars, rows: list[Row], cuda: bool) -> dict[str, bool]:
-    return {verdict.what: verdict.met for verdict in judge([Case("work", torch.neg, bars=bars)], rows, cuda)}
+    return {bar.what: bar.met for bar in check([Case("work", torch.neg, bars=bars)], rows, cuda)}
 
 
 def test_bars_on_a_cpu():

@@ -26,7 +26,7 @@ def test_every_grey_agrees_with_kornia():
 
 
 def test_codes_are_the_nearest_of_the_palette():
-    """Against all 240 colours, written out."""
+    """Against all 240 colors, written out."""
     cube = [
         (r, g, b)
         for r in (0, 95, 135, 175, 215, 255)

@@ -67,7 +67,7 @@ def test_every_type_of_every_file(kind, channels, dtype, suffix, tmp_path, devic
     got = K.io.load_image(save(tmp_path / f"x{suffix}", rgb), kind, device)
     assert (got.shape, got.dtype) == ((TYPES[kind][0], 6, 9), TYPES[kind][1])
     assert got.is_contiguous() and got.device.type == device.type
-    # GRAY8 of 8-bit colours takes OpenCV's fixed-point weights, which differ where the sum is nearly half-way
+    # GRAY8 of 8-bit colors takes OpenCV's fixed-point weights, which differ where the sum is nearly half-way
     tolerance = 1 if kind is ImageLoadType.GRAY8 and channels == 3 else 0
     if kind in (ImageLoadType.GRAY32, ImageLoadType.RGB32):
         tolerance = 1e-6

@@ -21,8 +21,8 @@ __global__ void __launch_bounds__(kThreads)
     F sums[kProjectionSums] = {};
     if (there) {
       Reprojection<F> const projection(p.projections + b * p.projection_stride + i * p.projection_view_stride);
-      DepthPlace<T> const place(p, projection, b, y, x);
-      TapWindow<2, F> const window(p, place.u, place.v);
+      DepthCoords<T> const coords(p, projection, b, y, x);
+      TapWindow<2, F> const window(p, coords.u, coords.v);
       if (window.inside) {
         F wx[2], wy[2], to_u = 0, to_v = 0;
         tap_weights(window.tx, wx);
@@ -33,17 +33,17 @@ __global__ void __launch_bounds__(kThreads)
         for (int c = 0; c < p.x.channels; ++c) {
           F const a00 = read(from[0]), a01 = read(from[step]), a10 = read(from[row]), a11 = read(from[row + step]);
           F const value = (a00 * wx[0] + a01 * wx[1]) * wy[0] + (a10 * wx[0] + a11 * wx[1]) * wy[1];
-          F slope;
-          sums[12] += distance_of(p.distance, value - F(read(*target)), p.eps, slope);
-          to_u += slope * ((a01 - a00) * wy[0] + (a11 - a10) * wy[1]);
-          to_v += slope * ((a10 - a00) * wx[0] + (a11 - a01) * wx[1]);
+          F derivative;
+          sums[12] += distance_of(p.distance, value - F(read(*target)), p.eps, derivative);
+          to_u += derivative * ((a01 - a00) * wy[0] + (a11 - a10) * wy[1]);
+          to_v += derivative * ((a10 - a00) * wx[0] + (a11 - a01) * wx[1]);
           from += p.x.channel_stride;
           target += p.target.channel_stride;
         }
         sums[13] = 1;
         F g[3];
-        to_depth += projection.vjp(place.x, place.y, place.u, place.v, place.scale, to_u, to_v, g);
-        add_to_projection(g, place.x, place.y, place.d, sums);
+        to_depth += projection.vjp(coords.x, coords.y, coords.u, coords.v, coords.scale, to_u, to_v, g);
+        add_to_projection(g, coords.x, coords.y, coords.d, sums);
       }
     }
     store_block_sums(sums, p.sums + (int64_t(blockIdx.x) * p.views + i) * kProjectionSums);

@@ -13,7 +13,7 @@
 namespace kv::geometry {
 
 template <class T>
-struct PhotometricDepth : DepthPlaces<T> {  // x is the first view of each sample
+struct PhotometricDepth : DepthSampling<T> {  // x is the first view of each sample
   Images<T const> target;
   int64_t view_stride, projection_view_stride;
   int views;
@@ -24,8 +24,8 @@ struct PhotometricDepth : DepthPlaces<T> {  // x is the first view of each sampl
   int64_t parts;
 
   // View i as the only source.
-  KV_HD DepthPlaces<T> view(int i) const {
-    DepthPlaces<T> p = *this;
+  KV_HD DepthSampling<T> view(int i) const {
+    DepthSampling<T> p = *this;
     p.x.data += i * view_stride;
     p.projections += i * projection_view_stride;
     return p;

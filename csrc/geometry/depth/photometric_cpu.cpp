@@ -9,11 +9,11 @@ namespace {
 
 // N pixels: their distances, the gradients of these to the sampling coordinates, and the number of visible pixels.
 template <int N, class T, class V>
-KV_HD int compare(PhotometricDepth<T> const& p, DepthPlaces<T> const& view, DepthPlace<N, T> const& place, int64_t b,
-                  int64_t y, int64_t x, V& distance, V& to_u, V& to_v) {
-  auto const window = place.window(view);
+KV_HD int compare(PhotometricDepth<T> const& p, DepthSampling<T> const& view, DepthCoords<N, T> const& coords,
+                  int64_t b, int64_t y, int64_t x, V& distance, V& to_u, V& to_v) {
+  auto const window = coords.window(view);
   V const right = V{} + Compute<T>(view.x_axis.size - 1), low = V{} + Compute<T>(view.y_axis.size - 1);
-  auto const seen = (place.u >= 0) & (place.u < right) & (place.v >= 0) & (place.v < low);
+  auto const seen = (coords.u >= 0) & (coords.u < right) & (coords.v >= 0) & (coords.v < low);
   V const one = V(seen ? V(V{} + 1) : V{});
   V wx[2], wy[2], a[2][2];
   tap_weights(window.tx, wx);
@@ -22,7 +22,7 @@ KV_HD int compare(PhotometricDepth<T> const& p, DepthPlaces<T> const& view, Dept
   if (window.outside) return 0;
   for (int c = 0; c < p.x.channels; ++c) {
     T const* const at = p.target.row(b, c, y) + x * p.target.step;
-    V target{}, slope;
+    V target{}, derivative;
     if (N == 1 || p.target.step == 1) {
       target = load<N>(at);
     } else if constexpr (N > 1) {
@@ -30,10 +30,10 @@ KV_HD int compare(PhotometricDepth<T> const& p, DepthPlaces<T> const& view, Dept
     }
     read_taps(view, window, view.x.row(b, c, 0), a);
     V const value = (a[0][0] * wx[0] + a[0][1] * wx[1]) * wy[0] + (a[1][0] * wx[0] + a[1][1] * wx[1]) * wy[1];
-    V const found = distance_of(p.distance, V(value - target), p.eps, slope);
-    distance += seen ? found : V{};
-    to_u += seen ? V(slope * ((a[0][1] - a[0][0]) * wy[0] + (a[1][1] - a[1][0]) * wy[1])) : V{};
-    to_v += seen ? V(slope * ((a[1][0] - a[0][0]) * wx[0] + (a[1][1] - a[0][1]) * wx[1])) : V{};
+    V const pixel_loss = distance_of(p.distance, V(value - target), p.eps, derivative);
+    distance += seen ? pixel_loss : V{};
+    to_u += seen ? V(derivative * ((a[0][1] - a[0][0]) * wy[0] + (a[1][1] - a[1][0]) * wy[1])) : V{};
+    to_v += seen ? V(derivative * ((a[1][0] - a[0][0]) * wx[0] + (a[1][1] - a[0][1]) * wx[1])) : V{};
   }
   if constexpr (N == 1) {
     return int(one);
@@ -55,18 +55,18 @@ void photometric_depth(PhotometricDepth<T> const& p, int64_t begin, int64_t end)
     F* const to_depth = p.to_depth + (b * height + y) * width;
     for (int64_t x = first; x < first + count; ++x) to_depth[x] = 0;
     for (int i = 0; i < p.views; ++i) {
-      DepthPlaces<T> const view = p.view(i);
+      DepthSampling<T> const view = p.view(i);
       auto const projection = view.projection(b);
       ProjectionSums<F> sums{};
-      for_each_place(view, first, count, [&](auto lanes, int64_t x) {
+      for_each_coords(view, first, count, [&](auto lanes, int64_t x) {
         constexpr int N = decltype(lanes)::value;
         using V = Lanes<F, N>;
-        DepthPlace<N, T> const place(view, projection, b, y, x);
+        DepthCoords<N, T> const coords(view, projection, b, y, x);
         V distance, to_u, to_v, g[3];
-        sums.count += compare<N>(p, view, place, b, y, x, distance, to_u, to_v);
-        V const to_d = projection.vjp(place.x, F(y), place.u, place.v, place.scale, to_u, to_v, g);
+        sums.count += compare<N>(p, view, coords, b, y, x, distance, to_u, to_v);
+        V const to_d = projection.vjp(coords.x, F(y), coords.u, coords.v, coords.scale, to_u, to_v, g);
         store<N>(to_depth + x, V(load<N>(to_depth + x) + to_d));
-        sums.template add<N>(g, place.x, place.d);
+        sums.template add<N>(g, coords.x, coords.d);
         sums.template add_to<N>(sums.distance, distance);
       });
       sums.add_row(y, p.sums + row_sums * (b * height + y) + kProjectionSums * i);

@@ -23,9 +23,9 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> photometric_depth(Tensor const& views
   Depths const depths(op, depth, projections, views);
   Size const source = checked_size(op, {views.size(3), views.size(4)}), output = depths.size();
   KV_CHECK(target.size(2) == output.height && target.size(3) == output.width, op, ": depth does not fit the target");
-  SamplingOptions const how(op, Interpolation::bilinear, Padding::fill, true, views, {});
+  SamplingOptions const options(op, Interpolation::bilinear, Padding::fill, true, views, {});
   int64_t const parts = projection_parts(output);
-  Tensor const loss = empty({batch}, depths.depth), share = empty({batch}, depths.depth);
+  Tensor const loss = empty({batch}, depths.depth), inverse_terms = empty({batch}, depths.depth);
   Tensor const to_depth = empty({batch, 1, output.height, output.width}, depths.depth);
   Tensor const to_projections = empty({batch, count, 3, 4}, depths.depth);
   Tensor const sums = empty({batch, parts, count, kProjectionSums}, views, Layout::planar, ScalarType::Double);
@@ -33,7 +33,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> photometric_depth(Tensor const& views
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     PhotometricDepth<T> params{};
-    depths.set(params, how, source, batch);
+    depths.set(params, options, source, batch);
     params.x = {data_ptr<T const>(views),
                 views.stride(0),
                 views.stride(2),
@@ -61,10 +61,10 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> photometric_depth(Tensor const& views
                                    int(channels),
                                    data_ptr<F>(to_projections),
                                    data_ptr<F>(loss),
-                                   data_ptr<F>(share)};
+                                   data_ptr<F>(inverse_terms)};
     KV_RUN(projection_total, views, total, batch, 14 * count * parts);
   });
-  return {loss, to_depth, share, to_projections};
+  return {loss, to_depth, inverse_terms, to_projections};
 }
 
 }  // namespace

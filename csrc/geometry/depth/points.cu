@@ -29,7 +29,7 @@ struct Runs {
 
 // Whether rows can be read in vectors of four.
 template <class T>
-bool in_fours(Images<T> const& p) {
+bool is_vectorizable_by_4(Images<T> const& p) {
   int64_t const bytes = sizeof(T) * kRun > 16 ? 16 : sizeof(T) * kRun;
   auto const fits = [&](int64_t stride) { return stride * int64_t(sizeof(T)) % bytes == 0; };
   return reinterpret_cast<uintptr_t>(p.data) % bytes == 0 && fits(p.batch_stride) && fits(p.channel_stride) &&
@@ -38,9 +38,9 @@ bool in_fours(Images<T> const& p) {
 
 // Reads kRun pixels from column x on. Columns past the border replicate it.
 template <class T, class F>
-__device__ __forceinline__ void load_run(T const* row, int64_t step, int x, int width, bool fours, F (&v)[kRun]) {
+__device__ __forceinline__ void load_run(T const* row, int64_t step, int x, int width, bool vectorized, F (&v)[kRun]) {
   Vector<std::remove_const_t<T>, kRun> vector{};
-  if (fours)
+  if (vectorized)
     vector = *reinterpret_cast<Vector<T, kRun> const*>(row + x);
   else
     for (int i = 0; i < kRun; ++i) vector.v[i] = row[min(x + i, width - 1) * step];
@@ -48,8 +48,8 @@ __device__ __forceinline__ void load_run(T const* row, int64_t step, int x, int 
   for (int i = 0; i < kRun; ++i) v[i] = read(vector.v[i]);
 }
 template <class T, class F>
-__device__ __forceinline__ void store_run(T* row, int64_t step, int x, int width, bool fours, F const (&v)[kRun]) {
-  if (fours)
+__device__ __forceinline__ void store_run(T* row, int64_t step, int x, int width, bool vectorized, F const (&v)[kRun]) {
+  if (vectorized)
     store_vector(row + x, v);
   else
     for (int i = 0; i < kRun; ++i)
@@ -146,7 +146,7 @@ __global__ void __launch_bounds__(kThreads)
     normals_backward(__grid_constant__ DepthNormalsBackward<T> const p, unsigned across, unsigned down) {
   using F = Compute<T>;
   constexpr int kWide = kAcross + 2, kHigh = Tall + 2, kRows = Tall / 8;
-  __shared__ F slopes[6][kHigh][kWide];
+  __shared__ F gradients[6][kHigh][kWide];
   unsigned const line = blockIdx.x / across;
   int64_t const b = line / down;
   int const x0 = int(blockIdx.x - line * across) * kAcross, y0 = int(line - unsigned(b) * down) * Tall;
@@ -180,12 +180,12 @@ __global__ void __launch_bounds__(kThreads)
       normal_vjp(along_x, along_y, grad, to_x, to_y);
     }
 #pragma unroll
-    for (int k = 0; k < 3; ++k) slopes[k][row][column] = to_x[k], slopes[3 + k][row][column] = to_y[k];
+    for (int k = 0; k < 3; ++k) gradients[k][row][column] = to_x[k], gradients[3 + k][row][column] = to_y[k];
   }
   __syncthreads();
   int const left = threadIdx.x % 32, x = x0 + left, top = int(threadIdx.x / 32) * kRows;
   if (x >= width) return;
-  Taken<F> const beside(x, width);
+  Taken<F> const adjacent(x, width);
   F ray[3], differences[kRows + 2][3], means[kRows + 2][3];  // of each row of the pixels and of their neighbors
 #pragma unroll
   for (int j = 0; j < kRows + 2; ++j)
@@ -194,8 +194,8 @@ __global__ void __launch_bounds__(kThreads)
       differences[j][k] = means[j][k] = 0;
 #pragma unroll
       for (int i = 0; i < 3; ++i) {
-        differences[j][k] += beside.difference[i] * slopes[k][top + j][left + i];
-        means[j][k] += beside.mean[i] * slopes[3 + k][top + j][left + i];
+        differences[j][k] += adjacent.difference[i] * gradients[k][top + j][left + i];
+        means[j][k] += adjacent.mean[i] * gradients[3 + k][top + j][left + i];
       }
     }
 #pragma unroll
@@ -224,7 +224,7 @@ constexpr int kRunsEach = 4;
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    sum_to_cameras(__grid_constant__ DepthPointsCameraBackward<T> const p, bool fours) {
+    sum_to_cameras(__grid_constant__ DepthPointsCameraBackward<T> const p, bool vectorized) {
   using F = Compute<T>;
   int64_t const b = blockIdx.x / p.parts, part = blockIdx.x - b * p.parts;
   int const width = int(p.grad.width), height = int(p.grad.height), across = (width + kRun - 1) / kRun;
@@ -236,9 +236,9 @@ __global__ void __launch_bounds__(kThreads)
     if (run >= int64_t(across) * height) break;
     int const y = int(run / across), x = int(run - int64_t(y) * across) * kRun;
     F grad[3][kRun], d[kRun];
-    load_run(p.depth.row(b, 0, y), p.depth.step, x, width, fours, d);
+    load_run(p.depth.row(b, 0, y), p.depth.step, x, width, vectorized, d);
 #pragma unroll
-    for (int k = 0; k < 3; ++k) load_run(p.grad.row(b, k, y), p.grad.step, x, width, fours, grad[k]);
+    for (int k = 0; k < 3; ++k) load_run(p.grad.row(b, k, y), p.grad.step, x, width, vectorized, grad[k]);
 #pragma unroll
     for (int i = 0; i < kRun; ++i) {
       F const g[] = {grad[0][i], grad[1][i], grad[2][i]};
@@ -278,21 +278,24 @@ __global__ void __launch_bounds__(128) finish_cameras(__grid_constant__ DepthPoi
 template <class T>
 int depth_points(DepthPoints<T> const& p, CUstream_st* stream) {
   Runs const runs(p.y.batch, p.y.height, p.y.width);
-  points_of<T><<<runs.blocks(), kThreads, 0, stream>>>(p, runs, in_fours(p.depth), in_fours(p.y));
+  points_of<T>
+      <<<runs.blocks(), kThreads, 0, stream>>>(p, runs, is_vectorizable_by_4(p.depth), is_vectorizable_by_4(p.y));
   return cudaGetLastError();
 }
 
 template <class T>
 int depth_points_backward(DepthPointsBackward<T> const& p, CUstream_st* stream) {
   Runs const runs(p.grad.batch, p.grad.height, p.grad.width);
-  points_backward<T><<<runs.blocks(), kThreads, 0, stream>>>(p, runs, in_fours(p.grad), in_fours(p.to_depth));
+  points_backward<T>
+      <<<runs.blocks(), kThreads, 0, stream>>>(p, runs, is_vectorizable_by_4(p.grad), is_vectorizable_by_4(p.to_depth));
   return cudaGetLastError();
 }
 
 template <class T>
 int depth_normals(DepthPoints<T> const& p, CUstream_st* stream) {
   Runs const runs(p.y.batch, p.y.height, p.y.width);
-  normals_of<T><<<runs.blocks(), kThreads, 0, stream>>>(p, runs, in_fours(p.depth), in_fours(p.y));
+  normals_of<T>
+      <<<runs.blocks(), kThreads, 0, stream>>>(p, runs, is_vectorizable_by_4(p.depth), is_vectorizable_by_4(p.y));
   return cudaGetLastError();
 }
 
@@ -306,8 +309,8 @@ int depth_normals_backward(DepthNormalsBackward<T> const& p, CUstream_st* stream
 
 template <class T>
 int depth_points_camera_backward(DepthPointsCameraBackward<T> const& p, CUstream_st* stream) {
-  bool const fours = in_fours(p.grad) && in_fours(p.depth);
-  sum_to_cameras<T><<<unsigned(p.grad.batch * p.parts), kThreads, 0, stream>>>(p, fours);
+  bool const vectorized = is_vectorizable_by_4(p.grad) && is_vectorizable_by_4(p.depth);
+  sum_to_cameras<T><<<unsigned(p.grad.batch * p.parts), kThreads, 0, stream>>>(p, vectorized);
   finish_cameras<T><<<unsigned(p.grad.batch), 128, 0, stream>>>(p);
   return cudaGetLastError();
 }

@@ -109,10 +109,10 @@ void depth_normals_backward(DepthNormalsBackward<T> const& p, int64_t begin, int
   Scratch<F> const scratch(3 * 6 *
                            padded);  // for three rows, the gradients to both derivatives; 0 outside of the image
   for (int64_t i = 0; i < 3 * 6 * padded; ++i) scratch.data[i] = 0;
-  auto const slopes = [&](int64_t y, int k) { return scratch.data + ((y + 3) % 3 * 6 + k) * padded + 1; };
+  auto const gradients = [&](int64_t y, int k) { return scratch.data + ((y + 3) % 3 * 6 + k) * padded + 1; };
   auto const fill = [&](int64_t b, int64_t y) {
     if (y < 0 || y >= height) {
-      for (int64_t x = 0; x < 6 * padded; ++x) slopes(y, 0)[x - 1] = 0;
+      for (int64_t x = 0; x < 6 * padded; ++x) gradients(y, 0)[x - 1] = 0;
       return;
     }
     for_each_slope<T>(p, p.grad, b, y, [&](auto lanes, int64_t x, auto const& along_x, auto const& along_y) {
@@ -120,7 +120,7 @@ void depth_normals_backward(DepthNormalsBackward<T> const& p, int64_t begin, int
       Lanes<F, N> grad[3], to_x[3], to_y[3];
       for (int k = 0; k < 3; ++k) grad[k] = load<N>(p.grad.row(b, k, y) + x * p.grad.step);
       normal_vjp(along_x, along_y, grad, to_x, to_y);
-      for (int k = 0; k < 3; ++k) store<N>(slopes(y, k) + x, to_x[k]), store<N>(slopes(y, 3 + k) + x, to_y[k]);
+      for (int k = 0; k < 3; ++k) store<N>(gradients(y, k) + x, to_x[k]), store<N>(gradients(y, 3 + k) + x, to_y[k]);
     });
   };
   for (int64_t r = begin; r < end; ++r) {
@@ -133,7 +133,7 @@ void depth_normals_backward(DepthNormalsBackward<T> const& p, int64_t begin, int
       Lanes<F, N> ray[3], to_point[3] = {};
       for (int k = 0; k < 3; ++k)
         for (int j = 0; j < 3; ++j) {
-          F const *const to_x = slopes(y - 1 + j, k) + x, *const to_y = slopes(y - 1 + j, 3 + k) + x;
+          F const *const to_x = gradients(y - 1 + j, k) + x, *const to_y = gradients(y - 1 + j, 3 + k) + x;
           for (int i = 0; i < 3; ++i)
             to_point[k] += load<N>(to_x + i - 1) * (across.difference[i] * down.mean[j]) +
                            load<N>(to_y + i - 1) * (across.mean[i] * down.difference[j]);

@@ -11,7 +11,7 @@ __global__ void __launch_bounds__(kThreads) warp_tiles(__grid_constant__ DepthWa
   int y, x;
   tiles.locate(b, y, x);
   if (x >= p.y.width || y >= p.y.height) return;
-  auto const window = DepthPlace<T>(p, p.projection(b), b, y, x).window(p);
+  auto const window = DepthCoords<T>(p, p.projection(b), b, y, x).window(p);
   int64_t const row = p.x.row_stride, step = p.x.step;
   F wx[2], wy[2];
   tap_weights(window.tx, wx);
@@ -49,8 +49,8 @@ __global__ void __launch_bounds__(kThreads)
   F sums[kProjectionSums] = {};
   if (x < p.grad.width && y < p.grad.height) {
     auto const projection = p.projection(b);
-    DepthPlace<T> const place(p, projection, b, y, x);
-    auto const window = place.window(p);
+    DepthCoords<T> const coords(p, projection, b, y, x);
+    auto const window = coords.window(p);
     int64_t const row = p.x.row_stride, step = p.x.step;
     F wx[2], wy[2], to_u = 0, to_v = 0;
     tap_weights(window.tx, wx);
@@ -78,8 +78,8 @@ __global__ void __launch_bounds__(kThreads)
     if (p.interpolation == Interpolation::nearest) to_u = to_v = 0;
     F g[3];
     p.to_depth[(b * p.grad.height + y) * p.grad.width + x] =
-        projection.vjp(place.x, place.y, place.u, place.v, place.scale, to_u, to_v, g);
-    add_to_projection(g, place.x, place.y, place.d, sums);
+        projection.vjp(coords.x, coords.y, coords.u, coords.v, coords.scale, to_u, to_v, g);
+    add_to_projection(g, coords.x, coords.y, coords.d, sums);
   }
   store_block_sums(sums, p.sums + int64_t(blockIdx.x) * kProjectionSums);
 }
@@ -92,7 +92,7 @@ __global__ void __launch_bounds__(kThreads)
   int y, x;
   tiles.locate(b, y, x);
   if (x >= p.grad.width || y >= p.grad.height) return;
-  auto const window = DepthPlace<F>(p, p.projection(b), b, y, x).window(p);
+  auto const window = DepthCoords<F>(p, p.projection(b), b, y, x).window(p);
   F wx[2], wy[2];
   tap_weights(window.tx, wx);
   tap_weights(window.ty, wy);
@@ -112,7 +112,7 @@ __global__ void __launch_bounds__(kThreads) total_of(ProjectionTotal<T> p) {
   __shared__ double total[12];
   int64_t const b = blockIdx.x, count = p.parts * p.views;
   double const* const from = p.sums + b * count * kProjectionSums;
-  double share = 1;
+  double inverse_terms = 1;
   if (p.loss) {
     double sums[2] = {};
     for (int64_t i = threadIdx.x; i < count; i += kThreads)
@@ -120,10 +120,10 @@ __global__ void __launch_bounds__(kThreads) total_of(ProjectionTotal<T> p) {
     store_block_sums(sums, total);
     __syncthreads();
     double const terms = total[1] * double(p.channels);
-    share = terms > 0 ? 1 / terms : 0;
+    inverse_terms = terms > 0 ? 1 / terms : 0;
     if (threadIdx.x == 0) {
       p.loss[b] = T(total[0] / terms);
-      p.share[b] = T(share);
+      p.inverse_terms[b] = T(inverse_terms);
     }
     __syncthreads();
   }
@@ -132,7 +132,7 @@ __global__ void __launch_bounds__(kThreads) total_of(ProjectionTotal<T> p) {
     for (int64_t part = threadIdx.x; part < p.parts; part += kThreads)
       for (int i = 0; i < 12; ++i) sums[i] += from[(part * p.views + view) * kProjectionSums + i];
     store_block_sums(sums, total);
-    if (threadIdx.x < 12) p.grad[(b * p.views + view) * 12 + threadIdx.x] = T(total[threadIdx.x] * share);
+    if (threadIdx.x < 12) p.grad[(b * p.views + view) * 12 + threadIdx.x] = T(total[threadIdx.x] * inverse_terms);
   }
 }
 

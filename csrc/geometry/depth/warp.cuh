@@ -24,16 +24,16 @@ struct DepthTiles {
 
 // A pixel's sampling coordinates (u, v) in a source, and the numbers that its gradients need.
 template <class T>
-struct DepthPlace {
+struct DepthCoords {
   using F = Compute<T>;
   F x, y, d, u, v, scale;
-  __device__ __forceinline__ DepthPlace(DepthPlaces<T> const& p, Reprojection<F> const& projection, int64_t b, int y,
-                                        int x)
+  __device__ __forceinline__ DepthCoords(DepthSampling<T> const& p, Reprojection<F> const& projection, int64_t b, int y,
+                                         int x)
       : x(F(x)), y(F(y)), d(p.depth.row(b, 0, y)[x * p.depth.step]) {
     projection.at(this->x, this->y, d, u, v, scale);
     d = d - d == 0 ? d : F(0);  // without finite depth (u, v) is not valid; d must then not make gradients NaN
   }
-  __device__ __forceinline__ TapWindow<2, F> window(DepthPlaces<T> const& p) const {
+  __device__ __forceinline__ TapWindow<2, F> window(DepthSampling<T> const& p) const {
     bool const nearest = p.interpolation == Interpolation::nearest;
     return TapWindow<2, F>(p, nearest ? ::rint(u) : u, nearest ? ::rint(v) : v);
   }

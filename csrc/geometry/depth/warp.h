@@ -15,8 +15,8 @@ template <class F>
 struct Reprojection {
   F m[12];
 
-  KV_HD explicit Reprojection(F const* given) {
-    for (int i = 0; i < 12; ++i) m[i] = given[i];
+  KV_HD explicit Reprojection(F const* projection) {
+    for (int i = 0; i < 12; ++i) m[i] = projection[i];
   }
   // A row of A times (x, y, 1).
   template <class V>
@@ -48,7 +48,7 @@ struct Reprojection {
 
 // An image, the depths of the output's pixels, and the projections that map these to sampling coordinates.
 template <class T>
-struct DepthPlaces : Sampling<T> {
+struct DepthSampling : Sampling<T> {
   Images<T const> x;
   Images<Compute<T> const> depth;  // one channel
   Compute<T> const* projections;
@@ -60,13 +60,13 @@ struct DepthPlaces : Sampling<T> {
 };
 
 template <class T>
-struct DepthWarp : DepthPlaces<T> {
+struct DepthWarp : DepthSampling<T> {
   Images<T> y;
 };
 
 // The gradients to depths and projections. The latter are 14 sums for each chunk; the last two are not used here.
 template <class T>
-struct DepthWarpCoordsBackward : DepthPlaces<T> {
+struct DepthWarpCoordsBackward : DepthSampling<T> {
   Images<T const> grad;
   Compute<T>* to_depth;  // (B, h, w)
   double* sums;          // (B, chunks, 14)
@@ -75,7 +75,7 @@ struct DepthWarpCoordsBackward : DepthPlaces<T> {
 
 // The gradient to the image.
 template <class T>
-struct DepthWarpImageBackward : DepthPlaces<T> {
+struct DepthWarpImageBackward : DepthSampling<T> {
   Images<T const> grad;
   Images<T> grad_x;  // contiguous
 };
@@ -89,7 +89,7 @@ struct ProjectionTotal {
   double const* sums;  // (B, chunks, views, 14)
   int64_t parts, batch;
   int views, channels;
-  T *grad, *loss, *share;  // (B, views, 3, 4), (B), 1 / terms (B); loss and 1 / terms may be null
+  T *grad, *loss, *inverse_terms;  // (B, views, 3, 4), (B), 1 / terms (B); loss and 1 / terms may be null
 };
 
 KV_KERNEL(depth_warp, DepthWarp)

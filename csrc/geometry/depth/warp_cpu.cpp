@@ -7,7 +7,7 @@ namespace {
 
 // A tap of weight 0 does not contribute, even if it is NaN or inf.
 template <int N, class T>
-KV_HD auto value_of(DepthPlaces<T> const& p, TapWindow<2, N, T> const& window, T const* plane) {
+KV_HD auto value_of(DepthSampling<T> const& p, TapWindow<2, N, T> const& window, T const* plane) {
   using F = Compute<T>;
   using V = Lanes<F, N>;
   V wx[2], wy[2], a[2][2];
@@ -16,13 +16,13 @@ KV_HD auto value_of(DepthPlaces<T> const& p, TapWindow<2, N, T> const& window, T
   read_taps(p, window, plane, a);
   V const sum = (a[0][0] * wx[0] + a[0][1] * wx[1]) * wy[0] + (a[1][0] * wx[0] + a[1][1] * wx[1]) * wy[1];
   if (all<N>(sum - sum == 0)) return sum;
-  V kept{};
+  V value{};
   for (int j = 0; j < 2; ++j)
     for (int i = 0; i < 2; ++i) {
       V const weight = wx[i] * wy[j];
-      kept += weight == 0 ? V{} : V(weight * a[j][i]);
+      value += weight == 0 ? V{} : V(weight * a[j][i]);
     }
-  return kept;
+  return value;
 }
 
 template <int N, class V>
@@ -48,12 +48,12 @@ template <class T>
 void depth_warp(DepthWarp<T> const& p, int64_t begin, int64_t end) {
   for_each_row_chunk(begin, end, p.y.height, p.y.width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
     auto const projection = p.projection(b);
-    for_each_place(p, first, count, [&](auto lanes, int64_t x) {
+    for_each_coords(p, first, count, [&](auto lanes, int64_t x) {
       constexpr int N = decltype(lanes)::value;
-      auto const window = DepthPlace<N, T>(p, projection, b, y, x).window(p);
+      auto const window = DepthCoords<N, T>(p, projection, b, y, x).window(p);
       for (int c = 0; c < p.x.channels; ++c) {
-        auto const found = window.outside ? Lanes<Compute<T>, N>{} : value_of(p, window, p.x.row(b, c, 0));
-        store_apart<N>(p.y.row(b, c, y) + x * p.y.step, p.y.step, found);
+        auto const value = window.outside ? Lanes<Compute<T>, N>{} : value_of(p, window, p.x.row(b, c, 0));
+        store_apart<N>(p.y.row(b, c, y) + x * p.y.step, p.y.step, value);
       }
     });
   });
@@ -68,11 +68,11 @@ void depth_warp_coords_backward(DepthWarpCoordsBackward<T> const& p, int64_t beg
   for_each_row_chunk(begin, end, height, width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
     auto const projection = p.projection(b);
     ProjectionSums<F> sums{};
-    for_each_place(p, first, count, [&](auto lanes, int64_t x) {
+    for_each_coords(p, first, count, [&](auto lanes, int64_t x) {
       constexpr int N = decltype(lanes)::value;
       using V = Lanes<F, N>;
-      DepthPlace<N, T> const place(p, projection, b, y, x);
-      auto const window = place.window(p);
+      DepthCoords<N, T> const coords(p, projection, b, y, x);
+      auto const window = coords.window(p);
       V to_u{}, to_v{}, wx[2], wy[2];
       tap_weights(window.tx, wx);
       tap_weights(window.ty, wy);
@@ -90,9 +90,9 @@ void depth_warp_coords_backward(DepthWarpCoordsBackward<T> const& p, int64_t beg
           to_v += grad * ((a[1][0] - a[0][0]) * wx[0] + (a[1][1] - a[0][1]) * wx[1]);
         }
       V g[3];
-      V const to_d = projection.vjp(place.x, F(y), place.u, place.v, place.scale, to_u, to_v, g);
+      V const to_d = projection.vjp(coords.x, F(y), coords.u, coords.v, coords.scale, to_u, to_v, g);
       store<N>(p.to_depth + (b * height + y) * width + x, to_d);
-      sums.template add<N>(g, place.x, place.d);
+      sums.template add<N>(g, coords.x, coords.d);
     });
     sums.add_row(y, p.sums + kProjectionSums * (b * height + y));
   });
@@ -107,9 +107,9 @@ void depth_warp_image_backward(DepthWarpImageBackward<T> const& p, int64_t begin
     T* const plane = p.grad_x.row(b, c, 0);
     for (T *at = plane, *last = plane + p.grad_x.height * p.grad_x.width; at < last; ++at) *at = 0;
     for (int64_t y = 0; y < p.grad.height; ++y)
-      for_each_place(p, 0, p.grad.width, [&](auto lanes, int64_t x) {
+      for_each_coords(p, 0, p.grad.width, [&](auto lanes, int64_t x) {
         constexpr int N = decltype(lanes)::value;
-        auto const window = DepthPlace<N, T>(p, projection, b, y, x).window(p);
+        auto const window = DepthCoords<N, T>(p, projection, b, y, x).window(p);
         if (window.outside) return;
         Lanes<T, N> wx[2], wy[2];
         tap_weights(window.tx, wx);
@@ -141,16 +141,16 @@ void projection_total(ProjectionTotal<T> const& p, int64_t begin, int64_t end) {
       distance += sums[i * kProjectionSums + 12];
       count += sums[i * kProjectionSums + 13];
     }
-    double const terms = count * p.channels, share = !p.loss ? 1 : terms > 0 ? 1 / terms : 0;
+    double const terms = count * p.channels, inverse_terms = !p.loss ? 1 : terms > 0 ? 1 / terms : 0;
     if (p.loss) {
       p.loss[b] = T(distance / terms);
-      p.share[b] = T(share);
+      p.inverse_terms[b] = T(inverse_terms);
     }
     for (int view = 0; view < p.views; ++view)
       for (int i = 0; i < 12; ++i) {
         double sum = 0;
         for (int64_t part = 0; part < p.parts; ++part) sum += sums[(part * p.views + view) * kProjectionSums + i];
-        p.grad[(b * p.views + view) * 12 + i] = T(sum * share);
+        p.grad[(b * p.views + view) * 12 + i] = T(sum * inverse_terms);
       }
   }
 }

@@ -10,12 +10,13 @@ namespace {
 
 // The sampling coordinates (u, v) of N pixels, and the numbers that their gradients need.
 template <int N, class T>
-struct DepthPlace {
+struct DepthCoords {
   using F = Compute<T>;
   using V = Lanes<F, N>;
   V x, d, u, v, scale;
 
-  KV_HD DepthPlace(DepthPlaces<T> const& p, Reprojection<F> const& projection, int64_t b, int64_t y, int64_t column) {
+  KV_HD DepthCoords(DepthSampling<T> const& p, Reprojection<F> const& projection, int64_t b, int64_t y,
+                    int64_t column) {
     x = iota<N, F>(column);
     F const* const from = p.depth.row(b, 0, y) + column * p.depth.step;
     if (N == 1 || p.depth.step == 1) {
@@ -27,11 +28,11 @@ struct DepthPlace {
     d = d - d == 0 ? d : V{};  // without finite depth (u, v) is not valid; d must then not make gradients NaN
   }
   // The coordinate to sample at: rounded half to even for nearest, else unchanged.
-  KV_HD V sampled(DepthPlaces<T> const& p, V place) const {
+  KV_HD V sampled(DepthSampling<T> const& p, V coords) const {
     constexpr F shift = sizeof(F) == 4 ? F(0x1.8p23) : F(0x1.8p52);
-    return p.interpolation == Interpolation::nearest ? V((place + shift) - shift) : place;
+    return p.interpolation == Interpolation::nearest ? V((coords + shift) - shift) : coords;
   }
-  KV_HD TapWindow<2, N, T> window(DepthPlaces<T> const& p) const {
+  KV_HD TapWindow<2, N, T> window(DepthSampling<T> const& p) const {
     TapWindow<2, N, T> w;
     w.set(p, sampled(p, u), sampled(p, v), p.x.row_stride, p.x.step);
     return w;
@@ -40,7 +41,7 @@ struct DepthPlace {
 
 // Reads the four taps of a channel.
 template <int N, class T>
-KV_HD void read_taps(DepthPlaces<T> const& p, TapWindow<2, N, T> const& window, T const* plane,
+KV_HD void read_taps(DepthSampling<T> const& p, TapWindow<2, N, T> const& window, T const* plane,
                      Lanes<Compute<T>, N> (&a)[2][2]) {
   for (int j = 0; j < 2; ++j)
     if (window.inside)
@@ -91,7 +92,7 @@ struct ProjectionSums {
 
 // Calls f(lanes, column) for the columns of a chunk, each once: in vectors, then one by one.
 template <class T, class Call>
-KV_HD void for_each_place(DepthPlaces<T> const& p, int64_t first, int64_t count, Call f) {
+KV_HD void for_each_coords(DepthSampling<T> const& p, int64_t first, int64_t count, Call f) {
   dispatch_lanes(p.x, count, [&](auto lanes) {
     constexpr int N = decltype(lanes)::value;
     int64_t e = 0;

@@ -22,9 +22,9 @@ struct Depths {
   Size size() const { return {depth.size(2), depth.size(3)}; }
 
   template <class T>
-  void set(DepthPlaces<T>& p, SamplingOptions const& how, Size source, int64_t batch) const {
+  void set(DepthSampling<T>& p, SamplingOptions const& options, Size source, int64_t batch) const {
     using F = Compute<T>;
-    static_cast<Sampling<T>&>(p) = how.of<T>(source, SampleCoords<F>{});
+    static_cast<Sampling<T>&>(p) = options.of<T>(source, SampleCoords<F>{});
     p.depth = images<F const>(depth, batch);
     p.projections = data_ptr<F const>(projection);
     p.projection_stride = projection.size(0) == 1 ? 0 : projection.stride(0);

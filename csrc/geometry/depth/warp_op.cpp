@@ -4,10 +4,11 @@
 namespace kv::geometry {
 namespace {
 
-SamplingOptions how_of(char const* op, int64_t interpolation, int64_t padding, bool align_corners, Tensor const& x) {
-  SamplingOptions const how(op, interpolation, padding, align_corners, x, {});
-  KV_CHECK(how.interpolation != Interpolation::bicubic, op, ": interpolation must be 0 (nearest) or 3 (bilinear)");
-  return how;
+SamplingOptions options_of(char const* op, int64_t interpolation, int64_t padding, bool align_corners,
+                           Tensor const& x) {
+  SamplingOptions const options(op, interpolation, padding, align_corners, x, {});
+  KV_CHECK(options.interpolation != Interpolation::bicubic, op, ": interpolation must be 0 (nearest) or 3 (bilinear)");
+  return options;
 }
 
 Tensor depth_warp(Tensor const& image, Tensor const& depth, Tensor const& projection, int64_t interpolation,
@@ -15,7 +16,7 @@ Tensor depth_warp(Tensor const& image, Tensor const& depth, Tensor const& projec
   char const* const op = "depth_warp";
   check_images(op, "image", image);
   Size const source = checked_size(op, image);
-  SamplingOptions const how = how_of(op, interpolation, padding, align_corners, image);
+  SamplingOptions const options = options_of(op, interpolation, padding, align_corners, image);
   KV_CHECK(projection.dim() == 3, op, ": expected projection of 3 axes, got ", projection.dim());
   Depths const depths(op, depth, projection, image);
   Size const output = depths.size();
@@ -24,7 +25,7 @@ Tensor depth_warp(Tensor const& image, Tensor const& depth, Tensor const& projec
   dispatch_floating(op, image, [&](auto type) {
     using T = typename decltype(type)::type;
     DepthWarp<T> params{};
-    depths.set(params, how, source, batch);
+    depths.set(params, options, source, batch);
     params.x = images<T const>(image, batch);
     params.y = images<T>(y, batch);
     check_planes(op, params.x);
@@ -39,7 +40,7 @@ Tensor depth_warp_image_backward(Tensor const& grad, Tensor const& depth, Tensor
   char const* const op = "depth_warp_image_backward";
   check_images(op, "grad", grad);
   Size const source = checked_size(op, size);
-  SamplingOptions const how = how_of(op, interpolation, padding, align_corners, grad);
+  SamplingOptions const options = options_of(op, interpolation, padding, align_corners, grad);
   KV_CHECK(projection.dim() == 3, op, ": expected projection of 3 axes, got ", projection.dim());
   Depths const depths(op, depth, projection, grad);
   Size const output = depths.size();
@@ -49,7 +50,7 @@ Tensor depth_warp_image_backward(Tensor const& grad, Tensor const& depth, Tensor
   dispatch_compute_dtype(op, grad, [&](auto type) {
     using F = typename decltype(type)::type;
     DepthWarpImageBackward<F> params{};
-    depths.set(params, how, source, batch);
+    depths.set(params, options, source, batch);
     params.grad = images<F const>(grad, batch);
     params.grad_x = images<F>(grad_x, batch);
     KV_RUN(depth_warp_image_backward, grad, params, batch * channels, 16 * output.height * output.width);
@@ -65,7 +66,7 @@ std::tuple<Tensor, Tensor> depth_warp_coords_backward(Tensor const& grad, Tensor
   check_images(op, "image", image);
   check_images(op, "grad", grad);
   Size const source = checked_size(op, image);
-  SamplingOptions const how = how_of(op, interpolation, padding, align_corners, image);
+  SamplingOptions const options = options_of(op, interpolation, padding, align_corners, image);
   KV_CHECK(projection.dim() == 3, op, ": expected projection of 3 axes, got ", projection.dim());
   Depths const depths(op, depth, projection, grad);
   Size const output = depths.size();
@@ -81,7 +82,7 @@ std::tuple<Tensor, Tensor> depth_warp_coords_backward(Tensor const& grad, Tensor
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     DepthWarpCoordsBackward<T> params{};
-    depths.set(params, how, source, batch);
+    depths.set(params, options, source, batch);
     params.x = images<T const>(image, batch);
     params.grad = images<T const>(grad, batch);
     params.to_depth = data_ptr<F>(to_depth);

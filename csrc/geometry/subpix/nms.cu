@@ -65,23 +65,23 @@ struct Climb {
   __device__ __forceinline__ void next(float const (&v)[2 * D + 1][P + 2 * R], float sign) {
 #pragma unroll
     for (int n = 0; n < P; ++n) {
-      float beside[2 * D + 1], row[2 * D + 1];
+      float adjacent[2 * D + 1], row[2 * D + 1];
 #pragma unroll
       for (int k = 0; k <= 2 * D; ++k) {
         auto const at = [&](int i) { return sign * v[k][n + i]; };
-        beside[k] = larger(at(0), at(2 * R));
+        adjacent[k] = larger(at(0), at(2 * R));
         if (R == 2)
-          beside[k] = larger(larger(at(0), at(1)), larger(at(3), at(4)));  // two neighboring pixels share a pair
-        row[k] = larger(beside[k], at(R));
+          adjacent[k] = larger(larger(at(0), at(1)), larger(at(3), at(4)));  // two neighboring pixels share a pair
+        row[k] = larger(adjacent[k], at(R));
       }
       if (D == 1) {
         float const others = larger(row[0], row[2 * D]);
-        beside[D] = larger(beside[D], others), row[D] = larger(row[D], others);
+        adjacent[D] = larger(adjacent[D], others), row[D] = larger(row[D], others);
       }
 #pragma unroll
       for (int j = 0; j < R; ++j) candidates[j][n] = candidates[j + 1][n];
       float const middle = sign * v[D][n + R];
-      candidates[R][n] = middle > larger(beside[D], above[n]) ? middle : __uint_as_float(0x7fc00000);
+      candidates[R][n] = middle > larger(adjacent[D], above[n]) ? middle : __uint_as_float(0x7fc00000);
       above[n] = R == 1 ? row[D] : larger(row[D], previous[n]);
       previous[n] = row[D];
     }
@@ -184,9 +184,9 @@ __global__ void __launch_bounds__(kThreads) keep(ApplyNmsMask<T> const p, bool v
     auto const flags = *reinterpret_cast<Vector<uint8_t, P> const*>(p.flags + first);
 #pragma unroll
     for (int i = 0; i < P; ++i) x.v[i] = flags.v[i] ? x.v[i] : T{};
-    *reinterpret_cast<Vector<T, P>*>(p.kept + first) = x;
+    *reinterpret_cast<Vector<T, P>*>(p.result + first) = x;
   } else {
-    for (int64_t i = first; i < min(first + P, p.count); ++i) p.kept[i] = p.flags[i] ? p.x[i] : T{};
+    for (int64_t i = first; i < min(first + P, p.count); ++i) p.result[i] = p.flags[i] ? p.x[i] : T{};
   }
 }
 
@@ -195,7 +195,7 @@ __global__ void __launch_bounds__(kThreads) keep(ApplyNmsMask<T> const p, bool v
 template <class T>
 int apply_nms_mask(ApplyNmsMask<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
-  uintptr_t const at = reinterpret_cast<uintptr_t>(p.x) | reinterpret_cast<uintptr_t>(p.kept);
+  uintptr_t const at = reinterpret_cast<uintptr_t>(p.x) | reinterpret_cast<uintptr_t>(p.result);
   bool const vectorized = at % alignof(Vector<T, P>) == 0 && reinterpret_cast<uintptr_t>(p.flags) % P == 0;
   keep<T><<<unsigned(ceil_div(p.count, kThreads * P)), kThreads, 0, stream>>>(p, vectorized);
   return cudaGetLastError();

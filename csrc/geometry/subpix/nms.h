@@ -30,7 +30,7 @@ template <class T>
 struct ApplyNmsMask {
   T const* x;
   uint8_t const* flags;
-  T* kept;
+  T* result;
   int64_t count;
 };
 

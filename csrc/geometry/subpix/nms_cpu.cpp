@@ -78,7 +78,7 @@ void apply_nms_mask(ApplyNmsMask<T> const& p, int64_t begin, int64_t end) {
     constexpr int N = decltype(lanes)::value;
     using V = Lanes<F, N>;
     V const x = load<N>(p.x + i), none{};
-    store<N>(p.kept + i, V(load_flags<N, F>(p.flags + i) != 0 ? x : none));
+    store<N>(p.result + i, V(load_flags<N, F>(p.flags + i) != 0 ? x : none));
   });
 }
 

@@ -62,13 +62,14 @@ Tensor apply_nms_mask(Tensor const& input, Tensor const& flags) {
     return layout == Layout::planar ? dense(all)
                                     : torch::stable::contiguous(all, torch::headeronly::MemoryFormat::ChannelsLast);
   };
-  Tensor const x = flat(input), marks = flat(flags), kept = empty_like(input, layout);
+  Tensor const x = flat(input), marks = flat(flags), result = empty_like(input, layout);
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    ApplyNmsMask<T> const params{data_ptr<T const>(x), data_ptr<uint8_t const>(marks), data_ptr<T>(kept), kept.numel()};
+    ApplyNmsMask<T> const params{data_ptr<T const>(x), data_ptr<uint8_t const>(marks), data_ptr<T>(result),
+                                 result.numel()};
     KV_RUN(apply_nms_mask, x, params, params.count, 1);
   });
-  return kept;
+  return result;
 }
 
 Tensor nms_mask(Tensor const& input, std::vector<int64_t> window, bool volumes) {

@@ -13,9 +13,9 @@ constexpr int kThreads = 256, kVectorSize = 4;
 // Calls f(count, index in the plane, column, row) for the block's pixels, in vectors if planes are `vectorized`. `maps`
 // has the width and height of planes of T, and the rows of a chunk.
 template <class T, class Maps, class Call>
-__device__ __forceinline__ void for_each_vector(Maps const& maps, int64_t piece, bool vectorized, Call f) {
-  unsigned const width = unsigned(maps.width), start = unsigned(piece * maps.rows) * width;
-  unsigned const end = unsigned(min((piece + 1) * maps.rows, maps.height)) * width;
+__device__ __forceinline__ void for_each_vector(Maps const& maps, int64_t chunk, bool vectorized, Call f) {
+  unsigned const width = unsigned(maps.width), start = unsigned(chunk * maps.rows) * width;
+  unsigned const end = unsigned(min((chunk + 1) * maps.rows, maps.height)) * width;
   auto const take = [&](auto count) {
     constexpr int P = decltype(count)::value;
 #pragma unroll 1

@@ -41,16 +41,16 @@ __global__ void __launch_bounds__(kThreads) peaks_of(__grid_constant__ ConvQuadI
     int64_t const width = p.size[2], plane = p.size[1] * width, size = p.size[0] * plane;
     int64_t const at = z * plane + y * width + x, number = volume * size + at;
     T const* const from = p.x + volume * size;
-    F value = read(p.x[number]), place[] = {F(z), F(x), F(y)};
+    F value = read(p.x[number]), coord[] = {F(z), F(x), F(y)};
     at_peak(p, from, number, z, y, x, [&](int const(&c)[3], Quadratic<F> const& q) {
       value = read(from[c[2] * plane + c[1] * width + c[0]]) + q.rise();
-      place[0] = F(c[2]) + q.shift[2];
-      place[1] = F(c[0]) + q.shift[0];
-      place[2] = F(c[1]) + q.shift[1];
+      coord[0] = F(c[2]) + q.shift[2];
+      coord[1] = F(c[0]) + q.shift[0];
+      coord[2] = F(c[1]) + q.shift[1];
     });
     p.values[number] = round_to<T>(value);
 #pragma unroll
-    for (int a = 0; a < 3; ++a) p.places[(3 * volume + a) * size + at] = round_to<T>(place[a]);
+    for (int a = 0; a < 3; ++a) p.coords[(3 * volume + a) * size + at] = round_to<T>(coord[a]);
   });
 }
 
@@ -68,8 +68,8 @@ __global__ void __launch_bounds__(kThreads)
     bool refined = false;
     at_peak(f, f.x + volume * size, number, z, y, x, [&](int const(&c)[3], Quadratic<F> const& q) {
       refined = true;
-      auto const place = [&](int a) { return F(read(p.grad_places[(3 * volume + a) * size + at])); };
-      F const to_shift[] = {place(1), place(2), place(0)};
+      auto const coord = [&](int a) { return F(read(p.grad_coords[(3 * volume + a) * size + at])); };
+      F const to_shift[] = {coord(1), coord(2), coord(0)};
       F* const centre = grad_x + c[2] * plane + c[1] * width + c[0];
       q.vjp(to_shift, to_value,
             [&](int dx, int dy, int dz, F number) { atomicAdd(centre + dz * plane + dy * width + dx, number); });

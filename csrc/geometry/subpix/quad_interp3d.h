@@ -17,7 +17,7 @@ template <class T>
 struct ConvQuadInterp3d {
   T const* x;             // (n, D, H, W)
   uint8_t const* chosen;  // (n, D, H, W), the voxels to refine; null for the strict maxima
-  T *places, *values;     // coordinates (n, 3, D, H, W): scale (z), x, y; values (n, D, H, W)
+  T *coords, *values;     // coordinates (n, 3, D, H, W): scale (z), x, y; values (n, D, H, W)
   int64_t volumes;
   int size[3];  // D, H, W
   int steps, radius;
@@ -29,7 +29,7 @@ struct ConvQuadInterp3d {
 template <class T>
 struct ConvQuadInterp3dBackward {
   ConvQuadInterp3d<T> forward;  // without its results
-  T const *grad_places, *grad_values;
+  T const *grad_coords, *grad_values;
   Compute<T>* grad_x;
 };
 

@@ -29,19 +29,19 @@ void conv_quad_interp3d(ConvQuadInterp3d<T> const& p, int64_t begin, int64_t end
     int64_t const volume = r / (int64_t(p.size[0]) * p.size[1]);
     T const* const x = p.x + volume * volume_size;
     T* const values = p.values + r * width;
-    T* places[3];
-    for (int a = 0; a < 3; ++a) places[a] = p.places + (3 * volume + a) * volume_size + z * plane + y * width;
+    T* coords[3];
+    for (int a = 0; a < 3; ++a) coords[a] = p.coords + (3 * volume + a) * volume_size + z * plane + y * width;
     __builtin_memcpy(static_cast<void*>(values), x + z * plane + y * width, size_t(width) * sizeof(T));
     for (int i = 0; i < width; ++i) {
-      store<1>(places[0] + i, F(z));
-      store<1>(places[1] + i, F(i));
-      store<1>(places[2] + i, F(y));
+      store<1>(coords[0] + i, F(z));
+      store<1>(coords[1] + i, F(i));
+      store<1>(coords[2] + i, F(y));
     }
     for_each_peak(p, volume, z, y, [&](int i, int const(&c)[3], Quadratic<F> const& q) {
       store<1>(values + i, load<1>(x + c[2] * plane + c[1] * width + c[0]) + q.rise());
-      store<1>(places[0] + i, F(c[2]) + q.shift[2]);
-      store<1>(places[1] + i, F(c[0]) + q.shift[0]);
-      store<1>(places[2] + i, F(c[1]) + q.shift[1]);
+      store<1>(coords[0] + i, F(c[2]) + q.shift[2]);
+      store<1>(coords[1] + i, F(c[0]) + q.shift[0]);
+      store<1>(coords[2] + i, F(c[1]) + q.shift[1]);
     });
   }
 }
@@ -58,8 +58,8 @@ void conv_quad_interp3d_backward(ConvQuadInterp3dBackward<T> const& p, int64_t b
       for (int y = 0; y < f.size[1]; ++y)
         for_each_peak(f, volume, z, y, [&](int i, int const(&c)[3], Quadratic<F> const& q) {
           int64_t const at = z * plane + y * width + i;
-          auto const place = [&](int number) { return load<1>(p.grad_places + (3 * volume + number) * size + at); };
-          F const to_shift[] = {place(1), place(2), place(0)}, to_value = load<1>(p.grad_values + volume * size + at);
+          auto const coord = [&](int number) { return load<1>(p.grad_coords + (3 * volume + number) * size + at); };
+          F const to_shift[] = {coord(1), coord(2), coord(0)}, to_value = load<1>(p.grad_values + volume * size + at);
           F* const centre = grad_x + c[2] * plane + c[1] * width + c[0];
           grad_x[at] -= to_value;
           q.vjp(to_shift, to_value,

@@ -29,10 +29,10 @@ struct Peaks {
     chosen = expand_batch(*which, batch);
   }
   template <class T>
-  ConvQuadInterp3d<T> of(T* places, T* values) const {
+  ConvQuadInterp3d<T> of(T* coords, T* values) const {
     return {data_ptr<T const>(x),
             chosen ? data_ptr<uint8_t const>(*chosen) : nullptr,
-            places,
+            coords,
             values,
             x.size(0) * x.size(1),
             {int(x.size(2)), int(x.size(3)), int(x.size(4))},
@@ -48,28 +48,28 @@ std::tuple<Tensor, Tensor> conv_quad_interp3d(Tensor const& input, std::optional
   check_volumes("conv_quad_interp3d", "input", input);
   Peaks const peaks("conv_quad_interp3d", input, input.size(0), chosen, steps, largest_shift, radius, along_scale);
   Tensor const& x = peaks.x;
-  Tensor const places = empty({x.size(0), x.size(1), 3, x.size(2), x.size(3), x.size(4)}, x);
+  Tensor const coords = empty({x.size(0), x.size(1), 3, x.size(2), x.size(3), x.size(4)}, x);
   Tensor const values = empty({x.size(0), x.size(1), x.size(2), x.size(3), x.size(4)}, x);
   dispatch_floating("conv_quad_interp3d", x, [&](auto type) {
     using T = typename decltype(type)::type;
-    auto const params = peaks.of<T>(data_ptr<T>(places), data_ptr<T>(values));
+    auto const params = peaks.of<T>(data_ptr<T>(coords), data_ptr<T>(values));
     KV_RUN(conv_quad_interp3d, x, params, params.volumes * params.size[0] * params.size[1], 16 * x.size(4));
   });
-  return {places, values};
+  return {coords, values};
 }
 
 // The gradient is in the compute type.
-Tensor conv_quad_interp3d_backward(Tensor const& grad_places, Tensor const& grad_values, Tensor const& input,
+Tensor conv_quad_interp3d_backward(Tensor const& grad_coords, Tensor const& grad_values, Tensor const& input,
                                    std::optional<Tensor> const& chosen, int64_t steps, double largest_shift,
                                    int64_t radius, bool along_scale) {
   char const* const op = "conv_quad_interp3d_backward";
-  KV_CHECK(grad_places.dim() == 6, op, ": expected grad_places of 6 axes, got ", grad_places.dim());
-  int64_t const batch = grad_places.size(0);
+  KV_CHECK(grad_coords.dim() == 6, op, ": expected grad_places of 6 axes, got ", grad_coords.dim());
+  int64_t const batch = grad_coords.size(0);
   Peaks const peaks(op, input, batch, chosen, steps, largest_shift, radius, along_scale);
   Tensor const& x = peaks.x;
-  check_sizes(op, "grad_places", grad_places, x, {batch, x.size(1), 3, x.size(2), x.size(3), x.size(4)});
+  check_sizes(op, "grad_places", grad_coords, x, {batch, x.size(1), 3, x.size(2), x.size(3), x.size(4)});
   check_sizes(op, "grad_values", grad_values, x, {batch, x.size(1), x.size(2), x.size(3), x.size(4)});
-  Tensor const to_places = expand_batch(grad_places, batch), to_values = expand_batch(grad_values, batch);
+  Tensor const to_places = expand_batch(grad_coords, batch), to_values = expand_batch(grad_values, batch);
   bool const wide = x.scalar_type() == ScalarType::Double;
   Tensor const grad_x = empty({x.size(0), x.size(1), x.size(2), x.size(3), x.size(4)}, x, Layout::planar,
                               wide ? ScalarType::Double : ScalarType::Float);

@@ -56,15 +56,15 @@ struct BlockAxes {
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    draw(__grid_constant__ RenderGaussian2d<T> const p, unsigned pieces, bool vectorized) {
+    draw(__grid_constant__ RenderGaussian2d<T> const p, unsigned chunks, bool vectorized) {
   using F = Compute<T>;
-  int64_t const plane = blockIdx.x / pieces;
+  int64_t const plane = blockIdx.x / chunks;
   BlockAxes<F> const axes(p, plane);
-  F const share = axes.x.share * axes.y.share;
+  F const normalizer = axes.x.normalizer * axes.y.normalizer;
   T* const to = p.maps + plane * p.height * p.width;
-  for_each_vector<T>(p, blockIdx.x - plane * pieces, vectorized, [&](auto count, unsigned i, unsigned x, unsigned row) {
+  for_each_vector<T>(p, blockIdx.x - plane * chunks, vectorized, [&](auto count, unsigned i, unsigned x, unsigned row) {
     constexpr int P = decltype(count)::value;
-    F const down = share * weight_of(axes.y.q(axes.y.u(F(row))));
+    F const down = normalizer * weight_of(axes.y.q(axes.y.u(F(row))));
     F v[P];
 #pragma unroll
     for (int k = 0; k < P; ++k) v[k] = down * weight_of(axes.x.q(axes.x.u(F(x + k))));
@@ -74,13 +74,13 @@ __global__ void __launch_bounds__(kThreads)
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    draw_backward(__grid_constant__ RenderGaussian2d<T> const p, unsigned pieces, bool vectorized) {
+    draw_backward(__grid_constant__ RenderGaussian2d<T> const p, unsigned chunks, bool vectorized) {
   using F = Compute<T>;
-  int64_t const plane = blockIdx.x / pieces;
+  int64_t const plane = blockIdx.x / chunks;
   BlockAxes<F> const axes(p, plane);
   T const* const from = p.grad + plane * p.height * p.width;
   F sums[4] = {};
-  for_each_vector<T>(p, blockIdx.x - plane * pieces, vectorized, [&](auto count, unsigned i, unsigned x, unsigned row) {
+  for_each_vector<T>(p, blockIdx.x - plane * chunks, vectorized, [&](auto count, unsigned i, unsigned x, unsigned row) {
     constexpr int P = decltype(count)::value;
     Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(from + i);
     F const v = axes.y.u(F(row)), r = axes.y.q(v), down = weight_of(r);
@@ -97,19 +97,20 @@ __global__ void __launch_bounds__(kThreads)
   over_block(sums);
   if (threadIdx.x >= 4) return;
   F const sum = threadIdx.x == 0 ? sums[0] : threadIdx.x == 1 ? sums[1] : threadIdx.x == 2 ? sums[2] : sums[3];
-  F const slope = sum * (threadIdx.x % 2 ? axes.y.inverse : axes.x.inverse) * axes.x.share * axes.y.share;
-  if (pieces > 1)
-    p.partial[4 * blockIdx.x + threadIdx.x] = slope;
+  F const gradient = sum * (threadIdx.x % 2 ? axes.y.inverse : axes.x.inverse) * axes.x.normalizer * axes.y.normalizer;
+  if (chunks > 1)
+    p.partial[4 * blockIdx.x + threadIdx.x] = gradient;
   else
-    (threadIdx.x < 2 ? p.to_mean : p.to_std)[2 * plane + threadIdx.x % 2] = round_to<T>(slope);
+    (threadIdx.x < 2 ? p.to_mean : p.to_std)[2 * plane + threadIdx.x % 2] = round_to<T>(gradient);
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) add_pieces(__grid_constant__ RenderGaussian2d<T> const p, unsigned pieces) {
+__global__ void __launch_bounds__(kThreads)
+    add_chunks_of_plane(__grid_constant__ RenderGaussian2d<T> const p, unsigned chunks) {
   Compute<T> sums[4] = {};
-  for (unsigned i = threadIdx.x; i < pieces; i += kThreads)
+  for (unsigned i = threadIdx.x; i < chunks; i += kThreads)
 #pragma unroll
-    for (int k = 0; k < 4; ++k) sums[k] += p.partial[4 * (int64_t(blockIdx.x) * pieces + i) + k];
+    for (int k = 0; k < 4; ++k) sums[k] += p.partial[4 * (int64_t(blockIdx.x) * chunks + i) + k];
   over_block(sums);
   if (threadIdx.x != 0) return;
 #pragma unroll
@@ -120,16 +121,16 @@ __global__ void __launch_bounds__(kThreads) add_pieces(__grid_constant__ RenderG
 
 template <class T>
 int render_gaussian2d(RenderGaussian2d<T> const& p, CUstream_st* stream) {
-  unsigned const pieces = unsigned(p.pieces());
-  draw<<<unsigned(p.planes) * pieces, kThreads, 0, stream>>>(p, pieces, is_vectorizable<T>(p.width, {p.maps}));
+  unsigned const chunks = unsigned(p.chunks());
+  draw<<<unsigned(p.planes) * chunks, kThreads, 0, stream>>>(p, chunks, is_vectorizable<T>(p.width, {p.maps}));
   return cudaGetLastError();
 }
 
 template <class T>
 int render_gaussian2d_backward(RenderGaussian2d<T> const& p, CUstream_st* stream) {
-  unsigned const pieces = unsigned(p.pieces());
-  draw_backward<<<unsigned(p.planes) * pieces, kThreads, 0, stream>>>(p, pieces, is_vectorizable<T>(p.width, {p.grad}));
-  if (pieces > 1) add_pieces<<<unsigned(p.planes), kThreads, 0, stream>>>(p, pieces);
+  unsigned const chunks = unsigned(p.chunks());
+  draw_backward<<<unsigned(p.planes) * chunks, kThreads, 0, stream>>>(p, chunks, is_vectorizable<T>(p.width, {p.grad}));
+  if (chunks > 1) add_chunks_of_plane<<<unsigned(p.planes), kThreads, 0, stream>>>(p, chunks);
   return cudaGetLastError();
 }
 

@@ -20,14 +20,14 @@ struct RenderGaussian2d {
   T const *mean, *std;                  // (planes, 2), x before y
   int64_t mean_stride, std_stride;      // 0 if all maps share one
   int64_t planes, height, width, rows;  // rows of a chunk
-  PlaceAxis<F> along_x, along_y;
+  CoordAxis<F> along_x, along_y;
   T* maps;  // (planes, height, width)
   // For the gradient only:
   T const* grad;
   F* partial;           // (planes, chunks, 4): gradients to the mean, x before y, then to the standard deviation
   T *to_mean, *to_std;  // (planes, 2), set by the CUDA kernel; on the CPU the operator sums them
 
-  KV_HD int64_t pieces() const { return (height + rows - 1) / rows; }
+  KV_HD int64_t chunks() const { return (height + rows - 1) / rows; }
 };
 
 KV_KERNEL(render_gaussian2d, RenderGaussian2d)
@@ -41,22 +41,22 @@ struct GaussianSums {
 
 template <class F>
 struct GaussianAxis {
-  F nearest, slope, start, inverse;  // nearest pixel, step of u between pixels, d0, 1 / std
-  F share, mean_u, mean_q;           // 1 / sum of w; weighted means of u and q
+  F nearest, gradient, start, inverse;  // nearest pixel, step of u between pixels, d0, 1 / std
+  F normalizer, mean_u, mean_q;         // 1 / sum of w; weighted means of u and q
 
-  KV_HD GaussianAxis(PlaceAxis<F> const& places, int64_t size, F mean, F std)
-      : inverse(1 / std), share(0), mean_u(0), mean_q(0) {
-    F const at = places.step > 0 ? (mean - places.first) / places.step : F(0), last = F(size - 1);
+  KV_HD GaussianAxis(CoordAxis<F> const& coords, int64_t size, F mean, F std)
+      : inverse(1 / std), normalizer(0), mean_u(0), mean_q(0) {
+    F const at = coords.step > 0 ? (mean - coords.first) / coords.step : F(0), last = F(size - 1);
     nearest = at > 0 ? (at < last ? F(int64_t(at + F(.5))) : last) : F(0);
-    slope = places.step * inverse;
-    start = (places.at(nearest) - mean) * inverse;
+    gradient = coords.step * inverse;
+    start = (coords.at(nearest) - mean) * inverse;
   }
   KV_HD void take(GaussianSums<F> const& sums) {
-    share = 1 / sums.all, mean_u = sums.u * share, mean_q = sums.q * share;
+    normalizer = 1 / sums.all, mean_u = sums.u * normalizer, mean_q = sums.q * normalizer;
   }
   template <class V>
   KV_HD V u(V pixel) const {
-    return (pixel - nearest) * slope;
+    return (pixel - nearest) * gradient;
   }
   template <class V>
   KV_HD V q(V u) const {

@@ -56,9 +56,9 @@ void render_gaussian2d(RenderGaussian2d<T> const& p, int64_t begin, int64_t end)
   using F = Compute<T>;
   F across[kColumns];
   for (int64_t i = begin; i < end; ++i) {
-    int64_t const plane = i / p.pieces(), first = i % p.pieces() * p.rows, last = min(first + p.rows, p.height);
+    int64_t const plane = i / p.chunks(), first = i % p.chunks() * p.rows, last = min(first + p.rows, p.height);
     auto const x = axis_of(p, plane, 0), y = axis_of(p, plane, 1);
-    F const share = x.share * y.share;
+    F const normalizer = x.normalizer * y.normalizer;
     for (int64_t column = 0; column < p.width; column += kColumns) {
       int64_t const columns = min(kColumns, p.width - column);
       for_each_pixel<T>(columns, [&](auto width, int64_t k, auto pixel) KV_INLINE {
@@ -66,7 +66,7 @@ void render_gaussian2d(RenderGaussian2d<T> const& p, int64_t begin, int64_t end)
         store<M>(across + k, weight_of<F, M>(x.q(x.u(Lanes<F, M>(pixel + F(column))))));
       });
       for (int64_t row = first; row < last; ++row) {
-        F const down = share * weight_of<F, 1>(y.q(y.u(F(row))));
+        F const down = normalizer * weight_of<F, 1>(y.q(y.u(F(row))));
         T* const to = p.maps + (plane * p.height + row) * p.width + column;
         for_each_vector<T>(0, columns, [&](auto width, int64_t k) KV_INLINE {
           constexpr int M = decltype(width)::value;
@@ -83,7 +83,7 @@ void render_gaussian2d_backward(RenderGaussian2d<T> const& p, int64_t begin, int
   constexpr int N = kLanes<T>;
   F across[3][kColumns];  // w, w (u - mean of u), w (q - mean of q)
   for (int64_t i = begin; i < end; ++i) {
-    int64_t const plane = i / p.pieces(), first = i % p.pieces() * p.rows, last = min(first + p.rows, p.height);
+    int64_t const plane = i / p.chunks(), first = i % p.chunks() * p.rows, last = min(first + p.rows, p.height);
     auto const x = axis_of(p, plane, 0), y = axis_of(p, plane, 1);
     F sums[4] = {};
     for (int64_t column = 0; column < p.width; column += kColumns) {
@@ -117,7 +117,8 @@ void render_gaussian2d_backward(RenderGaussian2d<T> const& p, int64_t begin, int
         sums[2] += down * all[2], sums[3] += down * (r - y.mean_q) * all[0];
       }
     }
-    for (int k = 0; k < 4; ++k) p.partial[4 * i + k] = sums[k] * (k % 2 ? y.inverse : x.inverse) * x.share * y.share;
+    for (int k = 0; k < 4; ++k)
+      p.partial[4 * i + k] = sums[k] * (k % 2 ? y.inverse : x.inverse) * x.normalizer * y.normalizer;
   }
 }
 

@@ -6,12 +6,12 @@ namespace kv::geometry {
 namespace {
 
 // Means and standard deviations (P, 2), or (1, 2) for all maps, checked.
-struct GivenGaussians {
+struct Gaussians {
   Tensor mean, std;
   int64_t planes, height, width;
   bool normalized;
 
-  GivenGaussians(char const* op, Tensor const& m, Tensor const& s, int64_t height, int64_t width, bool normalized)
+  Gaussians(char const* op, Tensor const& m, Tensor const& s, int64_t height, int64_t width, bool normalized)
       : mean(dense(m)), std(dense(s)), planes(0), height(height), width(width), normalized(normalized) {
     KV_CHECK(m.dim() == 2 && m.size(1) == 2 && s.dim() == 2 && s.size(1) == 2 && s.scalar_type() == m.scalar_type() &&
                  s.device() == m.device(),
@@ -35,23 +35,23 @@ struct GivenGaussians {
     p.height = height;
     p.width = width;
     // Every chunk sums the weights of both axes once.
-    int64_t const piece = std::max<int64_t>(kPlacePiece, 16 * (height + width));
-    p.rows = clamp(piece / width, int64_t(1), height);
-    p.along_x = PlaceAxis<F>::of(width, normalized);
-    p.along_y = PlaceAxis<F>::of(height, normalized);
+    int64_t const chunk = std::max<int64_t>(kExpectationChunk, 16 * (height + width));
+    p.rows = clamp(chunk / width, int64_t(1), height);
+    p.along_x = CoordAxis<F>::of(width, normalized);
+    p.along_y = CoordAxis<F>::of(height, normalized);
     return p;
   }
 };
 
 Tensor render_gaussian2d(Tensor const& mean, Tensor const& std, int64_t height, int64_t width, bool normalized) {
   constexpr char const* op = "render_gaussian2d";
-  GivenGaussians const given(op, mean, std, height, width, normalized);
-  Tensor const maps = empty({given.planes, height, width}, given.mean);
-  dispatch_floating(op, given.mean, [&](auto type) {
+  Gaussians const gaussians(op, mean, std, height, width, normalized);
+  Tensor const maps = empty({gaussians.planes, height, width}, gaussians.mean);
+  dispatch_floating(op, gaussians.mean, [&](auto type) {
     using T = typename decltype(type)::type;
-    RenderGaussian2d<T> p = given.params<T>();
+    RenderGaussian2d<T> p = gaussians.params<T>();
     p.maps = data_ptr<T>(maps);
-    KV_RUN(render_gaussian2d, maps, p, p.planes * p.pieces(), 2 * p.rows * width);
+    KV_RUN(render_gaussian2d, maps, p, p.planes * p.chunks(), 2 * p.rows * width);
   });
   return maps;
 }
@@ -62,23 +62,23 @@ std::tuple<Tensor, Tensor> render_gaussian2d_backward(Tensor const& grad, Tensor
   constexpr char const* op = "render_gaussian2d_backward";
   KV_CHECK(grad.dim() == 3 && grad.scalar_type() == mean.scalar_type() && grad.device() == mean.device(), op,
            ": expected grad of shape (P, H, W), of mean's type and device");
-  GivenGaussians const given(op, mean, std, grad.size(1), grad.size(2), normalized);
-  KV_CHECK(grad.size(0) == given.planes, op, ": expected grad of ", given.planes, " maps, got ", grad.size(0));
-  Tensor const g = dense(grad), to_mean = empty({given.planes, 2}, given.mean),
-               to_std = empty({given.planes, 2}, given.mean);
-  dispatch_floating(op, given.mean, [&](auto type) {
+  Gaussians const gaussians(op, mean, std, grad.size(1), grad.size(2), normalized);
+  KV_CHECK(grad.size(0) == gaussians.planes, op, ": expected grad of ", gaussians.planes, " maps, got ", grad.size(0));
+  Tensor const g = dense(grad), to_mean = empty({gaussians.planes, 2}, gaussians.mean),
+               to_std = empty({gaussians.planes, 2}, gaussians.mean);
+  dispatch_floating(op, gaussians.mean, [&](auto type) {
     using T = typename decltype(type)::type;
-    RenderGaussian2d<T> p = given.params<T>();
-    Tensor const partial = empty({p.planes, p.pieces(), 4}, g, Layout::planar, compute_dtype(g));
+    RenderGaussian2d<T> p = gaussians.params<T>();
+    Tensor const partial = empty({p.planes, p.chunks(), 4}, g, Layout::planar, compute_dtype(g));
     p.grad = data_ptr<T const>(g);
     p.partial = data_ptr<Compute<T>>(partial);
     p.to_mean = data_ptr<T>(to_mean);
     p.to_std = data_ptr<T>(to_std);
-    KV_RUN(render_gaussian2d_backward, g, p, p.planes * p.pieces(), 2 * p.rows * p.width);
+    KV_RUN(render_gaussian2d_backward, g, p, p.planes * p.chunks(), 2 * p.rows * p.width);
 #if !defined(KV_CUDA)
     for (int64_t i = 0; i < 4 * p.planes; ++i) {
       Compute<T> sum = 0;
-      for (int64_t k = 0; k < p.pieces(); ++k) sum += p.partial[4 * (i / 4 * p.pieces() + k) + i % 4];
+      for (int64_t k = 0; k < p.chunks(); ++k) sum += p.partial[4 * (i / 4 * p.chunks() + k) + i % 4];
       T* const to = (i % 4 < 2 ? p.to_mean : p.to_std) + i / 4 * 2 + i % 2;
       if constexpr (sizeof(T) > 2)
         *to = sum;

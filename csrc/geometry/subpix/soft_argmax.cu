@@ -47,12 +47,12 @@ __device__ __forceinline__ void one_window(SoftArgmax<T> const& p, int64_t volum
   auto const sums = sums_at(w, p.x + volume * w.voxels(), p.temperature, z, y, x);
   F const scale = 1 / sums.total;
   int64_t const at = (int64_t(z) * w.out[1] + y) * w.out[2] + x;
-  if (p.values) p.values[volume * w.places() + at] = round_to<T>(sums.value * scale);
+  if (p.values) p.values[volume * w.coords() + at] = round_to<T>(sums.value * scale);
   F const starts[] = {F(z * w.stride[0] - w.before[0]), F(y * w.stride[1] - w.before[1]),
                       F(x * w.stride[2] - w.before[2])};
   auto const store = [&](int number, int axis) {
     F const index = starts[axis] + sums.index[axis] * scale;
-    p.places[(volume * w.axes + number) * w.places() + at] = round_to<T>(index * p.scale[axis] + p.offset[axis]);
+    p.coords[(volume * w.axes + number) * w.coords() + at] = round_to<T>(index * p.scale[axis] + p.offset[axis]);
   };
   if (w.axes == 3) store(0, 0);
   store(w.axes - 2, 2);
@@ -195,7 +195,7 @@ __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ S
     strip.weights_of<Values>(strip.row(y), y, weights[j + 1], products[j + 1]);
   }
   Vector<float, kRun> ahead = strip.row(y0 + R);
-  float* to_x = p.places + 2 * strip.plane * size + int64_t(y0) * width + x;
+  float* to_x = p.coords + 2 * strip.plane * size + int64_t(y0) * width + x;
   float* to_value = Values ? p.values + strip.plane * size + int64_t(y0) * width + x : nullptr;
 #pragma unroll(K)
   for (int i = 0; i < kRows; ++i) {
@@ -258,16 +258,16 @@ __global__ void __launch_bounds__(kThreads) records_of(__grid_constant__ SoftArg
   int z, y, x;
   if (!tiles.locate(w.out, volume, z, y, x)) return;
   auto const sums = sums_at(w, p.x + volume * w.voxels(), p.temperature, z, y, x);
-  int64_t const at = (int64_t(z) * w.out[1] + y) * w.out[2] + x, place = volume * w.places() + at;
+  int64_t const at = (int64_t(z) * w.out[1] + y) * w.out[2] + x, coord = volume * w.coords() + at;
   auto const grad_of = [&](int number, int axis) {
-    return read(p.grad_places[(volume * w.axes + number) * w.places() + at]) * p.scale[axis];
+    return read(p.grad_coords[(volume * w.axes + number) * w.coords() + at]) * p.scale[axis];
   };
   F const grad[] = {w.axes == 3 ? grad_of(0, 0) : F(0), grad_of(w.axes - 1, 1), grad_of(w.axes - 2, 2)};
-  auto const record = record_of<F, F>(sums, grad, p.grad_values ? F(read(p.grad_values[place])) : F(0));
-  int64_t const count = w.volumes * w.places();
-  F const numbers[] = {record.most, record.place[0], record.place[1], record.place[2], record.value, record.rest};
+  auto const record = record_of<F, F>(sums, grad, p.grad_values ? F(read(p.grad_values[coord])) : F(0));
+  int64_t const count = w.volumes * w.coords();
+  F const numbers[] = {record.most, record.coord[0], record.coord[1], record.coord[2], record.value, record.rest};
 #pragma unroll
-  for (int i = 0; i < kRecord; ++i) p.records[i * count + place] = numbers[i];
+  for (int i = 0; i < kRecord; ++i) p.records[i * count + coord] = numbers[i];
 }
 
 template <class T>
@@ -278,7 +278,7 @@ __global__ void __launch_bounds__(kThreads) voxels_of(__grid_constant__ SoftArgm
   int vz, vy, vx;
   if (!tiles.locate(w.size, volume, vz, vy, vx)) return;
   int64_t const at = volume * w.voxels() + (int64_t(vz) * w.size[1] + vy) * w.size[2] + vx;
-  int64_t const count = w.volumes * w.places();
+  int64_t const count = w.volumes * w.coords();
   F const v = read(p.x[at]), sharpness = F(kLog2E) / p.temperature, per_temperature = 1 / p.temperature;
   Readers const zs(vz, w.stride[0], w.before[0], w.window[0], w.out[0]);
   Readers const ys(vy, w.stride[1], w.before[1], w.window[1], w.out[1]);
@@ -287,7 +287,7 @@ __global__ void __launch_bounds__(kThreads) voxels_of(__grid_constant__ SoftArgm
   for (int z = zs.first; z < zs.last; ++z)
     for (int y = ys.first; y < ys.last; ++y)
       for (int x = xs.first; x < xs.last; ++x) {
-        F const* const from = p.records + volume * w.places() + (int64_t(z) * w.out[1] + y) * w.out[2] + x;
+        F const* const from = p.records + volume * w.coords() + (int64_t(z) * w.out[1] + y) * w.out[2] + x;
         WindowRecord<F> const record{
             from[0], {from[count], from[2 * count], from[3 * count]}, from[4 * count], from[5 * count]};
         sum += share_of<F, F>(record, v, fast_exp2((v - record.most) * sharpness),
@@ -306,8 +306,8 @@ __device__ __forceinline__ float one_pixel(SoftArgmaxBackward<float> const& p, i
   float sum = 0;
   for (int y = ys.first; y < ys.last; ++y)
     for (int x = xs.first; x < xs.last; ++x) {
-      float const* const grads = p.grad_places + 2 * plane * w.places() + int64_t(y) * w.out[2] + x;
-      float const grad[] = {0, grads[w.places()] * p.scale[1], grads[0] * p.scale[2]};
+      float const* const grads = p.grad_coords + 2 * plane * w.coords() + int64_t(y) * w.out[2] + x;
+      float const grad[] = {0, grads[w.coords()] * p.scale[1], grads[0] * p.scale[2]};
       auto const record = record_of<float, float>(sums_at(w, image, p.temperature, 0, y, x), grad, 0.f);
       sum += share_of<float, float>(record, v, fast_exp2((v - record.most) * sharpness), 0, float(vy + w.before[1] - y),
                                     float(vx + w.before[2] - x), 1 / p.temperature);
@@ -332,10 +332,10 @@ __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ S
         p.grad_x[strip.plane * size + int64_t(y) * width + x + n] = one_pixel(p, strip.plane, y, x + n);
     return;
   }
-  float const* const grad_x = p.grad_places + 2 * strip.plane * size + x;
+  float const* const grad_x = p.grad_coords + 2 * strip.plane * size + x;
   float const* const grad_y = grad_x + size;
   float weights[K][kRun] = {}, none[kRun];
-  float constants[K][kRun] = {}, slopes[K][kRun] = {};  // b j + c, and a, summed for pixels that still miss windows
+  float constants[K][kRun] = {}, linear[K][kRun] = {};  // b j + c, and a, summed for pixels that still miss windows
   float const per_temperature = 1 / p.temperature;
   // The next rows, read ahead: of the image, and of the gradients to windows.
   auto const grad_row = [&](float const* plane, int y) {
@@ -379,25 +379,25 @@ __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ S
 #pragma unroll
         for (int j = 0; j < K; ++j) {
           constants[j][n] += b * float(j) + c;
-          slopes[j][n] += a;
+          linear[j][n] += a;
         }
       }
     }
-    Across<R> const constant(constants[0]), slope(slopes[0]);
+    Across<R> const constant(constants[0]), weight_grad(linear[0]);
     if (i >= 0 && strip.writes) {
-      Vector<float, kRun> found;
+      Vector<float, kRun> result;
 #pragma unroll
       for (int n = 0; n < kRun; ++n)
-        found.v[n] =
-            weights[0][n] * per_temperature * (constant.sum(n) + (float(2 * R) * slope.sum(n) - slope.moment(n)));
-      *reinterpret_cast<Vector<float, kRun>*>(to) = found;
+        result.v[n] = weights[0][n] * per_temperature *
+                      (constant.sum(n) + (float(2 * R) * weight_grad.sum(n) - weight_grad.moment(n)));
+      *reinterpret_cast<Vector<float, kRun>*>(to) = result;
     }
     if (i >= 0) to += width;
 #pragma unroll
     for (int n = 0; n < kRun; ++n) {
 #pragma unroll
-      for (int j = 0; j < K - 1; ++j) constants[j][n] = constants[j + 1][n], slopes[j][n] = slopes[j + 1][n];
-      constants[K - 1][n] = slopes[K - 1][n] = 0;
+      for (int j = 0; j < K - 1; ++j) constants[j][n] = constants[j + 1][n], linear[j][n] = linear[j + 1][n];
+      constants[K - 1][n] = linear[K - 1][n] = 0;
     }
   }
 }
@@ -411,7 +411,7 @@ int soft_argmax(SoftArgmax<T> const& p, CUstream_st* stream) {
       kernel<<<ImageStrip<1>::grid(p.windows), kStripThreads, 0, stream>>>(p);
       return cudaGetLastError();
     };
-    int const reach = reach_of(p.windows, p.x, p.places, p.places + p.windows.places(), p.values);
+    int const reach = reach_of(p.windows, p.x, p.coords, p.coords + p.windows.coords(), p.values);
     if (reach == 1) return p.values ? run(strips_down<1, true>) : run(strips_down<1, false>);
     if (reach == 2) return p.values ? run(strips_down<2, true>) : run(strips_down<2, false>);
   }

@@ -26,7 +26,7 @@ struct Windows {
 
   KV_HD int64_t voxels() const { return int64_t(size[0]) * size[1] * size[2]; }
   KV_HD int64_t area() const { return int64_t(window[0]) * window[1] * window[2]; }
-  KV_HD int64_t places() const { return int64_t(out[0]) * out[1] * out[2]; }
+  KV_HD int64_t coords() const { return int64_t(out[0]) * out[1] * out[2]; }
   // The axis (0, 1, 2 for z, y, x) of a result's coordinate.
   KV_HD int axis_of(int number) const { return axes == 3 && number == 0 ? 0 : number == axes - 1 ? 1 : 2; }
 };
@@ -37,13 +37,13 @@ struct SoftArgmax {
   Compute<T> temperature;
   Compute<T> scale[3], offset[3];
   T const* x;          // (n, D, H, W)
-  T *places, *values;  // (n, axes, D', H', W'), (n, D', H', W') or null
+  T *coords, *values;  // (n, axes, D', H', W'), (n, D', H', W') or null
 };
 
 // What the gradients of a window's voxels depend on. `most` is the largest x, which exponents are relative to.
 template <class V>
 struct WindowRecord {
-  V most, place[3], value, rest;  // all but `most` are divided by the sum of exponentials
+  V most, coord[3], value, rest;  // all but `most` are divided by the sum of exponentials
 };
 constexpr int kRecord = 6;
 
@@ -52,7 +52,7 @@ struct SoftArgmaxBackward {
   Windows windows;
   Compute<T> temperature;
   Compute<T> scale[3];
-  T const *grad_places, *grad_values, *x;  // grad_values: null without a gradient of the values
+  T const *grad_coords, *grad_values, *x;  // grad_values: null without a gradient of the values
   T* grad_x;
   Compute<T>* records;  // (6, n, D', H', W'); null if one pass does both steps
 };
@@ -125,7 +125,7 @@ KV_HD WindowRecord<V> record_of(WindowSums<V> const& sums, V const (&grad)[3], V
   r.most = sums.most;
   r.rest = grad_value * sums.value;
   for (int axis = 0; axis < 3; ++axis) {
-    r.place[axis] = grad[axis] * scale;
+    r.coord[axis] = grad[axis] * scale;
     r.rest += grad[axis] * sums.index[axis];
   }
   r.value = grad_value * scale;
@@ -136,8 +136,8 @@ KV_HD WindowRecord<V> record_of(WindowSums<V> const& sums, V const (&grad)[3], V
 // What a window contributes to the gradient of its voxel (k, j, i), whose value is v and whose exponential is e.
 template <class V, class F>
 KV_HD V share_of(WindowRecord<V> const& r, V v, V e, F k, F j, F i, F per_temperature) {
-  V const slope = r.place[0] * k + r.place[1] * j + r.place[2] * i + r.value * v + r.rest;
-  return e * (r.value + slope * per_temperature);
+  V const weight_grad = r.coord[0] * k + r.coord[1] * j + r.coord[2] * i + r.value * v + r.rest;
+  return e * (r.value + weight_grad * per_temperature);
 }
 
 }  // namespace kv::geometry

@@ -57,7 +57,7 @@ void soft_argmax(SoftArgmax<T> const& p, int64_t begin, int64_t end) {
       using V = Lanes<F, N>;
       auto const sums = sums_at<N>(w, volume, sharpness, row, x);
       V const scale = F(1) / sums.total;
-      if (p.values) store<N>(p.values + row.volume * w.places() + at + x, V(sums.value * scale));
+      if (p.values) store<N>(p.values + row.volume * w.coords() + at + x, V(sums.value * scale));
       for (int number = 0; number < w.axes; ++number) {
         int const axis = w.axis_of(number);
         V index = sums.index[axis] * scale;
@@ -71,7 +71,7 @@ void soft_argmax(SoftArgmax<T> const& p, int64_t begin, int64_t end) {
             else
               index[n] += start;
           }
-        store<N>(p.places + (row.volume * w.axes + number) * w.places() + at + x,
+        store<N>(p.coords + (row.volume * w.axes + number) * w.coords() + at + x,
                  V(index * p.scale[axis] + p.offset[axis]));
       }
     });
@@ -83,7 +83,7 @@ void soft_argmax_records(SoftArgmaxBackward<T> const& p, int64_t begin, int64_t 
   using F = Compute<T>;
   Windows const& w = p.windows;
   F const sharpness = F(kLog2E) / p.temperature;
-  int64_t const count = w.volumes * w.places();
+  int64_t const count = w.volumes * w.coords();
   for (int64_t r = begin; r < end; ++r) {
     Row const row(r, w.out);
     int64_t const at = (int64_t(row.z) * w.out[1] + row.y) * w.out[2];
@@ -94,13 +94,13 @@ void soft_argmax_records(SoftArgmaxBackward<T> const& p, int64_t begin, int64_t 
       V grad[3] = {};
       for (int number = 0; number < w.axes; ++number) {
         int const axis = w.axis_of(number);
-        grad[axis] = load<N>(p.grad_places + (row.volume * w.axes + number) * w.places() + at + x) * p.scale[axis];
+        grad[axis] = load<N>(p.grad_coords + (row.volume * w.axes + number) * w.coords() + at + x) * p.scale[axis];
       }
-      int64_t const place = row.volume * w.places() + at + x;
-      V const grad_value = p.grad_values ? load<N>(p.grad_values + place) : V{};
+      int64_t const coord = row.volume * w.coords() + at + x;
+      V const grad_value = p.grad_values ? load<N>(p.grad_values + coord) : V{};
       auto const record = record_of<V, F>(sums, grad, grad_value);
-      V const numbers[] = {record.most, record.place[0], record.place[1], record.place[2], record.value, record.rest};
-      for (int i = 0; i < kRecord; ++i) store<N>(p.records + i * count + place, numbers[i]);
+      V const numbers[] = {record.most, record.coord[0], record.coord[1], record.coord[2], record.value, record.rest};
+      for (int i = 0; i < kRecord; ++i) store<N>(p.records + i * count + coord, numbers[i]);
     });
   }
 }
@@ -110,7 +110,7 @@ void soft_argmax_backward(SoftArgmaxBackward<T> const& p, int64_t begin, int64_t
   using F = Compute<T>;
   Windows const& w = p.windows;
   F const sharpness = F(kLog2E) / p.temperature, per_temperature = 1 / p.temperature;
-  int64_t const count = w.volumes * w.places();
+  int64_t const count = w.volumes * w.coords();
   for (int64_t r = begin; r < end; ++r) {
     Row const row(r, w.size);
     Readers const zs(row.z, w.stride[0], w.before[0], w.window[0], w.out[0]);
@@ -126,7 +126,7 @@ void soft_argmax_backward(SoftArgmaxBackward<T> const& p, int64_t begin, int64_t
       for (int z = zs.first; z < zs.last; ++z)
         for (int y = ys.first; y < ys.last; ++y)
           for (int o = xs.first; o < xs.last; ++o) {
-            F const* const at = p.records + row.volume * w.places() + (int64_t(z) * w.out[1] + y) * w.out[2] + o;
+            F const* const at = p.records + row.volume * w.coords() + (int64_t(z) * w.out[1] + y) * w.out[2] + o;
             WindowRecord<V> const record{load<N>(at),
                                          {load<N>(at + count), load<N>(at + 2 * count), load<N>(at + 3 * count)},
                                          load<N>(at + 4 * count),

@@ -43,7 +43,7 @@ std::tuple<Tensor, Tensor> soft_argmax(Tensor const& input, Ints window, Ints st
   KV_CHECK(temperature > 0, op, ": temperature must be positive, got ", temperature);
   Tensor const x = dense(input);
   int64_t const b = x.size(0), c = x.size(1);
-  Tensor const places = empty({b, c, w.axes, w.out[0], w.out[1], w.out[2]}, x);
+  Tensor const coords = empty({b, c, w.axes, w.out[0], w.out[1], w.out[2]}, x);
   Tensor const values = empty({b, c, with_values ? w.out[0] : 0, w.out[1], w.out[2]}, x);
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
@@ -52,37 +52,37 @@ std::tuple<Tensor, Tensor> soft_argmax(Tensor const& input, Ints window, Ints st
                          {},
                          {},
                          data_ptr<T const>(x),
-                         data_ptr<T>(places),
+                         data_ptr<T>(coords),
                          with_values ? data_ptr<T>(values) : nullptr};
     scales_of(w, normalized, params.scale, params.offset);
     KV_RUN(soft_argmax, x, params, w.volumes * w.out[0] * w.out[1], w.out[2] * w.area());
   });
-  return {places, values};
+  return {coords, values};
 }
 
-Tensor soft_argmax_backward(Tensor const& grad_places, Tensor const& grad_values, Tensor const& input, Ints window,
+Tensor soft_argmax_backward(Tensor const& grad_coords, Tensor const& grad_values, Tensor const& input, Ints window,
                             Ints stride, Ints padding, double temperature, bool normalized, bool scale_too,
                             bool with_values) {
   char const* const op = "soft_argmax_backward";
   Windows w = windows_of(op, input, window, stride, padding, scale_too);
   KV_CHECK(temperature > 0, op, ": temperature must be positive, got ", temperature);
-  KV_CHECK(grad_places.dim() == 6, op, ": expected grad_places of 6 axes, got ", grad_places.dim());
-  int64_t const b = grad_places.size(0), c = input.size(1);
+  KV_CHECK(grad_coords.dim() == 6, op, ": expected grad_places of 6 axes, got ", grad_coords.dim());
+  int64_t const b = grad_coords.size(0), c = input.size(1);
   w.volumes = b * c;
-  check_sizes(op, "input", input, grad_places, {b, c, w.size[0], w.size[1], w.size[2]});
-  check_sizes(op, "grad_places", grad_places, input, {b, c, w.axes, w.out[0], w.out[1], w.out[2]});
+  check_sizes(op, "input", input, grad_coords, {b, c, w.size[0], w.size[1], w.size[2]});
+  check_sizes(op, "grad_places", grad_coords, input, {b, c, w.axes, w.out[0], w.out[1], w.out[2]});
   check_sizes(op, "grad_values", grad_values, input, {b, c, with_values ? w.out[0] : 0, w.out[1], w.out[2]});
-  Tensor const x = expand_batch(input, b), g = expand_batch(grad_places, b), v = expand_batch(grad_values, b);
+  Tensor const x = expand_batch(input, b), g = expand_batch(grad_coords, b), v = expand_batch(grad_values, b);
   Tensor const grad_x = empty({b, c, w.size[0], w.size[1], w.size[2]}, x);
 #if defined(KV_CUDA)
   bool const one_pass =
       x.scalar_type() == ScalarType::Float && !with_values &&
-      reach_of(w, data_ptr<float>(x), data_ptr<float>(g), data_ptr<float>(grad_x), data_ptr<float>(g) + w.places()) > 0;
+      reach_of(w, data_ptr<float>(x), data_ptr<float>(g), data_ptr<float>(grad_x), data_ptr<float>(g) + w.coords()) > 0;
 #else
   bool const one_pass = false;
 #endif
   bool const wide = x.scalar_type() == ScalarType::Double;
-  Tensor const records = empty({one_pass ? 0 : kRecord, w.volumes, w.places()}, x, Layout::planar,
+  Tensor const records = empty({one_pass ? 0 : kRecord, w.volumes, w.coords()}, x, Layout::planar,
                                wide ? ScalarType::Double : ScalarType::Float);
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;

@@ -19,11 +19,12 @@ struct ScaledExp {
 
 // The sums over a block's threads; the first thread gets them.
 template <class F>
-__device__ __forceinline__ PlaceSums<F> over_block(PlaceSums<F> sums, bool softmax, ScaledExp<F> const& exp) {
-  __shared__ PlaceSums<F> of_warps[kThreads / 32];
+__device__ __forceinline__ ExpectationSums<F> over_block(ExpectationSums<F> sums, bool softmax,
+                                                         ScaledExp<F> const& exp) {
+  __shared__ ExpectationSums<F> of_warps[kThreads / 32];
 #pragma unroll
   for (int lane = 16; lane > 0; lane /= 2) {
-    PlaceSums<F> other;
+    ExpectationSums<F> other;
     other.most = __shfl_xor_sync(0xffffffffu, sums.most, lane),
     other.sum = __shfl_xor_sync(0xffffffffu, sums.sum, lane);
     other.x = __shfl_xor_sync(0xffffffffu, sums.x, lane), other.y = __shfl_xor_sync(0xffffffffu, sums.y, lane);
@@ -38,14 +39,14 @@ __device__ __forceinline__ PlaceSums<F> over_block(PlaceSums<F> sums, bool softm
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    find_places(__grid_constant__ SpatialExpectation<T> const p, unsigned pieces, bool vectorized) {
+    expectation_chunks(__grid_constant__ SpatialExpectation<T> const p, unsigned chunks, bool vectorized) {
   using F = Compute<T>;
   HeatMaps<T> const& maps = p.maps;
   ScaledExp<F> const exp{maps.scale};
-  int64_t const plane = blockIdx.x / pieces;
+  int64_t const plane = blockIdx.x / chunks;
   T const* const from = maps.data + plane * maps.height * maps.width;
-  auto sums = PlaceSums<F>::nothing(maps.softmax);
-  for_each_vector<T>(maps, blockIdx.x - plane * pieces, vectorized,
+  auto sums = ExpectationSums<F>::nothing(maps.softmax);
+  for_each_vector<T>(maps, blockIdx.x - plane * chunks, vectorized,
                      [&](auto count, unsigned i, unsigned x, unsigned row) {
                        constexpr int P = decltype(count)::value;
                        Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(from + i);
@@ -67,31 +68,31 @@ __global__ void __launch_bounds__(kThreads)
 }
 
 template <class F>
-__global__ void __launch_bounds__(kThreads)
-    finish_places(PlaceSums<F> const* partial, unsigned pieces, bool softmax, F scale, F* places, F* parts) {
+__global__ void __launch_bounds__(kThreads) finalize_expectation(ExpectationSums<F> const* partial, unsigned chunks,
+                                                                 bool softmax, F scale, F* coords, F* parts) {
   ScaledExp<F> const exp{scale};
-  auto sums = PlaceSums<F>::nothing(softmax);
-  for (unsigned i = threadIdx.x; i < pieces; i += kThreads) sums.add(partial[blockIdx.x * pieces + i], softmax, exp);
+  auto sums = ExpectationSums<F>::nothing(softmax);
+  for (unsigned i = threadIdx.x; i < chunks; i += kThreads) sums.add(partial[blockIdx.x * chunks + i], softmax, exp);
   sums = over_block(sums, softmax, exp);
-  if (threadIdx.x == 0) sums.store(places + 2 * blockIdx.x, parts + 2 * blockIdx.x, softmax);
+  if (threadIdx.x == 0) sums.store(coords + 2 * blockIdx.x, parts + 2 * blockIdx.x, softmax);
 }
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    find_place_gradients(__grid_constant__ SpatialExpectationBackward<T> const p, unsigned pieces, bool vectorized) {
+    expectation_backward(__grid_constant__ SpatialExpectationBackward<T> const p, unsigned chunks, bool vectorized) {
   using F = Compute<T>;
   HeatMaps<T> const& maps = p.maps;
   ScaledExp<F> const exp{maps.scale};
-  int64_t const plane = blockIdx.x / pieces, offset = plane * maps.height * maps.width;
-  PlaceSlopes<T> const slopes(p, plane);
+  int64_t const plane = blockIdx.x / chunks, offset = plane * maps.height * maps.width;
+  ExpectationGradient<T> const gradient(p, plane);
   for_each_vector<T>(
-      maps, blockIdx.x - plane * pieces, vectorized, [&](auto count, unsigned i, unsigned x, unsigned row) {
+      maps, blockIdx.x - plane * chunks, vectorized, [&](auto count, unsigned i, unsigned x, unsigned row) {
         constexpr int P = decltype(count)::value;
         Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(maps.data + offset + i);
         F result[P];
 #pragma unroll
         for (int k = 0; k < P; ++k)
-          result[k] = slopes.at(read(vector.v[k]), maps.along_x.at(F(x + k)), maps.along_y.at(F(row)), exp);
+          result[k] = gradient.at(read(vector.v[k]), maps.along_x.at(F(x + k)), maps.along_y.at(F(row)), exp);
         store_vector(p.grad_input + offset + i, result);
       });
 }
@@ -101,17 +102,17 @@ __global__ void __launch_bounds__(kThreads)
 template <class T>
 int spatial_expectation(SpatialExpectation<T> const& p, CUstream_st* stream) {
   HeatMaps<T> const& maps = p.maps;
-  unsigned const pieces = unsigned(maps.pieces()), planes = unsigned(maps.planes);
-  find_places<<<planes * pieces, kThreads, 0, stream>>>(p, pieces, is_vectorizable<T>(maps.width, {maps.data}));
-  finish_places<<<planes, kThreads, 0, stream>>>(p.partial, pieces, maps.softmax, maps.scale, p.places, p.parts);
+  unsigned const chunks = unsigned(maps.chunks()), planes = unsigned(maps.planes);
+  expectation_chunks<<<planes * chunks, kThreads, 0, stream>>>(p, chunks, is_vectorizable<T>(maps.width, {maps.data}));
+  finalize_expectation<<<planes, kThreads, 0, stream>>>(p.partial, chunks, maps.softmax, maps.scale, p.coords, p.parts);
   return cudaGetLastError();
 }
 
 template <class T>
 int spatial_expectation_backward(SpatialExpectationBackward<T> const& p, CUstream_st* stream) {
-  unsigned const pieces = unsigned(p.maps.pieces());
-  find_place_gradients<<<unsigned(p.maps.planes) * pieces, kThreads, 0, stream>>>(
-      p, pieces, is_vectorizable<T>(p.maps.width, {p.maps.data, p.grad_input}));
+  unsigned const chunks = unsigned(p.maps.chunks());
+  expectation_backward<<<unsigned(p.maps.planes) * chunks, kThreads, 0, stream>>>(
+      p, chunks, is_vectorizable<T>(p.maps.width, {p.maps.data, p.grad_input}));
   return cudaGetLastError();
 }
 

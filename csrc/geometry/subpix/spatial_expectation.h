@@ -7,14 +7,14 @@
 
 namespace kv::geometry {
 
-constexpr int64_t kPlacePiece = 8192;  // pixels of a chunk, or one row if that has more
+constexpr int64_t kExpectationChunk = 8192;  // pixels of a chunk, or one row if that has more
 
 // The coordinates of the pixels along an axis.
 template <class F>
-struct PlaceAxis {
+struct CoordAxis {
   F first, step;
 
-  KV_HD static PlaceAxis of(int64_t size, bool normalized) {
+  KV_HD static CoordAxis of(int64_t size, bool normalized) {
     if (!normalized) return {F(0), F(1)};
     return {F(-1), size > 1 ? F(2. / double(size - 1)) : F(0)};
   }
@@ -29,20 +29,20 @@ struct HeatMaps {
   using F = Compute<T>;
   T const* data;                        // (planes, height, width)
   int64_t planes, height, width, rows;  // rows of a chunk
-  PlaceAxis<F> along_x, along_y;
+  CoordAxis<F> along_x, along_y;
   bool softmax;
   F scale;
 
-  KV_HD int64_t pieces() const { return (height + rows - 1) / rows; }
+  KV_HD int64_t chunks() const { return (height + rows - 1) / rows; }
 };
 
 // Sums over pixels: of their weights, and of the weights times the coordinates. The weights of a softmax are
 // exponentials relative to that of `most`.
 template <class F>
-struct PlaceSums {
+struct ExpectationSums {
   F most, sum, x, y;
 
-  KV_HD static PlaceSums nothing(bool softmax) {
+  KV_HD static ExpectationSums nothing(bool softmax) {
     return {softmax ? (sizeof(F) == 4 ? F(-3.4e38) : F(-1.7e308)) : F(0), F(0), F(0), F(0)};
   }
   // Makes the sums relative to `largest`. exp(d) is the exponential of the softmax scale times d.
@@ -52,7 +52,7 @@ struct PlaceSums {
     most = largest, sum *= factor, x *= factor, y *= factor;
   }
   template <class Exp>
-  KV_HD void add(PlaceSums other, bool softmax, Exp exp) {
+  KV_HD void add(ExpectationSums other, bool softmax, Exp exp) {
     if (softmax) {
       F const largest = other.most > most ? other.most : most;
       rescale(largest, exp), other.rescale(largest, exp);
@@ -69,14 +69,14 @@ struct PlaceSums {
 template <class T>
 struct SpatialExpectation {
   HeatMaps<T> maps;
-  PlaceSums<Compute<T>>* partial;  // (planes, chunks)
-  Compute<T>*places, *parts;       // (planes, 2), set by the CUDA kernel; on the CPU the operator sets them
+  ExpectationSums<Compute<T>>* partial;  // (planes, chunks)
+  Compute<T>*coords, *parts;             // (planes, 2), set by the CUDA kernel; on the CPU the operator sets them
 };
 
 template <class T>
 struct SpatialExpectationBackward {
   HeatMaps<T> maps;
-  Compute<T> const *grad, *places, *parts;  // (planes, 2)
+  Compute<T> const *grad, *coords, *parts;  // (planes, 2)
   T* grad_input;
 };
 
@@ -85,21 +85,21 @@ KV_KERNEL(spatial_expectation_backward, SpatialExpectationBackward)
 
 // The gradient of the pixels of a plane, from their values and their coordinates x and y.
 template <class T>
-struct PlaceSlopes {
+struct ExpectationGradient {
   using F = Compute<T>;
   bool softmax;
   F of_x, of_y, of_mean, most, factor;
 
-  KV_HD PlaceSlopes(SpatialExpectationBackward<T> const& p, int64_t plane)
+  KV_HD ExpectationGradient(SpatialExpectationBackward<T> const& p, int64_t plane)
       : softmax(p.maps.softmax), of_x(p.grad[2 * plane]), of_y(p.grad[2 * plane + 1]), of_mean(0), most(0), factor(1) {
     if (!softmax) return;
-    of_mean = of_x * p.places[2 * plane] + of_y * p.places[2 * plane + 1];
+    of_mean = of_x * p.coords[2 * plane] + of_y * p.coords[2 * plane + 1];
     most = p.parts[2 * plane], factor = p.maps.scale / p.parts[2 * plane + 1];
   }
   template <class V, class Exp>
   KV_HD V at(V value, V x, V y, Exp exp) const {
-    V const slope = of_x * x + of_y * y - of_mean;
-    return softmax ? V(slope * factor * exp(V(value - most))) : slope;
+    V const gradient = of_x * x + of_y * y - of_mean;
+    return softmax ? V(gradient * factor * exp(V(value - most))) : gradient;
   }
 };
 

@@ -31,9 +31,9 @@ void spatial_expectation(SpatialExpectation<T> const& p, int64_t begin, int64_t 
   HeatMaps<T> const& maps = p.maps;
   ScaledExp<F> const exp{maps.scale};
   for (int64_t i = begin; i < end; ++i) {
-    int64_t const plane = i / maps.pieces(), first = i % maps.pieces() * maps.rows;
+    int64_t const plane = i / maps.chunks(), first = i % maps.chunks() * maps.rows;
     int64_t const last = min(first + maps.rows, maps.height);
-    auto sums = PlaceSums<F>::nothing(maps.softmax);
+    auto sums = ExpectationSums<F>::nothing(maps.softmax);
     if (maps.softmax) {
       T const* const from = maps.data + (plane * maps.height + first) * maps.width;
       Lanes<F, N> most = broadcast<N>(sums.most);
@@ -78,8 +78,8 @@ void spatial_expectation_backward(SpatialExpectationBackward<T> const& p, int64_
   HeatMaps<T> const& maps = p.maps;
   ScaledExp<F> const exp{maps.scale};
   for (int64_t i = begin; i < end; ++i) {
-    int64_t const plane = i / maps.pieces(), first = i % maps.pieces() * maps.rows;
-    PlaceSlopes<T> const slopes(p, plane);
+    int64_t const plane = i / maps.chunks(), first = i % maps.chunks() * maps.rows;
+    ExpectationGradient<T> const gradient(p, plane);
     for (int64_t y = first; y < min(first + maps.rows, maps.height); ++y) {
       int64_t const row = (plane * maps.height + y) * maps.width;
       for_each_vector<T>(0, maps.width, [&](auto width, int64_t x) {
@@ -87,7 +87,7 @@ void spatial_expectation_backward(SpatialExpectationBackward<T> const& p, int64_
         using V = Lanes<F, M>;
         V const across = maps.along_x.at(counted_from<M, F>(x)), down = broadcast<M>(maps.along_y.at(F(y)));
         V const value = load<M>(maps.data + row + x);
-        store<M>(p.grad_input + row + x, slopes.at(value, across, down, [&](V v) { return exp.template of<M>(v); }));
+        store<M>(p.grad_input + row + x, gradient.at(value, across, down, [&](V v) { return exp.template of<M>(v); }));
       });
     }
   }

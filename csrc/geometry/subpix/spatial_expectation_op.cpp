@@ -16,9 +16,9 @@ HeatMaps<T> heat_maps(Tensor const& x, bool softmax, double scale, bool normaliz
           x.size(0) * x.size(1),
           height,
           width,
-          clamp(kPlacePiece / width, int64_t(1), height),
-          PlaceAxis<F>::of(width, normalized),
-          PlaceAxis<F>::of(height, normalized),
+          clamp(kExpectationChunk / width, int64_t(1), height),
+          CoordAxis<F>::of(width, normalized),
+          CoordAxis<F>::of(height, normalized),
           softmax,
           F(scale)};
 }
@@ -34,29 +34,29 @@ void check_maps(char const* op, Tensor const& x, bool softmax, double scale) {
 std::tuple<Tensor, Tensor> spatial_expectation(Tensor const& input, bool softmax, double scale, bool normalized) {
   check_maps("spatial_expectation", input, softmax, scale);
   Tensor const x = dense(input);
-  Tensor const places = empty({x.size(0), x.size(1), 2}, x, Layout::planar, compute_dtype(x));
+  Tensor const coords = empty({x.size(0), x.size(1), 2}, x, Layout::planar, compute_dtype(x));
   Tensor const parts = empty({x.size(0), x.size(1), 2}, x, Layout::planar, compute_dtype(x));
   dispatch_floating("spatial_expectation", x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     auto const maps = heat_maps<T>(x, softmax, scale, normalized);
-    Tensor const partial = empty({maps.planes, maps.pieces(), 4}, x, Layout::planar, compute_dtype(x));
-    SpatialExpectation<T> const params{maps, reinterpret_cast<PlaceSums<F>*>(data_ptr<F>(partial)), data_ptr<F>(places),
-                                       data_ptr<F>(parts)};
-    KV_RUN(spatial_expectation, x, params, maps.planes * maps.pieces(), 4 * maps.rows * maps.width);
+    Tensor const partial = empty({maps.planes, maps.chunks(), 4}, x, Layout::planar, compute_dtype(x));
+    SpatialExpectation<T> const params{maps, reinterpret_cast<ExpectationSums<F>*>(data_ptr<F>(partial)),
+                                       data_ptr<F>(coords), data_ptr<F>(parts)};
+    KV_RUN(spatial_expectation, x, params, maps.planes * maps.chunks(), 4 * maps.rows * maps.width);
 #if !defined(KV_CUDA)
     for (int64_t plane = 0; plane < maps.planes; ++plane) {
-      auto sums = PlaceSums<F>::nothing(softmax);
-      for (int64_t i = 0; i < maps.pieces(); ++i)
-        sums.add(params.partial[plane * maps.pieces() + i], softmax, [&](F d) { return F(::exp(double(d) * scale)); });
-      sums.store(params.places + 2 * plane, params.parts + 2 * plane, softmax);
+      auto sums = ExpectationSums<F>::nothing(softmax);
+      for (int64_t i = 0; i < maps.chunks(); ++i)
+        sums.add(params.partial[plane * maps.chunks() + i], softmax, [&](F d) { return F(::exp(double(d) * scale)); });
+      sums.store(params.coords + 2 * plane, params.parts + 2 * plane, softmax);
     }
 #endif
   });
-  return {places, parts};
+  return {coords, parts};
 }
 
-Tensor spatial_expectation_backward(Tensor const& grad, Tensor const& places, Tensor const& parts, Tensor const& input,
+Tensor spatial_expectation_backward(Tensor const& grad, Tensor const& coords, Tensor const& parts, Tensor const& input,
                                     bool softmax, double scale, bool normalized) {
   constexpr char const* op = "spatial_expectation_backward";
   check_maps(op, input, softmax, scale);
@@ -67,7 +67,7 @@ Tensor spatial_expectation_backward(Tensor const& grad, Tensor const& places, Te
              op, ": expected ", name, " to be that of the places");
     return dense(t);
   };
-  Tensor const g = checked("grad", grad), means = checked("places", places), of_sum = checked("parts", parts);
+  Tensor const g = checked("grad", grad), means = checked("places", coords), of_sum = checked("parts", parts);
   Tensor const grad_x = empty({x.size(0), x.size(1), x.size(2), x.size(3)}, x);
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
@@ -75,7 +75,7 @@ Tensor spatial_expectation_backward(Tensor const& grad, Tensor const& places, Te
     SpatialExpectationBackward<T> const params{heat_maps<T>(x, softmax, scale, normalized), data_ptr<F const>(g),
                                                data_ptr<F const>(means), data_ptr<F const>(of_sum),
                                                data_ptr<T>(grad_x)};
-    KV_RUN(spatial_expectation_backward, x, params, params.maps.planes * params.maps.pieces(),
+    KV_RUN(spatial_expectation_backward, x, params, params.maps.planes * params.maps.chunks(),
            2 * params.maps.rows * params.maps.width);
   });
   return grad_x;

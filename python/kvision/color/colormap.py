@@ -142,7 +142,7 @@ _table = register("apply_colormap", _reference, fake=_fake, supports=has_pixels)
 
 
 def apply_colormap(input_tensor: Tensor, colormap: ColorMap) -> Tensor:
-    """Show every channel in false colors.
+    """Map the values of every channel to colors of a table.
 
     Args:
         input_tensor: images (B, C, H, W) or (C, H, W). Floating-point values are in [0, 1]; a channel of an image that

@@ -109,7 +109,7 @@ _raw_to_rgb_2x2_downscaled = with_kernel_casts(_binned)
 
 
 def rgb_to_raw(image: Tensor, cfa: CFA) -> Tensor:
-    """Keep of every pixel the color that a sensor's filter lets through.
+    """Make Bayer mosaics of RGB images: keep the one color of every pixel that the sensor's filter lets through.
 
     Args:
         image: RGB images (*, 3, H, W) of any type.
@@ -135,7 +135,7 @@ def rgb_to_raw(image: Tensor, cfa: CFA) -> Tensor:
 
 
 def raw_to_rgb(image: Tensor, cfa: CFA) -> Tensor:
-    """Fill in the colors that a sensor's filter held back, linearly between the nearest pixels that have them.
+    """Demosaic images of a Bayer sensor: interpolate the two missing colors of every pixel bilinearly.
 
     Red and blue are means of 2 or 4 neighbors, green of 4. The border mirrors the mosaic. What was measured is kept.
 
@@ -164,7 +164,7 @@ def raw_to_rgb(image: Tensor, cfa: CFA) -> Tensor:
 
 
 def raw_to_rgb_2x2_downscaled(image: Tensor, cfa: CFA) -> Tensor:
-    """Make one color of every 2 x 2 pixels: their red, their blue, and the mean of their greens.
+    """Demosaic images of a Bayer sensor to half their size: each 2 x 2 pixels give one color, with the mean of their greens.
 
     Args:
         image: mosaics (*, 1, H, W), H and W even. uint8 gives uint8 (rounded half to even), other integers float32.

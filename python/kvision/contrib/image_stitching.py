@@ -62,7 +62,7 @@ class ImageStitcher(nn.Module):
         self.ransac = RANSAC("homography") if estimator == "ransac" else None
 
     def preprocess(self, image_1: Tensor, image_2: Tensor) -> dict[str, Tensor]:
-        """What the matcher takes of two images."""
+        """The input of the matcher for two images."""
 
         def gray(x: Tensor) -> Tensor:
             return rgb_to_grayscale(x) if x.shape[1] == 3 else x
@@ -70,7 +70,7 @@ class ImageStitcher(nn.Module):
         return {"image0": gray(image_1), "image1": gray(image_2)}
 
     def on_matcher(self, data: dict[str, Tensor]) -> dict[str, Tensor]:
-        """What the matcher finds."""
+        """Run the matcher."""
         return self.matcher(data)
 
     def estimate_transform(self, batch_size: int | None = None, **matches: Tensor) -> Tensor:

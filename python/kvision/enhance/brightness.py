@@ -26,7 +26,7 @@ scale_shift_rgb = step("scale_shift_rgb", _scale_shift_rgb_reference)
 
 
 def adjust_brightness(image: Tensor, factor: float | Tensor, clip_output: bool = True) -> Tensor:
-    """Add a number to an image.
+    """Adjust the brightness of images by adding a number to their values.
 
     Args:
         image: (*, C, H, W), floating point, in [0, 1].
@@ -53,7 +53,7 @@ def adjust_brightness(image: Tensor, factor: float | Tensor, clip_output: bool =
 
 
 def adjust_brightness_accumulative(image: Tensor, factor: float | Tensor, clip_output: bool = True) -> Tensor:
-    """Multiply an image by a number, which is what PIL and torchvision call brightness.
+    """Adjust the brightness of images by multiplying their values, as PIL and torchvision do.
 
     Args:
         image: (*, C, H, W), floating point, in [0, 1].

@@ -31,7 +31,7 @@ def _by_channel(x: Tensor, factor: Tensor) -> Tensor:
 
 
 def adjust_contrast(image: Tensor, factor: float | Tensor, clip_output: bool = True) -> Tensor:
-    """Multiply an image by a number that is not negative.
+    """Adjust the contrast of images by multiplying their values.
 
     Args:
         image: (*, C, H, W), floating point, in [0, 1].
@@ -61,7 +61,7 @@ def adjust_contrast(image: Tensor, factor: float | Tensor, clip_output: bool = T
 
 
 def adjust_contrast_with_mean_subtraction(image: Tensor, factor: float | Tensor) -> Tensor:
-    """Move the values of an image away from its mean gray, or towards it, which is what PIL and torchvision call contrast.
+    """Adjust the contrast of images by scaling their difference from the mean gray, as PIL and torchvision do.
 
     Args:
         image: (*, C, H, W), floating point, in [0, 1]. The gray of three channels is 0.299 R + 0.587 G + 0.114 B, that

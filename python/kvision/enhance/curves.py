@@ -91,7 +91,7 @@ def adjust_log(image: Tensor, gain: float | Tensor = 1, inv: bool = False, clip_
 
 
 def adjust_sigmoid(image: Tensor, cutoff: float | Tensor = 0.5, gain: float | Tensor = 10, inv: bool = False) -> Tensor:
-    """Steepen an image around a value: 1 / (1 + exp(gain * (cutoff - image))), or with inv one minus it.
+    """Adjust the contrast of images by a sigmoid: 1 / (1 + exp(gain * (cutoff - image))), or with inv one minus it.
 
     Args:
         image: (*, C, H, W), floating point, in [0, 1].

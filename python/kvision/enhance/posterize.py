@@ -50,8 +50,8 @@ def posterize(input: Tensor, bits: int | Tensor) -> Tensor:
     """
     images("posterize", "input", input)
     if isinstance(bits, Tensor):
-        bits = parameter("posterize", "bits", bits, input)
-        return shaped(_posterize(as_batch(input), bits, _SPLIT.get(input.dtype, 1.0)), input)
+        tensor_bits = parameter("posterize", "bits", bits, input)
+        return shaped(_posterize(as_batch(input), tensor_bits, _SPLIT.get(input.dtype, 1.0)), input)
     if type(bits) is not int:
         raise TypeCheckError(f"posterize: expected bits to be an int or a Tensor, got {bits!r}", actual_type=type(bits))
     if not 0 <= bits <= 8:

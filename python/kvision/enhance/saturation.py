@@ -40,7 +40,7 @@ _adjust_saturation_from_gray = step("saturation_gray", _from_gray)
 
 
 def adjust_saturation(image: Tensor, factor: float | Tensor) -> Tensor:
-    """Scale the saturation of an RGB image in HSV, where it ends at 0 and 1.
+    """Adjust the saturation of RGB images: multiply it in HSV and clamp it to [0, 1].
 
     Args:
         image: (*, 3, H, W), floating point, in [0, 1].
@@ -90,7 +90,7 @@ def adjust_saturation_raw(image: Tensor, factor: float | Tensor) -> Tensor:
 
 
 def adjust_saturation_with_gray_subtraction(image: Tensor, factor: float | Tensor) -> Tensor:
-    """Move colors away from their gray, or towards it, which is what PIL and torchvision call saturation.
+    """Adjust the saturation of RGB images by scaling their difference from their gray, as PIL and torchvision do.
 
     Args:
         image: (*, 3, H, W), floating point, in [0, 1]; gray images (*, 1, H, W) come back as they are.

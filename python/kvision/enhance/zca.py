@@ -222,7 +222,7 @@ class ZCAWhitening(nn.Module):
         return self.transform_matrix is not None
 
     def fit(self, x: Tensor) -> ZCAWhitening:
-        """Learn mean and transform of the data, and give the module back."""
+        """Learn mean and transform of the data, and return the module."""
         transform, mean, inverse = zca_mean(x, self.dim, self.unbiased, self.eps, self.compute_inv)
         if self.detach_transforms:
             transform, mean, inverse = transform.detach(), mean.detach(), None if inverse is None else inverse.detach()

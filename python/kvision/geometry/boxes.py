@@ -168,7 +168,7 @@ class Boxes(_Boxes):
         return cls(cls._vertices(torch.tensor(boxes), mode, validate_boxes), False, mode)
 
     def to_tensor(self, mode: str | None = None, as_padded_sequence: bool = False) -> Tensor | list[Tensor]:
-        """The least upright boxes around the corners, in one of the forms of :meth:`from_tensor`.
+        """The axis-aligned bounding boxes of the corners, in one of the forms of :meth:`from_tensor`.
 
         Args:
             mode: the mode of the result, None for that of the constructor.
@@ -257,7 +257,7 @@ class Boxes(_Boxes):
     def filter_boxes_by_area(
         self, min_area: float | None = None, max_area: float | None = None, inplace: bool = False
     ) -> Boxes:
-        """Boxes of which those are 0, whatever happens to them later, whose area is out of limits.
+        """Set boxes to 0 whose area is out of limits. They stay 0 in later calls.
 
         Args:
             min_area: the least :meth:`compute_area` that is kept; None for no limit.

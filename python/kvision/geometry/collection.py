@@ -130,13 +130,13 @@ class Collection:
         return self.to(dtype=dtype)
 
     def clone(self: Self) -> Self:
-        """An object of its own with the same items."""
+        """A copy."""
         return self._like(self._data.clone(), self._valid, self._counts)
 
     def index_put(
         self: Self, indices: tuple[Tensor, ...] | list[Tensor], values: Tensor | Self, inplace: bool = False
     ) -> Self:
-        """Items with others at some positions.
+        """Replace items at some positions, as :func:`torch.Tensor.index_put`.
 
         Args:
             indices: of positions in :attr:`data`, as torch.Tensor.index_put takes them.

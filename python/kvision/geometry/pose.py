@@ -119,7 +119,7 @@ class NamedPose:
         return self._frame_dst
 
     def inverse(self) -> NamedPose:
-        """The way back."""
+        """The inverse transformations."""
         back = self.rotation.mT
         moved = -(back * self.translation[..., None, :]).sum(-1, keepdim=True)
         return NamedPose(homogeneous(torch.cat([back, moved], -1)), self._frame_dst, self._frame_src)

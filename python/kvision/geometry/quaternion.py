@@ -154,7 +154,7 @@ class Quaternion(FunctionModule):
 
     @property
     def vec(self) -> Tensor:
-        """The rest (*, 3)."""
+        """Vector parts (*, 3)."""
         return self.data[..., 1:]
 
     @property
@@ -205,7 +205,7 @@ class Quaternion(FunctionModule):
         return Quaternion(torch.cat([self.data[..., :1], -self.vec], -1))
 
     def inv(self) -> Quaternion:
-        """What they multiply with to 1."""
+        """The multiplicative inverses."""
         return Quaternion(self.conj().data / batched_squared_norm(self.data, keepdim=True))
 
     def slerp(self, q1: Quaternion, t: Tensor | float) -> Quaternion:
@@ -294,7 +294,7 @@ def _power(q: Tensor, t: Tensor | float) -> Tensor:
 
 
 def average_quaternions(Q: Quaternion, w: Tensor | None = None) -> Quaternion:
-    """Find the rotation with the least squared chordal distances from others.
+    """Average rotations: the one with the least sum of squared chordal distances from the others.
 
     Args:
         Q: (N, 4).

@@ -39,7 +39,7 @@ def kl_div_loss_2d(pred: Tensor, target: Tensor, reduction: str = "mean") -> Ten
 
 
 def js_div_loss_2d(pred: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:
-    """Compute the Jensen-Shannon divergence of probability maps: the mean of both divergences from their average.
+    """Compute the Jensen-Shannon divergence of two probability maps: the mean of their KL divergences from their average.
 
     Args:
         pred: maps (B, N, H, W), each with sum 1.

@@ -86,7 +86,7 @@ _smoothness = register(
 
 
 def total_variation(img: Tensor, reduction: str = "sum") -> Tensor:
-    """Compute the total variation of every plane: the absolute differences of neighbors along x and along y, added up.
+    """Compute the total variation of every plane: the sum of absolute differences of pixels adjacent along x or y.
 
     Args:
         img: (*, H, W); integers are computed in float32.
@@ -126,7 +126,7 @@ def total_variation(img: Tensor, reduction: str = "sum") -> Tensor:
 
 
 def inverse_depth_smoothness_loss(idepth: Tensor, image: Tensor) -> Tensor:
-    """Compute how rough an inverse depth map is where the image has no edges.
+    """Compute the edge-aware smoothness loss of inverse depth maps: their gradients count less where the image has edges.
 
     It is the mean of abs(dx d) exp(-mean_c abs(dx I)), plus the same along y, with differences of neighbors.
 

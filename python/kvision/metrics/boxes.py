@@ -141,10 +141,10 @@ def mean_average_precision(
     precisions = torch.stack([_average(right, label == c, (true_label == c).sum()) for c in range(1, n_classes)])
     there = precisions >= 0
     mean = torch.where(there.any(), precisions.where(there, 0).sum() / there.sum().clamp_min(1), -1)
-    *precisions, is_wrong = torch.cat([precisions, wrong[None]]).tolist()  # the only synchronization with the device
+    *averages, is_wrong = torch.cat([precisions, wrong[None]]).tolist()  # the only synchronization with the device
     if is_wrong:
         raise ValueCheckError(f"{op}: expected labels in [0, {n_classes})")
-    return mean, dict(enumerate(precisions, 1))
+    return mean, dict(enumerate(averages, 1))
 
 
 def _images(boxes: Sequence[Tensor]) -> Tensor:

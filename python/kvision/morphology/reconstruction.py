@@ -20,7 +20,7 @@ def reconstruction(
     check_every: int = 4,
     engine: str = "auto",
 ) -> Tensor:
-    """Let a seed grow under a mask: dilate it and take the smaller one of both, again and again.
+    """Reconstruct morphologically: dilate a seed and take the minimum with the mask, until nothing changes.
 
     Args:
         seed: images (B, C, H, W), floating point; values above the mask are clamped to it first.

@@ -9,7 +9,7 @@ from torch import Tensor
 import kvision as K
 from kvision._modes import INTERPOLATION, PADDING
 from op_tests import assert_close
-from warp_tests import FLOAT_PLACES, WarpTests, one
+from warp_tests import FLOAT_COORDS, WarpTests, one
 
 G = K.geometry
 
@@ -54,7 +54,7 @@ class TestPhotometricDepth(WarpTests):
     bytes = False
     max_size = 7
     small = (1, 1, 4, 4)
-    tolerances = {**FLOAT_PLACES, torch.float32: (5e-5, 5e-5)}
+    tolerances = {**FLOAT_COORDS, torch.float32: (5e-5, 5e-5)}
     variants = [
         {"target": target, "depth": depth, "projections": lambda x: torch.stack([projection(x)] * 2, 1)},
         {

@@ -9,7 +9,7 @@ from torch import Tensor
 import kvision as K
 from composition_tests import Case, CompositionTests
 from op_tests import assert_close
-from warp_tests import FLOAT_PLACES, WarpTests, one
+from warp_tests import FLOAT_COORDS, WarpTests, one
 
 G = K.geometry
 
@@ -43,7 +43,7 @@ class TestWarpFrameDepth(WarpTests):
     )
     bytes = False
     max_size = 7
-    tolerances = {**FLOAT_PLACES, torch.float32: (5e-5, 5e-5)}
+    tolerances = {**FLOAT_COORDS, torch.float32: (5e-5, 5e-5)}
     variants = [
         {"depth_dst": depth, "src_trans_dst": motion, "camera_matrix": camera},
         {"depth_dst": one(depth), "src_trans_dst": motion, "camera_matrix": one(camera), "normalize_points": True},

@@ -78,7 +78,7 @@ def tilt_projection(taux: Tensor, tauy: Tensor, return_inverse: bool = False) ->
 
 @in_full_precision
 def distort_points(points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None = None) -> Tensor:
-    """Map undistorted points to the pixels where a lens with distortion images them.
+    """Apply lens distortion to the coordinates of points.
 
     Args:
         points: (*, N, 2) as (x, y) in pixels, floating point.
@@ -158,7 +158,7 @@ def _projected(x: Tensor, y: Tensor, matrix: Tensor) -> tuple[Tensor, Tensor]:
 def undistort_points(
     points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None = None, num_iters: int = 5
 ) -> Tensor:
-    """Map points from the pixels where a lens with distortion images them to those of a lens without.
+    """Remove lens distortion from the coordinates of points.
 
     This inverts :func:`distort_points` by `num_iters` steps of a fixed-point iteration.
 
@@ -285,7 +285,7 @@ _map_gradient = register(
 
 
 def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:
-    """Resample images of a lens with distortion as a lens without would show them.
+    """Remove lens distortion from images.
 
     Args:
         image: (*, C, H, W), floating point.

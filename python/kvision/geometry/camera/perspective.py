@@ -41,7 +41,7 @@ def project_points(point_3d: Tensor, camera_matrix: Tensor) -> Tensor:
 
 
 def unproject_points(point_2d: Tensor, depth: Tensor, camera_matrix: Tensor, normalize: bool = False) -> Tensor:
-    """Find the points of a camera's frame that its pixels show at a depth. Skew is ignored.
+    """Back-project pixels at a depth to points in the camera's frame. Skew is ignored.
 
     Args:
         point_2d: (*, 2) as (x, y) in pixels; integers give float32.

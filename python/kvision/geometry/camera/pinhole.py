@@ -85,7 +85,7 @@ class PinholeCamera:
         return cls(intrinsics, extrinsics, *sizes)
 
     def clone(self) -> PinholeCamera:
-        """Cameras of their own with the same values."""
+        """A copy."""
         return type(self)(self._intrinsics, self._extrinsics, self.height, self.width)
 
     def device(self) -> torch.device:

@@ -14,7 +14,7 @@ __all__ = ["cam2pixel", "pixel2cam"]
 
 
 def pixel2cam(depth: Tensor, intrinsics_inv: Tensor, pixel_coords: Tensor) -> Tensor:
-    """Find the points of a camera's frame that pixels show at a depth.
+    """Back-project pixels at a depth to points in the camera's frame.
 
     Args:
         depth: z, (B, 1, H, W).

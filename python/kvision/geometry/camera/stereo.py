@@ -15,7 +15,7 @@ __all__ = ["StereoCamera"]
 
 
 class StereoCamera:
-    """Pairs of cameras that look the same way from places side by side.
+    """Rectified stereo pairs: two cameras that differ by a horizontal translation.
 
     Args:
         rectified_left_camera: projection matrices (B, 3, 4).

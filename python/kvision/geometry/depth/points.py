@@ -137,7 +137,7 @@ def _depth_and_camera(op: str, depth: Any, camera_matrix: Any, normalize_points:
 
 
 def depth_to_3d(depth: Tensor, camera_matrix: Tensor, normalize_points: bool = False) -> Tensor:
-    """Find the point of the camera's frame that each pixel of a depth image shows.
+    """Back-project the pixels of depth images to points in the camera's frame.
 
     Args:
         depth: (B, 1, H, W), z in any unit. Integers are computed in float32.
@@ -166,7 +166,7 @@ def depth_to_3d(depth: Tensor, camera_matrix: Tensor, normalize_points: bool = F
 
 
 def depth_to_normals(depth: Tensor, camera_matrix: Tensor, normalize_points: bool = False) -> Tensor:
-    """Find the unit normal of the surface that each pixel of a depth image shows.
+    """Compute the unit surface normals of depth images.
 
     It is the cross product of the Sobel derivatives of the points to the right and down, so that a wall in front of the
     camera has (0, 0, 1). It is 0 where these are.
@@ -206,7 +206,7 @@ def unproject_meshgrid(
     device: torch.device | None = None,
     dtype: torch.dtype | None = None,
 ) -> Tensor:
-    """The points that the pixels of cameras show at depth 1: :func:`depth_to_3d_v2` multiplies them by depths.
+    """Back-project all pixels of cameras to depth 1. :func:`depth_to_3d_v2` multiplies these points by depths.
 
     Args:
         height: of the images.
@@ -250,7 +250,7 @@ def _check_cameras(op: str, camera_matrix: Any) -> None:
 def depth_to_3d_v2(
     depth: Tensor, camera_matrix: Tensor, normalize_points: bool = False, xyz_grid: Tensor | None = None
 ) -> Tensor:
-    """Find the point of the camera's frame that each pixel shows, coordinates last; see :func:`depth_to_3d`.
+    """Back-project the pixels of depth images to points with their coordinates last; see :func:`depth_to_3d`.
 
     Args:
         depth: (*, H, W), z. Integers are computed in float32.

@@ -190,7 +190,7 @@ def warp_frame_depth(
     camera_matrix: Tensor,
     normalize_points: bool = False,
 ) -> Tensor:
-    """Show at every pixel of a destination what the source's image shows of the same point, by the destination's depth.
+    """Warp images of a source camera into a destination camera, by the destination's depth map.
 
     In one pass, without points or a grid. Bilinear; 0 outside of the image and for points behind the source's camera.
 
@@ -240,7 +240,7 @@ def warp_frame_depth(
 
 
 class DepthWarper(nn.Module):
-    """Warps an image of a destination's camera into a source's by the source's depth, in one pass and without a grid.
+    """Warp images of a destination camera into a source camera, by the source's depth map.
 
     First :meth:`compute_projection_matrix` with the source's camera, then call it. Points behind the destination's
     camera are outside of its image.
@@ -326,8 +326,8 @@ class DepthWarper(nn.Module):
         return (step / moved.norm(dim=1)).min()
 
     def warp_grid(self, depth_src: Tensor) -> Tensor:
-        """Where the source's pixels (B, 1, H, W) are in_bounds_mask, (B, H, W, 2) as (x, y), -1 and 1 being the middles of the
-        outermost pixels of an image of the warper's size; NaN behind the camera."""
+        """Sampling coordinates (B, H, W, 2) as (x, y) of the pixels of a source's depth (B, 1, H, W). -1 and 1 are the centers of
+        the outermost pixels of an image of the warper's size. NaN behind the camera."""
         depth_src = self._checked(depth_src)
         projection = self.projection.to(depth_src.dtype)
         batch = max(len(depth_src), len(projection))
@@ -362,7 +362,7 @@ def depth_warp(
     width: int,
     align_corners: bool = True,
 ) -> Tensor:
-    """Warp images of a destination's camera into a source's by the source's depth: :class:`DepthWarper` in one call.
+    """Warp images of a destination camera into a source camera, by the source's depth map: :class:`DepthWarper` in one call.
 
     Args:
         pinhole_dst: the destination's cameras.

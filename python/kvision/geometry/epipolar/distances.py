@@ -26,7 +26,7 @@ def sampson_epipolar_distance(
     eps: float = 1e-8,
     use_matmul_at_less_than_points: int = 10000,
 ) -> Tensor:
-    """Compute how far points of both images have to move to fit a fundamental matrix, to first order.
+    """Compute the Sampson distance of correspondences from the epipolar constraint, a first-order geometric error.
 
     Args:
         pts1: (*, N, 2) as (x, y), or (*, N, 3) with a last number of 1, floating point.
@@ -60,7 +60,7 @@ def sampson_epipolar_distance(
 def symmetrical_epipolar_distance(
     pts1: Tensor, pts2: Tensor, Fm: Tensor, squared: bool = True, eps: float = 1e-8
 ) -> Tensor:
-    """Compute how far points of both images are from the lines of the other image's.
+    """Compute the symmetric epipolar distance: from points of both images to the epipolar lines of their correspondences.
 
     Args:
         pts1: (*, N, 2) as (x, y), or (*, N, 3) with a last number of 1, floating point.
@@ -89,7 +89,7 @@ def symmetrical_epipolar_distance(
 
 @in_full_precision
 def left_to_right_epipolar_distance(pts1: Tensor, pts2: Tensor, Fm: Tensor) -> Tensor:
-    """Compute how far points of the second image are from the lines of those of the first.
+    """Compute the distance of points of the second image from the epipolar lines of their correspondences.
 
     Args:
         pts1: (*, N, 2) as (x, y), or (*, N, 3) with a last number of 1, floating point.
@@ -116,7 +116,7 @@ def left_to_right_epipolar_distance(pts1: Tensor, pts2: Tensor, Fm: Tensor) -> T
 
 @in_full_precision
 def right_to_left_epipolar_distance(pts1: Tensor, pts2: Tensor, Fm: Tensor) -> Tensor:
-    """Compute how far points of the first image are from the lines of those of the second.
+    """Compute the distance of points of the first image from the epipolar lines of their correspondences.
 
     Args:
         pts1: (*, N, 2) as (x, y), or (*, N, 3) with a last number of 1, floating point.

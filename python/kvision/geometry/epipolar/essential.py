@@ -37,7 +37,7 @@ __all__ = [
 
 @in_full_precision
 def find_essential(points1: Tensor, points2: Tensor, weights: Tensor | None = None) -> Tensor:
-    """Find the essential matrices of five correspondences or more.
+    """Estimate essential matrices from five or more correspondences.
 
     Args:
         points1: (B, N, 2) in the first camera's coordinates, that is K1^-1 (x, y, 1) for pixels, floating point.
@@ -252,7 +252,7 @@ def _polar(E: Tensor) -> tuple[Tensor, Tensor]:
 
 @in_full_precision
 def decompose_essential_matrix(E_mat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Find the motions of an essential matrix: two rotations, and the direction of a translation.
+    """Decompose essential matrices into the two possible rotations and the direction of the translation.
 
     Args:
         E_mat: (*, 3, 3), floating point; others count as the nearest essential one.
@@ -368,7 +368,7 @@ def motion_from_essential(E_mat: Tensor) -> tuple[Tensor, Tensor]:
 def motion_from_essential_choose_solution(
     E_mat: Tensor, K1: Tensor, K2: Tensor, x1: Tensor, x2: Tensor, mask: Tensor | None = None
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Find the motion of an essential matrix that leaves most points in front of both cameras.
+    """Recover the pose from essential matrices: the motion that has the most points in front of both cameras.
 
     Args:
         E_mat: (3, 3) or (B, 3, 3), floating point.

@@ -28,7 +28,7 @@ __all__ = [
 
 @in_full_precision
 def find_fundamental(points1: Tensor, points2: Tensor, weights: Tensor | None = None, method: str = "8POINT") -> Tensor:
-    """Find the fundamental matrices of correspondences.
+    """Estimate fundamental matrices from correspondences.
 
     Args:
         points1: (B, N, 2) as (x, y) in the first image, floating point.
@@ -164,7 +164,7 @@ _from_projections = register_formula("fundamental_from_projections", _from_proje
 
 @in_full_precision
 def compute_correspond_epilines(points: Tensor, F_mat: Tensor) -> Tensor:
-    """Find the lines on which points of one image are in the other one.
+    """Compute the epipolar lines of points in the other image.
 
     Args:
         points: (*, N, 2) as (x, y), or (*, N, 3) homogeneous, floating point.
@@ -210,7 +210,7 @@ def check_points(op: str, name: str, x: Tensor) -> None:
 
 @in_full_precision
 def get_perpendicular(lines: Tensor, points: Tensor) -> Tensor:
-    """Find the lines through points that cross others at a right angle.
+    """Compute the lines through points that are perpendicular to other lines.
 
     Args:
         lines: (a, b, c) with a x + b y + c = 0, (*, N, 3), floating point.
@@ -245,7 +245,7 @@ def _perpendicular(line: Tensor, points: Tensor) -> Tensor:
 
 @in_full_precision
 def get_closest_point_on_epipolar_line(pts1: Tensor, pts2: Tensor, Fm: Tensor) -> Tensor:
-    """Move points of the second image to where they are nearest on the lines of those of the first.
+    """Project points of the second image onto the epipolar lines of their correspondences in the first.
 
     Args:
         pts1: (*, N, 2) as (x, y), or (*, N, 3) homogeneous, floating point.

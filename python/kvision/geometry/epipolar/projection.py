@@ -86,7 +86,7 @@ def projection_from_KRt(K: Tensor, R: Tensor, t: Tensor) -> Tensor:
 
 @in_full_precision
 def KRt_from_projection(P: Tensor, eps: float = 1e-6) -> tuple[Tensor, Tensor, Tensor]:
-    """Decompose projections into what `projection_from_KRt` makes them of.
+    """Decompose projection matrices into camera matrices, rotations and translations: the inverse of :func:`projection_from_KRt`.
 
     Args:
         P: (B, 3, 4) of any scale, floating point.

@@ -20,7 +20,7 @@ __all__ = ["triangulate_points"]
 
 @in_full_precision
 def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor, solver: str = "eigh") -> Tensor:
-    """Find points in space from their pictures in two images, in the sense of direct linear transformation.
+    """Triangulate points from their projections in two images, by direct linear transformation (DLT).
 
     Args:
         P1: projections of the first image, (*, 3, 4), floating point.

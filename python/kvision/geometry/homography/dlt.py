@@ -28,7 +28,7 @@ __all__ = [
 
 @in_full_precision
 def find_homography_dlt(points1: Tensor, points2: Tensor, weights: Tensor | None = None, solver: str = "lu") -> Tensor:
-    """Find the homographies that take points nearest to others, in the sense of direct linear transformation.
+    """Estimate homographies from point correspondences, by direct linear transformation (DLT).
 
     Args:
         points1: (B, N, 2) as (x, y), floating point, at least four of them.
@@ -125,7 +125,7 @@ def find_homography_dlt_iterated(
 
 @in_full_precision
 def find_homography_lines_dlt(ls1: Tensor, ls2: Tensor, weights: Tensor | None = None) -> Tensor:
-    """Find the homographies that take the ends of line segments nearest to the lines of others.
+    """Estimate homographies from line segment correspondences, by direct linear transformation (DLT).
 
     Args:
         ls1: segments (B, N, 2, 2) or (N, 2, 2), two ends as (x, y), floating point, at least four of them.
@@ -174,7 +174,7 @@ of_lines = register_fit("homography_lines_dlt", _lines_reference)
 def find_homography_lines_dlt_iterated(
     ls1: Tensor, ls2: Tensor, weights: Tensor, soft_inl_th: float = 4.0, n_iter: int = 5
 ) -> Tensor:
-    """Find homographies as `find_homography_lines_dlt`, again and again, with less weight for what does not fit.
+    """Estimate homographies from line segments by iteratively reweighted :func:`find_homography_lines_dlt`.
 
     Args:
         ls1: segments (B, N, 2, 2) or (N, 2, 2), two ends as (x, y), floating point, at least four of them.

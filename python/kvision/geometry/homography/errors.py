@@ -21,7 +21,7 @@ __all__ = [
 
 @in_full_precision
 def oneway_transfer_error(pts1: Tensor, pts2: Tensor, H: Tensor, squared: bool = True, eps: float = 1e-8) -> Tensor:
-    """Compute how far a homography takes points from where they should go, in the second image.
+    """Compute the transfer error of homographies: the distance of mapped points from their correspondences in the second image.
 
     Args:
         pts1: (B, N, 2) as (x, y), or (B, N, 3) homogeneous, floating point.
@@ -80,7 +80,7 @@ def symmetric_transfer_error(pts1: Tensor, pts2: Tensor, H: Tensor, squared: boo
 
 @in_full_precision
 def sampson_homography_distance(pts1: Tensor, pts2: Tensor, H: Tensor, squared: bool = True) -> Tensor:
-    """Compute how far points of both images have to move to fit a homography, to first order.
+    """Compute the Sampson error of homographies: the distance by which points of both images miss it, to first order.
 
     With p, q, w = H (x, y, 1) and r = (v w - q, p - u w), J being the derivative of r for (x, y, u, v): r (J J^T)^-1 r.
 
@@ -112,7 +112,7 @@ def sampson_homography_distance(pts1: Tensor, pts2: Tensor, H: Tensor, squared: 
 
 @in_full_precision
 def line_segment_transfer_error_one_way(ls1: Tensor, ls2: Tensor, H: Tensor, squared: bool = False) -> Tensor:
-    """Compute how far a homography takes the ends of line segments from the lines of others.
+    """Compute the transfer error of homographies for line segments: the distances of mapped end points from the other lines.
 
     Args:
         ls1: segments (B, N, 2, 2), two ends as (x, y), floating point.

@@ -134,7 +134,7 @@ class Se2(LieGroup):
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> Se2:
-        """The motion that moves nothing, one or (B,) of them."""
+        """The identity, one or (B,) of them."""
         t = torch.zeros(*shape_of(batch_size), 2, device=device, dtype=dtype)
         return cls(So2.identity(batch_size, device, dtype), t)
 

@@ -147,7 +147,7 @@ class Se3(LieGroup):
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> Se3:
-        """The motion that moves nothing, one or (B,) of them."""
+        """The identity, one or (B,) of them."""
         t = torch.zeros(*shape_of(batch_size), 3, device=device, dtype=dtype)
         return cls(So3.identity(batch_size, device, dtype), t)
 

@@ -13,7 +13,7 @@ __all__ = ["find_affine"]
 
 @in_full_precision
 def find_affine(points1: Tensor, points2: Tensor, weights: Tensor | None = None) -> Tensor:
-    """Find the affine maps that take points nearest to others, by weighted least squares.
+    """Estimate affine transforms from point correspondences, by weighted least squares.
 
     Args:
         points1: (B, N, 2) as (x, y), floating point, at least three of them.

@@ -18,7 +18,7 @@ __all__ = ["null_vector_3x4"]
 
 @in_full_precision
 def null_vector_3x4(A: Tensor) -> Tensor:
-    """The vector that three equations in four unknowns leave open, by cofactors.
+    """Compute the null vectors of 3 x 4 matrices, by cofactors.
 
     Args:
         A: matrices (*, 3, 4), floating point.

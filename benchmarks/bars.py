@@ -14,7 +14,7 @@ EXTRA = 0.05  # GPU memory of forward + backward beyond input, output and gradie
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CheckedBar:
     """One bar: the measurement, the limit, and whether the bar is met. `least` marks lower limits."""
 
     case: str
@@ -43,10 +43,10 @@ class Loss:
     agreement: str | None
 
 
-def judge(cases: Iterable[Case], rows: Sequence[Row], cuda: bool) -> list[Verdict]:
+def check(cases: Iterable[Case], rows: Sequence[Row], cuda: bool) -> list[CheckedBar]:
     """Compare the rows with the bars of their cases. Bars are for float32; `half` compares with float16."""
     bars_of = {case.name: case.bars for case in cases}
-    verdicts = []
+    checked = []
     for name, size in dict.fromkeys((row.case, row.size) for row in rows):
         found = {(r.library, r.stage, r.dtype): r for r in rows if (r.case, r.size) == (name, size) and not r.failure}
         row = found.get((KVISION, FORWARD, "float32"))
@@ -69,12 +69,12 @@ def judge(cases: Iterable[Case], rows: Sequence[Row], cuda: bool) -> list[Verdic
             limits = {"opencv": bars.opencv, "kornia": bars.kornia}
             peers = {name: found.get((name, FORWARD, "float32")) for name in limits}
             figures = [(f"of {p}'s time", peer and row.value / peer.value, limits[p]) for p, peer in peers.items()]
-        verdicts += [
-            Verdict(name, size, row.dtype, what, measured, limit, least=what == "float16 speed-up")
+        checked += [
+            CheckedBar(name, size, row.dtype, what, measured, limit, least=what == "float16 speed-up")
             for what, measured, limit in figures
             if measured is not None and limit is not None
         ]
-    return verdicts
+    return checked
 
 
 def losses(rows: Sequence[Row]) -> list[Loss]:

@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 REFERENCES, KERNELS, TESTS, PAGES = (ROOT / f for f in ("python/kvision", "csrc", "tests", "docs/reference"))
 REGISTERED = re.compile(r'\bregister(?:_filter|_fit|_formula)?\(\s*"(\w+)"')
 DECLARED = re.compile(r"^KV_OPERATOR\(\s*(\w+)\s*,", re.MULTILINE)
-TABULATED = re.compile(r"^  _\((\w+), \w+,", re.MULTILINE)  # a row of a table of formulas in a header
+TABULATED = re.compile(r"^  _\((\w+), [\w:]+,", re.MULTILINE)  # a row of a table of formulas in a header
 MOST_STEMS = 40  # limit for a folder of csrc; a stem is about four files
 
 # Operators and functions exempt from these rules -> the reason.

@@ -213,7 +213,7 @@ struct FundamentalFromProjections {
 
 // Decomposes a projection K [R | t] into the rows of K, upper triangular, the rows of R, and t. The rows of its left 3
 // x 3 part are made orthogonal, the last one first (RQ decomposition by Gram-Schmidt).
-struct CameraOfProjection : VectorInput<12, 7, 3> {
+struct DecomposeProjection : VectorInput<12, 7, 3> {
   static constexpr Extent extent(int) { return {3, 4}; }
 
   // Normalizes x - a one - b two, and returns its length.

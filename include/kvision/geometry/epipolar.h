@@ -52,7 +52,7 @@ inline std::tuple<Tensor, Tensor, Tensor, Tensor> motion_from_essential_choose_s
 
 // K (B, 3, 3), R (B, 3, 3) and t (B, 3, 1) of projections K [R | t].
 inline std::tuple<Tensor, Tensor, Tensor> KRt_from_projection(Tensor const& P) {
-  Tensor const parts = ops::camera_of_projection(P);
+  Tensor const parts = ops::decompose_projection(P);
   return {parts.narrow(1, 0, 3), parts.narrow(1, 3, 3), parts.select(1, 6).unsqueeze(2)};
 }
 // Points in space (B, N, 3) from their projections.

@@ -436,7 +436,7 @@ inline constexpr Operator<"fundamental_from_projections", Tensor(Tensor projecti
 inline constexpr Operator<"camera_motion",
                           Tensor(Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2)>
     camera_motion{side_by_side};
-inline constexpr Operator<"camera_of_projection", Tensor(Tensor projection)> camera_of_projection{side_by_side};
+inline constexpr Operator<"decompose_projection", Tensor(Tensor projection)> decompose_projection{side_by_side};
 
 // --- Lie groups
 

@@ -46,5 +46,5 @@ def test_errors(call, error, message):
 
 class TestProjectionOperators(PointOpTests):
     calls = {
-        "camera_of_projection": [Call((near(EYE34),)), Call((near(-EYE34),))],
+        "decompose_projection": [Call((near(EYE34),)), Call((near(-EYE34),))],
     }

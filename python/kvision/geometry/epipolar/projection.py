@@ -134,7 +134,7 @@ def _parts_reference(P: Tensor) -> Tensor:
     return torch.cat([K, R, torch.stack([x, y, z], -1)[:, None]], 1).to(P.dtype)
 
 
-_parts = register_formula("camera_of_projection", _parts_reference, lambda *args: (7, 3))
+_parts = register_formula("decompose_projection", _parts_reference, lambda *args: (7, 3))
 
 
 def _unit(x: Tensor) -> tuple[Tensor, Tensor]:

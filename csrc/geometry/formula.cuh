@@ -1,4 +1,7 @@
 // Formulas on CUDA: one thread for each sample.
+// Included by formula_*.cu, which instantiate the formulas by subject.
+#pragma once
+
 #include "core/launch.cuh"
 #include "geometry/formulas.h"
 
@@ -79,7 +82,5 @@ int formula_backward(FormulaParams<F> const& p, CUstream_st* stream) {
   differentiate_all<<<unsigned(ceil_div(p.batch, kThreads)), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
-
-KV_FORMULAS(KV_INSTANTIATE_FORMULA)
 
 }  // namespace kv::geometry::cuda

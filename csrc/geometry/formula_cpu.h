@@ -1,4 +1,7 @@
-// Formulas on the CPU: samples [begin, end), four at a time. In double: the AVX-512 build uses the AVX2 code.
+// Formulas on the CPU: samples [begin, end), four at a time. In double: the AVX-512 build uses the AVX2 code. Included
+// by formula_*_cpu.cpp, which instantiate the formulas by subject, so that compilers run side by side.
+#pragma once
+
 #include "core/lanes.h"
 #include "geometry/formulas.h"
 
@@ -94,8 +97,6 @@ template <class F>
 void formula_backward(FormulaParams<F> const& p, int64_t begin, int64_t end) {
   for (int64_t b = begin; b < end; b += 4) formula_vjp(p, Samples{b, int(min(end - b, int64_t(4)))});
 }
-
-KV_FORMULAS(KV_INSTANTIATE_FORMULA)
 
 }  // namespace kv::geometry::KV_ISA
 #endif

@@ -1,0 +1,8 @@
+// Features: formulas on CUDA.
+#include "formula.cuh"
+
+namespace kv::geometry::cuda {
+
+KV_FEATURE_FORMULAS(KV_INSTANTIATE_FORMULA)
+
+}  // namespace kv::geometry::cuda

@@ -1,0 +1,11 @@
+// Matrices of warps: formulas on the CPU.
+#include "formula_cpu.h"
+
+#if !defined(__AVX512F__)
+namespace kv::geometry::KV_ISA {
+
+KV_PLANE_FORMULAS(KV_INSTANTIATE_FORMULA)
+KV_SPACE_FORMULAS(KV_INSTANTIATE_FORMULA)
+
+}  // namespace kv::geometry::KV_ISA
+#endif

@@ -419,6 +419,7 @@ def test_gradients_that_kernels_sum_by_atomics_are_declared():
         "depth_warp_image_backward",
         "conv_quad_interp3d_backward",
         "remap_image_backward",
+        "sample_patches_backward",
         "warp3d_volume_backward",
         "warp_image_backward",
     }

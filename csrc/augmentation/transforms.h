@@ -11,7 +11,7 @@ namespace kv::augmentation {
 // The numbers are those of KINDS in transforms.py.
 enum class TransformKind : uint8_t { affine, perspective, crop, matrix };
 constexpr int kTransformKinds = 4;
-constexpr int num_inputs_of(TransformKind kind) {
+KV_HD constexpr int num_inputs_of(TransformKind kind) {
   return kind == TransformKind::perspective ? 16 : kind == TransformKind::crop ? 7 : 9;
 }
 constexpr int kMaxInputs = 16, kMaxTransforms = 16;  // of a transform, of a chain

@@ -1,0 +1,440 @@
+"""The engine of augmentations: probabilities, parameters, replay, matrices, types and ranks, once for all classes.
+
+An augmentation declares what it draws (a generator of random_generator) and one of three effects:
+
+    transforms   a chain of matrix formulas of the drawn columns: the image, masks, boxes and points follow the matrix
+    color steps  a part of a color program
+    an operator  `apply_transform`, on the parameters by name
+
+The first two are executed from the columns of the drawing operator without parameters by name in between; containers
+join those of neighbors. A subclass that overrides `generate_parameters`, `compute_transformation` or `apply_transform` is
+executed through them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import Enum
+from typing import Any, ClassVar
+
+import torch
+from torch import Generator, Tensor, nn
+
+from kvision.augmentation.columns import Columns, draw_columns
+from kvision.augmentation.draws import Draw, Request, is_chosen_batch
+from kvision.augmentation.keys import Keys, Seed, draw_keys
+from kvision.augmentation.random_generator.base import RandomGeneratorBase
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+
+Shape = tuple[int, ...]
+Params = dict[str, Any]
+_OVERRIDABLE = ("generate_parameters", "compute_transformation", "apply_transform")
+
+
+class Execution:
+    """One call of an augmentation: what was drawn, for `_params`, `transform_matrix`, labels, inverse and replay."""
+
+    def __init__(
+        self,
+        shape: Shape,
+        columns: Columns | None = None,
+        chosen: Tensor | None = None,
+        applied: bool = True,
+        params: Params | None = None,
+        redraw: tuple[Keys, int] | None = None,
+    ) -> None:
+        self.shape = shape  # of the images, (B, C, H, W)
+        self.columns = columns  # of the parameters, on their device
+        self.chosen = chosen  # (B,) bool; None for all
+        self.applied = applied  # False where the whole batch passes unchanged
+        self.params = params  # by name, where they were given or have been read
+        self.redraw = redraw  # the keys, and the index of this augmentation's
+        self.matrix: Tensor | None = None
+
+    def moved(self, params: Params, device: torch.device) -> Params:
+        """`params` with their tensors on a device."""
+        return {name: x.to(device) if isinstance(x, Tensor) else x for name, x in params.items()}
+
+
+class AugmentationBase(nn.Module):
+    """What augmentations of images and of volumes share; see the module."""
+
+    axes: ClassVar[int]  # of an image with its channels: 3, of a volume: 4
+    whole_batch: ClassVar[bool] = False  # the size of the result changes, so that all samples are chosen or none
+    accepts_bytes: ClassVar[bool] = True  # otherwise uint8 images are computed in float32, in [0, 1]
+
+    def __init__(
+        self,
+        p: float = 0.5,
+        p_batch: float = 1.0,
+        same_on_batch: bool = False,
+        keepdim: bool = False,
+        *,
+        generator: Generator | None = None,
+        return_transform: bool | None = None,
+    ) -> None:
+        super().__init__()
+        op = type(self).__name__
+        for name, value in (("p", p), ("p_batch", p_batch)):
+            if isinstance(value, bool) or not hasattr(value, "__float__"):
+                raise TypeCheckError(f"{op}: expected {name} to be a number, got {value!r}")
+            if not 0 <= float(value) <= 1:
+                raise ValueCheckError(f"{op}: expected {name} within 0 and 1, got {value}")
+        self.p, self.p_batch = float(p), float(p_batch)
+        self.same_on_batch, self.keepdim = same_on_batch, keepdim
+        self.generator, self.return_transform = generator, return_transform
+        self.flags: dict[str, Any] = {}
+        self._param_generator: RandomGeneratorBase | None = None
+        self._execution: Execution | None = None
+        self._rng: tuple[torch.device, torch.dtype] = (torch.device("cpu"), torch.float32)
+
+    def extra_repr(self) -> str:
+        shown = {"p": self.p, "p_batch": self.p_batch, "same_on_batch": self.same_on_batch, **self.flags}
+        return ", ".join(f"{name}={_shown(value)}" for name, value in shown.items())
+
+    # --- what was drawn ---
+
+    @property
+    def _params(self) -> Params:
+        """The parameters of the last call by name, with `batch_prob` and `forward_input_shape`."""
+        if self._execution is None:
+            return {}
+        return self._read_params(self._execution)
+
+    @_params.setter
+    def _params(self, params: Params) -> None:
+        self._execution = Execution(tuple(params["forward_input_shape"].tolist()), params=params)
+
+    def _read_params(self, execution: Execution) -> Params:
+        if execution.params is None:
+            device, dtype = self._rng
+            shape, columns = execution.shape, execution.columns
+            chosen = torch.full((shape[0],), float(execution.applied))
+            request = self._request(shape)
+            if request is not None and execution.redraw is not None and columns is not None and columns.drawn.is_cuda:
+                # Drawn again on the host, which gives the same numbers and waits for nothing but a key on the device.
+                keys, index = execution.redraw
+                host = Keys(keys.keys.cpu(), None if keys.seeds is None else keys.seeds.cpu(), keys.one_key)
+                (columns,) = draw_columns(torch.empty(shape[0]), host, [request], index)
+            params: Params = {}
+            if columns is not None:
+                if columns.chosen is not None:
+                    chosen = columns.chosen.detach().cpu() * chosen
+                if self._param_generator is not None:
+                    params = self._param_generator.to_params(columns.values.detach(), shape)
+            params["batch_prob"] = chosen
+            params["forward_input_shape"] = torch.tensor(shape)
+            execution.params = {
+                name: x.to(device, dtype if x.is_floating_point() else None) if isinstance(x, Tensor) else x
+                for name, x in params.items()
+            }
+        return execution.params
+
+    @property
+    def transform_matrix(self) -> Tensor | None:
+        """The matrices (B, 3, 3) of the last call, from image pixels to result pixels; None before the first call."""
+        return None if self._execution is None else self._matrix(self._execution)
+
+    def _matrix(self, execution: Execution) -> Tensor:
+        if execution.matrix is None:
+            execution.matrix = self.identity_matrix(execution.shape)
+        return execution.matrix
+
+    def identity_matrix(self, input: Tensor | Sequence[int]) -> Tensor:
+        """An identity matrix for each sample of images, or of a shape (B, ...)."""
+        n = self.axes
+        if isinstance(input, Tensor):
+            like, batch = input, input.shape[0]
+            dtype = input.dtype if input.dtype in (torch.float32, torch.float64) else torch.float32
+            return torch.eye(n, device=like.device, dtype=dtype).expand(batch, n, n)
+        return torch.eye(n).expand(input[0], n, n)
+
+    def set_rng_device_and_dtype(self, device: torch.device | str, dtype: torch.dtype = torch.float32) -> None:
+        """Choose where and in which type `_params` are given. The values do not depend on the device."""
+        self._rng = (torch.device(device), dtype)
+        if self._param_generator is not None:
+            self._param_generator.set_rng_device_and_dtype(device, dtype)
+
+    # --- drawing ---
+
+    def _request(self, shape: Shape) -> Request | None:
+        """What this augmentation draws for images of a shape; None for nothing."""
+        draws: list[Any] = [] if self._param_generator is None else list(self._param_generator.draws(shape))
+        if self.whole_batch:
+            return Request(draws, 1.0, 1.0, self.same_on_batch) if draws or 0 < self.p_batch < 1 else None
+        if self.p < 1 or self.p_batch < 1:
+            draws.insert(0, Draw("chosen"))
+        return Request(draws, self.p, self.p_batch, self.same_on_batch) if draws else None
+
+    def _applies(self, keys: Keys | None, index: int) -> bool:
+        """Whether the batch is augmented at all, as far as the host knows."""
+        if self.p == 0 or self.p_batch == 0:
+            return False
+        if not self.whole_batch or self.p_batch == 1 or keys is None:
+            return True
+        key = keys.on_host(type(self).__name__)[0 if keys.one_key else index]
+        return is_chosen_batch(key, index if keys.one_key else 0, self.p_batch)
+
+    def _execute_draw(self, shape: Shape, keys: Keys | None, index: int, columns: Columns | None) -> Execution:
+        """An execution from the columns that were drawn for it."""
+        execution = Execution(shape, columns, None, self._applies(keys, index))
+        if keys is not None:
+            execution.redraw = (keys, index)
+        if columns is not None and columns.chosen is not None:
+            execution.chosen = columns.chosen > 0.5
+        return execution
+
+    def _draw(self, x: Tensor, seed: Seed, generator: Generator | None) -> Execution:
+        shape = tuple(x.shape)
+        request = self._request(shape) if self.p > 0 and self.p_batch > 0 else None
+        if request is None:
+            return self._execute_draw(shape, None, 0, None)
+        keys = draw_keys(type(self).__name__, 1, x.device, seed, generator or self.generator)
+        (columns,) = draw_columns(x, keys, [request])
+        return self._execute_draw(shape, keys, 0, columns)
+
+    def _from_params(self, params: Params, x: Tensor) -> Execution:
+        """An execution that replays given parameters."""
+        shape = tuple(x.shape)
+        chosen = params.get("batch_prob")
+        applied = True
+        if chosen is None:
+            params = {**params, "batch_prob": torch.ones(shape[0])}
+        elif chosen.device.type == "cpu":
+            is_chosen = chosen > 0.5
+            applied = bool(is_chosen.any()) or shape[0] == 0
+            chosen = None if bool(is_chosen.all()) else is_chosen
+        else:
+            chosen = chosen > 0.5
+        params.setdefault("forward_input_shape", torch.tensor(shape))
+        if chosen is not None:
+            chosen = chosen.to(x.device)
+        return Execution(shape, None, chosen, applied, params)
+
+    def forward_parameters(self, batch_shape: Sequence[int]) -> Params:
+        """Draw the parameters of a batch by name, with `batch_prob` and `forward_input_shape`."""
+        shape = tuple(batch_shape)
+        like = torch.empty(shape[0], device=self._rng[0])
+        execution = self._draw(like, None, None)
+        execution.shape = shape
+        if self._is_overridden("generate_parameters"):
+            execution.params = None
+            return {**self._read_params(execution), **self.generate_parameters(shape)}
+        return self._read_params(execution)
+
+    def generate_parameters(self, batch_shape: Sequence[int]) -> Params:
+        """Draw the parameters of a batch by name, for all its samples."""
+        if self._param_generator is None:
+            return {}
+        return self._param_generator(tuple(batch_shape), self.same_on_batch)
+
+    def _is_overridden(self, name: str) -> bool:
+        if name in self.__dict__:
+            return True
+        method = getattr(type(self), name, None)
+        return not getattr(method, "__module__", "").startswith("kvision.")
+
+    def _is_customized(self) -> bool:
+        """Whether a user's class or instance overrides what containers join."""
+        return any(self._is_overridden(name) for name in _OVERRIDABLE)
+
+    # --- applying ---
+
+    def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        """The matrices (B, 3, 3), (B, 4, 4) of volumes, from image pixels to result pixels."""
+        return self.identity_matrix(input)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        """Apply the augmentation with given parameters to all samples."""
+        raise NotImplementedError(f"{type(self).__name__}.apply_transform")
+
+    def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        """Execute on images (B, C, H, W): by the methods that users override."""
+        if not execution.applied:
+            return x
+        params = self._params_on_device(x, execution)
+        transform = self.compute_transformation(x, params, flags)
+        stored = x.dtype
+        image = x
+        if stored == torch.uint8 and not self.accepts_bytes:
+            image = x.float() / 255
+        y = self.apply_transform(image, params, flags, transform)
+        if stored == torch.uint8 and y.dtype != torch.uint8:
+            y = (y * 255).round().clamp(0, 255).to(torch.uint8)
+        elif y.dtype != stored and stored.is_floating_point:
+            y = y.to(stored)
+        if execution.chosen is not None and y.shape == x.shape:
+            chosen = execution.chosen.reshape(-1, *[1] * self.axes)
+            y = torch.where(chosen, y, x)
+            eye = self.identity_matrix(x).to(transform)
+            transform = torch.where(execution.chosen.reshape(-1, 1, 1), transform, eye)
+        execution.matrix = transform
+        return y
+
+    def _params_on_device(self, x: Tensor, execution: Execution) -> Params:
+        if execution.params is not None:
+            return execution.moved(execution.params, x.device)
+        if self._is_overridden("generate_parameters"):
+            execution.params = {**self._read_params(execution), **self.generate_parameters(execution.shape)}
+            return execution.moved(execution.params, x.device)
+        if execution.columns is None or self._param_generator is None:
+            return {"forward_input_shape": torch.tensor(execution.shape)}
+        return self._param_generator.to_params(execution.columns.values, execution.shape)
+
+    # --- calling ---
+
+    def validate_tensor(self, input: Tensor) -> None:
+        """Raise unless `input` is a tensor of a floating-point type or uint8 with at most a batch of images."""
+        op = type(self).__name__
+        if not isinstance(input, Tensor):
+            raise TypeCheckError(f"{op}: expected input to be a Tensor, got {type(input).__name__}")
+        if not input.is_floating_point() and input.dtype != torch.uint8:
+            raise TypeCheckError(f"{op}: expected input of a floating-point type or uint8, got {input.dtype}")
+        if not self.axes - 1 <= input.dim() <= self.axes + 1:
+            layout = ("(H, W), (C, H, W) or (B, C, H, W)", "(D, H, W), (C, D, H, W) or (B, C, D, H, W)")[self.axes - 3]
+            raise ShapeError(f"{op}: expected input of shape {layout}, got {tuple(input.shape)}")
+
+    def transform_tensor(self, input: Tensor, **_: Any) -> Tensor:
+        """The input as a batch: (H, W) and (C, H, W) become (1, C, H, W)."""
+        self.validate_tensor(input)
+        while input.dim() < self.axes + 1:
+            input = input[None]
+        return input
+
+    def _flags_of(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
+        return {**self.flags, **overrides} if overrides else self.flags
+
+    def forward(
+        self,
+        input: Tensor | tuple[Tensor, Tensor],
+        params: Params | None = None,
+        *,
+        seed: Seed = None,
+        generator: Generator | None = None,
+        return_transform: bool | None = None,
+        **kwargs: Any,
+    ) -> Any:
+        """Augment images.
+
+        Args:
+            input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8; volumes have one more axis. A
+                pair of images and matrices (B, 3, 3) passes the matrices on, as chains with `return_transform` do.
+            params: parameters of an earlier call, its `_params`, to repeat it on these images.
+            seed: an int, or int64 (B,) with one of a sample, from which all parameters follow; torch's generator is not used.
+            generator: draws the key of this call; default: that of the constructor, or torch's.
+            return_transform: also return the matrices; default: as the constructor says.
+            **kwargs: flags of this call, such as `resample`.
+
+        Returns:
+            Images (B, C, h, w) of the type of `input`, with fewer axes if `keepdim` and the input has; with
+            `return_transform` a pair of them and the matrices (B, 3, 3).
+
+        Raises:
+            TypeError: `input` is no tensor of a floating-point type or uint8.
+            ValueError: `input` has another number of axes.
+        """
+        matrix = None
+        if isinstance(input, (tuple, list)):
+            input, matrix = input
+        x = self.transform_tensor(input)
+        execution = self._draw(x, seed, generator) if params is None else self._from_params(params, x)
+        y = self._run(x, execution, self._flags_of(kwargs))
+        self._execution = execution
+        if self.keepdim and y.dim() > input.dim():
+            y = y.reshape(y.shape[y.dim() - input.dim() :])
+        returns = self.return_transform if return_transform is None else return_transform
+        if not returns:
+            return y if matrix is None else (y, matrix)
+        own = self._matrix(execution).to(y.device)
+        return y, own if matrix is None else own @ matrix.to(own)
+
+    # --- labels ---
+
+    def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        """Masks (B, C, H, W) of any type, moved as the images were."""
+        return masks
+
+    def transform_points(self, points: Tensor, execution: Execution) -> Tensor:
+        """Points (B, N, 2), (B, N, 3) of volumes, moved as the images were."""
+        return points
+
+    def inverse(self, output: Tensor, params: Params | None = None, **kwargs: Any) -> Tensor:
+        """Undo the geometric part of a call, the last one unless parameters are given.
+
+        Args:
+            output: images (B, C, h, w) as that call returned them.
+            params: the `_params` of the call.
+            **kwargs: flags, such as `resample`.
+
+        Returns:
+            Images of the size that the input had; 0 where the result knows nothing of them.
+        """
+        return output
+
+
+def _shown(value: Any) -> Any:
+    return value.name.lower() if isinstance(value, Enum) else value.tolist() if isinstance(value, Tensor) else value
+
+
+class AugmentationBase2D(AugmentationBase):
+    """Base of the augmentations of images: a subclass overrides `apply_transform`, and what it needs besides.
+
+    Args:
+        p: probability that a sample is augmented.
+        p_batch: probability that a batch is.
+        same_on_batch: all samples get the same parameters.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+        generator: draws the key of each call; default: torch's generator.
+        return_transform: calls return the image and its matrix.
+
+    Raises:
+        TypeError: `p` or `p_batch` is no number.
+        ValueError: `p` or `p_batch` is not within 0 and 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> class Dim(K.augmentation.AugmentationBase2D):
+        ...     def apply_transform(self, input, params, flags, transform=None):
+        ...         return input / 2
+        >>> Dim(p=1.0)(torch.ones(1, 1, 1, 2))
+        tensor([[[[0.5000, 0.5000]]]])
+    """
+
+    axes = 3
+
+
+class RigidAffineAugmentationBase2D(AugmentationBase2D):
+    """Base of augmentations with a matrix (B, 3, 3): geometric ones, and those that leave pixels in place.
+
+    Example:
+        >>> import kvision as K
+        >>> issubclass(K.augmentation.RandomAffine, K.augmentation.RigidAffineAugmentationBase2D)
+        True
+    """
+
+
+class AugmentationBase3D(AugmentationBase):
+    """Base of the augmentations of volumes (B, C, D, H, W); as :class:`AugmentationBase2D`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> class Dim(K.augmentation.AugmentationBase3D):
+        ...     def apply_transform(self, input, params, flags, transform=None):
+        ...         return input / 2
+        >>> Dim(p=1.0)(torch.ones(1, 1, 1, 1, 2))
+        tensor([[[[[0.5000, 0.5000]]]]])
+    """
+
+    axes = 4
+
+
+class RigidAffineAugmentationBase3D(AugmentationBase3D):
+    """Base of augmentations of volumes with a matrix (B, 4, 4).
+
+    Example:
+        >>> import kvision as K
+        >>> issubclass(K.augmentation.RandomAffine3D, K.augmentation.RigidAffineAugmentationBase3D)
+        True
+    """

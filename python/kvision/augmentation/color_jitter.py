@@ -1,0 +1,62 @@
+"""Random changes of brightness, contrast, saturation and hue."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from kvision.augmentation.base import Shape
+from kvision.augmentation.intensity_base import ColorStep, ColorSteps, IntensityAugmentationBase2D
+from kvision.augmentation.random_generator.color_jitter import ColorJitterGenerator
+from kvision.core.exceptions import ValueCheckError
+
+__all__ = ["ColorJitter"]
+
+
+class ColorJitter(IntensityAugmentationBase2D):
+    """Change brightness, contrast, saturation and hue of RGB images in a random order, as torchvision does.
+
+    Args:
+        brightness, contrast, saturation: factors: a number s for max(0, 1 - s) to 1 + s, or a pair.
+        hue: turns: a number s for -s to s, or a pair, within -0.5 and 0.5.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+        order: a permutation of 0 to 3, for brightness, contrast, saturation, hue; None for a random one a sample.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds; `order` is no permutation.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> brighter = K.augmentation.ColorJitter(brightness=(2.0, 2.0))
+        >>> brighter(torch.full((1, 3, 1, 1), 0.25)).flatten()
+        tensor([0.5000, 0.5000, 0.5000])
+    """
+
+    def __init__(
+        self,
+        brightness: Any = 0.0,
+        contrast: Any = 0.0,
+        saturation: Any = 0.0,
+        hue: Any = 0.0,
+        same_on_batch: bool = False,
+        p: float = 1.0,
+        keepdim: bool = False,
+        order: Sequence[int] | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        if order is not None and sorted(order) != [0, 1, 2, 3]:
+            raise ValueCheckError(f"ColorJitter: expected order to be a permutation of 0 to 3, got {order!r}")
+        self._param_generator = ColorJitterGenerator(brightness, contrast, saturation, hue, order)
+
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
+        clamp = 1.0
+        steps = [
+            ColorStep("scale_shift", (0.0, 0.0, clamp), (0, -1, -1)),
+            ColorStep("contrast", (0.0,), (1,)),
+            ColorStep("saturation_gray", (0.0,), (2,)),
+            ColorStep("hue", (0.0,), (3,)),
+        ]
+        return ColorSteps(steps, range(4, 8))

@@ -1,0 +1,87 @@
+"""Random flips of images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from kvision.augmentation import transforms
+from kvision.augmentation.base import Shape
+from kvision.augmentation.draws import Draw
+from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
+from kvision.augmentation.random_generator.base import RandomGeneratorBase
+from kvision.augmentation.transforms import Transform
+
+__all__ = ["RandomHorizontalFlip", "RandomVerticalFlip"]
+
+
+class _FlipGenerator(RandomGeneratorBase):
+    """One column: -1 for samples that are flipped, else 1. It has no name among the parameters."""
+
+    def draws(self, shape: Sequence[int]) -> Sequence[Draw]:
+        return [Draw("integer", (-1, 1, 1, 1))]
+
+    def to_columns(self, params: dict[str, Any], shape: Sequence[int]) -> Any:
+        return -params["batch_prob"].new_ones(shape[0], 1)
+
+
+class _RandomFlip(GeometricAugmentationBase2D):
+    moves_whole_pixels = True
+
+    def __init__(
+        self, p: float = 0.5, p_batch: float = 1.0, same_on_batch: bool = False, keepdim: bool = False, **options: Any
+    ) -> None:
+        super().__init__(p=p, p_batch=p_batch, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = _FlipGenerator()
+
+
+class RandomHorizontalFlip(_RandomFlip):
+    """Flip images from left to right.
+
+    Args:
+        p: probability that a sample is flipped.
+        p_batch: probability that a batch is augmented at all.
+        same_on_batch: all samples are flipped, or none.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError: `p` or `p_batch` is no number.
+        ValueError: `p` or `p_batch` is not within 0 and 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> flip = K.augmentation.RandomHorizontalFlip(p=1.0)
+        >>> flip(torch.tensor([[[[1.0, 2.0, 3.0]]]]))
+        tensor([[[[3., 2., 1.]]]])
+        >>> flip.transform_matrix
+        tensor([[[-1.,  0.,  2.],
+                 [ 0.,  1.,  0.],
+                 [ 0.,  0.,  1.]]])
+    """
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+        return [transforms.affine(((shape[-1] - 1) / 2, (shape[-2] - 1) / 2), scale=(0, -1))]
+
+
+class RandomVerticalFlip(_RandomFlip):
+    """Flip images upside down.
+
+    Args:
+        p: probability that a sample is flipped.
+        p_batch: probability that a batch is augmented at all.
+        same_on_batch: all samples are flipped, or none.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError: `p` or `p_batch` is no number.
+        ValueError: `p` or `p_batch` is not within 0 and 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomVerticalFlip(p=1.0)(torch.tensor([[[[1.0], [2.0]]]]))
+        tensor([[[[2.],
+                  [1.]]]])
+    """
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+        return [transforms.affine(((shape[-1] - 1) / 2, (shape[-2] - 1) / 2), scale=(-1, 0))]

@@ -1,0 +1,189 @@
+"""Geometric augmentations: images, masks, boxes and points follow one matrix a sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from kvision._dtype import compute_dtype
+from kvision._modes import INTERPOLATION
+from kvision.augmentation.base import Execution, Params, RigidAffineAugmentationBase2D, Shape
+from kvision.augmentation.transforms import Transform, transform_matrix
+from kvision.constants import Resample, SamplePadding
+from kvision.geometry.linalg import transform_points
+from kvision.geometry.transform import sampling
+
+__all__ = ["GeometricAugmentationBase2D"]
+
+
+class Resampling(NamedTuple):
+    """How a warp reads an image: names as the warps of kvision.geometry take them, and the fill value."""
+
+    mode: str = "bilinear"
+    padding: str = "zeros"
+    align_corners: bool = True
+    fill: Any = None
+
+
+class GeometricAugmentationBase2D(RigidAffineAugmentationBase2D):
+    """Base of augmentations that move pixels by a matrix (B, 3, 3), from image pixels to result pixels.
+
+    A subclass declares a chain of formulas of its columns, `transforms`, or overrides `compute_transformation`. One whose
+    results have another size overrides `output_size`. Inverse, masks, boxes and key points follow from the matrix.
+
+    Args:
+        p: probability that a sample is augmented.
+        p_batch: probability that a batch is.
+        same_on_batch: all samples get the same parameters.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+
+    Raises:
+        TypeError: `p` or `p_batch` is no number.
+        ValueError: `p` or `p_batch` is not within 0 and 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> class Right(K.augmentation.GeometricAugmentationBase2D):
+        ...     def compute_transformation(self, input, params, flags):
+        ...         return torch.tensor([[1.0, 0, 1], [0, 1, 0], [0, 0, 1]]).expand(len(input), 3, 3)
+        >>> Right(p=1.0)(torch.tensor([[[[1.0, 2.0, 3.0]]]]))
+        tensor([[[[0., 1., 2.]]]])
+    """
+
+    moves_whole_pixels = (
+        False  # flips, quarter turns, slices: results are exact, and any resampling after them absorbs them
+    )
+
+    # --- what subclasses declare ---
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform] | None:
+        """The chain of formulas of the drawn columns; None if `compute_transformation` is overridden instead."""
+        return None
+
+    def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:
+        """Height and width of the results for images of a shape (B, C, H, W)."""
+        return shape[-2], shape[-1]
+
+    def resampling(self, flags: dict[str, Any]) -> Resampling:
+        """How images are read."""
+        if self.moves_whole_pixels:
+            return Resampling("nearest")
+        mode = Resample.get(flags.get("resample", Resample.BILINEAR)).name.lower()
+        padding = SamplePadding.get(flags.get("padding_mode", SamplePadding.ZEROS)).name.lower()
+        return Resampling(mode, padding, bool(flags.get("align_corners", True)), flags.get("fill_value"))
+
+    # --- execution ---
+
+    def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if not execution.applied or self._is_customized() or self.transforms(execution.shape, flags) is None:
+            return super()._run(x, execution, flags)
+        execution.matrix = self._matrix_of(x, execution, flags)
+        return self._warp(x, execution.matrix, flags)
+
+    def _warp(self, x: Tensor, matrix: Tensor, flags: dict[str, Any]) -> Tensor:
+        return warp(x, matrix, self.output_size(tuple(x.shape), flags), self.resampling(flags))
+
+    def _matrix_of(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if execution.params is None:
+            drawn, chain = self._chain(x, execution, flags)
+            return transform_matrix(drawn, chain)
+        matrix = self.compute_transformation(x, execution.moved(execution.params, x.device), flags)
+        if execution.chosen is None:
+            return matrix
+        return torch.where(execution.chosen[:, None, None], matrix, self.identity_matrix(x).to(matrix))
+
+    def _chain(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> tuple[Tensor, list[Transform]]:
+        """The chain of an execution whose columns were drawn, with the tensor that they are in."""
+        chain, columns = self.transforms(execution.shape, flags) or (), execution.columns
+        if columns is None:
+            return torch.empty(execution.shape[0], 0, device=x.device), list(chain)
+        return columns.drawn, [t.moved(columns.first_value) for t in chain]
+
+    def _matrix(self, execution: Execution) -> Tensor:
+        if execution.matrix is None and execution.applied and execution.columns is not None:
+            execution.matrix = self._matrix_of(execution.columns.drawn, execution, self.flags)
+        return super()._matrix(execution)
+
+    def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        chain = self.transforms(tuple(input.shape), flags)
+        if chain is None:
+            raise NotImplementedError(f"{type(self).__name__}.compute_transformation")
+        if self._param_generator is None:
+            columns = torch.empty(input.shape[0], 0, device=input.device)
+        else:
+            columns = self._param_generator.to_columns(params, tuple(input.shape))
+        columns = columns.to(input.device)
+        return transform_matrix(columns if columns.dtype == torch.float64 else columns.float(), chain)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        if transform is None:
+            transform = self.compute_transformation(input, params, flags)
+        return self._warp(input, transform, flags)
+
+    # --- labels and inverse ---
+
+    def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if not execution.applied:
+            return masks
+        resampling = self.resampling(flags)._replace(mode="nearest", fill=None)
+        if resampling.padding == "fill":
+            resampling = resampling._replace(padding="zeros")
+        size = self.output_size(execution.shape, flags)
+        return warp_labels(masks, self._matrix(execution), size, resampling)
+
+    def transform_points(self, points: Tensor, execution: Execution) -> Tensor:
+        if not execution.applied:
+            return points
+        return transform_points(self._matrix(execution).to(points), points)
+
+    def inverse(self, output: Tensor, params: Params | None = None, **kwargs: Any) -> Tensor:
+        flags = self._flags_of(kwargs)
+        x = self.transform_tensor(output)
+        execution = self._execution
+        if params is not None:
+            shape = tuple(int(n) for n in params["forward_input_shape"])
+            image = x.new_empty(1).expand(shape)  # of its size only
+            execution = self._from_params(params, image)
+            execution.matrix = self._matrix_of(image, execution, flags)
+        if execution is None:
+            raise RuntimeError(f"{type(self).__name__}.inverse: there was no call yet; pass its params")
+        if not execution.applied:
+            return output
+        y = self.inverse_transform(x, flags, self._matrix(execution), tuple(execution.shape[-2:]))
+        if self.keepdim and y.dim() > output.dim():
+            y = y.reshape(y.shape[y.dim() - output.dim() :])
+        return y
+
+    def inverse_transform(
+        self, input: Tensor, flags: dict[str, Any], transform: Tensor, size: tuple[int, int]
+    ) -> Tensor:
+        """Resample results at the pixels of the images that they came from, of a given size."""
+        resampling = self.resampling(flags)
+        return warp(
+            input, transform.to(input.device), size, resampling._replace(padding="zeros", fill=None), inverse=False
+        )
+
+
+def warp(x: Tensor, matrix: Tensor, size: tuple[int, int], resampling: Resampling, inverse: bool = True) -> Tensor:
+    """Resample images by matrices from their pixels to those of the result, or the other way for `inverse` = False."""
+    mode, padding_mode, align_corners, fill_value = resampling
+    padding, fill = sampling.padding_and_fill("augmentation", x, padding_mode, fill_value)
+    matrix = matrix.to(compute_dtype(x))
+    y: Tensor = sampling.warp(x, matrix, fill, list(size), INTERPOLATION[mode], padding, align_corners, inverse, False)
+    return y
+
+
+def warp_labels(
+    masks: Tensor, matrix: Tensor, size: tuple[int, int], resampling: Resampling, inverse: bool = True
+) -> Tensor:
+    """The same for masks of any type, whose values pass unchanged: float64 holds all integers up to 2^53."""
+    dtype = masks.dtype
+    if not dtype.is_floating_point and dtype != torch.uint8:
+        exact = torch.float32 if dtype in (torch.bool, torch.int8, torch.int16) else torch.float64
+        return warp(masks.to(exact), matrix, size, resampling, inverse).to(dtype)
+    return warp(masks, matrix, size, resampling, inverse)

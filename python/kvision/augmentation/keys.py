@@ -1,0 +1,73 @@
+"""Where the 64-bit keys of random parameters come from."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Generator, Tensor
+from torch.compiler import is_compiling
+
+from kvision.core.exceptions import ShapeError, TypeCheckError
+
+Seed = int | Tensor | None
+
+
+class Keys(NamedTuple):
+    """Keys of the augmentations of one call.
+
+    `keys` (K,) has one for each of them, on the CPU unless a CUDA generator drew them. A call with a seed has one key for
+    all, and the position of an augmentation in the chain tells them apart. `seeds` (B,) replaces the keys by one a sample.
+    """
+
+    keys: Tensor
+    seeds: Tensor | None = None
+    one_key: bool = False
+
+    def on_host(self, op: str) -> list[int]:
+        """The keys as numbers, for decisions about sizes and modules."""
+        keys = self.keys if self.seeds is None else self.seeds[:1]
+        if keys.is_cuda and torch.cuda.is_current_stream_capturing():
+            raise RuntimeError(
+                f"{op}: a random choice that changes sizes or modules cannot be captured in a CUDA graph; use p=0 or 1"
+            )
+        return [int(k) for k in keys.tolist()]
+
+
+def draw_keys(op: str, count: int, device: torch.device, seed: Seed, generator: Generator | None) -> Keys:
+    """Keys for `count` augmentations of a batch on `device`: from a seed, a generator, or torch's default generator.
+
+    While a CUDA graph is captured, torch's default generator of the device draws them, so that each replay has new ones.
+    """
+    if seed is not None:
+        return _from_seed(op, seed)
+    if generator is None and device.type == "cuda" and not is_compiling() and torch.cuda.is_current_stream_capturing():
+        where = device
+    else:
+        where = torch.device("cpu") if generator is None else generator.device
+    if where.type == "cpu":
+        return Keys(torch.empty(count, dtype=torch.int64).random_(_LOWEST, None, generator=generator))
+    # A CUDA generator gives other numbers for several in one call than for several calls.
+    each = [
+        torch.empty(1, dtype=torch.int64, device=where).random_(_LOWEST, None, generator=generator)
+        for _ in range(count)
+    ]
+    return Keys(torch.cat(each) if each else torch.empty(0, dtype=torch.int64))
+
+
+_LOWEST = -(2**63)
+
+
+def _from_seed(op: str, seed: int | Tensor) -> Keys:
+    if isinstance(seed, Tensor):
+        if seed.dtype != torch.int64:
+            raise TypeCheckError(f"{op}: expected seed to be an int or an int64 tensor, got {seed.dtype}")
+        if seed.dim() == 0:
+            return Keys(seed[None], None, True)
+        if seed.dim() != 1:
+            raise ShapeError(f"{op}: expected seed of shape (B,), got {tuple(seed.shape)}")
+        return Keys(torch.zeros(1, dtype=torch.int64), seed, True)
+    if not isinstance(seed, int) or isinstance(seed, bool):
+        raise TypeCheckError(f"{op}: expected seed to be an int or an int64 tensor, got {type(seed).__name__}")
+    seed &= 2**64 - 1
+    return Keys(torch.tensor([seed - 2**64 if seed >= 2**63 else seed]), None, True)

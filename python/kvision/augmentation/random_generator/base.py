@@ -1,0 +1,83 @@
+"""What all generators of random parameters have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from kvision.augmentation.columns import draw_columns
+from kvision.augmentation.draws import Draw, Request
+from kvision.augmentation.keys import draw_keys
+from kvision.augmentation.ranges import LearnedUniform
+
+Shape = Sequence[int]
+
+
+class RandomGeneratorBase(nn.Module):
+    """Base of the generators: draws of one augmentation, and the names that its parameters have for users.
+
+    A subclass implements :meth:`draws`, and lists in `fields` how the columns that they give are called: pairs of a name and
+    a width, 0 for a column that is a vector (B,). One with other parameters overrides :meth:`to_params` and
+    :meth:`to_columns`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> class Angle(K.augmentation.random_generator.RandomGeneratorBase):
+        ...     fields = (("angle", 0),)
+        ...     def draws(self, shape):
+        ...         return [K.augmentation.draws.uniform(-10.0, 10.0)]
+        >>> Angle()((4, 3, 8, 8))["angle"].shape
+        torch.Size([4])
+    """
+
+    fields: Sequence[tuple[str, int]] = ()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.device, self.dtype = torch.device("cpu"), torch.float32
+
+    def set_rng_device_and_dtype(self, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32) -> None:
+        """Choose where and in which type :meth:`forward` gives parameters. The values do not depend on the device."""
+        self.device, self.dtype = torch.device(device), dtype
+
+    def make_samplers(self, device: torch.device, dtype: torch.dtype) -> None:
+        """Called by code written for Kornia; there is nothing to prepare."""
+
+    def draws(self, shape: Shape) -> Sequence[Draw | LearnedUniform]:
+        """The draws for images of `shape` (B, C, H, W)."""
+        raise NotImplementedError(f"{type(self).__name__}.draws")
+
+    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
+        """The parameters by name, from their columns (B, P)."""
+        params, first = {}, 0
+        for name, width in self.fields:
+            params[name] = columns[:, first : first + width] if width else columns[:, first]
+            first += width or 1
+        return params
+
+    def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
+        """The columns (B, P) of parameters by name: the inverse of :meth:`to_params`."""
+        parts = [params[name] if width else params[name][:, None] for name, width in self.fields]
+        return torch.cat(parts, 1) if parts else torch.empty(shape[0], 0)
+
+    def forward(self, batch_shape: Shape, same_on_batch: bool = False) -> dict[str, Tensor]:
+        """Draw the parameters of a batch with a key from torch's default generator.
+
+        Args:
+            batch_shape: shape of the images, (B, C, H, W).
+            same_on_batch: the same parameters for all samples.
+
+        Returns:
+            The parameters by name, with one entry a sample.
+        """
+        like = torch.empty(batch_shape[0], device=self.device)
+        keys = draw_keys(type(self).__name__, 1, like.device, None, None)
+        (columns,) = draw_columns(like, keys, [Request(self.draws(batch_shape), same_on_batch=same_on_batch)])
+        params = self.to_params(columns.values, batch_shape)
+        return {
+            name: x.to(self.dtype) if isinstance(x, Tensor) and x.is_floating_point() else x
+            for name, x in params.items()
+        }

@@ -1,0 +1,99 @@
+"""Generators of color changes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from torch import Tensor
+
+from kvision.augmentation import ranges
+from kvision.augmentation.draws import Draw
+from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+
+__all__ = ["ColorJiggleGenerator", "ColorJitterGenerator"]
+
+
+class ColorJitterGenerator(RandomGeneratorBase):
+    """Draws the parameters of :class:`ColorJitter`.
+
+    Args:
+        brightness, contrast, saturation: a number s for max(0, 1 - s) to 1 + s, or a pair.
+        hue: a number s for -s to s, or a pair, in turns: at most half a turn.
+
+    Returns:
+        brightness_factor, contrast_factor, saturation_factor, hue_factor (B,), and order (B, 4): which of brightness (0),
+        contrast (1), saturation (2) and hue (3) comes at each position; -1 for samples that are not chosen.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import kvision as K
+        >>> sorted(K.augmentation.random_generator.ColorJitterGenerator(brightness=0.2)((2, 3, 8, 8)))
+        ['brightness_factor', 'contrast_factor', 'hue_factor', 'order', 'saturation_factor']
+    """
+
+    fields = (
+        ("brightness_factor", 0),
+        ("contrast_factor", 0),
+        ("saturation_factor", 0),
+        ("hue_factor", 0),
+        ("order", 4),
+    )
+
+    def __init__(
+        self, brightness: Any = 0.0, contrast: Any = 0.0, saturation: Any = 0.0, hue: Any = 0.0, order: Any = None
+    ) -> None:
+        super().__init__()
+        op = "ColorJitter"
+        ranges.keep_parameters(self, brightness=brightness, contrast=contrast, saturation=saturation, hue=hue)
+        most = float("inf")
+        self._brightness = ranges.parse(
+            op, "brightness", brightness, center=1.0, bounds=(0.0, self._largest_brightness)
+        )
+        self._contrast = ranges.parse(op, "contrast", contrast, center=1.0, bounds=(0.0, most))
+        self._saturation = ranges.parse(op, "saturation", saturation, center=1.0, bounds=(0.0, most))
+        self._hue = ranges.parse(op, "hue", hue, center=0.0, bounds=(-0.5, 0.5))
+        self.order = None if order is None else tuple(int(i) for i in order)
+
+    _largest_brightness = float("inf")
+
+    def draws(self, shape: Shape) -> Sequence[Any]:
+        if self.order is None:
+            order = [Draw("permutation", (4, -1, 0))]
+        else:
+            order = [Draw("integer", (i, 1, 1, -1)) for i in self.order]
+        return [
+            self._brightness.uniform(identity=1.0),
+            self._contrast.uniform(identity=1.0),
+            self._saturation.uniform(identity=1.0),
+            self._hue.uniform(2 * math.pi),
+            *order,
+        ]
+
+    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
+        params = super().to_params(columns, shape)
+        params["hue_factor"] = params["hue_factor"] / (2 * math.pi)
+        params["order"] = params["order"].long()
+        return params
+
+    def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
+        order = params["order"]
+        if order.dim() == 1:  # one for the batch, as Kornia has it
+            order = order.expand(shape[0], -1)
+        hue = params["hue_factor"] * (2 * math.pi)
+        return super().to_columns({**params, "hue_factor": hue, "order": order.to(hue)}, shape)
+
+
+class ColorJiggleGenerator(ColorJitterGenerator):
+    """Draws the parameters of :class:`ColorJiggle`: as :class:`ColorJitterGenerator`, with a brightness of at most 2.
+
+    Example:
+        >>> import kvision as K
+        >>> K.augmentation.random_generator.ColorJiggleGenerator(hue=0.1)((2, 3, 8, 8))["order"].shape
+        torch.Size([2, 4])
+    """
+
+    _largest_brightness = 2.0

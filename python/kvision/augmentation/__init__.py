@@ -1,6 +1,6 @@
 """Random augmentation of images with their masks, boxes, key points and labels."""
 
-from kvision.augmentation import random_generator
+from kvision.augmentation import container, draws, random_generator
 from kvision.augmentation.affine import RandomAffine
 from kvision.augmentation.base import (
     AugmentationBase2D,
@@ -9,6 +9,7 @@ from kvision.augmentation.base import (
     RigidAffineAugmentationBase3D,
 )
 from kvision.augmentation.color_jitter import ColorJitter
+from kvision.augmentation.container import AugmentationSequential, ImageSequential
 from kvision.augmentation.flip import RandomHorizontalFlip, RandomVerticalFlip
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
@@ -17,8 +18,10 @@ from kvision.augmentation.normalize import Normalize
 __all__ = [
     "AugmentationBase2D",
     "AugmentationBase3D",
+    "AugmentationSequential",
     "ColorJitter",
     "GeometricAugmentationBase2D",
+    "ImageSequential",
     "IntensityAugmentationBase2D",
     "IntensityAugmentationBase3D",
     "Normalize",
@@ -27,5 +30,6 @@ __all__ = [
     "RandomVerticalFlip",
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",
+    "container",
     "random_generator",
 ]

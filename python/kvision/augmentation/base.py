@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Generator, Tensor, nn
 
-from kvision.augmentation.columns import Columns, draw_columns
+from kvision.augmentation.columns import Columns, draw_columns, identity_values
 from kvision.augmentation.draws import Draw, Request, is_chosen_batch
 from kvision.augmentation.keys import Keys, Seed, draw_keys
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
@@ -45,15 +45,18 @@ class Execution:
     ) -> None:
         self.shape = shape  # of the images, (B, C, H, W)
         self.columns = columns  # of the parameters, on their device
-        self.chosen = chosen  # (B,) bool; None for all
+        self._chosen = chosen
         self.applied = applied  # False where the whole batch passes unchanged
         self.params = params  # by name, where they were given or have been read
         self.redraw = redraw  # the keys, and the index of this augmentation's
         self.matrix: Tensor | None = None
 
-    def moved(self, params: Params, device: torch.device) -> Params:
-        """`params` with their tensors on a device."""
-        return {name: x.to(device) if isinstance(x, Tensor) else x for name, x in params.items()}
+    @property
+    def chosen(self) -> Tensor | None:
+        """(B,) bool, the samples that are augmented; None for all."""
+        if self._chosen is None and self.columns is not None and self.columns.chosen is not None:
+            self._chosen = self.columns.chosen > 0.5
+        return self._chosen
 
 
 class AugmentationBase(nn.Module):
@@ -180,8 +183,6 @@ class AugmentationBase(nn.Module):
         execution = Execution(shape, columns, None, self._applies(keys, index))
         if keys is not None:
             execution.redraw = (keys, index)
-        if columns is not None and columns.chosen is not None:
-            execution.chosen = columns.chosen > 0.5
         return execution
 
     def _draw(self, x: Tensor, seed: Seed, generator: Generator | None) -> Execution:
@@ -206,10 +207,44 @@ class AugmentationBase(nn.Module):
             chosen = None if bool(is_chosen.all()) else is_chosen
         else:
             chosen = chosen > 0.5
-        params.setdefault("forward_input_shape", torch.tensor(shape))
-        if chosen is not None:
-            chosen = chosen.to(x.device)
-        return Execution(shape, None, chosen, applied, params)
+        if "forward_input_shape" not in params:
+            params = {**params, "forward_input_shape": torch.tensor(shape)}
+        chosen = None if chosen is None else chosen.to(x.device)
+        columns = None
+        if applied and not self._is_customized() and self._executes_columns(shape):
+            columns = self._columns_of(params, shape, x.device, chosen)
+        return Execution(shape, columns, chosen, applied, params)
+
+    def _executes_columns(self, shape: Shape) -> bool:
+        """Whether this augmentation is executed from columns, without parameters by name."""
+        return False
+
+    def _columns_of(
+        self, params: Params, shape: Shape, device: torch.device, chosen: Tensor | None
+    ) -> Columns | None:
+        """The columns that would have been drawn for given parameters."""
+        if self._param_generator is None:
+            values, draws = torch.empty(shape[0], 0, device=device), ()
+        else:
+            values = self._param_generator.to_columns(self._on_device(params, device), shape)
+            draws = tuple(self._param_generator.draws(shape))
+        if values.dtype != torch.float64:
+            values = values.float()
+        parts = [values, *self._further_columns(shape, values, chosen)]
+        if chosen is not None and not self.whole_batch:
+            identity = torch.tensor(identity_values(draws), dtype=values.dtype).to(device, non_blocking=True)
+            parts[0] = torch.where(chosen[:, None], values, identity)
+            parts.insert(0, chosen[:, None].to(values.dtype))
+        drawn = torch.cat(parts, 1) if len(parts) > 1 else values
+        return Columns(drawn, 0, drawn.shape[1], len(parts) > 1 and parts[0] is not values and chosen is not None)
+
+    def _further_columns(self, shape: Shape, values: Tensor, chosen: Tensor | None) -> list[Tensor]:
+        """Columns that follow those of the parameters."""
+        return []
+
+    @staticmethod
+    def _on_device(params: Params, device: torch.device) -> Params:
+        return {name: x.to(device) if isinstance(x, Tensor) else x for name, x in params.items()}
 
     def forward_parameters(self, batch_shape: Sequence[int]) -> Params:
         """Draw the parameters of a batch by name, with `batch_prob` and `forward_input_shape`."""
@@ -275,10 +310,10 @@ class AugmentationBase(nn.Module):
 
     def _params_on_device(self, x: Tensor, execution: Execution) -> Params:
         if execution.params is not None:
-            return execution.moved(execution.params, x.device)
+            return self._on_device(execution.params, x.device)
         if self._is_overridden("generate_parameters"):
             execution.params = {**self._read_params(execution), **self.generate_parameters(execution.shape)}
-            return execution.moved(execution.params, x.device)
+            return self._on_device(execution.params, x.device)
         if execution.columns is None or self._param_generator is None:
             return {"forward_input_shape": torch.tensor(execution.shape)}
         return self._param_generator.to_params(execution.columns.values, execution.shape)

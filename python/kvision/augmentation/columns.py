@@ -76,3 +76,21 @@ def _with_learned(drawn: Tensor, draws: Sequence[Draw | LearnedUniform]) -> Tens
         parts.append(draw.value(part) if isinstance(draw, LearnedUniform) else part)
         first += draw.columns
     return torch.cat(parts, 1)
+
+
+def identity_values(draws: Sequence[Draw | LearnedUniform]) -> list[float]:
+    """What the columns of draws hold for samples that are not chosen."""
+    values: list[float] = []
+    for draw in draws:
+        if isinstance(draw, LearnedUniform):
+            values.append(draw.identity)
+        elif draw.kind == "permutation":
+            n, first, step = draw.numbers
+            values += [first + step * i for i in range(int(n))]
+        elif draw.kind == "resized_crop":
+            values += [0.0, 0.0, draw.numbers[5], draw.numbers[4]]
+        elif draw.kind == "rectangle":
+            values += [0.0] * 4
+        else:
+            values.append(draw.numbers[-1])
+    return values

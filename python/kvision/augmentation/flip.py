@@ -26,7 +26,7 @@ class _FlipGenerator(RandomGeneratorBase):
 
 
 class _RandomFlip(GeometricAugmentationBase2D):
-    moves_whole_pixels = True
+    moves_whole_pixels = stays_inside = permutes_pixels = True
 
     def __init__(
         self, p: float = 0.5, p_batch: float = 1.0, same_on_batch: bool = False, keepdim: bool = False, **options: Any

@@ -53,9 +53,10 @@ class GeometricAugmentationBase2D(RigidAffineAugmentationBase2D):
         tensor([[[[0., 1., 2.]]]])
     """
 
-    moves_whole_pixels = (
-        False  # flips, quarter turns, slices: results are exact, and any resampling after them absorbs them
-    )
+    # What containers may join with a resampling next to it, without changing its result:
+    moves_whole_pixels = False  # every pixel of the result is one of the image, or the fill value
+    stays_inside = False  # none is the fill value
+    permutes_pixels = False  # every pixel of the image is in the result: flips and turns
 
     # --- what subclasses declare ---
 
@@ -77,6 +78,9 @@ class GeometricAugmentationBase2D(RigidAffineAugmentationBase2D):
 
     # --- execution ---
 
+    def _executes_columns(self, shape: Shape) -> bool:
+        return self.transforms(shape, self.flags) is not None
+
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or self._is_customized() or self.transforms(execution.shape, flags) is None:
             return super()._run(x, execution, flags)
@@ -87,10 +91,10 @@ class GeometricAugmentationBase2D(RigidAffineAugmentationBase2D):
         return warp(x, matrix, self.output_size(tuple(x.shape), flags), self.resampling(flags))
 
     def _matrix_of(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
-        if execution.params is None:
+        if execution.columns is not None or execution.params is None:
             drawn, chain = self._chain(x, execution, flags)
             return transform_matrix(drawn, chain)
-        matrix = self.compute_transformation(x, execution.moved(execution.params, x.device), flags)
+        matrix = self.compute_transformation(x, self._on_device(execution.params, x.device), flags)
         if execution.chosen is None:
             return matrix
         return torch.where(execution.chosen[:, None, None], matrix, self.identity_matrix(x).to(matrix))
@@ -130,7 +134,7 @@ class GeometricAugmentationBase2D(RigidAffineAugmentationBase2D):
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:
             return masks
-        resampling = self.resampling(flags)._replace(mode="nearest", fill=None)
+        resampling = self.resampling(flags)._replace(fill=None)
         if resampling.padding == "fill":
             resampling = resampling._replace(padding="zeros")
         size = self.output_size(execution.shape, flags)

@@ -78,6 +78,16 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
         order = [Draw("integer", (i, 1, 1, -1)) for i in range(len(steps.steps))]
         return request._replace(draws=[*request.draws, *order])
 
+    def _executes_columns(self, shape: Shape) -> bool:
+        return self.color_steps(shape, self.flags) is not None
+
+    def _further_columns(self, shape: Shape, values: Tensor, chosen: Tensor | None) -> list[Tensor]:
+        steps = self.color_steps(shape, self.flags)
+        if steps is None or steps.order is not None or chosen is None:
+            return []
+        order = torch.arange(len(steps.steps), device=values.device, dtype=values.dtype)
+        return [torch.where(chosen[:, None], order, -1)]
+
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:
             return x
@@ -122,7 +132,7 @@ class ColorPart(NamedTuple):
 def color_part(module: IntensityAugmentationBase2D, execution: Execution, flags: dict[str, Any]) -> ColorPart | None:
     """The part of an execution whose columns were drawn; None for one with parameters by name, or without steps."""
     steps = module.color_steps(execution.shape, flags)
-    if steps is None or execution.params is not None:
+    if steps is None or (execution.columns is None and execution.params is not None):
         return None
     columns = execution.columns
     if columns is None:

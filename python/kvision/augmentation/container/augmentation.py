@@ -1,0 +1,326 @@
+"""Chains of augmentations of images with their masks, boxes, key points and class labels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Generator, Tensor, nn
+
+from kvision.augmentation import labels
+from kvision.augmentation.base import AugmentationBase
+from kvision.augmentation.container.image import ImageSequential, ParamItem, invert
+from kvision.augmentation.container.runs import Applied, Stage, Warp, execute
+from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp_labels
+from kvision.augmentation.keys import Seed
+from kvision.constants import DataKey
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.geometry.linalg import transform_points
+
+__all__ = ["AugmentationSequential"]
+
+_BOXES = {
+    DataKey.BBOX: "vertices",
+    DataKey.BBOX_XYXY: "xyxy",
+    DataKey.BBOX_XYWH: "xywh",
+}
+
+
+class AugmentationSequential(ImageSequential):
+    """Run augmentations on images, and move their masks, boxes and key points with them.
+
+    Masks are read at the nearest pixel, whatever their type. Boxes "bbox_xyxy" and "bbox_xywh" are (B, N, 4) with edges of
+    pixels as COCO has them: a box over all of an image is (0, 0, W, H). "bbox" has four corners (B, N, 4, 2), and
+    "keypoints" are (B, N, 2): the center of the first pixel is (0, 0). A moved box is the smallest upright one around the
+    four moved corners. "class" is returned as it was given.
+
+    Args:
+        *args: augmentations, other containers, or any modules of images.
+        data_keys: what the arguments of a call are, the image first: "input" or "image", "mask", "bbox", "bbox_xyxy",
+            "bbox_xywh", "keypoints", "class"; any of them several times. None: calls take one dict with such keys, to which
+            suffixes may be appended ("mask_2").
+        same_on_batch: if not None, that of all children.
+        keepdim: if not None, that of all children.
+        random_apply: False runs all children in order; True a random number of them in random order; n that many; (n, m) at
+            least n and fewer than m.
+        random_apply_weights: relative probabilities of the children with `random_apply`.
+        transformation_matrix_mode: accepted for code written for Kornia.
+        extra_args: flags of some keys, such as {"mask": {"resample": "bilinear"}}; default: masks are read at the nearest
+            pixel. {} reads them as the images.
+        resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones and
+            interpolates once.
+
+    Raises:
+        TypeError: a child is no module.
+        ValueError: a key is unknown, or the first is not the image's.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> augment = K.augmentation.AugmentationSequential(
+        ...     K.augmentation.RandomHorizontalFlip(p=1.0), data_keys=["input", "mask", "bbox_xyxy", "keypoints"]
+        ... )
+        >>> image, mask = torch.rand(1, 3, 4, 8), torch.zeros(1, 1, 4, 8, dtype=torch.int64)
+        >>> box, point = torch.tensor([[[1.0, 0.0, 3.0, 2.0]]]), torch.tensor([[[0.0, 2.0]]])
+        >>> image, mask, box, point = augment(image, mask, box, point)
+        >>> box, point
+        (tensor([[[5., 0., 7., 2.]]]), tensor([[[7., 2.]]]))
+    """
+
+    def __init__(
+        self,
+        *args: nn.Module,
+        data_keys: Sequence[str | int | DataKey] | None = (DataKey.INPUT,),
+        same_on_batch: bool | None = None,
+        keepdim: bool | None = None,
+        random_apply: int | bool | tuple[int, int] | tuple[int] = False,
+        random_apply_weights: Sequence[float] | None = None,
+        transformation_matrix_mode: str = "silent",
+        extra_args: dict[Any, dict[str, Any]] | None = None,
+        resample: str = "each",
+        generator: Generator | None = None,
+    ) -> None:
+        super().__init__(
+            *args,
+            same_on_batch=same_on_batch,
+            keepdim=keepdim,
+            random_apply=random_apply,
+            random_apply_weights=random_apply_weights,
+            resample=resample,
+            generator=generator,
+        )
+        if transformation_matrix_mode not in ("silent", "silence", "rigid", "skip"):
+            raise ValueCheckError(
+                "AugmentationSequential: expected transformation_matrix_mode to be 'silent', 'rigid' or 'skip', got "
+                f"{transformation_matrix_mode!r}"
+            )
+        self.data_keys = None if data_keys is None else self._keys(data_keys)
+        if self.data_keys is not None and self.data_keys[0] != DataKey.INPUT:
+            raise ValueCheckError(f"AugmentationSequential: expected data_keys to begin with 'input', got {data_keys!r}")
+        self.transformation_matrix_mode = transformation_matrix_mode
+        self.extra_args = {DataKey.MASK: {"resample": "nearest"}} if extra_args is None else extra_args
+
+    def _keys(self, keys: Any) -> list[DataKey]:
+        if isinstance(keys, str) or not isinstance(keys, Sequence) or not keys:
+            raise ValueCheckError(f"AugmentationSequential: expected data_keys to be a sequence of keys, got {keys!r}")
+        return [_key(key) for key in keys]
+
+    def forward(  # type: ignore[override]  # several inputs
+        self,
+        *args: Any,
+        params: Sequence[ParamItem] | None = None,
+        data_keys: Sequence[str | int | DataKey] | None = None,
+        seed: Seed = None,
+        generator: Generator | None = None,
+    ) -> Any:
+        """Augment images with what belongs to them.
+
+        Args:
+            *args: images and labels in the order of the data keys; or one dict.
+            params: the `_params` of an earlier call, to repeat it on these images.
+            data_keys: keys of this call; default: those of the constructor.
+            seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
+            generator: draws the keys of this call; default: that of the constructor, or torch's.
+
+        Returns:
+            What was given, moved: one tensor for one key, else a list; a dict for a dict.
+
+        Raises:
+            TypeError: an input has another type than its key says.
+            ValueError: the number of inputs is not that of the keys; no key is the image's; an input has another shape.
+        """
+        if len(args) == 1 and isinstance(args[0], Mapping):
+            names = list(args[0])
+            outputs = self._call([_key(_without_suffix(name)) for name in names], list(args[0].values()), params, seed, generator)
+            return dict(zip(names, outputs))
+        keys = self.data_keys if data_keys is None else self._keys(data_keys)
+        if keys is None:
+            raise ValueCheckError("AugmentationSequential: without data_keys, expected one dict")
+        outputs = self._call(keys, list(args), params, seed, generator)
+        return outputs[0] if len(outputs) == 1 else outputs
+
+    def _call(
+        self, keys: list[DataKey], inputs: list[Any], params: Any, seed: Seed, generator: Generator | None
+    ) -> list[Any]:
+        if len(keys) != len(inputs):
+            raise ValueCheckError(
+                f"AugmentationSequential: expected {len(keys)} inputs for {[k.name.lower() for k in keys]}, got {len(inputs)}"
+            )
+        if DataKey.INPUT not in keys:
+            if self._shape is None and params is None:
+                raise ValueCheckError("AugmentationSequential: expected one of data_keys to be 'input'")
+            return self._move_alone(keys, inputs, params)
+        image = inputs[keys.index(DataKey.INPUT)]
+        x = self.transform_tensor(image)
+        y = self._execute(x, params, self._source(seed, generator))
+        first = keys.index(DataKey.INPUT)
+        outputs = []
+        for i, (key, value) in enumerate(zip(keys, inputs)):
+            if i == first:
+                outputs.append(self._restored(y, image))
+            elif key == DataKey.INPUT:  # a second image gets the same
+                again = self._children_of_call(self._params, self._source(None, None))
+                z = execute(self.transform_tensor(value), again, self._source(None, None))[0]
+                outputs.append(self._restored(z, value))
+            else:
+                outputs.append(self._moved(key, value, self._stages))
+        return outputs
+
+    def _move_alone(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
+        """Labels without their images, moved by the last call or by given parameters."""
+        stages = self._stages
+        if params is not None:
+            shape = next(tuple(map(int, p.data["forward_input_shape"])) for p in params if isinstance(p.data, dict))
+            children = self._children_of_call(params, self._source(None, None))
+            stages = execute(torch.zeros(1).expand(shape), children, self._source(None, None))[1]
+        return [self._moved(key, value, stages) for key, value in zip(keys, inputs)]
+
+    # --- labels ---
+
+    def _moved(self, key: DataKey, value: Any, stages: Sequence[Stage]) -> Any:
+        if key == DataKey.MASK:
+            return self._moved_masks(value, stages)
+        if key == DataKey.KEYPOINTS:
+            return labels.move_points(value, lambda points: _move(points, stages))
+        if key in _BOXES:
+            return labels.move_boxes(value, _BOXES[key], lambda points: _move(points, stages))
+        return value
+
+    def _moved_masks(self, masks: Any, stages: Sequence[Stage]) -> Any:
+        if isinstance(masks, (list, tuple)):
+            stacked = torch.stack(list(masks))
+            return type(masks)(self._moved_masks(stacked, stages).unbind(0))
+        if not isinstance(masks, Tensor):
+            raise TypeCheckError(f"AugmentationSequential: expected mask to be a Tensor, got {type(masks).__name__}")
+        shape = masks.shape
+        if masks.dim() == 3 and self._shape is not None and len(shape) == len(self._shape) - 1:
+            # (B, H, W) of a batch, or (C, H, W) of one image
+            batched = masks[:, None] if shape[0] == self._shape[0] and shape[0] > 1 else masks[None]
+        else:
+            batched = masks[None, None] if masks.dim() == 2 else masks
+        if batched.dim() != 4:
+            raise ShapeError(f"AugmentationSequential: expected mask of shape (B, C, H, W), got {tuple(shape)}")
+        mode = self._mask_mode()
+        moved = _move_masks(batched, stages, mode)
+        if moved.shape[:2] == batched.shape[:2] and masks.dim() < 4:
+            return moved.reshape(*shape[:-2], *moved.shape[-2:])
+        return moved
+
+    def _mask_mode(self) -> str | None:
+        for key, flags in self.extra_args.items():
+            if _key(key) == DataKey.MASK and "resample" in flags:
+                mode = flags["resample"]
+                return getattr(mode, "name", str(mode)).lower()
+        return None
+
+    def inverse(  # type: ignore[override]  # several inputs
+        self,
+        *args: Any,
+        params: Sequence[ParamItem] | None = None,
+        data_keys: Sequence[str | int | DataKey] | None = None,
+    ) -> Any:
+        """Undo the geometric part of a call, the last one unless parameters are given.
+
+        Args:
+            *args: images and labels as that call returned them, in the order of the data keys; or one dict.
+            params: the `_params` of the call.
+            data_keys: keys of the arguments; default: those of the constructor.
+
+        Returns:
+            What was given, moved back to the images before the call; one tensor for one key, else a list or a dict.
+        """
+        if len(args) == 1 and isinstance(args[0], Mapping):
+            names = list(args[0])
+            values = self._invert_all([_key(_without_suffix(n)) for n in names], list(args[0].values()), params)
+            return dict(zip(names, values))
+        keys = self.data_keys if data_keys is None else self._keys(data_keys)
+        outputs = self._invert_all(keys or [DataKey.INPUT], list(args), params)
+        return outputs[0] if len(outputs) == 1 else outputs
+
+    def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
+        stages = self._stages
+        if params is not None:
+            shape = next(tuple(map(int, p.data["forward_input_shape"])) for p in params if isinstance(p.data, dict))
+            children = self._children_of_call(params, self._source(None, None))
+            stages = execute(torch.zeros(1).expand(shape), children, self._source(None, None))[1]
+        outputs = []
+        for key, value in zip(keys, inputs):
+            if key == DataKey.INPUT:
+                outputs.append(self._restored(invert(self.transform_tensor(value), stages), value))
+            elif key == DataKey.MASK:
+                outputs.append(_invert_masks(value, stages))
+            elif key == DataKey.KEYPOINTS:
+                outputs.append(labels.move_points(value, lambda points: _move_back(points, stages)))
+            elif key in _BOXES:
+                outputs.append(labels.move_boxes(value, _BOXES[key], lambda points: _move_back(points, stages)))
+            else:
+                outputs.append(value)
+        return outputs
+
+
+def _key(key: Any) -> DataKey:
+    if isinstance(key, str) and key.lower() == "image":
+        return DataKey.INPUT
+    return DataKey.get(key)
+
+
+def _without_suffix(name: str) -> str:
+    """The key of a dict's entry: the longest known key that its name begins with."""
+    known = sorted((*(key.name.lower() for key in DataKey), "image"), key=len, reverse=True)
+    for key in known:
+        if name.lower() == key or name.lower().startswith((f"{key}_", f"{key}-")):
+            return key
+    raise ValueCheckError(f"AugmentationSequential: expected keys that begin with one of {', '.join(known)}, got {name!r}")
+
+
+def _move(points: Tensor, stages: Sequence[Stage]) -> Tensor:
+    """Points (B, N, 2) after all stages."""
+    for stage in stages:
+        if isinstance(stage, Warp):
+            points = transform_points(stage.matrix.to(points), points)
+        elif "stages" in stage.flags:
+            points = _move(points, stage.flags["stages"])
+        elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
+            points = stage.module.transform_points(points, stage.execution)
+    return points
+
+
+def _move_back(points: Tensor, stages: Sequence[Stage]) -> Tensor:
+    for stage in reversed(stages):
+        if isinstance(stage, Applied) and "stages" in stage.flags:
+            points = _move_back(points, stage.flags["stages"])
+        elif isinstance(stage, Warp):
+            points = transform_points(torch.linalg.inv(stage.matrix).to(points), points)
+        elif isinstance(stage.module, GeometricAugmentationBase2D) and stage.execution is not None:
+            matrix = stage.module._matrix(stage.execution)
+            points = transform_points(torch.linalg.inv(matrix).to(points), points)
+    return points
+
+
+def _move_masks(masks: Tensor, stages: Sequence[Stage], mode: str | None) -> Tensor:
+    for stage in stages:
+        if isinstance(stage, Warp):
+            resampling = stage.resampling._replace(fill=None) if mode is None else stage.resampling._replace(mode=mode, fill=None)
+            if resampling.padding == "fill":
+                resampling = resampling._replace(padding="zeros")
+            masks = warp_labels(masks, stage.matrix, stage.size, resampling)
+        elif "stages" in stage.flags:
+            masks = _move_masks(masks, stage.flags["stages"], mode)
+        elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
+            flags = stage.flags if mode is None else {**stage.flags, "resample": mode}
+            masks = stage.module.transform_masks(masks, stage.execution, flags)
+    return masks
+
+
+def _invert_masks(masks: Tensor, stages: Sequence[Stage]) -> Tensor:
+    for stage in reversed(stages):
+        if isinstance(stage, Applied) and "stages" in stage.flags:
+            masks = _invert_masks(masks, stage.flags["stages"])
+        elif isinstance(stage, Warp):
+            resampling = stage.resampling._replace(mode="nearest", padding="zeros", fill=None)
+            masks = warp_labels(masks, stage.matrix, stage.source, resampling, inverse=False)
+        elif isinstance(stage.module, GeometricAugmentationBase2D) and stage.execution is not None:
+            resampling = stage.module.resampling(stage.flags)._replace(mode="nearest", padding="zeros", fill=None)
+            matrix, (h, w) = stage.module._matrix(stage.execution), stage.execution.shape[-2:]
+            masks = warp_labels(masks, matrix, (h, w), resampling, inverse=False)
+    return masks

@@ -1,0 +1,425 @@
+"""Chains of augmentations of images."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Generator, Tensor, nn
+
+from kvision.augmentation.base import AugmentationBase, AugmentationBase2D, Params
+from kvision.augmentation.container.runs import Applied, Child, Randomness, Stage, Warp, execute
+from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp
+from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
+from kvision.augmentation.keys import Seed, draw_keys
+from kvision.augmentation.draws import philox, unit
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+
+__all__ = ["ImageSequential", "ImageSequentialBase", "ParamItem"]
+
+Children = Iterator[tuple[str, nn.Module]]
+
+
+class ParamItem(NamedTuple):
+    """The parameters of an executed child: its name in the container, and its `_params`; None for other modules."""
+
+    name: str
+    data: Any
+
+
+class ImageSequentialBase(nn.Sequential):
+    """Base of the containers: children in order, with what they share.
+
+    Args:
+        *args: augmentations, other containers, or any modules of images.
+        same_on_batch: if not None, that of all children.
+        keepdim: if not None, that of all children, and of the container.
+
+    Raises:
+        TypeError: a child is no module.
+
+    Example:
+        >>> import kvision as K
+        >>> len(K.augmentation.container.ImageSequentialBase(K.augmentation.RandomHorizontalFlip()))
+        1
+    """
+
+    def __init__(self, *args: nn.Module, same_on_batch: bool | None = None, keepdim: bool | None = None) -> None:
+        op = type(self).__name__
+        for module in args:
+            if not isinstance(module, nn.Module):
+                raise TypeCheckError(f"{op}: expected children to be modules, got {type(module).__name__}")
+        super().__init__()
+        for i, module in enumerate(args):
+            name = f"{type(module).__name__}_{i}"
+            # One object in two places has two states.
+            known = any(module is other for other in self.children())
+            self.add_module(name, copy.deepcopy(module) if known else module)
+        self._same_on_batch, self._keepdim = same_on_batch, keepdim
+        self._stages: list[Stage] = []
+        self._shape: tuple[int, ...] | None = None
+        self._executed: list[Child] = []
+        self._given_params: list[ParamItem] | None = []
+        self._share()
+
+    def _share(self) -> None:
+        for child in self.children():
+            for name in ("same_on_batch", "keepdim"):
+                value = getattr(self, f"_{name}")
+                if value is not None and hasattr(child, name):
+                    setattr(child, name, value)
+
+    @property
+    def same_on_batch(self) -> bool | None:
+        """Whether all samples get the same parameters; None leaves it to the children."""
+        return self._same_on_batch
+
+    @same_on_batch.setter
+    def same_on_batch(self, value: bool | None) -> None:
+        self._same_on_batch = value
+        self._share()
+
+    @property
+    def keepdim(self) -> bool | None:
+        """Whether results have the number of axes of the input; None leaves it to the children."""
+        return self._keepdim
+
+    @keepdim.setter
+    def keepdim(self, value: bool | None) -> None:
+        self._keepdim = value
+        self._share()
+
+    def clear_state(self) -> None:
+        """Forget the last call."""
+        self._stages, self._shape = [], None
+        self._executed, self._given_params = [], []
+
+    def identity_matrix(self, input: Tensor) -> Tensor:
+        """An identity matrix (3, 3) for each sample."""
+        return torch.eye(3, device=input.device).expand(input.shape[0], 3, 3)
+
+
+class ImageSequential(ImageSequentialBase):
+    """Run augmentations one after the other on images, joined into few passes over memory.
+
+    Args:
+        *args: augmentations, other containers, or any modules of images.
+        same_on_batch: if not None, that of all children.
+        keepdim: if not None, that of all children.
+        random_apply: False runs all children in order; True a random number of them in random order; n that many; (n, m) at
+            least n and fewer than m. More than there are children means drawing with replacement.
+        random_apply_weights: relative probabilities of the children with `random_apply`.
+        if_unsupported_ops: accepted for code written for Kornia; any module may be a child.
+        disable_item_features, disable_sequential_features: accepted for code written for Kornia.
+        resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones and
+            interpolates once.
+
+    Raises:
+        TypeError: a child is no module; `random_apply` is neither a bool nor one or two ints.
+        ValueError: `random_apply_weights` has another length; `resample` is unknown.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> augment = K.augmentation.ImageSequential(
+        ...     K.augmentation.RandomHorizontalFlip(p=1.0), K.augmentation.Normalize(mean=1.0, std=1.0)
+        ... )
+        >>> augment(torch.tensor([[[[1.0, 2.0, 3.0]]]]))
+        tensor([[[[2., 1., 0.]]]])
+    """
+
+    def __init__(
+        self,
+        *args: nn.Module,
+        same_on_batch: bool | None = None,
+        keepdim: bool | None = None,
+        random_apply: int | bool | tuple[int, int] | tuple[int] = False,
+        random_apply_weights: Sequence[float] | None = None,
+        if_unsupported_ops: str = "raise",
+        disable_item_features: bool = True,
+        disable_sequential_features: bool = False,
+        resample: str = "each",
+        generator: Generator | None = None,
+    ) -> None:
+        super().__init__(*args, same_on_batch=same_on_batch, keepdim=keepdim)
+        op = type(self).__name__
+        if resample not in ("each", "once"):
+            raise ValueCheckError(f"{op}: expected resample to be 'each' or 'once', got {resample!r}")
+        if random_apply_weights is not None and len(random_apply_weights) != len(self):
+            raise ValueCheckError(
+                f"{op}: expected {len(self)} random_apply_weights, one of each child, got {len(random_apply_weights)}"
+            )
+        self.random_apply = self._counts(random_apply)
+        self.random_apply_weights = None if random_apply_weights is None else list(random_apply_weights)
+        self.resample, self.generator = resample, generator
+
+    def _counts(self, random_apply: Any) -> tuple[int, int] | None:
+        """The lowest number of children that run, and the end of the range of numbers; None for all in order."""
+        if random_apply is False:
+            return None
+        if random_apply is True:
+            return (1, len(self) + 1)
+        numbers = random_apply if isinstance(random_apply, (tuple, list)) else (random_apply, random_apply + 1)
+        if len(numbers) == 1:
+            numbers = (numbers[0], len(self) + 1)
+        if len(numbers) != 2 or not all(isinstance(n, int) for n in numbers) or not 0 <= numbers[0] < numbers[1]:
+            raise ValueCheckError(
+                f"{type(self).__name__}: expected random_apply to be a bool, a number of children or a range of "
+                f"numbers, got {random_apply!r}"
+            )
+        return (numbers[0], numbers[1])
+
+    # --- which children run ---
+
+    def get_children_by_params(self, params: Sequence[ParamItem]) -> Children:
+        """The children that the parameters of a call name, in its order."""
+        modules = dict(self.named_children())
+        for item in params:
+            if item.name not in modules:
+                raise ValueCheckError(f"{type(self).__name__}: there is no child {item.name!r}, of which params has parameters")
+            yield item.name, modules[item.name]
+
+    def get_forward_sequence(self, params: Sequence[ParamItem] | None = None) -> Children:
+        """The children of a call in the order of execution."""
+        if params is not None:
+            return self.get_children_by_params(params)
+        if self.random_apply is None:
+            return self.named_children()
+        return self.get_random_forward_sequence()
+
+    def get_random_forward_sequence(
+        self, with_mix: bool = True, seed: Seed = None, generator: Generator | None = None
+    ) -> Children:
+        """Children drawn as `random_apply` says, at most one of which mixes samples."""
+        children = list(self.named_children())
+        op = type(self).__name__
+        keys = draw_keys(op, 1, torch.device("cpu"), seed, generator or self.generator)
+        key = keys.on_host(op)[0]
+        low, high = self.random_apply or (len(children), len(children) + 1)
+        words = (unit(philox(key, (i, 0, 0, _CHOICE))[0]) for i in range(2 * (high + len(children)) + 2))
+        count = low + int(next(words) * (high - low))
+        weights = list(self.random_apply_weights or [1.0] * len(children))
+        chosen: list[tuple[str, nn.Module]] = []
+        left, mixed = list(weights), False
+        for _ in range(count):
+            if sum(left) == 0:  # with replacement
+                left = list(weights)
+            at = _pick(left, next(words))
+            left[at] = 0.0
+            mixes = getattr(children[at][1], "mixes_samples", False)
+            if mixes and (mixed or not with_mix):
+                continue
+            mixed = mixed or mixes
+            chosen.append(children[at])
+        return iter(chosen)
+
+    # --- execution ---
+
+    def transform_tensor(self, input: Tensor) -> Tensor:
+        """The input as a batch: (H, W) and (C, H, W) become (1, C, H, W)."""
+        if not isinstance(input, Tensor):
+            raise TypeCheckError(f"{type(self).__name__}: expected input to be a Tensor, got {type(input).__name__}")
+        axes = max((m.axes for m in self.modules() if isinstance(m, AugmentationBase)), default=3)
+        if not axes - 1 <= input.dim() <= axes + 1:
+            raise ShapeError(f"{type(self).__name__}: expected input with {axes - 1} to {axes + 1} axes, got {tuple(input.shape)}")
+        while input.dim() < axes + 1:
+            input = input[None]
+        return input
+
+    def _children_of_call(self, params: Sequence[ParamItem] | None, source: Randomness) -> list[Child]:
+        if params is not None:
+            by_name = self.get_children_by_params(params)
+            return [Child(name, module, item.data) for (name, module), item in zip(by_name, params)]
+        if self.random_apply is None:
+            sequence = self.get_forward_sequence()
+        else:
+            sequence = self.get_random_forward_sequence(seed=source.seed, generator=source.generator)
+        return [Child(name, module) for name, module in sequence]
+
+    def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> Tensor:
+        """Run the children on images (B, C, H, W) and keep what the call did."""
+        children = self._children_of_call(params, source)
+        self._shape = tuple(x.shape)
+        x, self._stages = execute(x, children, source)
+        self._executed, self._given_params = children, None
+        return x
+
+    def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:
+        y = self._execute(x, params, source._replace(once=source.once or self.resample == "once"))
+        return y, Applied(self, None, {"stages": self._stages})
+
+    def _source(self, seed: Seed, generator: Generator | None) -> Randomness:
+        return Randomness(type(self).__name__, seed, generator or self.generator, self.resample == "once")
+
+    @property
+    def _params(self) -> list[ParamItem]:
+        """The names and parameters of the children of the last call, in its order."""
+        if self._given_params is None:
+            self._given_params = [
+                ParamItem(child.name, getattr(child.module, "_params", None)) for child in self._executed
+            ]
+        return self._given_params
+
+    @_params.setter
+    def _params(self, params: list[ParamItem]) -> None:
+        self._given_params, self._executed = params, []
+
+    def forward(
+        self,
+        input: Tensor,
+        params: Sequence[ParamItem] | None = None,
+        extra_args: dict[Any, Any] | None = None,
+        *,
+        seed: Seed = None,
+        generator: Generator | None = None,
+    ) -> Tensor:
+        """Augment images.
+
+        Args:
+            input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8.
+            params: the `_params` of an earlier call, to repeat it on these images.
+            extra_args: accepted for code written for Kornia.
+            seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
+            generator: draws the keys of this call; default: that of the constructor, or torch's.
+
+        Returns:
+            Images (B, C, h, w) of the type of `input`.
+
+        Raises:
+            TypeError: `input` is no tensor of a floating-point type or uint8.
+            ValueError: `input` has another number of axes; `params` names a child that there is not.
+        """
+        x = self.transform_tensor(input)
+        y = self._execute(x, params, self._source(seed, generator))
+        return self._restored(y, input)
+
+    def _restored(self, y: Tensor, input: Tensor) -> Tensor:
+        keeps = self.keepdim
+        if keeps is None:
+            augmentations = [m for m in self.children() if isinstance(m, AugmentationBase)]
+            keeps = bool(augmentations) and all(m.keepdim for m in augmentations)
+        return y.reshape(y.shape[y.dim() - input.dim() :]) if keeps and y.dim() > input.dim() else y
+
+    # --- matrices and the inverse ---
+
+    @property
+    def transform_matrix(self) -> Tensor | None:
+        """The product (B, 3, 3) of the matrices of the last call; None before the first one."""
+        return None if self._shape is None else _product(self._shape, self._stages)
+
+    def get_transformation_matrix(
+        self,
+        input: Tensor,
+        params: Sequence[ParamItem] | None = None,
+        recompute: bool = False,
+        extra_args: dict[Any, Any] | None = None,
+    ) -> Tensor | None:
+        """The product (B, 3, 3) of the matrices of a call on `input`: the last one, or that of the given parameters."""
+        if params is None and not recompute:
+            return self.transform_matrix
+        x = self.transform_tensor(input)
+        children = self._children_of_call(self._params if params is None else params, self._source(None, None))
+        return _product(tuple(x.shape), execute(x, children, self._source(None, None))[1])
+
+    def inverse(
+        self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
+    ) -> Tensor:
+        """Undo the geometric part of a call, the last one unless parameters are given.
+
+        Args:
+            input: images (B, C, h, w) as that call returned them.
+            params: the `_params` of the call.
+            extra_args: accepted for code written for Kornia.
+
+        Returns:
+            Images of the size that the input had; 0 where the result knows nothing of them.
+        """
+        x = self.transform_tensor(input)
+        if params is not None:
+            shape = _input_shape(params)
+            image = x.new_zeros(1).expand(shape if shape is not None else tuple(x.shape))
+            children = self._children_of_call(params, self._source(None, None))
+            stages = execute(image, children, self._source(None, None))[1]
+        else:
+            stages = self._stages
+        return self._restored(invert(x, stages), input)
+
+    def is_intensity_only(self, strict: bool = True) -> bool:
+        """Whether all children leave pixels in their places; other modules count as moving them if `strict`."""
+        for module in self.children():
+            if isinstance(module, ImageSequential):
+                if not module.is_intensity_only(strict):
+                    return False
+            elif isinstance(module, (IntensityAugmentationBase2D, IntensityAugmentationBase3D)):
+                continue
+            elif isinstance(module, AugmentationBase) or strict:
+                return False
+        return True
+
+    def forward_parameters(self, batch_shape: Sequence[int]) -> list[ParamItem]:
+        """Draw the parameters of a call on images of a shape, without executing it."""
+        shape, items = tuple(batch_shape), []
+        for name, module in self.get_forward_sequence():
+            data = module.forward_parameters(shape) if hasattr(module, "forward_parameters") else None
+            if isinstance(module, GeometricAugmentationBase2D):
+                shape = (*shape[:2], *module.output_size(shape, module.flags))
+            items.append(ParamItem(name, data))
+        return items
+
+
+_CHOICE = 1 << 20  # the position in the chain of draws that choose children
+
+
+def _pick(weights: Sequence[float], u: float) -> int:
+    """The index at which the sum of weights passes `u` of the total."""
+    target, total = u * sum(weights), 0.0
+    for i, weight in enumerate(weights):
+        total += weight
+        if target < total:
+            return i
+    return max(i for i, weight in enumerate(weights) if weight)
+
+
+def _input_shape(params: Sequence[ParamItem]) -> tuple[int, ...] | None:
+    """The shape of the images of a call."""
+    for item in params:
+        if isinstance(item.data, dict) and "forward_input_shape" in item.data:
+            return tuple(int(n) for n in item.data["forward_input_shape"])
+        if isinstance(item.data, (list, tuple)):
+            return _input_shape(item.data)
+    return None
+
+
+def _product(shape: tuple[int, ...], stages: Sequence[Stage]) -> Tensor:
+    """The product of the matrices of stages, of which the first one was executed first."""
+    axes = len(shape) - 1
+    matrix = torch.eye(axes).expand(shape[0], axes, axes)
+    for stage in stages:
+        if isinstance(stage, Warp):
+            own = stage.matrix
+        elif stage.execution is not None and isinstance(stage.module, AugmentationBase):
+            own = stage.module._matrix(stage.execution)
+        elif "stages" in stage.flags:
+            own = _product(shape, stage.flags["stages"])
+        else:
+            continue
+        matrix = own @ matrix.to(own)
+    return matrix
+
+
+def invert(x: Tensor, stages: Sequence[Stage]) -> Tensor:
+    """Undo what stages did to the positions of pixels, the last one first."""
+    for stage in reversed(stages):
+        if isinstance(stage, Warp):
+            resampling = stage.resampling._replace(padding="zeros", fill=None)
+            x = warp(x, stage.matrix.to(x.device), stage.source, resampling, inverse=False)
+        elif "stages" in stage.flags:
+            x = invert(x, stage.flags["stages"])
+        elif isinstance(stage.module, GeometricAugmentationBase2D) and stage.execution is not None:
+            matrix, size = stage.module._matrix(stage.execution), tuple(stage.execution.shape[-2:])
+            x = stage.module.inverse_transform(x, stage.flags, matrix, size)  # type: ignore[arg-type]  # two sizes
+        elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
+            stage.module._execution = stage.execution
+            x = stage.module.inverse(x)
+    return x

@@ -1,0 +1,271 @@
+"""How containers execute: neighbors are joined into few passes over the images.
+
+A run of augmentations draws all its parameters in one launch. Then
+
+    neighboring color steps               become one color program
+    flips, quarter turns and whole-pixel crops, with at most one resampling that interpolates,  become one warp
+    everything else                       runs by itself
+
+What is computed is what the augmentations compute one after the other, up to rounding. With `resample="once"` all neighboring
+geometric augmentations become one warp, which interpolates once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Generator, Tensor, nn
+
+from kvision.augmentation.base import AugmentationBase, Execution
+from kvision.augmentation.columns import draw_columns
+from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Resampling, warp
+from kvision.augmentation.intensity_base import (
+    ColorPart,
+    IntensityAugmentationBase2D,
+    color_part,
+    fits_one_program,
+    run_color,
+)
+from kvision.augmentation.keys import Keys, Seed, draw_keys
+from kvision.augmentation.transforms import Transform, transform_matrix
+
+
+class Child(NamedTuple):
+    """A child of a container that is executed, with the parameters that it replays, if any."""
+
+    name: str
+    module: nn.Module
+    params: Any = None
+
+
+class Warp(NamedTuple):
+    """Neighboring geometric augmentations that were executed as one warp."""
+
+    matrix: Tensor
+    source: tuple[int, int]
+    size: tuple[int, int]
+    resampling: Resampling
+
+
+class Applied(NamedTuple):
+    """A module that ran by itself; an augmentation with its execution."""
+
+    module: nn.Module
+    execution: Execution | None
+    flags: dict[str, Any]
+
+
+Stage = Warp | Applied  # what masks, boxes and points have to follow
+
+
+class Randomness(NamedTuple):
+    """Where the children of one call take their keys from; under a seed, the position of the next one in the chain."""
+
+    op: str
+    seed: Seed
+    generator: Generator | None
+    once: bool  # one resampling for neighboring geometric augmentations
+
+
+def execute(x: Tensor, children: Sequence[Child], source: Randomness, position: int = 0) -> tuple[Tensor, list[Stage]]:
+    """Run children on images (B, C, H, W); gives the result and what labels have to follow."""
+    stages: list[Stage] = []
+    for run in _runs(children):
+        if isinstance(run[0].module, AugmentationBase):
+            x, more = _execute_run(x, run, source, position)
+            stages += more
+        else:
+            x, stage = _execute_module(x, run[0], source)
+            stages.append(stage)
+        position += len(run)
+    return x, stages
+
+
+def _runs(children: Iterable[Child]) -> list[list[Child]]:
+    """Split children into augmentations that draw together, and modules that run by themselves."""
+    runs: list[list[Child]] = []
+    for child in children:
+        replays = child.params is not None
+        if (
+            runs
+            and replays == (runs[-1][-1].params is not None)
+            and _has_known_size(child)
+            and _has_known_size(runs[-1][-1])
+        ):
+            runs[-1].append(child)
+        else:
+            runs.append([child])
+    return runs
+
+
+def _has_known_size(child: Child) -> bool:
+    """Whether the size of the result is known before the augmentation runs."""
+    return isinstance(child.module, AugmentationBase) and not child.module._is_customized()
+
+
+def _execute_module(x: Tensor, child: Child, source: Randomness) -> tuple[Tensor, Stage]:
+    """A module that is no augmentation: another container, or any nn.Module of images."""
+    module = child.module
+    if hasattr(module, "_execute_nested"):
+        return module._execute_nested(x, child.params, source)
+    return module(x), Applied(module, None, {})
+
+
+# --- runs of augmentations ------------------------------------------------------------------------------------------
+
+
+def _execute_run(x: Tensor, run: Sequence[Child], source: Randomness, position: int) -> tuple[Tensor, list[Stage]]:
+    modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
+    if run[0].params is not None:
+        executions = _replay(x, run)
+    else:
+        executions = _draw(x, modules, source, position)
+    pending = _Pending(x, source.once)
+    for module, execution in zip(modules, executions):
+        execution.shape = (x.shape[0], *pending.shape[1:])
+        module._execution = execution
+        pending.add(module, execution)
+    return pending.finish()
+
+
+def _replay(x: Tensor, run: Sequence[Child]) -> list[Execution]:
+    """The executions of augmentations with given parameters."""
+    executions, image = [], x
+    for child in run:
+        module: AugmentationBase = child.module  # type: ignore[assignment]  # by _runs
+        execution = module._from_params(child.params, image)
+        if execution.applied and isinstance(module, GeometricAugmentationBase2D):
+            image = image[:1, :1, :1, :1].expand(*image.shape[:2], *module.output_size(execution.shape, module.flags))
+        executions.append(execution)
+    return executions
+
+
+def _draw(x: Tensor, modules: Sequence[AugmentationBase], source: Randomness, position: int) -> list[Execution]:
+    """The executions of augmentations, whose parameters are drawn by one launch."""
+    shape = tuple(x.shape)
+    shapes, requests = [], []
+    # What changes sizes by chance decides with its key on the host, before the parameters of those after it are planned.
+    keys: Keys | None = None
+    count = sum(m.p > 0 and m.p_batch > 0 and m._request(shape) is not None for m in modules)
+    if count:
+        keys = draw_keys(source.op, count, x.device, source.seed, source.generator)
+    index, indices, applied = 0, [], []
+    for module in modules:
+        request = module._request(shape) if module.p > 0 and module.p_batch > 0 else None
+        applies = module._applies(keys if request is not None else None, position + index if keys and keys.one_key else index)
+        shapes.append(shape)
+        applied.append(applies)
+        indices.append(index if request is not None else None)
+        if request is not None:
+            requests.append(request)
+            index += 1
+        if applies and isinstance(module, GeometricAugmentationBase2D):
+            shape = (*shape[:2], *module.output_size(shape, module.flags))
+    first = position if keys is not None and keys.one_key else 0
+    columns = draw_columns(x, keys, requests, first) if keys is not None and requests else []
+    executions = []
+    for at, i, applies in zip(shapes, indices, applied):
+        execution = Execution(at, None if i is None else columns[i], None, applies)
+        if i is not None and keys is not None:
+            execution.redraw = (keys, first + i)
+        executions.append(execution)
+    return executions
+
+
+class _Pending:
+    """Images, and the neighboring augmentations that wait to be executed on them together."""
+
+    def __init__(self, x: Tensor, once: bool) -> None:
+        self.x, self.once = x, once
+        self.stages: list[Stage] = []
+        self.colors: list[ColorPart] = []
+        self.geometric: list[tuple[GeometricAugmentationBase2D, Execution]] = []
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of the images after what is pending."""
+        shape = tuple(self.x.shape)
+        for module, _ in self.geometric:
+            shape = (*shape[:2], *module.output_size(shape, module.flags))
+        return shape
+
+    def add(self, module: AugmentationBase, execution: Execution) -> None:
+        if not execution.applied:
+            return
+        customized = (execution.params is not None and execution.columns is None) or module._is_customized()
+        if not customized and isinstance(module, IntensityAugmentationBase2D):
+            part = color_part(module, execution, module.flags)
+            if part is not None:
+                self._flush_geometric()
+                if not fits_one_program([*self.colors, part]):
+                    self._flush_colors()
+                self.colors.append(part)
+                return
+        self._flush_colors()
+        if not customized and isinstance(module, GeometricAugmentationBase2D):
+            if module.transforms(execution.shape, module.flags) is not None:
+                if self.geometric and not self._joins(module):
+                    self._flush_geometric()
+                self.geometric.append((module, execution))
+                return
+        self._flush_geometric()
+        self.x = module._run(self.x, execution, module.flags)
+        self.stages.append(Applied(module, execution, module.flags))
+
+    def _joins(self, module: GeometricAugmentationBase2D) -> bool:
+        """Whether one warp gives what the pending ones and then `module` give."""
+        if self.once:
+            return True
+        if all(m.permutes_pixels for m, _ in self.geometric):
+            return True
+        return module.moves_whole_pixels and module.stays_inside
+
+    def _flush_colors(self) -> None:
+        if self.colors:
+            self.x = run_color(self.x, self.colors)
+            self.colors = []
+
+    def _flush_geometric(self) -> None:
+        pending, self.geometric = self.geometric, []
+        if not pending:
+            return
+        if len(pending) == 1:
+            module, execution = pending[0]
+            self.x = module._run(self.x, execution, module.flags)
+            self.stages.append(Applied(module, execution, module.flags))
+            return
+        source = (self.x.shape[-2], self.x.shape[-1])
+        drawn, chain = _joined(self.x, pending)
+        matrix = transform_matrix(drawn, chain)
+        last, execution = pending[-1]
+        size = last.output_size(execution.shape, last.flags)
+        interpolating = [m for m, _ in pending if not m.moves_whole_pixels]
+        resampling = (interpolating or [last])[0].resampling((interpolating or [last])[0].flags)
+        self.x = warp(self.x, matrix, size, resampling)
+        self.stages.append(Warp(matrix, source, size, resampling))
+
+    def finish(self) -> tuple[Tensor, list[Stage]]:
+        self._flush_geometric()
+        self._flush_colors()
+        return self.x, self.stages
+
+
+def _joined(
+    x: Tensor, pending: Sequence[tuple[GeometricAugmentationBase2D, Execution]]
+) -> tuple[Tensor, list[Transform]]:
+    """The chain of several augmentations, and the tensor that has the columns of all."""
+    chain: list[Transform] = []
+    tensors: list[Tensor] = []
+    for module, execution in pending:
+        drawn, own = module._chain(x, execution, module.flags)
+        first = 0
+        for t in tensors:
+            if t is drawn:
+                break
+            first += t.shape[1]
+        else:
+            tensors.append(drawn)
+        chain += [t.moved(first) for t in own]
+    return (torch.cat(tensors, 1) if len(tensors) > 1 else tensors[0]), chain

@@ -1,0 +1,112 @@
+"""Masks, boxes, key points and class labels that follow the images they belong to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision.core.exceptions import ShapeError, TypeCheckError
+
+# Boxes and points become points (B, M, 2) in coordinates of pixel centers, move with the image, and become boxes again.
+Mover = Callable[[Tensor], Tensor]
+
+# How far the corners of a box are from the centers of its outermost pixels. xyxy and xywh, as COCO has them, end at the edges
+# of pixels: the first pixel's center, 0, is half a pixel from its left edge, 0. The far corner of xyxy_plus is a pixel.
+_OFFSETS = {"xyxy": (-0.5, -0.5), "xywh": (-0.5, -0.5), "xyxy_plus": (-0.5, 0.5)}
+
+
+def move_points(points: Any, move: Mover) -> Any:
+    """Key points (B, N, 2), (N, 2) or a list of (N, 2), of any floating-point type."""
+    if isinstance(points, (list, tuple)):
+        padded, sizes = _pad(points)
+        moved = move_points(padded, move)
+        return type(points)(m[:n] for m, n in zip(moved, sizes))
+    if hasattr(points, "transform_keypoints"):  # kvision.geometry.keypoints.Keypoints
+        moved = points.clone()
+        moved._data = move_points(points._data, move)
+        return moved
+    _floating("keypoints", points)
+    if points.shape[-1] != 2 or points.dim() not in (2, 3):
+        raise ShapeError(f"AugmentationSequential: expected keypoints of shape (B, N, 2), got {tuple(points.shape)}")
+    batch = points if points.dim() == 3 else points[None]
+    return _keeping_type(batch, move).reshape(points.shape)
+
+
+def move_boxes(boxes: Any, mode: str, move: Mover) -> Any:
+    """Boxes of a mode: vertices (B, N, 4, 2), or (B, N, 4); without the batch, or a list of those."""
+    if isinstance(boxes, (list, tuple)):
+        padded, sizes = _pad(boxes)
+        moved = move_boxes(padded, mode, move)
+        return type(boxes)(m[:n] for m, n in zip(moved, sizes))
+    if hasattr(boxes, "transform_boxes"):  # kvision.geometry.boxes.Boxes
+        moved = boxes.clone()
+        moved._data = move_boxes(boxes._data, "vertices", move)
+        return moved
+    if not isinstance(boxes, Tensor):
+        raise TypeCheckError(f"AugmentationSequential: expected boxes to be a Tensor, got {type(boxes).__name__}")
+    trailing = (4, 2) if mode == "vertices" else (4,)
+    if boxes.shape[-len(trailing) :] != trailing or boxes.dim() not in (1 + len(trailing), 2 + len(trailing)):
+        raise ShapeError(
+            f"AugmentationSequential: expected boxes of shape (B, N, {', '.join(map(str, trailing))}), "
+            f"got {tuple(boxes.shape)}"
+        )
+    batch = boxes if boxes.dim() == 2 + len(trailing) else boxes[None]
+    values = batch if batch.is_floating_point() else batch.double()
+    if mode == "vertices":
+        b, n = batch.shape[:2]
+        moved = _keeping_type(values.reshape(b, n * 4, 2), move).reshape(b, n, 4, 2)
+        return _as_type(_upright(moved), boxes)
+    near, far = _OFFSETS[mode]
+    x, y, right, bottom = values.unbind(-1)
+    if mode == "xywh":
+        right, bottom = x + right, y + bottom
+    x, y, right, bottom = x + near, y + near, right + far, bottom + far
+    corners = torch.stack([x, y, right, y, right, bottom, x, bottom], -1)
+    b, n = corners.shape[:2]
+    moved = _keeping_type(corners.reshape(b, n * 4, 2), move).reshape(b, n, 4, 2)
+    first, last = (moved.amin(2), moved.amax(2)) if n else (moved[:, :, 0], moved[:, :, 0])
+    first, last = first - near, last - far
+    second = last - first if mode == "xywh" else last
+    return _as_type(torch.cat([first, second], -1), boxes)
+
+
+def _as_type(moved: Tensor, boxes: Tensor) -> Tensor:
+    moved = moved.reshape(boxes.shape)
+    return moved if boxes.is_floating_point() else moved.round().to(boxes.dtype)
+
+
+def _upright(vertices: Tensor) -> Tensor:
+    """The corners of boxes that a flip has turned over, beginning top left again and going clockwise."""
+    first, second, _, last = vertices.unbind(-2)
+    along, down = second - first, last - first
+    turned_over = along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0] < 0
+    vertices = torch.where(turned_over[..., None, None], vertices.flip(-2), vertices)
+    start = vertices.sum(-1).argmin(-1)
+    index = (start[..., None] + torch.arange(4, device=vertices.device)) % 4
+    return vertices.gather(-2, index[..., None].expand(*index.shape, 2))
+
+
+def _pad(parts: Sequence[Tensor]) -> tuple[Tensor, list[int]]:
+    """Boxes or points of each image, padded to the same number."""
+    sizes = [len(part) for part in parts]
+    padded = parts[0].new_zeros(len(parts), max(sizes, default=0), *parts[0].shape[1:])
+    for row, part in zip(padded, parts):
+        row[: len(part)] = part
+    return padded, sizes
+
+
+def _floating(name: str, x: Any) -> None:
+    if not isinstance(x, Tensor):
+        raise TypeCheckError(f"AugmentationSequential: expected {name} to be a Tensor, got {type(x).__name__}")
+    if not x.is_floating_point():
+        raise TypeCheckError(f"AugmentationSequential: expected {name} of a floating-point type, got {x.dtype}")
+
+
+def _keeping_type(points: Tensor, move: Mover) -> Tensor:
+    """Move points in float32 or float64, which the formulas take."""
+    if 0 in points.shape:
+        return points
+    return move(points if points.dtype == torch.float64 else points.float()).to(points.dtype)

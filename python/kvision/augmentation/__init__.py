@@ -1,35 +1,97 @@
 """Random augmentation of images with their masks, boxes, key points and labels."""
 
 from kvision.augmentation import container, draws, random_generator
-from kvision.augmentation.affine import RandomAffine
+from kvision.augmentation.adjustments import (
+    RandomBrightness,
+    RandomContrast,
+    RandomGamma,
+    RandomGrayscale,
+    RandomHue,
+    RandomInvert,
+    RandomPosterize,
+    RandomRGBShift,
+    RandomSaturation,
+    RandomSolarize,
+)
+from kvision.augmentation.affine import RandomAffine, RandomRotation, RandomRotation90, RandomShear, RandomTranslate
 from kvision.augmentation.base import (
     AugmentationBase2D,
     AugmentationBase3D,
     RigidAffineAugmentationBase2D,
     RigidAffineAugmentationBase3D,
 )
-from kvision.augmentation.color_jitter import ColorJitter
+from kvision.augmentation.channels import RandomChannelDropout, RandomChannelShuffle, RandomPlanckianJitter
+from kvision.augmentation.color_jitter import ColorJiggle, ColorJitter
 from kvision.augmentation.container import AugmentationSequential, ImageSequential
+from kvision.augmentation.crop import CenterCrop, RandomCrop, RandomResizedCrop
+from kvision.augmentation.filters import (
+    RandomAutoContrast,
+    RandomBoxBlur,
+    RandomClahe,
+    RandomEqualize,
+    RandomGaussianBlur,
+    RandomJPEG,
+    RandomMedianBlur,
+    RandomMotionBlur,
+    RandomSharpness,
+)
 from kvision.augmentation.flip import RandomHorizontalFlip, RandomVerticalFlip
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
 from kvision.augmentation.normalize import Normalize
+from kvision.augmentation.perspective import RandomPerspective
+from kvision.augmentation.resize import LongestMaxSize, PadTo, Resize, SmallestMaxSize
 
 __all__ = [
     "AugmentationBase2D",
     "AugmentationBase3D",
     "AugmentationSequential",
+    "CenterCrop",
+    "ColorJiggle",
     "ColorJitter",
     "GeometricAugmentationBase2D",
     "ImageSequential",
     "IntensityAugmentationBase2D",
     "IntensityAugmentationBase3D",
+    "LongestMaxSize",
     "Normalize",
+    "PadTo",
     "RandomAffine",
+    "RandomAutoContrast",
+    "RandomBoxBlur",
+    "RandomBrightness",
+    "RandomChannelDropout",
+    "RandomChannelShuffle",
+    "RandomClahe",
+    "RandomContrast",
+    "RandomCrop",
+    "RandomEqualize",
+    "RandomGamma",
+    "RandomGaussianBlur",
+    "RandomGrayscale",
     "RandomHorizontalFlip",
+    "RandomHue",
+    "RandomInvert",
+    "RandomJPEG",
+    "RandomMedianBlur",
+    "RandomMotionBlur",
+    "RandomPerspective",
+    "RandomPlanckianJitter",
+    "RandomPosterize",
+    "RandomRGBShift",
+    "RandomResizedCrop",
+    "RandomRotation",
+    "RandomRotation90",
+    "RandomSaturation",
+    "RandomSharpness",
+    "RandomShear",
+    "RandomSolarize",
+    "RandomTranslate",
     "RandomVerticalFlip",
+    "Resize",
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",
+    "SmallestMaxSize",
     "container",
     "random_generator",
 ]

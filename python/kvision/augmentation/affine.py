@@ -7,12 +7,16 @@ from typing import Any
 
 from kvision.augmentation import transforms
 from kvision.augmentation.base import Shape
+from kvision.augmentation.draws import Draw
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
-from kvision.augmentation.random_generator.affine import AffineGenerator
+from kvision.augmentation.random_generator.affine import AffineGenerator, ShearGenerator, TranslateGenerator
+from kvision.augmentation.random_generator.base import RandomGeneratorBase
+from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.transforms import Transform
 from kvision.constants import Resample, SamplePadding
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
-__all__ = ["RandomAffine"]
+__all__ = ["RandomAffine", "RandomRotation", "RandomRotation90", "RandomShear", "RandomTranslate"]
 
 
 class RandomAffine(GeometricAugmentationBase2D):
@@ -59,20 +63,218 @@ class RandomAffine(GeometricAugmentationBase2D):
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator: AffineGenerator = AffineGenerator(degrees, translate, scale, shear)
-        self.flags = {
-            "resample": Resample.get(resample),
-            "padding_mode": SamplePadding.get(padding_mode),
-            "align_corners": align_corners,
-            "fill_value": fill_value,
-        }
+        self.flags = {**_flags(resample, padding_mode, align_corners), "fill_value": fill_value}
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        height, width = shape[-2:]
         chain = transforms.affine(
-            ((width - 1) / 2, (height - 1) / 2),
+            _center(shape),
             angle=0,
             translation=(1, 2),
             scale=self._param_generator.scale_columns,
             shear=(5, 6),
         )
         return [chain]
+
+
+class RandomRotation(GeometricAugmentationBase2D):
+    """Rotate images about their center.
+
+    Args:
+        degrees: angle, positive counter-clockwise: a number s for -s to s, or a pair.
+        resample: 'nearest', 'bilinear' or 'bicubic'.
+        same_on_batch: all samples get the same parameters.
+        align_corners: accepted for code written for Kornia; pixels outside of the image are 0.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: `degrees` has another form, or is not within -360 and 360.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomRotation((90.0, 90.0), p=1.0)(torch.tensor([[[[1.0, 2.0], [3.0, 4.0]]]]))
+        tensor([[[[2., 4.],
+                  [1., 3.]]]])
+    """
+
+    def __init__(
+        self,
+        degrees: Any,
+        resample: str | int | Resample = Resample.BILINEAR.name,
+        same_on_batch: bool = False,
+        align_corners: bool = True,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = PlainUniformGenerator((degrees, "degrees", 0.0, (-360.0, 360.0)), op="RandomRotation")
+        self.flags = {"resample": Resample.get(resample), "align_corners": align_corners}
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+        return [transforms.affine(_center(shape), angle=0)]
+
+
+class RandomShear(GeometricAugmentationBase2D):
+    """Shear images about their center.
+
+    Args:
+        shear: degrees: a number s for -s to s along x, a pair along x, or four numbers, a pair for x and one for y.
+        resample: 'nearest', 'bilinear' or 'bicubic'.
+        same_on_batch: all samples get the same parameters.
+        align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
+        padding_mode: values out of bounds: 'zeros', 'border' or 'reflection'.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: `shear` has another form, or is not within -360 and 360.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> shear = K.augmentation.RandomShear((45.0, 45.0), p=1.0)
+        >>> shear(torch.tensor([[[[1.0, 2, 3], [4, 5, 6], [7, 8, 9]]]]))
+        tensor([[[[0., 1., 2.],
+                  [4., 5., 6.],
+                  [8., 9., 0.]]]])
+    """
+
+    def __init__(
+        self,
+        shear: Any,
+        resample: str | int | Resample = Resample.BILINEAR.name,
+        same_on_batch: bool = False,
+        align_corners: bool = False,
+        padding_mode: str | int | SamplePadding = SamplePadding.ZEROS.name,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = ShearGenerator(shear)
+        self.flags = _flags(resample, padding_mode, align_corners)
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+        return [transforms.affine(_center(shape), shear=(0, 1))]
+
+
+class RandomTranslate(GeometricAugmentationBase2D):
+    """Shift images.
+
+    Args:
+        translate_x: a pair, as fractions of the width; None for no shift.
+        translate_y: a pair, as fractions of the height; None for no shift.
+        resample: 'nearest', 'bilinear' or 'bicubic'.
+        same_on_batch: all samples get the same parameters.
+        align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
+        padding_mode: values out of bounds: 'zeros', 'border' or 'reflection'.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or not within -1 and 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomTranslate((0.5, 0.5), p=1.0)(torch.tensor([[[[1.0, 2, 3, 4]]]]))
+        tensor([[[[0., 0., 1., 2.]]]])
+    """
+
+    def __init__(
+        self,
+        translate_x: Any = None,
+        translate_y: Any = None,
+        resample: str | int | Resample = Resample.BILINEAR.name,
+        same_on_batch: bool = False,
+        align_corners: bool = False,
+        padding_mode: str | int | SamplePadding = SamplePadding.ZEROS.name,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = TranslateGenerator(translate_x, translate_y)
+        self.flags = _flags(resample, padding_mode, align_corners)
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+        return [transforms.affine(_center(shape), translation=(0, 1))]
+
+
+class _TurnGenerator(RandomGeneratorBase):
+    """Draws a number of quarter turns."""
+
+    fields = (("times", 0),)
+
+    def __init__(self, times: Any) -> None:
+        super().__init__()
+        values = times.tolist() if hasattr(times, "tolist") else times
+        if not isinstance(values, (tuple, list)) or len(values) != 2 or any(v != int(v) for v in values):
+            raise TypeCheckError(f"RandomRotation90: expected times to be a pair of ints, got {times!r}")
+        low, high = (int(v) for v in values)
+        if not -3 <= low <= high <= 3:
+            raise ValueCheckError(f"RandomRotation90: expected times in ascending order within -3 and 3, got {times!r}")
+        self._times = low, high
+
+    # The columns are angles, the parameters quarter turns.
+
+    def draws(self, shape: Sequence[int]) -> Sequence[Draw]:
+        low, high = self._times
+        return [Draw("integer", (90 * low, 90, high - low + 1, 0))]
+
+    def to_params(self, columns: Any, shape: Sequence[int]) -> dict[str, Any]:
+        return {"times": columns[:, 0] / 90}
+
+    def to_columns(self, params: dict[str, Any], shape: Sequence[int]) -> Any:
+        return params["times"][:, None] * 90
+
+
+class RandomRotation90(GeometricAugmentationBase2D):
+    """Turn images by quarters about their center; square images exactly.
+
+    Args:
+        times: lowest and highest number of quarter turns counter-clockwise, within -3 and 3.
+        resample: 'nearest', 'bilinear' or 'bicubic', for images whose sides differ by an odd number.
+        same_on_batch: all samples get the same parameters.
+        align_corners: accepted for code written for Kornia; pixels outside of the image are 0.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError: `times` is no pair of ints.
+        ValueError: `times` is not ascending, or not within -3 and 3.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomRotation90((1, 1), p=1.0)(torch.tensor([[[[1.0, 2.0], [3.0, 4.0]]]]))
+        tensor([[[[2., 4.],
+                  [1., 3.]]]])
+    """
+
+    def __init__(
+        self,
+        times: Any,
+        resample: str | int | Resample = Resample.BILINEAR.name,
+        same_on_batch: bool = False,
+        align_corners: bool = True,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = _TurnGenerator(times)
+        self.flags = {"resample": Resample.get(resample), "align_corners": align_corners}
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+        return [transforms.affine(_center(shape), angle=0)]
+
+
+def _center(shape: Shape) -> tuple[float, float]:
+    return (shape[-1] - 1) / 2, (shape[-2] - 1) / 2
+
+
+def _flags(resample: Any, padding_mode: Any, align_corners: bool) -> dict[str, Any]:
+    return {
+        "resample": Resample.get(resample),
+        "padding_mode": SamplePadding.get(padding_mode),
+        "align_corners": align_corners,
+    }

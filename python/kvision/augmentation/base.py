@@ -219,9 +219,7 @@ class AugmentationBase(nn.Module):
         """Whether this augmentation is executed from columns, without parameters by name."""
         return False
 
-    def _columns_of(
-        self, params: Params, shape: Shape, device: torch.device, chosen: Tensor | None
-    ) -> Columns | None:
+    def _columns_of(self, params: Params, shape: Shape, device: torch.device, chosen: Tensor | None) -> Columns | None:
         """The columns that would have been drawn for given parameters."""
         if self._param_generator is None:
             values, draws = torch.empty(shape[0], 0, device=device), ()

@@ -7,10 +7,10 @@ from typing import Any
 
 from kvision.augmentation.base import Shape
 from kvision.augmentation.intensity_base import ColorStep, ColorSteps, IntensityAugmentationBase2D
-from kvision.augmentation.random_generator.color_jitter import ColorJitterGenerator
+from kvision.augmentation.random_generator.color_jitter import ColorJiggleGenerator, ColorJitterGenerator
 from kvision.core.exceptions import ValueCheckError
 
-__all__ = ["ColorJitter"]
+__all__ = ["ColorJiggle", "ColorJitter"]
 
 
 class ColorJitter(IntensityAugmentationBase2D):
@@ -47,16 +47,68 @@ class ColorJitter(IntensityAugmentationBase2D):
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
-        if order is not None and sorted(order) != [0, 1, 2, 3]:
-            raise ValueCheckError(f"ColorJitter: expected order to be a permutation of 0 to 3, got {order!r}")
+        _check_order("ColorJitter", order)
         self._param_generator = ColorJitterGenerator(brightness, contrast, saturation, hue, order)
 
     def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
-        clamp = 1.0
         steps = [
-            ColorStep("scale_shift", (0.0, 0.0, clamp), (0, -1, -1)),
+            ColorStep("scale_shift", (0.0, 0.0, 1.0), (0,)),  # clamped
             ColorStep("contrast", (0.0,), (1,)),
             ColorStep("saturation_gray", (0.0,), (2,)),
-            ColorStep("hue", (0.0,), (3,)),
+            ColorStep("hue", (0.0,), (4,)),
         ]
-        return ColorSteps(steps, range(4, 8))
+        return ColorSteps(steps, range(5, 9))
+
+
+class ColorJiggle(IntensityAugmentationBase2D):
+    """Change brightness, contrast, saturation and hue of RGB images in a random order, by the functions of kvision.enhance.
+
+    Brightness is added (a factor of 1 adds nothing), contrast is multiplied, saturation and hue change in HSV.
+
+    Args:
+        brightness, contrast, saturation: factors: a number s for max(0, 1 - s) to 1 + s, or a pair; brightness at most 2.
+        hue: turns: a number s for -s to s, or a pair, within -0.5 and 0.5.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+        order: a permutation of 0 to 3, for brightness, contrast, saturation, hue; None for a random one a sample.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds; `order` is no permutation.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> brighter = K.augmentation.ColorJiggle(brightness=(1.5, 1.5))
+        >>> brighter(torch.full((1, 3, 1, 1), 0.25)).flatten()
+        tensor([0.7500, 0.7500, 0.7500])
+    """
+
+    def __init__(
+        self,
+        brightness: Any = 0.0,
+        contrast: Any = 0.0,
+        saturation: Any = 0.0,
+        hue: Any = 0.0,
+        same_on_batch: bool = False,
+        p: float = 1.0,
+        keepdim: bool = False,
+        order: Sequence[int] | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        _check_order("ColorJiggle", order)
+        self._param_generator = ColorJiggleGenerator(brightness, contrast, saturation, hue, order)
+
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
+        steps = [
+            ColorStep("scale_shift", (1.0, 0.0, 1.0), (-1, 1)),
+            ColorStep("scale_shift", (0.0, 0.0, 1.0), (2,)),
+            ColorStep("saturation", (0.0,), (3,)),
+            ColorStep("hue", (0.0,), (5,)),
+        ]
+        return ColorSteps(steps, range(6, 10))
+
+
+def _check_order(op: str, order: Sequence[int] | None) -> None:
+    if order is not None and sorted(order) != [0, 1, 2, 3]:
+        raise ValueCheckError(f"{op}: expected order to be a permutation of 0 to 3, got {order!r}")

@@ -10,7 +10,9 @@ from torch import Tensor
 
 from kvision.augmentation.draws import MAX_DRAWS, MAX_NUMBERS, Draw, Request, draw_parameters, make_plan
 from kvision.augmentation.keys import Keys
-from kvision.augmentation.ranges import LearnedUniform
+from kvision.augmentation.ranges import LearnedPair, LearnedUniform
+
+Learned = LearnedUniform | LearnedPair
 
 
 class Columns(NamedTuple):
@@ -66,24 +68,29 @@ def _draw(images: Tensor, keys: Keys, requests: Sequence[Request], first: int) -
 _CHOSEN = Draw("chosen")
 
 
-def _with_learned(drawn: Tensor, draws: Sequence[Draw | LearnedUniform]) -> Tensor:
+def _with_learned(drawn: Tensor, draws: Sequence[Draw | Learned]) -> Tensor:
     """The columns, with those drawn from ranges that get gradients."""
-    if not any(isinstance(draw, LearnedUniform) for draw in draws):
+    if not any(isinstance(draw, Learned) for draw in draws):
         return drawn
     parts, first = [], 0
     for draw in draws:
         part = drawn[:, first : first + draw.columns]
-        parts.append(draw.value(part) if isinstance(draw, LearnedUniform) else part)
+        parts.append(draw.value(part) if isinstance(draw, Learned) else part)
         first += draw.columns
     return torch.cat(parts, 1)
 
 
-def identity_values(draws: Sequence[Draw | LearnedUniform]) -> list[float]:
+def identity_values(draws: Sequence[Draw | Learned]) -> list[float]:
     """What the columns of draws hold for samples that are not chosen."""
     values: list[float] = []
     for draw in draws:
-        if isinstance(draw, LearnedUniform):
+        if isinstance(draw, LearnedPair):
+            values += [draw.identity, draw.scale * draw.identity + draw.offset]
+        elif isinstance(draw, LearnedUniform):
             values.append(draw.identity)
+        elif draw.kind == "uniform_and_affine":
+            _, _, scale, offset, identity = draw.numbers
+            values += [identity, scale * identity + offset]
         elif draw.kind == "permutation":
             n, first, step = draw.numbers
             values += [first + step * i for i in range(int(n))]

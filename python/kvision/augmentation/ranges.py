@@ -28,6 +28,27 @@ class LearnedUniform(NamedTuple):
         return torch.where(drawn < 0, self.identity, value)
 
 
+def affine(x: Tensor, scale: float, offset: float) -> Tensor:
+    """scale * x + offset, rounded once to the type of x: the second column of `uniform_and_affine`."""
+    return (x.double() * scale + offset).to(x.dtype)
+
+
+class LearnedPair(NamedTuple):
+    """A :class:`LearnedUniform` whose value v is followed by scale * v + offset."""
+
+    range: Tensor
+    scale: float
+    offset: float
+    identity: float
+    kind: str = "uniform_and_affine"
+    numbers: tuple[float, ...] = (0.0, 1.0, 1.0, 0.0, -1.0)
+    columns: int = 2
+
+    def value(self, drawn: Tensor) -> Tensor:
+        first = LearnedUniform(self.range, 1.0, self.identity).value(drawn[:, :1])
+        return torch.cat([first, self.scale * first + self.offset], 1)
+
+
 class Range:
     """The lowest and the highest value of a parameter: two numbers, or a tensor (2,) that gets gradients."""
 
@@ -39,6 +60,12 @@ class Range:
         if self.tensor is not None:
             return LearnedUniform(self.tensor, scale, identity)
         return uniform(self.low * scale, self.high * scale, identity)
+
+    def uniform_and_affine(self, scale: float, offset: float, identity: float = 0.0) -> Draw | LearnedPair:
+        """A draw v from the range, followed by scale * v + offset, in two columns."""
+        if self.tensor is not None:
+            return LearnedPair(self.tensor, scale, offset, identity)
+        return Draw("uniform_and_affine", (self.low, self.high, scale, offset, identity))
 
     @property
     def is_zero(self) -> bool:

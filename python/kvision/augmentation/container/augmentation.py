@@ -96,7 +96,9 @@ class AugmentationSequential(ImageSequential):
             )
         self.data_keys = None if data_keys is None else self._keys(data_keys)
         if self.data_keys is not None and self.data_keys[0] != DataKey.INPUT:
-            raise ValueCheckError(f"AugmentationSequential: expected data_keys to begin with 'input', got {data_keys!r}")
+            raise ValueCheckError(
+                f"AugmentationSequential: expected data_keys to begin with 'input', got {data_keys!r}"
+            )
         self.transformation_matrix_mode = transformation_matrix_mode
         self.extra_args = {DataKey.MASK: {"resample": "nearest"}} if extra_args is None else extra_args
 
@@ -131,7 +133,9 @@ class AugmentationSequential(ImageSequential):
         """
         if len(args) == 1 and isinstance(args[0], Mapping):
             names = list(args[0])
-            outputs = self._call([_key(_without_suffix(name)) for name in names], list(args[0].values()), params, seed, generator)
+            outputs = self._call(
+                [_key(_without_suffix(name)) for name in names], list(args[0].values()), params, seed, generator
+            )
             return dict(zip(names, outputs))
         keys = self.data_keys if data_keys is None else self._keys(data_keys)
         if keys is None:
@@ -270,7 +274,9 @@ def _without_suffix(name: str) -> str:
     for key in known:
         if name.lower() == key or name.lower().startswith((f"{key}_", f"{key}-")):
             return key
-    raise ValueCheckError(f"AugmentationSequential: expected keys that begin with one of {', '.join(known)}, got {name!r}")
+    raise ValueCheckError(
+        f"AugmentationSequential: expected keys that begin with one of {', '.join(known)}, got {name!r}"
+    )
 
 
 def _move(points: Tensor, stages: Sequence[Stage]) -> Tensor:
@@ -300,7 +306,11 @@ def _move_back(points: Tensor, stages: Sequence[Stage]) -> Tensor:
 def _move_masks(masks: Tensor, stages: Sequence[Stage], mode: str | None) -> Tensor:
     for stage in stages:
         if isinstance(stage, Warp):
-            resampling = stage.resampling._replace(fill=None) if mode is None else stage.resampling._replace(mode=mode, fill=None)
+            resampling = (
+                stage.resampling._replace(fill=None)
+                if mode is None
+                else stage.resampling._replace(mode=mode, fill=None)
+            )
             if resampling.padding == "fill":
                 resampling = resampling._replace(padding="zeros")
             masks = warp_labels(masks, stage.matrix, stage.size, resampling)

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator, Tensor, nn
 
-from kvision.augmentation.base import AugmentationBase, AugmentationBase2D, Params
+from kvision.augmentation.base import AugmentationBase
 from kvision.augmentation.container.runs import Applied, Child, Randomness, Stage, Warp, execute
+from kvision.augmentation.draws import philox, unit
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
 from kvision.augmentation.keys import Seed, draw_keys
-from kvision.augmentation.draws import philox, unit
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = ["ImageSequential", "ImageSequentialBase", "ParamItem"]
@@ -177,7 +177,9 @@ class ImageSequential(ImageSequentialBase):
         modules = dict(self.named_children())
         for item in params:
             if item.name not in modules:
-                raise ValueCheckError(f"{type(self).__name__}: there is no child {item.name!r}, of which params has parameters")
+                raise ValueCheckError(
+                    f"{type(self).__name__}: there is no child {item.name!r}, of which params has parameters"
+                )
             yield item.name, modules[item.name]
 
     def get_forward_sequence(self, params: Sequence[ParamItem] | None = None) -> Children:
@@ -222,7 +224,9 @@ class ImageSequential(ImageSequentialBase):
             raise TypeCheckError(f"{type(self).__name__}: expected input to be a Tensor, got {type(input).__name__}")
         axes = max((m.axes for m in self.modules() if isinstance(m, AugmentationBase)), default=3)
         if not axes - 1 <= input.dim() <= axes + 1:
-            raise ShapeError(f"{type(self).__name__}: expected input with {axes - 1} to {axes + 1} axes, got {tuple(input.shape)}")
+            raise ShapeError(
+                f"{type(self).__name__}: expected input with {axes - 1} to {axes + 1} axes, got {tuple(input.shape)}"
+            )
         while input.dim() < axes + 1:
             input = input[None]
         return input

@@ -154,7 +154,9 @@ def _draw(x: Tensor, modules: Sequence[AugmentationBase], source: Randomness, po
     index, indices, applied = 0, [], []
     for module in modules:
         request = module._request(shape) if module.p > 0 and module.p_batch > 0 else None
-        applies = module._applies(keys if request is not None else None, position + index if keys and keys.one_key else index)
+        applies = module._applies(
+            keys if request is not None else None, position + index if keys and keys.one_key else index
+        )
         shapes.append(shape)
         applied.append(applies)
         indices.append(index if request is not None else None)

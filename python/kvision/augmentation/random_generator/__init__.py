@@ -1,5 +1,54 @@
 """Generators of random parameters: each knows the ranges of one augmentation and draws its parameters for a batch."""
 
+from kvision.augmentation.random_generator.affine import AffineGenerator, ShearGenerator, TranslateGenerator
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
+from kvision.augmentation.random_generator.color import (
+    ChannelDropoutGenerator,
+    ChannelShuffleGenerator,
+    PlanckianJitterGenerator,
+    PosterizeGenerator,
+)
+from kvision.augmentation.random_generator.color_jitter import ColorJiggleGenerator, ColorJitterGenerator
+from kvision.augmentation.random_generator.crop import (
+    CropGenerator,
+    ResizedCropGenerator,
+    ResizeGenerator,
+    center_crop_generator,
+)
+from kvision.augmentation.random_generator.filters import (
+    JPEGGenerator,
+    MotionBlurGenerator,
+    RandomGaussianBlurGenerator,
+)
+from kvision.augmentation.random_generator.perspective import PerspectiveGenerator
+from kvision.augmentation.random_generator.plain import (
+    DistributionWithMapper,
+    PlainUniformGenerator,
+    ProbabilityGenerator,
+    UniformDistribution,
+)
 
-__all__ = ["RandomGeneratorBase"]
+__all__ = [
+    "AffineGenerator",
+    "ChannelDropoutGenerator",
+    "ChannelShuffleGenerator",
+    "ColorJiggleGenerator",
+    "ColorJitterGenerator",
+    "CropGenerator",
+    "DistributionWithMapper",
+    "JPEGGenerator",
+    "MotionBlurGenerator",
+    "PerspectiveGenerator",
+    "PlainUniformGenerator",
+    "PlanckianJitterGenerator",
+    "PosterizeGenerator",
+    "ProbabilityGenerator",
+    "RandomGaussianBlurGenerator",
+    "RandomGeneratorBase",
+    "ResizeGenerator",
+    "ResizedCropGenerator",
+    "ShearGenerator",
+    "TranslateGenerator",
+    "UniformDistribution",
+    "center_crop_generator",
+]

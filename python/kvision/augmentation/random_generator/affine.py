@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision.augmentation import ranges
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
 
-__all__ = ["AffineGenerator"]
+__all__ = ["AffineGenerator", "ShearGenerator", "TranslateGenerator"]
 
 
 class AffineGenerator(RandomGeneratorBase):
@@ -91,3 +91,73 @@ def _shears(op: str, value: Any) -> list[ranges.Range]:
     if isinstance(value, Sequence) and (len(value) == 4 or isinstance(value[0], Sequence)):
         return ranges.pairs(op, "shear", value, 2, bounds=(-360.0, 360.0))
     return [ranges.parse(op, "shear", value, center=0.0, bounds=(-360.0, 360.0)), zero]
+
+
+class ShearGenerator(RandomGeneratorBase):
+    """Draws the parameters of :class:`RandomShear`.
+
+    Args:
+        shear: degrees: a number s for -s to s along x, a pair along x, or two pairs for x and y.
+
+    Returns:
+        center (B, 2), shear_x and shear_y (B,) in degrees.
+
+    Raises:
+        TypeError, ValueError: a range of another form.
+
+    Example:
+        >>> import kvision as K
+        >>> sorted(K.augmentation.random_generator.ShearGenerator((5.0, 10.0))((2, 3, 8, 8)))
+        ['center', 'shear_x', 'shear_y']
+    """
+
+    fields = (("shear_x", 0), ("shear_y", 0))
+
+    def __init__(self, shear: Any) -> None:
+        super().__init__()
+        ranges.keep_parameters(self, shear=shear)
+        self._shear = _shears("RandomShear", shear)
+
+    def draws(self, shape: Shape) -> Sequence[Any]:
+        return [r.uniform() for r in self._shear]
+
+    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
+        height, width = shape[-2:]
+        center = torch.tensor([(width - 1) / 2, (height - 1) / 2], device=columns.device)
+        return {"center": center.expand(columns.shape[0], 2), **super().to_params(columns, shape)}
+
+
+class TranslateGenerator(RandomGeneratorBase):
+    """Draws the parameters of :class:`RandomTranslate`.
+
+    Args:
+        translate_x: a pair, as fractions of the width; None for no shift.
+        translate_y: a pair, as fractions of the height; None for no shift.
+
+    Returns:
+        translate_x and translate_y (B,) in pixels.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or not within -1 and 1.
+
+    Example:
+        >>> import kvision as K
+        >>> K.augmentation.random_generator.TranslateGenerator((0.5, 0.5))((1, 3, 8, 8))
+        {'translate_x': tensor([4.]), 'translate_y': tensor([0.])}
+    """
+
+    fields = (("translate_x", 0), ("translate_y", 0))
+
+    def __init__(self, translate_x: Any = None, translate_y: Any = None) -> None:
+        super().__init__()
+        ranges.keep_parameters(self, translate_x=translate_x, translate_y=translate_y)
+        self._translate = [
+            ranges.Range(0.0, 0.0)
+            if value is None
+            else ranges.parse("RandomTranslate", name, value, bounds=(-1.0, 1.0))
+            for name, value in (("translate_x", translate_x), ("translate_y", translate_y))
+        ]
+
+    def draws(self, shape: Shape) -> Sequence[Any]:
+        x, y = self._translate
+        return [x.uniform(float(shape[-1])), y.uniform(float(shape[-2]))]

@@ -35,11 +35,13 @@ class ColorJitterGenerator(RandomGeneratorBase):
         ['brightness_factor', 'contrast_factor', 'hue_factor', 'order', 'saturation_factor']
     """
 
+    # Hue has a second column, in radians, which kernels take.
     fields = (
         ("brightness_factor", 0),
         ("contrast_factor", 0),
         ("saturation_factor", 0),
         ("hue_factor", 0),
+        ("radians", 0),
         ("order", 4),
     )
 
@@ -69,22 +71,22 @@ class ColorJitterGenerator(RandomGeneratorBase):
             self._brightness.uniform(identity=1.0),
             self._contrast.uniform(identity=1.0),
             self._saturation.uniform(identity=1.0),
-            self._hue.uniform(2 * math.pi),
+            self._hue.uniform_and_affine(2 * math.pi, 0.0),
             *order,
         ]
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
         params = super().to_params(columns, shape)
-        params["hue_factor"] = params["hue_factor"] / (2 * math.pi)
+        del params["radians"]
         params["order"] = params["order"].long()
         return params
 
     def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
-        order = params["order"]
+        order, hue = params["order"], params["hue_factor"]
         if order.dim() == 1:  # one for the batch, as Kornia has it
             order = order.expand(shape[0], -1)
-        hue = params["hue_factor"] * (2 * math.pi)
-        return super().to_columns({**params, "hue_factor": hue, "order": order.to(hue)}, shape)
+        radians = ranges.affine(hue, 2 * math.pi, 0.0)
+        return super().to_columns({**params, "radians": radians, "order": order.to(hue)}, shape)
 
 
 class ColorJiggleGenerator(ColorJitterGenerator):
@@ -96,4 +98,26 @@ class ColorJiggleGenerator(ColorJitterGenerator):
         torch.Size([2, 4])
     """
 
+    # Brightness is added: its second column is the factor less 1.
+    fields = (
+        ("brightness_factor", 0),
+        ("addition", 0),
+        ("contrast_factor", 0),
+        ("saturation_factor", 0),
+        ("hue_factor", 0),
+        ("radians", 0),
+        ("order", 4),
+    )
     _largest_brightness = 2.0
+
+    def draws(self, shape: Shape) -> Sequence[Any]:
+        return [self._brightness.uniform_and_affine(1.0, -1.0, identity=1.0), *super().draws(shape)[1:]]
+
+    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
+        params = super().to_params(columns, shape)
+        del params["addition"]
+        return params
+
+    def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
+        addition = ranges.affine(params["brightness_factor"], 1.0, -1.0)
+        return super().to_columns({**params, "addition": addition}, shape)

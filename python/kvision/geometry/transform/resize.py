@@ -184,7 +184,7 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
         _check.flag(op, "align_corners", align_corners)
     h, w = input.shape[-2:]
     if not isinstance(size, (tuple, list)) and _check.is_int(size):
-        height, width = _from_side(_check.ints(op, "size", size, 1)[0], h, w, side)
+        height, width = side_to_size(_check.ints(op, "size", size, 1)[0], h, w, side)
     else:
         height, width = _check.ints(op, "size", size, 2)
     images = (
@@ -219,7 +219,8 @@ def _check_images(op: str, input: Tensor) -> None:
         )
 
 
-def _from_side(size: int, h: int, w: int, side: str) -> tuple[int, int]:
+def side_to_size(size: int, h: int, w: int, side: str) -> tuple[int, int]:
+    """Height and width of a result with one side of length `size`, and the aspect of an image h x w."""
     # Computed in floats, as in Kornia: products are rounded down. A side next to a short one is at least `size`.
     height, width = math.trunc(size / (w / h)), math.trunc(size * (w / h))
     larger, smaller = (max, min) if type(h) is int and type(w) is int else (torch.sym_max, torch.sym_min)

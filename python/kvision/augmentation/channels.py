@@ -1,0 +1,160 @@
+"""Random changes of whole channels, and of the color of light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision.augmentation.base import Params
+from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.planckian_data import BLACKBODY, CIED
+from kvision.augmentation.random_generator.color import (
+    ChannelDropoutGenerator,
+    ChannelShuffleGenerator,
+    PlanckianJitterGenerator,
+)
+from kvision.core.exceptions import ShapeError, ValueCheckError
+
+__all__ = ["RandomChannelDropout", "RandomChannelShuffle", "RandomPlanckianJitter"]
+
+
+class RandomChannelShuffle(IntensityAugmentationBase2D):
+    """Put the channels of images in a random order.
+
+    Args:
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError: `p` is no number.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> shuffled = K.augmentation.RandomChannelShuffle(p=1.0)(torch.arange(3.0).reshape(1, 3, 1, 1))
+        >>> shuffled.sort(1).values.flatten()
+        tensor([0., 1., 2.])
+    """
+
+    def __init__(
+        self,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = ChannelShuffleGenerator()
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        return input.gather(1, params["channels"][..., None, None].expand_as(input))
+
+
+class RandomChannelDropout(IntensityAugmentationBase2D):
+    """Fill random channels with a value.
+
+    Args:
+        num_drop_channels: how many channels of each image.
+        fill_value: the value, within 0 and 1.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: `num_drop_channels` is no int of at least 1; `fill_value` is not within 0 and 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomChannelDropout(3, p=1.0)(torch.ones(1, 3, 1, 1)).flatten()
+        tensor([0., 0., 0.])
+    """
+
+    def __init__(
+        self,
+        num_drop_channels: int = 1,
+        fill_value: float = 0.0,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        if not 0 <= fill_value <= 1:
+            raise ValueCheckError(f"RandomChannelDropout: expected fill_value within 0 and 1, got {fill_value}")
+        self.fill_value = float(fill_value)
+        self._param_generator = ChannelDropoutGenerator(num_drop_channels)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        dropped = torch.zeros(input.shape[:2], dtype=torch.bool, device=input.device)
+        dropped = dropped.scatter(1, params["channel_idx"], True)
+        value = 255 * self.fill_value if input.dtype == torch.uint8 else self.fill_value
+        return input.masked_fill(dropped[..., None, None], round(value) if input.dtype == torch.uint8 else value)
+
+
+class _UnknownModeError(ValueCheckError, RuntimeError):
+    """Kornia raises a RuntimeError."""
+
+
+class RandomPlanckianJitter(IntensityAugmentationBase2D):
+    """Change the color of light to that of another temperature.
+
+    Args:
+        mode: 'blackbody' for the light of black bodies, 3000 K to 15000 K, or 'CIED' for daylight, 4000 K to 15000 K.
+        select_from: rows of the table to choose from; None for all.
+        same_on_batch: all samples get the same light.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        ValueError, RuntimeError: `mode` is unknown; a row that there is not.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> warm = K.augmentation.RandomPlanckianJitter(select_from=0, p=1.0)
+        >>> red, green, blue = warm(torch.full((1, 3, 1, 1), 0.5)).flatten()
+        >>> bool(red > green > blue)
+        True
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        mode: str = "blackbody",
+        select_from: int | Sequence[int] | None = None,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        tables = {"blackbody": BLACKBODY, "CIED": CIED}
+        if mode not in tables:
+            raise _UnknownModeError(f"RandomPlanckianJitter: expected mode to be 'blackbody' or 'CIED', got {mode!r}")
+        table = tables[mode]
+        rows = (
+            range(len(table)) if select_from is None else [select_from] if isinstance(select_from, int) else select_from
+        )
+        if any(not 0 <= row < len(table) for row in rows):
+            raise _UnknownModeError(
+                f"RandomPlanckianJitter: expected select_from within 0 and {len(table) - 1}, got {select_from!r}"
+            )
+        self.mode = mode
+        self.register_buffer("pl", torch.tensor([table[row] for row in rows]), persistent=False)
+        self._param_generator = PlanckianJitterGenerator((0, len(rows)))
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        if input.shape[1] != 3:
+            raise ShapeError(f"RandomPlanckianJitter: expected images with 3 channels, got {tuple(input.shape)}")
+        red, blue = self.pl.to(input.device)[params["idx"]].to(input.dtype).unbind(1)  # type: ignore[operator]  # a buffer
+        gains = torch.stack([red, torch.ones_like(red), blue], 1)
+        return (input * gains[..., None, None]).clamp(0, 1)

@@ -1,0 +1,278 @@
+"""Crops of images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from torch import Tensor
+
+from kvision.augmentation import transforms
+from kvision.augmentation.base import Shape
+from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Resampling
+from kvision.augmentation.random_generator.base import RandomGeneratorBase
+from kvision.augmentation.random_generator.crop import CropGenerator, ResizedCropGenerator, box_params, parse_size
+from kvision.augmentation.transforms import Transform
+from kvision.constants import Resample
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
+
+__all__ = ["CenterCrop", "RandomCrop", "RandomResizedCrop"]
+
+# The modes of torch.nn.functional.pad, as warps call them, and whether they mirror at the centers of the outermost pixels.
+_PADDING = {
+    "constant": ("fill", True),
+    "replicate": ("border", True),
+    "edge": ("border", True),
+    "reflect": ("reflection", True),
+    "symmetric": ("reflection", False),
+}
+
+
+def padding_resampling(op: str, padding_mode: str, fill: Any) -> Resampling:
+    """Whole pixels of an image that is padded."""
+    if padding_mode not in _PADDING:
+        raise ValueCheckError(f"{op}: expected padding_mode to be one of {', '.join(_PADDING)}, got {padding_mode!r}")
+    padding, align_corners = _PADDING[padding_mode]
+    return Resampling("nearest", padding, align_corners, fill if padding == "fill" and fill != 0 else None)
+
+
+class RandomCrop(GeometricAugmentationBase2D):
+    """Cut windows of a size out of images, after padding them.
+
+    Args:
+        size: height and width of the window.
+        padding: pixels around the image: a number, a pair for left and right, top and bottom, or left, top, right, bottom.
+        pad_if_needed: pad smaller images on both sides.
+        fill: value of padded pixels.
+        padding_mode: 'constant', 'reflect', 'replicate' or 'symmetric'.
+        resample: accepted for code written for Kornia: windows begin at pixels, so that nothing is interpolated.
+        same_on_batch: all samples get the same window.
+        align_corners: accepted for code written for Kornia.
+        p: probability that a batch is cropped.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+        cropping_mode: accepted for code written for Kornia; both modes give the same pixels.
+
+    Raises:
+        TypeError: `size` or `padding` has another form.
+        ValueError: a size below 1; an unknown mode; in a call, images smaller than the window without `pad_if_needed`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> crop = K.augmentation.RandomCrop((2, 2))
+        >>> crop(torch.rand(4, 3, 8, 8)).shape
+        torch.Size([4, 3, 2, 2])
+    """
+
+    whole_batch = moves_whole_pixels = True
+
+    def __init__(
+        self,
+        size: int | tuple[int, int],
+        padding: int | tuple[int, int] | tuple[int, int, int, int] | None = None,
+        pad_if_needed: bool | None = False,
+        fill: float = 0,
+        padding_mode: str = "constant",
+        resample: str | int | Resample = Resample.BILINEAR.name,
+        same_on_batch: bool = False,
+        align_corners: bool = True,
+        p: float = 1.0,
+        keepdim: bool = False,
+        cropping_mode: str = "slice",
+        **options: Any,
+    ) -> None:
+        super().__init__(p=1.0, p_batch=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        generator = CropGenerator(size)
+        generator.padding_of = self.compute_padding
+        self._param_generator = generator
+        self.size = generator.size
+        self._padding = _four_sides(padding)
+        padding_resampling("RandomCrop", padding_mode, fill)
+        check_cropping_mode("RandomCrop", cropping_mode)
+        self.flags = {
+            "size": self.size,
+            "padding": padding,
+            "pad_if_needed": pad_if_needed,
+            "fill": fill,
+            "padding_mode": padding_mode,
+            "resample": Resample.get(resample),
+            "align_corners": align_corners,
+            "cropping_mode": cropping_mode,
+        }
+
+    @property
+    def stays_inside(self) -> bool:  # type: ignore[override]  # depends on the padding
+        return self._padding == (0, 0, 0, 0) and not self.flags["pad_if_needed"]
+
+    def compute_padding(self, shape: Shape, flags: dict[str, Any] | None = None) -> tuple[int, int, int, int]:
+        """Left, right, top and bottom padding of images of a shape."""
+        left, right, top, bottom = self._padding
+        if (flags or self.flags)["pad_if_needed"]:
+            down = max(self.size[0] - (shape[-2] + top + bottom), 0)
+            across = max(self.size[1] - (shape[-1] + left + right), 0)
+            return left + across, right + across, top + down, bottom + down
+        return left, right, top, bottom
+
+    def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:
+        return self.size
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+        return [transforms.affine((0.0, 0.0), translation=(0, 1))]
+
+    def resampling(self, flags: dict[str, Any]) -> Resampling:
+        return padding_resampling("RandomCrop", flags["padding_mode"], flags["fill"])
+
+
+class RandomResizedCrop(GeometricAugmentationBase2D):
+    """Cut windows of random area and aspect out of images and resize them.
+
+    Args:
+        size: height and width of the result.
+        scale: range of the area, as a fraction of the image's.
+        ratio: range of width / height of the window.
+        resample: 'nearest', 'bilinear' or 'bicubic'.
+        same_on_batch: all samples get the same window.
+        align_corners: the centers of the outermost pixels of the window go to those of the result; False: their edges.
+        p: probability that a batch is cropped.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+        cropping_mode: accepted for code written for Kornia; both modes read the image between the same positions.
+
+    Raises:
+        TypeError: `size` is not one or two ints.
+        ValueError: a size below 1; a range of another form, or not above 0; an unknown mode.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> crop = K.augmentation.RandomResizedCrop((2, 3), scale=(1.0, 1.0), ratio=(1.0, 1.0))
+        >>> crop(torch.arange(16.0).reshape(1, 1, 4, 4))
+        tensor([[[[ 0.0000,  1.5000,  3.0000],
+                  [12.0000, 13.5000, 15.0000]]]])
+    """
+
+    whole_batch = True
+
+    def __init__(
+        self,
+        size: tuple[int, int],
+        scale: Any = (0.08, 1.0),
+        ratio: Any = (3.0 / 4.0, 4.0 / 3.0),
+        resample: str | int | Resample = Resample.BILINEAR.name,
+        same_on_batch: bool = False,
+        align_corners: bool = True,
+        p: float = 1.0,
+        keepdim: bool = False,
+        cropping_mode: str = "slice",
+        **options: Any,
+    ) -> None:
+        super().__init__(p=1.0, p_batch=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        generator = ResizedCropGenerator(size, scale, ratio)
+        self._param_generator, self.size = generator, generator.output_size
+        check_cropping_mode("RandomResizedCrop", cropping_mode)
+        self.flags = {
+            "size": self.size,
+            "resample": Resample.get(resample),
+            "align_corners": align_corners,
+            "cropping_mode": cropping_mode,
+            "padding_mode": "border",
+        }
+
+    def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:
+        return self.size
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+        h, w = self.size
+        corners = float(flags["align_corners"] is not False)
+        return [Transform("crop", (0, 0, 0, 0, float(w), float(h), corners), (0, 1, 2, 3, -1, -1, -1))]
+
+
+class _CenterGenerator(RandomGeneratorBase):
+    """The window of CenterCrop, which draws nothing."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        super().__init__()
+        self.size = size
+
+    def draws(self, shape: Sequence[int]) -> Sequence[Any]:
+        return []
+
+    def corner(self, shape: Sequence[int]) -> tuple[int, int]:
+        return (shape[-1] - self.size[1]) // 2, (shape[-2] - self.size[0]) // 2
+
+    def to_params(self, columns: Tensor, shape: Sequence[int]) -> dict[str, Tensor]:
+        zero, (x, y), (h, w) = columns.new_zeros(shape[0]), self.corner(shape), self.size
+        return box_params(zero + x, zero + y, zero + w, zero + h, shape, self.size)
+
+    def to_columns(self, params: dict[str, Any], shape: Sequence[int]) -> Tensor:
+        return params["src"].new_empty(shape[0], 0)
+
+
+class CenterCrop(GeometricAugmentationBase2D):
+    """Cut the window of a size out of the middle of images; smaller images are surrounded by 0.
+
+    Args:
+        size: height and width of the window; an int for both.
+        align_corners: accepted for code written for Kornia.
+        resample: accepted for code written for Kornia: the window begins at a pixel.
+        p: probability that a batch is cropped.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+        cropping_mode: accepted for code written for Kornia; both modes give the same pixels.
+
+    Raises:
+        TypeError: `size` is not one or two ints.
+        ValueError: a size below 1; an unknown mode.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.CenterCrop(2)(torch.arange(16.0).reshape(1, 1, 4, 4))
+        tensor([[[[ 5.,  6.],
+                  [ 9., 10.]]]])
+    """
+
+    whole_batch = moves_whole_pixels = True
+
+    def __init__(
+        self,
+        size: int | tuple[int, int],
+        align_corners: bool = True,
+        resample: str | int | Resample = Resample.BILINEAR.name,
+        p: float = 1.0,
+        keepdim: bool = False,
+        cropping_mode: str = "slice",
+        **options: Any,
+    ) -> None:
+        super().__init__(p=1.0, p_batch=p, same_on_batch=True, keepdim=keepdim, **options)
+        self.size = parse_size("CenterCrop", size)
+        check_cropping_mode("CenterCrop", cropping_mode)
+        self._param_generator: _CenterGenerator = _CenterGenerator(self.size)
+        self.flags = {
+            "resample": Resample.get(resample),
+            "cropping_mode": cropping_mode,
+            "align_corners": align_corners,
+            "size": self.size,
+            "padding_mode": "zeros",
+        }
+
+    def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:
+        return self.size
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+        x, y = self._param_generator.corner(shape)
+        return [transforms.constant([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, 1.0]])]
+
+
+def check_cropping_mode(op: str, mode: str) -> None:
+    """Raise unless `mode` is one of Kornia's."""
+    if mode not in ("slice", "resample"):
+        raise ValueCheckError(f"{op}: expected cropping_mode to be 'slice' or 'resample', got {mode!r}")
+
+
+def _four_sides(padding: Any) -> tuple[int, int, int, int]:
+    """Left, right, top and bottom from the forms that RandomCrop takes."""
+    sides = (0,) if padding is None else (padding,) if isinstance(padding, int) else tuple(padding)
+    if len(sides) not in (1, 2, 4) or any(type(n) is not int for n in sides):
+        raise TypeCheckError(f"RandomCrop: expected padding to be one, two or four ints, got {padding!r}")
+    if len(sides) == 1:
+        return (*sides * 4,)  # type: ignore[return-value]  # four
+    if len(sides) == 2:
+        return sides[0], sides[0], sides[1], sides[1]
+    left, top, right, bottom = sides
+    return left, right, top, bottom

@@ -1,0 +1,420 @@
+"""Random filters and histogram transforms of images."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import enhance, filters
+from kvision.augmentation.base import Params
+from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.random_generator.filters import (
+    JPEGGenerator,
+    MotionBlurGenerator,
+    RandomGaussianBlurGenerator,
+)
+from kvision.augmentation.random_generator.plain import PlainUniformGenerator
+from kvision.constants import BorderType, Resample
+
+__all__ = [
+    "RandomAutoContrast",
+    "RandomBoxBlur",
+    "RandomClahe",
+    "RandomEqualize",
+    "RandomGaussianBlur",
+    "RandomJPEG",
+    "RandomMedianBlur",
+    "RandomMotionBlur",
+    "RandomSharpness",
+]
+
+
+class RandomBoxBlur(IntensityAugmentationBase2D):
+    """Replace pixels by the mean of a window.
+
+    Args:
+        kernel_size: height and width of the window, odd.
+        border_type: 'reflect', 'replicate', 'constant' or 'circular'.
+        normalized: accepted for code written for Kornia: windows are averaged.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: in a call, as `filters.box_blur`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomBoxBlur((1, 3), p=1.0)(torch.tensor([[[[0.0, 3.0, 0.0]]]]))
+        tensor([[[[2., 1., 2.]]]])
+    """
+
+    def __init__(
+        self,
+        kernel_size: tuple[int, int] = (3, 3),
+        border_type: str = "reflect",
+        normalized: bool = True,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self.flags = {"kernel_size": kernel_size, "border_type": border_type, "normalized": normalized}
+
+    accepts_bytes = False
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        return filters.box_blur(input, flags["kernel_size"], border_name(flags["border_type"]))
+
+
+class RandomGaussianBlur(IntensityAugmentationBase2D):
+    """Blur images by Gaussians, each by its own.
+
+    Args:
+        kernel_size: height and width of the window, odd; an int for both.
+        sigma: range of the standard deviation in pixels.
+        border_type: 'reflect', 'replicate', 'constant' or 'circular'.
+        separable: accepted for code written for Kornia: the result is the same.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> blur = K.augmentation.RandomGaussianBlur((3, 3), (0.1, 2.0), p=1.0)
+        >>> blur(torch.ones(2, 1, 4, 4)).mean().round(decimals=4)
+        tensor(1.)
+    """
+
+    def __init__(
+        self,
+        kernel_size: int | tuple[int, int],
+        sigma: Any,
+        border_type: str | int | BorderType = "reflect",
+        separable: bool = True,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = RandomGaussianBlurGenerator(sigma)
+        self.flags = {
+            "kernel_size": kernel_size,
+            "separable": separable,
+            "border_type": BorderType.get(border_type),
+        }
+
+    accepts_bytes = False
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        return filters.gaussian_blur2d(
+            input, flags["kernel_size"], params["sigma"][:, None].expand(-1, 2), border_name(flags["border_type"])
+        )
+
+
+class RandomMedianBlur(IntensityAugmentationBase2D):
+    """Replace pixels by the median of a window.
+
+    Args:
+        kernel_size: height and width of the window, odd.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: in a call, as `filters.median_blur`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomMedianBlur((1, 3), p=1.0)(torch.tensor([[[[1.0, 9.0, 2.0, 3.0]]]]))[..., 1:3]
+        tensor([[[[2., 3.]]]])
+    """
+
+    def __init__(
+        self,
+        kernel_size: tuple[int, int] = (3, 3),
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self.flags = {"kernel_size": kernel_size}
+
+    accepts_bytes = False
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        return filters.median_blur(input, flags["kernel_size"])
+
+
+class RandomMotionBlur(IntensityAugmentationBase2D):
+    """Blur images along a random line.
+
+    Args:
+        kernel_size: length of the line, odd and at least 3, or a pair of lowest and highest; one is drawn for the batch.
+        angle: degrees: a number a for -a to a, or a pair.
+        direction: a number d for -d to d, or a pair, within -1 and 1: where along the line the weight is.
+        border_type: 'constant', 'reflect', 'replicate' or 'circular'.
+        resample: 'nearest' or 'bilinear': how the line is turned.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> blur = K.augmentation.RandomMotionBlur(3, (0.0, 0.0), (0.0, 0.0), p=1.0)
+        >>> blur(torch.tensor([[[[0.0, 3.0, 0.0]]]]))
+        tensor([[[[1., 1., 1.]]]])
+    """
+
+    def __init__(
+        self,
+        kernel_size: int | tuple[int, int],
+        angle: Any,
+        direction: Any,
+        border_type: str | int | BorderType = BorderType.CONSTANT.name,
+        resample: str | int | Resample = Resample.NEAREST.name,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        generator = MotionBlurGenerator(kernel_size, angle, direction)
+        self._param_generator: MotionBlurGenerator = generator
+        self.flags = {"border_type": BorderType.get(border_type), "resample": Resample.get(resample)}
+
+    accepts_bytes = False
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        size = self._param_generator.size_of(params["ksize_factor"])
+        mode, border = Resample.get(flags["resample"]).name.lower(), border_name(flags["border_type"])
+        return filters.motion_blur(input, size, params["angle_factor"], params["direction_factor"], border, mode)
+
+
+class RandomSharpness(IntensityAugmentationBase2D):
+    """Sharpen images by a random factor.
+
+    Args:
+        sharpness: a number s for 0 to s, or a pair, of at least 0; 1 changes nothing, 0 blurs.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomSharpness((1.0, 1.0), p=1.0)(torch.tensor([[[[0.25, 0.75]]]]))
+        tensor([[[[0.2500, 0.7500]]]])
+    """
+
+    def __init__(
+        self,
+        sharpness: Any = 0.5,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        if not isinstance(sharpness, (tuple, list)) and not (isinstance(sharpness, Tensor) and sharpness.dim()):
+            sharpness = (0.0, sharpness)
+        self._param_generator = PlainUniformGenerator(
+            (sharpness, "sharpness", None, (0.0, float("inf"))), identity=[1.0], op="RandomSharpness"
+        )
+
+    accepts_bytes = False
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        return enhance.sharpness(input, params["sharpness"])
+
+
+class RandomEqualize(IntensityAugmentationBase2D):
+    """Equalize the histogram of each channel.
+
+    Args:
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError: `p` is no number.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomEqualize(p=1.0)(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+
+    accepts_bytes = False
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        return enhance.equalize(input)
+
+
+class RandomAutoContrast(IntensityAugmentationBase2D):
+    """Stretch the values of each image to 0 and 1.
+
+    Args:
+        clip_output: clamp the result to 0 and 1.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError: `p` is no number.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomAutoContrast()(torch.tensor([[[[0.25, 0.5]]]])).round(decimals=3)
+        tensor([[[[0., 1.]]]])
+    """
+
+    def __init__(
+        self,
+        clip_output: bool = True,
+        same_on_batch: bool = False,
+        p: float = 1.0,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self.clip_output = clip_output
+
+    accepts_bytes = False
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        stretched = enhance.normalize_min_max(input)
+        return stretched.clamp(0, 1) if self.clip_output else stretched
+
+
+class RandomClahe(IntensityAugmentationBase2D):
+    """Equalize images by contrast-limited adaptive histograms (CLAHE).
+
+    Args:
+        clip_limit: range of the limit of contrast; 0 for none.
+        grid_size: rows and columns of tiles.
+        slow_and_differentiable: with a gradient to the histogram.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomClahe(grid_size=(2, 2), p=1.0)(torch.rand(1, 1, 8, 8)).shape
+        torch.Size([1, 1, 8, 8])
+    """
+
+    def __init__(
+        self,
+        clip_limit: Any = (40.0, 40.0),
+        grid_size: tuple[int, int] = (8, 8),
+        slow_and_differentiable: bool = False,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = PlainUniformGenerator(
+            (clip_limit, "clip_limit_factor", None, (0.0, float("inf"))), op="RandomClahe"
+        )
+        self._limit = clip_limit
+        self.flags = {"grid_size": grid_size, "slow_and_differentiable": slow_and_differentiable}
+
+    accepts_bytes = False
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        options = flags["grid_size"], flags["slow_and_differentiable"]
+        limits = self._limits(params)
+        if len(set(limits)) <= 1:
+            return enhance.equalize_clahe(input, limits[0] if limits else 40.0, *options)
+        return torch.cat([enhance.equalize_clahe(x[None], limit, *options) for x, limit in zip(input, limits)])
+
+    def _limits(self, params: Params) -> list[float]:
+        """The limits of the samples on the host; a fixed one without waiting for the device."""
+        low, high = (float(x) for x in self._limit) if isinstance(self._limit, (tuple, list)) else (0.0, 1.0)
+        factors = params["clip_limit_factor"]
+        return [low] * len(factors) if low == high else [float(x) for x in factors.tolist()]
+
+
+class RandomJPEG(IntensityAugmentationBase2D):
+    """Compress RGB images by JPEG with a random quality, differentiably.
+
+    Args:
+        jpeg_quality: a number q for q to 100, or a pair, within 1 and 100.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomJPEG((50.0, 50.0))(torch.rand(1, 3, 16, 16)).shape
+        torch.Size([1, 3, 16, 16])
+    """
+
+    def __init__(
+        self,
+        jpeg_quality: Any = 50.0,
+        same_on_batch: bool = False,
+        p: float = 1.0,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = JPEGGenerator(jpeg_quality)
+
+    accepts_bytes = False
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        return enhance.jpeg_codec_differentiable(input, params["jpeg_quality"])
+
+
+def border_name(border: Any) -> str:
+    """The name of a border as kvision.filters takes it."""
+    return BorderType.get(border).name.lower()

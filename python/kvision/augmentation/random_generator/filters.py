@@ -1,0 +1,121 @@
+"""Generators of filters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision.augmentation import ranges
+from kvision.augmentation.draws import Draw
+from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+from kvision.augmentation.random_generator.plain import PlainUniformGenerator
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
+
+__all__ = ["JPEGGenerator", "MotionBlurGenerator", "RandomGaussianBlurGenerator"]
+
+
+class RandomGaussianBlurGenerator(PlainUniformGenerator):
+    """Draws the parameters of :class:`RandomGaussianBlur`.
+
+    Args:
+        sigma: range of the standard deviation in pixels, above 0.
+
+    Returns:
+        sigma (B,).
+
+    Raises:
+        TypeError, ValueError: a range of another form, or not above 0.
+
+    Example:
+        >>> import kvision as K
+        >>> K.augmentation.random_generator.RandomGaussianBlurGenerator((2.0, 2.0))((2, 3, 8, 8))
+        {'sigma': tensor([2., 2.])}
+    """
+
+    def __init__(self, sigma: Any = (0.1, 2.0)) -> None:
+        super().__init__((sigma, "sigma", None, (0.0, float("inf"))), identity=[1.0], op="RandomGaussianBlur")
+        if self._ranges[0].tensor is None and self._ranges[0].low <= 0:
+            raise ValueCheckError(f"RandomGaussianBlur: expected sigma above 0, got {sigma}")
+
+
+class JPEGGenerator(PlainUniformGenerator):
+    """Draws the parameters of :class:`RandomJPEG`.
+
+    Args:
+        jpeg_quality: a number q for q to 100, or a pair, within 1 and 100.
+
+    Returns:
+        jpeg_quality (B,).
+
+    Raises:
+        TypeError, ValueError: a range of another form, or not within 1 and 100.
+
+    Example:
+        >>> import kvision as K
+        >>> K.augmentation.random_generator.JPEGGenerator((50.0, 50.0))((2, 3, 8, 8))
+        {'jpeg_quality': tensor([50., 50.])}
+    """
+
+    def __init__(self, jpeg_quality: Any = 50.0) -> None:
+        if isinstance(jpeg_quality, (int, float)) or (isinstance(jpeg_quality, Tensor) and jpeg_quality.dim() == 0):
+            jpeg_quality = (jpeg_quality, 100.0)
+        super().__init__((jpeg_quality, "jpeg_quality", None, (1.0, 100.0)), identity=[100.0], op="RandomJPEG")
+
+
+class MotionBlurGenerator(RandomGeneratorBase):
+    """Draws the parameters of :class:`RandomMotionBlur`.
+
+    Args:
+        kernel_size: length of the line, odd and at least 3, or a pair of lowest and highest.
+        angle: degrees: a number a for -a to a, or a pair.
+        direction: a number d for -d to d, or a pair, within -1 and 1.
+
+    Returns:
+        ksize_factor (B,), int32, the same for all samples; angle_factor and direction_factor (B,).
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds; an even size.
+
+    Example:
+        >>> import kvision as K
+        >>> K.augmentation.random_generator.MotionBlurGenerator(3, 35.0, 0.5)((2, 3, 8, 8))["ksize_factor"]
+        tensor([3, 3], dtype=torch.int32)
+    """
+
+    def __init__(self, kernel_size: int | tuple[int, int], angle: Any, direction: Any) -> None:
+        super().__init__()
+        op = "RandomMotionBlur"
+        ranges.keep_parameters(self, angle=angle, direction=direction)
+        sizes = (kernel_size, kernel_size) if isinstance(kernel_size, int) else tuple(kernel_size)
+        if len(sizes) != 2 or any(type(n) is not int for n in sizes):
+            raise TypeCheckError(f"{op}: expected kernel_size to be an int or a pair of ints, got {kernel_size!r}")
+        if not 3 <= sizes[0] <= sizes[1] or sizes[0] % 2 == 0 or sizes[1] % 2 == 0:
+            raise ValueCheckError(f"{op}: expected kernel_size odd and at least 3, ascending, got {kernel_size}")
+        self._sizes = sizes
+        self._angle = ranges.parse(op, "angle", angle, center=0.0, bounds=(-360.0, 360.0))
+        self._direction = ranges.parse(op, "direction", direction, center=0.0, bounds=(-1.0, 1.0))
+
+    def draws(self, shape: Shape) -> Sequence[Any]:
+        low, high = self._sizes
+        return [Draw("integer", (low, 2, (high - low) // 2 + 1, low)), self._angle.uniform(), self._direction.uniform()]
+
+    def size_of(self, ksize: Tensor) -> int:
+        """The size of the batch: that of the first sample, without waiting for the device where there is one size."""
+        low, high = self._sizes
+        return low if low == high or ksize.numel() == 0 else int(ksize[0])
+
+    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
+        # The kernels of a batch have one size: the first one drawn.
+        return {
+            "ksize_factor": columns[:1, 0].int().expand(columns.shape[0]),
+            "angle_factor": columns[:, 1],
+            "direction_factor": columns[:, 2],
+            "idx": torch.zeros(1, dtype=torch.int64, device=columns.device),
+        }
+
+    def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
+        names = ("ksize_factor", "angle_factor", "direction_factor")
+        return torch.stack([params[name].to(params["angle_factor"].dtype) for name in names], 1)

@@ -1,0 +1,200 @@
+"""Resizing and padding as augmentations, which masks, boxes and key points follow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from torch import Tensor
+
+from kvision import geometry
+from kvision.augmentation import transforms
+from kvision.augmentation.base import Params, Shape
+from kvision.augmentation.crop import padding_resampling
+from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Resampling
+from kvision.augmentation.random_generator.crop import ResizeGenerator, parse_size
+from kvision.augmentation.transforms import Transform, transform_matrix
+from kvision.constants import Resample
+
+__all__ = ["LongestMaxSize", "PadTo", "Resize", "SmallestMaxSize"]
+
+
+class Resize(GeometricAugmentationBase2D):
+    """Resize images.
+
+    Args:
+        size: height and width of the result, or the length of one side, which keeps the aspect.
+        side: which side an int is: 'short', 'long', 'vert' or 'horz'.
+        resample: 'nearest', 'bilinear' or 'bicubic'.
+        align_corners: the centers of the outermost pixels of image and result correspond; False: their edges.
+        antialias: blur images that become smaller, so that no pixel is skipped.
+        p: probability that a batch is resized.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+
+    Raises:
+        TypeError: `size` is not one or two ints.
+        ValueError: a size below 1; `side` is unknown.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.Resize((1, 3))(torch.tensor([[[[1.0, 2.0]]]]))
+        tensor([[[[1.0000, 1.5000, 2.0000]]]])
+    """
+
+    whole_batch = True
+
+    def __init__(
+        self,
+        size: int | tuple[int, int],
+        side: str = "short",
+        resample: str | int | Resample = Resample.BILINEAR.name,
+        align_corners: bool = True,
+        antialias: bool = False,
+        p: float = 1.0,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=1.0, p_batch=p, same_on_batch=True, keepdim=keepdim, **options)
+        self._param_generator: ResizeGenerator = ResizeGenerator(size, side)
+        self.flags = {
+            "size": self._param_generator.output_size,
+            "side": side,
+            "resample": Resample.get(resample),
+            "align_corners": align_corners,
+            "antialias": antialias,
+        }
+
+    def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:
+        return self._param_generator.size_for(shape)
+
+    def _chain_of(self, shape: Shape, flags: dict[str, Any]) -> list[Transform]:
+        h, w = self.output_size(shape, flags)
+        corners = float(flags["align_corners"] is not False)
+        inputs = (0.0, 0.0, float(shape[-1]), float(shape[-2]), float(w), float(h), corners)
+        return [Transform("crop", inputs, [-1] * 7)]
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform] | None:
+        return None if flags["antialias"] else self._chain_of(shape, flags)
+
+    def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        return transform_matrix(input.new_empty(input.shape[0], 0).float(), self._chain_of(tuple(input.shape), flags))
+
+    def resampling(self, flags: dict[str, Any]) -> Resampling:
+        return super().resampling(flags)._replace(padding="border")
+
+    def _warp(self, x: Tensor, matrix: Tensor, flags: dict[str, Any]) -> Tensor:
+        mode = Resample.get(flags["resample"]).name.lower()
+        corners = None if mode == "nearest" else flags["align_corners"]
+        size = self.output_size(tuple(x.shape), flags)
+        return geometry.resize(x, size, mode, align_corners=corners, antialias=flags["antialias"])
+
+
+class LongestMaxSize(Resize):
+    """Resize images so that their longer side has a length.
+
+    Args:
+        max_size: length of the longer side.
+        resample: 'nearest', 'bilinear' or 'bicubic'.
+        align_corners: the centers of the outermost pixels of image and result correspond; False: their edges.
+        p: probability that a batch is resized.
+
+    Raises:
+        TypeError: `max_size` is no int.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.LongestMaxSize(4)(torch.rand(1, 3, 4, 8)).shape
+        torch.Size([1, 3, 2, 4])
+    """
+
+    def __init__(
+        self,
+        max_size: int,
+        resample: str | int | Resample = Resample.BILINEAR.name,
+        align_corners: bool = True,
+        p: float = 1.0,
+        **options: Any,
+    ) -> None:
+        super().__init__(max_size, "long", resample, align_corners, p=p, **options)
+
+
+class SmallestMaxSize(Resize):
+    """Resize images so that their shorter side has a length.
+
+    Args:
+        max_size: length of the shorter side.
+        resample: 'nearest', 'bilinear' or 'bicubic'.
+        align_corners: the centers of the outermost pixels of image and result correspond; False: their edges.
+        p: probability that a batch is resized.
+
+    Raises:
+        TypeError: `max_size` is no int.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.SmallestMaxSize(4)(torch.rand(1, 3, 4, 8)).shape
+        torch.Size([1, 3, 4, 8])
+    """
+
+    def __init__(
+        self,
+        max_size: int,
+        resample: str | int | Resample = Resample.BILINEAR.name,
+        align_corners: bool = True,
+        p: float = 1.0,
+        **options: Any,
+    ) -> None:
+        super().__init__(max_size, "short", resample, align_corners, p=p, **options)
+
+
+class PadTo(GeometricAugmentationBase2D):
+    """Pad images on the right and at the bottom to a size.
+
+    Args:
+        size: height and width of the result.
+        pad_mode: 'constant', 'reflect', 'replicate' or 'symmetric'.
+        pad_value: value of padded pixels.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+        crop_if_exceeds: cut larger images to the size; False: they keep their size.
+
+    Raises:
+        TypeError: `size` is not one or two ints.
+        ValueError: a size below 1; an unknown mode.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.PadTo((2, 3), pad_value=9)(torch.ones(1, 1, 1, 2))
+        tensor([[[[1., 1., 9.],
+                  [9., 9., 9.]]]])
+    """
+
+    whole_batch = moves_whole_pixels = True
+
+    def __init__(
+        self,
+        size: tuple[int, int],
+        pad_mode: str = "constant",
+        pad_value: float = 0,
+        keepdim: bool = False,
+        crop_if_exceeds: bool = True,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=1.0, same_on_batch=True, keepdim=keepdim, **options)
+        self.size = parse_size("PadTo", size)
+        padding_resampling("PadTo", pad_mode, pad_value)
+        self.flags = {
+            "size": self.size,
+            "pad_mode": pad_mode,
+            "pad_value": pad_value,
+            "crop_if_exceeds": crop_if_exceeds,
+        }
+
+    def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:
+        h, w = self.size
+        return (h, w) if flags["crop_if_exceeds"] else (max(h, shape[-2]), max(w, shape[-1]))
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+        return [transforms.constant([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])]
+
+    def resampling(self, flags: dict[str, Any]) -> Resampling:
+        return padding_resampling("PadTo", flags["pad_mode"], flags["pad_value"])

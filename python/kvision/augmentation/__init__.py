@@ -38,7 +38,7 @@ from kvision.augmentation.filters import (
 from kvision.augmentation.flip import RandomHorizontalFlip, RandomVerticalFlip
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
-from kvision.augmentation.normalize import Normalize
+from kvision.augmentation.normalize import Denormalize, Normalize
 from kvision.augmentation.perspective import RandomPerspective
 from kvision.augmentation.resize import LongestMaxSize, PadTo, Resize, SmallestMaxSize
 
@@ -49,6 +49,7 @@ __all__ = [
     "CenterCrop",
     "ColorJiggle",
     "ColorJitter",
+    "Denormalize",
     "GeometricAugmentationBase2D",
     "ImageSequential",
     "IntensityAugmentationBase2D",

@@ -123,8 +123,11 @@ class AugmentationBase(nn.Module):
             if columns is not None:
                 if columns.chosen is not None:
                     chosen = columns.chosen.detach().cpu() * chosen
-                if self._param_generator is not None:
-                    params = self._param_generator.to_params(columns.values.detach(), shape)
+                values = columns.values.detach()
+            else:
+                values = torch.empty(shape[0], 0)
+            if self._param_generator is not None and (columns is not None or request is None or not request.draws):
+                params = self._param_generator.to_params(values, shape)
             params["batch_prob"] = chosen
             params["forward_input_shape"] = torch.tensor(shape)
             execution.params = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from kvision.augmentation import transforms
@@ -202,7 +203,7 @@ class _CenterGenerator(RandomGeneratorBase):
         return box_params(zero + x, zero + y, zero + w, zero + h, shape, self.size)
 
     def to_columns(self, params: dict[str, Any], shape: Sequence[int]) -> Tensor:
-        return params["src"].new_empty(shape[0], 0)
+        return torch.empty(shape[0], 0)
 
 
 class CenterCrop(GeometricAugmentationBase2D):

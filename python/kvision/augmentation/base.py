@@ -372,7 +372,7 @@ class AugmentationBase(nn.Module):
             ValueError: `input` has another number of axes.
         """
         matrix = None
-        if isinstance(input, (tuple, list)):
+        if isinstance(input, (tuple, list)) and len(input) == 2 and all(isinstance(x, Tensor) for x in input):
             input, matrix = input
         x = self.transform_tensor(input)
         execution = self._draw(x, seed, generator) if params is None else self._from_params(params, x)
@@ -471,6 +471,6 @@ class RigidAffineAugmentationBase3D(AugmentationBase3D):
 
     Example:
         >>> import kvision as K
-        >>> issubclass(K.augmentation.RandomAffine3D, K.augmentation.RigidAffineAugmentationBase3D)
+        >>> issubclass(K.augmentation.IntensityAugmentationBase3D, K.augmentation.RigidAffineAugmentationBase3D)
         True
     """

@@ -90,8 +90,7 @@ def identity_values(draws: Sequence[Draw | Learned]) -> list[float]:
             values.append(draw.identity)
         elif draw.kind == "uniform_and_affine":
             _, _, scale, offset, identity = draw.numbers
-            stored = torch.tensor(identity).item()
-            values += [stored, scale * stored + offset]
+            values += [identity, scale * identity + offset]
         elif draw.kind == "permutation":
             n, first, step = draw.numbers
             values += [first + step * i for i in range(int(n))]

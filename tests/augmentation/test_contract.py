@@ -1,0 +1,252 @@
+"""What holds for every augmentation: randomness, replay, probabilities, types, layouts, ranks, gradients."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import io
+import pickle
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+import kvision.augmentation as A
+from augmentation_cases import CASES, GEOMETRIC, INTENSITY, Case
+from kvision.augmentation.base import AugmentationBase
+
+BASES = ("AugmentationBase", "GeometricAugmentation", "IntensityAugmentation", "RigidAffineAugmentation")
+RANDOM = [case for case in CASES if not case.fixed]
+names = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+random_names = pytest.mark.parametrize("case", RANDOM, ids=lambda case: case.name)
+
+
+def images(device: Any = "cpu", batch: int = 6, dtype: torch.dtype = torch.float32) -> Tensor:
+    x = torch.rand(batch, 3, 16, 20, generator=torch.Generator().manual_seed(batch))
+    return ((255 * x).to(dtype) if dtype == torch.uint8 else x.to(dtype)).to(device)
+
+
+def test_all_classes_have_a_case() -> None:
+    classes = {
+        name
+        for name, value in vars(A).items()
+        if inspect.isclass(value) and issubclass(value, AugmentationBase) and not name.startswith(BASES)
+    }
+    assert classes == {case.name for case in CASES}
+
+
+@names
+def test_replay_is_exact(case: Case, device: torch.device) -> None:
+    x, augment = images(device), case.make(p=0.7)
+    first = augment(x)
+    again = case.make(p=0.7)
+    assert torch.equal(again(x, params=augment._params), first)
+    params = torch.load(_saved(augment._params))
+    assert torch.equal(augment(x, params=params), first)
+    other = images(device).flip(0)
+    augment(other)
+    assert torch.equal(augment(x, params=params), first)
+
+
+def _saved(params: dict[str, Any]) -> io.BytesIO:
+    stream = io.BytesIO()
+    torch.save(params, stream)
+    stream.seek(0)
+    return stream
+
+
+@names
+def test_manual_seed_reproduces(case: Case, device: torch.device) -> None:
+    x, augment = images(device), case.make()
+    torch.manual_seed(5)
+    first = augment(x)
+    torch.manual_seed(5)
+    assert torch.equal(augment(x), first)
+    own = torch.Generator().manual_seed(5)
+    assert torch.equal(augment(x, generator=own), first)
+    assert torch.equal(case.make(generator=torch.Generator().manual_seed(5))(x), first)
+
+
+@random_names
+def test_a_call_takes_one_word_of_the_generator(case: Case) -> None:
+    x, augment = images(), case.make(p=1.0)
+    torch.manual_seed(5)
+    augment(x)
+    after = torch.get_rng_state()
+    torch.manual_seed(5)
+    torch.empty(1, dtype=torch.int64).random_(-(2**63), None)
+    assert torch.equal(torch.get_rng_state(), after)
+    case.make(p=0.0)(x)
+    assert torch.equal(torch.get_rng_state(), after)
+
+
+@names
+def test_seeds_of_samples_are_independent_of_the_batch(case: Case, device: torch.device) -> None:
+    if case.one_kernel:
+        pytest.skip("samples share a size, which is that of the first")
+    x, augment = images(device), case.make(**({} if case.changes_size else {"p": 0.7}))
+    seeds = torch.arange(6) * 1000
+    all_of_them = augment(x, seed=seeds)
+    state = torch.get_rng_state()
+    order = torch.tensor([4, 1, 5])
+    some = augment(x[order], seed=seeds[order])
+    assert torch.equal(torch.get_rng_state(), state)
+    assert torch.equal(some, all_of_them[order])
+    assert torch.equal(augment(x, seed=7), augment(x, seed=7))
+
+
+@random_names
+def test_parameters_are_those_of_the_cpu(case: Case, device: torch.device) -> None:
+    there, here = case.make(p=0.7), case.make(p=0.7)
+    there(images(device), seed=3), here(images(), seed=3)
+    for name, value in here._params.items():
+        assert there._params[name].device.type == "cpu"
+        assert torch.equal(there._params[name], value), name
+
+
+@names
+def test_samples_not_chosen_are_unchanged(case: Case, device: torch.device) -> None:
+    x = images(device, batch=32) * 3 - 1  # out of [0, 1] as well
+    if case.name == "PadTo":
+        pytest.skip("it has no probability")
+    assert torch.equal(case.make(p=0.0)(x), x)
+    if case.changes_size or case.all_or_none:
+        return
+    augment = case.make(p=0.5)
+    y = augment(x)
+    chosen = augment._params["batch_prob"] > 0.5
+    assert 2 < chosen.sum() < 30
+    assert torch.equal(y[~chosen], x[~chosen])
+    matrix = augment.transform_matrix.cpu()
+    assert torch.equal(matrix[~chosen], torch.eye(3).expand(int((~chosen).sum()), 3, 3))
+
+
+@random_names
+def test_same_on_batch(case: Case) -> None:
+    if case.changes_size and "same_on_batch" not in inspect.signature(getattr(A, case.name)).parameters:
+        return
+    augment = case.make(p=1.0, same_on_batch=True)
+    x = images()[:1].expand(4, -1, -1, -1)
+    y = augment(x)
+    assert torch.equal(y, y[:1].expand_as(y))
+    augment = case.make(p=0.5 if "Flip" in case.name else 1.0)  # which is all that flips draw
+    augment(images()[:1].expand(64, -1, -1, -1))
+    drawn = [x for name, x in augment._params.items() if name not in ("forward_input_shape", "center", "batch_idx")]
+    assert any((x != x[:1]).any() for x in drawn)
+
+
+@names
+@pytest.mark.parametrize("batch", [0, 1])
+def test_small_batches(case: Case, batch: int, device: torch.device) -> None:
+    x = images(device, batch)
+    y = case.make(p=1.0)(x)
+    assert y.shape[:2] == x.shape[:2]
+
+
+@names
+def test_ranks(case: Case) -> None:
+    x = images()[0]
+    assert case.make(p=1.0)(x).dim() == 4
+    assert case.make(p=1.0, **_keepdim(case))(x).dim() == (3 if _keepdim(case) else 4)
+    if case.any_channels and case.name not in ("RandomChannelDropout", "RandomChannelShuffle"):
+        assert case.make(p=1.0)(x[0]).dim() == 4
+
+
+def _keepdim(case: Case) -> dict[str, bool]:
+    return {"keepdim": True} if "keepdim" in inspect.signature(getattr(A, case.name)).parameters else {}
+
+
+@names
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64, torch.uint8], ids=str)
+def test_types(case: Case, dtype: torch.dtype, device: torch.device) -> None:
+    if dtype == torch.uint8 and case.name in ("Normalize", "Denormalize"):
+        pytest.skip("normalized values are no bytes")
+    x, augment = images(device, dtype=dtype), case.make(p=1.0)
+    y = augment(x, seed=3)
+    assert y.dtype == dtype
+    expected = augment(x.float() / (255 if dtype == torch.uint8 else 1), seed=3)
+    scale, tolerance = {torch.uint8: (255.0, 1.01), torch.float64: (1.0, 1e-4)}.get(dtype, (1.0, 0.03))
+    if case.gradient:  # others jump
+        assert (y.double() - scale * expected.double()).abs().max() <= tolerance
+
+
+@names
+def test_channels_last(case: Case, device: torch.device) -> None:
+    x = images(device)
+    planar, last = case.make(p=0.7), case.make(p=0.7)
+    expected = planar(x, seed=3)
+    y = last(x.to(memory_format=torch.channels_last), seed=3)
+    torch.testing.assert_close(y, expected, rtol=1e-5, atol=1e-5)
+
+
+@names
+def test_inputs_are_not_modified(case: Case) -> None:
+    x = images()
+    before = x.clone()
+    case.make(p=0.7)(x)
+    assert torch.equal(x, before)
+
+
+@names
+def test_any_number_of_channels(case: Case) -> None:
+    if not case.any_channels:
+        pytest.skip("defined for RGB")
+    for channels in (1, 2, 5):
+        x = torch.rand(2, channels, 16, 20)
+        assert case.make(p=1.0)(x).shape[:2] == (2, channels)
+
+
+@names
+def test_pickles_and_copies(case: Case) -> None:
+    x, augment = images(), case.make()
+    augment(x)
+    for other in (pickle.loads(pickle.dumps(augment)), copy.deepcopy(augment)):
+        assert torch.equal(other(x, seed=1), augment(x, seed=1))
+
+
+@names
+def test_gradient_of_images(case: Case) -> None:
+    if not case.gradient:
+        pytest.skip("jumps")
+    augment = case.make(p=1.0)
+    x = (0.25 + 0.5 * torch.rand(2, 3, 8, 9, generator=torch.Generator().manual_seed(1))).double().requires_grad_()
+    small = {"CenterCrop": (4, 5), "RandomCrop": (4, 5), "RandomResizedCrop": (4, 5), "Resize": (4, 5)}
+    if case.name in small:
+        augment = getattr(A, case.name)(small[case.name])
+    assert torch.autograd.gradcheck(lambda x: augment(x, seed=2), x, eps=1e-7, atol=1e-4)
+
+
+@names
+def test_wrong_inputs(case: Case) -> None:
+    augment = case.make()
+    with pytest.raises(TypeError, match=f"{case.name}: expected input to be a Tensor, got list"):
+        augment([1.0])
+    with pytest.raises(TypeError, match=f"{case.name}: .*int64"):
+        augment(torch.zeros(1, 3, 8, 8, dtype=torch.int64))
+    with pytest.raises(ValueError, match=f"{case.name}: expected input of shape"):
+        augment(torch.zeros(1, 1, 3, 8, 8))
+    if case.name != "PadTo":  # has no probability
+        for p in (-0.1, 1.1):
+            with pytest.raises(ValueError, match=f"{case.name}: expected p"):
+                case.make(p=p)
+
+
+@names
+def test_return_transform(case: Case) -> None:
+    x = images()
+    y, matrix = case.make(p=1.0)(x, return_transform=True)
+    assert y.dim() == 4 and matrix.shape == (6, 3, 3)
+    before = torch.tensor([[1.0, 0, 3], [0, 1, 0], [0, 0, 1]]).expand(6, 3, 3)
+    augment = case.make(p=1.0, return_transform=True)
+    y, product = augment((x, before))
+    torch.testing.assert_close(product, augment.transform_matrix @ before)
+    assert case.make(p=1.0)((x, before))[1] is before
+
+
+@pytest.mark.tracing
+@pytest.mark.parametrize("case", [*GEOMETRIC[:3], INTENSITY[1]], ids=lambda case: case.name)
+def test_compiles(case: Case) -> None:
+    x, augment = images(), case.make(p=0.7)
+    compiled = torch.compile(lambda x: augment(x, seed=4), fullgraph=True, backend="aot_eager")
+    torch.testing.assert_close(compiled(x), augment(x, seed=4))

@@ -27,7 +27,8 @@ LIST = Path(__file__).with_name("public_api.txt")
 def public_modules() -> Iterator[ModuleType]:
     yield K
     yield from (getattr(K, name) for name in K.__all__ if is_plain_module(getattr(K, name)))
-    yield from map(importlib.import_module, ("kvision.core.exceptions", "kvision.core.ops"))  # modules of Kornia
+    modules = ("kvision.core.exceptions", "kvision.core.ops", "kvision.augmentation.random_generator")  # of Kornia
+    yield from map(importlib.import_module, modules)
 
 
 def public_names(module: ModuleType) -> list[str]:

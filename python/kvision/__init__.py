@@ -19,6 +19,7 @@ from kvision._version import __version__
 
 if TYPE_CHECKING:
     from kvision import (
+        augmentation,
         color,
         contrib,
         core,
@@ -89,6 +90,7 @@ __all__ = [
     "ScalePyramid",
     "ScaleSpaceDetector",
     "__version__",
+    "augmentation",
     "backend",
     "bgr_to_rgb",
     "color",

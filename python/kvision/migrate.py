@@ -25,6 +25,7 @@ STAR = "\\* "  # in front of the rows of docs/differences.md that `kvision.patch
 
 # Sections of docs/differences.md and the modules that they describe.
 _SECTIONS = {
+    "Augmentation": ("augmentation",),
     "Filters": ("filters",),
     "Geometry": ("geometry",),
     "Color": ("color",),

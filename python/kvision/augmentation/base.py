@@ -225,10 +225,10 @@ class AugmentationBase(nn.Module):
     def _columns_of(self, params: Params, shape: Shape, device: torch.device, chosen: Tensor | None) -> Columns | None:
         """The columns that would have been drawn for given parameters."""
         if self._param_generator is None:
-            values, draws = torch.empty(shape[0], 0, device=device), ()
+            values, draws = torch.empty(shape[0], 0, device=device), []
         else:
-            values = self._param_generator.to_columns(self._on_device(params, device), shape)
-            draws = tuple(self._param_generator.draws(shape))
+            values = self._param_generator.to_columns(self._on_device(params, device), shape).to(device)
+            draws = list(self._param_generator.draws(shape))
         if values.dtype != torch.float64:
             values = values.float()
         parts = [values, *self._further_columns(shape, values, chosen)]
@@ -371,15 +371,18 @@ class AugmentationBase(nn.Module):
             TypeError: `input` is no tensor of a floating-point type or uint8.
             ValueError: `input` has another number of axes.
         """
+        image: Any
         matrix = None
         if isinstance(input, (tuple, list)) and len(input) == 2 and all(isinstance(x, Tensor) for x in input):
-            input, matrix = input
-        x = self.transform_tensor(input)
+            image, matrix = input
+        else:
+            image = input
+        x = self.transform_tensor(image)
         execution = self._draw(x, seed, generator) if params is None else self._from_params(params, x)
         y = self._run(x, execution, self._flags_of(kwargs))
         self._execution = execution
-        if self.keepdim and y.dim() > input.dim():
-            y = y.reshape(y.shape[y.dim() - input.dim() :])
+        if self.keepdim and y.dim() > image.dim():
+            y = y.reshape(y.shape[y.dim() - image.dim() :])
         returns = self.return_transform if return_transform is None else return_transform
         if not returns:
             return y if matrix is None else (y, matrix)
@@ -444,6 +447,14 @@ class AugmentationBase2D(AugmentationBase):
 class RigidAffineAugmentationBase2D(AugmentationBase2D):
     """Base of augmentations with a matrix (B, 3, 3): geometric ones, and those that leave pixels in place.
 
+    Args:
+        p: probability that a sample is augmented.
+        p_batch: probability that a batch is.
+        same_on_batch: all samples get the same parameters.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+        generator: draws the key of each call; default: torch's generator.
+        return_transform: calls return the image and its matrix.
+
     Example:
         >>> import kvision as K
         >>> issubclass(K.augmentation.RandomAffine, K.augmentation.RigidAffineAugmentationBase2D)
@@ -453,6 +464,14 @@ class RigidAffineAugmentationBase2D(AugmentationBase2D):
 
 class AugmentationBase3D(AugmentationBase):
     """Base of the augmentations of volumes (B, C, D, H, W); as :class:`AugmentationBase2D`.
+
+    Args:
+        p: probability that a sample is augmented.
+        p_batch: probability that a batch is.
+        same_on_batch: all samples get the same parameters.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+        generator: draws the key of each call; default: torch's generator.
+        return_transform: calls return the image and its matrix.
 
     Example:
         >>> import torch, kvision as K
@@ -468,6 +487,14 @@ class AugmentationBase3D(AugmentationBase):
 
 class RigidAffineAugmentationBase3D(AugmentationBase3D):
     """Base of augmentations of volumes with a matrix (B, 4, 4).
+
+    Args:
+        p: probability that a sample is augmented.
+        p_batch: probability that a batch is.
+        same_on_batch: all samples get the same parameters.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+        generator: draws the key of each call; default: torch's generator.
+        return_transform: calls return the image and its matrix.
 
     Example:
         >>> import kvision as K

@@ -155,6 +155,7 @@ class RandomPlanckianJitter(IntensityAugmentationBase2D):
     ) -> Tensor:
         if input.shape[1] != 3:
             raise ShapeError(f"RandomPlanckianJitter: expected images with 3 channels, got {tuple(input.shape)}")
-        red, blue = self.pl.to(input.device)[params["idx"]].to(input.dtype).unbind(1)  # type: ignore[operator]  # a buffer
+        table: Tensor = self.pl  # type: ignore[assignment]  # a buffer
+        red, blue = table.to(input.device)[params["idx"]].to(input.dtype).unbind(1)
         gains = torch.stack([red, torch.ones_like(red), blue], 1)
         return (input * gains[..., None, None]).clamp(0, 1)

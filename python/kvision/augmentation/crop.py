@@ -272,7 +272,7 @@ def _four_sides(padding: Any) -> tuple[int, int, int, int]:
     if len(sides) not in (1, 2, 4) or any(type(n) is not int for n in sides):
         raise TypeCheckError(f"RandomCrop: expected padding to be one, two or four ints, got {padding!r}")
     if len(sides) == 1:
-        return (*sides * 4,)  # type: ignore[return-value]  # four
+        return (*sides * 4,)
     if len(sides) == 2:
         return sides[0], sides[0], sides[1], sides[1]
     left, top, right, bottom = sides

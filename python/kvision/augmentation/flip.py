@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import torch
+
 from kvision.augmentation import transforms
 from kvision.augmentation.base import Shape
 from kvision.augmentation.draws import Draw
@@ -22,7 +24,7 @@ class _FlipGenerator(RandomGeneratorBase):
         return [Draw("integer", (-1, 1, 1, 1))]
 
     def to_columns(self, params: dict[str, Any], shape: Sequence[int]) -> Any:
-        return -params["batch_prob"].new_ones(shape[0], 1)
+        return torch.full((shape[0], 1), -1.0)
 
 
 class _RandomFlip(GeometricAugmentationBase2D):

@@ -39,6 +39,8 @@ class GeometricAugmentationBase2D(RigidAffineAugmentationBase2D):
         p_batch: probability that a batch is.
         same_on_batch: all samples get the same parameters.
         keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+        generator: draws the key of each call; default: torch's generator.
+        return_transform: calls return the image and its matrix.
 
     Raises:
         TypeError: `p` or `p_batch` is no number.
@@ -158,7 +160,7 @@ class GeometricAugmentationBase2D(RigidAffineAugmentationBase2D):
             raise RuntimeError(f"{type(self).__name__}.inverse: there was no call yet; pass its params")
         if not execution.applied:
             return output
-        y = self.inverse_transform(x, flags, self._matrix(execution), tuple(execution.shape[-2:]))
+        y = self.inverse_transform(x, flags, self._matrix(execution), (execution.shape[-2], execution.shape[-1]))
         if self.keepdim and y.dim() > output.dim():
             y = y.reshape(y.shape[y.dim() - output.dim() :])
         return y

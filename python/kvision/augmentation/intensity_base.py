@@ -51,6 +51,8 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
         p_batch: probability that a batch is.
         same_on_batch: all samples get the same parameters.
         keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+        generator: draws the key of each call; default: torch's generator.
+        return_transform: calls return the image and its matrix.
 
     Raises:
         TypeError: `p` or `p_batch` is no number.
@@ -109,6 +111,14 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
 
 class IntensityAugmentationBase3D(RigidAffineAugmentationBase3D):
     """Base of augmentations of volumes that change values and no positions.
+
+    Args:
+        p: probability that a sample is augmented.
+        p_batch: probability that a batch is.
+        same_on_batch: all samples get the same parameters.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+        generator: draws the key of each call; default: torch's generator.
+        return_transform: calls return the image and its matrix.
 
     Example:
         >>> import torch, kvision as K

@@ -50,6 +50,7 @@ class AugmentationSequential(ImageSequential):
             pixel. {} reads them as the images.
         resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones and
             interpolates once.
+        generator: draws the keys of each call; default: torch's generator.
 
     Raises:
         TypeError: a child is no module.
@@ -107,7 +108,7 @@ class AugmentationSequential(ImageSequential):
             raise ValueCheckError(f"AugmentationSequential: expected data_keys to be a sequence of keys, got {keys!r}")
         return [_key(key) for key in keys]
 
-    def forward(  # type: ignore[override]  # several inputs
+    def forward(
         self,
         *args: Any,
         params: Sequence[ParamItem] | None = None,
@@ -217,7 +218,7 @@ class AugmentationSequential(ImageSequential):
                 return getattr(mode, "name", str(mode)).lower()
         return None
 
-    def inverse(  # type: ignore[override]  # several inputs
+    def inverse(
         self,
         *args: Any,
         params: Sequence[ParamItem] | None = None,
@@ -270,7 +271,7 @@ def _key(key: Any) -> DataKey:
 
 def _without_suffix(name: str) -> str:
     """The key of a dict's entry: the longest known key that its name begins with."""
-    known = sorted((*(key.name.lower() for key in DataKey), "image"), key=len, reverse=True)
+    known = sorted((name.lower() for name in DataKey.__members__), key=len, reverse=True)
     for key in known:
         if name.lower() == key or name.lower().startswith((f"{key}_", f"{key}-")):
             return key

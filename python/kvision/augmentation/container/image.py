@@ -115,6 +115,7 @@ class ImageSequential(ImageSequentialBase):
         disable_item_features, disable_sequential_features: accepted for code written for Kornia.
         resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones and
             interpolates once.
+        generator: draws the keys of each call; default: torch's generator.
 
     Raises:
         TypeError: a child is no module; `random_apply` is neither a bool nor one or two ints.
@@ -160,7 +161,9 @@ class ImageSequential(ImageSequentialBase):
             return None
         if random_apply is True:
             return (1, len(self) + 1)
-        numbers = random_apply if isinstance(random_apply, (tuple, list)) else (random_apply, random_apply + 1)
+        if isinstance(random_apply, int):
+            random_apply = (random_apply, random_apply + 1)
+        numbers = random_apply if isinstance(random_apply, (tuple, list)) else ()
         if len(numbers) == 1:
             numbers = (numbers[0], len(self) + 1)
         if len(numbers) != 2 or not all(isinstance(n, int) for n in numbers) or not 0 <= numbers[0] < numbers[1]:
@@ -364,6 +367,7 @@ class ImageSequential(ImageSequentialBase):
     def forward_parameters(self, batch_shape: Sequence[int]) -> list[ParamItem]:
         """Draw the parameters of a call on images of a shape, without executing it."""
         shape, items = tuple(batch_shape), []
+        module: Any
         for name, module in self.get_forward_sequence():
             data = module.forward_parameters(shape) if hasattr(module, "forward_parameters") else None
             if isinstance(module, GeometricAugmentationBase2D):
@@ -422,7 +426,7 @@ def invert(x: Tensor, stages: Sequence[Stage]) -> Tensor:
             x = invert(x, stage.flags["stages"])
         elif isinstance(stage.module, GeometricAugmentationBase2D) and stage.execution is not None:
             matrix, size = stage.module._matrix(stage.execution), tuple(stage.execution.shape[-2:])
-            x = stage.module.inverse_transform(x, stage.flags, matrix, size)  # type: ignore[arg-type]  # two sizes
+            x = stage.module.inverse_transform(x, stage.flags, matrix, size)
         elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
             stage.module._execution = stage.execution
             x = stage.module.inverse(x)

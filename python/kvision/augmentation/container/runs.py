@@ -107,9 +107,10 @@ def _has_known_size(child: Child) -> bool:
 
 def _execute_module(x: Tensor, child: Child, source: Randomness) -> tuple[Tensor, Stage]:
     """A module that is no augmentation: another container, or any nn.Module of images."""
-    module = child.module
+    module: Any = child.module
     if hasattr(module, "_execute_nested"):
-        return module._execute_nested(x, child.params, source)
+        nested: tuple[Tensor, Stage] = module._execute_nested(x, child.params, source)
+        return nested
     return module(x), Applied(module, None, {})
 
 

@@ -21,6 +21,7 @@ class ColorJitterGenerator(RandomGeneratorBase):
     Args:
         brightness, contrast, saturation: a number s for max(0, 1 - s) to 1 + s, or a pair.
         hue: a number s for -s to s, or a pair, in turns: at most half a turn.
+        order: a permutation of 0 to 3; None for a random one a sample.
 
     Returns:
         brightness_factor, contrast_factor, saturation_factor, hue_factor (B,), and order (B, 4): which of brightness (0),
@@ -36,7 +37,7 @@ class ColorJitterGenerator(RandomGeneratorBase):
     """
 
     # Hue has a second column, in radians, which kernels take.
-    fields = (
+    fields: Sequence[tuple[str, int]] = (
         ("brightness_factor", 0),
         ("contrast_factor", 0),
         ("saturation_factor", 0),
@@ -91,6 +92,11 @@ class ColorJitterGenerator(RandomGeneratorBase):
 
 class ColorJiggleGenerator(ColorJitterGenerator):
     """Draws the parameters of :class:`ColorJiggle`: as :class:`ColorJitterGenerator`, with a brightness of at most 2.
+
+    Args:
+        brightness, contrast, saturation: a number s for max(0, 1 - s) to 1 + s, or a pair.
+        hue: a number s for -s to s, or a pair, in turns: at most half a turn.
+        order: a permutation of 0 to 3; None for a random one a sample.
 
     Example:
         >>> import kvision as K

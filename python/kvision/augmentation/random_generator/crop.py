@@ -153,7 +153,8 @@ class ResizedCropGenerator(RandomGeneratorBase):
         return [Draw("resized_crop", (self.scale.low, self.scale.high, *logs, height, width))]
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
-        return box_params(*columns.unbind(1), shape, self.output_size)
+        x, y, w, h = columns.unbind(1)
+        return box_params(x, y, w, h, shape, self.output_size)
 
     def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
         src = params["src"]

@@ -22,6 +22,8 @@ class PlainUniformGenerator(RandomGeneratorBase):
     Args:
         *samplers: (range, name, center, bounds): a pair, or a number s for center - s to center + s within the bounds.
             A center of None takes pairs only, bounds of None are none.
+        identity: the values of samples that are not chosen; default: 0.
+        op: the name in messages of errors; default: that of the class.
 
     Returns:
         The parameters (B,) by name.
@@ -43,9 +45,9 @@ class PlainUniformGenerator(RandomGeneratorBase):
         self._ranges = []
         for value, name, center, bounds in samplers:
             ranges.keep_parameters(self, **{name: value})
-            limits = {} if bounds is None else {"bounds": tuple(float(b) for b in bounds)}
+            limits = (-float("inf"), float("inf")) if bounds is None else (float(bounds[0]), float(bounds[1]))
             center = None if center is None else float(center)
-            self._ranges.append(ranges.parse(op or type(self).__name__, name, value, center=center, **limits))
+            self._ranges.append(ranges.parse(op or type(self).__name__, name, value, center=center, bounds=limits))
         self.fields = tuple((name, 0) for _, name, _, _ in samplers)
         self._identity = identity or [0.0] * len(samplers)
 

@@ -1,0 +1,233 @@
+"""Containers: what is joined gives what the augmentations give one after the other, and labels stay on their objects."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+import kvision.augmentation as A
+from augmentation_cases import GEOMETRIC, Case
+from kvision.augmentation.container.runs import Warp
+
+JITTER = (0.2, 0.2, 0.2, 0.1)
+CHAINS = {
+    "flips and a warp": lambda: [
+        A.RandomHorizontalFlip(),
+        A.RandomAffine(30.0, (0.1, 0.1), p=0.7),
+        A.RandomVerticalFlip(),
+    ],
+    "a warp and a crop": lambda: [A.RandomAffine(30.0, p=1.0), A.RandomCrop((9, 11))],
+    "a padded crop after a warp": lambda: [A.RandomAffine(30.0, p=1.0), A.RandomCrop((9, 11), padding=4)],
+    "a crop before a warp": lambda: [A.CenterCrop((10, 10)), A.RandomRotation(40.0, p=1.0)],
+    "two warps": lambda: [A.RandomRotation(20.0, p=1.0), A.RandomPerspective(0.3, p=0.5)],
+    "colors": lambda: [A.ColorJitter(*JITTER), A.RandomGamma((0.5, 1.5), p=0.5), A.Normalize([0.5] * 3, [0.2] * 3)],
+    "two contrasts": lambda: [A.ColorJitter(*JITTER), A.ColorJitter(*JITTER, p=0.5)],
+    "everything": lambda: [
+        A.RandomResizedCrop((12, 14)),
+        A.RandomHorizontalFlip(),
+        A.ColorJitter(*JITTER, p=0.8),
+        A.RandomGaussianBlur((3, 3), (0.1, 2.0)),
+        A.RandomGrayscale(p=0.3),
+        A.Normalize([0.5] * 3, [0.2] * 3),
+    ],
+}
+chains = pytest.mark.parametrize("make", CHAINS.values(), ids=list(CHAINS))
+
+
+def images(device: Any = "cpu", batch: int = 6) -> Tensor:
+    return torch.rand(batch, 3, 16, 20, generator=torch.Generator().manual_seed(batch)).to(device)
+
+
+@chains
+def test_a_container_equals_its_children_one_after_the_other(make: Any, device: torch.device) -> None:
+    x, container = images(device), A.ImageSequential(*make())
+    torch.manual_seed(1)
+    y = container(x)
+    after = torch.get_rng_state()
+    torch.manual_seed(1)
+    expected = x
+    for child in container.children():
+        expected = child(expected)
+    torch.testing.assert_close(y, expected, rtol=1e-4, atol=2e-5)
+    assert torch.equal(torch.get_rng_state(), after)
+
+
+@chains
+def test_replay_and_seeds(make: Any, device: torch.device) -> None:
+    x, container = images(device), A.ImageSequential(*make())
+    y = container(x)
+    assert torch.equal(container(x, params=container._params), y)
+    y = container(x, seed=9)
+    assert torch.equal(container(x, seed=9), y)
+    seeds = torch.arange(6)
+    assert torch.equal(container(x[3:], seed=seeds[3:]), container(x, seed=seeds)[3:])
+    for other in (copy.deepcopy(container), pickle.loads(pickle.dumps(container))):
+        assert torch.equal(other(x, seed=9), y)
+
+
+@pytest.mark.parametrize(("name", "warps"), [("flips and a warp", 1), ("a warp and a crop", 1), ("two warps", 0)])
+def test_what_is_joined(name: str, warps: int) -> None:
+    container = A.ImageSequential(*CHAINS[name]())
+    container(images())
+    assert sum(isinstance(stage, Warp) for stage in container._stages) == warps
+
+
+def test_one_resampling() -> None:
+    """The product of the matrices, read once: a shift of a quarter pixel and back leaves no blur."""
+    there = A.RandomTranslate((0.0125, 0.0125), p=1.0)
+    back = A.RandomTranslate((-0.0125, -0.0125), p=1.0)
+    x = images()
+    torch.testing.assert_close(A.ImageSequential(there, back, resample="once")(x), x)
+    assert (A.ImageSequential(there, back)(x) - x).abs().max() > 0.01
+
+
+def blob(x: float, y: float, h: int = 48, w: int = 64) -> Tensor:
+    rows, columns = torch.arange(h)[:, None], torch.arange(w)
+    return torch.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * 2.0**2))[None, None]
+
+
+LARGE = {"CenterCrop": ((40, 50),), "RandomCrop": ((40, 50),), "RandomResizedCrop": ((40, 50), (0.7, 1.0))}
+LARGE |= {"Resize": ((60, 70),), "LongestMaxSize": (80,), "SmallestMaxSize": (60,), "PadTo": ((60, 80),)}
+
+
+@pytest.mark.parametrize("case", GEOMETRIC, ids=lambda case: case.name)
+def test_points_boxes_and_masks_follow_the_image(case: Case, device: torch.device) -> None:
+    augment = A.AugmentationSequential(
+        getattr(A, case.name)(*LARGE.get(case.name, case.args), **({} if case.name == "PadTo" else {"p": 1.0})),
+        data_keys=["input", "mask", "keypoints", "bbox_xyxy"],
+    )
+    at = torch.tensor([[[30.0, 22.0]]], device=device)
+    image = blob(30.0, 22.0).to(device)
+    box = torch.tensor([[[26.0, 18.0, 35.0, 27.0]]], device=device)  # nine pixels around the center
+    for seed in range(3):
+        moved, mask, point, moved_box = augment(image, (image > 0.14).long(), at, box, seed=seed)
+        rows, columns = (torch.arange(n, device=device) for n in moved.shape[-2:])
+        weight = moved[0, 0]
+        center = torch.stack([(weight * columns).sum(), (weight * rows[:, None]).sum()]) / weight.sum()
+        if moved[..., [0, -1], :].max() < 1e-3 and moved[..., [0, -1]].max() < 1e-3:  # all of the blob is there
+            assert (center - point[0, 0]).abs().max() < 0.1, seed
+            inside = mask[0, 0].nonzero().float()
+            x0, y0, x1, y1 = moved_box[0, 0]
+            assert x0 - 1 <= inside[:, 1].min() and inside[:, 1].max() <= x1 and y0 - 1 <= inside[:, 0].min()
+            assert inside[:, 0].max() <= y1
+        assert mask.dtype == torch.int64 and set(mask.unique().tolist()) <= {0, 1}
+    back = augment.inverse(moved, mask, point, moved_box)
+    torch.testing.assert_close(back[2], at, atol=1e-3, rtol=0)
+    assert back[0].shape == image.shape
+
+
+def test_boxes_of_every_kind() -> None:
+    flip = A.AugmentationSequential(A.RandomHorizontalFlip(p=1.0), data_keys=["input"])
+    x = torch.zeros(2, 1, 10, 20)
+    whole = torch.tensor([[0.0, 0.0, 20.0, 10.0]]).expand(2, 1, 4)
+    corners = torch.tensor([[1.0, 2], [4, 2], [4, 5], [1, 5]]).expand(2, 1, 4, 2)
+    _, a, b, c = flip(x, whole, whole, corners, data_keys=["input", "bbox_xyxy", "bbox_xywh", "bbox"])
+    assert torch.equal(a, whole) and torch.equal(b, whole)
+    assert torch.equal(c[0, 0], torch.tensor([[15.0, 2], [18, 2], [18, 5], [15, 5]]))
+    lists = [torch.tensor([[1.0, 2, 3, 4]]), torch.zeros(0, 4)]
+    moved = flip(x, lists, data_keys=["input", "bbox_xyxy"])[1]
+    assert isinstance(moved, list) and torch.equal(moved[0], torch.tensor([[17.0, 2, 19, 4]])) and len(moved[1]) == 0
+    assert flip(x, whole.int(), data_keys=["input", "bbox_xyxy"])[1].dtype == torch.int32
+
+
+def test_keys() -> None:
+    augment = A.AugmentationSequential(A.RandomHorizontalFlip(p=1.0), data_keys=None)
+    x, label = images(), torch.arange(6)
+    given = {"image": x, "mask": x[:, :1], "mask_2": x[:, :1].long(), "class": label, "keypoints": torch.zeros(6, 1, 2)}
+    before = dict(given)
+    out = augment(given)
+    assert list(out) == list(given) and out["class"] is label
+    assert all(given[name] is value for name, value in before.items())
+    assert torch.equal(out["mask"], x[:, :1].flip(-1)) and torch.equal(
+        out["keypoints"][..., 0], torch.full((6, 1), 19.0)
+    )
+    assert isinstance(A.AugmentationSequential(A.RandomHorizontalFlip())(x), Tensor)
+    with pytest.raises(ValueError, match="to begin with 'input'"):
+        A.AugmentationSequential(data_keys=["mask"])
+    with pytest.raises(ValueError, match="expected 2 inputs"):
+        A.AugmentationSequential(data_keys=["input", "mask"])(x)
+    with pytest.raises(ValueError, match="sequence of keys"):
+        A.AugmentationSequential(data_keys="input")
+
+
+def test_random_apply() -> None:
+    children = [A.RandomHorizontalFlip(p=1.0), A.RandomVerticalFlip(p=1.0), A.RandomInvert(p=1.0)]
+    two = A.ImageSequential(*children, random_apply=2)
+    for seed in range(20):
+        two(images(), seed=seed)
+        assert len({item.name for item in two._params}) == 2
+    many = A.ImageSequential(*children, random_apply=True)
+    counts = set()
+    for seed in range(50):
+        many(images(batch=1), seed=seed)
+        counts.add(len(many._params))
+    assert counts == {1, 2, 3}
+    repeated = A.ImageSequential(*children, random_apply=5)
+    repeated(images())
+    assert len(repeated._params) == 5
+    weighted = A.ImageSequential(*children, random_apply=1, random_apply_weights=[0.0, 1.0, 0.0])
+    weighted(images())
+    assert weighted._params[0].name == "RandomVerticalFlip_1"
+    for wrong in (0.5, (3, 1), "all"):
+        with pytest.raises(ValueError, match="random_apply"):
+            A.ImageSequential(*children, random_apply=wrong)
+    with pytest.raises(ValueError, match="random_apply_weights"):
+        A.ImageSequential(*children, random_apply_weights=[1.0])
+
+
+def test_nested_containers_and_other_modules() -> None:
+    class Double(nn.Module):
+        def forward(self, x: Tensor) -> Tensor:
+            return 2 * x
+
+    nested = A.ImageSequential(
+        A.RandomHorizontalFlip(p=1.0), A.ImageSequential(A.CenterCrop((8, 8)), Double()), Double()
+    )
+    x = images()
+    assert torch.equal(nested(x), 4 * x.flip(-1)[..., 4:12, 6:14])
+    assert nested.transform_matrix.shape == (6, 3, 3)
+    assert nested.inverse(nested(x)).shape == x.shape
+
+
+def test_user_classes() -> None:
+    """A class that overrides Kornia's methods runs through them, in containers as well."""
+
+    class Shift(A.GeometricAugmentationBase2D):
+        def generate_parameters(self, batch_shape: Any) -> dict[str, Tensor]:
+            return {"shift": torch.full((batch_shape[0],), 2.0)}
+
+        def compute_transformation(self, input: Tensor, params: Any, flags: Any) -> Tensor:
+            matrix = torch.eye(3).repeat(len(input), 1, 1)
+            matrix[:, 0, 2] = params["shift"]
+            return matrix
+
+    x = images()
+    expected = torch.zeros_like(x)
+    expected[..., 2:] = x[..., :-2]
+    augment = A.AugmentationSequential(Shift(p=1.0), A.RandomInvert(p=1.0), data_keys=["input", "keypoints"])
+    y, points = augment(x, torch.zeros(6, 1, 2))
+    torch.testing.assert_close(y, 1 - expected)
+    assert torch.equal(points[..., 0], torch.full((6, 1), 2.0))
+    flip = A.RandomHorizontalFlip(p=1.0)
+    flip.apply_transform = lambda input, params, flags, transform=None: input + 1  # type: ignore[method-assign]
+    assert torch.equal(flip(x), x + 1)
+
+
+def test_learned_range() -> None:
+    degrees = nn.Parameter(torch.tensor([-20.0, 20.0]))
+    rotate = A.RandomRotation(degrees, p=1.0)
+    assert [p is degrees for p in rotate.parameters()] == [True]
+    rotate(images()).square().sum().backward()
+    assert degrees.grad.abs().min() > 0
+    A.ImageSequential(rotate, A.RandomHorizontalFlip())(images()).square().sum().backward()
+
+
+def test_gradient_through_a_container() -> None:
+    container = A.ImageSequential(A.RandomHorizontalFlip(), A.RandomRotation(30.0, p=1.0), A.ColorJitter(*JITTER))
+    x = (0.3 + 0.4 * torch.rand(2, 3, 6, 7, generator=torch.Generator().manual_seed(0))).double().requires_grad_()
+    assert torch.autograd.gradcheck(lambda x: container(x, seed=3), x, eps=1e-7, atol=1e-4)

@@ -30,6 +30,7 @@ _SECTIONS = {
     "Geometry": ("geometry",),
     "Color": ("color",),
     "Enhance": ("enhance",),
+    "Feature": ("feature",),
     "Losses and metrics": ("losses", "metrics"),
     "Morphology and contrib": ("morphology", "contrib"),
 }

@@ -53,6 +53,14 @@ def test_three_images_and_gradients(device):
     assert wide.grad.isfinite().all() and wide.grad.sum() > 0.9 * wide.numel()
 
 
+@pytest.mark.parametrize("x", [30.3, 30.5, 30.8])
+def test_seam_is_not_dark(x, device):
+    """The edge of the warped image lies between pixels, and white stays white on both sides of it."""
+    white = torch.ones(1, 3, 30, 50, device=device)
+    stitched = K.contrib.ImageStitcher(Matches(shift(x)), "vanilla")(white, white)
+    assert stitched.shape[3] >= 80 and stitched.min() > 0.999
+
+
 def test_errors():
     matcher, x = Matches(shift(1.0)), torch.rand(1, 3, 8, 8)
     with pytest.raises(NotImplementedError, match="estimator must be"):

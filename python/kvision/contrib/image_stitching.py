@@ -115,7 +115,8 @@ class ImageStitcher(nn.Module):
             homographies = self.estimate_transform(b, **matches).to(compute_dtype(images_left))
         mask_left = torch.ones_like(images_left[:, :1]) if mask_left is None else mask_left[:, :1]
         mask_right = torch.ones_like(images_right[:, :1]) if mask_right is None else mask_right[:, :1]
-        warped = warp_perspective(images_right, homographies, (h, width))
+        # Beyond its edge an image goes on: zeros would darken the seam.
+        warped = warp_perspective(images_right, homographies, (h, width), padding_mode="border")
         inside = warp_perspective(mask_right, homographies, (h, width), mode="nearest")
         extension = images_left.new_zeros(*images_left.shape[:3], width - w)
         left, mask_left = torch.cat([images_left, extension], 3), torch.cat([mask_left, extension[:, :1]], 3)

@@ -83,10 +83,28 @@ def test_published_keynet(data, device):
     compare(ours, theirs, 0.01 * x)
 
 
+def test_published_keynet_detector(data, device):
+    path = data / "weights" / FILES["KeyNet"]
+    theirs = KF.KeyNetDetector(False, 150).eval().to(device)
+    theirs.model.load_state_dict(torch.load(path, map_location=device, weights_only=True)["state_dict"])
+    image = torch.tensor(skimage.data.camera()[100:300, 100:340] / 255.0, dtype=torch.float32, device=device)[
+        None, None
+    ]
+    ours = K.feature.KeyNetDetector(path, 150).to(device)
+    (lafs, responses), (expected, expected_responses) = (detector(image) for detector in (ours, theirs))
+    assert lafs.shape == expected.shape and responses.shape == expected_responses.shape
+    distances = torch.cdist(K.feature.get_laf_center(lafs)[0], K.feature.get_laf_center(expected)[0])
+    assert (distances.amin(1) < 2).float().mean() > 0.9  # Kornia does not refine positions between pixels
+
+
 def frames(device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
     """Frames inside of a photograph 160 x 160, and two empty slots."""
     image = torch.tensor(skimage.data.camera()[:160, :160] / 255.0, dtype=torch.float32, device=device)
-    centers, scales, angles = 100 * torch.rand(1, 20, 2) + 30, 10 * torch.rand(1, 20, 1, 1) + 5, 360 * torch.rand(1, 20, 1)
+    centers, scales, angles = (
+        100 * torch.rand(1, 20, 2) + 30,
+        10 * torch.rand(1, 20, 1, 1) + 5,
+        360 * torch.rand(1, 20, 1),
+    )
     lafs = K.feature.laf_from_center_scale_ori(centers, scales, angles)
     return torch.cat([lafs, torch.zeros(1, 2, 2, 3)], 1).to(device), image[None, None]
 

@@ -9,7 +9,7 @@ from kvision.feature.affine_shape import LAFAffineShapeEstimator, PatchAffineSha
 from kvision.feature.affnet import LAFAffNetShapeEstimator
 from kvision.feature.hardnet import HardNet, HardNet8
 from kvision.feature.hynet import TLU, FilterResponseNorm2d, HyNet
-from kvision.feature.keynet import KeyNet
+from kvision.feature.keynet import KeyNet, KeyNetDetector
 from kvision.feature.laf import (
     denormalize_laf,
     ellipse_to_laf,

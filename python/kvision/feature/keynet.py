@@ -10,6 +10,7 @@ from torch.nn.functional import interpolate
 
 from kvision import _check
 from kvision.feature._weights import Weights, load_weights
+from kvision.feature.multi_resolution_detector import MultiResolutionDetector, get_default_detector_config
 from kvision.filters import spatial_gradient
 from kvision.geometry.transform import pyrdown
 
@@ -94,3 +95,46 @@ class KeyNet(nn.Module):
             features = self.feature_extractor(x)
             maps.append(interpolate(features, size, mode="bilinear", align_corners=False) if level else features)
         return self.last_conv(torch.cat(maps, 1))
+
+
+class KeyNetDetector(MultiResolutionDetector):
+    """Detect features at the maxima of Key.Net's response on an image and on larger and smaller copies of it.
+
+    Args:
+        pretrained: weights of the response, as in `HardNet`.
+        num_features: slots of each image, at least 1.
+        keynet_conf: the dict of `KeyNet`, which may have "Detector_conf", the config of `MultiResolutionDetector`.
+        ori_module: gives frames an orientation, such as LAFOrienter; None for no change.
+        aff_module: gives frames an affine shape, such as LAFAffNetShapeEstimator; None for no change.
+        compile_model: torch.compile the response and the suppression of pixels that are no maxima.
+        score_threshold: responses of features are above it; not negative.
+
+    Its call takes gray images (B, 1, H, W) and a mask, and returns frames (B, num_features, 2, 3) and responses
+    (B, num_features), as `MultiResolutionDetector` does.
+
+    Raises:
+        RuntimeError: weights that cannot be downloaded, or are not those of the response.
+        ShapeError: another shape of an image or of a mask.
+        ValueCheckError: `num_features` is below 1, or `score_threshold` negative.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> detector = K.feature.KeyNetDetector(pretrained=False, num_features=10).eval()
+        >>> lafs, responses = detector(torch.rand(1, 1, 64, 80))
+        >>> lafs.shape, responses.shape
+        (torch.Size([1, 10, 2, 3]), torch.Size([1, 10]))
+    """
+
+    def __init__(
+        self,
+        pretrained: Weights = True,
+        num_features: int = 2048,
+        keynet_conf: dict[str, Any] | None = None,
+        ori_module: nn.Module | None = None,
+        aff_module: nn.Module | None = None,
+        compile_model: bool = False,
+        score_threshold: float = 0.0,
+    ) -> None:
+        config = (keynet_conf or {}).get("Detector_conf", get_default_detector_config())
+        network = KeyNet(pretrained, keynet_conf)
+        super().__init__(network, num_features, config, ori_module, aff_module, compile_model, score_threshold)

@@ -73,7 +73,40 @@ def test_depth_of_a_room(data, device, tmp_path: Path):
     assert (tmp_path / "room.png").stat().st_size > 0
 
 
-NAMES = ("image_registration", "depth_estimation", "segmentation_losses")
+def test_matching_of_photographs(device, tmp_path: Path):
+    pytest.importorskip("skimage")
+    matching = example("feature_matching")
+    matcher = matching.Matcher(matching.Features(500)).to(device).eval()
+    pair = next(matching.synthetic(device))
+    matches = matching.match(matcher, pair.first, pair.second)
+    assert matches.inliers.sum() > 50 and matching.corner_error(matches.homography, pair) < matching.LIMIT
+    matching.draw(pair, matches, tmp_path / "pair.png")
+    assert (tmp_path / "pair.png").stat().st_size > 0
+
+
+def test_panorama_of_views(device):
+    pytest.importorskip("skimage")
+    matching = example("feature_matching")
+    views = matching.views(device)
+    stitched = matching.panorama(matching.Matcher(matching.Features(500)).to(device).eval(), views)
+    height, width = stitched.shape[2:]
+    assert height == views[0].shape[2] and 600 <= width <= 660
+    whole = matching.photograph("rocket", device)[..., :300, :]
+    common = min(width, whole.shape[3])
+    assert (stitched[..., 20:-20, :common] - whole[..., 20:-20, :common]).abs().median() < 0.05
+
+
+def test_matching_of_real_pairs(data, device):
+    matching = example("feature_matching")
+    matcher = matching.Matcher(matching.Features(2000)).to(device).eval()
+    pairs = list(matching.real(data / "homography", device))
+    for pair in pairs:
+        matches = matching.match(matcher, pair.first, pair.second)
+        assert matching.corner_error(matches.homography, pair) < 3 * matching.LIMIT, pair.name
+    assert pairs
+
+
+NAMES = ("image_registration", "depth_estimation", "segmentation_losses", "feature_matching")
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
@@ -85,7 +118,7 @@ def test_a_missing_device_is_said(name: str, capsys: pytest.CaptureFixture[str])
     assert capsys.readouterr().err.endswith("error: --device cuda: torch finds no CUDA device\n")
 
 
-@pytest.mark.parametrize("name", NAMES[:2])
+@pytest.mark.parametrize("name", ("image_registration", "depth_estimation", "feature_matching"))
 def test_a_wrong_folder_is_an_error(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
         example(name).main(["--data", str(tmp_path / "wrong"), "--device", "cpu"])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from math import factorial
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -18,6 +18,8 @@ from kvision._torch_compat import in_forward_ad, in_function_transform
 from kvision.core.exceptions import TypeCheckError
 
 Self = TypeVar("Self", bound="LieGroup")
+Motion = TypeVar("Motion", bound="RigidMotion[Any]")
+Rotation = TypeVar("Rotation", bound="LieGroup")
 
 
 class LieGroup(nn.Module):
@@ -81,6 +83,38 @@ class LieGroup(nn.Module):
 
     @abstractmethod
     def __mul__(self, right: Any) -> Any: ...
+
+
+class RigidMotion(LieGroup, Generic[Rotation]):
+    """A rotation and a translation of n coordinates."""
+
+    _rotation: Rotation
+
+    def __repr__(self) -> str:
+        return f"rotation: {self.r}\ntranslation: {self.t}"
+
+    def __getitem__(self: Motion, idx: Any) -> Motion:
+        return type(self)(self.r[idx], self.t[idx])
+
+    @property
+    def r(self) -> Rotation:
+        """The rotations."""
+        return self._rotation
+
+    @property
+    def rotation(self) -> Rotation:
+        """The rotations."""
+        return self._rotation
+
+    @property
+    def t(self) -> Tensor:
+        """The translations (*, n)."""
+        return self._translation  # type: ignore[return-value]  # a tensor by construction
+
+    @property
+    def translation(self) -> Tensor:
+        """The translations (*, n)."""
+        return self.t
 
 
 def check_translation(group: str, translation: Any, n: int) -> None:

@@ -11,7 +11,7 @@ from kvision import _check
 from kvision.core.exceptions import TypeCheckError
 from kvision.geometry._formula import of_rows, register_formula
 from kvision.geometry.conversions.series import sinc
-from kvision.geometry.liegroup.group import LieGroup, check_translation, cotangent_rest, shape_of
+from kvision.geometry.liegroup.group import RigidMotion, check_translation, cotangent_rest, shape_of
 from kvision.geometry.liegroup.so2 import So2
 from kvision.geometry.liegroup.so3 import along_axis
 from kvision.geometry.vector import Vector2
@@ -19,7 +19,7 @@ from kvision.geometry.vector import Vector2
 __all__ = ["Se2"]
 
 
-class Se2(LieGroup):
+class Se2(RigidMotion[So2]):
     """Rigid motions of the plane: p becomes R p + t.
 
     A tangent vector is (translation 2, angle). `a * b` applies b first. `a * points` moves points (*, 2). `a[i]` indexes the batch.
@@ -55,12 +55,6 @@ class Se2(LieGroup):
         self._rotation = rotation
         self._store("_translation", data)
 
-    def __repr__(self) -> str:
-        return f"rotation: {self.r}\ntranslation: {self.t}"
-
-    def __getitem__(self, idx: Any) -> Se2:
-        return Se2(self.r[idx], self.t[idx])
-
     def __mul__(self, right: Any) -> Any:
         """Compose with motions, or move points (*, 2)."""
         if isinstance(right, Se2):
@@ -71,26 +65,6 @@ class Se2(LieGroup):
     def so2(self) -> So2:
         """The rotations."""
         return self._rotation
-
-    @property
-    def r(self) -> So2:
-        """The rotations."""
-        return self._rotation
-
-    @property
-    def rotation(self) -> So2:
-        """The rotations."""
-        return self._rotation
-
-    @property
-    def t(self) -> Tensor:
-        """The translations (*, 2)."""
-        return self._translation  # type: ignore[return-value]  # a tensor by construction
-
-    @property
-    def translation(self) -> Tensor:
-        """The translations (*, 2)."""
-        return self.t
 
     @staticmethod
     def exp(v: Tensor) -> Se2:

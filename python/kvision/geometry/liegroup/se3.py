@@ -13,7 +13,7 @@ from kvision.core.exceptions import TypeCheckError
 from kvision.geometry._formula import of_rows, register_formula
 from kvision.geometry.conversions.series import angle_per_sine, cos, sinc, squared
 from kvision.geometry.liegroup.group import (
-    LieGroup,
+    RigidMotion,
     check_translation,
     cosine_rest,
     shape_of,
@@ -27,7 +27,7 @@ from kvision.geometry.vector import Vector3
 __all__ = ["Se3"]
 
 
-class Se3(LieGroup):
+class Se3(RigidMotion[So3]):
     """Rigid motions of space: p becomes R p + t.
 
     A tangent vector is (translation 3, rotation 3). `a * b` applies b first. `a * points` moves points (*, 3). `a[i]` indexes the
@@ -63,12 +63,6 @@ class Se3(LieGroup):
         self._rotation = rotation if isinstance(rotation, So3) else So3(rotation)
         self._store("_translation", data)
 
-    def __repr__(self) -> str:
-        return f"rotation: {self.r}\ntranslation: {self.t}"
-
-    def __getitem__(self, idx: Any) -> Se3:
-        return Se3(self.r[idx], self.t[idx])
-
     def __mul__(self, right: Any) -> Any:
         """Compose with motions, or move points (*, 3) or a Vector3."""
         if isinstance(right, Se3):
@@ -86,26 +80,6 @@ class Se3(LieGroup):
     def quaternion(self) -> Quaternion:
         """The quaternions (*, 4) of the rotations."""
         return self._rotation.q
-
-    @property
-    def r(self) -> So3:
-        """The rotations."""
-        return self._rotation
-
-    @property
-    def rotation(self) -> So3:
-        """The rotations."""
-        return self._rotation
-
-    @property
-    def t(self) -> Tensor:
-        """The translations (*, 3)."""
-        return self._translation  # type: ignore[return-value]  # a tensor by construction
-
-    @property
-    def translation(self) -> Tensor:
-        """The translations (*, 3)."""
-        return self.t
 
     @staticmethod
     def exp(v: Tensor) -> Se3:

@@ -160,7 +160,8 @@ class PointOpTests:
         args = self.rows(call, 9, device, dtype)
         with instruction_set(isa):
             whole = self.with_gradients(name, call._replace(differentiable=False), args)
-            for batch in (0, 1, 4, 7) if call.per_sample else (9,):
+            # 7 samples are a vector and a remainder of three.
+            for batch in (0, 1, 7) if call.per_sample else (9,):
                 some = [x[:batch] if i in self.batched(call) else x for i, x in enumerate(args)]
                 self.check(call, self.with_gradients(name, call, some), self.expected(name, call, some, dtype))
                 first = self.with_gradients(name, call._replace(differentiable=False), some)

@@ -76,7 +76,10 @@ def cmake() -> str:
 
 
 # Folders whose tests call operators; the others test files, containers and packaging.
-OPERATORS = ("augmentation", "color", "contrib", "enhance", "filters", "geometry", "losses", "metrics", "morphology")
+OPERATORS = (
+    *("augmentation", "color", "contrib", "enhance", "feature", "filters", "geometry", "losses", "metrics"),
+    "morphology",
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -78,3 +78,33 @@ def test_filters_are_layers(image: Tensor, device: torch.device) -> None:
     image.requires_grad_()
     model(image).mean().backward()
     assert image.grad.abs().sum() > 0 and all(p.grad is not None for p in model.parameters())
+
+
+def test_features_are_matched(image: Tensor) -> None:
+    """Example 3: detector, patches, HardNet with random weights, matches, and the homography of the two images."""
+    detector = K.ScaleSpaceDetector(
+        num_features=200,
+        nms_module=K.ConvQuadInterp3d(10),
+        scale_pyr_module=K.ScalePyramid(3, 1.6, 15),
+        resp_module=K.BlobHessian(),
+        ori_module=K.LAFOrienter(19),
+        aff_module=K.LAFAffineShapeEstimator(19),
+        mr_size=6.0,
+    ).to(image.device)
+    descriptor = K.HardNet(pretrained=False).to(image.device).eval()
+
+    def describe(x: Tensor) -> tuple[Tensor, Tensor]:
+        lafs, responses = detector(x)
+        patches = K.extract_patches_from_pyramid(x, lafs, PS=32)
+        b, n, c, h, w = patches.shape
+        found = responses[0] > 0
+        return lafs[:, found], descriptor(patches.view(b * n, c, h, w)).view(b, n, -1)[0, found]
+
+    gray = K.rgb_to_grayscale(image)
+    with torch.no_grad():
+        (lafs0, d0), (lafs1, d1) = describe(gray), describe(0.5 * gray)
+    ratios, tentatives = K.match_smnn(d0, d1, 0.95)  # the paper has them in the other order
+    assert ratios.shape == (len(tentatives), 1) and len(tentatives) > 0.5 * len(d0)
+    points = [K.feature.laf.get_laf_center(x)[:, tentatives[:, i]] for i, x in enumerate((lafs0, lafs1))]
+    homography = K.find_homography_dlt_iterated(*points, 1 - ratios.view(1, -1))
+    assert_close(homography, torch.eye(3, device=image.device)[None], 0, 0.05)

@@ -38,6 +38,14 @@ from kvision.augmentation.filters import (
 from kvision.augmentation.flip import RandomHorizontalFlip, RandomVerticalFlip
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
+from kvision.augmentation.mix import (
+    MixAugmentationBaseV2,
+    PatchMix,
+    RandomCutMixV2,
+    RandomJigsaw,
+    RandomMixUpV2,
+    RandomMosaic,
+)
 from kvision.augmentation.normalize import Denormalize, Normalize
 from kvision.augmentation.perspective import RandomPerspective
 from kvision.augmentation.resize import LongestMaxSize, PadTo, Resize, SmallestMaxSize
@@ -55,8 +63,10 @@ __all__ = [
     "IntensityAugmentationBase2D",
     "IntensityAugmentationBase3D",
     "LongestMaxSize",
+    "MixAugmentationBaseV2",
     "Normalize",
     "PadTo",
+    "PatchMix",
     "RandomAffine",
     "RandomAutoContrast",
     "RandomBoxBlur",
@@ -66,6 +76,7 @@ __all__ = [
     "RandomClahe",
     "RandomContrast",
     "RandomCrop",
+    "RandomCutMixV2",
     "RandomEqualize",
     "RandomGamma",
     "RandomGaussianBlur",
@@ -74,7 +85,10 @@ __all__ = [
     "RandomHue",
     "RandomInvert",
     "RandomJPEG",
+    "RandomJigsaw",
     "RandomMedianBlur",
+    "RandomMixUpV2",
+    "RandomMosaic",
     "RandomMotionBlur",
     "RandomPerspective",
     "RandomPlanckianJitter",

@@ -315,9 +315,10 @@ class AugmentationBase(nn.Module):
         if self._is_overridden("generate_parameters"):
             execution.params = {**self._read_params(execution), **self.generate_parameters(execution.shape)}
             return self._on_device(execution.params, x.device)
+        shape = {"forward_input_shape": torch.tensor(execution.shape)}
         if execution.columns is None or self._param_generator is None:
-            return {"forward_input_shape": torch.tensor(execution.shape)}
-        return self._param_generator.to_params(execution.columns.values, execution.shape)
+            return shape
+        return {**self._param_generator.to_params(execution.columns.values, execution.shape), **shape}
 
     # --- calling ---
 

@@ -20,6 +20,13 @@ from kvision.augmentation.random_generator.filters import (
     MotionBlurGenerator,
     RandomGaussianBlurGenerator,
 )
+from kvision.augmentation.random_generator.mix import (
+    CutmixGenerator,
+    JigsawGenerator,
+    MixupGenerator,
+    MosaicGenerator,
+    PatchMixGenerator,
+)
 from kvision.augmentation.random_generator.perspective import PerspectiveGenerator
 from kvision.augmentation.random_generator.plain import (
     DistributionWithMapper,
@@ -35,9 +42,14 @@ __all__ = [
     "ColorJiggleGenerator",
     "ColorJitterGenerator",
     "CropGenerator",
+    "CutmixGenerator",
     "DistributionWithMapper",
     "JPEGGenerator",
+    "JigsawGenerator",
+    "MixupGenerator",
+    "MosaicGenerator",
     "MotionBlurGenerator",
+    "PatchMixGenerator",
     "PerspectiveGenerator",
     "PlainUniformGenerator",
     "PlanckianJitterGenerator",

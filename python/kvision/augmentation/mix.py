@@ -1,0 +1,559 @@
+"""Augmentations that mix the samples of a batch: images, and the masks, boxes and labels that belong to them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+
+from kvision import geometry
+from kvision.augmentation.base import AugmentationBase2D, Execution, Params
+from kvision.augmentation.geometric_base import Resampling, warp, warp_labels
+from kvision.augmentation.keys import Seed
+from kvision.augmentation.random_generator.mix import (
+    CutmixGenerator,
+    JigsawGenerator,
+    MixupGenerator,
+    MosaicGenerator,
+    PatchMixGenerator,
+)
+from kvision.constants import DataKey, Resample
+from kvision.core.exceptions import BaseError, ShapeError, ValueCheckError
+
+__all__ = ["MixAugmentationBaseV2", "PatchMix", "RandomCutMixV2", "RandomJigsaw", "RandomMixUpV2", "RandomMosaic"]
+
+
+class _UnsupportedKeyError(BaseError, NotImplementedError):
+    """A label that an operation cannot mix."""
+
+
+class _NoMatrixError(BaseError, RuntimeError):
+    """The matrix of an operation that has none."""
+
+
+class _GridError(ShapeError, RuntimeError):
+    """Kornia raises a RuntimeError."""
+
+
+class MixAugmentationBaseV2(AugmentationBase2D):
+    """Base of augmentations that mix the samples of a batch.
+
+    A subclass implements `apply_transform` for images, and those of `apply_transform_mask`, `apply_transform_boxes`,
+    `apply_transform_keypoint` and `apply_transform_class` that make sense.
+
+    Args:
+        p: probability that a sample is mixed.
+        p_batch: probability that a batch is.
+        same_on_batch: all samples get the same parameters.
+        keepdim: accepted for the other classes' sake; samples of a batch are mixed.
+        data_keys: what the arguments of a call are, "input" first; default: images alone.
+
+    Raises:
+        TypeError: `p` or `p_batch` is no number.
+        ValueError: `p` or `p_batch` is not within 0 and 1; a key is unknown.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> class Swap(K.augmentation.MixAugmentationBaseV2):
+        ...     def apply_transform(self, input, params, flags, transform=None):
+        ...         return input.flip(0)
+        >>> Swap(p=1.0, p_batch=1.0)(torch.tensor([1.0, 2.0]).reshape(2, 1, 1, 1)).flatten()
+        tensor([2., 1.])
+    """
+
+    mixes_samples = True
+
+    def __init__(
+        self,
+        p: float,
+        p_batch: float,
+        same_on_batch: bool = False,
+        keepdim: bool = False,
+        data_keys: Sequence[str | int | DataKey] | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, p_batch=p_batch, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self.data_keys = [DataKey.INPUT] if data_keys is None else [_key(key) for key in data_keys]
+
+    @property
+    def transform_matrix(self) -> Tensor:
+        """Mixing has no matrix."""
+        raise _NoMatrixError(f"{type(self).__name__}: samples are mixed, there is no matrix")
+
+    def forward(  # type: ignore[override]  # several inputs
+        self,
+        *input: Any,
+        params: Params | None = None,
+        data_keys: Sequence[str | int | DataKey] | None = None,
+        seed: Seed = None,
+        generator: Generator | None = None,
+    ) -> Any:
+        """Mix the samples of a batch.
+
+        Args:
+            *input: images and labels in the order of the data keys; those without a key are ignored.
+            params: the `_params` of an earlier call, to repeat it.
+            data_keys: keys of this call; default: those of the constructor.
+            seed: an int from which all parameters follow.
+            generator: draws the key of this call; default: that of the constructor, or torch's.
+
+        Returns:
+            What was given, mixed: one tensor for one key, else a list.
+
+        Raises:
+            TypeError: the images are no tensor of a floating-point type or uint8.
+            ValueError: there are fewer inputs than keys.
+            NotImplementedError: a key that this operation cannot mix.
+        """
+        keys = self.data_keys if data_keys is None else [_key(key) for key in data_keys]
+        if len(input) < len(keys):
+            raise ValueCheckError(f"{type(self).__name__}: expected {len(keys)} inputs, got {len(input)}")
+        x = self.transform_tensor(input[keys.index(DataKey.INPUT)])
+        execution = self._draw(x, seed, generator) if params is None else self._from_params(params, x)
+        self._execution = execution
+        outputs = [self._mixed(key, value, x, execution) for key, value in zip(keys, input)]
+        return outputs[0] if len(outputs) == 1 else outputs
+
+    def _mixed(self, key: DataKey, value: Any, x: Tensor, execution: Execution) -> Any:
+        if key == DataKey.INPUT:
+            return self._run(self.transform_tensor(value), execution, self.flags)
+        params = self._params_on_device(x, execution)
+        if key == DataKey.MASK:
+            return self._chosen(self.apply_transform_mask(value, params, self.flags), value, execution)
+        if key in (DataKey.BBOX, DataKey.BBOX_XYXY, DataKey.BBOX_XYWH):
+            return self.apply_transform_boxes(value, params, {**self.flags, "mode": key, "chosen": execution.chosen})
+        if key == DataKey.KEYPOINTS:
+            return self._chosen(self.apply_transform_keypoint(value, params, self.flags), value, execution)
+        params = {**params, "chosen": execution.chosen}
+        if not execution.applied:
+            params["chosen"] = torch.zeros(x.shape[0], dtype=torch.bool, device=x.device)
+        return self.apply_transform_class(value, params, self.flags)
+
+    @staticmethod
+    def _chosen(mixed: Tensor, value: Tensor, execution: Execution) -> Tensor:
+        if not execution.applied:
+            return value
+        if execution.chosen is None or mixed.shape != value.shape:
+            return mixed
+        return torch.where(execution.chosen.reshape(-1, *[1] * (value.dim() - 1)), mixed, value)
+
+    def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if not execution.applied or x.shape[0] == 0:
+            return x
+        params = self._params_on_device(x, execution)
+        stored = x.dtype
+        image = x.float() if stored == torch.uint8 else x
+        y = self.apply_transform(image, params, flags, None)
+        y = y.round().clamp(0, 255).to(stored) if stored == torch.uint8 else y.to(stored)
+        return self._chosen(y, self._unmixed(x, y), execution)
+
+    def _unmixed(self, x: Tensor, mixed: Tensor) -> Tensor:
+        """Samples that are not chosen, in the size of the mixed ones."""
+        return x
+
+    def _from_params(self, params: Params, x: Tensor) -> Execution:
+        execution = super()._from_params(params, x)
+        execution.columns = None
+        return execution
+
+    def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        params = self._params_on_device(masks, execution)
+        return self._chosen(self.apply_transform_mask(masks, params, flags), masks, execution)
+
+    def _refuse(self, what: str) -> _UnsupportedKeyError:
+        return _UnsupportedKeyError(f"{type(self).__name__}: {what} cannot be mixed")
+
+    def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        """Mix masks (B, C, H, W)."""
+        raise self._refuse("masks")
+
+    def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        """Mix boxes."""
+        raise self._refuse("boxes")
+
+    def apply_transform_keypoint(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        """Mix key points (B, N, 2)."""
+        raise self._refuse("key points")
+
+    def apply_transform_class(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        """Mix labels (B,)."""
+        raise self._refuse("labels")
+
+    def inverse(self, *args: Any, **kwargs: Any) -> Any:
+        """Mixing has no inverse."""
+        raise _NoMatrixError(f"{type(self).__name__}: mixed samples cannot be taken apart")
+
+
+def _key(key: Any) -> DataKey:
+    return DataKey.INPUT if isinstance(key, str) and key.lower() == "image" else DataKey.get(key)
+
+
+def _labels(labels: Tensor, partners: Tensor, weights: Tensor, params: Params) -> Tensor:
+    """(B, 3): the label, the partner's, and a weight; (y, y, 0) for samples that are not chosen."""
+    weights = weights.to(labels.device, labels.dtype if labels.is_floating_point() else torch.float32)
+    mixed = torch.stack([labels.to(weights), labels[partners.to(labels.device)].to(weights), weights], -1)
+    chosen = params.get("chosen")
+    if chosen is None:
+        return mixed
+    alone = torch.stack([labels.to(weights), labels.to(weights), torch.zeros_like(weights)], -1)
+    return torch.where(chosen.to(labels.device)[:, None], mixed, alone)
+
+
+class RandomMixUpV2(MixAugmentationBaseV2):
+    """Mix each image with another one of the batch: (1 - weight) * image + weight * partner.
+
+    Labels become (B, 3): the label, that of the partner, and the weight of the partner. Masks are mixed as images.
+    Source: Zhang, Cisse, Dauphin and Lopez-Paz, mixup: beyond empirical risk minimization, ICLR 2018.
+
+    Args:
+        lambda_val: range of the weight; None for 0 to 1.
+        same_on_batch: all samples get the same weight.
+        p: probability that a sample is mixed.
+        keepdim: accepted for the other classes' sake.
+        data_keys: what the arguments of a call are: "input", "class", "mask"; default: images alone.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or not within 0 and 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> mix = K.augmentation.RandomMixUpV2((0.0, 0.0), data_keys=["input", "class"])
+        >>> images, labels = mix(torch.ones(2, 1, 4, 4), torch.tensor([3, 5]))
+        >>> labels[:, 0], labels[:, 2]
+        (tensor([3., 5.]), tensor([0., 0.]))
+    """
+
+    def __init__(
+        self,
+        lambda_val: Any = None,
+        same_on_batch: bool = False,
+        p: float = 1.0,
+        keepdim: bool = False,
+        data_keys: Sequence[str | int | DataKey] | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(1.0, p, same_on_batch, keepdim, data_keys, **options)
+        self.p, self.p_batch = self.p_batch, 1.0
+        self._param_generator = MixupGenerator(lambda_val, p)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        weight = params["mixup_lambdas"].to(input.dtype)[:, None, None, None]
+        return input * (1 - weight) + input[params["mixup_pairs"]] * weight
+
+    def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        if not input.is_floating_point():
+            raise self._refuse("masks of integers")
+        return self.apply_transform(input, params, flags)
+
+    def apply_transform_class(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        return _labels(input, params["mixup_pairs"], params["mixup_lambdas"], params)
+
+
+def _in_windows(windows: Tensor, height: int, width: int) -> Tensor:
+    """(B, 1, H, W): which pixels are in the windows (B, 4): first column, first row, and the ends of both."""
+    rows = torch.arange(height, device=windows.device)[:, None]
+    columns = torch.arange(width, device=windows.device)
+    x, y, right, bottom = windows[:, :, None, None].unbind(1)
+    return ((columns >= x) & (columns < right) & (rows >= y) & (rows < bottom))[:, None]
+
+
+class RandomCutMixV2(MixAugmentationBaseV2):
+    """Paste a window of another image of the batch into each image.
+
+    Labels become (num_mix, B, 3): the label, that of the partner, and the share of the image that is kept. Masks are pasted
+    as images. Source: Yun, Han, Oh, Chun, Choe and Yoo, CutMix, ICCV 2019.
+
+    Args:
+        num_mix: how many windows each sample gets.
+        cut_size: range of the side of a window, as a fraction of the image's; None for 0 to 1.
+        beta: parameter of the symmetric beta distribution of the share kept; None for 1, the uniform one.
+        same_on_batch: all samples get the same window.
+        p: probability that a sample is mixed.
+        keepdim: accepted for the other classes' sake.
+        data_keys: what the arguments of a call are: "input", "class", "mask"; default: images alone.
+        use_correct_lambda: accepted for code written for Kornia: the weight is the share kept either way.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> cut = K.augmentation.RandomCutMixV2(cut_size=(0.5, 0.5), data_keys=["input", "class"])
+        >>> images, labels = cut(torch.rand(2, 1, 4, 4), torch.tensor([3, 5]))
+        >>> labels[0, :, 2]
+        tensor([0.7500, 0.7500])
+    """
+
+    def __init__(
+        self,
+        num_mix: int = 1,
+        cut_size: Any = None,
+        beta: Any = None,
+        same_on_batch: bool = False,
+        p: float = 1.0,
+        keepdim: bool = False,
+        data_keys: Sequence[str | int | DataKey] | None = None,
+        use_correct_lambda: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p, 1.0, same_on_batch, keepdim, data_keys, **options)
+        self._param_generator = CutmixGenerator(cut_size, beta, num_mix, p)
+
+    @staticmethod
+    def _windows(params: Params) -> list[tuple[Tensor, Tensor]]:
+        """The partners and the windows, with their ends, of each round."""
+        corners = params["crop_src"].long()
+        windows = torch.cat([corners[:, :, 0], corners[:, :, 2] + 1], -1)
+        return list(zip(params["mix_pairs"], windows))
+
+    def _paste(self, input: Tensor, params: Params) -> Tensor:
+        y = input
+        for partners, windows in self._windows(params):
+            y = torch.where(_in_windows(windows, *input.shape[-2:]), input[partners], y)
+        return y
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        return self._paste(input, params)
+
+    def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        return self._paste(input, params)
+
+    def apply_transform_class(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        height, width = params["image_shape"].tolist()
+        rounds = []
+        for partners, windows in self._windows(params):
+            area = (windows[:, 2] - windows[:, 0]) * (windows[:, 3] - windows[:, 1])
+            rounds.append(_labels(input, partners, 1 - area / (height * width), params))
+        return torch.stack(rounds)
+
+
+class PatchMix(MixAugmentationBaseV2):
+    """Paste a square window of another image of the batch into each image, of the same size in all.
+
+    Labels become (B, 3): the label, that of the partner, and the share of the image that is kept. Masks are pasted as
+    images.
+
+    Args:
+        alpha: accepted for code written for Kornia: the window has one size.
+        patch_size: side of the window in pixels.
+        p: probability that a sample is mixed.
+        same_on_batch: all samples get the same window.
+        keepdim: accepted for the other classes' sake.
+        data_keys: what the arguments of a call are: "input", "class", "mask"; default: images alone.
+
+    Raises:
+        ValueError: `alpha` or `patch_size` is not above 0.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> mix = K.augmentation.PatchMix(patch_size=2, data_keys=["input", "class"])
+        >>> mix(torch.rand(2, 1, 4, 4), torch.tensor([3, 5]))[1][:, 2]
+        tensor([0.7500, 0.7500])
+    """
+
+    def __init__(
+        self,
+        alpha: float = 1.0,
+        patch_size: int | tuple[int, int] = 16,
+        p: float = 1.0,
+        same_on_batch: bool = False,
+        keepdim: bool = False,
+        data_keys: Sequence[str | int | DataKey] | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(p, 1.0, same_on_batch, keepdim, data_keys, **options)
+        self._param_generator = PatchMixGenerator(alpha, patch_size, p)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        return torch.where(_in_windows(params["patch_coords"], *input.shape[-2:]), input[params["mix_pairs"]], input)
+
+    def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        return self.apply_transform(input, params, flags)
+
+    def apply_transform_class(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        return _labels(input, params["mix_pairs"], params["lam"], params)
+
+
+class RandomJigsaw(MixAugmentationBaseV2):
+    """Put the cells of a grid over each image in a random order; masks and key points move with them.
+
+    Args:
+        grid: rows and columns of cells, which divide the sides of the images.
+        data_keys: what the arguments of a call are: "input", "mask", "keypoints"; default: images alone.
+        p: probability that a sample is augmented.
+        same_on_batch: all samples get the same order.
+        keepdim: accepted for the other classes' sake.
+        ensure_perm: no sample keeps all cells in their places.
+
+    Raises:
+        TypeError, ValueError: `grid` is not two ints of at least 1.
+        ValueError, RuntimeError: in a call, the grid does not divide the images.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> cells = K.augmentation.RandomJigsaw((1, 2), p=1.0)(torch.tensor([[[[1.0, 2.0]]]]))
+        >>> cells
+        tensor([[[[2., 1.]]]])
+    """
+
+    def __init__(
+        self,
+        grid: tuple[int, int] = (4, 4),
+        data_keys: Sequence[str | int | DataKey] | None = None,
+        p: float = 0.5,
+        same_on_batch: bool = False,
+        keepdim: bool = False,
+        ensure_perm: bool = True,
+        **options: Any,
+    ) -> None:
+        super().__init__(p, 1.0, same_on_batch, keepdim, data_keys, **options)
+        generator = JigsawGenerator(grid, ensure_perm)
+        self._param_generator, self.grid = generator, generator.grid
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        b, c, h, w = input.shape
+        rows, columns = self.grid
+        if h % rows or w % columns:
+            raise _GridError(
+                f"RandomJigsaw: expected images that a grid of {self.grid} divides, got {tuple(input.shape)}"
+            )
+        cells = input.reshape(b, c, rows, h // rows, columns, w // columns).permute(0, 2, 4, 1, 3, 5)
+        order = params["permutation"][:, :, None, None, None].expand(-1, -1, *cells.shape[3:])
+        moved = cells.flatten(1, 2).gather(1, order).unflatten(1, self.grid)
+        return moved.permute(0, 3, 1, 4, 2, 5).reshape(b, c, h, w)
+
+    def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        return self.apply_transform(input, params, flags)
+
+    def apply_transform_keypoint(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        height, width = (int(n) for n in params["forward_input_shape"][-2:])
+        rows, columns = self.grid
+        h, w = height // rows, width // columns
+        place = params["permutation"].argsort(1)  # where each cell goes
+        column = (input[..., 0] + 0.5).div(w).floor().clamp(0, columns - 1).long()
+        row = (input[..., 1] + 0.5).div(h).floor().clamp(0, rows - 1).long()
+        to = place.gather(1, row * columns + column)
+        shift = torch.stack([(to % columns - column) * w, (to // columns - row) * h], -1)
+        return input + shift.to(input)
+
+
+class RandomMosaic(MixAugmentationBaseV2):
+    """Put several images of the batch together and cut a window out of them; boxes and masks follow.
+
+    Args:
+        output_size: height and width of the result; None for those of the images.
+        mosaic_grid: rows and columns of images.
+        start_ratio_range: where the window begins, as a fraction of the size of an image.
+        min_bbox_size: boxes whose area in the window is below this share of theirs become (0, 0, 0, 0).
+        data_keys: what the arguments of a call are: "input", "mask", "bbox_xyxy"; default: images alone.
+        p: probability that a sample is augmented; the others are resized.
+        keepdim: accepted for the other classes' sake.
+        padding_mode: accepted for code written for Kornia: beyond the images there is 0.
+        resample: how samples that are not chosen are resized: 'nearest', 'bilinear' or 'bicubic'.
+        align_corners: accepted for code written for Kornia.
+        cropping_mode: accepted for code written for Kornia; windows begin at pixels.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or not within 0 and 1; sizes that are not two ints of at least 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomMosaic((6, 6), p=1.0)(torch.rand(4, 3, 8, 8)).shape
+        torch.Size([4, 3, 6, 6])
+    """
+
+    def __init__(
+        self,
+        output_size: tuple[int, int] | None = None,
+        mosaic_grid: tuple[int, int] = (2, 2),
+        start_ratio_range: tuple[float, float] = (0.3, 0.7),
+        min_bbox_size: float = 0.0,
+        data_keys: Sequence[str | int | DataKey] | None = None,
+        p: float = 0.7,
+        keepdim: bool = False,
+        padding_mode: str = "constant",
+        resample: str | int | Resample = Resample.BILINEAR.name,
+        align_corners: bool = True,
+        cropping_mode: str = "slice",
+        **options: Any,
+    ) -> None:
+        super().__init__(p, 1.0, False, keepdim, data_keys, **options)
+        self._param_generator: MosaicGenerator = MosaicGenerator(output_size, mosaic_grid, start_ratio_range)
+        self.min_bbox_size = float(min_bbox_size)
+        self.flags = {
+            "output_size": output_size,
+            "mosaic_grid": mosaic_grid,
+            "min_bbox_size": min_bbox_size,
+            "padding_mode": padding_mode,
+            "resample": Resample.get(resample),
+            "align_corners": align_corners,
+            "cropping_mode": cropping_mode,
+        }
+
+    def _size(self, params: Params) -> tuple[int, int]:
+        shape = params["forward_input_shape"][-2:].tolist()
+        return self._param_generator.output_size or (int(shape[0]), int(shape[1]))
+
+    def _window(self, input: Tensor, params: Params) -> Tensor:
+        b, c, h, w = input.shape
+        rows, columns = self._param_generator.mosaic_grid
+        cells = input[params["permutation"].flatten()].reshape(b, rows, columns, c, h, w)
+        mosaic = cells.permute(0, 3, 1, 4, 2, 5).reshape(b, c, rows * h, columns * w)
+        matrix = torch.eye(3, device=input.device).repeat(b, 1, 1)
+        matrix[:, :2, 2] = -params["src"][:, 0].to(matrix)
+        reads = Resampling("nearest")
+        if mosaic.is_floating_point():
+            return warp(mosaic, matrix, self._size(params), reads)
+        return warp_labels(mosaic, matrix, self._size(params), reads)
+
+    def _unmixed(self, x: Tensor, mixed: Tensor) -> Tensor:
+        size = (mixed.shape[-2], mixed.shape[-1])
+        if x.shape[-2:] == size:
+            return x
+        mode = Resample.get(self.flags["resample"]).name.lower()
+        return geometry.resize(x, size, mode, align_corners=None if mode == "nearest" else self.flags["align_corners"])
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        return self._window(input, params)
+
+    def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        return self._window(input, params)
+
+    def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        if flags.get("mode", DataKey.BBOX_XYXY) != DataKey.BBOX_XYXY:
+            raise self._refuse("boxes other than bbox_xyxy")
+        b, n = input.shape[:2]
+        height, width = (int(k) for k in params["forward_input_shape"][-2:])
+        h, w = self._size(params)
+        rows, columns = self._param_generator.mosaic_grid
+        cell = torch.arange(rows * columns, device=input.device)
+        corner = torch.stack([cell % columns * width, cell // columns * height], -1)[None, :, None]
+        corner = (corner - params["src"][:, None, None, 0]).to(input.dtype)
+        boxes = input[params["permutation"]] + torch.cat([corner, corner], -1)
+        limit = torch.tensor([w, h, w, h], dtype=input.dtype, device=input.device)
+        inside = torch.minimum(boxes.clamp(min=0), limit).reshape(b, -1, 4)
+        boxes = boxes.reshape(b, -1, 4)
+        share = _area(inside) / _area(boxes).clamp(min=torch.finfo(input.dtype).tiny)
+        inside = torch.where(((share > 0) & (share >= self.min_bbox_size))[..., None], inside, 0)
+        chosen = flags.get("chosen")
+        if chosen is None:
+            return inside
+        scale = torch.tensor([w / width, h / height] * 2, dtype=input.dtype, device=input.device)
+        alone = torch.cat([input * scale, input.new_zeros(b, inside.shape[1] - n, 4)], 1)
+        return torch.where(chosen[:, None, None], inside, alone)
+
+
+def _area(boxes: Tensor) -> Tensor:
+    return (boxes[..., 2] - boxes[..., 0]).clamp(min=0) * (boxes[..., 3] - boxes[..., 1]).clamp(min=0)

@@ -27,7 +27,7 @@ RIGHT = {
         name: ["0"]
         for name in ("cfa", "filter", "format", "interpolation", "kernel", "kind", "model", "statistic", "padding")
     },  # numbers of choices
-    **{"ignored": [str(n) for n in SIZES], "target": ["of torch.int64"]},
+    **{"ignored": [str(n) for n in SIZES], "target": ["of torch.int64"], "image_index": ["of torch.int64"]},
     **{"input_mask": ["of torch.bool"], "other_mask": ["of torch.bool"]},
 }
 DTYPES = (torch.int64, torch.bool, torch.complex64, torch.float8_e4m3fn)

@@ -426,5 +426,5 @@ def test_gradients_that_kernels_sum_by_atomics_are_declared():
     x, matrix = torch.zeros(1, 1, 2, 2), torch.zeros(1, 2, 3)
     for name in names:
         assert not _ops.operators[name].nondeterministic(
-            x, matrix, [2, 2], INTERPOLATION["bilinear"], PADDING["border"]
+            x, matrix, None, [1, 2, 2], INTERPOLATION["bilinear"], PADDING["border"]
         )

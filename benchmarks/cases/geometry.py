@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 import kvision
-from benchmarks.case import Bars, Case, Size, photographs
+from benchmarks.case import Bars, Case, Size, nbytes, photographs
 from benchmarks.peers import optional
 
 cv2 = optional("cv2")
@@ -60,6 +60,17 @@ def with_boxes(images: Size, dtype: torch.dtype, device: torch.device) -> tuple[
     shift = torch.linspace(0, 0.25, batch)[:, None, None]
     boxes = (0.6 * unit + shift) * torch.tensor([w - 1, h - 1])
     return *photographs(images, dtype, device), boxes.to(device, dtype)
+
+
+def with_many_boxes(images: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
+    """16 boxes of about 64 x 64 pixels anywhere in each image, and the image of each."""
+    batch, _, h, w = images
+    random = torch.Generator().manual_seed(0)
+    first = torch.rand(16 * batch, 1, 2, generator=random) * torch.tensor([max(w - 65.0, 0), max(h - 65.0, 0)])
+    boxes = first + 63.4 * torch.tensor([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    index = torch.arange(16 * batch, device=device) % batch
+    compute = torch.float64 if dtype == torch.float64 else torch.float32
+    return *photographs(images, dtype, device), boxes.to(device, compute), index
 
 
 def size_of(x: Any) -> tuple[int, int]:
@@ -128,6 +139,14 @@ CASES = [
         Bars(floor=1.5),
         None,
         inputs=with_boxes,
+    ),
+    # What is read is the boxes; the gradient has the size of the images.
+    Case(
+        "crop_many",
+        lambda x, boxes, index: kvision.geometry.crop_and_resize(x, boxes, (32, 32), box_indices=index),
+        bars=Bars(launches=2),
+        inputs=with_many_boxes,
+        forward=lambda inputs, outputs: 5 * nbytes(outputs),
     ),
     case("pyrdown", lambda G, x: G.pyrdown(x), Bars(floor=1.3), None),
     case("pyrup", lambda G, x: G.pyrup(x), Bars(floor=1.3), None),

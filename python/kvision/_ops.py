@@ -283,6 +283,8 @@ class Operator:
         nondeterministic: True, or a function of the arguments that tells whether the kernel may give other bits on a
             second run. Under torch.use_deterministic_algorithms the reference then serves, whose own operators raise
             or warn if they are not deterministic either.
+        flatten: the rule of vmap where not all tensors have the same axis 0: `flatten(n, in_dims, args)` returns the
+            arguments of one call for all n of them, and the batch that each of them gives. Default: flatten_batches.
     """
 
     def __init__(
@@ -302,6 +304,7 @@ class Operator:
         casts_outputs: bool = False,
         supports: Callable[..., str | None] | None = None,
         nondeterministic: bool | Callable[..., bool] = False,
+        flatten: Callable[[int, tuple[Any, ...], tuple[Any, ...]], tuple[list[Any], int]] | None = None,
     ) -> None:
         self.name = name
         self.definition = reference
@@ -319,6 +322,7 @@ class Operator:
         self.nondeterministic = nondeterministic
         self._fake_sizes = fake
         self._layout_of = layout_of
+        self._flatten = flatten or flatten_batches
         self.unserved = _unserved(name)
         self.kernel = self._bind()
         self.tensors = self._count_tensors()
@@ -390,7 +394,7 @@ class Operator:
         qualified = f"kvision::{self.name}"
         kernel = find_operator("kvision", self.name).default
         torch.library.register_fake(qualified, self._fake)
-        torch.library.register_vmap(qualified, functools.partial(_flatten_vmap, kernel))
+        torch.library.register_vmap(qualified, functools.partial(_vmap, kernel, self._flatten))
         torch.library.register_autograd(qualified, self._backward, setup_context=self._setup_context)
         return kernel
 
@@ -406,7 +410,7 @@ class Operator:
             "setup_context": self._setup_context,
             "backward": self._backward,
             "jvp": self._jvp,
-            "vmap": functools.partial(_flatten_vmap, self),
+            "vmap": functools.partial(_vmap, self, self._flatten),
         }
         return type(self.name, (torch.autograd.Function,), {k: staticmethod(v) for k, v in rules.items()})
 
@@ -628,20 +632,35 @@ def with_kernel_casts(
     return wrapped
 
 
-def _flatten_vmap(operator: Callable[..., Any], info: Any, in_dims: tuple[Any, ...], *args: Any) -> tuple[Any, Any]:
-    """vmap: the mapped axis joins the batch, which every tensor has in front."""
-    n = info.batch_size
+def flatten_batches(n: int, in_dims: tuple[Any, ...], args: tuple[Any, ...]) -> tuple[list[Any], int]:
+    """The mapped axis joins the batch, which every tensor has in front."""
     tensors = [i for i, a in enumerate(args) if isinstance(a, Tensor)]
-    sizes = {i: args[i].shape[1 if in_dims[i] == 0 else 0] for i in tensors}
-    batch = max(sizes.values())
+    batch = max(size_below_vmap(args[i], in_dims[i]) for i in tensors)
     flattened = list(args)
     for i in tensors:
-        a, dim = args[i], in_dims[i]
-        if dim is None and a.shape[0] == 1 and i != tensors[0]:
+        if in_dims[i] is None and args[i].shape[0] == 1 and i != tensors[0]:
             continue  # one for all samples stays one for all
-        a = a.unsqueeze(0).expand(n, *a.shape) if dim is None else a.movedim(dim, 0)
-        if a.shape[1] != batch:
-            a = a.expand(n, batch, *a.shape[2:])
-        flattened[i] = a.reshape(n * batch, *a.shape[2:])
+        flattened[i] = flatten_batch(args[i], in_dims[i], n, batch)
+    return flattened, batch
+
+
+def size_below_vmap(x: Tensor, dim: int | None) -> int:
+    """The size of axis 0 without the mapped axis `dim`."""
+    return x.shape[1 if dim == 0 else 0]
+
+
+def flatten_batch(x: Tensor, dim: int | None, n: int, batch: int) -> Tensor:
+    """(n * batch, ...), where `x` has n batches along axis `dim`, or one for all; a batch may be 1 row for all."""
+    x = x.unsqueeze(0).expand(n, *x.shape) if dim is None else x.movedim(dim, 0)
+    if x.shape[1] != batch:
+        x = x.expand(n, batch, *x.shape[2:])
+    return x.reshape(n * batch, *x.shape[2:])
+
+
+def _vmap(
+    operator: Callable[..., Any], flatten: Callable[..., Any], info: Any, in_dims: tuple[Any, ...], *args: Any
+) -> tuple[Any, Any]:
+    n = info.batch_size
+    flattened, batch = flatten(n, in_dims, args)
     output = operator(*flattened)
     return _map(lambda y: y.reshape(n, batch, *y.shape[1:]), output), _map(lambda y: 0, output)

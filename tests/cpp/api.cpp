@@ -57,6 +57,10 @@ void options() {
                torch::cat({x.narrow(2, 0, 1), x.narrow(2, 0, 7)}, 2).select(3, 0));
   expect_close("one image and two matrices", kvision::warp_affine(x.narrow(0, 0, 1), matrix.repeat({2, 1, 1}), {8, 6}),
                shifted.narrow(0, 0, 1).expand({2, 3, 8, 6}));
+  Tensor const box = torch::tensor({1.f, 2.f, 3.f, 2.f, 3.f, 5.f, 1.f, 5.f}).view({1, 4, 2});
+  Tensor const order = torch::tensor({1, 0, 1}, torch::kLong);
+  expect_close("boxes of chosen images", kvision::crop_and_resize(x, box.repeat({3, 1, 1}), {4, 3}, {}, order),
+               x.index_select(0, order).narrow(2, 2, 4).narrow(3, 1, 3));
   expect("options remember", border.padding_mode() == kvision::PaddingMode::border && border.align_corners());
   expect_close("translate", kvision::translate(x, torch::tensor({{2.f, 1.f}})), shifted);
 

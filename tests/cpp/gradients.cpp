@@ -286,7 +286,7 @@ int main() {
         {x, map, map.flip(1).contiguous()}, false);
     check(
         "remap with a fill",
-        [=](auto const& t) { return ops::remap(t[0], t[1], t[2], t[3], int64_t(mode), 0, true, false, false); },
+        [=](auto const& t) { return ops::remap(t[0], t[1], t[2], t[3], {}, int64_t(mode), 0, true, false, false); },
         {x, map, map.flip(1).contiguous(), torch::rand({2, 1})}, false);
     auto const resize = kvision::ResizeOptions().interpolation(mode);
     check("resize", [=](auto const& t) { return kvision::resize(t[0], {3, 8}, resize); }, {x});

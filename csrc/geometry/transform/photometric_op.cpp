@@ -17,7 +17,7 @@ struct Arguments {
       : from(checked(op, "source", source)),
         to(checked(op, "target", target)),
         sampling(op, Interpolation::bilinear, Padding::fill, align_corners, source, {}),
-        matrix(op, matrix, source, false, normalized, align_corners, from, to),
+        matrix(op, matrix, source, source.size(0), false, normalized, align_corners, from, to),
         batch(source.size(0)),
         channels(source.size(1)),
         parts(coords_backward_parts(to, 1)) {

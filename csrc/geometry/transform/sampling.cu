@@ -38,7 +38,7 @@ __device__ __noinline__ void sample_unstaged(Sample<T> const& p, Tile<F> const& 
   int64_t const row = p.x.row_stride, step = p.x.step;
   T* const result = p.y.row(tile.b, first, y) + x * p.y.step;
   if (window.inside) {
-    T const* const taps = p.x.row(tile.b, first, window.y) + window.x * step;
+    T const* const taps = p.x.row(tile.image, first, window.y) + window.x * step;
 #pragma unroll
     for (int k = 0; k < N; ++k) {
       F const sum = mean<K>(taps + k * p.x.channel_stride, int(row), int(step), window.tx, window.ty, wx, wy);
@@ -49,7 +49,7 @@ __device__ __noinline__ void sample_unstaged(Sample<T> const& p, Tile<F> const& 
   }
 #pragma unroll 1
   for (int k = 0; k < N; ++k) {
-    T const* const plane = p.x.row(tile.b, first + k, 0);
+    T const* const plane = p.x.row(tile.image, first + k, 0);
     F const fill = p.fill_value(tile.b, first + k);
     F sum = 0;
     window.for_each(p, row, step, [&](int j, int i, int64_t at) {
@@ -96,7 +96,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
     for_each_channel_group<SourceTile<T>::kChannels>(p.x.channels, [&](int first, auto number) {
       constexpr int N = number.value;
       if (source_tile.fits)
-        source_tile.template load<N>(p.x, b, first, p.x_axis, p.y_axis, aligned,
+        source_tile.template load<N>(p.x, tile.image, first, p.x_axis, p.y_axis, aligned,
                                      [&](int c) { return p.fill ? round_to<T>(p.fill_value(b, c)) : T{}; });
       if (x >= width) return;
       F poison = 0;  // NaN where a tap is no finite number

@@ -31,13 +31,13 @@ struct TileGrid {
 template <class F>
 struct Tile {
   Homography<F> map;  // counts from (x, y), to (u, v)
-  int64_t b;
+  int64_t b, image;           // the sample, and the image that it reads
   int x, y, u, v;
 
   // The block's tile of that number.
   __device__ __forceinline__ void locate(TileGrid const& tiles, int number) {
     unsigned const row = blockIdx.x / tiles.across, sample = row / tiles.down;
-    b = sample;
+    b = image = sample;
     x = (int((blockIdx.x - row * tiles.across) * tiles.per_block) + number) * kTile;
     y = int(row - sample * tiles.down) * kTile;
     u = v = 0;

@@ -58,7 +58,16 @@ struct Sampling {
   SampleCoords<Compute<T>> coords;
   Compute<T> const* fill;                          // or null for 0
   int64_t fill_batch_stride, fill_channel_stride;  // 0 where one number serves all
+  // Samples may outnumber the images: `image_index` has the image that each of them reads. Without it one image serves
+  // all samples, or sample b reads image b.
+  int64_t const* image_index = nullptr;
+  int64_t images = 0;
 
+  // Indices are checked on the CPU. On CUDA that would take a synchronization; there they are clamped.
+  KV_HD int64_t image_of(int64_t b) const {
+    if (image_index) return clamp(image_index[b], int64_t(0), images - 1);
+    return images == 1 ? 0 : b;
+  }
   KV_HD Compute<T> fill_value(int64_t b, int c) const {
     return fill ? fill[b * fill_batch_stride + c * fill_channel_stride] : Compute<T>(0);
   }
@@ -90,13 +99,15 @@ struct WarpMatrixBackward {
   T* grad;  // (B, rows, 3)
 };
 
-// The gradient of the image.
+// The gradient of the images: `grad` has the samples, `grad_x` the images, to which the samples that read them add up.
 template <class T>
 struct SampleImageBackward : Sampling<T> {
   Images<T const> grad;
   Images<T> grad_x;  // dense
-  // The buffer, of the same size, that scattering CUDA kernels add to instead.
+  // The buffer, of the same size, that CUDA kernels add to unless they write every pixel once.
   Compute<T>* sums;
+
+  KV_HD bool is_one_sample_per_image() const { return !this->image_index && this->images == grad.batch; }
 };
 
 // On CUDA a block of threads takes tiles of the output, up to kMaxTilesPerBlock adjacent ones: fewer where

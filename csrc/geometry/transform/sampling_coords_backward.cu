@@ -60,7 +60,7 @@ __global__ void __launch_bounds__(kThreads, K == 4 || sizeof(T) == 8 ? 2 : 4)
     for_each_channel_group<SourceTile<T>::kChannels>(p.x.channels, [&](int first, auto number) {
       constexpr int N = number.value;
       if (source_tile.fits)
-        source_tile.template load<N>(p.x, b, first, p.x_axis, p.y_axis, aligned,
+        source_tile.template load<N>(p.x, tile.image, first, p.x_axis, p.y_axis, aligned,
                                      [&](int c) { return p.fill ? round_to<T>(p.fill_value(b, c)) : T{}; });
       ThreadCoords<F> const thread_coords(tile, p.coords, kept, column_in_tile<T>(), row_in_tile<T>());
 #pragma unroll 1
@@ -95,7 +95,7 @@ __global__ void __launch_bounds__(kThreads, K == 4 || sizeof(T) == 8 ? 2 : 4)
 #pragma unroll 1
           for (int k = 0; k < N; ++k) {
             F values[K][K];
-            T const* const plane = p.x.row(b, first + k, 0);
+            T const* const plane = p.x.row(tile.image, first + k, 0);
             F const fill = p.fill_value(b, first + k), gradient = F(read(grad[k * p.grad.channel_stride]));
             window.for_each(p, p.x.row_stride, p.x.step,
                             [&](int j, int i, int64_t at) { values[j][i] = at < 0 ? fill : F(read(plane[at])); });

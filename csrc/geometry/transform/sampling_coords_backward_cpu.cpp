@@ -50,7 +50,7 @@ struct CoordDerivatives : TapWindow<K, N, T> {
 // A chunk of a row of the output, and the gradients of its sampling coordinates.
 template <class F>
 struct RowChunk {
-  int64_t b, y, first, count;
+  int64_t b, image, y, first, count;
   CoordRow<F> coords;
   F to_u[kTileColumns], to_v[kTileColumns];
 };
@@ -70,7 +70,7 @@ void coord_grads(SampleCoordsBackward<T> const& p, RowChunk<F>& chunk) {
       } else if constexpr (N > 1) {
         for (int i = 0; i < N; ++i) grad[i] = load<1>(from + i * p.grad.step);
       }
-      derivatives.at(p, p.x.row(chunk.b, c, 0), p.fill_value(chunk.b, c), along_x, along_y);
+      derivatives.at(p, p.x.row(chunk.image, c, 0), p.fill_value(chunk.b, c), along_x, along_y);
       sum_x += grad * along_x;
       sum_y += grad * along_y;
     }
@@ -128,6 +128,7 @@ void sample_coords_backward(SampleCoordsBackward<T> const& p, int64_t begin, int
   RowChunk<F> chunk;
   for_each_row_chunk(begin, end, height, width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
     chunk.b = b;
+    chunk.image = p.image_of(b);
     chunk.y = y;
     chunk.first = first;
     chunk.count = count;

@@ -70,7 +70,7 @@ struct Value : TapWindow<K, N, T> {
 template <int K, int N, class T>
 void sample_chunk(Sample<T> const& p, CoordRow<Compute<T>> const& coords, int64_t b, int64_t y, int64_t first,
                   int64_t count) {
-  T const* const planes = p.x.row(b, 0, 0);
+  T const* const planes = p.x.row(p.image_of(b), 0, 0);
   T* const row = p.y.row(b, 0, y) + first * p.y.step;
   for (int64_t i = 0; i * N < count; ++i) {
     int64_t const e = vector_start<N>(i, count);

@@ -64,10 +64,54 @@ inline int64_t coords_backward_parts(Size output, [[maybe_unused]] int row) {
 #endif
 }
 
-// Whether t can accompany an image x: of the compute type, with one row for each sample or for all.
-inline bool matches_image(Tensor const& t, Tensor const& x, int64_t axes) {
+// Whether t can accompany samples of x: of the compute type, with one row for each sample or for all.
+inline bool matches_samples(Tensor const& t, Tensor const& x, int64_t axes, int64_t samples) {
   return t.dim() == axes && t.scalar_type() == compute_dtype(x) && t.device() == x.device() &&
-         (t.size(0) == 1 || t.size(0) == x.size(0));
+         (t.size(0) == 1 || t.size(0) == samples);
+}
+inline bool matches_image(Tensor const& t, Tensor const& x, int64_t axes) {
+  return matches_samples(t, x, axes, x.size(0));
+}
+
+// The rows of a tensor that has not been checked yet.
+inline int64_t rows_of(Tensor const& t) { return t.dim() ? t.size(0) : 1; }
+
+// Which image each sample reads.
+struct SampledImages {
+  int64_t images, samples;
+  std::optional<Tensor> index;  // dense, int64
+
+  // With `image_index`, (N,) int64 or int32, N samples; else `rows` samples of one image, or one of each image.
+  SampledImages(char const* op, std::optional<Tensor> const& image_index, int64_t images, int64_t rows,
+                Tensor const& like)
+      : images(images), samples(images == 1 ? rows : images) {
+    if (!image_index) return;
+    ScalarType const type = image_index->scalar_type();
+    KV_CHECK(image_index->dim() == 1 && (type == ScalarType::Long || type == ScalarType::Int) &&
+                 image_index->device() == like.device(),
+             op, ": expected image_index of shape (N,), int64 or int32, on the device of the images");
+    samples = image_index->size(0);
+    KV_CHECK(images > 0 || samples == 0, op, ": expected images for the samples of image_index");
+    index = type == ScalarType::Long ? dense(*image_index) : empty({samples}, like, Layout::planar, ScalarType::Long);
+    if (type != ScalarType::Long) torch::stable::copy_(*index, *image_index);
+#if !defined(KV_CUDA)
+    auto const* const at = data_ptr<int64_t const>(*index);
+    for (int64_t b = 0; b < samples; ++b)
+      KV_CHECK(at[b] >= 0 && at[b] < images, op, ": expected image_index from 0 to ", images - 1, ", got ", at[b]);
+#endif
+  }
+  bool is_one_sample_per_image() const { return !index && images == samples; }
+};
+
+// The size of a batch of images: their number, height and width.
+struct BatchSize {
+  int64_t images;
+  Size size;
+};
+inline BatchSize checked_batch_size(char const* op, std::vector<int64_t> const& size) {
+  KV_CHECK(size.size() == 3 && size[0] >= 0, op, ": expected a size of images, height and width, got ", size.size(),
+           " numbers");
+  return {size[0], checked_size(op, {size[1], size[2]})};
 }
 
 template <class F>
@@ -77,24 +121,25 @@ void dispatch_compute_dtype(char const* op, Tensor const& x, F f) {
   f(Type<double>{});
 }
 
-// Raises unless `grad` may be the gradient of what was made of x.
-inline void check_gradient(char const* op, Tensor const& grad, Tensor const& x) {
-  KV_CHECK(grad.size(0) == x.size(0) && grad.size(1) == x.size(1) && grad.scalar_type() == x.scalar_type() &&
+// Raises unless `grad` may be the gradient of `samples` samples of x.
+inline void check_gradient(char const* op, Tensor const& grad, Tensor const& x, int64_t samples) {
+  KV_CHECK(grad.size(0) == samples && grad.size(1) == x.size(1) && grad.scalar_type() == x.scalar_type() &&
                grad.device() == x.device(),
            op, ": grad does not fit what it is the gradient of");
 }
 
-// The gradient to an image of that size, by run(type, grad, grad_x, sums). Kernels that gather have the sums of a pixel
-// in registers; others add to memory, in the type that computes.
+// The gradient to images of that size, by run(type, grad, grad_x, sums). Kernels that write every pixel once have its
+// sum in registers; others add to memory, in the type that computes.
 template <class Run>
-Tensor image_gradient(char const* op, Tensor const& grad, Size size, [[maybe_unused]] bool gathers, Run run) {
-  std::vector<int64_t> const sizes{grad.size(0), grad.size(1), size.height, size.width};
+Tensor image_gradient(char const* op, Tensor const& grad, BatchSize const& batch, [[maybe_unused]] bool writes_once,
+                      Run run) {
+  std::vector<int64_t> const sizes{batch.images, grad.size(1), batch.size.height, batch.size.width};
   bool const half = grad.scalar_type() == ScalarType::Half || grad.scalar_type() == ScalarType::BFloat16;
   Tensor grad_x = empty(sizes, grad);
 #if defined(KV_CUDA)
-  Tensor const sums = half && !gathers ? empty(sizes, grad, Layout::planar, ScalarType::Float) : grad_x;
+  Tensor const sums = half && !writes_once ? empty(sizes, grad, Layout::planar, ScalarType::Float) : grad_x;
   dispatch_floating(op, grad, [&](auto type) { run(type, grad, grad_x, sums); });
-  return half && !gathers ? torch::stable::copy_(grad_x, sums) : grad_x;
+  return half && !writes_once ? torch::stable::copy_(grad_x, sums) : grad_x;
 #else
   if (!half) {
     dispatch_compute_dtype(op, grad, [&](auto type) { run(type, grad, grad_x, grad_x); });
@@ -115,20 +160,20 @@ struct WarpMatrix {
   int rows;
   int64_t stride;  // from a sample to the next, 0 where one serves all
 
-  // For images or volumes x, with this number of axes.
-  WarpMatrix(char const* op, Tensor const& given, Tensor const& x, int axes)
+  // For samples of images or volumes x, with this number of axes.
+  WarpMatrix(char const* op, Tensor const& given, Tensor const& x, int axes, int64_t samples)
       : tensor(given), rows(int(given.dim() > 1 ? given.size(1) : 0)) {
-    KV_CHECK(matches_image(given, x, 3) && (rows == axes || rows == axes + 1) && given.size(2) == axes + 1, op,
-             ": matrix does not fit what is warped");
+    KV_CHECK(matches_samples(given, x, 3, samples) && (rows == axes || rows == axes + 1) && given.size(2) == axes + 1,
+             op, ": matrix does not fit what is warped");
     tensor = dense(given);
     stride = given.size(0) == 1 ? 0 : rows * (axes + 1);
   }
   // By formula F, number `by` of the kernels, which make it themselves with `within`. On the CPU it is made before.
   template <class F>
-  WarpMatrix(char const* op, FormulaArguments<F>& given, [[maybe_unused]] MatrixBy by, Tensor const& x,
+  WarpMatrix(char const* op, FormulaArguments<F>& given, [[maybe_unused]] MatrixBy by, Tensor const& x, int64_t samples,
              [[maybe_unused]] bool within)
       : rows(given.extent().rows), stride(given.params.batch == 1 ? 0 : rows * given.extent().columns) {
-    KV_CHECK(given.params.batch == 1 || given.params.batch == x.size(0), op, ": expected tensors with 1 or ", x.size(0),
+    KV_CHECK(given.params.batch == 1 || given.params.batch == samples, op, ": expected tensors with 1 or ", samples,
              " rows, got ", given.params.batch);
 #if defined(KV_CUDA)
     if (within) {
@@ -151,14 +196,14 @@ struct WarpMatrix {
 
 // Whether a CUDA kernel computes the matrices itself. Each of its blocks waits for its matrix; with many blocks that
 // takes longer than a separate launch before them.
-inline bool is_computed_in_kernel(int64_t batch, Size output) {
+inline bool is_computed_in_kernel(int64_t samples, Size output) {
   auto const tiles = [](int64_t size) { return (size + kTile - 1) / kTile; };
-  return batch * tiles(output.height) * tiles(output.width) <= 1024;
+  return samples * tiles(output.height) * tiles(output.width) <= 1024;
 }
 
 // A formula and its inputs in operator schemas, and the C++ arguments for them.
-#define KV_BY_FORMULA \
-  "Tensor? a, Tensor? b, Tensor? c, Tensor? d, Tensor? e, Tensor? f, int formula, float[] numbers, SymInt[] size, "
+#define KV_FORMULA_INPUTS "Tensor? a, Tensor? b, Tensor? c, Tensor? d, Tensor? e, Tensor? f, "
+#define KV_FORMULA_OPTIONS "int formula, float[] numbers, SymInt[] size, "
 using FormulaInputs = std::optional<Tensor>[MatrixFormula::kInputs];
 
 // A case of a chain of ifs over formulas: run(the matrix) where `formula` is that one, of the kernels' formulas as it
@@ -167,7 +212,7 @@ using FormulaInputs = std::optional<Tensor>[MatrixFormula::kInputs];
   if (formula == int64_t(MatrixBy::name)) {                                                    \
     FormulaArguments<Formula> given(op, x, compute_dtype(x), inputs, numbers,                  \
                                     Formula::kOptionalLastRow ? Formula::result.rows - 1 : 0); \
-    return run(WarpMatrix(op, given, MatrixBy::name, x, within));                              \
+    return run(WarpMatrix(op, given, MatrixBy::name, x, samples, within));                     \
   }
 
 // The options of warps by a matrix in operator schemas.
@@ -179,9 +224,9 @@ struct Matrix : WarpMatrix {
 
   Matrix(WarpMatrix const& matrix, bool inverse, bool normalized, bool align_corners, Size source, Size output)
       : WarpMatrix(matrix), use{rows, inverse, normalized, align_corners, source, output} {}
-  Matrix(char const* op, Tensor const& given, Tensor const& x, bool inverse, bool normalized, bool align_corners,
-         Size source, Size output)
-      : Matrix(WarpMatrix(op, given, x, 2), inverse, normalized, align_corners, source, output) {}
+  Matrix(char const* op, Tensor const& given, Tensor const& x, int64_t samples, bool inverse, bool normalized,
+         bool align_corners, Size source, Size output)
+      : Matrix(WarpMatrix(op, given, x, 2, samples), inverse, normalized, align_corners, source, output) {}
   template <class F>
   SampleCoords<F> coords() const {
     SampleCoords<F> p{};
@@ -199,18 +244,29 @@ struct SamplingOptions {
   Padding padding;
   bool align_corners;
   std::optional<Tensor> fill;
+  SampledImages images;
 
   SamplingOptions(char const* op, int64_t interpolation, int64_t padding, bool align_corners, Tensor const& x,
-                  std::optional<Tensor> const& fill)
-      : SamplingOptions(op, parse_interpolation(op, interpolation), parse_padding(op, padding), align_corners, x,
-                        fill) {}
+                  std::optional<Tensor> const& fill, SampledImages const& images)
+      : SamplingOptions(op, parse_interpolation(op, interpolation), parse_padding(op, padding), align_corners, x, fill,
+                        images) {}
   SamplingOptions(char const* op, Interpolation interpolation, Padding padding, bool align_corners, Tensor const& x,
-                  std::optional<Tensor> const& fill)
-      : op(op), interpolation(interpolation), padding(padding), align_corners(align_corners), fill(fill) {
+                  std::optional<Tensor> const& fill, SampledImages const& images)
+      : op(op),
+        interpolation(interpolation),
+        padding(padding),
+        align_corners(align_corners),
+        fill(fill),
+        images(images) {
     if (!fill) return;
-    KV_CHECK(matches_image(*fill, x, 2) && (fill->size(1) == 1 || fill->size(1) == x.size(1)), op,
+    KV_CHECK(matches_samples(*fill, x, 2, images.samples) && (fill->size(1) == 1 || fill->size(1) == x.size(1)), op,
              ": fill does not fit the image");
   }
+  // One sample of each image.
+  template <class Number, class Choice>
+  SamplingOptions(char const* op, Number interpolation, Choice padding, bool align_corners, Tensor const& x,
+                  std::optional<Tensor> const& fill)
+      : SamplingOptions(op, interpolation, padding, align_corners, x, fill, {op, {}, x.size(0), x.size(0), x}) {}
 
   template <class T>
   Sampling<T> of(Size source, SampleCoords<Compute<T>> const& coords) const {
@@ -221,7 +277,9 @@ struct SamplingOptions {
             coords,
             fill ? data_ptr<F const>(*fill) : nullptr,
             fill && fill->size(0) > 1 ? fill->stride(0) : 0,
-            fill && fill->size(1) > 1 ? fill->stride(1) : 0};
+            fill && fill->size(1) > 1 ? fill->stride(1) : 0,
+            images.index ? data_ptr<int64_t const>(*images.index) : nullptr,
+            images.images};
   }
 };
 

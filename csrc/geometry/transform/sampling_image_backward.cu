@@ -3,7 +3,7 @@
 // Gather: a pixel of the source reads the gradients of all output pixels that have it as a tap. The inverse map gives
 // their neighborhood, which is small and of equal size for all pixels of a tile. Results are deterministic, and each is
 // written once. It serves warps by a matrix with fill padding; with other paddings, border pixels would be taps of all
-// output pixels out of bounds.
+// output pixels out of bounds. Where several samples read an image, a block adds them to its tile one after the other.
 //
 // Scatter: a warp adds a blocklet of the output to its taps, in private sums in shared memory. These are then added by
 // atomics to a zeroed buffer of the compute type. Where the taps of the blocklet exceed the sums, the warp adds
@@ -23,19 +23,17 @@ constexpr int kCandidatesPerStep = K == 4 ? 3 : K + 1;
 template <class F>
 struct GatherTile {
   Homography<F> map, back;  // from coords, which count from (u, v), to pixels, which count from (x, y), and back
-  int64_t b;
+  int64_t b, image;
   int x, y, u, v;
   F reach_x, reach_y;  // from the output coordinate of a pixel
   int columns, rows;   // of candidates, from there on
   TapBounds coords;    // candidates of all pixels
 
-  // By four threads of the first half of a warp, of which each takes a corner, and the whole warp. Where the horizon is
-  // near, all output pixels are candidates.
+  // For a located tile of a warp from the source to the output. By four threads of the first half of a warp, of which
+  // each takes a corner, and the whole warp. Where the horizon is near, all output pixels are candidates.
   template <int K, class T>
-  __device__ __forceinline__ void init(TileGrid const& tiles, SampleImageBackward<T> const& p, int number) {
+  __device__ __forceinline__ void init(Tile<F> tile, SampleImageBackward<T> const& p) {
     constexpr F reach = F(K) / 2;
-    Tile<F> tile;  // of a warp from the source to the output
-    tile.locate(tiles, number);
     // Half of the warp inverts, half does not: both take as long as one.
     MatrixUse const use = threadIdx.x & 16 ? p.coords.use : inverse_use(p.coords.use);
     Homography<double> const way = homography(p.coords.matrices + tile.b * p.coords.matrix_stride, use);
@@ -45,6 +43,7 @@ struct GatherTile {
     whole.affine = way.affine;  // both ways
     tile.bind(way, use.source);
     b = tile.b;
+    image = tile.image;
     x = tile.x;
     y = tile.y;
     u = tile.u;
@@ -100,6 +99,10 @@ struct GatherTile {
     }
     map = bind_to_tile<F>(whole, u, v, x, y);
   }
+  // Whether no output pixel has a pixel of the tile as a tap.
+  __device__ __forceinline__ bool is_unread(int width, int height) const {
+    return coords.right < 0 || coords.left >= width || coords.bottom < 0 || coords.top >= height;
+  }
 };
 
 // The next integer.
@@ -122,10 +125,19 @@ __device__ __forceinline__ float reciprocal_or_nan(float x) {
 }
 __device__ __forceinline__ double reciprocal_or_nan(double x) { return 1 / x; }
 
+// Writes the gradient of a pixel, or adds it to that of earlier samples.
+template <bool kAdds, class T, class F>
+__device__ __forceinline__ void put(T& to, F sum) {
+  if constexpr (kAdds)
+    to += sum;
+  else
+    to = round_to<T>(sum);
+}
+
 // The gradient of N channels of a pixel (x, y) in its tile, from the gradients where they are.
-template <int K, int N, class T, class F>
-__device__ __noinline__ void gather_unstaged(SampleImageBackward<T> const& p, GatherTile<F> const& tile, int first,
-                                             int y, int x) {
+template <int K, int N, bool kAdds, class T, class F, class Out>
+__device__ __noinline__ void gather_unstaged(SampleImageBackward<T> const& p, GatherTile<F> const& tile,
+                                             Images<Out> const& out, int first, int y, int x) {
   F center_u, center_v, first_u, first_v, sums[N] = {};
   tile.back.apply(F(x), F(y), center_u, center_v);
   int const u0 = above(center_u - tile.reach_x, first_u), v0 = above(center_v - tile.reach_y, first_v);
@@ -141,7 +153,7 @@ __device__ __noinline__ void gather_unstaged(SampleImageBackward<T> const& p, Ga
       for (int k = 0; k < N; ++k) sums[k] += weight * F(read(grad[k * p.grad.channel_stride]));
     }
 #pragma unroll
-  for (int k = 0; k < N; ++k) p.grad_x.row(tile.b, first + k, tile.y + y)[tile.x + x] = round_to<T>(sums[k]);
+  for (int k = 0; k < N; ++k) put<kAdds>(out.row(tile.image, first + k, tile.y + y)[tile.x + x], sums[k]);
 }
 
 // Zeros for a tile of all channels. `aligned`: rows are vectors of 16 bytes.
@@ -163,92 +175,190 @@ __device__ __forceinline__ void clear_tile(Images<T> const& to, int64_t b, int x
     }
 }
 
+// The gradients of a tile by one sample: `channels` of them from `begin` on, to `out`.
+template <int K, bool kAdds, class T, class F, class Out>
+__device__ __forceinline__ void gather_tile(SampleImageBackward<T> const& p, GatherTile<F> const& tile,
+                                            Images<Out> const& out, int begin, int channels, void* shared_pixels,
+                                            bool aligned) {
+  using Gradients = SourceTile<T>;
+  int const width = int(p.grad_x.width), height = int(p.grad_x.height);
+  Axis<F> const x_axis{int(p.grad.width), Padding::fill, true}, y_axis{int(p.grad.height), Padding::fill, true};
+  Gradients const source_tile(shared_pixels, tile.coords);
+  int const x = column_in_tile<T>();
+  for_each_channel_group<Gradients::kChannels>(channels, [&](int group, auto number) {
+    constexpr int N = number.value;
+    int const first = begin + group;
+    if (source_tile.fits)
+      source_tile.template load<N>(p.grad, tile.b, first, x_axis, y_axis, aligned, [](int) { return T{}; });
+    if (tile.x + x >= width) return;
+    F poison = 0;  // NaN where one of the gradients is no finite number: it may have had no weight
+    Out* planes[N];
+#pragma unroll
+    for (int k = 0; k < N; ++k) planes[k] = out.row(tile.image, first + k, 0);
+    int to = (tile.y + row_in_tile<T>()) * width + tile.x + x;
+    int const origin = source_tile.origin(tile.u, tile.v);
+#pragma unroll 1
+    for (int y = row_in_tile<T>(); source_tile.fits && y < min(kTile, height - tile.y);
+         y += kRowStep, to += kRowStep * width) {
+      F center_u, center_v, first_u, first_v, sums[N] = {};
+      tile.back.apply(F(x), F(y), center_u, center_v);
+      int const u = above(center_u - tile.reach_x, first_u), v = above(center_v - tile.reach_y, first_v);
+      T const* row = source_tile.pixels + (v * Gradients::kPitch + u + origin);
+      auto const gather = [&](auto affine) {
+        F const(&m)[9] = tile.map.m;
+        F from_x = first_u * m[0] + (first_v * m[1] + m[2]), from_y = first_u * m[3] + (first_v * m[4] + m[5]);
+        // Of an affine map places count from the pixel: one addition less for each. Not those of the nearest pixel,
+        // where halves go to even ones.
+        int const pixel_x = K > 1 && affine.value ? 0 : x, pixel_y = K > 1 && affine.value ? 0 : y;
+        from_x -= F(x - pixel_x);
+        from_y -= F(y - pixel_y);
+        F from_weight = first_u * m[6] + (first_v * m[7] + m[8]);
+#pragma unroll 1
+        for (int j = 0; j < tile.rows; ++j, row += Gradients::kPitch) {
+          F place_x = from_x, place_y = from_y, weight = from_weight;
+          T const* grad = row;
+#pragma unroll 1
+          for (int i = 0; i < tile.columns; i += kCandidatesPerStep<K>)
+#pragma unroll
+            for (int n = 0; n < kCandidatesPerStep<K>; ++n, ++grad) {
+              F const scale = affine.value ? F(1) : reciprocal_or_nan(weight);
+              F const share = weight_at<K>(place_x * scale, pixel_x) * weight_at<K>(place_y * scale, pixel_y);
+#pragma unroll
+              for (int k = 0; k < N; ++k) sums[k] += share * F(read(grad[k * Gradients::kSize]));
+              place_x += m[0];
+              place_y += m[3];
+              if constexpr (!affine.value) weight += m[6];
+            }
+          from_x += m[1];
+          from_y += m[4];
+          from_weight += m[7];
+        }
+      };
+      tile.map.affine ? gather(std::true_type{}) : gather(std::false_type{});
+      if constexpr (kAdds) {
+        F own = 0;
+#pragma unroll
+        for (int k = 0; k < N; ++k) own += sums[k] * 0;
+        if (own != 0) {  // what is added cannot be written again afterwards
+          gather_unstaged<K, N, kAdds>(p, tile, out, first, y, x);
+          continue;
+        }
+      }
+#pragma unroll
+      for (int k = 0; k < N; ++k) {
+        if constexpr (!kAdds) poison += sums[k] * 0;
+        put<kAdds>(planes[k][to], sums[k]);
+      }
+    }
+    if (!source_tile.fits || poison != 0)
+#pragma unroll 1
+      for (int y = row_in_tile<T>(); y < min(kTile, height - tile.y); y += kRowStep)
+        gather_unstaged<K, N, kAdds>(p, tile, out, first, y, x);
+  });
+}
+
+// One sample an image.
 template <class T, int K>
 __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
     gather_tiles(__grid_constant__ SampleImageBackward<T> const p, TileGrid tiles, bool aligned, bool aligned_out) {
   using F = Compute<T>;
-  using Gradients = SourceTile<T>;
   __shared__ GatherTile<F> shared_tiles[kMaxTilesPerBlock];
   extern __shared__ __align__(16) unsigned char shared_pixels[];
-  int const width = int(p.grad_x.width), height = int(p.grad_x.height);
   if (threadIdx.x < 32) {
     int const number = threadIdx.x / 4 % kMaxTilesPerBlock;
+    Tile<F> located;
+    located.locate(tiles, number);
     GatherTile<F> tile;
-    tile.template init<K>(tiles, p, number);
+    tile.template init<K>(located, p);
     if (threadIdx.x % 4 == 0 && threadIdx.x < 4 * kMaxTilesPerBlock) shared_tiles[number] = tile;
   }
   __syncthreads();
-  Axis<F> const x_axis{int(p.grad.width), Padding::fill, true}, y_axis{int(p.grad.height), Padding::fill, true};
 #pragma unroll 1
-  for (int number = 0; number < int(tiles.per_block) && shared_tiles[number].x < width; ++number) {
+  for (int number = 0; number < int(tiles.per_block) && shared_tiles[number].x < int(p.grad_x.width); ++number) {
     GatherTile<F> const& tile = shared_tiles[number];
-    if (tile.coords.right < 0 || tile.coords.left >= int(p.grad.width) || tile.coords.bottom < 0 ||
-        tile.coords.top >= int(p.grad.height)) {
+    if (tile.is_unread(int(p.grad.width), int(p.grad.height)))
       clear_tile(p.grad_x, tile.b, tile.x, tile.y, aligned_out);
-      continue;
+    else
+      gather_tile<K, false>(p, tile, p.grad_x, 0, p.grad.channels, shared_pixels, aligned);
+  }
+}
+
+// Whether a sample may read the tile of its image at (x, y): the box around the corners of the output overlaps it, or
+// the horizon runs through the output.
+template <int K, class T>
+__device__ __noinline__ bool may_read_tile(SampleImageBackward<T> const& p, int64_t b, int x, int y) {
+  auto const map = homography(p.coords.matrices + b * p.coords.matrix_stride, p.coords.use);
+  double left = INFINITY, top = INFINITY, right = -INFINITY, bottom = -INFINITY;
+  int before = 0;
+#pragma unroll 1
+  for (int i = 0; i < 4; ++i) {
+    double const column = i & 1 ? double(p.grad.width - 1) : 0, row = i & 2 ? double(p.grad.height - 1) : 0;
+    double u, v;
+    map.apply(column, row, u, v);
+    before += map.weight(column, row) > 0;
+    left = fmin(left, u);
+    right = fmax(right, u);
+    top = fmin(top, v);
+    bottom = fmax(bottom, v);
+  }
+  constexpr double margin = K / 2. + 1;  // the taps, and more than the rounding of coordinates
+  return before % 4 != 0 ||
+         (left - margin < x + kTile && right + margin > x && top - margin < y + kTile && bottom + margin > y);
+}
+
+// Several samples an image. A block takes a tile of an image and some of its channels. It looks through the samples, as
+// many at a time as it has threads, and adds those that read the tile in their order, so that all runs give the same
+// bits. Each sum belongs to one thread.
+template <class T, int K>
+__global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
+    gather_samples(__grid_constant__ SampleImageBackward<T> const p, TileGrid tiles, int channels_per_block,
+                   bool aligned) {
+  using F = Compute<T>;
+  constexpr int kWarps = kThreads / 32;
+  __shared__ GatherTile<F> shared_tiles[kMaxTilesPerBlock];
+  __shared__ int counts[kWarps], readers[kThreads];
+  extern __shared__ __align__(16) unsigned char shared_pixels[];
+  Tile<F> located;
+  located.locate(tiles, 0);
+  int64_t const image = located.b;
+  int const begin = int(blockIdx.y) * channels_per_block, channels = min(channels_per_block, p.grad.channels - begin);
+  Images<F> const out{p.sums,           p.grad_x.batch_stride, p.grad_x.channel_stride, p.grad_x.row_stride,
+                      p.grad_x.step,    p.grad_x.batch,        p.grad_x.height,         p.grad_x.width,
+                      p.grad_x.channels};
+#pragma unroll 1
+  for (int64_t first = 0; first < p.grad.batch; first += kThreads) {
+    int64_t const candidate = first + threadIdx.x;
+    bool const reads = candidate < p.grad.batch && p.image_of(candidate) == image &&
+                       may_read_tile<K>(p, candidate, located.x, located.y);
+    unsigned const lanes = __ballot_sync(0xffffffffu, reads);
+    if (threadIdx.x % 32 == 0) counts[threadIdx.x / 32] = __popc(lanes);
+    __syncthreads();
+    int position = __popc(lanes & ((1u << threadIdx.x % 32) - 1)), count = 0;
+    for (int warp = 0; warp < kWarps; ++warp) {
+      if (warp < int(threadIdx.x) / 32) position += counts[warp];
+      count += counts[warp];
     }
-    Gradients const source_tile(shared_pixels, tile.coords);
-    int const x = column_in_tile<T>();
-    for_each_channel_group<Gradients::kChannels>(p.grad.channels, [&](int first, auto channels) {
-      constexpr int N = channels.value;
-      if (source_tile.fits)
-        source_tile.template load<N>(p.grad, tile.b, first, x_axis, y_axis, aligned, [](int) { return T{}; });
-      if (tile.x + x >= width) return;
-      F poison = 0;  // NaN where one of the gradients is no finite number: it may have had no weight
-      T* planes[N];
-#pragma unroll
-      for (int k = 0; k < N; ++k) planes[k] = p.grad_x.row(tile.b, first + k, 0);
-      int to = (tile.y + row_in_tile<T>()) * width + tile.x + x;
-      int const origin = source_tile.origin(tile.u, tile.v);
+    if (reads) readers[position] = threadIdx.x;
+    __syncthreads();
 #pragma unroll 1
-      for (int y = row_in_tile<T>(); source_tile.fits && y < min(kTile, height - tile.y);
-           y += kRowStep, to += kRowStep * width) {
-        F center_u, center_v, first_u, first_v, sums[N] = {};
-        tile.back.apply(F(x), F(y), center_u, center_v);
-        int const u = above(center_u - tile.reach_x, first_u), v = above(center_v - tile.reach_y, first_v);
-        T const* row = source_tile.pixels + (v * Gradients::kPitch + u + origin);
-        auto const gather = [&](auto affine) {
-          F const(&m)[9] = tile.map.m;
-          F from_x = first_u * m[0] + (first_v * m[1] + m[2]), from_y = first_u * m[3] + (first_v * m[4] + m[5]);
-          // Of an affine map places count from the pixel: one addition less for each. Not those of the nearest pixel,
-          // where halves go to even ones.
-          int const pixel_x = K > 1 && affine.value ? 0 : x, pixel_y = K > 1 && affine.value ? 0 : y;
-          from_x -= F(x - pixel_x);
-          from_y -= F(y - pixel_y);
-          F from_weight = first_u * m[6] + (first_v * m[7] + m[8]);
-#pragma unroll 1
-          for (int j = 0; j < tile.rows; ++j, row += Gradients::kPitch) {
-            F place_x = from_x, place_y = from_y, weight = from_weight;
-            T const* grad = row;
-#pragma unroll 1
-            for (int i = 0; i < tile.columns; i += kCandidatesPerStep<K>)
-#pragma unroll
-              for (int n = 0; n < kCandidatesPerStep<K>; ++n, ++grad) {
-                F const scale = affine.value ? F(1) : reciprocal_or_nan(weight);
-                F const share = weight_at<K>(place_x * scale, pixel_x) * weight_at<K>(place_y * scale, pixel_y);
-#pragma unroll
-                for (int k = 0; k < N; ++k) sums[k] += share * F(read(grad[k * Gradients::kSize]));
-                place_x += m[0];
-                place_y += m[3];
-                if constexpr (!affine.value) weight += m[6];
-              }
-            from_x += m[1];
-            from_y += m[4];
-            from_weight += m[7];
-          }
-        };
-        tile.map.affine ? gather(std::true_type{}) : gather(std::false_type{});
-#pragma unroll
-        for (int k = 0; k < N; ++k) {
-          poison += sums[k] * 0;
-          planes[k][to] = round_to<T>(sums[k]);
-        }
+    for (int next = 0; next < count; next += kMaxTilesPerBlock) {
+      if (threadIdx.x < 32) {
+        int const number = threadIdx.x / 4 % kMaxTilesPerBlock;
+        Tile<F> of_sample = located;
+        of_sample.b = first + readers[min(next + number, count - 1)];
+        GatherTile<F> tile;
+        tile.template init<K>(of_sample, p);
+        if (threadIdx.x % 4 == 0 && threadIdx.x < 4 * kMaxTilesPerBlock) shared_tiles[number] = tile;
       }
-      if (!source_tile.fits || poison != 0)
+      __syncthreads();
 #pragma unroll 1
-        for (int y = row_in_tile<T>(); y < min(kTile, height - tile.y); y += kRowStep)
-          gather_unstaged<K, N>(p, tile, first, y, x);
-    });
+      for (int number = 0; number < min(kMaxTilesPerBlock, count - next); ++number) {
+        GatherTile<F> const& tile = shared_tiles[number];
+        if (!tile.is_unread(int(p.grad.width), int(p.grad.height)))
+          gather_tile<K, true>(p, tile, out, begin, channels, shared_pixels, aligned);
+      }
+      __syncthreads();  // before the tiles are overwritten
+    }
   }
 }
 
@@ -353,7 +463,10 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
   constexpr int kCells = Sums<F>::kCells;
   __shared__ Tile<F> tile;
   extern __shared__ __align__(16) unsigned char shared_sums[];
-  if (threadIdx.x == 0) tile.init(tiles, p.coords);
+  if (threadIdx.x == 0) {
+    tile.init(tiles, p.coords);
+    tile.image = p.image_of(tile.b);
+  }
   __syncthreads();
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32, lane_x = lane % 8, lane_y = lane / 8;
   int const width = int(p.grad.width), height = int(p.grad.height),
@@ -427,7 +540,7 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
 #pragma unroll
         for (int k = 0; k < N; ++k)
           g[run][k] = count >> run & 1 ? F(read(grad[k * p.grad.channel_stride + offset_of(run)])) : F(0);
-      F* const to = p.sums + tile.b * p.grad_x.batch_stride + first * p.grad_x.channel_stride;
+      F* const to = p.sums + tile.image * p.grad_x.batch_stride + first * p.grad_x.channel_stride;
       F to_u[kCoordsPerLane], to_v[kCoordsPerLane];
 #pragma unroll
       for (int run = 0; run < kCoordsPerLane; ++run) to_u[run] = u[run], to_v[run] = v[run];
@@ -519,18 +632,32 @@ void gather(SampleImageBackward<T> const& p, CUstream_st* stream) {
   });
 }
 
+// Enough blocks to fill a large GPU: where the images have few tiles, each block takes some of the channels.
+constexpr int64_t kGatherBlocks = 1024;
+
 template <class T>
-int scatter(SampleImageBackward<T> const& p, CUstream_st* stream) {
+void add_gathered(SampleImageBackward<T> const& p, CUstream_st* stream) {
+  auto const& x = p.grad_x;
+  TileGrid const tiles(x.batch, x.height, x.width, 1);
+  int64_t const groups = ceil_div(x.channels, SourceTile<T>::kChannels);
+  int64_t const parts = min(groups, ceil_div(kGatherBlocks, int64_t(tiles.blocks)));
+  int const channels_per_block = int(ceil_div(groups, parts)) * SourceTile<T>::kChannels;
+  dim3 const blocks(tiles.blocks, unsigned(ceil_div(int64_t(x.channels), int64_t(channels_per_block))));
+  dispatch_taps(p.interpolation, [&](auto taps) {
+    gather_samples<T, taps.value>
+        <<<blocks, kThreads, SourceTile<T>::bytes(min(channels_per_block, x.channels)), stream>>>(
+            p, tiles, channels_per_block, rows_are_aligned(p.grad));
+  });
+}
+
+template <class T>
+void scatter(SampleImageBackward<T> const& p, CUstream_st* stream) {
   using F = Compute<T>;
-  int64_t const count = p.grad_x.batch * p.grad_x.channels * p.grad_x.height * p.grad_x.width;
-  cudaError_t const error = cudaMemsetAsync(p.sums, 0, size_t(count) * sizeof(F), stream);
-  if (error != cudaSuccess) return error;
   auto const& x = p.grad;
   TileGrid const tiles(x.batch, x.height, x.width, 1);
   dispatch_taps(p.interpolation, [&](auto taps) {
     scatter_tiles<T, taps.value><<<tiles.blocks, 32 * kScatterWarps, Sums<F>::bytes(x.channels), stream>>>(p, tiles);
   });
-  return cudaSuccess;
 }
 
 }  // namespace
@@ -538,10 +665,14 @@ int scatter(SampleImageBackward<T> const& p, CUstream_st* stream) {
 template <class T>
 int sample_image_backward(SampleImageBackward<T> const& p, CUstream_st* stream) {
   bool const gathers = !p.coords.has_map() && p.x_axis.padding == Padding::fill;
-  if (gathers)
+  if (gathers && p.is_one_sample_per_image()) {
     gather(p, stream);
-  else if (int const error = scatter(p, stream))
-    return error;
+    return cudaGetLastError();
+  }
+  int64_t const count = p.grad_x.batch * p.grad_x.channels * p.grad_x.height * p.grad_x.width;
+  cudaError_t const error = cudaMemsetAsync(p.sums, 0, size_t(count) * sizeof(Compute<T>), stream);
+  if (error != cudaSuccess) return error;
+  if (p.grad.batch > 0) gathers ? add_gathered(p, stream) : scatter(p, stream);
   return cudaGetLastError();
 }
 

@@ -1,5 +1,5 @@
-// The gradient of the image on the CPU: planes [begin, end) of all images in order, each by one thread, so that sums
-// are the same in every run. Compiled once per instruction set.
+// The gradient of the images on the CPU: planes [begin, end) of all images in order. One thread adds the samples that
+// read a plane in their order, so that sums are the same in every run. Compiled once per instruction set.
 #include "geometry/transform/sampling_cpu.h"
 
 namespace kv::geometry::KV_ISA {
@@ -44,15 +44,19 @@ template <int K, class T>
 void scatter_planes(SampleImageBackward<T> const& p, int64_t begin, int64_t end) {
   CoordRow<T> coords;
   for (int64_t r = begin; r < end; ++r) {
-    int64_t const b = r / p.grad.channels;
+    int64_t const image = r / p.grad.channels;
     int const c = int(r % p.grad.channels);
-    T* const plane = p.grad_x.row(b, c, 0);
+    T* const plane = p.grad_x.row(image, c, 0);
     for (T *at = plane, *last = plane + p.grad_x.height * p.grad_x.width; at < last; ++at) *at = 0;
-    for_each_row_chunk(0, p.grad.height, p.grad.height, p.grad.width,
-                       [&](int64_t, int64_t y, int64_t first, int64_t count) {
-                         coords.fill(p.coords, b, y, first, count);
-                         scatter_chunk<K>(p, coords, count, p.grad.row(b, c, y) + first * p.grad.step, plane);
-                       });
+    bool const is_one = p.is_one_sample_per_image();
+    for (int64_t b = is_one ? image : 0, last = is_one ? image + 1 : p.grad.batch; b < last; ++b) {
+      if (p.image_of(b) != image) continue;
+      for_each_row_chunk(0, p.grad.height, p.grad.height, p.grad.width,
+                         [&](int64_t, int64_t y, int64_t first, int64_t count) {
+                           coords.fill(p.coords, b, y, first, count);
+                           scatter_chunk<K>(p, coords, count, p.grad.row(b, c, y) + first * p.grad.step, plane);
+                         });
+    }
   }
 }
 

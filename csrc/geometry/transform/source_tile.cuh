@@ -126,6 +126,7 @@ struct BlockTiles {
       int const number = threadIdx.x / 4 % kMaxTilesPerBlock;
       Tile<F> tile;
       tile.locate(count, number);
+      tile.image = p.image_of(tile.b);
       TapBounds box = TapBounds::empty();
       if (!p.coords.has_map()) {
         tile.bind(homography(matrix(tile.b), p.coords.use), p.coords.use.source);

@@ -66,8 +66,9 @@ Tensor warped_volumes(Warp const& w) {
 Tensor warp3d(Tensor const& volumes, Tensor const& matrix, std::vector<int64_t> size, int64_t interpolation,
               int64_t padding, bool align_corners, bool inverse, bool normalized) {
   check_volumes("warp3d", "volumes", volumes);
-  return warped_volumes({"warp3d", volumes, WarpMatrix("warp3d", matrix, volumes, 3), size3_of("warp3d", volumes),
-                         size3_of("warp3d", size), interpolation, padding, align_corners, inverse, normalized});
+  return warped_volumes({"warp3d", volumes, WarpMatrix("warp3d", matrix, volumes, 3, volumes.size(0)),
+                         size3_of("warp3d", volumes), size3_of("warp3d", size), interpolation, padding, align_corners,
+                         inverse, normalized});
 }
 
 Tensor warp3d_by_formula(Tensor const& x, std::optional<Tensor> const& a, std::optional<Tensor> const& b,
@@ -82,6 +83,7 @@ Tensor warp3d_by_formula(Tensor const& x, std::optional<Tensor> const& a, std::o
   auto const run = [&](WarpMatrix const& m) {
     return warped_volumes({op, x, m, source, output, interpolation, padding, align_corners, inverse, normalized});
   };
+  int64_t const samples = x.size(0);
   constexpr bool within = true;
   KV_SPACE_FORMULAS(KV_WARP_BY)
   KV_CHECK(false, op, ": no formula of volumes has the number ", formula);
@@ -93,8 +95,8 @@ Tensor warp3d_volume_backward(Tensor const& grad, Tensor const& matrix, std::vec
                               bool normalized) {
   char const* const op = "warp3d_volume_backward";
   check_volumes(op, "grad", grad);
-  Warp const w(op, grad, {op, matrix, grad, 3}, size3_of(op, size), size3_of(op, grad), interpolation, padding,
-               align_corners, inverse, normalized);
+  Warp const w(op, grad, {op, matrix, grad, 3, grad.size(0)}, size3_of(op, size), size3_of(op, grad), interpolation,
+               padding, align_corners, inverse, normalized);
   Tensor const grad_x = empty({w.batch(), w.channels(), size[0], size[1], size[2]}, grad);
   dispatch_compute_dtype(op, grad, [&](auto type) {
     using F = typename decltype(type)::type;
@@ -109,9 +111,9 @@ Tensor warp3d_matrix_backward(Tensor const& grad, Tensor const& volumes, Tensor 
   char const* const op = "warp3d_matrix_backward";
   check_volumes(op, "volumes", volumes);
   check_volumes(op, "grad", grad);
-  check_gradient(op, grad, volumes);
-  Warp const w(op, volumes, {op, matrix, volumes, 3}, size3_of(op, volumes), size3_of(op, grad), interpolation, padding,
-               align_corners, inverse, normalized);
+  check_gradient(op, grad, volumes, volumes.size(0));
+  Warp const w(op, volumes, {op, matrix, volumes, 3, volumes.size(0)}, size3_of(op, volumes), size3_of(op, grad),
+               interpolation, padding, align_corners, inverse, normalized);
   Tensor const y = dense(grad);
   int64_t const parts = parts_of(w.use.output);
   Tensor const sums = empty({w.batch(), parts, 16}, grad, Layout::planar, ScalarType::Double);
@@ -132,7 +134,7 @@ Tensor warp3d_matrix_backward(Tensor const& grad, Tensor const& volumes, Tensor 
 }  // namespace
 
 KV_OPERATOR(warp3d, "(Tensor volumes, Tensor matrix, SymInt[] size, " KV_WARP_OPTIONS ") -> Tensor")
-KV_OPERATOR(warp3d_by_formula, "(Tensor volumes, " KV_BY_FORMULA KV_WARP_OPTIONS ") -> Tensor")
+KV_OPERATOR(warp3d_by_formula, "(Tensor volumes, " KV_FORMULA_INPUTS KV_FORMULA_OPTIONS KV_WARP_OPTIONS ") -> Tensor")
 KV_OPERATOR(warp3d_volume_backward, "(Tensor grad, Tensor matrix, SymInt[] size, " KV_WARP_OPTIONS ") -> Tensor")
 KV_OPERATOR(warp3d_matrix_backward, "(Tensor grad, Tensor volumes, Tensor matrix, " KV_WARP_OPTIONS ") -> Tensor")
 

@@ -6,77 +6,93 @@ namespace {
 
 Tensor warped(Tensor const& image, SamplingOptions const& a, Matrix const& m) {
   Size const source = m.use.source, output = m.use.output;
-  int64_t const batch = image.size(0), channels = image.size(1);
-  Tensor const y = empty({batch, channels, output.height, output.width}, image, layout_of(image));
+  int64_t const samples = a.images.samples, channels = image.size(1);
+  Tensor const y = empty({samples, channels, output.height, output.width}, image, layout_of(image));
   dispatch_floating_and_uint8(a.op, image, [&](auto type) {
     using T = typename decltype(type)::type;
-    Sample<T> const params{a.of<T>(source, m.coords<Compute<T>>()), images<T const>(image, batch), images<T>(y, batch),
-                           m.formula};
+    Sample<T> const params{a.of<T>(source, m.coords<Compute<T>>()), images<T const>(image, a.images.images),
+                           images<T>(y, samples), m.formula};
     check_planes(a.op, params.x);
     check_planes(a.op, params.y);
-    KV_RUN(sample, image, params, y.numel() > 0 ? batch * output.height : 0, 4 * channels * output.width);
+    KV_RUN(sample, image, params, y.numel() > 0 ? samples * output.height : 0, 4 * channels * output.width);
   });
   return y;
 }
 
-Tensor warp(Tensor const& image, Tensor const& matrix, std::optional<Tensor> const& fill, std::vector<int64_t> size,
-            int64_t interpolation, int64_t padding, bool align_corners, bool inverse, bool normalized) {
-  check_images("warp", "image", image);
-  Size const output = checked_size("warp", size), source = checked_size("warp", image);
-  SamplingOptions const a("warp", interpolation, padding, align_corners, image, fill);
-  return warped(image, a, {"warp", matrix, image, inverse, normalized, align_corners, source, output});
+Tensor warp(Tensor const& image, Tensor const& matrix, std::optional<Tensor> const& fill,
+            std::optional<Tensor> const& image_index, std::vector<int64_t> size, int64_t interpolation, int64_t padding,
+            bool align_corners, bool inverse, bool normalized) {
+  char const* const op = "warp";
+  check_images(op, "image", image);
+  Size const output = checked_size(op, size), source = checked_size(op, image);
+  SampledImages const sampled(op, image_index, image.size(0), rows_of(matrix), image);
+  SamplingOptions const a(op, interpolation, padding, align_corners, image, fill, sampled);
+  return warped(image, a, {op, matrix, image, sampled.samples, inverse, normalized, align_corners, source, output});
 }
 
 Tensor warp_by_formula(Tensor const& x, std::optional<Tensor> const& a, std::optional<Tensor> const& b,
                        std::optional<Tensor> const& c, std::optional<Tensor> const& d, std::optional<Tensor> const& e,
-                       std::optional<Tensor> const& f, int64_t formula, std::vector<double> numbers,
-                       std::vector<int64_t> size, int64_t interpolation, int64_t padding, bool align_corners,
-                       bool inverse, bool normalized) {
+                       std::optional<Tensor> const& f, std::optional<Tensor> const& image_index, int64_t formula,
+                       std::vector<double> numbers, std::vector<int64_t> size, int64_t interpolation, int64_t padding,
+                       bool align_corners, bool inverse, bool normalized) {
   char const* const op = "warp_by_formula";
   check_images(op, "image", x);
   Size const output = checked_size(op, size), source = checked_size(op, x);
-  SamplingOptions const how(op, interpolation, padding, align_corners, x, {});
   FormulaInputs const inputs{a, b, c, d, e, f};
+  int64_t rows = 1;
+  for (auto const& input : inputs)
+    if (rows == 1 && input) rows = rows_of(*input);
+  SampledImages const sampled(op, image_index, x.size(0), rows, x);
+  SamplingOptions const how(op, interpolation, padding, align_corners, x, {}, sampled);
+  int64_t const samples = sampled.samples;
   auto const run = [&](WarpMatrix const& m) {
     return warped(x, how, {m, inverse, normalized, align_corners, source, output});
   };
-  bool const within = is_computed_in_kernel(x.size(0), output);
+  bool const within = is_computed_in_kernel(samples, output);
   KV_PLANE_FORMULAS(KV_WARP_BY)
   KV_CHECK(false, op, ": no formula of images has the number ", formula);
   return x;
 }
 
-Tensor warp_image_backward(Tensor const& grad, Tensor const& matrix, std::vector<int64_t> size, int64_t interpolation,
-                           int64_t padding, bool align_corners, bool inverse, bool normalized) {
+// The gradient to images of `size`, which is their number, height and width.
+Tensor warp_image_backward(Tensor const& grad, Tensor const& matrix, std::optional<Tensor> const& image_index,
+                           std::vector<int64_t> size, int64_t interpolation, int64_t padding, bool align_corners,
+                           bool inverse, bool normalized) {
   char const* const op = "warp_image_backward";
   check_images(op, "grad", grad);
-  Size const source = checked_size(op, size), output = checked_size(op, grad);
-  SamplingOptions const a(op, interpolation, padding, align_corners, grad, {});
-  Matrix const m(op, matrix, grad, inverse, normalized, align_corners, source, output);
-  int64_t const batch = grad.size(0), channels = grad.size(1);
-  return image_gradient(
-      op, grad, source, a.padding == Padding::fill,
-      [&](auto type, Tensor const& from, Tensor const& to, Tensor const& sums) {
-        using T = typename decltype(type)::type;
-        SampleImageBackward<T> const params{a.of<T>(source, m.coords<Compute<T>>()), images<T const>(from, batch),
-                                            images<T>(to, batch), data_ptr<Compute<T>>(sums)};
-        check_planes(op, params.grad);
-        check_planes(op, params.grad_x);
-        KV_RUN(sample_image_backward, from, params, batch * channels, 8 * output.height * output.width);
-      });
+  BatchSize const batch = checked_batch_size(op, size);
+  Size const source = batch.size, output = checked_size(op, grad);
+  SampledImages const sampled(op, image_index, batch.images, grad.size(0), grad);
+  KV_CHECK(grad.size(0) == sampled.samples, op, ": grad does not fit the images");
+  SamplingOptions const a(op, interpolation, padding, align_corners, grad, {}, sampled);
+  Matrix const m(op, matrix, grad, sampled.samples, inverse, normalized, align_corners, source, output);
+  int64_t const channels = grad.size(1);
+  return image_gradient(op, grad, batch, a.padding == Padding::fill && sampled.is_one_sample_per_image(),
+                        [&](auto type, Tensor const& from, Tensor const& to, Tensor const& sums) {
+                          using T = typename decltype(type)::type;
+                          SampleImageBackward<T> const params{a.of<T>(source, m.coords<Compute<T>>()),
+                                                              images<T const>(from, sampled.samples),
+                                                              images<T>(to, batch.images), data_ptr<Compute<T>>(sums)};
+                          check_planes(op, params.grad);
+                          check_planes(op, params.grad_x);
+                          int64_t const cost =
+                              8 * output.height * output.width * sampled.samples / std::max<int64_t>(batch.images, 1);
+                          KV_RUN(sample_image_backward, from, params, batch.images * channels, cost);
+                        });
 }
 
 Tensor warp_matrix_backward(Tensor const& grad, Tensor const& image, Tensor const& matrix,
-                            std::optional<Tensor> const& fill, int64_t interpolation, int64_t padding,
-                            bool align_corners, bool inverse, bool normalized) {
+                            std::optional<Tensor> const& fill, std::optional<Tensor> const& image_index,
+                            int64_t interpolation, int64_t padding, bool align_corners, bool inverse, bool normalized) {
   char const* const op = "warp_matrix_backward";
   check_images(op, "image", image);
   check_images(op, "grad", grad);
   Size const source = checked_size(op, image), output = checked_size(op, grad);
-  check_gradient(op, grad, image);
-  SamplingOptions const a(op, interpolation, padding, align_corners, image, fill);
-  Matrix const m(op, matrix, image, inverse, normalized, align_corners, source, output);
-  int64_t const batch = image.size(0);
+  SampledImages const sampled(op, image_index, image.size(0), rows_of(matrix), image);
+  int64_t const batch = sampled.samples;
+  check_gradient(op, grad, image, batch);
+  SamplingOptions const a(op, interpolation, padding, align_corners, image, fill, sampled);
+  Matrix const m(op, matrix, image, batch, inverse, normalized, align_corners, source, output);
   int64_t const parts = coords_backward_parts(output, tiles_per_block(batch, output.height, output.width));
   Tensor const sums = empty({batch, parts, 9}, grad, Layout::planar, ScalarType::Double);
   Tensor const grad_matrix = empty({batch, m.use.rows, 3}, m.tensor);
@@ -85,7 +101,7 @@ Tensor warp_matrix_backward(Tensor const& grad, Tensor const& image, Tensor cons
     using F = Compute<T>;
     SampleCoords<F> const coords = m.coords<F>();
     SampleCoordsBackward<T> const params{a.of<T>(source, coords),
-                                         images<T const>(image, batch),
+                                         images<T const>(image, image.size(0)),
                                          images<T const>(grad, batch),
                                          {},
                                          {},
@@ -102,10 +118,14 @@ Tensor warp_matrix_backward(Tensor const& grad, Tensor const& image, Tensor cons
 
 }  // namespace
 
-KV_OPERATOR(warp, "(Tensor image, Tensor matrix, Tensor? fill, SymInt[] size, " KV_WARP_OPTIONS ") -> Tensor")
-KV_OPERATOR(warp_by_formula, "(Tensor image, " KV_BY_FORMULA KV_WARP_OPTIONS ") -> Tensor")
-KV_OPERATOR(warp_image_backward, "(Tensor grad, Tensor matrix, SymInt[] size, " KV_WARP_OPTIONS ") -> Tensor")
+KV_OPERATOR(warp, "(Tensor image, Tensor matrix, Tensor? fill, Tensor? image_index, SymInt[] size, " KV_WARP_OPTIONS
+                  ") -> Tensor")
+KV_OPERATOR(warp_by_formula, "(Tensor image, " KV_FORMULA_INPUTS
+                             "Tensor? image_index, " KV_FORMULA_OPTIONS KV_WARP_OPTIONS ") -> Tensor")
+KV_OPERATOR(warp_image_backward,
+            "(Tensor grad, Tensor matrix, Tensor? image_index, SymInt[] size, " KV_WARP_OPTIONS ") -> Tensor")
 KV_OPERATOR(warp_matrix_backward,
-            "(Tensor grad, Tensor image, Tensor matrix, Tensor? fill, " KV_WARP_OPTIONS ") -> Tensor")
+            "(Tensor grad, Tensor image, Tensor matrix, Tensor? fill, Tensor? image_index, " KV_WARP_OPTIONS
+            ") -> Tensor")
 
 }  // namespace kv::geometry

@@ -95,7 +95,7 @@ inline Tensor undistort_image(Tensor const& image, Tensor const& K, Tensor const
   Tensor const coefficients = detail::computed(dist, image);
   Tensor const map = ops::undistort_map(detail::computed(K, image), coefficients, detail::tilt_of(coefficients, false),
                                         detail::image_size(image));
-  return ops::remap(image, map.select(1, 0), map.select(1, 1), {}, int64_t(Interpolation::bilinear),
+  return ops::remap(image, map.select(1, 0), map.select(1, 1), {}, {}, int64_t(Interpolation::bilinear),
                     detail::padding_number(PaddingMode::zeros), true, false, false);
 }
 

@@ -37,39 +37,32 @@ struct HomographyWarpOptions {
 
 namespace detail {
 
-// One image serves as many matrices as there are.
-inline Tensor broadcast_batch(Tensor const& image, Tensor const& other) {
-  std::vector<int64_t> sizes = image.sizes().vec();
-  if (sizes[0] == 1) sizes[0] = other.size(0);
-  return image.expand(sizes);
-}
-
 inline Tensor warp(char const* op, Tensor const& src, Tensor const& M, int64_t rows, Size2d dsize,
                    WarpOptions const& options, bool inverse, bool normalized) {
   images(op, "src", src);
   TORCH_CHECK_VALUE(M.dim() == 3 && M.size(1) == rows && M.size(2) == 3, op, ": expected M of shape (B or 1, ", rows,
                     ", 3), got ", M.sizes());
-  Tensor const image = broadcast_batch(src, M);
-  auto fill = computed(options.fill_value(), image);
+  auto fill = computed(options.fill_value(), src);
   TORCH_CHECK_VALUE(!fill || options.padding_mode() == PaddingMode::fill, op,
                     ": expected a fill_value with padding_mode fill only");
   if (fill && fill->dim() < 2) fill = fill->reshape({1, -1});
-  return ops::warp(image, computed(M, image), fill, list(dsize), int64_t(options.mode()),
+  return ops::warp(src, computed(M, src), fill, {}, list(dsize), int64_t(options.mode()),
                    detail::padding_number(options.padding_mode()), options.align_corners(), inverse, normalized);
 }
 
 inline Tensor warp_by_formula(char const* op, Tensor const& tensor, ops::WarpFormula formula,
                               std::vector<double> const& numbers, std::vector<std::optional<Tensor>> tensors,
-                              std::vector<int64_t> const& size, TransformOptions const& options, bool inverse = true) {
+                              std::vector<int64_t> const& size, TransformOptions const& options, bool inverse = true,
+                              std::optional<Tensor> const& image_index = {}) {
   tensors.resize(6);
   for (auto& x : tensors) x = computed(x, tensor);
-  auto const run = [&](auto const& by_formula) {
-    return by_formula(tensor, tensors[0], tensors[1], tensors[2], tensors[3], tensors[4], tensors[5], int64_t(formula),
-                      numbers, size, int64_t(options.mode()), detail::padding_number(options.padding_mode()),
-                      options.align_corners(), inverse, false);
+  auto const run = [&](auto const& by_formula, auto const&... index) {
+    return by_formula(tensor, tensors[0], tensors[1], tensors[2], tensors[3], tensors[4], tensors[5], index...,
+                      int64_t(formula), numbers, size, int64_t(options.mode()),
+                      detail::padding_number(options.padding_mode()), options.align_corners(), inverse, false);
   };
   if (size.size() == 3) return volumes(op, "tensor", tensor), run(ops::warp3d_by_formula);
-  return images(op, "tensor", tensor), run(ops::warp_by_formula);
+  return images(op, "tensor", tensor), run(ops::warp_by_formula, image_index);
 }
 
 // The middle of an image, x before y.
@@ -102,9 +95,8 @@ inline Tensor homography_warp(Tensor const& patch_src, Tensor const& src_homo_ds
 inline Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_y, RemapOptions const& options = {}) {
   detail::images("remap", "image", image);
   detail::same_shape("remap", "map_y", map_y, detail::shaped("remap", "map_x", map_x, 3, "(B or 1, h, w)"));
-  Tensor const images = detail::broadcast_batch(image, map_x);
-  return ops::remap(images, detail::computed(map_x, image), detail::computed(map_y, image), {}, int64_t(options.mode()),
-                    detail::padding_number(options.padding_mode()), options.align_corners(),
+  return ops::remap(image, detail::computed(map_x, image), detail::computed(map_y, image), {}, {},
+                    int64_t(options.mode()), detail::padding_number(options.padding_mode()), options.align_corners(),
                     options.normalized_coordinates(), false);
 }
 
@@ -134,12 +126,13 @@ inline Tensor shear(Tensor const& tensor, Tensor const& shear,
   return detail::warp_by_formula("shear", tensor, ops::WarpFormula::slant_matrix2d, {}, {shear},
                                  detail::image_size(tensor), options);
 }
-// The quadrangles (B, 4, 2) of images, from the upper left corner clockwise, as images of a size.
+// The quadrangles (N, 4, 2) of images, from the upper left corner clockwise, as images of a size: one of each image,
+// all of a single one, or of the image that box_indices (N,) says.
 inline Tensor crop_and_resize(Tensor const& input_tensor, Tensor const& boxes, Size2d size,
-                              TransformOptions const& options = {}) {
+                              TransformOptions const& options = {}, std::optional<Tensor> const& box_indices = {}) {
   auto const extent = [&](int i) { return double(std::max<int64_t>(size->at(i) - 1, 1)); };
   return detail::warp_by_formula("crop_and_resize", input_tensor, ops::WarpFormula::crop_matrix, {extent(1), extent(0)},
-                                 {boxes}, detail::list(size), options, false);
+                                 {boxes}, detail::list(size), options, false, box_indices);
 }
 inline Tensor center_crop(Tensor const& input_tensor, Size2d size, TransformOptions const& options = {}) {
   detail::images("center_crop", "input_tensor", input_tensor);
@@ -267,7 +260,7 @@ inline Tensor elastic_transform2d(Tensor const& image, Tensor const& noise,
                                               options.kernel_size()->at(0), options.kernel_size()->at(1), sigma.y,
                                               sigma.x, int64_t(BorderType::constant));
   return ops::remap(image, blurred.select(1, 0) * options.alpha()->at(0), blurred.select(1, 1) * options.alpha()->at(1),
-                    {}, int64_t(options.mode()), detail::padding_number(options.padding_mode()),
+                    {}, {}, int64_t(options.mode()), detail::padding_number(options.padding_mode()),
                     options.align_corners(), true, true);
 }
 
@@ -291,7 +284,7 @@ inline Tensor warp_image_tps(Tensor const& image, Tensor const& kernel_centers, 
   Tensor const map =
       ops::thin_plate_map(detail::computed(kernel_centers, image), detail::computed(kernel_weights, image),
                           detail::computed(affine_weights, image), detail::image_size(image), align_corners);
-  return ops::remap(image, map.select(1, 0), map.select(1, 1), {}, int64_t(Interpolation::bilinear),
+  return ops::remap(image, map.select(1, 0), map.select(1, 1), {}, {}, int64_t(Interpolation::bilinear),
                     detail::padding_number(padding_mode), align_corners, true, false);
 }
 

@@ -41,7 +41,7 @@ namespace detail {
 // To the fill of what is outside: the share of each pixel that is not inside of the image.
 template <class Inside>
 Tensor to_fill(Backward const& b, Tensor const& fill, Inside const& inside) {
-  Tensor const x = b.tensor(0), weights = inside(at::ones_like(x.narrow(1, 0, 1)));
+  Tensor const x = b.tensor(0), weights = inside(x.new_ones({1, 1, x.size(2), x.size(3)}));
   return ((1 - weights) * b.grad()).to(fill.scalar_type()).sum({2, 3});
 }
 
@@ -49,24 +49,30 @@ inline Tensor cast(Tensor const& x, Tensor const& like) { return x.to(like.scala
 
 }  // namespace detail
 
-inline constexpr Operator<"warp",
-                          Tensor(Tensor image, Tensor matrix, OptionalTensor fill, Ints size, int64_t interpolation,
-                                 int64_t padding, bool align_corners, bool inverse, bool normalized)>
+// Samples may outnumber the images: `image_index` (N,), of int64 or int32, has the image that each of them reads.
+// Without it one image serves all samples, or sample b reads image b.
+inline constexpr Operator<"warp", Tensor(Tensor image, Tensor matrix, OptionalTensor fill, OptionalTensor image_index,
+                                         Ints size, int64_t interpolation, int64_t padding, bool align_corners,
+                                         bool inverse, bool normalized)>
     warp{[](Backward const& b) -> variable_list {
       Tensor const fill = b.tensor(2);
-      auto const inside = [&](Tensor const& ones) { return b.call(warp, {{"image", ones}, {"fill", {}}})[0]; };
-      return {b.needs(0) ? b.call("warp_image_backward", {{"size", b.image_size()}})[0] : Tensor(),
+      auto const inside = [&](Tensor const& ones) {
+        return b.call(warp, {{"image", ones}, {"fill", {}}, {"image_index", {}}})[0];
+      };
+      return {b.needs(0) ? b.call("warp_image_backward", {{"size", b.batch_size()}})[0] : Tensor(),
               b.needs(1) ? b.call("warp_matrix_backward")[0] : Tensor(),
               b.needs(2) ? detail::to_fill(b, fill, inside) : Tensor()};
     }};
-inline constexpr Operator<"remap",
-                          Tensor(Tensor image, Tensor map_x, Tensor map_y, OptionalTensor fill, int64_t interpolation,
-                                 int64_t padding, bool align_corners, bool normalized, bool moves)>
+inline constexpr Operator<"remap", Tensor(Tensor image, Tensor map_x, Tensor map_y, OptionalTensor fill,
+                                          OptionalTensor image_index, int64_t interpolation, int64_t padding,
+                                          bool align_corners, bool normalized, bool moves)>
     remap{[](Backward const& b) -> variable_list {
-      variable_list gradients{b.needs(0) ? b.call("remap_image_backward", {{"size", b.image_size()}})[0] : Tensor()};
+      variable_list gradients{b.needs(0) ? b.call("remap_image_backward", {{"size", b.batch_size()}})[0] : Tensor()};
       variable_list const maps = b.needs(1) || b.needs(2) ? b.call("remap_map_backward") : variable_list(2);
       gradients.insert(gradients.end(), maps.begin(), maps.end());
-      auto const inside = [&](Tensor const& ones) { return b.call(remap, {{"image", ones}, {"fill", {}}})[0]; };
+      auto const inside = [&](Tensor const& ones) {
+        return b.call(remap, {{"image", ones}, {"fill", {}}, {"image_index", {}}})[0];
+      };
       gradients.push_back(b.needs(3) ? detail::to_fill(b, b.tensor(3), inside) : Tensor());
       return gradients;
     }};
@@ -118,9 +124,9 @@ inline constexpr Rule by_formula{[](Backward const& b) -> variable_list {
   if (arguments[0].isNone()) arguments[0] = at::zeros({1, int64_t(numbers.size())}, b.grad().options().dtype(type));
   Tensor const matrix = run(formula, side_by_side, arguments)[0];
   Tensor const grad = rows == 3 ? cast(b.grad(), matrix) : b.grad();
+  Ints const size = rows == 3 ? b.image_size() : b.batch_size();
   variable_list gradients{
-      b.needs(0) ? b.call(image_gradient.text, {{"grad", grad}, {"matrix", matrix}, {"size", b.image_size()}})[0]
-                 : Tensor()};
+      b.needs(0) ? b.call(image_gradient.text, {{"grad", grad}, {"matrix", matrix}, {"size", size}})[0] : Tensor()};
   bool needs_matrix = false;
   for (size_t i = 1; i <= 6; ++i) needs_matrix = needs_matrix || b.needs(i);
   if (!needs_matrix) return gradients;
@@ -135,10 +141,11 @@ inline constexpr Rule by_formula{[](Backward const& b) -> variable_list {
 
 }  // namespace detail
 
-inline constexpr Operator<"warp_by_formula", Tensor(Tensor image, OptionalTensor a, OptionalTensor b, OptionalTensor c,
-                                                    OptionalTensor d, OptionalTensor e, OptionalTensor f,
-                                                    int64_t formula, Floats numbers, Ints size, int64_t interpolation,
-                                                    int64_t padding, bool align_corners, bool inverse, bool normalized)>
+inline constexpr Operator<"warp_by_formula",
+                          Tensor(Tensor image, OptionalTensor a, OptionalTensor b, OptionalTensor c, OptionalTensor d,
+                                 OptionalTensor e, OptionalTensor f, OptionalTensor image_index, int64_t formula,
+                                 Floats numbers, Ints size, int64_t interpolation, int64_t padding, bool align_corners,
+                                 bool inverse, bool normalized)>
     warp_by_formula{detail::by_formula<"warp_image_backward", "warp_matrix_backward", 2>};
 inline constexpr Operator<"warp3d_by_formula",
                           Tensor(Tensor volumes, OptionalTensor a, OptionalTensor b, OptionalTensor c, OptionalTensor d,

@@ -59,6 +59,7 @@ struct Backward {
   Tensor tensor(size_t i) const { return arguments[i].isTensor() ? arguments[i].toTensor() : Tensor(); }
   OptionalTensor optional(size_t i) const { return arguments[i].toOptional<Tensor>(); }
   Ints image_size() const { return {sizes.begin() + 2, sizes.end()}; }
+  Ints batch_size() const { return {sizes[0], sizes[2], sizes[3]}; }  // the number of images, height and width
 };
 
 // The gradients to the arguments, of which the first ones are tensors, in their order. Undefined ones are zero; to

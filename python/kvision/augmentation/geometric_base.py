@@ -180,7 +180,8 @@ def warp(x: Tensor, matrix: Tensor, size: tuple[int, int], resampling: Resamplin
     mode, padding_mode, align_corners, fill_value = resampling
     padding, fill = sampling.padding_and_fill("augmentation", x, padding_mode, fill_value)
     matrix = matrix.to(compute_dtype(x))
-    y: Tensor = sampling.warp(x, matrix, fill, list(size), INTERPOLATION[mode], padding, align_corners, inverse, False)
+    options = (INTERPOLATION[mode], padding, align_corners, inverse, False)
+    y: Tensor = sampling.warp(x, matrix, fill, None, list(size), *options)
     return y
 
 

@@ -74,8 +74,8 @@ def test_gives_what_a_matrix_and_a_warp_do(name, dtype, device):
         found = warp3d._warp3d_by_formula(x, *given, *rest, WARP_FORMULA[name], plain, [5, 4, 7], *HOW3)
     else:
         x = (torch.rand(2, 3, 8, 9) * (255 if dtype == torch.uint8 else 1)).to(dtype).to(device)
-        expected = sampling.warp(x, matrix, None, [7, 10], *HOW)
-        found = sampling.warp_by_formula(x, *given, *rest, WARP_FORMULA[name], plain, [7, 10], *HOW)
+        expected = sampling.warp(x, matrix, None, None, [7, 10], *HOW)
+        found = sampling.warp_by_formula(x, *given, *rest, None, WARP_FORMULA[name], plain, [7, 10], *HOW)
     if device.type == "cpu":
         assert torch.equal(found, expected)
     else:
@@ -108,7 +108,7 @@ def test_unknown_formulas(wrong, device, backend):
         pytest.skip("this test is about the kernels")
     x = torch.rand(1, 1, 4, 4, device=device)
     with pytest.raises(RuntimeError, match="warp_by_formula: no formula of images has the number"):
-        torch.ops.kvision.warp_by_formula(x, x[:, 0, 0, :2], *[None] * 5, wrong, [], [4, 4], *HOW)
+        torch.ops.kvision.warp_by_formula(x, x[:, 0, 0, :2], *[None] * 6, wrong, [], [4, 4], *HOW)
 
 
 @pytest.mark.parametrize(
@@ -125,10 +125,10 @@ def test_wrong_inputs_of_a_formula(given, plain, message, device, backend):
     if backend == "reference":
         pytest.skip("this test is about the kernels")
     tensors = [torch.ones(s, device=device) for s in given]
-    six = [*tensors, *[None] * (6 - len(tensors))]
+    seven = [*tensors, *[None] * (7 - len(tensors))]  # with the index of images
     with pytest.raises(RuntimeError, match="^warp_by_formula: " + message):
         torch.ops.kvision.warp_by_formula(
-            torch.rand(2, 1, 4, 4, device=device), *six, WARP_FORMULA["translation_matrix2d"], plain, [4, 4], *HOW
+            torch.rand(2, 1, 4, 4, device=device), *seven, WARP_FORMULA["translation_matrix2d"], plain, [4, 4], *HOW
         )
 
 

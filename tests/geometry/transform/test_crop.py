@@ -7,6 +7,7 @@ import kvision as K
 from kvision.geometry.transform.matrices import crop_matrix
 from op_tests import assert_close
 from point_op_tests import SQUARE, Call, PointOpTests, near
+from warp_tests import FormulaWarpTests
 
 G = K.geometry
 QUADS = torch.tensor([[[1.3, 1.1], [5.2, 0.7], [4.9, 3.8], [0.9, 4.2]], [[2.0, 1], [6, 1], [6, 4], [2, 4]]]).double()
@@ -81,6 +82,73 @@ def test_crops_of_one_pixel(device):
     row = torch.tensor([[[1.0, 2], [5, 2], [5, 2], [1, 2]]], device=device)
     assert_close(G.crop_and_resize(x, row, (1, 5)), x[..., 2:3, 1:6])
     assert_close(G.crop_and_resize(x, row, (3, 5)), x[..., 2:3, 1:6].expand(1, 2, 3, 5))
+
+
+def quads(x: torch.Tensor, each: int) -> torch.Tensor:
+    """`each` boxes for an image of x, all different."""
+    count = each * len(x)
+    return QUADS[0] + 0.37 * torch.arange(count, dtype=torch.float64)[:, None, None]
+
+
+def indices(x: torch.Tensor) -> torch.Tensor:
+    """The image of each of three boxes per image, in no order."""
+    return torch.arange(3 * len(x)).flip(0) % max(len(x), 1)
+
+
+class TestCropAndResize(FormulaWarpTests):
+    """Several boxes an image."""
+
+    function = staticmethod(G.crop_and_resize)
+    operators = (
+        *("warp_by_formula", "warp_image_backward", "warp_matrix_backward"),
+        *("crop_matrix", "crop_matrix_backward"),
+    )
+    max_size = 7
+    accepted = ("image of another batch",)  # more images than indices are in use
+    variants = [
+        {"boxes": lambda x: quads(x, 3), "size": (5, 9), "box_indices": indices},
+        {
+            "boxes": lambda x: quads(x, 3),
+            "size": (4, 3),
+            "box_indices": lambda x: indices(x).int(),
+            "mode": "bicubic",
+            "padding_mode": "reflection",
+        },
+    ]
+    errors = [
+        ({"boxes": lambda x: torch.ones(5, 4, 2)}, ValueError, r"expected box_indices of shape \(5,\), got \(6,\)"),
+        ({"box_indices": None, "boxes": lambda x: torch.ones(3, 4, 2)}, ValueError, "expected boxes with 1 or 2 rows"),
+        ({"box_indices": [0, 1]}, TypeError, "expected box_indices to be a Tensor of int64 or int32, got list"),
+        ({"box_indices": lambda x: torch.zeros(6)}, TypeError, "int64 or int32, got torch.float32"),
+    ]
+
+
+@pytest.mark.parametrize("bad", [-1, 2])
+def test_indices_out_of_range(bad, device):
+    """An error on the CPU. On a GPU reading them would wait for it; they are clamped."""
+    x, boxes = torch.rand(2, 3, 9, 8, device=device), quads(torch.zeros(2), 1).float().to(device)
+    wrong, right = (torch.tensor([0, i], device=device) for i in (bad, min(max(bad, 0), 1)))
+    if device.type != "cpu":
+        assert torch.equal(
+            G.crop_and_resize(x, boxes, (3, 4), box_indices=wrong),
+            G.crop_and_resize(x, boxes, (3, 4), box_indices=right),
+        )
+        return
+    with pytest.raises(ValueError, match=f"^crop_and_resize: expected box_indices from 0 to 1, got {bad}"):
+        G.crop_and_resize(x, boxes, (3, 4), box_indices=wrong)
+    with pytest.raises(RuntimeError, match="warp_by_formula: expected image_index from 0 to 1, got -1"):
+        torch.func.vmap(lambda s: G.crop_and_resize(s, boxes, (3, 4), box_indices=wrong))(x[None])
+
+
+def test_boxes_of_one_image(device):
+    x = torch.rand(1, 3, 9, 8, device=device)
+    boxes = quads(torch.zeros(5), 1).float().to(device)
+    each = torch.cat([G.crop_and_resize(x, box[None], (3, 4)) for box in boxes])
+    assert torch.equal(G.crop_and_resize(x, boxes, (3, 4)), each)
+    assert torch.equal(G.crop_and_resize(x, boxes, (3, 4), box_indices=torch.zeros(5, dtype=int, device=device)), each)
+    none = torch.zeros(0, 4, 2, device=device)
+    assert G.crop_and_resize(x, none, (3, 4)).shape == (0, 3, 3, 4)
+    assert G.crop_and_resize(x[:0], none, (3, 4), box_indices=none[:, 0, 0].long()).shape == (0, 3, 3, 4)
 
 
 IMAGE = torch.rand(1, 2, 5, 6, generator=torch.Generator().manual_seed(1)).double()

@@ -1,4 +1,6 @@
 import contextlib
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -10,8 +12,9 @@ from torch import Tensor
 
 import kvision as K
 from kvision._modes import INTERPOLATION, PADDING
+from kvision.geometry.transform import sampling
 from kvision.geometry.transform.sampling import remap
-from op_tests import assert_close, instruction_set
+from op_tests import assert_close, instruction_set, with_layout
 from warp_tests import WarpTests, affine, homography, one
 
 G = K.geometry
@@ -136,9 +139,9 @@ def test_moves_are_places_beside_the_pixels(mode, align_corners, isa, device):
     weight = torch.rand(2, 3, 17, 133, **like)
     grid = F.affine_grid(torch.eye(2, 3, **like)[None], (1, 1, 17, 133), align_corners).movedim(-1, 1)
     with instruction_set(isa) if device.type == "cpu" else contextlib.nullcontext():
-        ours = remap(x, *moves.unbind(1), None, INTERPOLATION[mode], PADDING["fill"], align_corners, True, True)
+        ours = remap(x, *moves.unbind(1), None, None, INTERPOLATION[mode], PADDING["fill"], align_corners, True, True)
         theirs = remap(
-            x, *(grid + moves).unbind(1), None, INTERPOLATION[mode], PADDING["fill"], align_corners, True, False
+            x, *(grid + moves).unbind(1), None, None, INTERPOLATION[mode], PADDING["fill"], align_corners, True, False
         )
         assert_close(ours, theirs)
         for ours_, theirs_ in zip(*(torch.autograd.grad((y * weight).sum(), (x, moves)) for y in (ours, theirs))):
@@ -362,6 +365,195 @@ def test_one_image_serves_many_matrices(device):
     each = torch.cat([G.warp_affine(x, m[None], (7, 9)) for m in M])
     assert torch.equal(many, each)
     assert_close(torch.autograd.grad(many.sum(), x)[0], torch.autograd.grad(each.sum(), x)[0])
+
+
+# --- more samples than images ---------------------------------------------------------------------------------------
+
+SAMPLES = 300  # more than a block of the CUDA kernel looks at together
+
+
+def patches(count: int, h: int, w: int) -> Tensor:
+    """Homographies to patches anywhere in images of that size, some beside them."""
+    generator = torch.Generator().manual_seed(3)
+    angle, x, y = (torch.rand(count, dtype=torch.float64, generator=generator) for _ in range(3))
+    x, y, angle = (1.3 * x - 0.2) * w, (1.3 * y - 0.2) * h, 6 * angle
+    cos, sin, zero = angle.cos() * 1.2, angle.sin() * 0.8, 0 * x
+    rows = (cos, -sin, x, sin, cos, y, zero + 0.003, zero - 0.002, zero + 1)
+    return torch.linalg.inv(torch.stack(rows, 1).reshape(count, 3, 3))
+
+
+def many(kind: str, x: Tensor, index: Tensor | None, count: int, mode: str, padding: str):
+    """A call of `count` samples of the images of x, as a function of the images and what says where they are."""
+    M, size = patches(count, *x.shape[2:]).to(x.device), (11, 14)
+    options = INTERPOLATION[mode], PADDING[padding], True
+    if kind == "warp":
+        M = M.double() if x.dtype == torch.float64 else M.float()
+        return lambda x, M, index: sampling.warp(x, M, None, index, list(size), *options, True, False), (M,)
+    places = sampling.source_coords(M, size, x.shape[2:], True, True, False)
+    places = [p.double() if x.dtype == torch.float64 else p.float() for p in places]
+    return lambda x, u, v, index: sampling.remap(x, u, v, None, index, *options, False, False), places
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.float16], ids=str)
+@pytest.mark.parametrize("padding", ["fill", "border", "reflection"])
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("kind", ["warp", "remap"])
+@pytest.mark.parametrize("images", [1, 3])
+def test_many_samples_of_few_images(images, kind, mode, padding, dtype, device):
+    """Values and gradients are those of as many images."""
+    x = torch.rand(images, 4, 70, 93, dtype=torch.float64, device=device).to(dtype)
+    index = torch.randint(0, images, (SAMPLES,), device=device) if images > 1 else None
+    call, where = many(kind, x, index, SAMPLES, mode, padding)
+    every = x.index_select(0, index) if images > 1 else x.expand(SAMPLES, -1, -1, -1)
+    ours, theirs = call(x, *where, index), call(every, *where, None)
+    assert torch.equal(ours, theirs)
+    weight = torch.rand(ours.shape, dtype=torch.float64, device=device).to(dtype)
+
+    def gradients(f, x, *args):
+        leaves = [a.detach().clone().requires_grad_() for a in (x, *where)]
+        return torch.autograd.grad((f(*leaves, *args) * weight).sum(), leaves)
+
+    ours, theirs = gradients(call, x, index), gradients(call, every, None)
+    for a, b in zip(ours[1:], theirs[1:]):
+        assert torch.equal(a, b)
+    added = torch.zeros(x.shape, dtype=torch.float64, device=device)
+    which = torch.zeros(SAMPLES, dtype=torch.int64, device=device) if index is None else index
+    added.index_add_(0, which, theirs[0].double())
+    assert_close(ours[0], added.to(dtype), *((None, None) if dtype != torch.float16 else (4e-3, 4e-3)))
+    with K.backend("reference"):
+        reference = gradients(call, x.double(), index)[0] if dtype == torch.float64 else None
+    if reference is not None:
+        assert_close(ours[0], reference)
+
+
+@pytest.mark.parametrize("channels", [1, 2, 7])
+@pytest.mark.parametrize("layout", ["contiguous", "channels_last"])
+def test_gradients_of_many_samples_are_the_same_every_run(layout, channels, device):
+    x = torch.rand(2, channels, 70, 93, device=device).requires_grad_()
+    index = torch.arange(SAMPLES, device=device) % 2
+    call, where = many("warp", x, index, SAMPLES, "bilinear", "fill")
+    y = call(x, *where, index)
+    weight = with_layout(torch.rand_like(y), layout)
+    first, *others = (torch.autograd.grad(y, x, weight, retain_graph=True)[0] for _ in range(3))
+    assert all(torch.equal(first, other) for other in others)
+
+
+def test_gradients_that_are_no_numbers(device):
+    """Those of samples that do not reach a pixel leave it alone."""
+    x = torch.rand(1, 2, 40, 50, device=device, requires_grad=True)
+    M = torch.eye(3, device=device).repeat(3, 1, 1)
+    M[:, 0, 2] = torch.tensor([0.0, -20.25, -5.5])
+    y = G.warp_perspective(x, M, (8, 8))
+    weight = torch.rand_like(y)
+    weight[1, 1, 3, 4] = float("nan")
+    found = torch.autograd.grad(y, x, weight, retain_graph=True)[0]
+    assert found.isnan().sum() == 2 and found[0, 1, 3, 24:26].isnan().all()
+    plain = torch.autograd.grad(y, x, weight.nan_to_num(), retain_graph=True)[0]
+    assert_close(found[~found.isnan()], plain[~found.isnan()])
+
+
+@pytest.mark.parametrize("images", [1, 2])
+def test_derivatives_of_many_samples(images, device):
+    x = torch.rand(images, 1, 5, 6, dtype=torch.float64, device=device, requires_grad=True)
+    index = torch.tensor([1, 0, 1], device=device) if images > 1 else None
+    M = affine(torch.zeros(3)).to(device).requires_grad_()
+    fill = torch.rand(3, 1, dtype=torch.float64, device=device, requires_grad=True)
+
+    def f(x: Tensor, M: Tensor, fill: Tensor) -> Tensor:
+        return sampling.warp(x, M, fill, index, [3, 4], INTERPOLATION["bicubic"], PADDING["fill"], True, True, False)
+
+    assert torch.autograd.gradcheck(f, (x, M, fill), nondet_tol=1e-9)
+    assert torch.autograd.gradgradcheck(f, (x, M, fill), fast_mode=True, nondet_tol=1e-9)
+    u, v = (places(torch.zeros(3, 1, 5, 6), axis)[:, :2, :3].to(device).requires_grad_() for axis in (3, 2))
+
+    def g(x: Tensor, u: Tensor, v: Tensor) -> Tensor:
+        return sampling.remap(x, u, v, None, index, INTERPOLATION["bilinear"], PADDING["border"], True, False, False)
+
+    torch.use_deterministic_algorithms(device.type == "cuda", warn_only=True)
+    try:
+        assert torch.autograd.gradcheck(g, (x, u, v), nondet_tol=1e-9)
+        assert torch.autograd.gradgradcheck(g, (x, u, v), fast_mode=True, nondet_tol=1e-9)
+    finally:
+        torch.use_deterministic_algorithms(False)
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+@pytest.mark.parametrize("mapped", ["image", "M", "index", "image, M", "image, index", "M, index", "image, M, index"])
+@pytest.mark.parametrize("images, rows", [(1, 3), (3, 3), (2, 3), (1, 1), (3, 1)])
+def test_vmap_over_samples(images, rows, mapped, indexed, device):
+    if indexed == (images == rows) or ("index" in mapped and not indexed):
+        pytest.skip("not a call")
+    n, like = 4, {"dtype": torch.float64, "device": device}
+    x = torch.rand(n, images, 2, 9, 8, **like)
+    M = affine(torch.zeros(n * rows)).to(device).unflatten(0, (n, rows))
+    index = torch.randint(0, images, (n, rows), device=device)
+    options = [7, 9], INTERPOLATION["bilinear"], PADDING["border"], True, True, False
+
+    def call(x: Tensor, M: Tensor, index: Tensor) -> Tensor:
+        return sampling.warp(x, M, None, index if indexed else None, *options)
+
+    def gradients(x: Tensor, M: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.func.grad(lambda x, M: (call(x, M, index) ** 2).sum(), (0, 1))(x, M)
+
+    dims = tuple(0 if name in mapped.split(", ") else None for name in ("image", "M", "index"))
+    args = [a if dim == 0 else a[0] for a, dim in zip((x, M, index), dims)]
+    for function in (call, gradients):
+        found = torch.func.vmap(function, dims)(*args)
+        each = [function(*(a[i] if dim == 0 else a for a, dim in zip(args, dims))) for i in range(n)]
+        expected = torch.stack(each) if function is call else tuple(torch.stack(g) for g in zip(*each))
+        assert_close(found, expected)
+
+
+def test_no_samples(device):
+    x = torch.rand(1, 2, 6, 7, device=device, requires_grad=True)
+    y = G.warp_affine(x, torch.zeros(0, 2, 3, device=device), (4, 5))
+    assert y.shape == (0, 2, 4, 5)
+    assert not torch.autograd.grad(y.sum(), x)[0].any()
+    none = torch.zeros(0, dtype=torch.int64, device=device)
+    options = [4, 5], INTERPOLATION["bilinear"], PADDING["border"], True, True, False
+    y = sampling.warp(x, torch.zeros(0, 2, 3, device=device), None, none, *options)
+    assert y.shape == (0, 2, 4, 5) and not torch.autograd.grad(y.sum(), x)[0].any()
+
+
+@pytest.mark.tracing
+def test_compiled_for_any_number_of_samples(device, backend):
+    torch._dynamo.reset()
+    x = torch.rand(1, 2, 16, 17, device=device, requires_grad=True)
+    f = torch.compile(lambda x, M: G.warp_perspective(x, M, (5, 6)), fullgraph=True, dynamic=True, backend="aot_eager")
+    for count in (3, 5):
+        M = patches(count, 16, 17).float().to(device)
+        assert_close(f(x, M), G.warp_perspective(x, M, (5, 6)))
+        ours, theirs = (torch.autograd.grad((y**2).sum(), x)[0] for y in (f(x, M), G.warp_perspective(x, M, (5, 6))))
+        assert_close(ours, theirs)
+
+
+MANY_PATCHES = """
+import resource, sys, torch, kvision as K
+def step(count):
+    image = torch.zeros(1, 3, 1080, 1920, device=sys.argv[1], requires_grad=True)
+    M = torch.eye(3, device=sys.argv[1]).repeat(count, 1, 1)
+    M[:, :2, 2] = -torch.rand(count, 2, device=sys.argv[1]) * 1000
+    K.geometry.warp_perspective(image, M, (32, 32)).sum().backward()
+    return image.grad
+def peak():
+    if sys.argv[1] != "cpu":
+        return torch.cuda.max_memory_allocated()
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+step(1)
+before = peak()
+step(2048)
+print((peak() - before) / (4 * 3 * 1080 * 1920))
+"""
+
+
+def test_memory_of_many_patches(device, backend):
+    """2,048 patches of an image, and their gradient, take the memory of the patches: less than three images."""
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    found = subprocess.run(
+        [sys.executable, "-c", MANY_PATCHES, device.type], capture_output=True, text=True, check=True
+    )
+    assert float(found.stdout) < 3, found.stdout
 
 
 def test_vmap_over_matrices(device):

@@ -330,7 +330,8 @@ def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:
     K, dist = as_dtype(K, dtype), as_dtype(dist, dtype)
     tilt = tilt_projection(dist[:, 12:13], dist[:, 13:]) if dist.shape[-1] == 14 else None
     x, y = _map(K, dist, tilt, [h, w]).unbind(1)
-    result: Tensor = sampling.remap(flat, x, y, None, INTERPOLATION["bilinear"], PADDING["fill"], True, False, False)
+    options = (INTERPOLATION["bilinear"], PADDING["fill"], True, False, False)
+    result: Tensor = sampling.remap(flat, x, y, None, None, *options)
     return result if result.shape == image.shape else result.reshape(image.shape)
 
 

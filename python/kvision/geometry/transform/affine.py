@@ -49,7 +49,7 @@ def affine(
     matrix = sampling.cast_to_image("affine", images, "matrix", matrix)
     padding, _ = sampling.padding_and_fill("affine", images, padding_mode, None)
     result = sampling.warp(
-        images, matrix, None, list(images.shape[2:]), INTERPOLATION[mode], padding, align_corners, True, False
+        images, matrix, None, None, list(images.shape[2:]), INTERPOLATION[mode], padding, align_corners, True, False
     )
     return result[0] if tensor.dim() == 3 else result
 
@@ -226,7 +226,7 @@ def _by_formula(op, tensor, images, mode, padding_mode, align_corners, formula, 
     six = given + (None,) * (6 - len(given))
     size = list(images.shape[2:])
     options = (size, INTERPOLATION[mode], padding, align_corners, True, False)
-    result = sampling.warp_by_formula(images, *six, WARP_FORMULA[formula], numbers, *options)
+    result = sampling.warp_by_formula(images, *six, None, WARP_FORMULA[formula], numbers, *options)
     return result[0] if tensor.dim() == 3 else result
 
 

@@ -13,7 +13,7 @@ from kvision._dtype import pixels
 from kvision._modes import INTERPOLATION, WARP_FORMULA
 from kvision._modules import FunctionModule
 from kvision._ops import register
-from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry._formula import batch_of, register_formula
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.resize import resize
@@ -68,25 +68,32 @@ def crop_and_resize(
     mode: str = "bilinear",
     padding_mode: str = "zeros",
     align_corners: bool = True,
+    box_indices: Tensor | None = None,
 ) -> Tensor:
-    """Resample a quadrangle of each image to a size; its corners go to the corner pixels of the result.
+    """Resample quadrangles of images to a size; their corners go to the corner pixels of the result.
+
+    With `box_indices`, or with one image, there are any number of boxes for each image. The images are not copied for
+    them, and neither is their gradient.
 
     Args:
         input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
-        boxes: (B, 4, 2), or (1, 4, 2) for all images.
+        boxes: (N, 4, 2), one for each image or all of one image. (1, 4, 2) serves all images.
         size: height and width of the result.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection', for boxes that reach out of the image.
         align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
+        box_indices: (N,), int64 or int32: the image of each of the N boxes, from 0 to B - 1. On a GPU a number out of
+            this range is clamped, because reading it would wait for the device.
 
     Returns:
-        (B, C, h, w), of the dtype of `input_tensor`.
+        (N, C, h, w), of the dtype of `input_tensor`.
 
     Raises:
         TypeError: `input_tensor` or `boxes` is no tensor of real numbers; `size` is not two ints; `align_corners` is no
-            bool.
-        ValueError: `input_tensor` is not (B, C, H, W); `boxes` is not (B, 4, 2) or (1, 4, 2); an entry of `size` is
-            below 1; `mode` or `padding_mode` is unknown; the tensors are on different devices.
+            bool; `box_indices` is no tensor of int64 or int32.
+        ValueError: `input_tensor` is not (B, C, H, W); `boxes` is not (N, 4, 2), or N is not the number of images; an
+            entry of `size` is below 1; `mode` or `padding_mode` is unknown; `box_indices` is not (N,) or, on the CPU,
+            out of range; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -98,7 +105,7 @@ def crop_and_resize(
     """
     op = "crop_and_resize"
     size = _check.ints(op, "size", size, 2)  # type: ignore[assignment]  # two entries by construction
-    return _crop(op, input_tensor, boxes, None, size, mode, padding_mode, align_corners)
+    return _crop(op, input_tensor, boxes, None, size, mode, padding_mode, align_corners, box_indices)
 
 
 def crop_by_boxes(
@@ -160,20 +167,40 @@ def crop_by_boxes(
     return _crop(op, input_tensor, src_box, dst_box[:, 0], (h, w), mode, padding_mode, align_corners)
 
 
-def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corners):
+def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corners, box_indices=None):
     """Resample the quadrangles `boxes` to the rectangle of `size` with first pixel `first` (B, 2); None for (0, 0)."""
     _check.images(op, "input_tensor", input_tensor)
-    _check.shape(op, "boxes", boxes, "B", 4, 2)
+    _check.shape(op, "boxes", boxes, "N", 4, 2)
     sampling.check_options(op, mode, padding_mode, align_corners)
     images = pixels(input_tensor)
-    boxes = sampling.cast_to_image(op, images, "boxes", boxes)
+    if box_indices is None:
+        samples = sampling.count_samples(images, boxes)
+    else:
+        samples = boxes.shape[0]
+        _check_box_indices(op, images, box_indices, samples)
+    boxes = sampling.cast_to_image(op, images, "boxes", boxes, samples)
     if first is not None:
-        first = sampling.cast_to_image(op, images, "dst_box", first)
+        first = sampling.cast_to_image(op, images, "dst_box", first, samples)
     h, w = size
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
     numbers = [float(max(w - 1, 1)), float(max(h - 1, 1))]
     options = (list(size), INTERPOLATION[mode], padding, align_corners, False, False)
-    return sampling.warp_by_formula(images, boxes, first, *[None] * 4, WARP_FORMULA["crop_matrix"], numbers, *options)
+    tensors = (boxes, first, *[None] * 4, box_indices)
+    return sampling.warp_by_formula(images, *tensors, WARP_FORMULA["crop_matrix"], numbers, *options)
+
+
+def _check_box_indices(op: str, images: Tensor, box_indices: Tensor, boxes: int) -> None:
+    if not isinstance(box_indices, Tensor) or box_indices.dtype not in (torch.int64, torch.int32):
+        got = box_indices.dtype if isinstance(box_indices, Tensor) else type(box_indices).__name__
+        raise TypeCheckError(f"{op}: expected box_indices to be a Tensor of int64 or int32, got {got}")
+    _check.shape(op, "box_indices", box_indices, boxes)
+    _check.same_device(op, input_tensor=images, box_indices=box_indices)
+    if boxes and _check.values_are_readable(box_indices):
+        low, high = (int(bound) for bound in box_indices.aminmax())
+        if low < 0 or high >= images.shape[0]:
+            raise ValueCheckError(
+                f"{op}: expected box_indices from 0 to {images.shape[0] - 1}, got {low if low < 0 else high}"
+            )
 
 
 def crop_by_transform_mat(
@@ -269,7 +296,7 @@ def center_crop(
         shift, numbers = sampling.symbolic_point(images, x / 2, y / 2), [0.0, 0.0]
     else:
         shift, numbers = None, [x / 2, y / 2]
-    return sampling.warp_by_formula(images, shift, *[None] * 5, WARP_FORMULA["translation_matrix2d"], numbers, *options)
+    return sampling.warp_by_formula(images, shift, *[None] * 6, WARP_FORMULA["translation_matrix2d"], numbers, *options)
 
 
 def crop_by_indices(

@@ -74,7 +74,7 @@ def elastic_transform2d(
         noise = noise * alpha[0]
     right, down = blur(noise, *arguments[1:]).unbind(1)
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
-    return sampling.remap(images, right, down, None, INTERPOLATION[mode], padding, align_corners, True, True)
+    return sampling.remap(images, right, down, None, None, INTERPOLATION[mode], padding, align_corners, True, True)
 
 
 def _are_numbers(x: Tensor | Sequence[float]) -> bool:

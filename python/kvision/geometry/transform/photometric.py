@@ -68,7 +68,7 @@ def _image_gradients(grad, source, target, matrix, distance, eps, align_corners,
     (*size,), matrices = y.shape[2:], matrix.expand(len(x), -1, -1)
     sampled = INTERPOLATION["bilinear"], PADDING["fill"], align_corners, False, normalized
     seen = _seen(sampling.source_coords(matrices, size, x.shape[2:], *sampled[2:]), x)
-    residual = sampling.warp(x, matrices, None, size, *sampled) - y
+    residual = sampling.warp(x, matrices, None, None, size, *sampled) - y
     if distance == PHOTOMETRIC_DISTANCE["l1"]:
         grad_residual = residual.sign()
     elif distance == PHOTOMETRIC_DISTANCE["l2"]:
@@ -77,7 +77,7 @@ def _image_gradients(grad, source, target, matrix, distance, eps, align_corners,
         grad_residual = residual / (residual * residual + eps * eps).sqrt()
     weights = grad / (seen.sum((1, 2, 3)) * x.shape[1])
     grad_residual = torch.where(seen, grad_residual * weights[:, None, None, None], 0)
-    grad_source = sampling.warp_image_backward(grad_residual, matrices, [*x.shape[2:]], *sampled)
+    grad_source = sampling.warp_image_backward(grad_residual, matrices, None, [len(x), *x.shape[2:]], *sampled)
     return grad_source.to(source.dtype), -grad_residual.to(target.dtype)
 
 

@@ -3,6 +3,9 @@
 Sampling coordinates are in pixels; the center of the first one is (0, 0). `sample` defines the result for images and
 volumes. The operators `warp` (coordinates from a matrix) and `remap` (coordinates from maps) have kernels.
 csrc/geometry/transform/sampling.h has the rules of taps and padding.
+
+Samples may outnumber the images. `image_index` (N,) has the image that each sample reads; without it one image serves all
+samples, or sample b reads image b. The gradient to the images adds up the samples of each.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modes import INTERPOLATION_NAMES, PADDING, PADDING_NAMES, WARP_FORMULA
-from kvision._ops import Operator, on_cuda, register
+from kvision._ops import Operator, flatten_batch, on_cuda, register, size_below_vmap
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.pixels import by_axes
@@ -148,25 +151,103 @@ def to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
     return by_axes(lines[::-1], like.device, like.dtype)
 
 
+# --- which image each sample reads ----------------------------------------------------------------------------------
+
+
+def _count_samples(image: Tensor, image_index: Tensor | None, *parameters: Tensor | None) -> int:
+    if image_index is not None:
+        return image_index.shape[0]
+    if image.shape[0] == 1:
+        for x in parameters:
+            if x is not None and x.shape[0] != 1:
+                return x.shape[0]
+    return image.shape[0]
+
+
+def _images_of_samples(image: Tensor, image_index: Tensor | None, samples: int) -> Tensor:
+    if image_index is not None:
+        # The kernels refuse bad indices on the CPU, and clamp them on CUDA.
+        return image.index_select(0, image_index.clamp(0, image.shape[0] - 1))
+    return image.expand(samples, *image.shape[1:]) if image.shape[0] == 1 else image
+
+
+def _flatten_samples(image: int | None, image_index: int) -> Any:
+    """The rule of vmap of an operator whose tensor `image` has one row for each image and the others one for each sample.
+
+    Without such a tensor, the argument behind `image_index` is the size of the images, which starts with their number.
+    """
+
+    def flatten(n: int, in_dims: tuple[Any, ...], args: tuple[Any, ...]) -> tuple[list[Any], int]:
+        flattened = list(args)
+        is_mapped = image is None or in_dims[image] is not None
+        images = args[image_index + 1][0] if image is None else size_below_vmap(args[image], in_dims[image])
+        rows = {
+            i: size_below_vmap(a, in_dims[i])
+            for i, a in enumerate(args)
+            if isinstance(a, Tensor) and i not in (image, image_index)
+        }
+        index = args[image_index]
+        if index is not None:
+            samples = size_below_vmap(index, in_dims[image_index])
+            index = index[None] if in_dims[image_index] is None else index.movedim(in_dims[image_index], 0)
+        else:
+            samples = images if images != 1 else next((count for count in rows.values() if count != 1), 1)
+            if not is_mapped or images != samples:
+                index = torch.arange(samples, device=args[0].device)[None]
+                index = index if images == samples else 0 * index
+        if index is not None:
+            if is_mapped:
+                index = _offset_index(index, images, n)
+            flattened[image_index] = index.expand(n, samples).reshape(-1)
+        for i in rows:
+            if in_dims[i] is not None or rows[i] != 1 or i == 0:
+                flattened[i] = flatten_batch(args[i], in_dims[i], n, samples)
+        if image is None:
+            flattened[image_index + 1] = [n * images, *args[image_index + 1][1:]]
+            return flattened, images
+        if is_mapped:
+            flattened[image] = flatten_batch(args[image], in_dims[image], n, images)
+        return flattened, samples
+
+    return flatten
+
+
+def _offset_index(index: Tensor, images: int, n: int) -> Tensor:
+    """Indices (1 or n, N) into n batches of images, one after the other; bad ones stay bad."""
+    offset = images * torch.arange(n, device=index.device)[:, None]
+    if index.device.type != "cpu":
+        return index.clamp(0, images - 1) + offset
+    return torch.where((index >= 0) & (index < images), index + offset, -1)
+
+
 # --- warp -----------------------------------------------------------------------------------------------------------
 
 
-def _warp_reference(image, matrix, fill, size, interpolation, padding, align_corners, inverse, normalized):
-    matrix = matrix.expand(image.shape[0], -1, -1)
-    coords = source_coords(matrix, size, image.shape[2:], align_corners, inverse, normalized)
+def _warp_reference(image, matrix, fill, image_index, size, interpolation, padding, align_corners, inverse, normalized):
+    samples = _count_samples(image, image_index, matrix)
+    image = _images_of_samples(image, image_index, samples)
+    coords = source_coords(matrix.expand(samples, -1, -1), size, image.shape[2:], align_corners, inverse, normalized)
     return sample(image, coords, INTERPOLATION_NAMES[interpolation], PADDING_NAMES[padding], align_corners, fill)
 
 
-def _warp_backward(needs, grad, image, matrix, fill, size, *options):
-    grads = [None, None, None]
+def _warp_backward(needs, grad, image, matrix, fill, image_index, size, *options):
+    grads = [None, None, None, None]
     if needs[0]:
-        grads[0] = warp_image_backward(grad, matrix, list(image.shape[2:]), *options)
+        grads[0] = warp_image_backward(grad, matrix, image_index, _batch_size(image), *options)
     if needs[1]:
-        grads[1] = _warp_matrix_backward(grad, image, matrix, fill, *options).sum_to_size(matrix.shape)
+        grads[1] = _warp_matrix_backward(grad, image, matrix, fill, image_index, *options).sum_to_size(matrix.shape)
     if needs[2]:
-        inside = warp(torch.ones_like(image[:, :1]), matrix, None, size, *options)
+        inside = warp(_ones(image), matrix, None, None, size, *options)
         grads[2] = _grad_fill(grad, inside, fill)
     return grads
+
+
+def _batch_size(image: Tensor) -> list[int]:
+    return [image.shape[0], image.shape[2], image.shape[3]]
+
+
+def _ones(image: Tensor) -> Tensor:
+    return image.new_ones(1, 1, *image.shape[2:])
 
 
 def _grad_fill(grad: Tensor, inside: Tensor, fill: Tensor) -> Tensor:
@@ -174,56 +255,84 @@ def _grad_fill(grad: Tensor, inside: Tensor, fill: Tensor) -> Tensor:
     return (grad.to(promoted) * (1 - inside.to(promoted))).sum((2, 3)).sum_to_size(fill.shape)
 
 
-def _warp_image_backward_reference(grad, matrix, size, *options):
-    def of_image(image: Tensor) -> Tensor:
-        return _warp_reference(image, matrix, None, grad.shape[2:], *options)
+def _warp_image_backward_reference(grad, matrix, image_index, size, *options):
+    matrix = matrix.expand(grad.shape[0], -1, -1)
 
-    _, vjp_fn = torch.func.vjp(of_image, matrix.new_zeros(*grad.shape[:2], *size))
+    def of_image(image: Tensor) -> Tensor:
+        return _warp_reference(image, matrix, None, image_index, grad.shape[2:], *options)
+
+    _, vjp_fn = torch.func.vjp(of_image, _zeros(matrix, grad, size))
     return vjp_fn(grad.to(matrix.dtype))[0].to(grad.dtype)
 
 
-def _warp_image_backward_vjp(needs, grad_grad, grad, matrix, size, *options):
-    grads = warp_image_backward.differentiate_reference((False, *needs[1:]), grad_grad, grad, matrix, size, *options)
+def _zeros(like: Tensor, grad: Tensor, size: Sequence[int]) -> Tensor:
+    return like.new_zeros(size[0], grad.shape[1], *size[1:])
+
+
+def _warp_image_backward_vjp(needs, grad_grad, grad, matrix, image_index, size, *options):
+    needed = (False, *needs[1:])
+    args = (grad, matrix, image_index, size, *options)
+    grads = warp_image_backward.differentiate_reference(needed, grad_grad, *args)
     if needs[0]:
-        grads[0] = warp(grad_grad, matrix, None, list(grad.shape[2:]), *options)
+        grads[0] = warp(
+            grad_grad, matrix.expand(grad.shape[0], -1, -1), None, image_index, list(grad.shape[2:]), *options
+        )
     return grads
 
 
-def _matrix_backward_reference(grad, image, matrix, fill, *options):
+def _matrix_backward_reference(grad, image, matrix, fill, image_index, *options):
     promoted = matrix.dtype
 
     def of_matrix(matrix: Tensor) -> Tensor:
-        return _warp_reference(image.to(promoted), matrix, fill, grad.shape[2:], *options)
+        return _warp_reference(image.to(promoted), matrix, fill, image_index, grad.shape[2:], *options)
 
-    _, vjp_fn = torch.func.vjp(of_matrix, matrix.expand(image.shape[0], -1, -1))
+    _, vjp_fn = torch.func.vjp(of_matrix, matrix.expand(grad.shape[0], -1, -1))
     return vjp_fn(grad.to(promoted))[0]
 
 
 def _adds_by_atomics(
-    grad: Tensor, matrix: Tensor, size: Sequence[int], interpolation: int, padding: int, *_: bool
+    grad: Tensor,
+    matrix: Tensor,
+    image_index: Tensor | None,
+    size: Sequence[int],
+    interpolation: int,
+    padding: int,
+    *_: bool,
 ) -> bool:
     return grad.is_cuda and padding != PADDING["fill"]
+
+
+def _fake_image_backward(grad: Tensor, *args: Any) -> Tensor:
+    size = next(a for a in args if isinstance(a, (list, tuple)))
+    return grad.new_empty(size[0], grad.shape[1], *size[1:])
 
 
 warp = register(
     "warp",
     _warp_reference,
-    fake=lambda image, matrix, fill, size, *options: (*image.shape[:2], *size),
+    fake=lambda image, matrix, fill, image_index, size, *options: (
+        _count_samples(image, image_index, matrix),
+        image.shape[1],
+        *size,
+    ),
     backward=_warp_backward,
     bytes=True,
+    flatten=_flatten_samples(image=0, image_index=3),
 )
 warp_image_backward = register(
     "warp_image_backward",
     _warp_image_backward_reference,
-    fake=lambda grad, matrix, size, *options: grad.new_empty(*grad.shape[:2], *size),
+    fake=_fake_image_backward,
     backward=_warp_image_backward_vjp,
     nondeterministic=_adds_by_atomics,
+    flatten=_flatten_samples(image=None, image_index=2),
 )
 _warp_matrix_backward = register(
     "warp_matrix_backward",
     _matrix_backward_reference,
-    fake=lambda grad, image, matrix, *rest: matrix.new_empty(image.shape[0], *matrix.shape[1:]),
+    fake=lambda grad, image, matrix, *rest: matrix.new_empty(grad.shape[0], *matrix.shape[1:]),
     casts_outputs=True,
+    flatten=_flatten_samples(image=1, image_index=4),
 )
 
 # --- warps by formulas ----------------------------------------------------------------------------------------------
@@ -237,41 +346,48 @@ class Formula(NamedTuple):
     rows: tuple[int, ...] = ()
 
 
-def register_warp_by_formula(by: Operator, formulas: dict[str, Formula], *unused: None, **rules: Any) -> Operator:
+def register_warp_by_formula(
+    by: Operator, formulas: dict[str, Formula], is_indexed: bool = False, **rules: Any
+) -> Operator:
     """A warp whose matrix a formula computes in the same launch, from up to six tensors and numbers; `by` is the warp.
 
-    Takes the images, six tensors or None, the number of the formula, its plain arguments, then the arguments of `by` after
-    its matrix and the tensors `unused`.
+    Takes the images, six tensors or None, the number of the formula, its plain arguments, then the plain arguments of `by`.
+    With `is_indexed` the image_index of `by` follows the six tensors; there is no fill.
     """
 
     by_number = {WARP_FORMULA[name]: formula for name, formula in formulas.items()}
+    plain = 7 if is_indexed else 6  # the first argument after the image that is no tensor
 
     def split(image: Tensor, args: Sequence[Any]) -> tuple[Formula, tuple[Any, ...], Sequence[Any]]:
-        formula = by_number[args[6]]
+        formula, numbers, options = by_number[args[plain]], args[plain + 1], args[plain + 2 :]
         first = args[0]
         if first is None:  # a translation
-            first = torch.zeros(1, len(args[7]), dtype=compute_dtype(image), device=image.device)
+            first = torch.zeros(1, len(numbers), dtype=compute_dtype(image), device=image.device)
         tensors = (first, *args[1:6], *[None] * 6)[: formula.tensors]
-        return formula, (*tensors, *args[7], *formula.rows), args[8:]
+        return formula, (*tensors, *numbers, *formula.rows), (None, args[6], *options) if is_indexed else options
 
     def reference(image: Tensor, *args: Any) -> Tensor:
-        formula, given, options = split(image, args)
-        warped: Tensor = by.definition(image, formula.matrix.definition(*given), *unused, *options)
+        formula, given, rest = split(image, args)
+        warped: Tensor = by.definition(image, formula.matrix.definition(*given), *rest)
         return warped
 
     def backward(needs: Sequence[bool], grad: Tensor, image: Tensor, *args: Any) -> list[Tensor | None]:
-        formula, given, options = split(image, args)
+        formula, given, rest = split(image, args)
         to_matrix = any(needs[1:7])
-        needed = (needs[0], to_matrix, *[False] * (len(unused) + len(options)))
-        grads = by.backward(needed, grad, image, formula.matrix(*given), *unused, *options)
+        needed = (needs[0], to_matrix, *[False] * len(rest))
+        grads = by.backward(needed, grad, image, formula.matrix(*given), *rest)
         if not to_matrix:
             return [grads[0]]
         return [grads[0], *formula.matrix.backward(needs[1:], grads[1], *given)[:6]]
 
+    def fake(image: Tensor, *args: Any) -> Sequence[int]:
+        samples = _count_samples(image, args[6], *args[:6]) if is_indexed else image.shape[0]
+        return (samples, image.shape[1], *args[plain + 2])
+
     return register(
         f"{by.name}_by_formula",
         reference,
-        fake=lambda image, *args: (*image.shape[:2], *args[8]),
+        fake=fake,
         backward=backward,
         **rules,
     )
@@ -286,17 +402,22 @@ warp_by_formula = register_warp_by_formula(
         "slant_matrix2d": Formula(matrices.slant_matrix2d, 1),
         "crop_matrix": Formula(matrices.crop_matrix, 2),
     },
-    None,  # no fill
+    is_indexed=True,
     bytes=True,
+    flatten=_flatten_samples(image=0, image_index=7),
 )
 
 # --- remap ----------------------------------------------------------------------------------------------------------
 
 
-def _remap_reference(image, map_x, map_y, fill, interpolation, padding, align_corners, normalized, displacements):
+def _remap_reference(
+    image, map_x, map_y, fill, image_index, interpolation, padding, align_corners, normalized, displacements
+):
+    samples = _count_samples(image, image_index, map_x, map_y)
+    image = _images_of_samples(image, image_index, samples)
     coords = []
     for axis, (coord, size) in enumerate(((map_x, image.shape[3]), (map_y, image.shape[2]))):
-        coord = coord.expand(image.shape[0], -1, -1)
+        coord = coord.expand(samples, -1, -1)
         if normalized:
             coord = coord * ((size - 1 if align_corners else size) / 2)
         if displacements:
@@ -308,42 +429,45 @@ def _remap_reference(image, map_x, map_y, fill, interpolation, padding, align_co
     return sample(image, coords, INTERPOLATION_NAMES[interpolation], PADDING_NAMES[padding], align_corners, fill)
 
 
-def _remap_backward(needs, grad, image, map_x, map_y, fill, *options):
-    grads = [None, None, None, None]
+def _remap_backward(needs, grad, image, map_x, map_y, fill, image_index, *options):
+    grads = [None, None, None, None, None]
     if needs[0]:
-        grads[0] = _remap_image_backward(grad, map_x, map_y, list(image.shape[2:]), *options)
+        grads[0] = _remap_image_backward(grad, map_x, map_y, image_index, _batch_size(image), *options)
     if needs[1] or needs[2]:
-        map_grads = _remap_map_backward(grad, image, map_x, map_y, fill, *options)
-        grads[1:3] = (g.sum_to_size(map_x.shape) for g in map_grads)
+        map_grads = _remap_map_backward(grad, image, map_x, map_y, fill, image_index, *options)
+        grads[1:3] = (g.sum_to_size(m.shape) for g, m in zip(map_grads, (map_x, map_y)))
     if needs[3]:
-        inside = remap(torch.ones_like(image[:, :1]), map_x, map_y, None, *options)
+        inside = remap(_ones(image), map_x, map_y, None, None, *options)
         grads[3] = _grad_fill(grad, inside, fill)
     return grads
 
 
-def _remap_image_backward_reference(grad, map_x, map_y, size, *options):
-    def of_image(image: Tensor) -> Tensor:
-        return _remap_reference(image, map_x, map_y, None, *options)
+def _remap_image_backward_reference(grad, map_x, map_y, image_index, size, *options):
+    map_x = map_x.expand(grad.shape[0], -1, -1)
 
-    _, vjp_fn = torch.func.vjp(of_image, map_x.new_zeros(*grad.shape[:2], *size))
+    def of_image(image: Tensor) -> Tensor:
+        return _remap_reference(image, map_x, map_y, None, image_index, *options)
+
+    _, vjp_fn = torch.func.vjp(of_image, _zeros(map_x, grad, size))
     return vjp_fn(grad.to(map_x.dtype))[0].to(grad.dtype)
 
 
-def _remap_image_backward_vjp(needs, grad_grad, grad, map_x, map_y, size, *options):
-    kept = (False, *needs[1:])
-    grads = _remap_image_backward.differentiate_reference(kept, grad_grad, grad, map_x, map_y, size, *options)
+def _remap_image_backward_vjp(needs, grad_grad, grad, map_x, map_y, image_index, size, *options):
+    needed = (False, *needs[1:])
+    args = (grad, map_x, map_y, image_index, size, *options)
+    grads = _remap_image_backward.differentiate_reference(needed, grad_grad, *args)
     if needs[0]:
-        grads[0] = remap(grad_grad, map_x, map_y, None, *options)
+        grads[0] = remap(grad_grad, map_x.expand(grad.shape[0], -1, -1), map_y, None, image_index, *options)
     return grads
 
 
-def _map_backward_reference(grad, image, map_x, map_y, fill, *options):
+def _map_backward_reference(grad, image, map_x, map_y, fill, image_index, *options):
     promoted = map_x.dtype
 
     def of_map(map_x: Tensor, map_y: Tensor) -> Tensor:
-        return _remap_reference(image.to(promoted), map_x, map_y, fill, *options)
+        return _remap_reference(image.to(promoted), map_x, map_y, fill, image_index, *options)
 
-    maps = (m.expand(image.shape[0], -1, -1) for m in (map_x, map_y))
+    maps = (m.expand(grad.shape[0], -1, -1) for m in (map_x, map_y))
     _, vjp_fn = torch.func.vjp(of_map, *maps)
     return vjp_fn(grad.to(promoted))
 
@@ -351,22 +475,29 @@ def _map_backward_reference(grad, image, map_x, map_y, fill, *options):
 remap = register(
     "remap",
     _remap_reference,
-    fake=lambda image, map_x, *rest: (*image.shape[:2], *map_x.shape[1:]),
+    fake=lambda image, map_x, map_y, fill, image_index, *options: (
+        _count_samples(image, image_index, map_x, map_y),
+        image.shape[1],
+        *map_x.shape[1:],
+    ),
     backward=_remap_backward,
     bytes=True,
+    flatten=_flatten_samples(image=0, image_index=4),
 )
 _remap_image_backward = register(
     "remap_image_backward",
     _remap_image_backward_reference,
-    fake=lambda grad, map_x, map_y, size, *options: grad.new_empty(*grad.shape[:2], *size),
+    fake=_fake_image_backward,
     backward=_remap_image_backward_vjp,
     nondeterministic=on_cuda,
+    flatten=_flatten_samples(image=None, image_index=3),
 )
 _remap_map_backward = register(
     "remap_map_backward",
     _map_backward_reference,
-    fake=lambda grad, image, map_x, *rest: [map_x.new_empty(image.shape[0], *map_x.shape[1:]) for _ in range(2)],
+    fake=lambda grad, image, map_x, *rest: [map_x.new_empty(grad.shape[0], *map_x.shape[1:]) for _ in range(2)],
     casts_outputs=True,
+    flatten=_flatten_samples(image=1, image_index=5),
 )
 
 # --- arguments ------------------------------------------------------------------------------------------------------
@@ -381,8 +512,10 @@ def check_options(op: str, mode: Any, padding_mode: Any, align_corners: Any) -> 
     _check.flag(op, "align_corners", align_corners)
 
 
-def padding_and_fill(op: str, image: Tensor, padding_mode: str, fill_value: Any) -> tuple[int, Tensor | None]:
-    """The padding and the fill as the operators take them."""
+def padding_and_fill(
+    op: str, image: Tensor, padding_mode: str, fill_value: Any, samples: int | None = None
+) -> tuple[int, Tensor | None]:
+    """The padding and the fill as the operators take them, for one sample of each image unless their number is given."""
     if padding_mode in ("border", "reflection"):
         return PADDING[padding_mode], None
     if padding_mode == "zeros" or fill_value is None:
@@ -399,7 +532,7 @@ def padding_and_fill(op: str, image: Tensor, padding_mode: str, fill_value: Any)
         fill_value = fill_value[..., 0, 0]
     elif len(shape) < 2:
         fill_value = fill_value.reshape(1, -1)
-    b, c = image.shape[:2]
+    b, c = image.shape[0] if samples is None else samples, image.shape[1]
     if fill_value.dim() != 2 or fill_value.shape[0] not in (1, b) or fill_value.shape[1] not in (1, c):
         raise ShapeError(
             f"{op}: expected fill_value of shape (), ({c},) or ({b}, {c}, 1, 1), got {tuple(shape)}", actual_shape=shape
@@ -412,11 +545,18 @@ def symbolic_point(image: Tensor, x: float, y: float) -> Tensor:
     return torch.stack([image.new_full((), value, dtype=compute_dtype(image)) for value in (x, y)])[None]
 
 
-def cast_to_image(op: str, image: Tensor, name: str, x: Tensor) -> Tensor:
-    """A matrix, map or parameter as the operators take it: in the dtype of the computation, with 1 or B rows."""
+def cast_to_image(op: str, image: Tensor, name: str, x: Tensor, samples: int | None = None) -> Tensor:
+    """A matrix, map or parameter as the operators take it: in the dtype of the computation, with one row or one a sample.
+
+    There is one sample of each image unless their number is given.
+    """
     _check.same_device(op, image=image, **{name: x})
-    if x.shape[0] not in (1, image.shape[0]):
-        raise ShapeError(
-            f"{op}: expected {name} with 1 or {image.shape[0]} rows, got {tuple(x.shape)}", actual_shape=x.shape
-        )
+    samples = image.shape[0] if samples is None else samples
+    if x.shape[0] not in (1, samples):
+        raise ShapeError(f"{op}: expected {name} with 1 or {samples} rows, got {tuple(x.shape)}", actual_shape=x.shape)
     return as_dtype(x, compute_dtype(image))
+
+
+def count_samples(image: Tensor, x: Tensor) -> int:
+    """How many samples matrices, maps or boxes `x` make of the images: one of each, or all of a single image."""
+    return x.shape[0] if image.shape[0] == 1 else image.shape[0]

@@ -254,4 +254,4 @@ def warp_image_tps(
     spline = (sampling.cast_to_image(op, images, "spline", x) for x in (kernel_centers, kernel_weights, affine_weights))
     x, y = _map(*spline, list(image.shape[2:]), align_corners).unbind(1)
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
-    return sampling.remap(images, x, y, None, INTERPOLATION["bilinear"], padding, align_corners, True, False)
+    return sampling.remap(images, x, y, None, None, INTERPOLATION["bilinear"], padding, align_corners, True, False)

@@ -111,17 +111,11 @@ def _warp(op, src, M, rows, dsize, mode, padding_mode, align_corners, fill_value
     _check.shape(op, "M", M, "B", rows, 3)
     size = _check.ints(op, "dsize", dsize, 2)
     sampling.check_options(op, mode, padding_mode, align_corners)
-    src, M = broadcast_batch(op, src, "M", M)
-    padding, fill = sampling.padding_and_fill(op, src, padding_mode, fill_value)
-    return sampling.warp(src, M, fill, list(size), INTERPOLATION[mode], padding, align_corners, True, False)
-
-
-def broadcast_batch(op: str, image: Tensor, name: str, other: Tensor) -> tuple[Tensor, Tensor]:
-    """Images and their matrices or maps as the operators take them; one image is expanded to serve many of these."""
-    image = pixels(image)
-    if image.shape[0] == 1 != other.shape[0]:
-        image = image.expand(other.shape[0], -1, -1, -1)
-    return image, sampling.cast_to_image(op, image, name, other)
+    image, samples = pixels(src), sampling.count_samples(src, M)
+    matrix = sampling.cast_to_image(op, image, "M", M, samples)
+    padding, fill = sampling.padding_and_fill(op, image, padding_mode, fill_value, samples)
+    options = (INTERPOLATION[mode], padding, align_corners, True, False)
+    return sampling.warp(image, matrix, fill, None, list(size), *options)
 
 
 def homography_warp(
@@ -174,12 +168,12 @@ def homography_warp(
         _check.choice(op, "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
     _check.flag(op, "normalized_homography", normalized_homography)
-    image, matrix = broadcast_batch(op, patch_src, "src_homo_dst", src_homo_dst)
+    image, samples = pixels(patch_src), sampling.count_samples(patch_src, src_homo_dst)
+    matrix = sampling.cast_to_image(op, image, "src_homo_dst", src_homo_dst, samples)
     normalized = normalized_coordinates and normalized_homography
     padding, _ = sampling.padding_and_fill(op, image, padding_mode, None)
-    return sampling.warp(
-        image, matrix, None, list(size), INTERPOLATION[mode], padding, align_corners, False, normalized
-    )
+    options = (INTERPOLATION[mode], padding, align_corners, False, normalized)
+    return sampling.warp(image, matrix, None, None, list(size), *options)
 
 
 def remap(
@@ -230,12 +224,12 @@ def remap(
     if padding_mode == "fill":
         _check.choice("remap", "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag("remap", "normalized_coordinates", normalized_coordinates)
-    image, map_x = broadcast_batch("remap", image, "map_x", map_x)
-    map_y = sampling.cast_to_image("remap", image, "map_y", map_y)
+    image, samples = pixels(image), sampling.count_samples(image, map_x)
+    map_x = sampling.cast_to_image("remap", image, "map_x", map_x, samples)
+    map_y = sampling.cast_to_image("remap", image, "map_y", map_y, samples)
     padding, _ = sampling.padding_and_fill("remap", image, padding_mode, None)
-    return sampling.remap(
-        image, map_x, map_y, None, INTERPOLATION[mode], padding, align_corners, normalized_coordinates, False
-    )
+    options = (INTERPOLATION[mode], padding, align_corners, normalized_coordinates, False)
+    return sampling.remap(image, map_x, map_y, None, None, *options)
 
 
 def warp_grid(grid: Tensor, src_homo_dst: Tensor) -> Tensor:

@@ -32,6 +32,36 @@ __device__ __forceinline__ F block_sum_to_all(F x, F (&memory)[Warps]) {
   return total;
 }
 
+// Stores the sums of N numbers over the threads of a block, which all call it. The sums of warps are added in double.
+template <int Threads, int N, class F>
+__device__ __forceinline__ void store_block_sums(F const (&sums)[N], double* to) {
+  __shared__ F warp_sums[N][Threads / 32];
+  __syncthreads();  // the memory may be in use for other sums
+#pragma unroll
+  for (int i = 0; i < N; ++i) {
+    F const sum = warp_sum(sums[i]);
+    if (threadIdx.x % 32 == 0) warp_sums[i][threadIdx.x / 32] = sum;
+  }
+  __syncthreads();
+  if (threadIdx.x < N) {
+    double sum = 0;
+    for (F const part : warp_sums[threadIdx.x]) sum += part;
+    to[threadIdx.x] = sum;
+  }
+}
+
+// The sums of `count` rows of N numbers, in shared memory, for all threads of a block, which all call it.
+template <int Threads, int N>
+__device__ __forceinline__ double* sum_rows(double const* rows, int64_t count) {
+  __shared__ double total[N];
+  double sums[N] = {};
+  for (int64_t row = threadIdx.x; row < count; row += Threads)
+    for (int i = 0; i < N; ++i) sums[i] += rows[row * N + i];
+  store_block_sums<Threads>(sums, total);
+  __syncthreads();
+  return total;
+}
+
 // Operations for block_reduce.
 struct NanMax {
   template <class F>

@@ -46,7 +46,7 @@ __global__ void __launch_bounds__(kThreads)
         add_to_projection(g, coords.x, coords.y, coords.d, sums);
       }
     }
-    store_block_sums(sums, p.sums + (int64_t(blockIdx.x) * p.views + i) * kProjectionSums);
+    store_block_sums<kThreads>(sums, p.sums + (int64_t(blockIdx.x) * p.views + i) * kProjectionSums);
   }
   if (there) p.to_depth[(b * p.target.height + y) * p.target.width + x] = to_depth;
 }

@@ -81,7 +81,7 @@ __global__ void __launch_bounds__(kThreads)
         projection.vjp(coords.x, coords.y, coords.u, coords.v, coords.scale, to_u, to_v, g);
     add_to_projection(g, coords.x, coords.y, coords.d, sums);
   }
-  store_block_sums(sums, p.sums + int64_t(blockIdx.x) * kProjectionSums);
+  store_block_sums<kThreads>(sums, p.sums + int64_t(blockIdx.x) * kProjectionSums);
 }
 
 // Adds with atomics into a gradient that starts as zeros.
@@ -117,7 +117,7 @@ __global__ void __launch_bounds__(kThreads) total_of(ProjectionTotal<T> p) {
     double sums[2] = {};
     for (int64_t i = threadIdx.x; i < count; i += kThreads)
       for (int k = 0; k < 2; ++k) sums[k] += from[i * kProjectionSums + 12 + k];
-    store_block_sums(sums, total);
+    store_block_sums<kThreads>(sums, total);
     __syncthreads();
     double const terms = total[1] * double(p.channels);
     inverse_terms = terms > 0 ? 1 / terms : 0;
@@ -131,7 +131,7 @@ __global__ void __launch_bounds__(kThreads) total_of(ProjectionTotal<T> p) {
     double sums[12] = {};
     for (int64_t part = threadIdx.x; part < p.parts; part += kThreads)
       for (int i = 0; i < 12; ++i) sums[i] += from[(part * p.views + view) * kProjectionSums + i];
-    store_block_sums(sums, total);
+    store_block_sums<kThreads>(sums, total);
     if (threadIdx.x < 12) p.grad[(b * p.views + view) * 12 + threadIdx.x] = T(total[threadIdx.x] * inverse_terms);
   }
 }

@@ -68,7 +68,7 @@ __global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, 
     }
     sums[10] += 1;
   });
-  store_block_sums(sums, p.sums + int64_t(blockIdx.x) * kPhotometricSums);
+  store_block_sums<kThreads>(sums, p.sums + int64_t(blockIdx.x) * kPhotometricSums);
 }
 
 template <class F>
@@ -109,7 +109,7 @@ __global__ void __launch_bounds__(kThreads) normal_tiles(PhotometricNormalEquati
     }
     sums[46] += 1;
   });
-  store_block_sums(sums, p.sums + int64_t(blockIdx.x) * kNormalSums);
+  store_block_sums<kThreads>(sums, p.sums + int64_t(blockIdx.x) * kNormalSums);
 }
 
 // Calls take(sample, N sums) from one thread of a block.
@@ -120,7 +120,7 @@ __device__ __forceinline__ void add_parts(double const* all, int64_t parts, Take
   double sums[N] = {};
   for (int64_t part = threadIdx.x; part < parts; part += kThreads)
     for (int i = 0; i < N; ++i) sums[i] += all[(b * parts + part) * N + i];
-  store_block_sums(sums, total);
+  store_block_sums<kThreads>(sums, total);
   __syncthreads();
   if (threadIdx.x == 0) take(b, total);
 }

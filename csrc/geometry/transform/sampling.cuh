@@ -4,6 +4,7 @@
 // few rows, and what a warp writes still fills whole sectors of memory.
 #pragma once
 
+#include "core/block_reduce.cuh"
 #include "core/launch.cuh"
 #include "geometry/transform/taps.h"
 
@@ -31,7 +32,7 @@ struct TileGrid {
 template <class F>
 struct Tile {
   Homography<F> map;  // counts from (x, y), to (u, v)
-  int64_t b, image;           // the sample, and the image that it reads
+  int64_t b, image;   // the sample, and the image that it reads
   int x, y, u, v;
 
   // The block's tile of that number.
@@ -137,36 +138,6 @@ void dispatch_taps(Interpolation interpolation, F run) {
     case Interpolation::bicubic:
       return run(std::integral_constant<int, 4>{});
   }
-}
-
-// The sums of a block's threads, by its first ones. All threads call it.
-template <int N, class F>
-__device__ __forceinline__ void store_block_sums(F const (&sums)[N], double* to) {
-  __shared__ F parts[N][kThreads / 32];
-  __syncthreads();  // the sums before these have been read
-#pragma unroll
-  for (int i = 0; i < N; ++i) {
-    F const sum = warp_sum(sums[i]);
-    if (threadIdx.x % 32 == 0) parts[i][threadIdx.x / 32] = sum;
-  }
-  __syncthreads();
-  if (threadIdx.x < N) {
-    double sum = 0;
-    for (F const part : parts[threadIdx.x]) sum += part;
-    to[threadIdx.x] = sum;
-  }
-}
-
-// The sums of that many parts, of N numbers each, for the first thread of a block. All threads call it.
-template <int N>
-__device__ __forceinline__ double* sum_partials(double const* parts, int64_t count) {
-  __shared__ double total[N];
-  double sums[N] = {};
-  for (int64_t part = threadIdx.x; part < count; part += kThreads)
-    for (int i = 0; i < N; ++i) sums[i] += parts[part * N + i];
-  store_block_sums(sums, total);
-  __syncthreads();
-  return total;
 }
 
 }  // namespace kv::geometry::cuda

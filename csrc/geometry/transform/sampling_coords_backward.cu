@@ -121,14 +121,14 @@ __global__ void __launch_bounds__(kThreads, K == 4 || sizeof(T) == 8 ? 2 : 4)
     });
   }
   if (p.coords.has_map()) return;
-  store_block_sums(sums, p.sums + int64_t(blockIdx.x) * 9);
+  store_block_sums<kThreads>(sums, p.sums + int64_t(blockIdx.x) * 9);
 }
 
 // One block per sample.
 template <class T>
 __global__ void reduce_matrix_grads(WarpMatrixBackward<T> p) {
   int64_t const b = blockIdx.x;
-  double* const total = sum_partials<9>(p.sums + b * p.parts * 9, p.parts);
+  double* const total = sum_rows<kThreads, 9>(p.sums + b * p.parts * 9, p.parts);
   MatrixUse const& use = p.coords.use;
   if (threadIdx.x == 0)
     homography_vjp(p.coords.matrices + b * p.coords.matrix_stride, use, total, p.grad + b * 3 * use.rows);

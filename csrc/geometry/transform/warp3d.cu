@@ -85,14 +85,14 @@ __global__ void __launch_bounds__(kThreads) coords_backward_parts(__grid_constan
         taps.accumulate_coord_grads(p.x + c * p.source_voxels(), p.y[c * p.output_voxels() + at], grad_coords);
       accumulate_matrix_grad3(grad_coords, coords, weight, x, y, z, sums);
     });
-  store_block_sums(sums, p.sums + int64_t(blockIdx.x) * 16);
+  store_block_sums<kThreads>(sums, p.sums + int64_t(blockIdx.x) * 16);
 }
 
 // One block per sample.
 template <class F>
 __global__ void reduce_matrix_grads(Warp3dMatrixBackward<F> p) {
   int64_t const b = blockIdx.x;
-  double* const total = sum_partials<16>(p.sums + b * p.parts * 16, p.parts);
+  double* const total = sum_rows<kThreads, 16>(p.sums + b * p.parts * 16, p.parts);
   if (threadIdx.x == 0) homography3_vjp(p.matrices + b * p.matrix_stride, p.use, total, p.grad + b * 4 * p.use.rows);
 }
 

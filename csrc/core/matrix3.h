@@ -36,18 +36,6 @@ KV_HD void cofactors3(V const* m, V* c) {
   cross3(m, m + 3, c + 6);
 }
 
-// From the gradient to the cofactors: that to m. Row r1 is in r0 x r1 and r1 x r2, and so on.
-template <class V>
-KV_HD void cofactors3_vjp(V const* m, V const* grad_cofactors, V* grad_m) {
-  for (int i = 0; i < 3; ++i) {
-    int const j = (i + 1) % 3, k = (i + 2) % 3;
-    V a[3], b[3];
-    cross3(grad_cofactors + 3 * j, m + 3 * k, b);
-    cross3(m + 3 * j, grad_cofactors + 3 * k, a);
-    for (int e = 0; e < 3; ++e) grad_m[3 * i + e] = b[e] + a[e];
-  }
-}
-
 template <class V>
 KV_HD void transpose3(V* m) {
   for (int i = 0; i < 3; ++i)
@@ -63,6 +51,20 @@ template <class V>
 KV_HD void adjugate3(V const* m, V* a) {
   cofactors3(m, a);
   transpose3(a);
+}
+
+// The gradient of m from that of its adjugate, which is transposed in place: row r0 is in r2 x r0 and r0 x r1, and so
+// on.
+template <class V>
+KV_HD void adjugate3_vjp(V const* m, V* g, V* grad) {
+  transpose3(g);
+  for (int i = 0; i < 3; ++i) {
+    int const j = (i + 1) % 3, k = (i + 2) % 3;
+    V a[3], b[3];
+    cross3(g + 3 * j, m + 3 * k, a);
+    cross3(m + 3 * j, g + 3 * k, b);
+    for (int e = 0; e < 3; ++e) grad[3 * i + e] = a[e] + b[e];
+  }
 }
 
 }  // namespace kv

@@ -4,6 +4,7 @@
 #pragma once
 
 #include "core/hd.h"
+#include "core/matrix3.h"
 
 namespace kv::geometry {
 
@@ -57,40 +58,6 @@ struct Homography {
 };
 
 namespace matrix {
-
-KV_HD void cross(double const* a, double const* b, double* c) {
-  c[0] = a[1] * b[2] - a[2] * b[1];
-  c[1] = a[2] * b[0] - a[0] * b[2];
-  c[2] = a[0] * b[1] - a[1] * b[0];
-}
-
-KV_HD void transpose(double* m) {
-  for (int i = 0; i < 3; ++i)
-    for (int k = 0; k < i; ++k) {
-      double const t = m[3 * i + k];
-      m[3 * i + k] = m[3 * k + i];
-      m[3 * k + i] = t;
-    }
-}
-
-// The inverse up to a factor, which does not matter for a homography: its columns are the cross products of the rows.
-KV_HD void adjugate(double const* m, double* a) {
-  cross(m + 3, m + 6, a);
-  cross(m + 6, m, a + 3);
-  cross(m, m + 3, a + 6);
-  transpose(a);
-}
-// The gradient of m from that of its adjugate: row r0 enters r2 x r0 and r0 x r1, and so on.
-KV_HD void adjugate_vjp(double const* m, double* g, double* grad) {
-  transpose(g);
-  for (int i = 0; i < 3; ++i) {
-    int const j = (i + 1) % 3, k = (i + 2) % 3;
-    double a[3], b[3];
-    cross(g + 3 * j, m + 3 * k, a);
-    cross(m + 3 * j, g + 3 * k, b);
-    for (int e = 0; e < 3; ++e) grad[3 * i + e] = a[e] + b[e];
-  }
-}
 
 // x in pixels is scale * n + offset, n in [-1, 1].
 struct Unit {
@@ -149,7 +116,7 @@ KV_HD Homography<double> homography(F const* given, MatrixUse const& use) {
   double m[9], a[9];
   matrix::load(given, use.rows, m);
   if (use.inverse) {
-    matrix::adjugate(m, a);
+    adjugate3(m, a);  // the inverse up to a factor, which does not matter for a homography
     for (int i = 0; i < 9; ++i) m[i] = a[i];
   }
   if (use.normalized) matrix::to_pixels(m, use);
@@ -200,7 +167,7 @@ KV_HD void homography_vjp(F const* given, MatrixUse const& use, double* g, F* gr
   double m[9], a[9], to_given[9];
   matrix::load(given, use.rows, m);
   if (use.inverse)
-    matrix::adjugate(m, a);
+    adjugate3(m, a);
   else
     for (int i = 0; i < 9; ++i) a[i] = m[i];
   double pixels[9];
@@ -210,7 +177,7 @@ KV_HD void homography_vjp(F const* given, MatrixUse const& use, double* g, F* gr
   for (int i = 0; i < 9; ++i) g[i] *= scale;
   if (use.normalized) matrix::to_pixels_vjp(g, use);
   if (use.inverse)
-    matrix::adjugate_vjp(m, g, to_given);
+    adjugate3_vjp(m, g, to_given);
   else
     for (int i = 0; i < 9; ++i) to_given[i] = g[i];
   for (int i = 0; i < 3 * use.rows; ++i) grad[i] = F(to_given[i]);

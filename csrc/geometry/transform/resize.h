@@ -19,6 +19,7 @@
 #pragma once
 
 #include "core/border.h"
+#include "core/cubic.h"
 #include "core/isa.h"
 #include "core/view.h"
 
@@ -142,8 +143,8 @@ KV_HD F filter_at(ResizeAxis const& a, F x) {
   if (a.filter == ResizeFilter::bilinear) return x < 1 ? 1 - x : F(0);
   if (a.filter == ResizeFilter::bicubic) {
     F const k = a.antialias ? F(-0.5) : F(-0.75);  // as Pillow and OpenCV
-    if (x <= 1) return ((k + 2) * x - (k + 3)) * x * x + 1;
-    return x < 2 ? k * (((x - 5) * x + 8) * x - 4) : F(0);
+    if (x <= 1) return cubic_inner(k, x);
+    return x < 2 ? cubic_outer(k, x - 1, 2 - x) : F(0);
   }
   if (x == 0) return 1;
   F const y = x * F(3.14159265358979323846);

@@ -2,6 +2,7 @@
 // rules. Included by kernels. V is F or lanes of it, I int or lanes of it.
 #pragma once
 
+#include "core/cubic.h"
 #include "geometry/transform/sampling.h"
 #if !defined(__CUDACC__)
 #include "core/lanes.h"
@@ -103,6 +104,8 @@ KV_TAPS I pixel_at(Axis<F> const& axis, I i) {
 
 // --- weights ---------------------------------------------------------------------------------------------------------
 
+constexpr float kCubic = -0.75f;  // of Keys' cubic, as OpenCV and torch have it
+
 // The first of K taps, and the fraction of x, which is near the image.
 template <int K, class F, class V>
 KV_TAPS auto first_tap(V x, V& t) {
@@ -127,10 +130,10 @@ KV_TAPS void tap_weights(V t, V (&w)[K]) {
     w[1] = t;
   } else {
     V const s = one - t;
-    w[0] = t * s * s * -0.75f;
-    w[1] = (t * 1.25f - 2.25f) * t * t + 1;
-    w[2] = (s * 1.25f - 2.25f) * s * s + 1;
-    w[3] = t * t * s * -0.75f;
+    w[0] = cubic_outer(kCubic, t, s);
+    w[1] = cubic_inner(kCubic, t);
+    w[2] = cubic_inner(kCubic, s);
+    w[3] = cubic_outer(kCubic, s, t);
   }
 }
 
@@ -145,10 +148,10 @@ KV_TAPS void tap_derivatives(V t, V (&d)[K]) {
     d[1] = one;
   } else {
     V const s = one - t;
-    d[0] = s * (t * 3 - 1) * 0.75f;
-    d[1] = (t * 3.75f - 4.5f) * t;
-    d[2] = (s * -3.75f + 4.5f) * s;
-    d[3] = t * (t * 3 - 2) * 0.75f;
+    d[0] = cubic_outer_derivative(kCubic, t, s);
+    d[1] = cubic_inner_derivative(kCubic, t);
+    d[2] = -cubic_inner_derivative(kCubic, s);
+    d[3] = -cubic_outer_derivative(kCubic, s, t);
   }
 }
 
@@ -163,8 +166,8 @@ KV_TAPS F weight_at(F place, int pixel) {
     F const distance = vabs(place - F(pixel));
     if constexpr (K == 2) return vsaturate(1 - distance);
     F const s = 2 - distance;
-    F const near = (distance * 1.25f - 2.25f) * distance * distance + 1, far = (1 - distance) * s * s * 0.75f;
-    return distance < 1 ? near : s > 0 ? far : 0;
+    F const inner = cubic_inner(kCubic, distance), outer = cubic_outer(kCubic, distance - 1, s);
+    return distance < 1 ? inner : s > 0 ? outer : 0;
   }
 }
 #endif

@@ -233,12 +233,12 @@ def ints(op: str, name: str, value: Any, count: int, minimum: int = 1) -> tuple[
     """
     maximum = LARGEST_INT if count == 1 else LARGEST_WINDOW
     values = (value,) * count if type(value) is int else value
-    fits = isinstance(values, (tuple, list)) and len(values) == count
-    if fits:
+    if isinstance(values, (tuple, list)) and len(values) == count:
         for n in values:
-            fits = fits and type(n) is int and minimum <= n <= maximum
-    if fits:
-        return tuple(values)
+            if type(n) is not int or n < minimum or n > maximum:
+                break
+        else:
+            return tuple(values)
     if is_int(value):
         values = (value,) * count
     if not isinstance(values, (tuple, list)) or not values or not all(map(is_int, values)):

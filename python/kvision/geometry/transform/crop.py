@@ -286,8 +286,9 @@ def center_crop(
     h, w = _check.ints("center_crop", "size", size, 2)
     sampling.check_options("center_crop", mode, padding_mode, align_corners)
     images = pixels(input_tensor)
-    y, x = images.shape[2] - h, images.shape[3] - w
-    symbolic = isinstance(y, torch.SymInt) or isinstance(x, torch.SymInt)  # their parity is unknown
+    _, _, height, width = images.shape
+    y, x = height - h, width - w
+    symbolic = type(y) is not int or type(x) is not int  # their parity is unknown
     if not symbolic and y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
         return _crop_pixels(images, [y // 2, x // 2], [h, w])
     padding, _ = sampling.padding_and_fill("center_crop", images, padding_mode, None)

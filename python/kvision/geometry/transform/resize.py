@@ -175,15 +175,14 @@ def resize(
 
 
 def _resize(op, input, size, interpolation, align_corners, side, antialias):
-    _check_images(op, input)
+    h, w = _size_of_images(op, input)
     _check.choice(op, "interpolation", interpolation, _INTERPOLATIONS)
     _check.choice(op, "side", side, _SIDES)
     if antialias != "gaussian":
         _check.flag(op, "antialias", antialias)
     if align_corners is not None:
         _check.flag(op, "align_corners", align_corners)
-    h, w = input.shape[-2:]
-    if not isinstance(size, (tuple, list)) and _check.is_int(size):
+    if type(size) is not tuple and _check.is_int(size):
         height, width = side_to_size(_check.ints(op, "size", size, 1)[0], h, w, side)
     else:
         height, width = _check.ints(op, "size", size, 2)
@@ -210,13 +209,16 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
     return result.to(input.dtype) if is_promoted else result
 
 
-def _check_images(op: str, input: Tensor) -> None:
+def _size_of_images(op: str, input: Tensor) -> tuple[int, int]:
     _check.numbers(op, "input", input)
-    if input.dim() < 2 or 0 in input.shape[-2:]:
-        raise ShapeError(
-            f"{op}: expected input of shape (*, H, W) with H, W of at least 1, got {tuple(input.shape)}",
-            actual_shape=input.shape,
-        )
+    if input.dim() >= 2:
+        h, w = input.shape[-2:]
+        if h != 0 and w != 0:
+            return h, w
+    raise ShapeError(
+        f"{op}: expected input of shape (*, H, W) with H, W of at least 1, got {tuple(input.shape)}",
+        actual_shape=input.shape,
+    )
 
 
 def side_to_size(size: int, h: int, w: int, side: str) -> tuple[int, int]:
@@ -271,7 +273,7 @@ def rescale(
 
 
 def _rescale(input, factor, interpolation, align_corners, antialias):
-    _check_images("rescale", input)
+    _size_of_images("rescale", input)
     factors = factor if isinstance(factor, (tuple, list)) else (factor, factor)
     if len(factors) != 2:
         raise TypeCheckError(f"rescale: expected factor to be a number or two, got {factor!r}")
@@ -315,7 +317,7 @@ def resize_to_be_divisible(
         torch.Size([1, 3, 32, 48])
     """
     op = "resize_to_be_divisible"
-    _check_images(op, input)
+    _size_of_images(op, input)
     (n,) = _check.ints(op, "divisible_factor", divisible_factor, 1)
     h, w = (max(1, round(side / n)) * n for side in input.shape[-2:])
     return _resize(op, input, (h, w), interpolation, align_corners, side, antialias)

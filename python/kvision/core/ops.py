@@ -32,9 +32,9 @@ def eye_like(n: int, input: Tensor, shared_memory: bool = False) -> Tensor:
         torch.Size([3, 2, 2])
     """
     n = _check_batch("eye_like", n, "input", input)
-    matrices = input.new_zeros(1 if shared_memory else len(input), n, n)
+    matrices = input.new_zeros(1 if shared_memory else input.shape[0], n, n)
     matrices.diagonal(dim1=1, dim2=2).fill_(1)
-    return matrices.expand(len(input), n, n)
+    return matrices.expand(input.shape[0], n, n)
 
 
 def vec_like(n: int, tensor: Tensor, shared_memory: bool = False) -> Tensor:
@@ -59,7 +59,7 @@ def vec_like(n: int, tensor: Tensor, shared_memory: bool = False) -> Tensor:
         torch.Size([2, 3, 1])
     """
     n = _check_batch("vec_like", n, "tensor", tensor)
-    return tensor.new_zeros(1 if shared_memory else len(tensor), n, 1).expand(len(tensor), n, 1)
+    return tensor.new_zeros(1 if shared_memory else tensor.shape[0], n, 1).expand(tensor.shape[0], n, 1)
 
 
 def _check_batch(op: str, n: int, name: str, x: Tensor) -> int:

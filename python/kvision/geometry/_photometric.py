@@ -34,5 +34,5 @@ def weighted_gradient(derivatives: Tensor, grad: Tensor, tensor: Tensor) -> Tens
 
     One sample without a sum is the common case, in which each torch operation costs as much as a kernel.
     """
-    weighted = derivatives * (grad if len(grad) == 1 else grad.view(-1, *[1] * (derivatives.dim() - 1)))
+    weighted = derivatives * (grad if grad.shape[0] == 1 else grad.view(-1, *[1] * (derivatives.dim() - 1)))
     return weighted if weighted.shape == tensor.shape else weighted.sum_to_size(tensor.shape)

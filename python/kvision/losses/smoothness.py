@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
@@ -163,8 +164,11 @@ def inverse_depth_smoothness_loss(idepth: Tensor, image: Tensor) -> Tensor:
         raise TypeCheckError(f"{op}: expected idepth and image of one type, got {idepth.dtype} and {image.dtype}")
     _check.same_device(op, idepth=idepth, image=image)
     b, maps, h, w = idepth.shape
-    sums = _smoothness(idepth, image, 1 / max(1, b * maps * (h - 1) * w), 1 / max(1, b * maps * h * (w - 1)))
-    return as_dtype(sums.sum(), idepth.dtype)
+    along_y, along_x = 1 / max(1, b * maps * (h - 1) * w), 1 / max(1, b * maps * h * (w - 1))
+    if is_compiling():  # numbers of operators are constants of a program, and these depend on symbolic sizes
+        sum_y, sum_x = (_smoothness(idepth, image, *weights).sum() for weights in ((1.0, 0.0), (0.0, 1.0)))
+        return as_dtype(sum_y * along_y + sum_x * along_x, idepth.dtype)
+    return as_dtype(_smoothness(idepth, image, along_y, along_x).sum(), idepth.dtype)
 
 
 class TotalVariation(FunctionModule):

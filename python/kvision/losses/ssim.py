@@ -63,7 +63,7 @@ def _reduced(x: Tensor, y: Tensor, size: int, arguments: tuple[float, float, flo
     count = x.shape[0] * x.shape[1]
     for n in x.shape[2:]:
         count *= n - less
-    return dissimilarity(floats(x), floats(y), size, *arguments, 0.5 * _weight(reduction, count))
+    return dissimilarity(floats(x), floats(y), size, *arguments, 0.5, 0.0, _weight(reduction, count))
 
 
 def _weight(reduction: str, count: int) -> float:
@@ -107,9 +107,7 @@ def l1_ssim_loss(
     arguments = checked("l1_ssim_loss", img1, img2, window_size, max_val, eps, "same")
     fraction = _check.number("l1_ssim_loss", "ssim_weight", ssim_weight)
     weight = _weight("mean", img1.numel())
-    return dissimilarity(
-        floats(img1), floats(img2), window_size, *arguments, fraction * weight, (1 - fraction) * weight
-    )
+    return dissimilarity(floats(img1), floats(img2), window_size, *arguments, fraction, 1 - fraction, weight)
 
 
 def ssim3d_loss(

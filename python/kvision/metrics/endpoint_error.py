@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
@@ -53,8 +54,11 @@ def aepe(input: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:
         x, y = (z.movedim(-1, 1).flatten(2) for z in (x, y))
     else:
         x, y = (z.reshape(1, -1, 2) for z in (x, y))
-    errors = _errors(x, y, planar, reduction != "none", factor)
-    return errors.view(sizes) if reduction == "none" else as_dtype(errors.sum(), x.dtype)
+    if reduction == "none":
+        return _errors(x, y, planar, False, 1.0).view(sizes)
+    if is_compiling():  # numbers of operators are constants of a program, and the factor depends on symbolic sizes
+        return as_dtype(_errors(x, y, planar, True, 1.0).sum() * factor, x.dtype)
+    return as_dtype(_errors(x, y, planar, True, factor).sum(), x.dtype)
 
 
 def _reference(input: Tensor, target: Tensor, planar: bool, summed: bool, factor: float) -> Tensor:

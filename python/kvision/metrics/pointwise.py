@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._ops import register
@@ -147,7 +148,11 @@ def total(kind: str, x: Tensor, y: Tensor, factor: float, decibels: float = 0.0)
     """`factor` times the sum of the loss `kind`, or decibels of it, of tensors of one shape, in the type of x."""
     dtype = x.dtype
     y = as_dtype(y, dtype)
-    return as_dtype(_sum(x.reshape(1, -1), y.reshape(1, -1), _KINDS.index(kind), factor, decibels)[0], dtype)
+    traced = is_compiling()  # numbers of operators are constants of a program, and the factor depends on symbolic sizes
+    sums = _sum(x.reshape(1, -1), y.reshape(1, -1), _KINDS.index(kind), 1.0 if traced else factor, decibels)[0]
+    if traced:
+        sums = sums * factor if decibels == 0 else sums + decibels * sums.new_full((), factor).log10()
+    return as_dtype(sums, dtype)
 
 
 def sum_of_maps(kind: str, x: Tensor, y: Tensor) -> Tensor:

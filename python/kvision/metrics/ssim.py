@@ -16,6 +16,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
@@ -160,18 +161,21 @@ def dissimilarity(
     eps: float,
     padding: int,
     structure: float,
-    absolute: float = 0.0,
+    absolute: float,
+    factor: float,
 ) -> Tensor:
-    """The weighted sum of 1 - similarity and of abs(x - y) over all pixels of images or volumes."""
+    """`factor` times the weighted sum of 1 - similarity and of abs(x - y) over all pixels of images or volumes."""
     b, c, *axes = x.shape
     if b == 0 or c == 0:
-        return structure * x.sum()  # no pixels: the mean is NaN
+        return factor * x.sum()  # no pixels: the mean is NaN
     dtype = x.dtype
     y = as_dtype(y, dtype)
     if b > 1:
         x, y = x.reshape(1, -1, *axes), y.reshape(1, -1, *axes)
-    loss = _ssim_loss(x, y, size, SIGMA, c1, c2, eps, padding, structure, absolute)[0]
-    return as_dtype(loss, dtype)
+    if is_compiling():  # numbers of operators are constants of a program, and the factor depends on symbolic sizes
+        return as_dtype(_ssim_loss(x, y, size, SIGMA, c1, c2, eps, padding, structure, absolute)[0] * factor, dtype)
+    weights = factor * structure, factor * absolute
+    return as_dtype(_ssim_loss(x, y, size, SIGMA, c1, c2, eps, padding, *weights)[0], dtype)
 
 
 def similarity(

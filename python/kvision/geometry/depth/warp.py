@@ -43,7 +43,7 @@ def source_coords(depth: Tensor, projection: Tensor) -> list[Tensor]:
 
 
 def _reference(image, depth, projection, interpolation, padding, align_corners):
-    depth, projection = depth.expand(len(image), -1, -1, -1), projection.expand(len(image), -1, -1)
+    depth, projection = depth.expand(image.shape[0], -1, -1, -1), projection.expand(image.shape[0], -1, -1)
     return sampling.sample(
         image,
         source_coords(depth, projection),
@@ -81,7 +81,7 @@ def _image_gradient_backward(needs, grad_grad, grad, depth, projection, size, *o
 
 
 def _coords_backward_reference(grad, image, depth, projection, *options):
-    computes, batch = depth.dtype, len(grad)
+    computes, batch = depth.dtype, grad.shape[0]
 
     def of_coords(depth: Tensor, projection: Tensor) -> Tensor:
         return _reference(image.to(computes).expand(batch, -1, -1, -1), depth, projection, *options)
@@ -108,8 +108,8 @@ _coords_backward = register(
     "depth_warp_coords_backward",
     _coords_backward_reference,
     fake=lambda grad, image, depth, projection, *options: [
-        depth.new_empty(len(grad), *depth.shape[1:]),
-        projection.new_empty(len(grad), 3, 4),
+        depth.new_empty(grad.shape[0], *depth.shape[1:]),
+        projection.new_empty(grad.shape[0], 3, 4),
     ],
     casts_outputs=True,
 )
@@ -142,7 +142,7 @@ def _reprojection_backward(needs, grad, *args):
 
 def _reprojection_backward_reference(grad, *args):
     *tensors, pinhole = args
-    batch = len(grad)
+    batch = grad.shape[0]
     if tensors[3] is None:
         tensors[3] = torch.eye(4, dtype=grad.dtype, device=grad.device)[None]
     each = [x.expand(batch, -1, -1) for x in tensors]
@@ -330,7 +330,7 @@ class DepthWarper(nn.Module):
         the outermost pixels of an image of the warper's size. NaN behind the camera."""
         depth_src = self._checked(depth_src)
         projection = self.projection.to(depth_src.dtype)
-        batch = max(len(depth_src), len(projection))
+        batch = max(depth_src.shape[0], projection.shape[0])
         coords = source_coords(depth_src.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1))
         sizes = (self.width, self.height)
         return torch.stack([2 * p / (n - 1) - 1 if n > 1 else p - 1 for p, n in zip(coords, sizes)], -1)

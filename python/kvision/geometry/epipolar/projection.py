@@ -197,7 +197,7 @@ def projections_from_fundamental(F_mat: Tensor) -> Tensor:
     _check.shape("projections_from_fundamental", "F_mat", F_mat, "B", 3, 3)
     _check.floating("projections_from_fundamental", "F_mat", F_mat)
     e = null_vector_3x3(F_mat.mT)
-    first = torch.eye(3, 4, device=F_mat.device, dtype=F_mat.dtype).expand(len(F_mat), 3, 4)
+    first = torch.eye(3, 4, device=F_mat.device, dtype=F_mat.dtype).expand(F_mat.shape[0], 3, 4)
     second = torch.cat([cross_product_matrix(e) @ F_mat, e[..., None]], -1)
     return torch.stack([first, second], -1)
 

@@ -62,7 +62,8 @@ def _batch(op: str, **vectors: tuple[Tensor, int]) -> None:
     tensors = {name: x for name, (x, _) in vectors.items()}
     _check.same_device(op, **tensors)
     shapes = {name: tuple(x.shape) for name, x in tensors.items()}
-    if len({shape[0] for shape in shapes.values()}) > 1:
+    first, *others = (shape[0] for shape in shapes.values())
+    if any(size != first for size in others):
         raise ShapeError(f"{op}: expected tensors of one batch size, got {shapes}")
     dtypes = {name: x.dtype for name, x in tensors.items()}
     if len(set(dtypes.values())) > 1:

@@ -23,7 +23,7 @@ def _loss(source, target, matrix, distance, eps, align_corners, normalized):
     """The loss (B,), in the separate steps that csrc/geometry/transform/photometric.h fuses."""
     source, target = source.to(matrix.dtype), target.to(matrix.dtype)
     coords = sampling.source_coords(
-        matrix.expand(len(source), -1, -1), target.shape[2:], source.shape[2:], align_corners, False, normalized
+        matrix.expand(source.shape[0], -1, -1), target.shape[2:], source.shape[2:], align_corners, False, normalized
     )
     residual = sampling.sample(source, coords, "bilinear", "fill", align_corners) - target
     if distance == PHOTOMETRIC_DISTANCE["l1"]:
@@ -45,7 +45,7 @@ def _seen(coords, source):
 
 
 def _reference(source, target, matrix, *options):
-    matrices = matrix.expand(len(source), -1, -1)
+    matrices = matrix.expand(source.shape[0], -1, -1)
     loss, vjp_fn = torch.func.vjp(lambda m: _loss(source, target, m, *options), matrices)
     return loss, vjp_fn(torch.ones_like(loss))[0]
 
@@ -58,14 +58,14 @@ def _backward(needs, grad, _, loss, matrix_grads, source, target, matrix, *optio
         grad_source, grad_target = _image_gradients(grad, source, target, matrix, *options)
     if needs[2]:
         # A torch call costs as much as the kernel, so there are as few as possible.
-        grad_matrix = matrix_grads * (grad if len(grad) == 1 else grad.view(-1, 1, 1))
-        grad_matrix = grad_matrix if len(matrix) == len(matrix_grads) else grad_matrix.sum_to_size(matrix.shape)
+        grad_matrix = matrix_grads * (grad if grad.shape[0] == 1 else grad.view(-1, 1, 1))
+        grad_matrix = grad_matrix if matrix.shape[0] == matrix_grads.shape[0] else grad_matrix.sum_to_size(matrix.shape)
     return [grad_source if needs[0] else None, grad_target if needs[1] else None, grad_matrix]
 
 
 def _image_gradients(grad, source, target, matrix, distance, eps, align_corners, normalized):
     x, y = source.to(matrix.dtype), target.to(matrix.dtype)
-    (*size,), matrices = y.shape[2:], matrix.expand(len(x), -1, -1)
+    (*size,), matrices = y.shape[2:], matrix.expand(x.shape[0], -1, -1)
     sampled = INTERPOLATION["bilinear"], PADDING["fill"], align_corners, False, normalized
     seen = _seen(sampling.source_coords(matrices, size, x.shape[2:], *sampled[2:]), x)
     residual = sampling.warp(x, matrices, None, None, size, *sampled) - y
@@ -99,7 +99,7 @@ def _differentiable_backward(needs, grad, source, target, matrix, *options):
 _photometric = register(
     "photometric",
     _reference,
-    fake=lambda source, target, matrix, *options: [matrix.new_empty(len(source)), matrix.new_empty(len(source), 3, 3)],
+    fake=lambda source, target, matrix, *options: [matrix.new_empty(source.shape[0]), matrix.new_empty(source.shape[0], 3, 3)],
     backward=_backward,
     saves_results=True,
     non_differentiable=(1,),
@@ -108,7 +108,7 @@ _photometric = register(
 
 
 def _normal_reference(source, target, matrix, distance, eps, align_corners, normalized):
-    matrices = matrix.expand(len(source), -1, -1)
+    matrices = matrix.expand(source.shape[0], -1, -1)
     size, (*source_size,) = target.shape[2:], source.shape[2:]
 
     def residuals(m: Tensor) -> Any:
@@ -142,7 +142,7 @@ def _normal_reference(source, target, matrix, distance, eps, align_corners, norm
 _normal = register(
     "photometric_normal_equations",
     _normal_reference,
-    fake=lambda source, target, matrix, *options: [(len(source), 8, 8), (len(source), 8), (len(source),)],
+    fake=lambda source, target, matrix, *options: [(source.shape[0], 8, 8), (source.shape[0], 8), (source.shape[0],)],
     non_differentiable=(0, 1, 2),
 )
 

@@ -101,7 +101,7 @@ _map_gradient = register(
 
 def _weights_reference(centers, right):
     linear = torch.cat([torch.ones_like(centers[..., :1]), centers], -1)
-    zero = centers.new_zeros(len(centers), 3, 3)
+    zero = centers.new_zeros(centers.shape[0], 3, 3)
     system = torch.cat([torch.cat([_kernel(centers, centers), linear], -1), torch.cat([linear.mT, zero], -1)], -2)
     return torch.linalg.solve_ex(system.double(), right.double())[0].to(centers.dtype)
 

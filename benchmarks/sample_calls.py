@@ -18,7 +18,7 @@ from torch import Tensor
 import kvision as K
 
 MODULES = [
-    name for name in K.__all__ if isinstance(getattr(K, name), ModuleType) and name not in ("constants", "info", "io")
+    name for name in K.__all__ if isinstance(getattr(K, name), ModuleType) and name not in ("constants", "feature", "info", "io")
 ]
 
 
@@ -269,8 +269,18 @@ def kernels(count: int, dimensions: int = 2) -> Callable[[Size], Tensor]:
 
 def pinhole(library: Any, tensors: Mapping[str, Tensor], extrinsics: Tensor) -> Any:
     intrinsics, depth = tensors["_intrinsics"], tensors["depth_src"]
-    height, width = (intrinsics.new_ones(len(intrinsics)) * n for n in depth.shape[-2:])
+    height, width = (intrinsics.new_ones(intrinsics.shape[0]) * n for n in depth.shape[-2:])
     return library.geometry.PinholeCamera(intrinsics, extrinsics.expand_as(intrinsics), height, width)
+
+
+_COLOR_MAPS: dict[str, Any] = {}
+
+
+def color_map(library: Any) -> Any:
+    """A table of colors, made once for each library: torch.compile does not trace how it is made."""
+    if library.__name__ not in _COLOR_MAPS:
+        _COLOR_MAPS[library.__name__] = library.color.ColorMap("autumn")
+    return _COLOR_MAPS[library.__name__]
 
 
 def each(names: Sequence[str], arguments: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -356,7 +366,7 @@ ARGUMENTS: dict[str, Any] = {
     "roll": many(),
     "pitch": many(),
     "yaw": many(),
-    "colormap": Made(lambda library, _: library.color.ColorMap("autumn")),
+    "colormap": Made(lambda library, _: color_map(library)),
     "alpha_val": 0.5,
     "cfa": Made(lambda library, _: library.color.CFA.BG),
 }
@@ -759,6 +769,8 @@ WITHOUT_SAMPLE = {
     **dict.fromkeys(("image.image_to_tensor", "image.image_list_to_tensor"), "takes NumPy arrays"),
     **dict.fromkeys(("image.perform_keep_shape_image", "image.perform_keep_shape_video"), "decorates functions"),
     "image.print_image": "prints",
+    "image.image_to_string": "gives a string",
+    "image.tensor_to_image": "gives a NumPy array",
     "utils.get_sample_images": "reads files",
     "io.get_sample_images": "reads files",
     **dict.fromkeys(

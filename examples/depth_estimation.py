@@ -2,12 +2,17 @@
 
     python examples/depth_estimation.py                    scikit-image's stereo pair of a motorcycle
     python examples/depth_estimation.py --data FOLDER      five views of FOLDER/rgbd_livingroom as well
+    python examples/depth_estimation.py --image LEFT RIGHT [--focal PIXELS] [--baseline LENGTH]      your own stereo pair
     python examples/depth_estimation.py --kornia           the same loop with Kornia as well, at the same iterations
 
 The parameter is inverse depth, a number in [0, 1] for each pixel between the far and the near end of the scene. It starts as noise.
 SGD with momentum minimizes the weighted sum of the Kornia paper: SSIM and L1 between the image and each warped view, and the
 roughness of inverse depth where the image has no edges. Every scene gives a figure with a row for each level. Errors are measured
 where the true depth is known: the mean of abs(depth - true) / true, and the fraction of pixels where that is less than 10%.
+
+A new scene needs the range of its depth. `depth_range` derives it from the views: points nearer than its near end would move by
+more than a fourth of the width between two views, points beyond its far end by less than a pixel. A narrower range (--near,
+--far) helps the descent. Depth outside of it is clamped to half of near and twice of far, and comes out there.
 """
 
 from __future__ import annotations
@@ -15,7 +20,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 
@@ -105,6 +110,31 @@ def livingroom(folder: Path, device: torch.device, width: int = 320) -> Scene:
     motions = torch.stack([torch.linalg.inv(poses[i]) @ poses[2] for i in others]).float()
     tensors = (pictures[2:3], pictures[others], camera, camera.expand(4, 3, 3), motions, truth)
     return Scene("livingroom", *(x.to(device) for x in tensors), near=0.5, far=5.0, fraction=0.7)
+
+
+def depth_range(camera: Tensor, motions: Tensor, width: int) -> tuple[float, float]:
+    """Near and far from the focal length and the longest baseline: a parallax of a fourth of the width, and of one pixel."""
+    centers = -motions[:, :3, :3].mT @ motions[:, :3, 3:]
+    parallax = float(camera[0, 0, 0] * centers.norm(dim=1).max())  # in pixels, of a point at depth 1
+    return parallax / (width / 4), parallax
+
+
+def stereo(
+    left: Tensor, right: Tensor, focal: float | None, baseline: float, device: torch.device, width: int
+) -> Scene:
+    """A rectified pair of pictures (1, 3, H, W), the second taken `baseline` to the right. Its depth is not known."""
+    before = (left.shape[2], left.shape[3])
+    size = (round(before[0] * width / before[1]), width)
+    focal = 1.2 * before[1] if focal is None else focal
+    camera = torch.tensor([[[focal, 0, before[1] / 2], [0, focal, before[0] / 2], [0, 0, 1]]])
+    camera = at_size(camera, before, size)
+    motion = torch.eye(4)[None].clone()
+    motion[:, 0, 3] = -baseline
+    near, far = depth_range(camera, motion, width)
+    pictures = [shrunk(picture, size) for picture in (left, right)]
+    truth = torch.zeros(1, 1, *size)
+    tensors = (x.to(device) for x in (*pictures, camera, camera, motion, truth))
+    return Scene("stereo", *tensors, near=near, far=far, fraction=0.0)
 
 
 # --- descent --------------------------------------------------------------------------------------------------------
@@ -205,6 +235,8 @@ def draw(scene: Scene, levels: list[tuple[Tensor, Tensor]], path: Path) -> None:
     shown = min(2, len(scene.views))
     figure, axes = plt.subplots(len(levels) + 1, shown + 3, figsize=(3 * (shown + 3), 2.4 * (len(levels) + 1)))
     range_of_depth = {"cmap": "viridis", "vmin": scene.near, "vmax": min(scene.far, float(scene.truth.max()) * 1.1)}
+    if not (scene.truth > 0).any():
+        range_of_depth["vmax"] = float(levels[-1][0].quantile(0.95))
 
     def show(axis, image: Tensor, title: str, **how) -> None:
         pixels = image[0].permute(1, 2, 0).squeeze(-1).cpu()
@@ -246,25 +278,64 @@ def estimate(
     return found, time.perf_counter() - begin
 
 
+def device_of(parser: argparse.ArgumentParser, name: str) -> torch.device:
+    """The device of that name; an unknown or missing one ends the program in one line."""
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        parser.error(f"--device {name}: expected cpu or cuda")
+    if device.type not in ("cpu", "cuda"):
+        parser.error(f"--device {name}: expected cpu or cuda")
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        parser.error(f"--device {name}: torch finds no CUDA device" + (f" {device.index}" if device.index else ""))
+    return device
+
+
+def pictures_of(parser: argparse.ArgumentParser, paths: list[Path]) -> list[Tensor]:
+    """The files of --image as (1, 3, H, W); one that cannot be read ends the program in one line."""
+    pictures = []
+    for path in paths:
+        try:
+            pictures.append(K.io.load_image(path)[None])
+        except (OSError, ValueError, K.core.exceptions.ImageError) as error:
+            parser.error(f"--image {path}: {str(error).splitlines()[0]}")
+    return pictures
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, help="folder with rgbd_livingroom")
     parser.add_argument("--iterations", type=int, default=ITERATIONS, help="on each level")
     parser.add_argument("--levels", type=int, default=LEVELS)
     parser.add_argument("--width", type=int, default=320, help="of the images")
+    parser.add_argument(
+        "--image", type=Path, nargs=2, default=[], metavar=("LEFT", "RIGHT"), help="your own rectified stereo pair"
+    )
+    parser.add_argument("--focal", type=float, help="of --image, in pixels; default: 1.2 times the width")
+    parser.add_argument("--baseline", type=float, default=1.0, help="of --image, in the unit of the depth; default: 1")
+    parser.add_argument("--near", type=float, help="least depth; default: known, or from the views")
+    parser.add_argument("--far", type=float, help="largest depth")
     parser.add_argument("--kornia", action="store_true", help="run Kornia, too")
     parser.add_argument("--out", type=Path, default=Path("out/depth"), help="where the figures go")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     options = parser.parse_args(arguments)
-    if torch.device(options.device).type == "cuda" and not torch.cuda.is_available():
-        parser.error("--device cuda: torch finds no CUDA device")
+    device = device_of(parser, options.device)
     if options.data and not (options.data / "rgbd_livingroom").is_dir():
         parser.error(f"--data {options.data}: expected a folder with rgbd_livingroom, there is none")
-    device = torch.device(options.device)
+    own = pictures_of(parser, options.image)
+    if own and own[0].shape != own[1].shape:
+        parser.error(
+            f"--image: expected two pictures of one size, got {tuple(own[0].shape[2:])} and {tuple(own[1].shape[2:])}"
+        )
     options.out.mkdir(parents=True, exist_ok=True)
-    scenes = [motorcycle(device, options.width)]
+    if own:
+        scenes = [stereo(*own, options.focal, options.baseline, device, options.width)]
+    else:
+        scenes = [motorcycle(device, options.width)]
     if options.data:
         scenes.append(livingroom(options.data / "rgbd_livingroom", device, options.width))
+    chosen = {name: value for name in ("near", "far") if (value := getattr(options, name)) is not None}
+    scenes = [replace(scene, **chosen) for scene in scenes]
     libraries = [K]
     if options.kornia:
         import kornia
@@ -272,6 +343,17 @@ def main(arguments: list[str] | None = None) -> int:
         libraries.append(kornia)
     missed = 0
     for scene in scenes:
+        if not (scene.truth > 0).any():
+            found, seconds = estimate(scene, options.iterations, options.levels, K)
+            depth = found[-1][0]
+            middle = float(depth.median())
+            print(
+                f"{scene.name}: depth from {float(depth.min()):.3g} to {float(depth.max()):.3g}, median {middle:.3g}",
+                end="; ",
+            )
+            print(f"searched from {scene.near:.3g} to {scene.far:.3g}; {seconds:.1f} s")
+            draw(scene, found, options.out / f"{scene.name}.png")
+            continue
         constant = depth_of(scene, torch.full_like(scene.truth, 0.5))
         print(
             "{:11} {:10} error {:6.1%}, within 10% {:4.0%}".format(

@@ -1,18 +1,21 @@
 """Find the homography between two images by gradient descent on their difference, from coarse to fine.
 
     python examples/image_registration.py                           synthetic pairs of scikit-image's photographs
+    python examples/image_registration.py --image PHOTO...          synthetic pairs of your own photographs
     python examples/image_registration.py --data FOLDER             real pairs as well: FOLDER/graf, boat, leuven, bikes
     python examples/image_registration.py --solver gauss-newton     in fewer steps than Adam
 
 Every pair gives a figure with a row for each level of the pyramid: source, destination, warped source, error. The error of a result
-is the mean distance of the corners of the image, in pixels, from those of the known homography.
+is the mean distance of the corners of the image, in pixels, from those of the known homography. Without a known homography the
+correlation of both images says whether the search has converged: their local contrasts agree where it has, and are unrelated where
+it ended in another minimum.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +26,7 @@ from torch import Tensor
 import kvision as K
 
 LEVELS = 4
+CONVERGED = 0.7  # least correlation of local contrasts: 0.9 where the homography is right, below 0.1 in other minima
 # Real pairs: folder, number of the second image, pixels that the first estimate is off at every corner, the limit of the error.
 REAL = (("leuven", 4, 0, 1.0), ("bikes", 3, 0, 1.0), ("graf", 2, 10, 2.0), ("boat", 3, 10, 2.0))
 
@@ -51,13 +55,17 @@ def corners(device: torch.device | str = "cpu") -> Tensor:
     return torch.tensor([[[-1.0, -1], [1, -1], [1, 1], [-1, 1]]], device=device)
 
 
-def synthetic(device: torch.device) -> Iterator[Pair]:
-    """Photographs and their warps by a homography that moves their corners by up to 8% of their size."""
+def photographs() -> Iterator[tuple[str, Tensor]]:
     from skimage import data
 
-    generator = torch.Generator().manual_seed(0)
     for name in ("astronaut", "coffee", "chelsea", "camera"):
-        picture = K.image_to_tensor(getattr(data, name)(), keepdim=False).float() / 255
+        yield name, K.image_to_tensor(getattr(data, name)(), keepdim=False).float() / 255
+
+
+def synthetic(device: torch.device, pictures: Iterable[tuple[str, Tensor]] | None = None) -> Iterator[Pair]:
+    """Photographs and their warps by a homography that moves their corners by up to 8% of their size."""
+    generator = torch.Generator().manual_seed(0)
+    for name, picture in photographs() if pictures is None else pictures:
         source = gray(K.geometry.resize(picture, 320, antialias=True)).to(device)
         moved = corners() + 0.16 * (torch.rand(1, 4, 2, generator=generator) - 0.5)
         truth = K.get_perspective_transform(corners(), moved).to(device)
@@ -112,6 +120,16 @@ def corner_error(found: Tensor, pair: Pair) -> float:
     at, expected = (K.geometry.warp_grid(corners(m.device)[:, None], m)[0, 0] for m in (found, pair.truth))
     scale = torch.tensor([w / 2, h / 2], device=found.device) * pair.pixels
     return float(((at - expected) * scale).norm(dim=-1).mean())
+
+
+def correlation(found: Tensor, pair: Pair) -> float:
+    """Of the local contrasts of both images, where the warped one has pixels."""
+    size = tuple(pair.target.shape[2:])
+    warped = K.homography_warp(pair.source, found, size, padding_mode="border")
+    inside = K.homography_warp(torch.ones_like(pair.source), found, size) > 0.99
+    x, y = (normalized(image)[inside] for image in (warped, pair.target))
+    x, y = x - x.mean(), y - y.mean()
+    return float((x * y).sum() / (x.norm() * y.norm()).clamp_min(1e-9)) if inside.float().mean() > 0.1 else 0.0
 
 
 # --- solvers --------------------------------------------------------------------------------------------------------
@@ -178,36 +196,64 @@ def draw(pair: Pair, levels: list[Tensor], path: Path) -> None:
     plt.close(figure)
 
 
+def device_of(parser: argparse.ArgumentParser, name: str) -> torch.device:
+    """The device of that name; an unknown or missing one ends the program in one line."""
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        parser.error(f"--device {name}: expected cpu or cuda")
+    if device.type not in ("cpu", "cuda"):
+        parser.error(f"--device {name}: expected cpu or cuda")
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        parser.error(f"--device {name}: torch finds no CUDA device" + (f" {device.index}" if device.index else ""))
+    return device
+
+
+def pictures_of(parser: argparse.ArgumentParser, paths: list[Path]) -> list[Tensor]:
+    """The files of --image as (1, 3, H, W); one that cannot be read ends the program in one line."""
+    pictures = []
+    for path in paths:
+        try:
+            pictures.append(K.io.load_image(path)[None])
+        except (OSError, ValueError, K.core.exceptions.ImageError) as error:
+            parser.error(f"--image {path}: {str(error).splitlines()[0]}")
+    return pictures
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--solver", choices=tuple(SOLVERS), default="adam")
     parser.add_argument("--iterations", type=int, help="on each level; default: 200 of Adam, 20 of Gauss-Newton")
     parser.add_argument("--data", type=Path, help="folder of real pairs")
+    parser.add_argument(
+        "--image", type=Path, nargs="+", default=[], help="your own photographs, to be warped and found again"
+    )
     parser.add_argument("--out", type=Path, default=Path("out/registration"), help="where the figures go")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     options = parser.parse_args(arguments)
-    if torch.device(options.device).type == "cuda" and not torch.cuda.is_available():
-        parser.error("--device cuda: torch finds no CUDA device")
+    device = device_of(parser, options.device)
     if options.data and not any((options.data / name).is_dir() for name, *_ in REAL):
         parser.error(
             f"--data {options.data}: expected a folder with {', '.join(name for name, *_ in REAL)}, there is none"
         )
-    device = torch.device(options.device)
+    own = [(path.stem, picture) for path, picture in zip(options.image, pictures_of(parser, options.image))]
     iterations = options.iterations or SOLVERS[options.solver][1]
     options.out.mkdir(parents=True, exist_ok=True)
     missed = 0
-    pairs = [*synthetic(device), *(real(options.data, device) if options.data else ())]
+    pairs = [*synthetic(device, own or None), *(real(options.data, device) if options.data else ())]
     for i, pair in enumerate(pairs):
         begin = time.perf_counter()
         found, levels = register(pair, options.solver, iterations)
         error = corner_error(found, pair)
         seconds = time.perf_counter() - begin
+        agreement = correlation(found, pair)
         verdict = "" if error <= pair.limit else "  MISSED"
+        verdict += "" if agreement >= CONVERGED else "  did not converge"
         missed += error > pair.limit
         before = corner_error(pair.start, pair)
         print(
             f"[{'#' * (i + 1):{len(pairs)}}] {pair.name:10} {before:6.2f} -> {error:5.2f} px (at most {pair.limit}) "
-            f"in {iterations} iterations on {LEVELS} levels, {seconds:.1f} s{verdict}",
+            f"correlation {agreement:.2f}, in {iterations} iterations on {LEVELS} levels, {seconds:.1f} s{verdict}",
             flush=True,
         )
         draw(pair, levels, options.out / f"{pair.name}_{options.solver}.png")

@@ -1,10 +1,11 @@
 """Train a small segmentation network on synthetic shapes, once with each of kvision's segmentation losses.
 
-    python examples/segmentation_losses.py [--out FOLDER] [--device auto|cpu|cuda] [--steps N]
+    python examples/segmentation_losses.py [--out FOLDER] [--device auto|cpu|cuda] [--steps N] [--image PHOTO...]
 
 Every image has reddish discs (class 1) and bluish boxes (class 2) over a gray background (class 0), with noise. The same
 small network is trained from the same weights on the same images with each loss. The program prints the mean intersection
-over union on new images and draws the curves. All losses reach more than 0.9.
+over union on new images and draws the curves. All losses reach more than 0.9. With --image the networks also label your own
+photographs by what they have learned: reddish, bluish and the rest.
 """
 
 from __future__ import annotations
@@ -75,8 +76,10 @@ def network() -> nn.Module:
     return nn.Sequential(*layers, nn.Conv2d(12, CLASSES, 1))
 
 
-def train(name: str, loss: Callable[[Tensor, Tensor], Tensor], steps: int, device: torch.device) -> list[float]:
-    """The mean IoU of unseen images, every tenth of the way."""
+def train(
+    name: str, loss: Callable[[Tensor, Tensor], Tensor], steps: int, device: torch.device
+) -> tuple[list[float], nn.Module]:
+    """The mean IoU of unseen images, every tenth of the way, and the trained network."""
     generator = torch.Generator().manual_seed(1)
     unseen = shapes(32, torch.Generator().manual_seed(2), device)
     model = network().to(device)
@@ -94,7 +97,7 @@ def train(name: str, loss: Callable[[Tensor, Tensor], Tensor], steps: int, devic
                 found = model(unseen[0]).argmax(1)
             # The classes of all images together: an image may lack one.
             curve.append(float(K.metrics.mean_iou(found.view(1, -1), unseen[1].view(1, -1), CLASSES).mean()))
-    return curve
+    return curve, model
 
 
 def draw(curves: dict[str, list[float]], path: Path) -> None:
@@ -120,22 +123,60 @@ def draw(curves: dict[str, list[float]], path: Path) -> None:
     picture.save(path)
 
 
+def device_of(parser: argparse.ArgumentParser, name: str) -> torch.device:
+    """The device of that name; an unknown or missing one ends the program in one line."""
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        parser.error(f"--device {name}: expected cpu or cuda")
+    if device.type not in ("cpu", "cuda"):
+        parser.error(f"--device {name}: expected cpu or cuda")
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        parser.error(f"--device {name}: torch finds no CUDA device" + (f" {device.index}" if device.index else ""))
+    return device
+
+
+def pictures_of(parser: argparse.ArgumentParser, paths: list[Path]) -> list[Tensor]:
+    """The files of --image as (1, 3, H, W); one that cannot be read ends the program in one line."""
+    pictures = []
+    for path in paths:
+        try:
+            pictures.append(K.io.load_image(path)[None])
+        except (OSError, ValueError, K.core.exceptions.ImageError) as error:
+            parser.error(f"--image {path}: {str(error).splitlines()[0]}")
+    return pictures
+
+
+def label(model: nn.Module, picture: Tensor, device: torch.device) -> Tensor:
+    """A photograph (1, 3, H, W), 256 pixels on its shorter side, next to its labels in the colors of the shapes."""
+    small = K.geometry.resize(picture.to(device), 256, antialias=True)
+    with torch.no_grad():
+        labels = model(small).argmax(1)
+    colors = torch.tensor([[0.5, 0.5, 0.5], [0.8, 0.4, 0.2], [0.2, 0.4, 0.8]], device=device)
+    return torch.cat([small, colors[labels].permute(0, 3, 1, 2)], 3)[0].cpu()
+
+
 def main(arguments: list[str] | None = None) -> dict[str, float]:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("out/segmentation"), help="where the figure goes")
-    parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
+    parser.add_argument("--device", default="auto", help="auto, cpu or cuda")
     parser.add_argument("--steps", type=int, default=120)
+    parser.add_argument("--image", type=Path, nargs="+", default=[], help="your own photographs, to be labeled")
     options = parser.parse_args(arguments)
-    if options.device == "cuda" and not torch.cuda.is_available():
-        parser.error("--device cuda: torch finds no CUDA device")
     auto = "cuda" if torch.cuda.is_available() else "cpu"
-    device = torch.device(auto if options.device == "auto" else options.device)
+    device = device_of(parser, auto if options.device == "auto" else options.device)
+    pictures = pictures_of(parser, options.image)
+    options.out.mkdir(parents=True, exist_ok=True)
     curves = {}
     for name, loss in LOSSES.items():
-        curves[name] = train(name, loss, options.steps, device)
+        curves[name], model = train(name, loss, options.steps, device)
         print(f"{name:20} IoU {curves[name][-1]:.3f}", flush=True)
-    options.out.mkdir(parents=True, exist_ok=True)
+        for path, picture in zip(options.image, pictures):
+            file = f"{path.stem}_{name.replace(', ', '_').replace(' ', '_')}.png"
+            K.io.write_image(options.out / file, label(model, picture, device))
     draw(curves, options.out / "curves.png")
+    if pictures:
+        print(f"the labels of your photographs are in {options.out}")
     print(f"the figure is {options.out / 'curves.png'}")
     return {name: curve[-1] for name, curve in curves.items()}
 

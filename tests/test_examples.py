@@ -10,6 +10,8 @@ from types import ModuleType
 import pytest
 import torch
 
+import kvision as K
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -124,3 +126,77 @@ def test_a_wrong_folder_is_an_error(name: str, tmp_path: Path, capsys: pytest.Ca
         example(name).main(["--data", str(tmp_path / "wrong"), "--device", "cpu"])
     assert stopped.value.code == 2
     assert f"error: --data {tmp_path / 'wrong'}: expected a folder with " in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_unknown_device_is_said(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        example(name).main(["--device", "gpu"])
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.endswith("error: --device gpu: expected cpu or cuda\n")
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("content", [None, b"no picture"])
+def test_a_picture_that_cannot_be_read_is_said(name: str, content, tmp_path: Path, capsys) -> None:
+    path = tmp_path / "mine.png"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(SystemExit) as stopped:
+        example(name).main(
+            ["--device", "cpu", "--image", str(path), *([str(path)] if name == "depth_estimation" else [])]
+        )
+    assert stopped.value.code == 2
+    assert f"error: --image {path}: " in capsys.readouterr().err.splitlines()[-1]
+
+
+def photographs(folder: Path, shift: int = 0) -> tuple[Path, Path]:
+    """Two files of one texture, the second shifted to the left."""
+    texture = torch.nn.functional.interpolate(torch.rand(1, 3, 12, 20), (96, 160), mode="bicubic").clamp(0, 1)[0]
+    paths = folder / "left.png", folder / "right.png"
+    for path, image in zip(paths, (texture, texture.roll(-shift, 2))):
+        K.io.write_image(path, image)
+    return paths
+
+
+def test_registration_of_own_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left, _ = photographs(tmp_path)
+    out = tmp_path / "out"
+    example("image_registration").main(
+        ["--image", str(left), "--solver", "gauss-newton", "--out", str(out), "--device", "cpu"]
+    )
+    assert "left" in (printed := capsys.readouterr().out) and printed.endswith(f"figures are in {out}\n")
+    assert (out / "left_gauss-newton.png").stat().st_size > 0
+
+
+def test_the_correlation_tells_other_minima(device) -> None:
+    pytest.importorskip("skimage")
+    registration = example("image_registration")
+    pair = next(registration.synthetic(device))
+    assert (
+        registration.correlation(pair.truth, pair) > registration.CONVERGED > registration.correlation(pair.start, pair)
+    )
+
+
+def test_depth_of_own_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A flat scene at a shift of 8 pixels of 160, and a range of depth from the views alone."""
+    depth = example("depth_estimation")
+    left, right = photographs(tmp_path, 8)
+    options = [
+        "--image",
+        str(left),
+        str(right),
+        "--focal",
+        "160",
+        "--width",
+        "160",
+        "--iterations",
+        "40",
+        "--levels",
+        "3",
+    ]
+    depth.main([*options, "--out", str(tmp_path), "--device", "cpu"])
+    printed = capsys.readouterr().out
+    median = float(printed.split("median ")[1].split(";")[0])
+    assert median == pytest.approx(160 / 8, rel=0.1)
+    assert (tmp_path / "stereo.png").stat().st_size > 0

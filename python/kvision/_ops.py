@@ -519,7 +519,7 @@ def not_empty(x: Tensor, *_: Any) -> str | None:
 
 def has_pixels(x: Tensor, *_: Any) -> str | None:
     """Images have at least one pixel."""
-    return None if x.shape[2:].numel() else f"there is no kernel for images without pixels, here {tuple(x.shape)}"
+    return None if 0 not in x.shape[2:] else f"there is no kernel for images without pixels, here {tuple(x.shape)}"
 
 
 def on_cuda(x: Tensor, *_: Any) -> bool:

@@ -154,7 +154,7 @@ std::tuple<Tensor, Tensor, Tensor> undistort_map_backward(Tensor const& grad, Te
 
 KV_OPERATOR(undistort_points, "(" KV_LENS ", int steps) -> Tensor")
 KV_OPERATOR(distort_points, "(" KV_LENS ") -> Tensor")
-KV_OPERATOR(undistort_map, "(Tensor camera, Tensor coefficients, Tensor? tilt, int[] size) -> Tensor")
+KV_OPERATOR(undistort_map, "(Tensor camera, Tensor coefficients, Tensor? tilt, SymInt[] size) -> Tensor")
 KV_OPERATOR(undistort_map_backward,
             "(Tensor grad, Tensor camera, Tensor coefficients, Tensor? tilt) -> (Tensor, Tensor, Tensor)")
 

@@ -202,7 +202,7 @@ Tensor thin_plate_weights(Tensor const& centers, Tensor const& rhs) {
 KV_OPERATOR(thin_plate_points, "(Tensor points, " KV_THIN_PLATE ") -> Tensor")
 KV_OPERATOR(thin_plate_points_backward,
             "(Tensor grad, Tensor points, " KV_THIN_PLATE ") -> (Tensor, Tensor, Tensor, Tensor)")
-KV_OPERATOR(thin_plate_map, "(" KV_THIN_PLATE ", int[] size, bool align_corners) -> Tensor")
+KV_OPERATOR(thin_plate_map, "(" KV_THIN_PLATE ", SymInt[] size, bool align_corners) -> Tensor")
 KV_OPERATOR(thin_plate_map_backward, "(Tensor grad, " KV_THIN_PLATE ", bool align_corners) -> (Tensor, Tensor, Tensor)")
 KV_OPERATOR(thin_plate_weights, "(Tensor centers, Tensor rhs) -> Tensor")
 

@@ -288,7 +288,7 @@ def image_histogram2d(
         raise ValueCheckError(f"{op}: expected a bandwidth above 0, got {width!r}", actual_value=width)
 
     dtype = compute_dtype(image)
-    x = as_dtype(image, dtype).reshape(-1, image.shape[-2:].numel())
+    x = as_dtype(image, dtype).reshape(-1, image.shape[-2] * image.shape[-1])
     if centers is not None:
         _check.shape(op, "centers", centers, "n_bins")
         _check.same_device(op, image=image, centers=centers)

@@ -207,8 +207,9 @@ def _parameters(
     _check.same_device(op, **tensors)
     types = [p.dtype for p in tensors.values() if p.is_floating_point()]
     default = torch.get_default_dtype() if image is None else compute_dtype(image)
-    dtype = functools.reduce(torch.promote_types, types) if types else default
-    promoted = torch.promote_types(dtype, torch.float32)
+    # One type in most calls; promote_types is not traced by torch.compile.
+    dtype = functools.reduce(torch.promote_types, types) if len(set(types)) > 1 else (types or [default])[0]
+    promoted = torch.float64 if dtype == torch.float64 else torch.float32
     device = next((p.device for p in (*tensors.values(), image) if p is not None), None)
     angle = _rows(op, "angle", angle, 1 if axes == 2 else 3, device, promoted)
     direction = _rows(op, "direction", direction, 1, device, promoted)
@@ -229,7 +230,7 @@ def _rows(op: str, name: str, value: object, count: int, device: torch.device | 
     numbers = (value,) * count if isinstance(value, (int, float)) else value
     if not isinstance(numbers, (tuple, list)) or not all(isinstance(v, (int, float)) for v in numbers):
         raise TypeCheckError(f"{op}: expected {name} to be a Tensor or numbers, got {value!r}", actual_type=type(value))
-    if len(numbers) != count or not all(_check.fits_float(v) and math.isfinite(v) for v in numbers):
+    if len(numbers) != count or not all(_check.fits_float(v) and -math.inf < v < math.inf for v in numbers):
         raise ValueCheckError(f"{op}: expected {name} to be {count} finite numbers, got {value!r}", actual_value=value)
     return torch.stack([torch.full((1,), float(v), device=device, dtype=dtype) for v in numbers], 1)
 

@@ -65,8 +65,10 @@ def _thresholds(planes: Tensor, nbins: int) -> Tensor:
     values = planes.to(exact)
     low, high = values.aminmax(dim=1, keepdim=True)
     span = high - low
-    bins = ((values - low) * nbins / torch.where(span > 0, span, 1)).long().clamp(0, nbins - 1)
-    histogram = torch.zeros_like(bins[:, :1]).repeat(1, nbins).scatter_add_(1, bins, torch.ones_like(bins))
+    # By way of int32: float to int64 is not vectorized on the CPU. The second clamp is for NaN.
+    bins = ((values - low) * nbins / torch.where(span > 0, span, 1)).clamp(0, nbins - 1).int().clamp(min=0).long()
+    one = torch.ones_like(bins[:, :1])
+    histogram = (0 * one).repeat(1, nbins).scatter_add_(1, bins, one.expand_as(bins))
     variance = _variance_between(histogram.double())
     variance = torch.where(histogram[:, :-1] > 0, variance, -torch.inf)  # a gap is cut at its lower end
     best = variance.argmax(1, keepdim=True)

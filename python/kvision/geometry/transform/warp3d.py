@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
@@ -188,6 +189,9 @@ def rotate3d(
         _check.shape("rotate3d", "center", center, "B", 3)
         center = sampling.cast_to_image("rotate3d", volumes, "center", center)
     middle = [(n - 1) / 2 for n in reversed(volumes.shape[2:])]
+    if center is None and is_compiling():  # numbers of operators are constants of a program, sizes may be symbolic
+        center = torch.stack([angles[0].new_full((), m) for m in middle]).expand(batch, 3)
+        middle = [0.0, 0.0, 0.0]
     size = tuple(volumes.shape[2:])
     args = (*angles, None, None, center)
     result = by_formula(

@@ -1,0 +1,131 @@
+"""Every public function exports and compiles with dynamic batch, channels, height and width, but for the listed ones."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.export import Dim
+
+import kvision as K
+from benchmarks.sample_calls import WITHOUT_SAMPLE, SampleCall, Size, public_functions, sample_calls
+from op_tests import assert_close
+
+# The program is made at one size and called at another one. No two numbers of a size are equal, nor equal to the 2, 3, 4, 5 of
+# coordinates, matrices and kernels: torch takes equal sizes of an example for the same. Functions of colors take three
+# channels only.
+SIZES = (
+    (Size(7, 6, 22, 38), Size(11, 8, 34, 52)),
+    (Size(7, 3, 22, 38), Size(11, 3, 34, 52)),
+)
+EVEN = ("rgb_to_yuv420", "rgb_to_yuv422", "yuv420_to_rgb", "yuv422_to_rgb")  # heights and widths are multiples of two
+
+# What depends on more than the sizes, and why; at most 5% of the public names.
+SIZE_OF_DATA = "the size of the result depends on the values"
+ON_HOST = "reads values on the host: to draw, print or count them in Python"
+LEFT_OUT = {
+    **dict.fromkeys(("geometry.crop_by_boxes", "geometry.crop_by_boxes3d", "geometry.crop_by_indices"), SIZE_OF_DATA),
+    "geometry.nms": SIZE_OF_DATA,
+    **dict.fromkeys(("geometry.validate_bbox", "geometry.validate_bbox3d"), "raises an error for some values"),
+    **dict.fromkeys(
+        (
+            "image.draw_convex_polygon",
+            "image.draw_line",
+            "image.draw_point2d",
+            "image.draw_rectangle",
+            "metrics.auc_from_errors",
+            "metrics.mean_average_precision",
+        ),
+        ON_HOST,
+    ),
+    "contrib.distance_transform": "the number of its passes depends on the size",
+    "filters.guided_blur": "solves a system as large as the channels, step by step",
+    "geometry.build_laplacian_pyramid": "pads to the next power of two",
+    "image.make_grid": "the number of columns is the root of the batch",
+    **dict.fromkeys(
+        ("geometry.center_crop3d", "geometry.crop_and_resize", "geometry.crop_and_resize3d"),
+        "the corners of the result are constants of the program",
+    ),
+}
+CALLS = {call.name: call for call in sample_calls() if call.makers}
+
+
+class Call(nn.Module):
+    def __init__(self, call: SampleCall) -> None:
+        super().__init__()
+        self.call = call
+
+    def forward(self, tensors: dict[str, Tensor]) -> list[Tensor]:
+        return flat(self.call.call(K, tensors))
+
+
+def flat(value: Any) -> list[Tensor]:
+    if isinstance(value, Tensor):
+        return [value]
+    return [tensor for part in value for tensor in flat(part)] if isinstance(value, (list, tuple)) else []
+
+
+def examples(call: SampleCall, device: torch.device) -> tuple[dict[str, Tensor], dict[str, Tensor], list[Tensor]]:
+    """Tensors at two sizes, and the results of the second ones."""
+    for first, second in SIZES:
+        try:
+            call.call(K, call.tensors(first, device))
+            tensors = call.tensors(second, device)
+            return call.tensors(first, device), tensors, flat(call.call(K, tensors))
+        except ValueError:
+            continue
+    raise AssertionError(f"{call.name} takes neither size")
+
+
+@pytest.mark.tracing
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CALLS)
+def test_export(name: str, device: torch.device) -> None:
+    if name in LEFT_OUT:
+        pytest.skip(LEFT_OUT[name])
+    warnings.simplefilter("ignore")
+    first, second, expected = examples(CALLS[name], device)
+
+    def dimension(key: str, axis: int, size: int) -> Any:
+        if size == second[key].shape[axis]:
+            return None
+        doubled = name.split(".")[1] in EVEN and axis >= first[key].dim() - 2
+        return 2 * Dim(f"half{axis}") if doubled and key != "imageuv" else Dim.AUTO
+
+    dynamic = {k: {i: dimension(k, i, n) for i, n in enumerate(x.shape)} for k, x in first.items()}
+    program = torch.export.export(Call(CALLS[name]), (first,), dynamic_shapes=(dynamic,)).module()
+    assert_close(list(program(second)), expected, 1e-4, 1e-5)
+
+
+@pytest.mark.tracing
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CALLS)
+def test_compile(name: str, device: torch.device) -> None:
+    """One graph serves both sizes."""
+    if name in LEFT_OUT:
+        pytest.skip(LEFT_OUT[name])
+    warnings.simplefilter("ignore")
+    first, second, expected = examples(CALLS[name], device)
+    torch._dynamo.reset()
+    graphs = []
+
+    def backend(graph: torch.fx.GraphModule, _: Any) -> Any:
+        graphs.append(graph)
+        return graph.forward
+
+    compiled = torch.compile(Call(CALLS[name]), dynamic=True, fullgraph=True, backend=backend)
+    compiled(first)
+    assert_close(compiled(second), expected, 1e-4, 1e-5)
+    assert len(graphs) <= 1
+
+
+def test_few_functions_are_left_out() -> None:
+    names = list(public_functions())
+    assert set(LEFT_OUT) <= set(CALLS)
+    assert len(LEFT_OUT) <= 0.05 * len(names)
+    sampled = {call.name for call in sample_calls()}
+    unknown = [name for name in names if name not in sampled and name not in WITHOUT_SAMPLE]
+    assert not unknown, f"without arguments in benchmarks/sample_calls.py: {unknown}"

@@ -18,7 +18,9 @@ from torch import Tensor
 import kvision as K
 
 MODULES = [
-    name for name in K.__all__ if isinstance(getattr(K, name), ModuleType) and name not in ("constants", "feature", "info", "io")
+    name
+    for name in K.__all__
+    if isinstance(getattr(K, name), ModuleType) and name not in ("augmentation", "constants", "feature", "info", "io")
 ]
 
 

@@ -30,6 +30,20 @@ from kvision.feature.laf import (
     scale_laf,
     set_laf_orientation,
 )
+from kvision.feature.local_feature import (
+    DoGAffNetHardNet,
+    DoGHardNet,
+    GFTTAffNetHardNet,
+    HesAffNetHardNet,
+    KeyNetAffNetHardNet,
+    KeyNetHardNet,
+    LAFDescriptor,
+    LocalFeature,
+    LocalFeatureMatcher,
+    SIFTFeature,
+    SIFTFeatureScaleSpace,
+    get_laf_descriptors,
+)
 from kvision.feature.matching import (
     DescriptorMatcher,
     GeometryAwareDescriptorMatcher,

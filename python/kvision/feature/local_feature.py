@@ -1,0 +1,646 @@
+"""Detectors and descriptors together, and matches of the features of two images."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+from collections.abc import Collection, Iterator
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from kvision import _check
+from kvision._dtype import as_dtype, floats
+from kvision.color import rgb_to_grayscale
+from kvision.core.exceptions import ShapeError
+from kvision.feature.affnet import LAFAffNetShapeEstimator
+from kvision.feature.hardnet import HardNet
+from kvision.feature.keynet import KeyNetDetector
+from kvision.feature.laf import check_lafs, get_laf_center, laf_is_filled, scale_laf
+from kvision.feature.matching import GeometryAwareDescriptorMatcher
+from kvision.feature.multi_resolution_detector import Detector_config, MultiResolutionDetector
+from kvision.feature.orientation import LAFOrienter
+from kvision.feature.orinet import OriNet
+from kvision.feature.patches import extract_patches_from_pyramid
+from kvision.feature.responses import BlobDoG, BlobDoGSingle, BlobHessian, CornerGFTT
+from kvision.feature.scale_space_detector import PassLAF, ScaleSpaceDetector
+from kvision.feature.sift import SIFTDescriptor, SIFTDescriptorFromPyramid, convert_sift_descriptor_layout
+from kvision.geometry.subpix import ConvQuadInterp3d
+from kvision.geometry.transform.pyramid import ScalePyramid
+
+__all__ = [
+    "DoGAffNetHardNet",
+    "DoGHardNet",
+    "GFTTAffNetHardNet",
+    "HesAffNetHardNet",
+    "KeyNetAffNetHardNet",
+    "KeyNetHardNet",
+    "LAFDescriptor",
+    "LocalFeature",
+    "LocalFeatureMatcher",
+    "SIFTFeature",
+    "SIFTFeatureScaleSpace",
+    "get_laf_descriptors",
+]
+
+_BACKENDS, _LAYOUTS = ("patch", "pyramid"), ("kornia", "opencv")
+Device = str | torch.device | None
+
+# --- descriptors of frames ------------------------------------------------------------------------------------------
+
+
+def get_laf_descriptors(
+    img: Tensor, lafs: Tensor, patch_descriptor: nn.Module, patch_size: int = 32, grayscale_descriptor: bool = True
+) -> Tensor:
+    """Describe frames by the patches that they cover.
+
+    The descriptor runs in evaluation mode, so that a feature does not depend on the others, and in the type of its
+    parameters.
+
+    Args:
+        img: images (B, C, H, W); integers give float32.
+        lafs: frames (B, N, 2, 3) in pixels.
+        patch_descriptor: a module from patches (n, C, patch_size, patch_size) to descriptors (n, D).
+        patch_size: side of the patches.
+        grayscale_descriptor: convert images of three channels to gray.
+
+    Returns:
+        (B, N, D); 0, with a gradient of 0, for empty slots.
+
+    Raises:
+        TypeCheckError: an argument is of another kind.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> laf = torch.tensor([[[[12.0, 0, 32], [0, 12, 32]]]])
+        >>> K.feature.get_laf_descriptors(torch.rand(1, 3, 64, 64), laf, K.feature.SIFTDescriptor(32)).shape
+        torch.Size([1, 1, 128])
+    """
+    op = "get_laf_descriptors"
+    _check.images(op, "img", img)
+    frames = check_lafs(op, lafs, "lafs")
+    _check.same_device(op, img=img, lafs=lafs)
+    _check.ints(op, "patch_size", patch_size, 1)
+    if img.shape[0] != lafs.shape[0]:
+        raise ShapeError(f"{op}: expected lafs of shape ({img.shape[0]}, N, 2, 3), got {tuple(lafs.shape)}")
+    image = floats(img)
+    if grayscale_descriptor and image.shape[1] == 3:
+        image = rgb_to_grayscale(image)
+    if lafs.shape[0] * lafs.shape[1] == 0:
+        with torch.no_grad():
+            width = _described(patch_descriptor, image.new_zeros(1, image.shape[1], patch_size, patch_size)).numel()
+        return image.flatten()[:0].reshape(0, width).reshape(*lafs.shape[:2], width)
+    patches = extract_patches_from_pyramid(image, frames, patch_size)
+    descriptors = _described(patch_descriptor, patches.flatten(0, 1)).reshape(*lafs.shape[:2], -1)
+    return torch.where(laf_is_filled(frames)[..., None], descriptors, 0)
+
+
+def _described(module: nn.Module, patches: Tensor) -> Tensor:
+    parameters = itertools.chain(module.parameters(), module.buffers())
+    dtype = next((x.dtype for x in parameters if x.is_floating_point()), patches.dtype)
+    with _evaluating(module):
+        return as_dtype(module(as_dtype(patches, dtype)), patches.dtype)
+
+
+@contextlib.contextmanager
+def _evaluating(module: nn.Module) -> Iterator[None]:
+    """Modules in evaluation mode, and back in the mode of each."""
+    training = [m for m in module.modules() if m.training]
+    for m in training:
+        m.training = False
+    try:
+        yield
+    finally:
+        for m in training:
+            m.training = True
+
+
+class LAFDescriptor(nn.Module):
+    """Module form of :func:`get_laf_descriptors`.
+
+    Args:
+        patch_descriptor_module: the descriptor of patches; None for HardNet(pretrained=True).
+        patch_size: side of the patches.
+        grayscale_descriptor: convert images of three channels to gray.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> laf = torch.tensor([[[[12.0, 0, 32], [0, 12, 32]]]])
+        >>> K.feature.LAFDescriptor(K.feature.SIFTDescriptor(41), 41)(torch.rand(1, 1, 64, 64), laf).shape
+        torch.Size([1, 1, 128])
+    """
+
+    def __init__(
+        self,
+        patch_descriptor_module: nn.Module | None = None,
+        patch_size: int = 32,
+        grayscale_descriptor: bool = True,
+    ) -> None:
+        super().__init__()
+        self.descriptor = HardNet(True) if patch_descriptor_module is None else patch_descriptor_module
+        self.patch_size = patch_size
+        self.grayscale_descriptor = grayscale_descriptor
+
+    def extra_repr(self) -> str:
+        return f"patch_size={self.patch_size}, grayscale_descriptor={self.grayscale_descriptor}"
+
+    def forward(self, img: Tensor, lafs: Tensor) -> Tensor:
+        return get_laf_descriptors(img, lafs, self.descriptor, self.patch_size, self.grayscale_descriptor)
+
+
+# --- detectors with descriptors -------------------------------------------------------------------------------------
+
+
+class LocalFeature(nn.Module):
+    """Detect and describe features.
+
+    Args:
+        detector: a module from images and a mask or None to frames (B, N, 2, 3) and responses (B, N).
+        descriptor: a module from images and frames to descriptors (B, N, D).
+        scaling_coef: frames are multiplied by it before they are described, above 0.
+
+    `forward(img, mask=None)` returns frames, responses and descriptors.
+
+    Raises:
+        TypeCheckError: `scaling_coef` is no number.
+        ValueCheckError: `scaling_coef` is not above 0.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> F = K.feature
+        >>> feature = F.LocalFeature(F.ScaleSpaceDetector(10), F.LAFDescriptor(F.SIFTDescriptor(32)))
+        >>> [x.shape for x in feature(torch.rand(2, 1, 64, 64))]
+        [torch.Size([2, 10, 2, 3]), torch.Size([2, 10]), torch.Size([2, 10, 128])]
+    """
+
+    def __init__(self, detector: nn.Module, descriptor: nn.Module, scaling_coef: float = 1.0) -> None:
+        super().__init__()
+        self.detector = detector
+        self.descriptor = descriptor
+        self.scaling_coef = _check.number("LocalFeature", "scaling_coef", scaling_coef)
+        if self.scaling_coef <= 0:
+            raise _check.ValueCheckError(f"LocalFeature: expected scaling_coef above 0, got {scaling_coef!r}")
+
+    def forward(self, img: Tensor, mask: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        lafs, responses = self.detector(img, mask)
+        lafs = scale_laf(lafs, self.scaling_coef)
+        return lafs, responses, self.descriptor(img, lafs)
+
+
+class _OfGrayImages(LocalFeature):
+    """A combination that converts images of three channels to gray first."""
+
+    def forward(self, img: Tensor, mask: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        _check.images(type(self).__name__, "img", img)
+        return super().forward(rgb_to_grayscale(floats(img)) if img.shape[1] == 3 else img, mask)
+
+
+class _Magnitude(nn.Module):
+    """The size of the difference of two Gaussians: both bright and dark blobs are features."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.dog = BlobDoGSingle(1.0, 1.6)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return self.dog(input).abs()
+
+
+class _SIFT(_OfGrayImages):
+    """SIFT descriptors of a detector's frames, from patches or from a pyramid."""
+
+    def __init__(self, detector: Any, upright: bool, rootsift: bool, device: Device, backend: str, layout: str) -> None:
+        op = type(self).__name__
+        _check.choice(op, "descriptor_backend", backend, _BACKENDS)
+        _check.choice(op, "descriptor_layout", layout, _LAYOUTS)
+        descriptor: nn.Module
+        if backend == "pyramid":
+            descriptor = SIFTDescriptorFromPyramid(rootsift=rootsift)
+        else:
+            descriptor = LAFDescriptor(SIFTDescriptor(41, rootsift=rootsift), 41)
+            detector.ori = PassLAF() if upright else LAFOrienter(19)
+        super().__init__(detector, descriptor)
+        self.upright, self.descriptor_layout = upright, layout
+        self.to(device or "cpu")
+
+    def forward(self, img: Tensor, mask: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        if isinstance(self.descriptor, LAFDescriptor):
+            lafs, responses, descriptors = super().forward(img, mask)
+        else:
+            _check.images(type(self).__name__, "img", img)
+            image = rgb_to_grayscale(floats(img)) if img.shape[1] == 3 else img
+            lafs, responses = self.detector(image, mask)
+            lafs, descriptors = self.descriptor.orient_and_describe(image, lafs, upright=self.upright)  # type: ignore[operator]
+        if self.descriptor_layout == "opencv":
+            descriptors = convert_sift_descriptor_layout(descriptors, "kornia", "opencv")
+        return lafs, responses, descriptors
+
+
+class SIFTFeature(_SIFT):
+    """Difference of Gaussians on images of several sizes, dominant gradients and SIFT descriptors.
+
+    Args:
+        num_features: slots of each image.
+        upright: leave out the dominant gradients.
+        rootsift: compute RootSIFT.
+        device: of the modules; None for the CPU.
+        config: options of :class:`MultiResolutionDetector`.
+        compile_model: torch.compile the response.
+        score_threshold: responses of features are above it.
+        descriptor_backend: 'patch', or 'pyramid' for :class:`SIFTDescriptorFromPyramid`.
+        descriptor_layout: 'kornia' or 'opencv', as in :func:`convert_sift_descriptor_layout`.
+
+    Raises:
+        ValueCheckError: an unknown backend or layout.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> lafs, responses, descriptors = K.feature.SIFTFeature(10)(torch.rand(2, 1, 64, 64))
+        >>> descriptors.shape
+        torch.Size([2, 10, 128])
+    """
+
+    def __init__(
+        self,
+        num_features: int = 8000,
+        upright: bool = False,
+        rootsift: bool = True,
+        device: Device = None,
+        config: Detector_config | None = None,
+        compile_model: bool = False,
+        score_threshold: float = 0.0,
+        descriptor_backend: str = "patch",
+        descriptor_layout: str = "kornia",
+    ) -> None:
+        detector = MultiResolutionDetector(
+            _Magnitude(), num_features, config, compile_model=compile_model, score_threshold=score_threshold
+        )
+        super().__init__(detector, upright, rootsift, device, descriptor_backend, descriptor_layout)
+
+
+def _dog_detector(num_features: int, compile_modules: bool | Collection[str], **modules: Any) -> nn.Module:
+    """Extrema of differences of Gaussians over position and scale, from twice the image on."""
+    return ScaleSpaceDetector(
+        num_features,
+        resp_module=BlobDoG(),
+        subpix_module=ConvQuadInterp3d(),
+        scale_pyr_module=ScalePyramid(3, 1.6, 32, double_image=True),
+        scale_space_response=True,
+        minima_are_also_good=True,
+        compile_modules=compile_modules,
+        **modules,
+    )
+
+
+class SIFTFeatureScaleSpace(_SIFT):
+    """Extrema of differences of Gaussians over position and scale, dominant gradients and SIFT descriptors.
+
+    Args:
+        num_features: slots of each image.
+        upright: leave out the dominant gradients.
+        rootsift: compute RootSIFT.
+        device: of the modules; None for the CPU.
+        compile_modules: as in :class:`ScaleSpaceDetector`.
+        descriptor_backend: 'patch', or 'pyramid' for :class:`SIFTDescriptorFromPyramid`.
+        descriptor_layout: 'kornia' or 'opencv', as in :func:`convert_sift_descriptor_layout`.
+
+    Raises:
+        ValueCheckError: an unknown backend or layout.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> lafs, responses, descriptors = K.feature.SIFTFeatureScaleSpace(10)(torch.rand(2, 1, 64, 64))
+        >>> descriptors.shape
+        torch.Size([2, 10, 128])
+    """
+
+    def __init__(
+        self,
+        num_features: int = 8000,
+        upright: bool = False,
+        rootsift: bool = True,
+        device: Device = None,
+        compile_modules: bool | Collection[str] = False,
+        descriptor_backend: str = "patch",
+        descriptor_layout: str = "kornia",
+    ) -> None:
+        detector = _dog_detector(num_features, compile_modules)
+        super().__init__(detector, upright, rootsift, device, descriptor_backend, descriptor_layout)
+
+
+class _WithHardNet(_OfGrayImages):
+    def __init__(self, detector: nn.Module, device: Device, scaling_coef: float = 1.0) -> None:
+        super().__init__(detector, LAFDescriptor(), scaling_coef)
+        self.to(device or "cpu").eval()
+
+
+def _orienter(upright: bool) -> nn.Module:
+    return PassLAF() if upright else LAFOrienter(19)
+
+
+def _affine() -> nn.Module:
+    return LAFAffNetShapeEstimator(True, preserve_orientation=False)
+
+
+def _affine_detector(
+    response: nn.Module, num_features: int, upright: bool, compile_modules: bool | Collection[str]
+) -> nn.Module:
+    return ScaleSpaceDetector(
+        num_features,
+        resp_module=response,
+        scale_pyr_module=ScalePyramid(3, 1.6, 32, double_image=True, extra_levels=2),
+        ori_module=_orienter(upright),
+        aff_module=_affine(),
+        compile_modules=compile_modules,
+    )
+
+
+class GFTTAffNetHardNet(_WithHardNet):
+    """Shi-Tomasi corners over scales with AffNet's shapes, dominant gradients and HardNet's descriptors.
+
+    Args:
+        num_features: slots of each image.
+        upright: leave out the dominant gradients.
+        device: of the modules; None for the CPU.
+        compile_modules: as in :class:`ScaleSpaceDetector`.
+
+    Raises:
+        RuntimeError: there are no weights on disk and no network.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> feature = K.feature.GFTTAffNetHardNet(500)  # doctest: +SKIP
+        >>> lafs, responses, descriptors = feature(torch.rand(2, 1, 64, 64))  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        num_features: int = 8000,
+        upright: bool = False,
+        device: Device = None,
+        compile_modules: bool | Collection[str] = False,
+    ) -> None:
+        super().__init__(_affine_detector(CornerGFTT(), num_features, upright, compile_modules), device)
+
+
+class HesAffNetHardNet(_WithHardNet):
+    """Hessian blobs over scales with AffNet's shapes, dominant gradients and HardNet's descriptors.
+
+    Args:
+        num_features: slots of each image.
+        upright: leave out the dominant gradients.
+        device: of the modules; None for the CPU.
+        compile_modules: as in :class:`ScaleSpaceDetector`.
+
+    Raises:
+        RuntimeError: there are no weights on disk and no network.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> feature = K.feature.HesAffNetHardNet(500)  # doctest: +SKIP
+        >>> lafs, responses, descriptors = feature(torch.rand(2, 1, 64, 64))  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        num_features: int = 2048,
+        upright: bool = False,
+        device: Device = None,
+        compile_modules: bool | Collection[str] = False,
+    ) -> None:
+        super().__init__(_affine_detector(BlobHessian(), num_features, upright, compile_modules), device)
+
+
+class DoGHardNet(_WithHardNet):
+    """Extrema of differences of Gaussians with dominant gradients and HardNet's descriptors of twice their size.
+
+    Args:
+        num_features: slots of each image.
+        upright: leave out the dominant gradients.
+        device: of the modules; None for the CPU.
+        compile_modules: as in :class:`ScaleSpaceDetector`.
+
+    Raises:
+        RuntimeError: there are no weights on disk and no network.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> feature = K.feature.DoGHardNet(500)  # doctest: +SKIP
+        >>> lafs, responses, descriptors = feature(torch.rand(2, 1, 64, 64))  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        num_features: int = 2048,
+        upright: bool = False,
+        device: Device = None,
+        compile_modules: bool | Collection[str] = False,
+    ) -> None:
+        detector = _dog_detector(num_features, compile_modules, ori_module=_orienter(upright))
+        super().__init__(detector, device, scaling_coef=2.0)
+
+
+class DoGAffNetHardNet(_WithHardNet):
+    """Extrema of differences of Gaussians with AffNet's shapes, dominant gradients and HardNet's descriptors.
+
+    Args:
+        num_features: slots of each image.
+        upright: leave out the dominant gradients.
+        device: of the modules; None for the CPU.
+        compile_modules: as in :class:`ScaleSpaceDetector`.
+
+    Raises:
+        RuntimeError: there are no weights on disk and no network.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> feature = K.feature.DoGAffNetHardNet(500)  # doctest: +SKIP
+        >>> lafs, responses, descriptors = feature(torch.rand(2, 1, 64, 64))  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        num_features: int = 2048,
+        upright: bool = False,
+        device: Device = None,
+        compile_modules: bool | Collection[str] = False,
+    ) -> None:
+        modules = {"ori_module": _orienter(upright), "aff_module": _affine()}
+        super().__init__(_dog_detector(num_features, compile_modules, **modules), device, scaling_coef=2.0)
+
+
+class KeyNetHardNet(_WithHardNet):
+    """Key.Net's features with OriNet's orientations and HardNet's descriptors.
+
+    Args:
+        num_features: slots of each image.
+        upright: leave out the orientations.
+        device: of the modules; None for the CPU.
+        scale_laf: frames are multiplied by it before they are described.
+        compile_model: torch.compile the response.
+        score_threshold: responses of features are above it.
+
+    Raises:
+        RuntimeError: there are no weights on disk and no network.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> feature = K.feature.KeyNetHardNet(500)  # doctest: +SKIP
+        >>> lafs, responses, descriptors = feature(torch.rand(2, 1, 64, 64))  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        num_features: int = 8000,
+        upright: bool = False,
+        device: Device = None,
+        scale_laf: float = 1.0,
+        compile_model: bool = False,
+        score_threshold: float = 0.0,
+    ) -> None:
+        detector = KeyNetDetector(
+            True,
+            num_features,
+            ori_module=PassLAF() if upright else LAFOrienter(angle_detector=OriNet(True)),
+            compile_model=compile_model,
+            score_threshold=score_threshold,
+        )
+        super().__init__(detector, device, scale_laf)
+
+
+class KeyNetAffNetHardNet(_WithHardNet):
+    """Key.Net's features with AffNet's shapes, OriNet's orientations and HardNet's descriptors.
+
+    Args:
+        num_features: slots of each image.
+        upright: leave out the orientations.
+        device: of the modules; None for the CPU.
+        scale_laf: frames are multiplied by it before they are described.
+        compile_model: torch.compile the response.
+        score_threshold: responses of features are above it.
+
+    Raises:
+        RuntimeError: there are no weights on disk and no network.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> feature = K.feature.KeyNetAffNetHardNet(500)  # doctest: +SKIP
+        >>> lafs, responses, descriptors = feature(torch.rand(2, 1, 64, 64))  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        num_features: int = 8000,
+        upright: bool = False,
+        device: Device = None,
+        scale_laf: float = 1.0,
+        compile_model: bool = False,
+        score_threshold: float = 0.0,
+    ) -> None:
+        detector = KeyNetDetector(
+            True,
+            num_features,
+            ori_module=PassLAF() if upright else LAFOrienter(angle_detector=OriNet(True)),
+            aff_module=_affine(),
+            compile_model=compile_model,
+            score_threshold=score_threshold,
+        )
+        super().__init__(detector, device, scale_laf)
+
+
+# --- matches --------------------------------------------------------------------------------------------------------
+
+
+class LocalFeatureMatcher(nn.Module):
+    """Match the features of pairs of images.
+
+    Args:
+        local_feature: a module like :class:`LocalFeature`.
+        matcher: a module from two sets of descriptors to distances (K, 1) and indices (K, 2), such as DescriptorMatcher;
+            GeometryAwareDescriptorMatcher gets the frames, too.
+
+    `forward(data)` takes a dict with `image0` and `image1` (B, C, H, W), and optionally `mask0` and `mask1`, or
+    `lafs0` with `descriptors0` and `lafs1` with `descriptors1`. It returns a dict of the matches of all pairs, one
+    after another: `keypoints0` and `keypoints1` (K, 2), `lafs0` and `lafs1` (1, K, 2, 3), `confidence` (K,), 1 less the
+    distances, and `batch_indexes` (K,). Empty slots do not match.
+
+    Raises:
+        ShapeError: the numbers of frames and of descriptors of an image differ.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> F = K.feature
+        >>> matcher = F.LocalFeatureMatcher(F.SIFTFeature(20), F.DescriptorMatcher("mnn"))
+        >>> image = torch.rand(2, 1, 64, 64)
+        >>> matches = matcher({"image0": image, "image1": image})
+        >>> bool((matches["keypoints0"] == matches["keypoints1"]).all())
+        True
+    """
+
+    def __init__(self, local_feature: nn.Module, matcher: nn.Module) -> None:
+        super().__init__()
+        self.local_feature = local_feature
+        self.matcher = matcher
+        self.eval()
+
+    def extract_features(self, image: Tensor, mask: Tensor | None = None) -> dict[str, Tensor]:
+        """Detect and describe: a dict with `lafs`, `responses`, `descriptors`."""
+        return dict(zip(("lafs", "responses", "descriptors"), self.local_feature(image, mask)))
+
+    def no_match_output(self, device: Device, dtype: torch.dtype) -> dict[str, Tensor]:
+        """The dict of no matches."""
+        none = torch.empty(0, device=device, dtype=dtype)
+        points, lafs = none.reshape(0, 2), none.reshape(1, 0, 2, 3)
+        indices = torch.empty(0, device=device, dtype=torch.long)
+        return {
+            "keypoints0": points,
+            "keypoints1": points.clone(),
+            "lafs0": lafs,
+            "lafs1": lafs.clone(),
+            "confidence": none,
+            "batch_indexes": indices,
+        }
+
+    def forward(self, data: dict[str, Tensor]) -> dict[str, Tensor]:
+        lafs, descriptors = zip(*(self._features(data, i) for i in "01"))
+        found = []
+        filled = [laf_is_filled(x) for x in lafs]
+        for i in range(lafs[0].shape[0]):
+            frames = [x[i][used[i]] for x, used in zip(lafs, filled)]
+            vectors = [x[i][used[i]] for x, used in zip(descriptors, filled)]
+            if not all(map(len, vectors)):
+                continue
+            aware = isinstance(self.matcher, GeometryAwareDescriptorMatcher)
+            distances, index = self.matcher(*vectors, *(x[None] for x in frames if aware))
+            pair = [x[index[:, k]] for k, x in enumerate(frames)]
+            found.append((*pair, 1 - distances.reshape(-1), torch.full_like(index[:, 0], i)))
+        if not found:
+            return self.no_match_output(lafs[0].device, lafs[0].dtype)
+        lafs0, lafs1, confidence, batch = (torch.cat(x) for x in zip(*found))
+        return {
+            "keypoints0": get_laf_center(lafs0[None])[0],
+            "keypoints1": get_laf_center(lafs1[None])[0],
+            "lafs0": lafs0[None],
+            "lafs1": lafs1[None],
+            "confidence": confidence,
+            "batch_indexes": batch,
+        }
+
+    def _features(self, data: dict[str, Tensor], i: str) -> tuple[Tensor, Tensor]:
+        if f"lafs{i}" in data and f"descriptors{i}" in data:
+            lafs, descriptors = data[f"lafs{i}"], data[f"descriptors{i}"]
+        else:
+            mask = data.get(f"mask{i}")
+            if mask is not None and mask.dim() == 3:
+                mask = mask[:, None]
+            features = self.extract_features(data[f"image{i}"], mask)
+            lafs, descriptors = features["lafs"], features["descriptors"]
+        if lafs.shape[:2] != descriptors.shape[:2]:
+            raise ShapeError(
+                f"LocalFeatureMatcher: expected as many descriptors{i} as lafs{i}, got {tuple(descriptors.shape)} and "
+                f"{tuple(lafs.shape)}"
+            )
+        return lafs, descriptors

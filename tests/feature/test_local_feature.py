@@ -1,0 +1,179 @@
+"""Detectors with descriptors, and matches of their features."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import nn
+
+import kvision as K
+from feature_images import photo
+from op_tests import assert_close
+
+F = K.feature
+LAFS = torch.tensor([[[[12.0, 0, 50], [0, 12, 60]], [[3, 8, 70], [-8, 3, 40]], [[0, 0, 0], [0, 0, 0]]]])
+
+
+@pytest.fixture
+def without_weights(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Networks keep their random weights, whatever `pretrained` says."""
+    for module in ("affnet", "hardnet", "keynet", "orinet"):
+        monkeypatch.setattr(f"kvision.feature.{module}.load_weights", lambda *args: None)
+
+
+def test_descriptors_are_those_of_patches(device):
+    image, sift = photo().to(device), F.SIFTDescriptor(32)
+    lafs = LAFS.to(device, torch.float64)
+    descriptors = F.get_laf_descriptors(image, lafs, sift)
+    patches = F.extract_patches_from_pyramid(image, lafs, 32)
+    assert_close(descriptors[:, :2], sift(patches[0])[None, :2])
+    assert (descriptors[:, 2] == 0).all()
+    color = image.expand(1, 3, -1, -1)
+    assert_close(F.LAFDescriptor(sift)(color, lafs), descriptors, 1e-6, 1e-6)
+
+
+@pytest.mark.parametrize("shape", [(1, 0), (0, 3)], ids=str)
+def test_no_frames_give_no_descriptors(shape, device):
+    image = torch.rand(shape[0], 1, 40, 40, device=device, requires_grad=True)
+    descriptors = F.LAFDescriptor(F.SIFTDescriptor(32))(image, torch.zeros(*shape, 2, 3, device=device))
+    assert descriptors.shape == (*shape, 128)
+    (grad,) = torch.autograd.grad(descriptors.sum(), image)
+    assert (grad == 0).all()
+
+
+def test_descriptors_run_in_evaluation_mode():
+    network = nn.Sequential(nn.Flatten(), nn.Dropout(0.5), nn.Linear(64, 4)).train()
+    image = torch.rand(1, 1, 128, 128)
+    first, second = (F.get_laf_descriptors(image, LAFS, network, 8) for _ in range(2))
+    assert torch.equal(first, second) and network.training and network[1].training
+    assert F.get_laf_descriptors(image.double(), LAFS, network, 8).dtype == torch.float64
+
+
+@pytest.mark.parametrize("backend", ["patch", "pyramid"])
+@pytest.mark.parametrize("name", ["SIFTFeature", "SIFTFeatureScaleSpace"])
+def test_sift_features(name, backend, device):
+    """An image and its half turn have the same features, turned; samples do not depend on each other."""
+    image = photo(112, 120).float().to(device)
+    feature = getattr(F, name)(40, device=device, descriptor_backend=backend)
+    lafs, responses, descriptors = feature(torch.cat([image, image.flip(2, 3)]))
+    assert lafs.shape == (2, 40, 2, 3) and descriptors.shape == (2, 40, 128)
+    one = feature(image)
+    assert_close(lafs[:1], one[0], 1e-4, 1e-2)
+    assert_close(responses[:1], one[1], 1e-4, 1e-5)
+    _, index = F.match_smnn(descriptors[0], descriptors[1], 0.9)
+    assert len(index) >= 20
+    a, b = (F.get_laf_center(lafs[i : i + 1])[0, index[:, i]] for i in range(2))
+    error = (a + b - torch.tensor([119.0, 111.0], device=device)).norm(dim=1)
+    assert (error < 1).float().mean() > 0.8
+    layout = getattr(F, name)(40, device=device, descriptor_backend=backend, descriptor_layout="opencv")(image)[2]
+    assert_close(layout, F.convert_sift_descriptor_layout(one[2], "kornia", "opencv"), 1e-4, 1e-4)
+    assert_close(feature(image.expand(1, 3, -1, -1))[1], one[1], 1e-4, 1e-5)
+
+
+@pytest.mark.parametrize("name", ["SIFTFeature", "SIFTFeatureScaleSpace"])
+def test_no_room_and_constant_images(name, device):
+    feature = getattr(F, name)(5, device=device)
+    for image in (torch.rand(1, 1, 9, 12, device=device), torch.full((1, 1, 70, 70), 0.5, device=device)):
+        image.requires_grad_()
+        results = feature(image)
+        (grad,) = torch.autograd.grad(sum(x.sum() for x in results), image)
+        assert all((x == 0).all() for x in results) and (grad == 0).all()
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["GFTTAffNetHardNet", "HesAffNetHardNet", "DoGHardNet", "DoGAffNetHardNet", "KeyNetHardNet", "KeyNetAffNetHardNet"],
+)
+@pytest.mark.parametrize("upright", [False, True])
+def test_combinations_of_networks(name, upright, without_weights, device):
+    torch.manual_seed(0)
+    feature = getattr(F, name)(12, upright, device)
+    assert not feature.training
+    image = photo(96, 100).float().to(device)
+    lafs, responses, descriptors = feature(torch.cat([image, image.flip(-1)]))
+    assert lafs.shape == (2, 12, 2, 3) and responses.shape == (2, 12) and descriptors.shape == (2, 12, 128)
+    assert lafs.isfinite().all() and descriptors.isfinite().all()
+    lengths = descriptors.norm(dim=-1)
+    assert_close(lengths, F.laf_is_filled(lafs).to(lengths.dtype), 1e-4, 1e-4)
+
+
+def test_gradients_from_end_to_end(device):
+    # Nowhere flat, and small frames, which do not reach out of the image: the angle of a gradient of 0 has no derivative.
+    noise = torch.rand(1, 1, 80, 84, dtype=torch.float64, generator=torch.Generator().manual_seed(1)).to(device)
+    image = K.filters.gaussian_blur2d(noise, (9, 9), (2.0, 2.0)).requires_grad_()
+    feature = F.LocalFeature(
+        F.ScaleSpaceDetector(2, mr_size=1.0), F.LAFDescriptor(F.SIFTDescriptor(32, rootsift=False)), 2.0
+    )
+    weights = torch.linspace(-1, 1, 256, dtype=torch.float64, device=device).view(1, 2, 128)
+
+    def total(x):
+        lafs, responses, descriptors = feature(x)
+        return lafs[..., 2].sum() + responses.sum() + (descriptors * weights).sum()
+
+    (grad,) = torch.autograd.grad(total(image), image)
+    step = 1e-6 * torch.rand_like(image)
+    with torch.no_grad():
+        change = (total(image + step) - total(image - step)) / 2
+    assert_close(change, (grad * step).sum(), 2e-2, 1e-9)
+
+
+def test_matches_of_pairs(device):
+    image = photo(112, 120).float().to(device)
+    pair = {"image0": torch.cat([image, image, 0 * image]), "image1": torch.cat([image, image.flip(2, 3), image])}
+    feature = F.SIFTFeature(30, device=device)
+    for matcher in (F.DescriptorMatcher("smnn", 0.9), F.GeometryAwareDescriptorMatcher("fginn", {"mutual": True})):
+        matches = F.LocalFeatureMatcher(feature, matcher)(pair)
+        batch = matches["batch_indexes"]
+        count = len(batch)
+        assert set(batch.tolist()) == {0, 1}
+        assert matches["lafs0"].shape == matches["lafs1"].shape == (1, count, 2, 3)
+        assert matches["confidence"].shape == (count,)
+        same = matches["keypoints0"] - matches["keypoints1"]
+        assert (same[batch == 0].abs().amax(1) < 1e-3).float().mean() > 0.9
+    none = F.LocalFeatureMatcher(feature, F.DescriptorMatcher())({"image0": 0 * image, "image1": image})
+    assert none["keypoints0"].shape == (0, 2) and none["lafs1"].shape == (1, 0, 2, 3)
+
+
+def test_the_example_of_the_paper(device):
+    """Detection, description and matching as printed, with random weights. The order of results is Kornia's."""
+    img0 = photo(112, 120).float().to(device)
+    img1 = img0.flip(2, 3)
+    detector = K.ScaleSpaceDetector(
+        100,
+        resp_module=K.BlobHessian(),
+        nms_module=K.ConvQuadInterp3d(10),
+        scale_pyr_module=K.ScalePyramid(3, 1.6, 32, double_image=True),
+        ori_module=K.LAFOrienter(19),
+        aff_module=K.LAFAffineShapeEstimator(19),
+        mr_size=6.0,
+    ).to(device)
+    torch.manual_seed(0)
+    descriptor = K.HardNet(pretrained=False).to(device).eval()
+    points, descriptors = [], []
+    for image in (img0, img1):
+        lafs, _ = detector(image)
+        patches = K.extract_patches_from_pyramid(image, lafs, 32)
+        B, N, CH, H, W = patches.size()
+        descriptors.append(descriptor(patches.view(B * N, CH, H, W)).view(B, N, -1)[0])
+        points.append(lafs[..., 2])
+    scores, tentatives = K.match_smnn(*descriptors, 0.95)
+    assert len(tentatives) > 15
+    found = [x[:, tentatives[:, i]] for i, x in enumerate(points)]
+    homography = K.find_homography_dlt_iterated(*found, 1 - scores.view(1, -1), 3.0)
+    assert homography.shape == (1, 3, 3) and homography.isfinite().all()
+
+
+BAD = [
+    (lambda: F.LocalFeature(nn.Identity(), nn.Identity(), 0.0), ValueError, "scaling_coef above 0"),
+    (lambda: F.SIFTFeature(10, descriptor_backend="fast"), ValueError, "descriptor_backend must be one of"),
+    (lambda: F.SIFTFeatureScaleSpace(10, descriptor_layout="x"), ValueError, "descriptor_layout must be one of"),
+    (lambda: F.get_laf_descriptors([1], LAFS, nn.Identity()), TypeError, "expected img to be a Tensor"),
+    (lambda: F.get_laf_descriptors(torch.rand(2, 1, 9, 9), LAFS, nn.Identity()), ValueError, "expected lafs of shape"),
+    (lambda: F.SIFTFeature(10)([1]), TypeError, "SIFTFeature: expected img to be a Tensor"),
+]
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors(call, error, message):
+    with pytest.raises(error, match=message):
+        call()

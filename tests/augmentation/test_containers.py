@@ -231,3 +231,41 @@ def test_gradient_through_a_container() -> None:
     container = A.ImageSequential(A.RandomHorizontalFlip(), A.RandomRotation(30.0, p=1.0), A.ColorJitter(*JITTER))
     x = (0.3 + 0.4 * torch.rand(2, 3, 6, 7, generator=torch.Generator().manual_seed(0))).double().requires_grad_()
     assert torch.autograd.gradcheck(lambda x: container(x, seed=3), x, eps=1e-7, atol=1e-4)
+
+
+@pytest.mark.parametrize("format", ["BTCHW", "BCTHW"])
+def test_frames_of_a_video_get_the_same(format: str, device: torch.device) -> None:
+    frames = images(device, 3)[:, None].expand(-1, 4, -1, -1, -1)
+    x = frames if format == "BTCHW" else frames.transpose(1, 2)
+    children = [
+        A.RandomCrop((10, 12)),
+        A.RandomHorizontalFlip(),
+        A.ColorJitter(*JITTER),
+        A.RandomGaussianBlur(3, (0.5, 2.0)),
+    ]
+    augment = A.VideoSequential(*children, data_format=format)
+    y = augment(x)
+    of_frames = y if format == "BTCHW" else y.transpose(1, 2)
+    assert of_frames.shape == (3, 4, 3, 10, 12)
+    assert torch.equal(of_frames, of_frames[:, :1].expand_as(of_frames))
+    assert torch.equal(augment(x, params=augment._params), y)
+    assert augment.inverse(y).shape == x.shape
+    seeds = torch.tensor([5, 6, 7])
+    assert torch.equal(augment(x[1:], seed=seeds[1:]), augment(x, seed=seeds)[1:])
+    own = A.VideoSequential(*children, data_format=format, same_on_frame=False)(x)
+    assert not torch.equal(own.flatten(), y.flatten())
+    with pytest.raises(AssertionError, match="VideoSequential: expected input of shape"):
+        augment(images())
+
+
+def test_dispatchers() -> None:
+    x = images()
+    flips = A.RandomHorizontalFlip(p=1.0), A.RandomVerticalFlip(p=1.0)
+    a, b = A.ManyToManyAugmentationDispather(*flips)(x, x)
+    assert torch.equal(a, x.flip(-1)) and torch.equal(b, x.flip(-2))
+    with pytest.raises(ValueError, match="expected 2 inputs"):
+        A.ManyToManyAugmentationDispather(*flips)(x)
+    with pytest.raises(ValueError, match="same data_keys"):
+        A.ManyToOneAugmentationDispather(
+            A.AugmentationSequential(flips[0]), A.AugmentationSequential(flips[1], data_keys=["input", "mask"])
+        )

@@ -22,7 +22,13 @@ from kvision.augmentation.base import (
 )
 from kvision.augmentation.channels import RandomChannelDropout, RandomChannelShuffle, RandomPlanckianJitter
 from kvision.augmentation.color_jitter import ColorJiggle, ColorJitter
-from kvision.augmentation.container import AugmentationSequential, ImageSequential
+from kvision.augmentation.container import (
+    AugmentationSequential,
+    ImageSequential,
+    ManyToManyAugmentationDispather,
+    ManyToOneAugmentationDispather,
+    VideoSequential,
+)
 from kvision.augmentation.crop import CenterCrop, RandomCrop, RandomResizedCrop
 from kvision.augmentation.filters import (
     RandomAutoContrast,
@@ -63,6 +69,8 @@ __all__ = [
     "IntensityAugmentationBase2D",
     "IntensityAugmentationBase3D",
     "LongestMaxSize",
+    "ManyToManyAugmentationDispather",
+    "ManyToOneAugmentationDispather",
     "MixAugmentationBaseV2",
     "Normalize",
     "PadTo",
@@ -107,6 +115,7 @@ __all__ = [
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",
     "SmallestMaxSize",
+    "VideoSequential",
     "container",
     "random_generator",
 ]

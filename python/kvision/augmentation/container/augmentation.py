@@ -175,9 +175,7 @@ class AugmentationSequential(ImageSequential):
         """Labels without their images, moved by the last call or by given parameters."""
         stages = self._stages
         if params is not None:
-            shape = next(tuple(map(int, p.data["forward_input_shape"])) for p in params if isinstance(p.data, dict))
-            children = self._children_of_call(params, self._source(None, None))
-            stages = execute(torch.zeros(1).expand(shape), children, self._source(None, None))[1]
+            stages = self._stages_of(torch.zeros(1), params)
         return [self._moved(key, value, stages) for key, value in zip(keys, inputs)]
 
     # --- labels ---
@@ -245,9 +243,7 @@ class AugmentationSequential(ImageSequential):
     def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
         stages = self._stages
         if params is not None:
-            shape = next(tuple(map(int, p.data["forward_input_shape"])) for p in params if isinstance(p.data, dict))
-            children = self._children_of_call(params, self._source(None, None))
-            stages = execute(torch.zeros(1).expand(shape), children, self._source(None, None))[1]
+            stages = self._stages_of(torch.zeros(1), params)
         outputs = []
         for key, value in zip(keys, inputs):
             if key == DataKey.INPUT:

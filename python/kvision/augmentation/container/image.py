@@ -343,14 +343,15 @@ class ImageSequential(ImageSequentialBase):
             Images of the size that the input had; 0 where the result knows nothing of them.
         """
         x = self.transform_tensor(input)
-        if params is not None:
-            shape = _input_shape(params)
-            image = x.new_zeros(1).expand(shape if shape is not None else tuple(x.shape))
-            children = self._children_of_call(params, self._source(None, None))
-            stages = execute(image, children, self._source(None, None))[1]
-        else:
-            stages = self._stages
+        stages = self._stages if params is None else self._stages_of(x, params)
         return self._restored(invert(x, stages), input)
+
+    def _stages_of(self, x: Tensor, params: Sequence[ParamItem]) -> list[Stage]:
+        """What a call with given parameters did, on images of which only the size counts."""
+        shape = _input_shape(params)
+        image = x.new_zeros(1).expand(tuple(x.shape) if shape is None else shape)
+        source = self._source(None, None)
+        return execute(image, self._children_of_call(params, source), source)[1]
 
     def is_intensity_only(self, strict: bool = True) -> bool:
         """Whether all children leave pixels in their places; other modules count as moving them if `strict`."""

@@ -67,6 +67,7 @@ class Randomness(NamedTuple):
     seed: Seed
     generator: Generator | None
     once: bool  # one resampling for neighboring geometric augmentations
+    frames: int = 1  # how many neighboring samples share their parameters: the frames of a video
 
 
 def execute(x: Tensor, children: Sequence[Child], source: Randomness, position: int = 0) -> tuple[Tensor, list[Stage]]:
@@ -123,12 +124,29 @@ def _execute_run(x: Tensor, run: Sequence[Child], source: Randomness, position: 
         executions = _replay(x, run)
     else:
         executions = _draw(x, modules, source, position)
+        if source.frames > 1:
+            executions = _repeated(executions, source.frames)
     pending = _Pending(x, source.once)
     for module, execution in zip(modules, executions):
         execution.shape = (x.shape[0], *pending.shape[1:])
         module._execution = execution
         pending.add(module, execution)
     return pending.finish()
+
+
+def _repeated(executions: Sequence[Execution], count: int) -> list[Execution]:
+    """The same for `count` neighboring samples of each, which are the frames of a video."""
+    drawn: dict[int, Tensor] = {}
+    repeated = []
+    for e in executions:
+        columns = e.columns
+        if columns is not None:
+            if id(columns.drawn) not in drawn:
+                drawn[id(columns.drawn)] = columns.drawn.repeat_interleave(count, 0)
+            columns = columns._replace(drawn=drawn[id(columns.drawn)])
+        # Without the keys: drawn again, samples would be others.
+        repeated.append(Execution((e.shape[0] * count, *e.shape[1:]), columns, None, e.applied))
+    return repeated
 
 
 def _replay(x: Tensor, run: Sequence[Child]) -> list[Execution]:
@@ -145,6 +163,8 @@ def _replay(x: Tensor, run: Sequence[Child]) -> list[Execution]:
 
 def _draw(x: Tensor, modules: Sequence[AugmentationBase], source: Randomness, position: int) -> list[Execution]:
     """The executions of augmentations, whose parameters are drawn by one launch."""
+    if source.frames > 1:
+        x = x[:: source.frames]
     shape = tuple(x.shape)
     shapes, requests = [], []
     # What changes sizes by chance decides with its key on the host, before the parameters of those after it are planned.

@@ -1,0 +1,139 @@
+"""Chains of augmentations of videos."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from torch import Generator, Tensor, nn
+
+from kvision.augmentation.container.image import ImageSequential, ParamItem, invert
+from kvision.augmentation.container.runs import Randomness
+from kvision.augmentation.keys import Seed
+from kvision.core.exceptions import ShapeError, ValueCheckError
+
+__all__ = ["VideoSequential"]
+
+
+class _RankError(ShapeError, AssertionError):
+    """Kornia raises an AssertionError."""
+
+
+class VideoSequential(ImageSequential):
+    """Run augmentations on videos, each frame with the parameters of its video or with its own.
+
+    Args:
+        *args: augmentations, or any modules of images.
+        data_format: 'BTCHW' or 'BCTHW': the order of the axes of videos.
+        same_on_frame: all frames of a video get the same parameters.
+        random_apply: False runs all children in order; True a random number of them in random order; n that many; (n, m) at
+            least n and fewer than m.
+        random_apply_weights: relative probabilities of the children with `random_apply`.
+        if_unsupported_ops: accepted for code written for Kornia; any module may be a child.
+        resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones and
+            interpolates once.
+        generator: draws the keys of each call; default: torch's generator.
+
+    Raises:
+        TypeError: a child is no module.
+        ValueError: `data_format` is unknown.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> augment = K.augmentation.VideoSequential(K.augmentation.RandomHorizontalFlip(p=1.0))
+        >>> augment(torch.tensor([1.0, 2.0]).expand(1, 3, 1, 1, 2)).flatten()
+        tensor([2., 1., 2., 1., 2., 1.])
+    """
+
+    def __init__(
+        self,
+        *args: nn.Module,
+        data_format: str = "BTCHW",
+        same_on_frame: bool = True,
+        random_apply: int | bool | tuple[int, int] | tuple[int] = False,
+        random_apply_weights: Sequence[float] | None = None,
+        if_unsupported_ops: str = "raise",
+        resample: str = "each",
+        generator: Generator | None = None,
+    ) -> None:
+        super().__init__(
+            *args,
+            random_apply=random_apply,
+            random_apply_weights=random_apply_weights,
+            resample=resample,
+            generator=generator,
+        )
+        if not isinstance(data_format, str) or data_format.upper() not in ("BTCHW", "BCTHW"):
+            raise ValueCheckError(
+                f"VideoSequential: expected data_format to be 'BTCHW' or 'BCTHW', got {data_format!r}"
+            )
+        self.data_format, self.same_on_frame = data_format.upper(), same_on_frame
+
+    # Frames are samples of a batch (B T, C, H, W), and the parameters of a video are repeated for its frames.
+
+    def _frames(self, videos: Any) -> tuple[Tensor, tuple[int, int]]:
+        if not isinstance(videos, Tensor) or videos.dim() != 5:
+            got = tuple(videos.shape) if isinstance(videos, Tensor) else type(videos).__name__
+            axes = ", ".join(self.data_format)
+            raise _RankError(f"VideoSequential: expected input of shape ({axes}), got {got}")
+        if self.data_format == "BCTHW":
+            videos = videos.transpose(1, 2)
+        return videos.flatten(0, 1), (videos.shape[0], videos.shape[1])
+
+    def _videos(self, frames: Tensor, sizes: tuple[int, int]) -> Tensor:
+        videos = frames.unflatten(0, sizes)
+        return videos.transpose(1, 2) if self.data_format == "BCTHW" else videos
+
+    def transform_tensor(self, input: Tensor) -> Tensor:
+        return self._frames(input)[0]
+
+    def forward(  # a video has one more axis
+        self,
+        input: Tensor,
+        params: Sequence[ParamItem] | None = None,
+        extra_args: dict[Any, Any] | None = None,
+        *,
+        seed: Seed = None,
+        generator: Generator | None = None,
+    ) -> Tensor:
+        """Augment videos.
+
+        Args:
+            input: videos (B, T, C, H, W), or (B, C, T, H, W) as `data_format` says, of a floating-point type or uint8.
+            params: the `_params` of an earlier call, to repeat it on these videos.
+            extra_args: accepted for code written for Kornia.
+            seed: an int, or int64 (B,) with one of a video, from which all parameters follow.
+            generator: draws the keys of this call; default: that of the constructor, or torch's.
+
+        Returns:
+            Videos of the type and the order of axes of `input`.
+
+        Raises:
+            ValueError: `input` has another number of axes.
+        """
+        frames, sizes = self._frames(input)
+        y = self._execute(frames, params, self._source(seed, generator)._replace(frames=self._repeats(sizes)))
+        return self._videos(y, sizes)
+
+    def _repeats(self, sizes: tuple[int, int]) -> int:
+        return sizes[1] if self.same_on_frame else 1
+
+    def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> Any:
+        raise _RankError("VideoSequential: expected videos, got the images of another container")
+
+    def inverse(
+        self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
+    ) -> Tensor:
+        """Undo the geometric part of a call, the last one unless parameters are given.
+
+        Args:
+            input: videos as that call returned them.
+            params: the `_params` of the call.
+            extra_args: accepted for code written for Kornia.
+
+        Returns:
+            Videos of the size that the input had; 0 where the result knows nothing of them.
+        """
+        frames, sizes = self._frames(input)
+        stages = self._stages if params is None else self._stages_of(frames, params)
+        return self._videos(invert(frames, stages), sizes)

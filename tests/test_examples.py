@@ -191,9 +191,9 @@ def test_depth_of_own_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str
         "--width",
         "160",
         "--iterations",
-        "40",
+        "100",
         "--levels",
-        "3",
+        "5",
     ]
     depth.main([*options, "--out", str(tmp_path), "--device", "cpu"])
     printed = capsys.readouterr().out

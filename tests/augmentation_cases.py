@@ -70,5 +70,11 @@ INTENSITY = [
     Case("RandomSaturation", ((0.5, 1.5),), any_channels=False),
     Case("RandomSharpness", ((0.2, 1.8),)),
     Case("RandomSolarize", (0.1, 0.1)),
+    Case("RandomErasing"),
+    Case("RandomGaussianIllumination"),
+    Case("RandomGaussianNoise", (0.1, 0.2)),
+    Case("RandomLinearCornerIllumination"),
+    Case("RandomLinearIllumination"),
+    Case("RandomSaltAndPepperNoise", ((0.1, 0.4),)),
 ]
 CASES = [*GEOMETRIC, *INTENSITY]

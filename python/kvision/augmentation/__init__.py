@@ -30,6 +30,7 @@ from kvision.augmentation.container import (
     VideoSequential,
 )
 from kvision.augmentation.crop import CenterCrop, RandomCrop, RandomResizedCrop
+from kvision.augmentation.erasing import RandomErasing
 from kvision.augmentation.filters import (
     RandomAutoContrast,
     RandomBoxBlur,
@@ -43,6 +44,11 @@ from kvision.augmentation.filters import (
 )
 from kvision.augmentation.flip import RandomHorizontalFlip, RandomVerticalFlip
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
+from kvision.augmentation.illumination import (
+    RandomGaussianIllumination,
+    RandomLinearCornerIllumination,
+    RandomLinearIllumination,
+)
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
 from kvision.augmentation.mix import (
     MixAugmentationBaseV2,
@@ -54,6 +60,7 @@ from kvision.augmentation.mix import (
 )
 from kvision.augmentation.normalize import Denormalize, Normalize
 from kvision.augmentation.perspective import RandomPerspective
+from kvision.augmentation.random_noise import RandomGaussianNoise, RandomSaltAndPepperNoise
 from kvision.augmentation.resize import LongestMaxSize, PadTo, Resize, SmallestMaxSize
 
 __all__ = [
@@ -86,14 +93,19 @@ __all__ = [
     "RandomCrop",
     "RandomCutMixV2",
     "RandomEqualize",
+    "RandomErasing",
     "RandomGamma",
     "RandomGaussianBlur",
+    "RandomGaussianIllumination",
+    "RandomGaussianNoise",
     "RandomGrayscale",
     "RandomHorizontalFlip",
     "RandomHue",
     "RandomInvert",
     "RandomJPEG",
     "RandomJigsaw",
+    "RandomLinearCornerIllumination",
+    "RandomLinearIllumination",
     "RandomMedianBlur",
     "RandomMixUpV2",
     "RandomMosaic",
@@ -105,6 +117,7 @@ __all__ = [
     "RandomResizedCrop",
     "RandomRotation",
     "RandomRotation90",
+    "RandomSaltAndPepperNoise",
     "RandomSaturation",
     "RandomSharpness",
     "RandomShear",

@@ -23,6 +23,7 @@ from torch import Generator, Tensor, nn
 from kvision.augmentation.columns import Columns, draw_columns, identity_values
 from kvision.augmentation.draws import Draw, Request, is_chosen_batch
 from kvision.augmentation.keys import Keys, Seed, draw_keys
+from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
@@ -65,6 +66,7 @@ class AugmentationBase(nn.Module):
     axes: ClassVar[int]  # of an image with its channels: 3, of a volume: 4
     whole_batch: ClassVar[bool] = False  # the size of the result changes, so that all samples are chosen or none
     accepts_bytes: ClassVar[bool] = True  # otherwise uint8 images are computed in float32, in [0, 1]
+    fuses_noise: ClassVar[bool] = False  # `apply_transform` takes "_noise" in place of the parameters of pixels
 
     def __init__(
         self,
@@ -114,11 +116,13 @@ class AugmentationBase(nn.Module):
             shape, columns = execution.shape, execution.columns
             chosen = torch.full((shape[0],), float(execution.applied))
             request = self._request(shape)
-            if request is not None and execution.redraw is not None and columns is not None and columns.drawn.is_cuda:
+            redraw = execution.redraw
+            if request is not None and redraw is not None and columns is not None and columns.drawn.is_cuda:
                 # Drawn again on the host, which gives the same numbers and waits for nothing but a key on the device.
-                keys, index = execution.redraw
+                keys, index = redraw
                 host = Keys(keys.keys.cpu(), None if keys.seeds is None else keys.seeds.cpu(), keys.one_key)
                 (columns,) = draw_columns(torch.empty(shape[0]), host, [request], index)
+                redraw = (host, index)
             params: Params = {}
             if columns is not None:
                 if columns.chosen is not None:
@@ -128,6 +132,9 @@ class AugmentationBase(nn.Module):
                 values = torch.empty(shape[0], 0)
             if self._param_generator is not None and (columns is not None or request is None or not request.draws):
                 params = self._param_generator.to_params(values, shape)
+                if self._param_generator.per_pixel and redraw is not None:
+                    noise = PixelNoise(*redraw, self.same_on_batch, values.device)
+                    params.update(self._param_generator.pixel_params(values, shape, noise))
             params["batch_prob"] = chosen
             params["forward_input_shape"] = torch.tensor(shape)
             execution.params = {
@@ -168,7 +175,8 @@ class AugmentationBase(nn.Module):
         draws: list[Any] = [] if self._param_generator is None else list(self._param_generator.draws(shape))
         if self.whole_batch:
             return Request(draws, 1.0, 1.0, self.same_on_batch) if draws or 0 < self.p_batch < 1 else None
-        if self.p < 1 or self.p_batch < 1:
+        per_pixel = self._param_generator is not None and self._param_generator.per_pixel
+        if self.p < 1 or self.p_batch < 1 or (per_pixel and not draws):
             draws.insert(0, Draw("chosen"))
         return Request(draws, self.p, self.p_batch, self.same_on_batch) if draws else None
 
@@ -250,9 +258,7 @@ class AugmentationBase(nn.Module):
     def forward_parameters(self, batch_shape: Sequence[int]) -> Params:
         """Draw the parameters of a batch by name, with `batch_prob` and `forward_input_shape`."""
         shape = tuple(batch_shape)
-        like = torch.empty(shape[0], device=self._rng[0])
-        execution = self._draw(like, None, None)
-        execution.shape = shape
+        execution = self._draw(torch.empty(1, device=self._rng[0]).expand(shape), None, None)
         if self._is_overridden("generate_parameters"):
             execution.params = None
             return {**self._read_params(execution), **self.generate_parameters(shape)}
@@ -315,10 +321,18 @@ class AugmentationBase(nn.Module):
         if self._is_overridden("generate_parameters"):
             execution.params = {**self._read_params(execution), **self.generate_parameters(execution.shape)}
             return self._on_device(execution.params, x.device)
-        shape = {"forward_input_shape": torch.tensor(execution.shape)}
+        params: Params = {"forward_input_shape": torch.tensor(execution.shape)}
         if execution.columns is None or self._param_generator is None:
-            return shape
-        return {**self._param_generator.to_params(execution.columns.values, execution.shape), **shape}
+            return params
+        values, shape = execution.columns.values, execution.shape
+        params.update(self._param_generator.to_params(values, shape))
+        if self._param_generator.per_pixel and execution.redraw is not None:
+            noise = PixelNoise(*execution.redraw, self.same_on_batch, x.device)
+            if self.fuses_noise and not self._is_customized():
+                params["_noise"] = (values, noise)
+            else:
+                params.update(self._param_generator.pixel_params(values, shape, noise))
+        return params
 
     # --- calling ---
 

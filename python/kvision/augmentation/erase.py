@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision._ops import match_layout, register, saturate_to_byte
 
 
-def _erased(images: Tensor, boxes: Tensor) -> Tensor:
+def is_erased(images: Tensor, boxes: Tensor) -> Tensor:
     """Which pixels (B, 1, H, W) lie in the box of their sample."""
     height, width = images.shape[-2:]
     x, y, w, h = boxes.double().unbind(1)
@@ -26,7 +26,7 @@ def _reference(images: Tensor, boxes: Tensor, values: Tensor) -> Tensor:
     """Boxes are (B, 4): x, y, width, height; values (B,) are in the units of the images."""
     if images.dtype == torch.uint8:
         values = saturate_to_byte(values)
-    filled = torch.where(_erased(images, boxes), values.to(images.dtype)[:, None, None, None], images)
+    filled = torch.where(is_erased(images, boxes), values.to(images.dtype)[:, None, None, None], images)
     return match_layout(filled, images)
 
 

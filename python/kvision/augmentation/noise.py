@@ -7,12 +7,14 @@ The words of a pixel are those of the draw's block at `c * ceil(H * W / 4) + (y 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from kvision._ops import Operator, match_layout, register, saturate_to_byte
-from kvision.augmentation.draws import philox, unit
+from kvision.augmentation.draws import MAX_DRAWS, philox, unit
+from kvision.augmentation.keys import Keys
 
 # Arguments of the operators: images (B, C, H, W); parameters (B, 2) of the type that is computed in, for images in [0, 1]
 # (bytes have 255 times their noise); keys (K,) int64 on the CPU or the images' device; seeds (B,) int64, which replace the
@@ -163,3 +165,27 @@ salt_and_pepper = register(
     bytes=True,
     casts_outputs=True,
 )
+
+
+class PixelNoise(NamedTuple):
+    """The source of the noise of one augmentation in one call: its key, which gives any number of independent maps."""
+
+    keys: Keys
+    number: int  # of the augmentation, as draw_columns counts
+    same_on_batch: bool
+    device: torch.device
+
+    def arguments(self, map: int = 0) -> tuple[Tensor, Tensor | None, None, tuple[int, int, int, int]]:
+        """The arguments of the operators after the parameters, for all samples."""
+        key, position = (0, self.number) if self.keys.one_key else (self.number, 0)
+        seeds = self.keys.seeds
+        if seeds is not None:
+            seeds = seeds.to(self.device, non_blocking=True)
+        # Draws of parameters have the numbers up to MAX_DRAWS.
+        return self.keys.keys, seeds, None, (key, position, MAX_DRAWS + 1 + map, int(self.same_on_batch))
+
+    def uniform(self, shape: Sequence[int], map: int = 0) -> Tensor:
+        """Uniform noise (B, C, H, W) in [0, 1], float64: normal noise through its distribution function."""
+        zero = torch.zeros(tuple(shape), dtype=torch.float64, device=self.device)
+        standard = zero.new_tensor([[0.0, 1.0]]).expand(shape[0], 2)
+        return torch.special.ndtr(gaussian_noise(zero, standard, *self.arguments(map)))

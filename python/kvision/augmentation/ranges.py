@@ -104,6 +104,13 @@ def parse(
     return Range(low, high)
 
 
+def both_ends(value: Any) -> Any:
+    """A number, or the only entry of a sequence, as the pair of it and itself; anything else as it is."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return (value, value)
+    return (value[0], value[0]) if isinstance(value, (tuple, list)) and len(value) == 1 else value
+
+
 def pairs(op: str, name: str, value: Any, count: int, **options: Any) -> list[Range]:
     """`count` ranges from `count` pairs; a shorter value is one range, or a number, for all of them."""
     if isinstance(value, Tensor) and not value.requires_grad:

@@ -15,10 +15,16 @@ from kvision.augmentation.random_generator.crop import (
     ResizeGenerator,
     center_crop_generator,
 )
+from kvision.augmentation.random_generator.erase import RectangleEraseGenerator
 from kvision.augmentation.random_generator.filters import (
     JPEGGenerator,
     MotionBlurGenerator,
     RandomGaussianBlurGenerator,
+)
+from kvision.augmentation.random_generator.illumination import (
+    GaussianIlluminationGenerator,
+    LinearCornerIlluminationGenerator,
+    LinearIlluminationGenerator,
 )
 from kvision.augmentation.random_generator.mix import (
     CutmixGenerator,
@@ -27,6 +33,7 @@ from kvision.augmentation.random_generator.mix import (
     MosaicGenerator,
     PatchMixGenerator,
 )
+from kvision.augmentation.random_generator.noise import GaussianNoiseGenerator, SaltAndPepperGenerator
 from kvision.augmentation.random_generator.perspective import PerspectiveGenerator
 from kvision.augmentation.random_generator.plain import (
     DistributionWithMapper,
@@ -44,8 +51,12 @@ __all__ = [
     "CropGenerator",
     "CutmixGenerator",
     "DistributionWithMapper",
+    "GaussianIlluminationGenerator",
+    "GaussianNoiseGenerator",
     "JPEGGenerator",
     "JigsawGenerator",
+    "LinearCornerIlluminationGenerator",
+    "LinearIlluminationGenerator",
     "MixupGenerator",
     "MosaicGenerator",
     "MotionBlurGenerator",
@@ -57,8 +68,10 @@ __all__ = [
     "ProbabilityGenerator",
     "RandomGaussianBlurGenerator",
     "RandomGeneratorBase",
+    "RectangleEraseGenerator",
     "ResizeGenerator",
     "ResizedCropGenerator",
+    "SaltAndPepperGenerator",
     "ShearGenerator",
     "TranslateGenerator",
     "UniformDistribution",

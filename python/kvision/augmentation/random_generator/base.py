@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.keys import draw_keys
+from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.ranges import LearnedUniform
 
 Shape = Sequence[int]
@@ -34,6 +35,7 @@ class RandomGeneratorBase(nn.Module):
     """
 
     fields: Sequence[tuple[str, int]] = ()
+    per_pixel = False  # there are `pixel_params` besides
 
     def __init__(self) -> None:
         super().__init__()
@@ -63,6 +65,10 @@ class RandomGeneratorBase(nn.Module):
         parts = [params[name] if width else params[name][:, None] for name, width in self.fields]
         return torch.cat(parts, 1) if parts else torch.empty(shape[0], 0)
 
+    def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
+        """Parameters with numbers of their own for each pixel, which come from the noise of the key of a call."""
+        return {}
+
     def forward(self, batch_shape: Shape, same_on_batch: bool = False) -> dict[str, Tensor]:
         """Draw the parameters of a batch with a key from torch's default generator.
 
@@ -77,6 +83,9 @@ class RandomGeneratorBase(nn.Module):
         keys = draw_keys(type(self).__name__, 1, like.device, None, None)
         (columns,) = draw_columns(like, keys, [Request(self.draws(batch_shape), same_on_batch=same_on_batch)])
         params = self.to_params(columns.values, batch_shape)
+        if self.per_pixel:
+            noise = PixelNoise(keys, 0, same_on_batch, like.device)
+            params.update(self.pixel_params(columns.values, batch_shape, noise))
         return {
             name: x.to(self.dtype) if isinstance(x, Tensor) and x.is_floating_point() else x
             for name, x in params.items()

@@ -1,0 +1,69 @@
+"""Random erasing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision._dtype import compute_dtype
+from kvision.augmentation.base import Execution, Params
+from kvision.augmentation.erase import erase_rectangles, is_erased
+from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.random_generator.erase import RectangleEraseGenerator
+
+__all__ = ["RandomErasing"]
+
+
+class RandomErasing(IntensityAugmentationBase2D):
+    """Fill a random rectangle of each image with a value, and of its masks with 0.
+
+    Args:
+        scale: pair of lowest and highest area, as fractions of the image's.
+        ratio: pair of lowest and highest height to width.
+        value: the fill value, within 0 and 1.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> erase = K.augmentation.RandomErasing((0.25, 0.25), (1.0, 1.0), p=1.0)
+        >>> erase(torch.ones(1, 1, 4, 4)).sum()
+        tensor(12.)
+    """
+
+    def __init__(
+        self,
+        scale: Any = (0.02, 0.33),
+        ratio: Any = (0.3, 3.3),
+        value: float = 0.0,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator: RectangleEraseGenerator = RectangleEraseGenerator(scale, ratio, value)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        values = params["values"].to(compute_dtype(input))
+        if input.dtype == torch.uint8:
+            values = values * 255
+        y: Tensor = erase_rectangles(input, self._param_generator.to_columns(params, tuple(input.shape)), values)
+        return y
+
+    def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if not execution.applied:
+            return masks
+        params = self._params_on_device(masks, execution)
+        erased = is_erased(masks, self._param_generator.to_columns(params, execution.shape))
+        if execution.chosen is not None:
+            erased = erased & execution.chosen.to(masks.device)[:, None, None, None]
+        return masks.masked_fill(erased, 0)

@@ -1,0 +1,145 @@
+"""Random light on a part of the image."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torch import Tensor
+
+from kvision.augmentation.base import Params
+from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.random_generator.illumination import (
+    GaussianIlluminationGenerator,
+    LinearCornerIlluminationGenerator,
+    LinearIlluminationGenerator,
+)
+
+__all__ = ["RandomGaussianIllumination", "RandomLinearCornerIllumination", "RandomLinearIllumination"]
+
+
+class RandomGaussianIllumination(IntensityAugmentationBase2D):
+    """Add a patch of light or shade with the form of a Gaussian function.
+
+    Args:
+        gain: the most that is added: a number, or a pair within 0 and 1.
+        center: of the patch, as fractions of width and height: a number, or a pair within 0 and 1.
+        sigma: extent of the patch, as fractions of width and height: a number, or a pair within 0 and 1.
+        sign: a number, or a pair within -1 and 1; numbers below 0 darken.
+        p: probability that a sample is augmented.
+        same_on_batch: all samples get the same parameters.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> light = K.augmentation.RandomGaussianIllumination(0.5, 0.5, 0.2, 1.0, p=1.0)
+        >>> light(torch.zeros(1, 1, 1, 3)).round(decimals=2)
+        tensor([[[[0.0000, 0.5000, 0.0000]]]])
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        gain: Any = (0.01, 0.15),
+        center: Any = (0.1, 0.9),
+        sigma: Any = (0.2, 1.0),
+        sign: Any = (-1.0, 1.0),
+        p: float = 0.5,
+        same_on_batch: bool = False,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = GaussianIlluminationGenerator(gain, center, sigma, sign)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        return _lit(input, params)
+
+
+class RandomLinearIllumination(IntensityAugmentationBase2D):
+    """Add light or shade that grows toward an edge of the image.
+
+    Args:
+        gain: the most that is added: a number, or a pair within 0 and 1.
+        sign: a number, or a pair within -1 and 1; numbers below 0 darken.
+        p: probability that a sample is augmented.
+        same_on_batch: all samples get the same parameters.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> light = K.augmentation.RandomLinearIllumination(0.5, 1.0, p=1.0)
+        >>> light(torch.zeros(1, 1, 2, 2)).sum()
+        tensor(1.)
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        gain: Any = (0.01, 0.2),
+        sign: Any = (-1.0, 1.0),
+        p: float = 0.5,
+        same_on_batch: bool = False,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = LinearIlluminationGenerator(gain, sign)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        return _lit(input, params)
+
+
+class RandomLinearCornerIllumination(IntensityAugmentationBase2D):
+    """Add light or shade that grows toward a corner of the image.
+
+    Args:
+        gain: the most that is added: a number, or a pair within 0 and 1.
+        sign: a number, or a pair within -1 and 1; numbers below 0 darken.
+        p: probability that a sample is augmented.
+        same_on_batch: all samples get the same parameters.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> light = K.augmentation.RandomLinearCornerIllumination(0.5, 1.0, p=1.0)
+        >>> light(torch.zeros(1, 1, 3, 3)).amax()
+        tensor(0.5000)
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        gain: Any = (0.01, 0.2),
+        sign: Any = (-1.0, 1.0),
+        p: float = 0.5,
+        same_on_batch: bool = False,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = LinearCornerIlluminationGenerator(gain, sign)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        return _lit(input, params)
+
+
+def _lit(image: Tensor, params: Params) -> Tensor:
+    return (image.clamp(0, 1) + params["gradient"]).clamp(0, 1)

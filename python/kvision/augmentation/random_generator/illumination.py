@@ -1,0 +1,148 @@
+"""Generators of light that falls on a part of the image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision.augmentation import ranges
+from kvision.augmentation.draws import integer
+from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+
+__all__ = ["GaussianIlluminationGenerator", "LinearCornerIlluminationGenerator", "LinearIlluminationGenerator"]
+
+# Maps are computed in float64 and rounded, so that they do not depend on the device.
+
+
+class GaussianIlluminationGenerator(RandomGeneratorBase):
+    """Draws the parameters of :class:`RandomGaussianIllumination`.
+
+    Args:
+        gain: a number, or a pair within 0 and 1.
+        center: a number, or a pair within 0 and 1: fractions of width and height.
+        sigma: a number, or a pair within 0 and 1: fractions of width and height.
+        sign: a number, or a pair within -1 and 1; numbers below 0 darken.
+
+    Returns:
+        gradient (B, C, H, W), what is added.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import kvision as K
+        >>> draw = K.augmentation.random_generator.GaussianIlluminationGenerator(0.5, 0.5, 0.2, 1.0)
+        >>> draw((1, 1, 1, 3))["gradient"].round(decimals=2)
+        tensor([[[[0.0000, 0.5000, 0.0000]]]])
+    """
+
+    def __init__(self, gain: Any, center: Any, sigma: Any, sign: Any) -> None:
+        super().__init__()
+        op = "RandomGaussianIllumination"
+        self._gain, self._center, self._sigma, self._sign = (
+            ranges.parse(op, name, ranges.both_ends(value), bounds=bounds)
+            for name, value, bounds in (
+                ("gain", gain, (0.0, 1.0)),
+                ("center", center, (0.0, 1.0)),
+                ("sigma", sigma, (0.0, 1.0)),
+                ("sign", sign, (-1.0, 1.0)),
+            )
+        )
+
+    def draws(self, shape: Shape) -> Sequence[Any]:
+        center, sigma = self._center.uniform(), self._sigma.uniform()
+        return [self._gain.uniform(), self._sign.uniform(), center, center, sigma, sigma]
+
+    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
+        gain, sign, center_x, center_y, sigma_x, sigma_y = columns.double().unbind(1)
+        height, width = shape[-2:]
+        bump = _bump(center_y, sigma_y, height)[:, :, None] * _bump(center_x, sigma_x, width)[:, None]
+        return {"gradient": _light(bump, gain, sign, shape).to(columns.dtype)}
+
+
+class LinearIlluminationGenerator(RandomGeneratorBase):
+    """Draws the parameters of :class:`RandomLinearIllumination`.
+
+    Args:
+        gain: a number, or a pair within 0 and 1.
+        sign: a number, or a pair within -1 and 1; numbers below 0 darken.
+
+    Returns:
+        gradient (B, C, H, W), what is added.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import kvision as K
+        >>> K.augmentation.random_generator.LinearIlluminationGenerator(0.5, 1.0)((1, 1, 2, 2))["gradient"].amax()
+        tensor(0.5000)
+    """
+
+    _op = "RandomLinearIllumination"
+
+    def __init__(self, gain: Any, sign: Any) -> None:
+        super().__init__()
+        self._gain = ranges.parse(self._op, "gain", ranges.both_ends(gain), bounds=(0.0, 1.0))
+        self._sign = ranges.parse(self._op, "sign", ranges.both_ends(sign), bounds=(-1.0, 1.0))
+
+    def draws(self, shape: Shape) -> Sequence[Any]:
+        return [self._gain.uniform(), self._sign.uniform(), integer(0, 3)]
+
+    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
+        gain, sign, direction = columns.double().unbind(1)
+        y, x = (torch.linspace(0, 1, n, dtype=torch.float64, device=columns.device) for n in shape[-2:])
+        y, x = y[:, None].expand(-1, len(x)), x.expand(len(y), -1)
+        ramps = torch.stack(self._ramps(x, y))
+        return {"gradient": _light(ramps[direction.long()], gain, sign, shape).to(columns.dtype)}
+
+    @staticmethod
+    def _ramps(x: Tensor, y: Tensor) -> list[Tensor]:
+        """The ramps toward the lower, upper, right and left edge."""
+        return [y, 1 - y, x, 1 - x]
+
+
+class LinearCornerIlluminationGenerator(LinearIlluminationGenerator):
+    """Draws the parameters of :class:`RandomLinearCornerIllumination`.
+
+    Args:
+        gain: a number, or a pair within 0 and 1.
+        sign: a number, or a pair within -1 and 1; numbers below 0 darken.
+
+    Returns:
+        gradient (B, C, H, W), what is added.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import kvision as K
+        >>> draw = K.augmentation.random_generator.LinearCornerIlluminationGenerator(0.5, 1.0)
+        >>> draw((1, 1, 3, 3))["gradient"][0, 0, 1, 1]
+        tensor(0.2500)
+    """
+
+    _op = "RandomLinearCornerIllumination"
+
+    @staticmethod
+    def _ramps(x: Tensor, y: Tensor) -> list[Tensor]:
+        """The ramps toward the lower right, lower left, upper right and upper left corner."""
+        return [(x + y) / 2, (1 - x + y) / 2, (1 + x - y) / 2, (2 - x - y) / 2]
+
+
+def _bump(center: Tensor, sigma: Tensor, size: int) -> Tensor:
+    """A Gaussian function (B, size) along an axis, 1 at the pixel next to the center."""
+    at = torch.arange(size, dtype=torch.float64, device=center.device)
+    squares = (at - (center * size - 0.5)[:, None]) ** 2
+    return ((squares.amin(1, keepdim=True) - squares) / (2 * (sigma * size).clamp(min=1e-6) ** 2)[:, None]).exp()
+
+
+def _light(maps: Tensor, gain: Tensor, sign: Tensor, shape: Shape) -> Tensor:
+    """Maps (B, H, W), stretched to 0 and 1, times gain and sign."""
+    low, high = (extreme((1, 2), keepdim=True) for extreme in (maps.amin, maps.amax))
+    stretched = (maps - low) / (high - low).clamp(min=1e-12)
+    factor = torch.where(sign < 0, -gain, gain)
+    return (factor[:, None, None] * stretched)[:, None].expand(*shape)

@@ -1,0 +1,105 @@
+"""Random noise."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torch import Tensor
+
+from kvision._dtype import compute_dtype
+from kvision.augmentation.base import Params
+from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.noise import gaussian_noise, salt_and_pepper
+from kvision.augmentation.random_generator.noise import GaussianNoiseGenerator, SaltAndPepperGenerator
+
+__all__ = ["RandomGaussianNoise", "RandomSaltAndPepperNoise"]
+
+# Noise is drawn where it is added. Reading `_params` makes a tensor of it, by the same key.
+
+
+class RandomGaussianNoise(IntensityAugmentationBase2D):
+    """Add normal noise to images, without clamping the result.
+
+    Args:
+        mean: of the noise.
+        std: standard deviation of the noise.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: an argument is no number; `std` is below 0.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomGaussianNoise(0.5, 0.0, p=1.0)(torch.zeros(1, 1, 1, 2))
+        tensor([[[[0.5000, 0.5000]]]])
+    """
+
+    accepts_bytes = False
+    fuses_noise = True
+
+    def __init__(
+        self,
+        mean: float = 0.0,
+        std: float = 1.0,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = GaussianNoiseGenerator(mean, std)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        if "_noise" not in params:
+            return input + params["gaussian_noise"]
+        parameters, noise = params["_noise"]
+        y: Tensor = gaussian_noise(input, parameters.to(compute_dtype(input)), *noise.arguments())
+        return y
+
+
+class RandomSaltAndPepperNoise(IntensityAugmentationBase2D):
+    """Set random pixels to 1 and to 0, in all channels.
+
+    Args:
+        amount: share of pixels that are hit: a number, or a pair within 0 and 1.
+        salt_vs_pepper: share of salt, 1, among them: a number, or a pair within 0 and 1.
+        p: probability that a sample is augmented.
+        same_on_batch: all samples get the same parameters.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomSaltAndPepperNoise(1.0, 1.0, p=1.0)(torch.zeros(1, 1, 1, 2))
+        tensor([[[[1., 1.]]]])
+    """
+
+    accepts_bytes = False
+    fuses_noise = True
+
+    def __init__(
+        self,
+        amount: Any = (0.01, 0.06),
+        salt_vs_pepper: Any = (0.4, 0.6),
+        p: float = 0.5,
+        same_on_batch: bool = False,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = SaltAndPepperGenerator(amount, salt_vs_pepper)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        if "_noise" not in params:
+            return input.masked_fill(params["mask_salt"], 1.0).masked_fill(params["mask_pepper"], 0.0)
+        parameters, noise = params["_noise"]
+        y: Tensor = salt_and_pepper(input, parameters.to(compute_dtype(input)), *noise.arguments())
+        return y

@@ -76,5 +76,10 @@ INTENSITY = [
     Case("RandomLinearCornerIllumination"),
     Case("RandomLinearIllumination"),
     Case("RandomSaltAndPepperNoise", ((0.1, 0.4),)),
+    Case("RandomPlasmaBrightness", ((0.1, 0.7), (0.1, 0.2))),
+    Case("RandomPlasmaContrast", gradient=False),
+    Case("RandomPlasmaShadow", gradient=False),
+    Case("RandomRain", ((10, 20), (3, 6), (-3, 3))),
+    Case("RandomSnow", ((0.3, 0.7), (1.0, 2.0)), any_channels=False, gradient=False),
 ]
 CASES = [*GEOMETRIC, *INTENSITY]

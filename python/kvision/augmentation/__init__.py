@@ -60,8 +60,10 @@ from kvision.augmentation.mix import (
 )
 from kvision.augmentation.normalize import Denormalize, Normalize
 from kvision.augmentation.perspective import RandomPerspective
+from kvision.augmentation.plasma import RandomPlasmaBrightness, RandomPlasmaContrast, RandomPlasmaShadow
 from kvision.augmentation.random_noise import RandomGaussianNoise, RandomSaltAndPepperNoise
 from kvision.augmentation.resize import LongestMaxSize, PadTo, Resize, SmallestMaxSize
+from kvision.augmentation.weather import RandomRain, RandomSnow
 
 __all__ = [
     "AugmentationBase2D",
@@ -112,8 +114,12 @@ __all__ = [
     "RandomMotionBlur",
     "RandomPerspective",
     "RandomPlanckianJitter",
+    "RandomPlasmaBrightness",
+    "RandomPlasmaContrast",
+    "RandomPlasmaShadow",
     "RandomPosterize",
     "RandomRGBShift",
+    "RandomRain",
     "RandomResizedCrop",
     "RandomRotation",
     "RandomRotation90",
@@ -121,6 +127,7 @@ __all__ = [
     "RandomSaturation",
     "RandomSharpness",
     "RandomShear",
+    "RandomSnow",
     "RandomSolarize",
     "RandomTranslate",
     "RandomVerticalFlip",

@@ -41,6 +41,7 @@ from kvision.augmentation.random_generator.plain import (
     ProbabilityGenerator,
     UniformDistribution,
 )
+from kvision.augmentation.random_generator.weather import RainGenerator
 
 __all__ = [
     "AffineGenerator",
@@ -66,6 +67,7 @@ __all__ = [
     "PlanckianJitterGenerator",
     "PosterizeGenerator",
     "ProbabilityGenerator",
+    "RainGenerator",
     "RandomGaussianBlurGenerator",
     "RandomGeneratorBase",
     "RectangleEraseGenerator",

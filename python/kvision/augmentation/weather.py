@@ -1,0 +1,132 @@
+"""Random weather."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision.augmentation.base import Params
+from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.random_generator.plain import PlainUniformGenerator
+from kvision.augmentation.random_generator.weather import RainGenerator
+from kvision.color.hls import hls_to_rgb, rgb_to_hls
+from kvision.core.exceptions import ShapeError
+
+__all__ = ["RandomRain", "RandomSnow"]
+
+
+class RandomRain(IntensityAugmentationBase2D):
+    """Draw lines of gray, 200 / 255, as drops of rain.
+
+    Args:
+        number_of_drops: pair of lowest and highest number, ints of at least 0.
+        drop_height: pair of lowest and highest height in pixels, ints of at least 1.
+        drop_width: pair of lowest and highest width in pixels, ints; negative ones lean to the left.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range is no ascending pair of ints, or out of its bounds; in a call, drops as large as the
+            image.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> rain = K.augmentation.RandomRain((1, 1), (3, 3), (0, 0), p=1.0)
+        >>> (rain(torch.zeros(1, 1, 8, 8)) > 0).sum()
+        tensor(3)
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        number_of_drops: Any = (1000, 2000),
+        drop_height: Any = (5, 20),
+        drop_width: Any = (-5, 5),
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator: RainGenerator = RainGenerator(number_of_drops, drop_height, drop_width)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        height, width = input.shape[-2:]
+        drawn = self._param_generator
+        longest = max(drawn.drop_height[1], *(abs(n) for n in drawn.drop_width))
+        if drawn.drop_height[1] >= height or max(abs(n) for n in drawn.drop_width) >= width:
+            raise ShapeError(f"RandomRain: expected images larger than drops, got {tuple(input.shape)}")
+        count, drop_height, drop_width = (
+            params[name].long()[:, None]
+            for name in ("number_of_drops_factor", "drop_height_factor", "drop_width_factor")
+        )
+        # Extents from the first pixel of a drop to its last one; all of a drop is in the image.
+        down, right = drop_height - 1, drop_width - drop_width.sign()
+        steps = torch.maximum(drop_height, drop_width.abs()) - 1
+        at = params["coordinates_factor"]
+        rows, columns = height - down, width - right.abs()
+        first_row = torch.minimum((at[..., 0] * rows).long(), rows - 1)
+        first_column = torch.minimum((at[..., 1] * columns).long(), columns - 1) + (-right).clamp(min=0)
+        falls = torch.arange(at.shape[1], device=input.device) < count
+        wet = torch.zeros(input.shape[0], height * width, dtype=torch.int32, device=input.device)
+        for step in range(longest):
+            k = steps.clamp(max=step)  # shorter drops repeat their last pixel
+            row = first_row + k * down // steps.clamp(min=1)
+            column = first_column + right.sign() * (k * right.abs() // steps.clamp(min=1))
+            wet.scatter_add_(1, row * width + column, falls.int())
+        return torch.where(wet.view(-1, 1, height, width) > 0, 200 / 255, input)
+
+
+class RandomSnow(IntensityAugmentationBase2D):
+    """Lighten the dark pixels of RGB images.
+
+    Args:
+        snow_coefficient: pair, within 0 and 1: pixels of less lightness in HLS are lightened.
+        brightness: pair of factors of lightness, of at least 1.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range of another form, or out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomSnow()(torch.full((1, 3, 1, 1), 0.25)).flatten()
+        tensor([0.5000, 0.5000, 0.5000])
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        snow_coefficient: Any = (0.5, 0.5),
+        brightness: Any = (2, 2),
+        same_on_batch: bool = False,
+        p: float = 1.0,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = PlainUniformGenerator(
+            (snow_coefficient, "snow_coefficient", None, (0.0, 1.0)),
+            (brightness, "brightness", None, (1.0, float("inf"))),
+            identity=[0.0, 1.0],
+            op="RandomSnow",
+        )
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        if input.shape[1] != 3:
+            raise ShapeError(f"RandomSnow: expected images with 3 channels, got {tuple(input.shape)}")
+        hue, lightness, saturation = rgb_to_hls(input.clamp(0, 1)).unbind(1)
+        limit, factor = (params[name].to(input.dtype)[:, None, None] for name in ("snow_coefficient", "brightness"))
+        lighter = torch.where(lightness < limit, (lightness * factor).clamp(0, 1), lightness)
+        return hls_to_rgb(torch.stack([hue, lighter, saturation], 1)).clamp(0, 1)

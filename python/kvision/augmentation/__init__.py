@@ -1,6 +1,6 @@
 """Random augmentation of images with their masks, boxes, key points and labels."""
 
-from kvision.augmentation import container, draws, random_generator
+from kvision.augmentation import auto, container, draws, random_generator
 from kvision.augmentation.adjustments import (
     RandomBrightness,
     RandomContrast,
@@ -136,6 +136,7 @@ __all__ = [
     "RigidAffineAugmentationBase3D",
     "SmallestMaxSize",
     "VideoSequential",
+    "auto",
     "container",
     "random_generator",
 ]

@@ -10,7 +10,7 @@ from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.enhance.batch import as_batch, images, parameter, shaped
 
 # 2^n + 1 for n binary digits less than float32 has: how to round to the digits of a type (T. J. Dekker's splitting).
-_SPLIT = {torch.float16: 2.0**13 + 1, torch.bfloat16: 2.0**16 + 1}
+SPLIT = {torch.float16: 2.0**13 + 1, torch.bfloat16: 2.0**16 + 1}
 
 
 def _reference(x: Tensor, bits: float | Tensor, split: float) -> Tensor:
@@ -51,9 +51,9 @@ def posterize(input: Tensor, bits: int | Tensor) -> Tensor:
     images("posterize", "input", input)
     if isinstance(bits, Tensor):
         tensor_bits = parameter("posterize", "bits", bits, input)
-        return shaped(_posterize(as_batch(input), tensor_bits, _SPLIT.get(input.dtype, 1.0)), input)
+        return shaped(_posterize(as_batch(input), tensor_bits, SPLIT.get(input.dtype, 1.0)), input)
     if type(bits) is not int:
         raise TypeCheckError(f"posterize: expected bits to be an int or a Tensor, got {bits!r}", actual_type=type(bits))
     if not 0 <= bits <= 8:
         raise ValueCheckError(f"posterize: expected bits of 0 to 8, got {bits}", actual_value=bits)
-    return shaped(_posterize(as_batch(input), bits, _SPLIT.get(input.dtype, 1.0)), input)
+    return shaped(_posterize(as_batch(input), bits, SPLIT.get(input.dtype, 1.0)), input)

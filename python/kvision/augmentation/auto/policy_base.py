@@ -1,0 +1,208 @@
+"""What policies share: one choice a sample, drawn with its values, and executed without a loop over samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Generator, Tensor
+
+from kvision.augmentation.auto.operation_table import OPERATIONS, execute_step
+from kvision.augmentation.columns import draw_columns
+from kvision.augmentation.container.image import ImageSequential, ParamItem, _product, invert
+from kvision.augmentation.container.runs import Applied, Randomness, Stage
+from kvision.augmentation.draws import Draw, Request
+from kvision.augmentation.keys import draw_keys
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
+
+__all__ = ["PolicyAugmentBase"]
+
+LEVELS = 30  # the highest level of magnitude; the lowest is 0
+_MODES = ("silent", "silence", "rigid", "skip")
+
+
+class Entry(NamedTuple):
+    """An operation of a sub-policy: its probability, and its values at the lowest and the highest level."""
+
+    name: str
+    probability: float
+    low: float
+    high: float
+
+
+class PolicyAugmentBase(ImageSequential):
+    """Base of the policies: each sample gets one of some sub-policies, whose operations run one after the other.
+
+    One launch draws the choices and the values of all samples. An operation runs on the whole batch, on that of samples
+    with another operation without effect, so that nothing waits for the device. Operations that move pixels share a warp,
+    those of single pixels a color program.
+
+    Values in which an operation has a direction (rotate, shear, translate) or a neutral factor (color, contrast,
+    brightness, sharpness) are mirrored about the value that changes nothing for a random half of the samples.
+
+    Args:
+        policy: sub-policies: lists of entries (name, probability, low, high). A level between 0 and 30 is drawn for each
+            sample, and the value is `low` at level 0 and `high` at level 30.
+        transformation_matrix_mode: accepted for code written for Kornia.
+        count: how many sub-policies each sample gets, each drawn for itself.
+        same_on_batch: all samples get the same operations and values.
+        generator: draws the keys of each call; default: torch's generator.
+
+    Raises:
+        TypeError: an entry has another form.
+        ValueError: the policy is empty; an operation is unknown; a probability is not within 0 and 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> policy = [[("invert", 1.0, 0.0, 0.0)], [("brightness", 1.0, 1.0, 1.0)]]
+        >>> augment = K.augmentation.auto.PolicyAugmentBase(policy)
+        >>> augment(torch.ones(8, 3, 1, 1), seed=1).amax((1, 2, 3)).unique()
+        tensor([0., 1.])
+    """
+
+    def __init__(
+        self,
+        policy: Sequence[Sequence[Sequence[Any]]],
+        transformation_matrix_mode: str = "silence",
+        *,
+        count: int = 1,
+        same_on_batch: bool | None = None,
+        generator: Generator | None = None,
+    ) -> None:
+        super().__init__(same_on_batch=same_on_batch, generator=generator)
+        op = type(self).__name__
+        if transformation_matrix_mode not in _MODES:
+            raise ValueCheckError(
+                f"{op}: expected transformation_matrix_mode to be 'silent', 'rigid' or 'skip', got "
+                f"{transformation_matrix_mode!r}"
+            )
+        self.transformation_matrix_mode, self.count = transformation_matrix_mode, count
+        self.policy = [[_entry(op, entry) for entry in part] for part in policy]
+        if not self.policy or not all(self.policy):
+            raise ValueCheckError(f"{op}: expected policy to be sub-policies with at least one operation each")
+        self._length = max(len(part) for part in self.policy)
+        # By sub-policy and step: number of the operation, probability, lowest and highest value, neutral value.
+        rows = [[_row(part[i] if i < len(part) else None) for i in range(self._length)] for part in self.policy]
+        self._table = torch.tensor(rows)
+        self._names = [sorted({part[i].name for part in self.policy if i < len(part)}) for i in range(self._length)]
+
+    def extra_repr(self) -> str:
+        return f"{len(self.policy)} sub-policies, count={self.count}"
+
+    # --- drawing ---
+
+    def _request(self) -> Request:
+        """For each sub-policy of a sample its index, then for each of its operations chance, level and mirroring."""
+        choice = Draw("integer", (0, 1, len(self.policy), 0))
+        step = [Draw("uniform", (0.0, 1.0, 0.0)), Draw("integer", (0, 1, LEVELS + 1, 0)), Draw("integer", (0, 1, 2, 0))]
+        return Request([choice, *step * self._length] * self.count, same_on_batch=bool(self.same_on_batch))
+
+    def _draw(self, x: Tensor, source: Randomness) -> list[tuple[Tensor, Tensor]]:
+        """The operation and the value (B,) of each sample in each step."""
+        keys = draw_keys(source.op, 1, x.device, source.seed, source.generator)
+        drawn = draw_columns(x, keys, [self._request()])[0].drawn
+        if self._table.device != x.device:
+            self._table = self._table.to(x.device)
+        steps = []
+        for columns in drawn.split(1 + 3 * self._length, 1):
+            entries = self._table[columns[:, 0].long()]
+            number, probability, low, high, neutral = entries.unbind(-1)
+            chance, level, mirrored = columns[:, 1:].reshape(-1, self._length, 3).unbind(-1)
+            value = low + (high - low) * level / LEVELS
+            value = torch.where((mirrored > 0.5) & ~neutral.isnan(), 2 * neutral - value, value)
+            operation = torch.where(chance < probability, number, -1.0).long()
+            steps += list(zip(operation.unbind(1), value.unbind(1)))
+        return steps
+
+    def _given(self, params: Sequence[ParamItem], x: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """The same from the parameters of an earlier call."""
+        if len(params) != self.count * self._length:
+            raise ValueCheckError(
+                f"{type(self).__name__}: expected params of {self.count * self._length} steps, got {len(params)}"
+            )
+        return [(item.data["operation"].to(x.device), item.data["magnitude"].to(x.device)) for item in params]
+
+    @property
+    def _params(self) -> list[ParamItem]:
+        """What each step of the last call did: numbers of operations, -1 for none, and their magnitudes, on the CPU."""
+        if self._given_params is None:
+            shape = torch.tensor(self._shape)
+            self._given_params = []
+            for i, (operation, value) in enumerate(self._steps):
+                operation, value = operation.cpu(), value.detach().cpu()
+                data = {"operation": operation, "magnitude": value, "batch_prob": (operation >= 0).float()}
+                self._given_params.append(ParamItem(f"step_{i}", {**data, "forward_input_shape": shape}))
+        return self._given_params
+
+    @_params.setter
+    def _params(self, params: list[ParamItem]) -> None:
+        self._given_params = params
+
+    def forward_parameters(self, batch_shape: Sequence[int]) -> list[ParamItem]:
+        """Draw the parameters of a call on images of a shape, without executing it."""
+        drawn = self._draw(torch.empty(batch_shape[0]), self._source(None, None))
+        self._steps, self._shape, self._given_params = drawn, tuple(batch_shape), None
+        self._stages = []
+        return self._params
+
+    # --- execution ---
+
+    def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> Tensor:
+        steps = self._draw(x, source) if params is None else self._given(params, x)
+        self._shape, self._steps, self._given_params = tuple(x.shape), steps, None
+        x, self._stages = self._run_steps(x, steps)
+        return x
+
+    def _run_steps(self, x: Tensor, steps: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor, list[Stage]]:
+        stages: list[Stage] = []
+        for i, (operation, value) in enumerate(steps):
+            x, more = execute_step(x, self._names[i % self._length], operation, value)
+            stages += more
+        return x, stages
+
+    def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:
+        return self._execute(x, params, source), Applied(self, None, {"stages": self._stages})
+
+    def get_transformation_matrix(
+        self,
+        input: Tensor,
+        params: Sequence[ParamItem] | None = None,
+        recompute: bool = False,
+        extra_args: dict[Any, Any] | None = None,
+    ) -> Tensor | None:
+        if params is None and not recompute:
+            return self.transform_matrix
+        x = self.transform_tensor(input)
+        return _product(tuple(x.shape), self._run_steps(x, self._given(params or self._params, x))[1])
+
+    def inverse(
+        self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
+    ) -> Tensor:
+        x = self.transform_tensor(input)
+        stages = self._stages if params is None else self._run_steps(x, self._given(params, x))[1]
+        return self._restored(invert(x, stages), input)
+
+    def is_intensity_only(self, strict: bool = True) -> bool:
+        return all(OPERATIONS[name].neutral != 0 for names in self._names for name in names)
+
+
+def _entry(op: str, entry: Sequence[Any]) -> Entry:
+    """An entry that was checked."""
+    if isinstance(entry, str) or not isinstance(entry, Sequence) or len(entry) != 4:
+        raise TypeCheckError(f"{op}: expected entries of a policy to be (name, probability, low, high), got {entry!r}")
+    name, probability, low, high = entry
+    if name not in OPERATIONS:
+        raise ValueCheckError(f"{op}: expected operations to be one of {', '.join(OPERATIONS)}, got {name!r}")
+    if not 0 <= probability <= 1:
+        raise ValueCheckError(f"{op}: expected the probability of {name!r} within 0 and 1, got {probability}")
+    return Entry(name, float(probability), float(low), float(high))
+
+
+def _row(entry: Entry | None) -> list[float]:
+    """The row of an entry in the table; of None for a step that a sub-policy has not."""
+    if entry is None:
+        return [-1.0, 0.0, 0.0, 0.0, float("nan")]
+    operation = OPERATIONS[entry.name]
+    neutral = float("nan") if operation.neutral is None else operation.neutral
+    return [float(operation.number), entry.probability, entry.low, entry.high, neutral]

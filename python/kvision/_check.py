@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any
 
 import torch
@@ -146,6 +146,21 @@ def same_device(op: str, **tensors: Tensor) -> None:
             raise DeviceError(f"{op}: expected all tensors on one device, got {got}", actual_devices=devices)
 
 
+def to_device_of(op: str, x: Tensor, name: str, value: Tensor, of: str = "input") -> Tensor:
+    """The parameter `value` on the device of `x`: copied there from the CPU, without waiting for either.
+
+    Parameters are what a few numbers say for a whole image: factors, sigmas, angles, weights, kernels, means, matrices.
+    Images, maps, points and labels are not moved: `same_device` refuses them, as this refuses a parameter on another GPU.
+    """
+    if value.device == x.device:
+        return value
+    if value.device.type != "cpu":
+        same_device(op, **{of: x, name: value})
+    # Pageable memory is read before the call returns. Pinned memory is read later, when its owner may have changed it.
+    pinned = values_are_readable(value) and value.is_pinned()
+    return value.to(x.device, non_blocking=not pinned)
+
+
 class UnknownChoiceError(ValueCheckError, NotImplementedError):
     """A value that is not one of the options, where Kornia raises NotImplementedError."""
 
@@ -188,10 +203,37 @@ def flag(op: str, name: str, value: Any) -> None:
         raise TypeCheckError(f"{op}: expected {name} to be a bool, got {value!r}", actual_type=type(value))
 
 
+def scalar(op: str, name: str, value: Any) -> Any:
+    """A NumPy scalar or a tensor of no axes as Python's number; everything else as it is.
+
+    A tensor on a GPU is waited for. One that requires a gradient is refused, since it would get none.
+    """
+    if isinstance(value, Tensor) and value.dim() == 0 and not value.dtype.is_complex:
+        if value.requires_grad and torch.is_grad_enabled():
+            raise TypeCheckError(
+                f"{op}: expected {name} to be a number, got a Tensor that requires a gradient, which it would not get; "
+                f"pass {name}.detach()",
+                actual_type=type(value),
+            )
+        return value.item()
+    if isinstance(value, (int, float, torch.SymInt, torch.SymFloat)) or not isinstance(value, Real):
+        return value
+    return int(value) if isinstance(value, Integral) else float(value)
+
+
+def scalars(op: str, name: str, value: Any) -> Any:
+    """`scalar`, also of the entries of a tuple or list."""
+    if isinstance(value, (tuple, list)):
+        return type(value)(scalar(op, name, v) for v in value) if type(value) in (tuple, list) else value
+    return scalar(op, name, value)
+
+
 def number(op: str, name: str, value: Any, minimum: float = -math.inf) -> float:
-    """`value` as a float; raise unless it is a number of at least `minimum`."""
+    """`value` as a float; raise unless it is a number of at least `minimum`. NumPy's and torch's scalars are numbers."""
     if not isinstance(value, (int, float)):
-        raise TypeCheckError(f"{op}: expected {name} to be a number, got {value!r}", actual_type=type(value))
+        value = scalar(op, name, value)
+        if not isinstance(value, (int, float)):
+            raise TypeCheckError(f"{op}: expected {name} to be a number, got {value!r}", actual_type=type(value))
     if not value >= minimum or not fits_float(value):  # also refuses NaN
         bound = f" of at least {minimum:g}" if minimum > -math.inf else ""
         raise ValueCheckError(f"{op}: expected {name} to be a float32 number{bound}, got {value!r}", actual_value=value)
@@ -203,10 +245,13 @@ def fits_float(value: float) -> bool:
     return -LARGEST_FLOAT <= value <= LARGEST_FLOAT or value in (math.inf, -math.inf)
 
 
-def reflectable(op: str, x: Tensor, pads: Sequence[int], border_type: str) -> None:
+def reflectable(
+    op: str, x: Tensor, pads: Sequence[int], border_type: str, advice: str = "use border_type='replicate'"
+) -> None:
     """Raise ShapeError where a border of `pads` pixels along the trailing axes of `x` would reach past the opposite edge.
 
     'reflect' needs more pixels than it mirrors, 'circular' as many as it repeats; torch's padding has the same limits.
+    `advice` is for functions whose border cannot be chosen.
     """
     if border_type not in ("reflect", "circular"):
         return
@@ -215,23 +260,22 @@ def reflectable(op: str, x: Tensor, pads: Sequence[int], border_type: str) -> No
         if pad > size - spare:
             raise ShapeError(
                 f"{op}: expected input larger than its '{border_type}' border of {pad} pixels, got {tuple(x.shape)}; "
-                "use border_type='replicate' for images this small",
+                f"{advice} for images this small",
                 actual_shape=x.shape,
             )
 
 
-def pair(op: str, name: str, value: Any, minimum: int = 1) -> tuple[int, int]:
-    """`value`, an int or two of them in (y, x) order, as (y, x); each at least `minimum`."""
-    return ints(op, name, value, 2, minimum)  # type: ignore[return-value]  # two entries by construction
+def pair(op: str, name: str, value: Any, minimum: int = 1, maximum: int = LARGEST_WINDOW) -> tuple[int, int]:
+    """`value`, an int or two of them in (y, x) order, as (y, x): the window of a filter, unless `maximum` says otherwise."""
+    return ints(op, name, value, 2, minimum, maximum)  # type: ignore[return-value]  # two entries by construction
 
 
-def ints(op: str, name: str, value: Any, count: int, minimum: int = 1) -> tuple[int, ...]:
+def ints(op: str, name: str, value: Any, count: int, minimum: int = 1, maximum: int = LARGEST_INT) -> tuple[int, ...]:
     """`value`, an int or `count` of them, as a tuple of `count` ints of at least `minimum`.
 
-    The maximum is LARGEST_INT, and LARGEST_WINDOW for the sizes of a window. NumPy's integers become ints. A symbolic
-    size of torch.export and torch.compile stays symbolic; the kernels check its maximum when the graph runs.
+    The maximum is LARGEST_WINDOW for the windows of filters. Scalars of NumPy and torch become ints. A symbolic size of
+    torch.export and torch.compile stays symbolic; the kernels check its maximum when the graph runs.
     """
-    maximum = LARGEST_INT if count == 1 else LARGEST_WINDOW
     values = (value,) * count if type(value) is int else value
     if isinstance(values, (tuple, list)) and len(values) == count:
         for n in values:
@@ -239,8 +283,9 @@ def ints(op: str, name: str, value: Any, count: int, minimum: int = 1) -> tuple[
                 break
         else:
             return tuple(values)
-    if is_int(value):
-        values = (value,) * count
+    values = scalars(op, name, value)
+    if is_int(values):
+        values = (values,) * count
     if not isinstance(values, (tuple, list)) or not values or not all(map(is_int, values)):
         raise TypeCheckError(f"{op}: expected {name} to be {_ints(count)}, got {value!r}", actual_type=type(value))
     values = tuple(n if isinstance(n, torch.SymInt) else int(n) for n in values)

@@ -26,3 +26,23 @@ BAD = [
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+def test_videos(device):
+    points = torch.rand(2, 3, 4, 2, device=device)
+    mirror = torch.tensor([[-1.0, 0, 10], [0, 1, 0], [0, 0, 1]], device=device)
+    kornia = pytest.importorskip("kornia").geometry.keypoints.VideoKeypoints.from_tensor(points)
+    video = G.VideoKeypoints.from_tensor(points)
+    assert isinstance(video, G.Keypoints) and video.temporal_channel_size == 3
+    assert torch.equal(video.data, kornia.data) and torch.equal(video.to_tensor(), points)
+    moved = video.transform_keypoints(mirror)
+    assert isinstance(moved, G.VideoKeypoints) and torch.equal(video.to_tensor(), points)
+    torch.testing.assert_close(moved.to_tensor(), kornia.transform_keypoints(mirror[None].expand(6, 3, 3)).to_tensor())
+    copy = video.clone()
+    assert video.transform_keypoints(mirror, inplace=True) is video and torch.equal(copy.to_tensor(), points)
+    assert torch.equal(video.to_tensor(), moved.to_tensor())
+    for empty in (points[:0], points[:, :, :0]):
+        assert G.VideoKeypoints.from_tensor(empty).to_tensor().shape == empty.shape
+    for bad in (points[0], points[..., :1], points[:, :0], [points]):
+        with pytest.raises((TypeError, ValueError), match="VideoKeypoints: expected boxes"):
+            G.VideoKeypoints.from_tensor(bad)

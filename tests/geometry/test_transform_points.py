@@ -169,3 +169,24 @@ def test_cameras_of_any_axes(device):
         each = p.expand(*leading, 3), k.reshape(*aligned, 3, 3).expand(*leading, 3, 3)
         focal, center = each[1].diagonal(dim1=-2, dim2=-1)[..., :2], each[1][..., :2, 2]
         assert_close(G.project_points(p, k), focal * each[0][..., :2] / each[0][..., 2:] + center)
+
+
+@pytest.mark.parametrize("batch", [(), (1,), (2,)])
+def test_projections_of_space_to_the_plane(batch, device):
+    projection = torch.rand(*batch, 3, 4, dtype=torch.float64, device=device, requires_grad=True)
+    points = torch.rand(2, 5, 3, dtype=torch.float64, device=device, requires_grad=True)
+    found = G.transform_points(projection, points)
+    homogeneous = torch.cat([points, torch.ones_like(points[..., :1])], -1) @ projection.mT
+    assert_close(found, homogeneous[..., :2] / homogeneous[..., 2:])
+    assert torch.autograd.gradcheck(G.transform_points, (projection, points))
+    kornia = pytest.importorskip("kornia").geometry
+    if batch:
+        assert_close(found, kornia.transform_points(projection, points))
+
+
+@pytest.mark.parametrize("n", [1, 4])
+def test_points_of_other_dimensions(n, device):
+    """There is no kernel for points on a line or in four dimensions: the reference transforms them."""
+    matrix, points = torch.eye(n + 1, device=device) + 0.1, torch.rand(2, 5, n, device=device)
+    homogeneous = torch.cat([points, torch.ones_like(points[..., :1])], -1) @ matrix.mT
+    assert_close(G.transform_points(matrix, points), homogeneous[..., :-1] / homogeneous[..., -1:])

@@ -71,7 +71,15 @@ def _backward_shapes(grad, points, depth, matrix, kind, to_matrix):
     return [points.shape, to_depth, to_matrix]
 
 
-_transform_points = register("transform_points", _reference, fake=_shape, backward=_backward)
+def _supports(points, depth, matrix, kind):
+    """Transforms are 3 x 3 of the plane, or 3 x 4 or 4 x 4 of space."""
+    sizes = (points.shape[-1], *matrix.shape[-2:])
+    if kind != POINT_MAP["transform"] or sizes in ((2, 3, 3), (3, 3, 4), (3, 4, 4)):
+        return None
+    return f"there is no kernel for points of {sizes[0]} numbers and matrices {sizes[1]} x {sizes[2]}"
+
+
+_transform_points = register("transform_points", _reference, fake=_shape, backward=_backward, supports=_supports)
 _transform_points_backward = register(
     "transform_points_backward", _backward_reference, fake=_backward_shapes, casts_outputs=True
 )

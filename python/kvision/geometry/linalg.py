@@ -139,11 +139,11 @@ def transform_points(trans_01: Tensor, points_1: Tensor) -> Tensor:
 
     Args:
         trans_01: one matrix for all points, of shape (D + 1, D + 1) or (1, D + 1, D + 1), or one for each sample, of shape
-            (B, D + 1, D + 1).
+            (B, D + 1, D + 1). Projections (3, 4) or (B, 3, 4) take points of space to the plane.
         points_1: points of shape (*, D), or (B, *, D) with a matrix for each sample. Integers give the type of the matrix.
 
     Returns:
-        Points of the shape of `points_1`.
+        Points of the shape of `points_1`; for projections (*, 2).
 
     Raises:
         TypeError: `trans_01` or `points_1` is not a tensor of real numbers.
@@ -158,7 +158,12 @@ def transform_points(trans_01: Tensor, points_1: Tensor) -> Tensor:
     op = "transform_points"
     _check.numbers(op, "trans_01", trans_01)
     _check.numbers(op, "points_1", points_1)
-    if points_1.dim() == 0 or trans_01.dim() not in (2, 3) or trans_01.shape[-1] != trans_01.shape[-2]:
+    is_projection = trans_01.shape[-2:] == (3, 4)
+    if (
+        points_1.dim() == 0
+        or trans_01.dim() not in (2, 3)
+        or not (is_projection or trans_01.shape[-1] == trans_01.shape[-2])
+    ):
         raise ShapeError(
             f"{op}: expected trans_01 of shape (B, D + 1, D + 1) and points_1 of shape (B, *, D), "
             f"got {tuple(trans_01.shape)} and {tuple(points_1.shape)}"

@@ -157,3 +157,11 @@ def test_warper_and_the_rest_are_kornias(device):
     normal[0] = 0
     args = [v.to(device) for v in (normal, offset, uv, camera(x))]
     assert_close(*(module.depth_from_plane_equation(*args) for module in (G, kornia)))
+
+
+def test_grid_of_the_warper_is_kornias(device):
+    kornia = pytest.importorskip("kornia").geometry
+    eye, size = torch.eye(4)[None], torch.tensor([4.0])
+    expected = kornia.DepthWarper(kornia.PinholeCamera(eye, eye, size, size), 4, 5).grid
+    camera = G.PinholeCamera(*(x.to(device) for x in (eye, eye, size, size)))
+    assert_close(G.DepthWarper(camera, 4, 5).grid, expected.to(device))

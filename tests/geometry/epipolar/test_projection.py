@@ -48,3 +48,17 @@ class TestProjectionOperators(PointOpTests):
     calls = {
         "decompose_projection": [Call((near(EYE34),)), Call((near(-EYE34),))],
     }
+
+
+def test_focal_lengths_of_images(device):
+    """A tensor of one number or one a sample, with gradient, from any device; a number where all agree."""
+    images = torch.zeros(2, 3, 20, 30, dtype=torch.float64, device=device)
+    focal = torch.tensor([100.0, 50.0], requires_grad=True)
+    found = G.intrinsics_like(focal, images)
+    expected = torch.cat([G.intrinsics_like(f, images[:1]) for f in (100.0, 50.0)])
+    assert_close(found, expected)
+    found.sum().backward()
+    assert focal.grad.tolist() == [2, 2]
+    assert_close(G.intrinsics_like(torch.tensor(100), images)[0], expected[0])
+    with pytest.raises(ValueError, match=r"intrinsics_like: expected focal of shape \(\) or \(2,\), got \(3,\)"):
+        G.intrinsics_like(torch.ones(3), images)

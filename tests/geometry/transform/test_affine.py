@@ -208,3 +208,10 @@ BAD = [
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+def test_one_image_with_many_matrices(device):
+    image, matrices_ = torch.rand(1, 3, 5, 6, device=device), torch.rand(8, 2, 3, device=device)
+    expected = torch.cat([G.affine(image, m[None]) for m in matrices_])
+    assert_close(G.affine(image, matrices_), expected)
+    assert_close(G.affine(image[0], matrices_), expected)

@@ -19,7 +19,7 @@ class FlipTests(OpTests):
 
     def test_wrong_kinds(self, variant, device):
         name = self.function.__name__
-        for wrong, error in [([[1.0]], TypeError), (None, TypeError), (torch.rand(3, device=device), ValueError)]:
+        for wrong, error in [([[1.0]], TypeError), (None, TypeError), (torch.rand((), device=device), ValueError)]:
             with pytest.raises(error, match=f"^{name}: "):
                 self.function(wrong)
 
@@ -96,7 +96,7 @@ def test_images_larger_than_caches(isa, device, backend):
 
 
 BAD = [
-    (lambda: G.hflip(torch.ones(3)), ValueError, r"hflip: expected input of shape \(\*, H, W\)"),
+    (lambda: G.hflip(torch.ones(())), ValueError, r"hflip: expected input of shape \(\*, H, W\)"),
 ]  # fmt: skip
 
 
@@ -104,3 +104,11 @@ BAD = [
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+def test_one_row(device):
+    row = torch.arange(5.0, device=device)
+    assert torch.equal(G.hflip(row), row.flip(0)) and torch.equal(G.rot180(row), row.flip(0))
+    assert torch.equal(G.vflip(row), row)
+    with pytest.raises(ValueError, match=r"hflip: expected input of shape \(\*, H, W\), got \(\)"):
+        G.hflip(row[0])

@@ -89,3 +89,12 @@ class TestMatricesOperators(PointOpTests):
             Call((near(RECTANGLE), None), (4.0, 1.0)),
         ],
     }
+
+
+def test_shears_may_be_columns(device):
+    zero, one, angle, shear = (
+        x.to(device) for x in (torch.zeros(3, 2), torch.ones(3, 2), torch.rand(3), torch.rand(2, 3))
+    )
+    expected = G.get_affine_matrix2d(zero, one, one, angle, shear[0], shear[1])
+    assert torch.equal(G.get_affine_matrix2d(zero, one, one, angle, shear[0, :, None], shear[1, :, None]), expected)
+    assert torch.equal(G.get_shear_matrix2d(one, shear[0, :, None]), G.get_shear_matrix2d(one, shear[0]))

@@ -8,12 +8,13 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
-from kvision._dtype import compute_dtype, floats
+from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modes import INTERPOLATION, INTERPOLATION_NAMES, PADDING, PADDING_NAMES
 from kvision._ops import on_cuda, register
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.geometry.camera import PinholeCamera
 from kvision.geometry.depth.points import depth_points
+from kvision.geometry.grid import create_meshgrid
 from kvision.geometry.linalg import adjugate, inverse3x3
 from kvision.geometry.transform import sampling
 
@@ -222,11 +223,12 @@ def warp_frame_depth(
     _check.shape(op, "src_trans_dst", src_trans_dst, "B", 4, 4)
     _check.shape(op, "camera_matrix", camera_matrix, "B", 3, 3)
     _check.flag(op, "normalize_points", normalize_points)
-    _check.same_device(
-        op, image_src=image_src, depth_dst=depth_dst, src_trans_dst=src_trans_dst, camera_matrix=camera_matrix
-    )
+    _check.same_device(op, image_src=image_src, depth_dst=depth_dst)
     dtype = compute_dtype(image_src)
-    motion, camera = src_trans_dst.to(dtype), camera_matrix.to(dtype)
+    motion, camera = (
+        as_dtype(_check.to_device_of(op, image_src, name, x, of="image_src"), dtype)
+        for name, x in (("src_trans_dst", src_trans_dst), ("camera_matrix", camera_matrix))
+    )
     if motion.shape[0] != 1:
         camera = sampling.cast_to_image(op, motion, "camera_matrix", camera)
     if normalize_points:
@@ -303,6 +305,13 @@ class DepthWarper(nn.Module):
         cameras = there.intrinsics[:, :3, :3], there.extrinsics, here.intrinsics[:, :3, :3], here.extrinsics
         self._projection = _reprojection(*(x.to(compute_dtype(cameras[0])) for x in cameras), False)
         return self
+
+    @property
+    def grid(self) -> Tensor:
+        """The source's pixels (1, H, W, 3) as (x, y, 1)."""
+        like = self._pinhole_dst.intrinsics
+        pixels = create_meshgrid(self.height, self.width, False, like.device, like.dtype)
+        return torch.nn.functional.pad(pixels, (0, 1), value=1.0)
 
     @property
     def projection(self) -> Tensor:

@@ -7,7 +7,6 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError, ValueCheckError
-from kvision.core.ops import eye_like
 from kvision.geometry._formula import register_formula
 from kvision.geometry._precision import in_full_precision, promoted
 from kvision.geometry.solvers.null_vector import null_vector_3x3
@@ -205,19 +204,19 @@ def projections_from_fundamental(F_mat: Tensor) -> Tensor:
 # --- camera matrices ------------------------------------------------------------------------------------------------
 
 
-def intrinsics_like(focal: float, input: Tensor) -> Tensor:
+def intrinsics_like(focal: float | Tensor, input: Tensor) -> Tensor:
     """Make the camera matrix of a focal length for each image, with the principal point at half of width and height.
 
     Args:
-        focal: in pixels, above 0.
+        focal: in pixels, above 0: a number, or a tensor () or (B,), which gets a gradient and is not checked by value.
         input: images (B, C, H, W), floating point; they give sizes, device and dtype.
 
     Returns:
         (B, 3, 3).
 
     Raises:
-        TypeCheckError: focal is no number, input no floating-point tensor.
-        ShapeError: input is not (B, C, H, W).
+        TypeCheckError: focal is neither number nor tensor, input no floating-point tensor.
+        ShapeError: input is not (B, C, H, W); focal is neither () nor (B,).
         ValueCheckError: focal is not above 0.
 
     Example:
@@ -229,13 +228,24 @@ def intrinsics_like(focal: float, input: Tensor) -> Tensor:
     """
     _check.images("intrinsics_like", "input", input)
     _check.floating("intrinsics_like", "input", input)
-    if not _check.number("intrinsics_like", "focal", focal) > 0:
-        raise ValueCheckError(f"intrinsics_like: expected focal above 0, got {focal!r}", actual_value=focal)
-    K = eye_like(3, input)
-    K[:, 0, 0] = K[:, 1, 1] = focal
-    K[:, 0, 2] = input.shape[3] / 2
-    K[:, 1, 2] = input.shape[2] / 2
-    return K
+    b, _, h, w = input.shape
+    if isinstance(focal, Tensor):
+        _check.numbers("intrinsics_like", "focal", focal)
+        if focal.shape not in ((), (1,), (b,)):
+            raise ShapeError(
+                f"intrinsics_like: expected focal of shape () or ({b},), got {tuple(focal.shape)}",
+                actual_shape=focal.shape,
+            )
+        focal = _check.to_device_of("intrinsics_like", input, "focal", focal).to(input.dtype).expand(b)
+    else:
+        number = _check.number("intrinsics_like", "focal", focal)
+        if not number > 0:
+            raise ValueCheckError(f"intrinsics_like: expected focal above 0, got {focal!r}", actual_value=focal)
+        focal = input.new_full((b,), number)
+    zero = torch.zeros_like(focal)
+    return torch.stack([focal, zero, zero + w / 2, zero, focal, zero + h / 2, zero, zero, zero + 1], -1).unflatten(
+        -1, (3, 3)
+    )
 
 
 def random_intrinsics(low: float | Tensor, high: float | Tensor) -> Tensor:

@@ -13,6 +13,7 @@ from kvision._modes import INTERPOLATION, WARP_FORMULA
 from kvision._modules import FunctionModule
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform import sampling
+from kvision.geometry.transform.warp import broadcast_batch
 
 __all__ = ["Affine", "Rotate", "Scale", "Shear", "Translate", "affine", "rotate", "scale", "shear", "translate"]
 
@@ -24,13 +25,13 @@ def affine(
 
     Args:
         tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
-        matrix: (B, 2, 3), or (1, 2, 3) for all images: image pixels (x, y) to result pixels.
+        matrix: (B, 2, 3), or (1, 2, 3) for all images: image pixels (x, y) to result pixels. One image serves many matrices.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
         align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
 
     Returns:
-        Images of the shape and dtype of `tensor`.
+        Images of the shape and dtype of `tensor`, one for each matrix.
 
     Raises:
         TypeError: `tensor` or `matrix` is no tensor of real numbers; `align_corners` is no bool.
@@ -46,12 +47,12 @@ def affine(
     images = _images("affine", tensor)
     _check.shape("affine", "matrix", matrix, "B", 2, 3)
     sampling.check_options("affine", mode, padding_mode, align_corners)
-    matrix = sampling.cast_to_image("affine", images, "matrix", matrix)
+    images, matrix = broadcast_batch("affine", images, "matrix", matrix)
     padding, _ = sampling.padding_and_fill("affine", images, padding_mode, None)
     result = sampling.warp(
         images, matrix, None, None, list(images.shape[2:]), INTERPOLATION[mode], padding, align_corners, True, False
     )
-    return result[0] if tensor.dim() == 3 else result
+    return result[0] if tensor.dim() == 3 and matrix.shape[0] == 1 else result
 
 
 def rotate(
@@ -271,6 +272,7 @@ class Rotate(FunctionModule):
         padding_mode: str = "zeros",
         align_corners: bool = True,
     ) -> None:
+        _check.is_tensor("Rotate", "angle", angle)
         super().__init__(angle=angle, center=center, mode=mode, padding_mode=padding_mode, align_corners=align_corners)
 
     def forward(self, input: Tensor) -> Tensor:
@@ -293,6 +295,7 @@ class Translate(FunctionModule):
         padding_mode: str = "zeros",
         align_corners: bool = True,
     ) -> None:
+        _check.is_tensor("Translate", "translation", translation)
         super().__init__(translation=translation, mode=mode, padding_mode=padding_mode, align_corners=align_corners)
 
     def forward(self, input: Tensor) -> Tensor:
@@ -316,6 +319,7 @@ class Scale(FunctionModule):
         padding_mode: str = "zeros",
         align_corners: bool = True,
     ) -> None:
+        _check.is_tensor("Scale", "scale_factor", scale_factor)
         super().__init__(
             scale_factor=scale_factor, center=center, mode=mode, padding_mode=padding_mode, align_corners=align_corners
         )
@@ -336,6 +340,7 @@ class Shear(FunctionModule):
     def __init__(
         self, shear: Tensor, mode: str = "bilinear", padding_mode: str = "zeros", align_corners: bool = True
     ) -> None:
+        _check.is_tensor("Shear", "shear", shear)
         super().__init__(shear=shear, mode=mode, padding_mode=padding_mode, align_corners=align_corners)
 
     def forward(self, input: Tensor) -> Tensor:
@@ -378,6 +383,14 @@ class Affine(FunctionModule):
         given = [x for x in (angle, translation, scale_factor, shear) if x is not None]
         if not given:
             raise RuntimeError("Affine: expected at least one of angle, translation, scale_factor and shear")
+        for name, x in (
+            ("angle", angle),
+            ("translation", translation),
+            ("scale_factor", scale_factor),
+            ("shear", shear),
+        ):
+            if x is not None:
+                _check.is_tensor("Affine", name, x)
         batches = [len(x) for x in given]
         if len(set(batches)) > 1:
             raise RuntimeError(f"Affine: expected parameters of one batch size, got {batches}")

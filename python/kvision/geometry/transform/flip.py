@@ -27,14 +27,14 @@ def hflip(input: Tensor) -> Tensor:
     """Flip images horizontally: reverse their columns.
 
     Args:
-        input: images (*, H, W), of any real dtype.
+        input: images (*, H, W) of any real dtype, or one row (W,).
 
     Returns:
-        (*, H, W), of the dtype of `input`.
+        Images of the shape and dtype of `input`.
 
     Raises:
         TypeError: `input` is no dense tensor of real numbers.
-        ValueError: `input` has fewer than two axes.
+        ValueError: `input` has no axes.
 
     Example:
         >>> import torch, kvision as K
@@ -49,14 +49,14 @@ def vflip(input: Tensor) -> Tensor:
     """Flip images vertically: reverse their rows.
 
     Args:
-        input: images (*, H, W), of any real dtype.
+        input: images (*, H, W) of any real dtype, or one row (W,).
 
     Returns:
-        (*, H, W), of the dtype of `input`.
+        Images of the shape and dtype of `input`.
 
     Raises:
         TypeError: `input` is no dense tensor of real numbers.
-        ValueError: `input` has fewer than two axes.
+        ValueError: `input` has no axes.
 
     Example:
         >>> import torch, kvision as K
@@ -71,14 +71,14 @@ def rot180(input: Tensor) -> Tensor:
     """Rotate images by 180 degrees: reverse their rows and columns.
 
     Args:
-        input: images (*, H, W), of any real dtype.
+        input: images (*, H, W) of any real dtype, or one row (W,).
 
     Returns:
-        (*, H, W), of the dtype of `input`.
+        Images of the shape and dtype of `input`.
 
     Raises:
         TypeError: `input` is no dense tensor of real numbers.
-        ValueError: `input` has fewer than two axes.
+        ValueError: `input` has no axes.
 
     Example:
         >>> import torch, kvision as K
@@ -91,7 +91,9 @@ def rot180(input: Tensor) -> Tensor:
 
 def _flip(op: str, input: Tensor, columns: bool, rows: bool) -> Tensor:
     _check.is_tensor(op, "input", input)
-    if input.dim() < 2:
+    if input.dim() == 1:
+        return _flip(op, input[None], columns, rows)[0]
+    if input.dim() == 0:
         raise ShapeError(f"{op}: expected input of shape (*, H, W), got {tuple(input.shape)}", actual_shape=input.shape)
     if input.dtype not in flipped.dtypes or 0 in input.shape[-2:]:
         return input.flip([axis for axis, wanted in ((-2, rows), (-1, columns)) if wanted])

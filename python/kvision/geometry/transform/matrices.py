@@ -70,6 +70,11 @@ def _batch(op: str, **vectors: tuple[Tensor, int]) -> None:
         raise TypeCheckError(f"{op}: expected tensors of one type, got {dtypes}")
 
 
+def _column(x: Tensor | None) -> Tensor | None:
+    """One number a sample, (B,), also where it came as a column (B, 1)."""
+    return x[:, 0] if isinstance(x, Tensor) and x.dim() == 2 and x.shape[1] == 1 else x
+
+
 def _optional_vectors(**vectors: Tensor | None) -> dict[str, tuple[Tensor, int]]:
     return {name: (x, 0) for name, x in vectors.items() if x is not None}
 
@@ -270,7 +275,7 @@ def get_shear_matrix2d(center: Tensor, sx: Tensor | None = None, sy: Tensor | No
     Args:
         center: (B, 2) as (x, y).
         sx: angles of the shear along x in radians, (B,); None for 0.
-        sy: angles of the shear along y in radians, (B,); None for 0.
+        sy: angles of the shear along y in radians, (B,) or (B, 1); None for 0.
 
     Returns:
         (B, 3, 3) with the linear part [[1, -tan sx], [-tan sy, 1 + tan sx tan sy]].
@@ -285,6 +290,7 @@ def get_shear_matrix2d(center: Tensor, sx: Tensor | None = None, sy: Tensor | No
         >>> K.geometry.get_shear_matrix2d(torch.zeros(1, 2), torch.tensor([0.5]))[0, 0]
         tensor([ 1.0000, -0.5463,  0.0000])
     """
+    sx, sy = _column(sx), _column(sy)
     _batch("get_shear_matrix2d", center=(center, 2), **_optional_vectors(sx=sx, sy=sy))
     return _shear_matrix2d(center, sx, sy)
 
@@ -304,8 +310,8 @@ def get_affine_matrix2d(
         center: (B, 2) as (x, y), in pixels.
         scale: (B, 2) along x and y.
         angle: (B,) in degrees, clockwise as displayed.
-        sx: angles of the shear along x in radians, (B,), as :func:`get_shear_matrix2d` takes them; None for 0.
-        sy: angles of the shear along y in radians, (B,); None for 0.
+        sx: angles of the shear along x in radians, (B,) or (B, 1), as :func:`get_shear_matrix2d` takes them; None for 0.
+        sy: angles of the shear along y in radians, (B,) or (B, 1); None for 0.
 
     Returns:
         (B, 3, 3), source pixels to result pixels.
@@ -323,6 +329,7 @@ def get_affine_matrix2d(
                  [ 2.,  0.,  1.],
                  [ 0.,  0.,  1.]]])
     """
+    sx, sy = _column(sx), _column(sy)
     parts = {"translations": (translations, 2), "center": (center, 2), "scale": (scale, 2), "angle": (angle, 0)}
     _batch("get_affine_matrix2d", **parts, **_optional_vectors(sx=sx, sy=sy))
     return affine_matrix2d(angle, translations, scale, sx, sy, center, -1.0, 0.0, 0.0, 3)

@@ -99,3 +99,39 @@ def test_sizes_of_other_kinds_are_refused(size):
 def test_numpy_integers_out_of_range_are_refused(size):
     with pytest.raises(ValueError, match="resize: expected size to be an int"):
         G.resize(torch.rand(1, 1, 4, 4), size)
+
+
+EYE = torch.eye(3)[None]
+WIDE = 40000  # more pixels than a filter's window may have
+CORNERS = torch.tensor([[[0.0, 0], [WIDE - 1, 0], [WIDE - 1, 1], [0, 1]]])
+LARGE = {
+    "resize": lambda x: G.resize(x, (2, WIDE)),
+    "rescale": lambda x: G.rescale(x, (1.0, WIDE / x.shape[-1])),
+    "warp_perspective": lambda x: G.warp_perspective(x, EYE.to(x.device), (2, WIDE)),
+    "warp_affine": lambda x: G.warp_affine(x, EYE[:, :2].to(x.device), (2, WIDE)),
+    "homography_warp": lambda x: G.homography_warp(x, EYE.to(x.device), (2, WIDE)),
+    "center_crop": lambda x: G.center_crop(x, (2, WIDE)),
+    "crop_and_resize": lambda x: G.crop_and_resize(x, CORNERS.to(x.device), (2, WIDE)),
+    "crop_by_boxes": lambda x: G.crop_by_boxes(x, CORNERS.to(x.device), CORNERS.to(x.device)),
+    "extract_tensor_patches": lambda x: K.contrib.extract_tensor_patches(x, (2, WIDE), stride=WIDE)[:, 0],
+}
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.uint8])
+@pytest.mark.parametrize("name", LARGE)
+def test_results_larger_than_a_window(name, dtype, device):
+    """Rows of 40000 pixels, and their transpose where sizes are arguments; windows of filters keep their limit."""
+    x = (torch.arange(4 * WIDE, device=device) % 251).to(dtype).reshape(1, 1, 2, 2 * WIDE)
+    y = LARGE[name](x)
+    assert y.shape == (1, 1, 2, WIDE)
+    if name in ("warp_perspective", "warp_affine", "crop_by_boxes", "extract_tensor_patches"):
+        assert_close(y, x[..., :WIDE])
+    with pytest.raises(ValueError, match="box_blur: expected kernel_size to be an int or 2 ints of at most 32767"):
+        K.filters.box_blur(x, (1, WIDE))
+
+
+def test_columns_larger_than_a_window(device):
+    x = torch.rand(1, 1, 2 * WIDE, 2, device=device)
+    assert_close(G.warp_perspective(x, EYE.to(x.device), (WIDE, 2)), x[:, :, :WIDE])
+    halves = (x[:, :, 0::2] + x[:, :, 1::2]) / 2
+    assert_close(G.resize(x, (WIDE, 2)), halves)

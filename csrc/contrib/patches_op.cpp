@@ -11,7 +11,7 @@ PatchGrid make_grid(char const* op, int64_t channels, std::vector<int64_t> const
                     std::vector<int64_t> const& padding) {
   KV_CHECK(size.size() == 2 && window.size() == 2 && step.size() == 2 && padding.size() == 4, op,
            ": expected size, window and stride of two numbers and padding of four");
-  check_window(op, window[0], window[1]);
+  for (int64_t n : window) KV_CHECK(n > 0, op, ": expected a window of at least 1 pixel an axis");
   for (int64_t n : size) KV_CHECK(n > 0 && n <= INT32_MAX / 4, op, ": expected images of 1 to 2^29 pixels an axis");
   for (int64_t n : step) KV_CHECK(n > 0 && n <= INT32_MAX / 4, op, ": expected a stride of at least 1");
   for (int64_t n : padding) KV_CHECK(n >= 0 && n <= INT32_MAX / 4, op, ": expected a padding of at least 0");

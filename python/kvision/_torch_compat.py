@@ -10,7 +10,9 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
+from torch import Tensor
 from torch._C import _are_functorch_transforms_active, _AutoDispatchBelowAutograd
+from torch._C._functorch import get_unwrapped, is_functorch_wrapped_tensor
 from torch._functorch.utils import unwrap_dead_wrappers
 from torch._ops import OpOverload
 from torch.autograd import forward_ad
@@ -28,6 +30,7 @@ __all__ = [
     "kernel_caller",
     "schema_of",
     "unwrap_dead_wrappers",
+    "without_transforms",
 ]
 
 # Whether torch.func.vmap, grad, vjp, jvp or functionalize is active. Waits for a public predicate in torch.func.
@@ -42,6 +45,16 @@ below_autograd = _AutoDispatchBelowAutograd
 
 # `TorchDispatchMode`: sees every operator that runs. torch's documentation of extensions describes it, but there is no
 # public module to import it from; waits for torch.utils.python_dispatch.
+
+
+def without_transforms(x: Tensor) -> Tensor:
+    """The values of `x` outside of torch.func's transforms: all samples of a vmap at once.
+
+    Waits for a public unwrap in torch.func.
+    """
+    while is_functorch_wrapped_tensor(x):
+        x = get_unwrapped(x)
+    return x
 
 
 def in_forward_ad() -> bool:

@@ -211,11 +211,6 @@ def test_kmeans(kornia, dtype):
         ),
         (lambda: C.distance_transform(torch.rand(3, 3)), ValueError, "distance_transform: expected image of shape"),
         (
-            lambda: C.distance_transform(torch.ones(1, 1, 3, 3).byte()),
-            TypeError,
-            "distance_transform: expected image to be float",
-        ),
-        (
             lambda: C.distance_transform(torch.rand(1, 1, 3, 3), 4),
             ValueError,
             "distance_transform: expected kernel_size to be odd",
@@ -297,3 +292,26 @@ class TestConnectedComponents(OpTests):
 
     def test_empty(self, variant, device):
         assert self.call(torch.zeros(0, 1, 3, 4, device=device), {}).shape == (0, 1, 3, 4)
+
+
+def test_histogram_matching_maps_over_batches_and_takes_empty_ones(device):
+    source, template = torch.rand(2, 4, 3, 5, 6, device=device)
+    found = torch.vmap(C.histogram_matching)(source, template)
+    assert_close(found, torch.stack([C.histogram_matching(s, t) for s, t in zip(source, template)]))
+    assert C.histogram_matching(source[:0], template[:0]).shape == (0, 3, 5, 6)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_kmeans_refuses_points_that_are_not_finite(value, device):
+    points = torch.rand(20, 3, device=device)
+    points[7, 1] = value
+    with pytest.raises(ValueError, match="KMeans: expected X of finite points"):
+        C.KMeans(2, None, seed=0).fit(points)
+    C.KMeans(2, None, seed=0).fit(points[:7])
+
+
+def test_distance_of_integers(device):
+    mask = torch.zeros(1, 1, 5, 6, dtype=torch.uint8, device=device)
+    mask[..., 2, 3] = 1
+    for exact in (False, True):
+        assert_close(C.distance_transform(mask, exact=exact), C.distance_transform(mask.float(), exact=exact))

@@ -67,3 +67,18 @@ def test_halves_and_integers(device):
     assert whitened.dtype == torch.float16
     assert_close(whitened, E.zca_whiten(x.half().float()).half(), 5e-3, 5e-3)
     assert E.zca_whiten((10 * x).int()).dtype == torch.float32
+
+
+@pytest.mark.derivatives
+def test_forward_mode_and_hessians(device):
+    x, v = torch.rand(2, 6, 3, dtype=torch.float64, device=device)
+
+    def loss(x):
+        return E.zca_whiten(x, eps=0.1).pow(3).sum()
+
+    step = 1e-6
+    _, tangent = torch.func.jvp(E.zca_whiten, (x,), (v,))
+    assert_close(tangent, (E.zca_whiten(x + step * v) - E.zca_whiten(x - step * v)) / (2 * step), 1e-6, 1e-6)
+    expected = torch.autograd.functional.hessian(loss, x)
+    assert_close(torch.func.hessian(loss)(x), expected, 1e-9, 1e-9)
+    assert_close(torch.func.jacrev(torch.func.grad(loss))(x), expected, 1e-9, 1e-9)

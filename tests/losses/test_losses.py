@@ -431,3 +431,42 @@ def test_nothing_waits_for_the_device(device):
     )
     leaf = x.requires_grad_()
     does_not_wait(device, [lambda loss=loss: loss(leaf).sum().backward() for loss in losses])
+
+
+ROBUST = ("charbonnier_loss", "welsch_loss", "cauchy_loss", "geman_mcclure_loss")
+
+
+@pytest.mark.parametrize("name", ROBUST)
+def test_no_reduction_by_none(name, device):
+    x, y = torch.rand(2, 3, 4, device=device)
+    loss = getattr(L, name)
+    assert torch.equal(loss(x, y, None), loss(x, y, "none"))
+    module = getattr(L, "".join(part.capitalize() for part in name.split("_")))
+    assert torch.equal(module(None)(x, y), loss(x, y))
+
+
+@pytest.mark.parametrize("reduction", ["none", "mean", "sum"])
+@pytest.mark.parametrize(
+    "shape", [(3,), (3, 1, 1), (1, 3, 1, 1), (2, 3, 1, 1), (1, 1, 1, 1), (), (1,), (9, 10), (3, 9, 10), (2, 1, 9, 10)]
+)
+def test_pos_weights_that_broadcast(shape, reduction, device):
+    """Also of the size of a pixel or an image; a vector of C has one for each class, as in Kornia."""
+    pred, target = torch.randn(2, 3, 9, 10, device=device), torch.rand(2, 3, 9, 10, device=device).round()
+    weight = torch.rand(shape, device=device) + 0.5
+    classes = torch.tensor([0.5, 1.0, 2.0], device=device)
+    aligned = weight.reshape(3, 1, 1) if shape == (3,) else weight
+    p = pred.sigmoid()
+    yes = -0.25 * aligned * (1 - p) ** 2 * target * F.logsigmoid(pred)
+    no = -0.75 * p**2 * (1 - target) * F.logsigmoid(-pred)
+    expected = classes.reshape(3, 1, 1) * (yes + no)
+    expected = expected if reduction == "none" else getattr(expected, reduction)()
+    found = L.binary_focal_loss_with_logits(pred, target, 0.25, 2.0, reduction, weight, classes)
+    assert_close(found, expected, 1e-5, 1e-5)
+
+
+def test_pos_weights_that_do_not_broadcast():
+    pred = torch.zeros(2, 3, 4, 5)
+    with pytest.raises(
+        ValueError, match=r"expected pos_weight of shape \(3,\), or one that broadcasts to .*got \(2,\)"
+    ):
+        L.binary_focal_loss_with_logits(pred, pred, pos_weight=torch.ones(2))

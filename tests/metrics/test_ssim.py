@@ -200,3 +200,23 @@ def test_the_gradient_of_many_planes_is_that_of_each(device):
         (grad,) = torch.autograd.grad(call(x, y).sum(), x)
         (of_last,) = torch.autograd.grad(call(x[35:], y[35:]).sum(), x)
         assert torch.equal(grad[35:], of_last[35:])
+
+
+@pytest.mark.parametrize("size", [(2, 9, 9), (1, 1, 1), (3, 2, 8)])
+def test_thin_volumes(size, device):
+    """Where a border of half a window cannot be reflected, it is replicated."""
+    x, y = torch.rand(2, 1, 2, *size, dtype=torch.float64, device=device)
+    border = (3,) * 6
+    wide = [torch.nn.functional.pad(z, border, mode="replicate") for z in (x, y)]
+    found = K.metrics.ssim3d(x, y, 7)
+    assert_close(found, K.metrics.ssim3d(*wide, 7, padding="valid"))
+    assert found.shape == x.shape and (K.metrics.ssim3d(x, x, 7) == 1).all()
+    assert_close(K.losses.ssim3d_loss(x, y, 7), ((1 - found) / 2).clamp(0, 1).mean(), 1e-9, 1e-9)
+    assert_close(K.losses.ssim3d_loss(x, y, 7, reduction="none"), (1 - found) / 2, 1e-9, 1e-9)
+
+
+@pytest.mark.parametrize("function", [K.metrics.ssim, K.losses.ssim_loss])
+def test_advice_for_small_images(function):
+    x = torch.rand(1, 1, 3, 9)
+    with pytest.raises(ValueError, match=r"got \(1, 1, 3, 9\); use a smaller window_size for images this small"):
+        function(x, x, 11)

@@ -123,3 +123,19 @@ def test_errors(name):
             function(*arguments, **options)
     with pytest.raises(ValueError, match="reconstruction: expected kernel to be odd"):
         M.reconstruction(x, x, torch.ones(2, 2))
+
+
+@pytest.mark.parametrize("method", ["dilation", "erosion"])
+def test_reconstruction_under_vmap(method, device):
+    """Without num_iters, until no sample changes; gradients flow, too."""
+    mask = torch.rand(3, 2, 1, 7, 8, device=device)
+    seed = mask - 0.4 if method == "dilation" else mask + 0.4
+
+    def call(seed, mask):
+        return M.reconstruction(seed, mask, method=method)
+
+    expected = torch.stack([call(s, m) for s, m in zip(seed, mask)])
+    assert_close(torch.vmap(call)(seed, mask), expected)
+    grads = torch.vmap(torch.func.grad(lambda s, m: call(s, m).square().sum()))(seed, mask)
+    each = [torch.func.grad(lambda s, m=m: call(s, m).square().sum())(s) for s, m in zip(seed, mask)]
+    assert_close(grads, torch.stack(each))

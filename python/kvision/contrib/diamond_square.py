@@ -53,7 +53,8 @@ def diamond_square(
         tensor([1.])
     """
     op = "diamond_square"
-    if not isinstance(output_size, (tuple, list, torch.Size)) or any(type(n) is not int for n in output_size):
+    output_size = _check.scalars(op, "output_size", output_size)
+    if not isinstance(output_size, (tuple, list, torch.Size)) or not all(map(_check.is_int, output_size)):
         raise TypeCheckError(f"{op}: expected output_size to be four ints, got {output_size!r}")
     if len(output_size) != 4 or min(output_size) < 1:
         raise ValueCheckError(f"{op}: expected output_size of four ints of at least 1, got {output_size!r}")

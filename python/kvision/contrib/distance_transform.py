@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, ValueCheckError
@@ -23,7 +24,8 @@ def distance_transform(image: Tensor, kernel_size: int = 3, h: float = 0.35, exa
     within a step the distance is -h log of the mask blurred with exp(-distance / h).
 
     Args:
-        image: masks (B, C, H, W) or (B, C, D, H, W), floating point, 1 at the sources and 0 elsewhere.
+        image: masks (B, C, H, W) or (B, C, D, H, W), 1 at the sources and 0 elsewhere. Integers are computed in
+            float32.
         kernel_size: window of a step, odd and at least 3.
         h: how soft it is: small is closer to the true distance, too small is not precise.
         exact: compute the Euclidean distance instead, which has no gradient; infinity where there is no source.
@@ -32,7 +34,7 @@ def distance_transform(image: Tensor, kernel_size: int = 3, h: float = 0.35, exa
         Pixels, in the shape of the image. Where the approximation reaches no source it is 0.
 
     Raises:
-        TypeCheckError: image is no floating-point tensor; arguments of other kinds.
+        TypeCheckError: image is no real tensor; arguments of other kinds.
         ShapeError: image of another rank.
         ValueCheckError: an even or too small kernel_size; an h that is not above 0, too small or too large for it.
 
@@ -47,7 +49,7 @@ def distance_transform(image: Tensor, kernel_size: int = 3, h: float = 0.35, exa
     """
     op = "distance_transform"
     _check.numbers(op, "image", image)
-    _check.floating(op, "image", image)
+    image = floats(image)
     if image.dim() not in (4, 5) or 0 in image.shape[2:]:
         raise ShapeError(
             f"{op}: expected image of shape (B, C, H, W) or (B, C, D, H, W) with pixels, got {tuple(image.shape)}",

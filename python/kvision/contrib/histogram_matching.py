@@ -64,7 +64,7 @@ def histogram_matching(source: Tensor, template: Tensor) -> Tensor:
 
     Raises:
         TypeCheckError: not two real tensors.
-        ShapeError: an empty template.
+        ShapeError: an empty template for a source that is not.
         DeviceError: tensors on different devices.
 
     Example:
@@ -74,12 +74,12 @@ def histogram_matching(source: Tensor, template: Tensor) -> Tensor:
     """
     _check.numbers("histogram_matching", "source", source)
     _check.numbers("histogram_matching", "template", template)
-    if template.numel() == 0:
-        raise ShapeError("histogram_matching: expected a template with values, got none", actual_shape=template.shape)
     _check.same_device("histogram_matching", source=source, template=template)
     stored = source.dtype if source.is_floating_point() else torch.float32
     if source.numel() == 0:
         return source.to(stored)
+    if template.numel() == 0:
+        raise ShapeError("histogram_matching: expected a template with values, got none", actual_shape=template.shape)
     computes = compute_dtype(source)
     values = template.flatten().to(computes).sort().values
     places = torch.cat([values.new_zeros(1), _ranks(values.detach())])
@@ -91,6 +91,6 @@ def histogram_matching(source: Tensor, template: Tensor) -> Tensor:
 def _ranks(ordered: Tensor) -> Tensor:
     """The rank of each of the sorted values: the fraction of values that are not above it."""
     n = ordered.numel()
-    last = torch.arange(1, n + 1, device=ordered.device)
-    last[:-1].masked_fill_(ordered[1:] == ordered[:-1], n)
+    follows = torch.nn.functional.pad(ordered[1:] == ordered[:-1], (0, 1))
+    last = torch.where(follows, n, torch.arange(1, n + 1, device=ordered.device))
     return last.flip(0).cummin(0).values.flip(0).to(ordered.dtype) / n

@@ -131,7 +131,7 @@ class ImageStitcher(nn.Module):
         if len(imgs) < 2:
             raise ValueCheckError(f"ImageStitcher: expected at least two images, got {len(imgs)}")
         for i, x in enumerate(imgs):
-            _check.images("ImageStitcher", f"image {i}", x)
+            _check.images("ImageStitcher", f"imgs[{i}]", x)
         panorama = floats(imgs[0])
         mask = torch.ones_like(panorama[:, :1])
         for x in imgs[1:]:

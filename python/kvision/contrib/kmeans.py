@@ -87,6 +87,8 @@ class KMeans:
     def fit(self, X: Tensor) -> None:
         """Find the clusters of points (N, D), N at least 1; with a tolerance every round waits for the device.
 
+        Points that are NaN or infinite are a ValueCheckError; on a GPU only with a tolerance, without which nothing is read.
+
         Example:
             >>> import torch, kvision as K
             >>> kmeans = K.contrib.KMeans(2, None, seed=0)
@@ -104,6 +106,9 @@ class KMeans:
                 raise ShapeError(f"KMeans: expected X of at least {n} points, got {tuple(X.shape)}")
             centers = X[torch.randperm(X.shape[0], device=X.device)[:n]]
         self._check_columns(X, centers)
+        # With a tolerance every round waits for the device, so this look at the points costs nothing more.
+        if (self.tolerance is not None or X.is_cpu) and not X.isfinite().all():
+            raise ValueCheckError("KMeans: expected X of finite points, got NaN or infinite ones")
         points, rounds = _wide(X), 0
         while True:
             nearest = _nearest(X, centers)

@@ -95,7 +95,7 @@ def compute_padding(
         >>> K.contrib.compute_padding((10, 7), (4, 3))
         (1, 1, 1, 1)
     """
-    sizes = _check.pair("compute_padding", "original_size", original_size)
+    sizes = _check.pair("compute_padding", "original_size", original_size, maximum=_check.LARGEST_INT)
     window, step = _windows("compute_padding", window_size, window_size if stride is None else stride)
     return _fitting(sizes, window, step)
 
@@ -191,7 +191,7 @@ def combine_tensor_patches(
         True
     """
     op = "combine_tensor_patches"
-    height, width = _check.pair(op, "original_size", original_size)
+    height, width = _check.pair(op, "original_size", original_size, maximum=_check.LARGEST_INT)
     window, step = _windows(op, window_size, stride)
     _check.shape(op, "patches", patches, "B", "N", "C", *window)
     if step[0] > window[0] or step[1] > window[1]:
@@ -232,13 +232,15 @@ def _added(x: Tensor, index: int, axis: int, step: int) -> Tensor:
 
 
 def _windows(op: str, window_size: Any, stride: Any) -> tuple[tuple[int, int], tuple[int, int]]:
-    return _check.pair(op, "window_size", window_size), _check.pair(op, "stride", stride)
+    window = _check.pair(op, "window_size", window_size, maximum=_check.LARGEST_INT)
+    return window, _check.pair(op, "stride", stride, maximum=_check.LARGEST_INT)
 
 
 def _pads(op: str, name: str, value: Any) -> Pad:
     if type(value) is int and value >= 0:
         return (value, value, value, value)
-    sides = (value, value) if _check.is_int(value) else value
+    sides = _check.scalars(op, name, value)
+    sides = (sides, sides) if _check.is_int(sides) else sides
     if not isinstance(sides, (tuple, list)) or len(sides) not in (2, 4) or not all(map(_check.is_int, sides)):
         raise TypeCheckError(f"{op}: expected {name} to be an int, 2 or 4 ints, got {value!r}", actual_type=type(value))
     if min(sides) < 0:

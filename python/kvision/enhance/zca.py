@@ -30,6 +30,13 @@ class _Root(torch.autograd.Function):
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
         ctx.save_for_backward(*output)
+        ctx.save_for_forward(*output)
+
+    @staticmethod
+    def jvp(ctx: Any, tangent: Tensor, _: None) -> tuple[Tensor, Tensor]:
+        root, inverse = ctx.saved_tensors
+        root_tangent = _Solution.apply(root, tangent)
+        return root_tangent, -inverse @ root_tangent @ inverse
 
     @staticmethod
     def backward(ctx: Any, grad_root: Tensor, grad_inverse: Tensor) -> tuple[Tensor, None]:
@@ -51,6 +58,15 @@ class _Solution(torch.autograd.Function):
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Tensor, Tensor], output: Tensor) -> None:
         ctx.save_for_backward(inputs[0], output)
+        ctx.save_for_forward(inputs[0], output)
+
+    @staticmethod
+    def jvp(ctx: Any, root_tangent: Tensor | None, tangent: Tensor | None) -> Tensor:
+        root, x = ctx.saved_tensors
+        g = torch.zeros_like(x) if tangent is None else tangent
+        if root_tangent is not None:
+            g = g - root_tangent @ x - x @ root_tangent
+        return _Solution.apply(root, g)
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor]:
@@ -148,7 +164,7 @@ def linear_transform(inp: Tensor, transform_matrix: Tensor, mean_vector: Tensor,
         TypeCheckError: an argument is no real tensor; dim no int.
         IndexError: inp has no axis dim.
         ShapeError: matrix or mean does not fit the data.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K
@@ -161,14 +177,16 @@ def linear_transform(inp: Tensor, transform_matrix: Tensor, mean_vector: Tensor,
     features = samples.shape[1:].numel()
     _check.shape("linear_transform", "transform_matrix", transform_matrix, features, features)
     _check.shape("linear_transform", "mean_vector", mean_vector, 1, features)
-    _check.same_device("linear_transform", inp=inp, transform_matrix=transform_matrix, mean_vector=mean_vector)
+    transform_matrix = _check.to_device_of("linear_transform", inp, "transform_matrix", transform_matrix, of="inp")
+    mean_vector = _check.to_device_of("linear_transform", inp, "mean_vector", mean_vector, of="inp")
     with torch.autocast(inp.device.type, enabled=False):
         y = (samples.reshape(-1, features) - mean_vector.to(samples.dtype)) @ transform_matrix.to(samples.dtype)
     return y.reshape(samples.shape).movedim(0, dim).to(floats(inp).dtype)
 
 
 def _axis(op: str, inp: Tensor, dim: int) -> int:
-    if type(dim) is not int:
+    dim = _check.scalar(op, "dim", dim)
+    if not _check.is_int(dim):
         raise TypeCheckError(f"{op}: expected dim to be an int, got {dim!r}", actual_type=type(dim))
     if not -inp.dim() <= dim < inp.dim():
         raise IndexError(f"{op}: expected dim to be an axis of {inp.dim()}, got {dim}")

@@ -12,10 +12,11 @@ from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
 from kvision._ops import match_layout, register, vjp
+from kvision.core.exceptions import ShapeError
 from kvision.losses.reduction import (
     as_arguments,
     check_labels,
-    check_weight,
+    checked_weight,
     masked,
     segmentation_supports,
     selected,
@@ -106,7 +107,7 @@ def focal_loss(
         TypeCheckError: pred is no floating-point tensor or target not int64.
         ShapeError: target or weight do not fit pred.
         ValueCheckError: a negative gamma; an unknown reduction, which is a NotImplementedError, too.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Source: T.-Y. Lin et al., "Focal loss for dense object detection" (2017).
 
@@ -119,7 +120,7 @@ def focal_loss(
     check_labels("focal_loss", pred, target, images=False)
     alpha, gamma = _focus("focal_loss", alpha, gamma)
     _check.reduction("focal_loss", reduction)
-    check_weight("focal_loss", "weight", weight, pred)
+    weight = checked_weight("focal_loss", "weight", weight, pred)
     factor, summed = 1.0, reduction != "none"
     if reduction == "mean":
         count = pred.numel()
@@ -162,7 +163,7 @@ def binary_focal_loss_with_logits(
         alpha: factor of the positive term, 1 - alpha that of the negative one; None for 1 in both.
         gamma: how strongly the weight of well-classified pixels is reduced, at least 0.
         reduction: 'none', 'mean' or 'sum'.
-        pos_weight: more factors of the positive terms (C,).
+        pos_weight: more factors of the positive terms: (C,), or of any shape that broadcasts to pred.
         weight: factors of the classes (C,).
         ignore_index: target of what adds nothing; None for none.
 
@@ -188,8 +189,8 @@ def binary_focal_loss_with_logits(
     _check.same_device(op, pred=pred, target=target)
     alpha, gamma = _focus(op, alpha, gamma)
     _check.reduction(op, reduction)
-    check_weight(op, "pos_weight", pos_weight, pred)
-    check_weight(op, "weight", weight, pred)
+    pos_weight = _pos_weight(op, pos_weight, pred)
+    weight = checked_weight(op, "weight", weight, pred)
     factor, summed = 1.0, reduction != "none"
     if reduction == "mean":
         factor = 1 / pred.numel() if pred.numel() else float("nan")
@@ -205,14 +206,33 @@ def binary_focal_loss_with_logits(
             )
         loss = _binary(pred.reshape(1, -1), target.reshape(1, -1), None, None, *terms)
     else:
-        rows = pred.shape[0] * pred.shape[1]
+        rows, axes = pred.shape[0] * pred.shape[1], (1,) * (pred.dim() - 2)
         pixels = pred.numel() // rows if rows else 0
-        ones = pred.new_ones(pred.shape[1], dtype=compute_dtype(pred))
-        of_no = ones if weight is None else weight.to(ones.dtype)
-        of_yes = of_no if pos_weight is None else of_no * pos_weight.to(ones.dtype)
-        factors = (w.expand(pred.shape[0], -1).reshape(-1) for w in (of_yes, of_no))
+        of_no = pred.new_ones(pred.shape[1], dtype=compute_dtype(pred)) if weight is None else weight
+        of_no = as_dtype(of_no, compute_dtype(pred)).reshape(-1, *axes)
+        of_yes = of_no if pos_weight is None else of_no * as_dtype(pos_weight, of_no.dtype)
+        if of_yes.shape[of_yes.dim() - len(axes) :].numel() != 1:  # one factor a pixel: each is a row
+            rows, pixels, axes = pred.numel(), 1, pred.shape[2:]
+        factors = (w.expand(*pred.shape[:2], *axes).reshape(-1) for w in (of_yes, of_no))
         loss = _binary(pred.reshape(rows, pixels), target.reshape(rows, pixels), *factors, *terms)
     return as_dtype(loss.sum() if summed else loss.view(pred.shape), pred.dtype)
+
+
+def _pos_weight(op: str, pos_weight: Tensor | None, pred: Tensor) -> Tensor | None:
+    """`pos_weight` as it broadcasts to `pred` (B, C, *): a vector of C numbers has one for each class."""
+    if pos_weight is None:
+        return None
+    _check.numbers(op, "pos_weight", pos_weight)
+    sizes, classes = pos_weight.shape, pred.shape[1]
+    if sizes[:1] == (classes,) and pos_weight.numel() == classes:
+        pos_weight = pos_weight.reshape(classes, *(1,) * (pred.dim() - 2))
+    elif len(sizes) > pred.dim() or any(n not in (1, m) for n, m in zip(reversed(sizes), reversed(pred.shape))):
+        raise ShapeError(
+            f"{op}: expected pos_weight of shape ({classes},), or one that broadcasts to {tuple(pred.shape)}, "
+            f"got {tuple(sizes)}",
+            actual_shape=sizes,
+        )
+    return _check.to_device_of(op, pred, "pos_weight", pos_weight, of="pred")
 
 
 def _binary_reference(

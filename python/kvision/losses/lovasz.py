@@ -12,7 +12,7 @@ from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
 from kvision._ops import not_empty, register, vjp
 from kvision.core.exceptions import ShapeError
-from kvision.losses.reduction import check_labels, check_weight, selected
+from kvision.losses.reduction import check_labels, checked_weight, selected
 
 
 def _reference(pred: Tensor, target: Tensor, hinge: bool) -> tuple[Tensor, Tensor]:
@@ -87,7 +87,7 @@ def lovasz_hinge_loss(pred: Tensor, target: Tensor) -> Tensor:
     Raises:
         TypeCheckError: pred is no floating-point tensor, target no tensor.
         ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Source: J. Yu, M. Blaschko, "The Lovász hinge" (2015).
 
@@ -120,7 +120,7 @@ def lovasz_softmax_loss(pred: Tensor, target: Tensor, weight: Tensor | None = No
     Raises:
         TypeCheckError: pred is no floating-point tensor or target not int64.
         ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Source: M. Berman et al., "The Lovász-softmax loss" (2018).
 
@@ -135,7 +135,7 @@ def lovasz_softmax_loss(pred: Tensor, target: Tensor, weight: Tensor | None = No
             f"lovasz_softmax_loss: expected pred of at least 2 classes, got {tuple(pred.shape)}",
             actual_shape=pred.shape,
         )
-    check_weight("lovasz_softmax_loss", "weight", weight, pred)
+    weight = checked_weight("lovasz_softmax_loss", "weight", weight, pred)
     losses = _losses(pred, target, False)
     if weight is not None:
         losses = losses.mean(0) * weight

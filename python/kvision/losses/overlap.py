@@ -11,7 +11,7 @@ from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
 from kvision._ops import register, vjp
-from kvision.losses.reduction import as_arguments, check_labels, check_weight, masked, segmentation_supports, selected
+from kvision.losses.reduction import as_arguments, check_labels, checked_weight, masked, segmentation_supports, selected
 
 
 def _reference(
@@ -140,7 +140,7 @@ def dice_loss(
         TypeCheckError: pred is no floating-point tensor or target not int64.
         ShapeError: target or weight do not fit pred.
         ValueCheckError: an unknown average, a negative eps.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Source: F. Milletari et al., "V-Net" (2016).
 
@@ -152,7 +152,7 @@ def dice_loss(
     check_labels("dice_loss", pred, target)
     _check.choice("dice_loss", "average", average, ("micro", "macro"))
     eps = _check.number("dice_loss", "eps", eps, minimum=0)
-    check_weight("dice_loss", "weight", weight, pred)
+    weight = checked_weight("dice_loss", "weight", weight, pred)
     weight = None if weight is None else weight[None].to(compute_dtype(pred))
     return _loss(pred, target, weight, average == "micro", 0.5, 0.5, eps / 2, ignore_index)
 

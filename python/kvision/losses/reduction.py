@@ -40,11 +40,12 @@ def check_labels(op: str, pred: Tensor, target: Tensor, images: bool = True) -> 
     _check.same_device(op, pred=pred, target=target)
 
 
-def check_weight(op: str, name: str, weight: Tensor | None, pred: Tensor) -> None:
-    """Raise unless `weight` is None or a tensor with a number for each class of `pred`."""
-    if weight is not None:
-        _check.shape(op, name, weight, pred.shape[1])
-        _check.same_device(op, pred=pred, **{name: weight})
+def checked_weight(op: str, name: str, weight: Tensor | None, pred: Tensor) -> Tensor | None:
+    """`weight` on the device of `pred`; raise unless it is None or a tensor with a number for each class."""
+    if weight is None:
+        return None
+    _check.shape(op, name, weight, pred.shape[1])
+    return _check.to_device_of(op, pred, name, weight, of="pred")
 
 
 def selected(target: Tensor, classes: int, ignore_index: int | None, dtype: torch.dtype) -> tuple[Tensor, Tensor]:

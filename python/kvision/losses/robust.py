@@ -9,13 +9,13 @@ from kvision._modules import FunctionModule
 from kvision.metrics.pointwise import pointwise
 
 
-def charbonnier_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
+def charbonnier_loss(img1: Tensor, img2: Tensor, reduction: str | None = "none") -> Tensor:
     """Compute the Charbonnier loss sqrt(d^2 + 1) - 1 of differences d.
 
     Args:
         img1: a tensor of any shape.
         img2: another one of the same shape.
-        reduction: 'none', 'mean' or 'sum'.
+        reduction: 'none', 'mean' or 'sum'; None is 'none'.
 
     Returns:
         A number, or for 'none' the loss of every element.
@@ -36,13 +36,13 @@ def charbonnier_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Ten
     return _loss("charbonnier", img1, img2, reduction)
 
 
-def welsch_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
+def welsch_loss(img1: Tensor, img2: Tensor, reduction: str | None = "none") -> Tensor:
     """Compute the Welsch loss 1 - exp(-d^2 / 2) of differences d.
 
     Args:
         img1: a tensor of any shape.
         img2: another one of the same shape.
-        reduction: 'none', 'mean' or 'sum'.
+        reduction: 'none', 'mean' or 'sum'; None is 'none'.
 
     Returns:
         A number, or for 'none' the loss of every element.
@@ -58,13 +58,13 @@ def welsch_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
     return _loss("welsch", img1, img2, reduction)
 
 
-def cauchy_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
+def cauchy_loss(img1: Tensor, img2: Tensor, reduction: str | None = "none") -> Tensor:
     """Compute the Cauchy loss log(d^2 / 2 + 1) of differences d.
 
     Args:
         img1: a tensor of any shape.
         img2: another one of the same shape.
-        reduction: 'none', 'mean' or 'sum'.
+        reduction: 'none', 'mean' or 'sum'; None is 'none'.
 
     Returns:
         A number, or for 'none' the loss of every element.
@@ -80,13 +80,13 @@ def cauchy_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
     return _loss("cauchy", img1, img2, reduction)
 
 
-def geman_mcclure_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
+def geman_mcclure_loss(img1: Tensor, img2: Tensor, reduction: str | None = "none") -> Tensor:
     """Compute the Geman-McClure loss 2 d^2 / (d^2 + 4) of differences d.
 
     Args:
         img1: a tensor of any shape.
         img2: another one of the same shape.
-        reduction: 'none', 'mean' or 'sum'.
+        reduction: 'none', 'mean' or 'sum'; None is 'none'.
 
     Returns:
         A number, or for 'none' the loss of every element.
@@ -102,8 +102,9 @@ def geman_mcclure_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> T
     return _loss("geman_mcclure", img1, img2, reduction)
 
 
-def _loss(kind: str, img1: Tensor, img2: Tensor, reduction: str) -> Tensor:
+def _loss(kind: str, img1: Tensor, img2: Tensor, reduction: str | None) -> Tensor:
     op = f"{kind}_loss"
+    reduction = "none" if reduction is None else reduction
     for name, x in (("img1", img1), ("img2", img2)):
         _check.numbers(op, name, x)
         _check.floating(op, name, x)
@@ -122,7 +123,7 @@ class CharbonnierLoss(FunctionModule):
         tensor(1.0811)
     """
 
-    def __init__(self, reduction: str = "none") -> None:
+    def __init__(self, reduction: str | None = "none") -> None:
         super().__init__(reduction=reduction)
 
     def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
@@ -138,7 +139,7 @@ class WelschLoss(FunctionModule):
         tensor(0.4944)
     """
 
-    def __init__(self, reduction: str = "none") -> None:
+    def __init__(self, reduction: str | None = "none") -> None:
         super().__init__(reduction=reduction)
 
     def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
@@ -154,7 +155,7 @@ class CauchyLoss(FunctionModule):
         tensor(0.8524)
     """
 
-    def __init__(self, reduction: str = "none") -> None:
+    def __init__(self, reduction: str | None = "none") -> None:
         super().__init__(reduction=reduction)
 
     def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
@@ -170,7 +171,7 @@ class GemanMcclureLoss(FunctionModule):
         tensor(0.6923)
     """
 
-    def __init__(self, reduction: str = "none") -> None:
+    def __init__(self, reduction: str | None = "none") -> None:
         super().__init__(reduction=reduction)
 
     def forward(self, img1: Tensor, img2: Tensor) -> Tensor:

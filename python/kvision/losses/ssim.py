@@ -145,7 +145,7 @@ def ssim3d_loss(
     _check.reduction("ssim3d_loss", reduction)
     if reduction == "none":
         return _dissimilarity(ssim3d_map("ssim3d_loss", img1, img2, window_size, max_val, eps, padding))
-    arguments = checked_volumes("ssim3d_loss", img1, img2, window_size, max_val, eps, padding)
+    img1, img2, arguments = checked_volumes("ssim3d_loss", img1, img2, window_size, max_val, eps, padding)
     return _reduced(img1, img2, window_size, arguments, reduction)
 
 

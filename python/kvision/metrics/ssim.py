@@ -237,7 +237,7 @@ def ssim3d(
         window_size: size of the window, odd.
         max_val: largest value that there can be.
         eps: added to both sides of the fraction.
-        padding: 'same' or 'valid'.
+        padding: 'same' or 'valid'. 'same' replicates the border of volumes that are too thin to be reflected.
 
     Returns:
         (B, C, D, H, W), for 'valid' window_size - 1 voxels less along each axis.
@@ -256,8 +256,8 @@ def ssim3d(
 def ssim3d_map(
     op: str, img1: Tensor, img2: Tensor, window_size: int, max_val: float, eps: float, padding: str
 ) -> Tensor:
-    arguments = checked_volumes(op, img1, img2, window_size, max_val, eps, padding)
-    return similarity(floats(img1), floats(img2), window_size, SIGMA, *arguments, True)
+    img1, img2, arguments = checked_volumes(op, img1, img2, window_size, max_val, eps, padding)
+    return similarity(img1, img2, window_size, SIGMA, *arguments, True)
 
 
 def checked(
@@ -270,10 +270,19 @@ def checked(
 
 def checked_volumes(
     op: str, img1: Tensor, img2: Tensor, size: int, max_val: float, eps: float, padding: str
-) -> tuple[float, float, float, int]:
-    """Check two volumes; return c1, c2, eps and the number of the padding."""
+) -> tuple[Tensor, Tensor, tuple[float, float, float, int]]:
+    """Check two volumes; return them as floats, and c1, c2, eps and the number of the padding.
+
+    Volumes that are too thin to be reflected come with a replicated border instead.
+    """
     _check.volumes(op, "img1", img1)
-    return _arguments(op, img1, img2, size, max_val, eps, padding)
+    c1, c2, eps, number = _arguments(op, img1, img2, size, max_val, eps, padding)
+    img1, img2 = floats(img1), floats(img2)
+    if padding == "same" and min(img1.shape[2:]) <= size // 2:
+        border = (size // 2,) * 6
+        img1, img2 = (torch.nn.functional.pad(x, border, mode="replicate") for x in (img1, img2))
+        number = VALID
+    return img1, img2, (c1, c2, eps, number)
 
 
 def _arguments(
@@ -289,8 +298,8 @@ def _arguments(
     eps = _check.number(op, "eps", eps, minimum=0)
     _check.choice(op, "padding", padding, ("same", "valid"))
     least = min(img1.shape[2:])
-    if padding == "same" and least <= size // 2:
-        _check.reflectable(op, img1, (size // 2,) * (img1.dim() - 2), "reflect")
+    if padding == "same" and least <= size // 2 and img1.dim() == 4:
+        _check.reflectable(op, img1, (size // 2,) * 2, "reflect", "use a smaller window_size")
     elif padding == "valid" and least < size:
         raise ShapeError(
             f"{op}: expected images no smaller than the window of {size}, got {tuple(img1.shape)}",

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import compute_dtype
+from kvision._torch_compat import without_transforms
 from kvision.core.exceptions import ValueCheckError
 from kvision.morphology.dilation import dilated
 
@@ -38,7 +39,7 @@ def reconstruction(
         TypeCheckError: not two floating-point tensors.
         ShapeError: not (B, C, H, W), or different shapes; kernel of other than two axes.
         ValueCheckError: an even kernel; an unknown method or engine; num_iters or check_every too small.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Source: L. Vincent, "Morphological grayscale reconstruction in image analysis" (1993).
 
@@ -58,7 +59,7 @@ def reconstruction(
         kernel = torch.ones(3, 3, dtype=torch.bool, device=seed.device)
     _check.shape(op, "kernel", kernel, "kH", "kW")
     _check.odd(op, "kernel", kernel.shape)
-    _check.same_device(op, seed=seed, kernel=kernel)
+    kernel = _check.to_device_of(op, seed, "kernel", kernel, of="seed")
     _check.choice(op, "method", method, ("dilation", "erosion"))
     if engine not in ("auto", "unfold", "shift"):
         raise ValueCheckError(f"{op}: engine must be one of auto, unfold, shift; got {engine!r}", actual_value=engine)
@@ -86,5 +87,5 @@ def _grown(
         return after(y, steps)
     while True:
         previous, y = y, after(y, check_every)
-        if not (y > previous).any():
+        if not without_transforms(y > previous).any():
             return y

@@ -141,7 +141,7 @@ def nms2d(input: Tensor, kernel_size: tuple[int, int], mask_only: bool = False) 
         tensor([0., 5., 0., 0.])
     """
     _check.images("nms2d", "input", input)
-    window = [1, *_check.ints("nms2d", "kernel_size", kernel_size, 2)]
+    window = [1, *_check.ints("nms2d", "kernel_size", kernel_size, 2, maximum=_check.LARGEST_WINDOW)]
     _check.flag("nms2d", "mask_only", mask_only)
     result: Tensor = _nms(floats(input), window, False, mask_only)
     return result
@@ -173,7 +173,7 @@ def nms3d(input: Tensor, kernel_size: tuple[int, int, int], mask_only: bool = Fa
         tensor([[0, 0, 1, 1, 1]])
     """
     _check.volumes("nms3d", "input", input)
-    window = list(_check.ints("nms3d", "kernel_size", kernel_size, 3))
+    window = list(_check.ints("nms3d", "kernel_size", kernel_size, 3, maximum=_check.LARGEST_WINDOW))
     _check.flag("nms3d", "mask_only", mask_only)
     result: Tensor = _nms(_stacked(input), window, True, mask_only)
     return result.reshape(input.shape)

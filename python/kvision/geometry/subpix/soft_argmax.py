@@ -106,7 +106,7 @@ def conv_soft_argmax2d(
     results = _of_windows(
         op,
         input[:, :, None],
-        [1, *_check.ints(op, "kernel_size", kernel_size, 2)],
+        [1, *_check.ints(op, "kernel_size", kernel_size, 2, maximum=_check.LARGEST_WINDOW)],
         [1, *_check.ints(op, "stride", stride, 2)],
         [0, *_check.ints(op, "padding", padding, 2, minimum=0)],
         temperature,
@@ -170,7 +170,7 @@ def conv_soft_argmax3d(
     results = _of_windows(
         op,
         input,
-        [*_check.ints(op, "kernel_size", kernel_size, 3)],
+        [*_check.ints(op, "kernel_size", kernel_size, 3, maximum=_check.LARGEST_WINDOW)],
         [*_check.ints(op, "stride", stride, 3)],
         [*_check.ints(op, "padding", padding, 3, minimum=0)],
         temperature,

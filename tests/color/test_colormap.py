@@ -114,7 +114,11 @@ def test_errors(device):
         (lambda: C.apply_colormap(None, table), TypeCheckError, "apply_colormap: expected input_tensor"),
         (lambda: C.apply_colormap(x[0, 0], table), ShapeError, "apply_colormap: expected input_tensor of shape"),
         (lambda: C.apply_colormap(x, "jet"), TypeCheckError, "apply_colormap: expected colormap"),
-        (lambda: C.apply_colormap(x.to("meta"), table), DeviceError, "apply_colormap: expected all tensors"),
+        (
+            lambda: C.apply_colormap(x, C.ColorMap("jet", device="meta")),
+            DeviceError,
+            "apply_colormap: expected all tensors",
+        ),
         (lambda: C.ApplyColorMap("jet"), TypeCheckError, "ApplyColorMap: expected colormap"),
     ]:
         with pytest.raises(error, match=f"^{text}"):

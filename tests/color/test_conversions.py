@@ -49,7 +49,7 @@ CASES = {
     "rgba_to_bgr": Case(alpha, module=C.RgbaToBgr, channels=4),
     "rgb_to_hsv": Case(arguments=(1e-6,), module=C.RgbToHsv),
     "hsv_to_rgb": Case(C.rgb_to_hsv, module=C.HsvToRgb),
-    "rgb_to_hls": Case(module=C.RgbToHls, integers=False),
+    "rgb_to_hls": Case(module=C.RgbToHls),
     "hls_to_rgb": Case(C.rgb_to_hls, module=C.HlsToRgb),
     "rgb_to_xyz": Case(module=C.RgbToXyz),
     "xyz_to_rgb": Case(C.rgb_to_xyz, module=C.XyzToRgb),
@@ -257,7 +257,7 @@ def test_integers(name, case, convert, dtype, device):
         assert convert(x).dtype == dtype
     elif case.integers:
         assert_close(convert(x), convert(x.float()))
-    elif dtype != torch.uint8 or name == "rgb_to_hls":
+    elif dtype != torch.uint8:
         with pytest.raises(
             TypeCheckError, match=f"^{name}: expected image to be (uint8 or )?floating point, got {dtype}"
         ):

@@ -60,12 +60,6 @@ class TestRgbToHls(ConversionTests):
     function = staticmethod(C.rgb_to_hls)
     module = C.RgbToHls
 
-    def test_value_of_bytes(self, variant, device):
-        with pytest.raises(TypeError, match="rgb_to_hls: "):
-            self.call(self.input(self.shape, torch.uint8, device), {})
-
-    test_other_integers_become_float32 = test_value_of_bytes
-
 
 class TestHlsToRgb(ConversionTests):
     function = staticmethod(C.hls_to_rgb)

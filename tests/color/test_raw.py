@@ -152,3 +152,8 @@ def test_errors(convert, module, channels, device):
         for wrong in (x[..., :5], x[..., :3, :], x[..., :0]):
             with pytest.raises(ShapeError, match=f"^{name}: expected image with even H and W of at least 2"):
                 convert(wrong, C.CFA.BG)
+
+
+@pytest.mark.parametrize("cfa", C.CFA)
+def test_no_images(cfa, device):
+    assert C.raw_to_rgb(torch.rand(0, 1, 4, 6, device=device), cfa).shape == (0, 3, 4, 6)

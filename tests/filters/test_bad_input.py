@@ -130,7 +130,7 @@ def kernels(b: int, *size: int) -> Kind:
 
 KERNEL, ROW, KERNEL_3D = kernels(1, 3, 3), kernels(1, 3), kernels(1, 3, 1, 3)
 
-NO_INT = (None, "3", 3.0, True, 2 + 0j, NAN, torch.tensor(3), torch.float32)
+NO_INT = (None, "3", 3.0, True, 2 + 0j, NAN, torch.tensor(3.0), torch.tensor([3]), torch.float32)
 NO_SIZE = (*NO_INT, "33", [], {3: 3}, (3.0, 3.0), (True, 3), (None, 3), (3,) * 5)
 LENGTH = Kind((3, 5), (*NO_SIZE, 0, -1, -3, -(2**40), *HUGE), (1, 2, 4, 501))
 ODD_LENGTH = LENGTH.but(refused=(2, 4))
@@ -167,7 +167,7 @@ ABOVE_0 = Kind((0.5, 2), (*NO_NUMBERS, NAN, 0, 0.0, -1.0, -INF, *LARGEST), (True
 
 def sigmas(count: int, zero: bool = False) -> Kind:
     """Standard deviations along `count` axes: numbers, or a tensor with a row for every image."""
-    ranks = (filled(*shape) for shape in ((), (count + 1,), (2, count + 1), (1, count, 1), (2, 0)))
+    ranks = (filled(*shape) for shape in ((count + 1,), (2, count + 1), (1, count, 1), (2, 0)))
     tuples = ((1.0,) * (count + 1), *((value,) * count for value in (NAN, "1", None, -1.0, 10**400)))
     numbers = (-1.0, -INF, NAN, *LARGEST, *(() if zero else (0.0,)))
     return Kind(
@@ -175,6 +175,7 @@ def sigmas(count: int, zero: bool = False) -> Kind:
         refused=(*NO_NUMBERS, *numbers, *tuples, *ranks, complex_(2, count)),
         odd=(
             *(filled(3, count), filled(0, count), filled(1, count).double(), filled(1, count).half(), meta(2, count)),
+            *(torch.tensor(1.5), torch.tensor(-1.0), meta()),
             *(torch.full((2, count), value) for value in (0.0, -1.0, NAN, INF, 7)),
             *(0.0, 1e-300, 1e-30, INF, True),
         ),
@@ -182,8 +183,8 @@ def sigmas(count: int, zero: bool = False) -> Kind:
 
 
 PER_IMAGE = Kind(  # one number for all images or for each
-    good=(0.5, filled(1) + 0.5, filled(2) + 0.5),
-    refused=(*NO_NUMBERS, (0.1,), -1.0, NAN, *LARGEST, torch.tensor(0.5), *map(filled, (0, 3)), filled(2, 1), meta(2)),
+    good=(0.5, torch.tensor(0.5), filled(1) + 0.5, filled(2) + 0.5),
+    refused=(*NO_NUMBERS, (0.1,), -1.0, NAN, *LARGEST, *map(filled, (0, 3)), filled(2, 1), meta(2)),
     odd=(torch.tensor([0.0, INF]), torch.tensor([NAN, -1]), 0.0, INF, 1e-300, True),
 )
 ANGLE = Kind(
@@ -193,8 +194,8 @@ ANGLE = Kind(
 )
 ANGLES = Kind(
     good=((10.0, 20.0, 30.0), [0, 0, 90.0], filled(2, 3) * 90, filled(3)),
-    refused=(*NO_NUMBERS, (1.0, 2.0), (NAN, 0, 0), (1e300, 0, 0), NAN, *map(torch.ones, ((), (2, 2), (2, 1, 3)))),
-    odd=(filled(3, 3), filled(0, 3), torch.full((2, 3), NAN), meta(2, 3), 30.0),
+    refused=(*NO_NUMBERS, (1.0, 2.0), (NAN, 0, 0), (1e300, 0, 0), NAN, *map(torch.ones, ((2, 2), (2, 1, 3)))),
+    odd=(torch.tensor(30.0), filled(3, 3), filled(0, 3), torch.full((2, 3), NAN), meta(2, 3), 30.0),
 )
 MEAN = Kind(
     good=(None, 1.0, -3, filled(2, 1)),

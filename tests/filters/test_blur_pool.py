@@ -72,7 +72,6 @@ def test_bad_input(name):
     for arguments, error, message in [
         ((None, 3), TypeCheckError, "expected input to be a Tensor"),
         ((x[0], 3), ShapeError, r"expected input of shape \(B, C, H, W\)"),
-        ((x.byte(), 3), TypeCheckError, "to be floating point, got torch.uint8"),
         ((x, 0), ValueCheckError, "expected kernel_size"),
         ((x, 2.0), TypeCheckError, "expected kernel_size"),
     ]:
@@ -102,3 +101,16 @@ def test_bad_input(name):
 def test_bad_options(call, error, message):
     with pytest.raises(error, match=message):
         call(torch.rand(1, 1, 6, 6))
+
+
+def test_advice_for_small_images():
+    message = "edge_aware_blur_pool2d: .* pad the image or use a smaller kernel_size for images this small"
+    with pytest.raises(ShapeError, match=message):
+        K.filters.edge_aware_blur_pool2d(torch.rand(1, 3, 2, 9), 3)
+
+
+@pytest.mark.parametrize("name", ["blur_pool2d", "max_blur_pool2d", "edge_aware_blur_pool2d"])
+def test_integers_compute_in_float32(name, device):
+    x, pool = torch.randint(0, 256, (1, 2, 8, 9), device=device), getattr(K.filters, name)
+    for dtype in (torch.uint8, torch.int64):
+        assert_close(pool(x.to(dtype), 3), pool(x.float(), 3))

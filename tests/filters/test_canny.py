@@ -135,3 +135,10 @@ class TestHysteresis:
         if edges.numel():
             edges[..., -1, -1] = 1
             assert self.keep(edges).all()
+
+
+def test_advice_for_small_images():
+    message = r"canny: expected input .*, got \(1, 3, 2, 9\); use a smaller kernel_size for images this small"
+    with pytest.raises(ValueError, match=message):
+        K.filters.canny(torch.rand(1, 3, 2, 9))
+    K.filters.canny(torch.rand(1, 3, 2, 9), kernel_size=3)

@@ -87,3 +87,14 @@ def test_empty(device):
 def test_bad_input(arguments, error, message):
     with pytest.raises(error, match=message):
         in_range(*arguments)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_half_types_compare_in_float32(dtype, device):
+    """0.1 in half is below or above the float32 0.1: a bound is not rounded to the type of the image."""
+    x = torch.tensor([0.1, 0.2, 0.3], device=device).to(dtype).reshape(1, 1, 1, 3)
+    expected = ((x.float() >= 0.1) & (x.float() <= 0.3)).to(dtype)
+    assert not expected.all()
+    assert torch.equal(K.filters.in_range(x, (0.1,), (0.3,), return_mask=True), expected)
+    bounds = torch.tensor([0.1], device=device), torch.tensor([0.3], device=device)
+    assert torch.equal(K.filters.in_range(x, *bounds, return_mask=True), expected)

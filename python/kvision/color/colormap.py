@@ -55,6 +55,10 @@ class ColorMapType(Enum):
 class ColorMap:
     """A table of colors.
 
+    The named tables are Kornia's, which have 64 colors of Matplotlib's maps; `twilight` begins in the middle of Matplotlib's,
+    as in OpenCV. Other tables have these names in OpenCV: `jet`, `hot`, `pink` and `hsv` (up to 0.09 to 0.21 apart), `rainbow`
+    and `ocean` (other colors). `brg` and `seismic` are not in OpenCV.
+
     Args:
         base: a ColorMapType or its name, which stand for 64 colors, or a list of colors (r, g, b) in [0, 1].
         num_colors: size of the table. The base is resampled linearly, as an image of one row would be.
@@ -157,7 +161,7 @@ def apply_colormap(input_tensor: Tensor, colormap: ColorMap) -> Tensor:
     Raises:
         TypeCheckError: input_tensor is no tensor, colormap no ColorMap.
         ShapeError: input_tensor has another number of axes.
-        DeviceError: input_tensor and the table on different devices.
+        DeviceError: a table on another device; one in CPU memory is moved.
 
     Example:
         >>> import torch, kvision as K
@@ -182,7 +186,7 @@ def _apply(x: Tensor, colors: Tensor) -> Tensor:
             f"apply_colormap: expected input_tensor of shape (B, C, H, W) or (C, H, W), got {tuple(x.shape)}",
             actual_shape=x.shape,
         )
-    _check.same_device("apply_colormap", input_tensor=x, colormap=colors)
+    colors = _check.to_device_of("apply_colormap", x, "colormap", colors, of="input_tensor")
     x = x if x.dim() == 4 else x[None]
     if x.is_floating_point():
         x = x if x.dtype == torch.float64 else x.float()

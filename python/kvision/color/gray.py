@@ -50,7 +50,7 @@ def rgb_to_grayscale(image: Tensor, rgb_weights: Tensor | None = None) -> Tensor
     Raises:
         TypeCheckError: image is no tensor, or of integers other than uint8; rgb_weights is no real tensor.
         ShapeError: image is not (*, 3, H, W), rgb_weights not (3,).
-        DeviceError: image and rgb_weights on different devices.
+        DeviceError: rgb_weights on another device; those in CPU memory are moved.
 
     Source: ITU-R BT.601.
 
@@ -66,7 +66,7 @@ def rgb_to_grayscale(image: Tensor, rgb_weights: Tensor | None = None) -> Tensor
     _floats_or_bytes("rgb_to_grayscale", image)
     if rgb_weights is not None:
         _check.shape("rgb_to_grayscale", "rgb_weights", rgb_weights, 3)
-        _check.same_device("rgb_to_grayscale", image=image, rgb_weights=rgb_weights)
+        rgb_weights = _check.to_device_of("rgb_to_grayscale", image, "rgb_weights", rgb_weights, of="image")
         weighted = _luma_u8 if image.dtype == torch.uint8 else weighted_sum
         return apply_on_batch(weighted, image, rgb_weights.reshape(1, 1, 3))
     if image.dtype == torch.uint8:

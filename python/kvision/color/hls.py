@@ -34,7 +34,7 @@ def rgb_to_hls(image: Tensor, eps: float = 1e-8) -> Tensor:
     """RGB to hue, lightness and saturation.
 
     Args:
-        image: RGB images (*, 3, H, W) in [0, 1], floating point.
+        image: RGB images (*, 3, H, W) in [0, 1]. Integers are computed in float32.
         eps: added to the divisors of hue and saturation that are not 0.
 
     Returns:
@@ -42,7 +42,7 @@ def rgb_to_hls(image: Tensor, eps: float = 1e-8) -> Tensor:
         saturation 0. Where channels tie for the highest, red counts before green and green before blue.
 
     Raises:
-        TypeCheckError: image is no tensor of floating-point numbers, eps no number.
+        TypeCheckError: image is no tensor, eps no number.
         ShapeError: image is not (*, 3, H, W).
         ValueCheckError: eps is negative.
 
@@ -54,9 +54,8 @@ def rgb_to_hls(image: Tensor, eps: float = 1e-8) -> Tensor:
         tensor([2.6180, 0.2500, 1.0000])
     """
     _check.channels("rgb_to_hls", "image", image, 3)
-    _check.floating("rgb_to_hls", "image", image)
     eps = _check.number("rgb_to_hls", "eps", eps, minimum=0)
-    return apply_on_batch(_rgb_to_hls, image, eps)
+    return apply_on_batch(_rgb_to_hls, floats(image), eps)
 
 
 def hls_to_rgb(image: Tensor) -> Tensor:

@@ -71,6 +71,11 @@ def bgr_to_rgba(image: Tensor, alpha_val: float | Tensor) -> Tensor:
 
 def _alpha(op: str, image: Tensor, alpha: float | Tensor) -> Tensor:
     channel = image[..., :1, :, :]
+    if not isinstance(alpha, Tensor):
+        alpha = _check.scalar(op, "alpha_val", alpha)
+    elif alpha.dim() == 0:
+        _check.numbers(op, "alpha_val", alpha)
+        return _check.to_device_of(op, image, "alpha_val", alpha, of="image").to(image.dtype).expand(channel.shape)
     if isinstance(alpha, float):
         return torch.full_like(channel, alpha)
     if not isinstance(alpha, Tensor):
@@ -97,7 +102,7 @@ def rgba_to_rgb(image: Tensor, background_color: tuple[float, float, float] | Te
         TypeCheckError: image is no tensor; background_color of another kind.
         ShapeError: image is not (*, 4, H, W); a tensor background_color that does not fit it.
         ValueCheckError: a background_color that is not of three numbers.
-        DeviceError: image and background_color on different devices.
+        DeviceError: background_color on another device; a color in CPU memory is moved.
 
     Source: T. Porter and T. Duff, "Compositing digital images" (1984).
 
@@ -116,6 +121,10 @@ def rgba_to_rgb(image: Tensor, background_color: tuple[float, float, float] | Te
         background = _color(background_color, image)
     else:
         _check.channels("rgba_to_rgb", "background_color", background_color, 3)
+        if background_color.shape[-2:].numel() == 1:  # a color; an image is not moved
+            background_color = _check.to_device_of(
+                "rgba_to_rgb", image, "background_color", background_color, of="image"
+            )
         _check.same_device("rgba_to_rgb", image=image, background_color=background_color)
         background = _background(background_color, image)
     return apply_on_batch(_rgba_to_rgb, floats(image), background)

@@ -9,7 +9,7 @@ from kvision._dtype import compute_dtype, floats
 from kvision._modules import FunctionModule
 from kvision._ops import register, with_kernel_casts
 from kvision.core.exceptions import ShapeError
-from kvision.enhance.batch import as_batch, broadcast, check_broadcast, shaped
+from kvision.enhance.batch import as_batch, broadcast, broadcastable, shaped
 from kvision.enhance.brightness import scale_shift
 
 
@@ -69,7 +69,7 @@ def add_weighted(
     Raises:
         TypeCheckError: an image is no real tensor; a weight is neither number nor tensor.
         ShapeError: src1 and src2 differ in shape; a weight does not broadcast to them.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K
@@ -98,8 +98,7 @@ def add_weighted(
 def _weight(name: str, weight: float | Tensor, x: Tensor) -> float | Tensor:
     if not isinstance(weight, Tensor):
         return _check.number("add_weighted", name, weight)
-    check_broadcast("add_weighted", name, weight, x)
-    return weight
+    return broadcastable("add_weighted", name, weight, x)
 
 
 class AddWeighted(FunctionModule):

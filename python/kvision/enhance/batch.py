@@ -31,7 +31,7 @@ def parameter(op: str, name: str, value: float | Tensor, x: Tensor, minimum: flo
     if not isinstance(value, Tensor):
         return _check.number(op, name, value, minimum)
     _check.numbers(op, name, value)
-    _check.same_device(op, **{"the images": x, name: value})
+    value = _check.to_device_of(op, x, name, value, of="the images")
     axes, sizes = x.dim(), value.shape
     if len(sizes) > axes or any(n not in (1, m) for n, m in zip(sizes, x.shape)):
         raise ShapeError(
@@ -48,15 +48,15 @@ def parameter(op: str, name: str, value: float | Tensor, x: Tensor, minimum: flo
     return value.reshape(-1 if channels else math.prod(value.shape[: axes - 3]), channels, 1)
 
 
-def check_broadcast(op: str, name: str, value: Tensor, x: Tensor) -> None:
-    """Raise unless `value` is a tensor of numbers that broadcasts to `x` as torch does, from the last axis."""
+def broadcastable(op: str, name: str, value: Tensor, x: Tensor) -> Tensor:
+    """`value` on the device of `x`; raise unless it is a tensor of numbers that broadcasts to `x`, from the last axis."""
     _check.numbers(op, name, value)
-    _check.same_device(op, **{"the images": x, name: value})
     if value.dim() > x.dim() or any(n not in (1, m) for n, m in zip(reversed(value.shape), reversed(x.shape))):
         raise ShapeError(
             f"{op}: expected {name} to broadcast to {tuple(x.shape)}, got {tuple(value.shape)}",
             actual_shape=value.shape,
         )
+    return _check.to_device_of(op, x, name, value, of="the images")
 
 
 def broadcast(value: Tensor, x: Tensor) -> Tensor:

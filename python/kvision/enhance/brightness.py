@@ -39,7 +39,7 @@ def adjust_brightness(image: Tensor, factor: float | Tensor, clip_output: bool =
     Raises:
         TypeCheckError: image is no floating-point tensor; factor is neither number nor tensor.
         ShapeError: factor has axes that the image has not.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

@@ -159,7 +159,7 @@ def equalize_clahe(
     limit = _check.number("equalize_clahe", "clip_limit", clip_limit, minimum=0)
     if not isinstance(grid_size, (tuple, list)):
         raise TypeCheckError(f"equalize_clahe: expected grid_size to be (y, x), got {grid_size!r}")
-    rows, columns = _check.pair("equalize_clahe", "grid_size", tuple(grid_size))
+    rows, columns = _check.pair("equalize_clahe", "grid_size", tuple(grid_size), maximum=_check.LARGEST_INT)
     _check.flag("equalize_clahe", "slow_and_differentiable", slow_and_differentiable)
     _check.flag("equalize_clahe", "opencv", opencv)
     x = as_batch(input)

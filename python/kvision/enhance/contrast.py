@@ -45,7 +45,7 @@ def adjust_contrast(image: Tensor, factor: float | Tensor, clip_output: bool = T
         TypeCheckError: image is no floating-point tensor; factor is neither number nor tensor.
         ShapeError: factor has axes that the image has not.
         ValueCheckError: a number below 0. Tensors are not checked by value.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Source: R. Szeliski, "Computer Vision: Algorithms and Applications" (2010), section 3.1.1.
 
@@ -72,7 +72,7 @@ def adjust_contrast_with_mean_subtraction(image: Tensor, factor: float | Tensor)
         image * factor + mean * (1 - factor), clamped to [0, 1], differentiable in image and factor.
 
     Raises:
-        TypeCheckError, DeviceError: as :func:`adjust_contrast`.
+        TypeCheckError, ValueCheckError, DeviceError: as :func:`adjust_contrast`.
         ShapeError: image is not (*, C, H, W); factor has axes that the image has not.
 
     Example:
@@ -81,7 +81,7 @@ def adjust_contrast_with_mean_subtraction(image: Tensor, factor: float | Tensor)
         tensor([[[0.0000, 0.4000, 0.8000]]])
     """
     images("adjust_contrast_with_mean_subtraction", "image", image)
-    amount = parameter("adjust_contrast_with_mean_subtraction", "factor", factor, image)
+    amount = parameter("adjust_contrast_with_mean_subtraction", "factor", factor, image, minimum=0)
     batch = as_batch(image)
     of_pixels = isinstance(amount, Tensor) and amount.dim() == 4
     if isinstance(amount, Tensor) and amount.shape[1] > 1 and not of_pixels:

@@ -50,7 +50,7 @@ def adjust_gamma(input: Tensor, gamma: float | Tensor, gain: float | Tensor = 1.
         TypeCheckError: input is no floating-point tensor; gamma or gain is neither number nor tensor.
         ShapeError: a tensor has axes that the image has not.
         ValueCheckError: a number below 0. Tensors are not checked by value.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

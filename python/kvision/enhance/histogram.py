@@ -164,7 +164,7 @@ def histogram(x: Tensor, bins: Tensor, bandwidth: Tensor, epsilon: float = 1e-10
     Raises:
         TypeCheckError: x or bins is no real tensor, bandwidth neither tensor nor number.
         ShapeError: x is not (B, D) with at least one sample, bins is not (K,), bandwidth has axes.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K
@@ -219,7 +219,7 @@ def _arguments(op: str, x: Tensor, bins: Tensor, bandwidth: Tensor) -> tuple[Ten
     if not isinstance(bandwidth, Tensor):
         bandwidth = torch.full((), _check.number(op, "bandwidth", bandwidth), device=x.device)
     _check.shape(op, "bandwidth", bandwidth)
-    _check.same_device(op, x=x, bins=bins, bandwidth=bandwidth)
+    bins, bandwidth = (_check.to_device_of(op, x, n, p, of="x") for n, p in (("bins", bins), ("bandwidth", bandwidth)))
     if x.shape[1] == 0:
         raise ShapeError(f"{op}: expected at least one sample, got {tuple(x.shape)}", actual_shape=x.shape)
     dtype = torch.promote_types(x.dtype, bins.dtype)
@@ -262,7 +262,7 @@ def image_histogram2d(
         TypeCheckError: image is no real tensor; a number, bool or int of another kind.
         ShapeError: image has another rank or no pixels; centers is not (n_bins,).
         ValueCheckError: max not above min, n_bins below 1, bandwidth not positive, an unknown kernel.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K
@@ -291,7 +291,7 @@ def image_histogram2d(
     x = as_dtype(image, dtype).reshape(-1, image.shape[-2] * image.shape[-1])
     if centers is not None:
         _check.shape(op, "centers", centers, "n_bins")
-        _check.same_device(op, image=image, centers=centers)
+        centers = _check.to_device_of(op, image, "centers", centers, of="image")
         counts = kernel_counts(x, centers.to(dtype), x.new_full((), width), kernel)
     elif kernel == "gaussian":
         middles = low + width * (torch.arange(n_bins, device=x.device, dtype=dtype) + 0.5)

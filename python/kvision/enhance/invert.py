@@ -24,7 +24,7 @@ def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
 
     Raises:
         TypeCheckError: image is no real tensor; max_val is neither number nor tensor.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K
@@ -34,7 +34,7 @@ def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
     _check.numbers("invert", "image", image)
     if isinstance(max_val, Tensor):
         _check.numbers("invert", "max_val", max_val)
-        _check.same_device("invert", image=image, max_val=max_val)
+        max_val = _check.to_device_of("invert", image, "max_val", max_val, of="image")
     else:
         max_val = 1.0 if max_val is None else _check.number("invert", "max_val", max_val)
     if image.is_floating_point() and (not isinstance(max_val, Tensor) or max_val.numel() == 1):

@@ -195,7 +195,7 @@ def jpeg_codec_differentiable(
         ImageError: input is not (*, 3, H, W).
         ShapeError: no pixels; a quality or table that does not fit.
         ValueCheckError: a number outside 0 to 100. Tensors are not checked by value; they are clamped.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Source: ISO/IEC 10918-1 (1994); C. Reich et al., "Differentiable JPEG: the devil is in the details" (2024).
 
@@ -223,8 +223,8 @@ def jpeg_codec_differentiable(
         if table is not None:
             _check.numbers(op, name, table)
             options[name] = table[None] if table.dim() == 2 else table
-    _check.same_device(op, input=x, **options)
     for name, tensor in options.items():
+        tensor = _check.to_device_of(op, x, name, tensor)
         inner = () if name == "jpeg_quality" else (8, 8)
         if tensor.dim() == 0 or tensor.shape[0] not in (1, x.shape[0]) or tensor.shape[1:] != inner:
             want = ", ".join(map(str, ("B", *inner)))

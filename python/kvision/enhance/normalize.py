@@ -44,7 +44,7 @@ def normalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor
     Raises:
         TypeCheckError: data is no real tensor; mean or std is neither number nor tensor.
         ShapeError: mean or std does not fit the data.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K
@@ -124,9 +124,13 @@ def _with_four_axes(x: Tensor) -> Tensor:
 
 def _statistic(op: str, name: str, value: float | Tensor, data: Tensor) -> float | Tensor:
     if not isinstance(value, Tensor):
+        if isinstance(value, (tuple, list, str)) or value is None:
+            raise TypeCheckError(
+                f"{op}: expected {name} to be a number or a Tensor, got {value!r}", actual_type=type(value)
+            )
         return _check.number(op, name, value)
     _check.numbers(op, name, value)
-    _check.same_device(op, data=data, **{name: value})
+    value = _check.to_device_of(op, data, name, value, of="data")
     axes, count = value.dim(), value.numel()
     if axes <= 1 and (count == 1 or (data.dim() > 1 and count == data.shape[1])):
         return value.reshape(1, 1, count)
@@ -153,9 +157,10 @@ class _Statistics(FunctionModule):
 def _tensor(name: str, value: float | Sequence[float] | Tensor) -> float | Tensor:
     if not isinstance(value, (tuple, list)):
         return value  # type: ignore[return-value]
-    if not all(isinstance(v, (int, float)) for v in value):
+    numbers = _check.scalars("normalize", name, value)
+    if not all(isinstance(v, (int, float)) for v in numbers):
         raise TypeCheckError(f"normalize: expected {name} to hold numbers, got {value!r}", actual_type=type(value))
-    return torch.tensor(value, dtype=torch.float64)
+    return torch.tensor(numbers, dtype=torch.float64)
 
 
 class Normalize(_Statistics):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision.color.program import step
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.enhance.batch import as_batch, images, parameter, shaped
@@ -41,7 +42,7 @@ def posterize(input: Tensor, bits: int | Tensor) -> Tensor:
         TypeCheckError: input is no floating-point tensor; bits is neither int nor tensor.
         ShapeError: input is not (*, C, H, W); bits has axes that the image has not.
         ValueCheckError: an int outside 0 to 8. Tensors are not checked by value; they are clamped.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K
@@ -52,7 +53,8 @@ def posterize(input: Tensor, bits: int | Tensor) -> Tensor:
     if isinstance(bits, Tensor):
         tensor_bits = parameter("posterize", "bits", bits, input)
         return shaped(_posterize(as_batch(input), tensor_bits, SPLIT.get(input.dtype, 1.0)), input)
-    if type(bits) is not int:
+    bits = _check.scalar("posterize", "bits", bits)
+    if not _check.is_int(bits):
         raise TypeCheckError(f"posterize: expected bits to be an int or a Tensor, got {bits!r}", actual_type=type(bits))
     if not 0 <= bits <= 8:
         raise ValueCheckError(f"posterize: expected bits of 0 to 8, got {bits}", actual_value=bits)

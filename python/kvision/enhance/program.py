@@ -157,7 +157,7 @@ class ColorProgram(nn.Module):
             TypeCheckError, ValueCheckError: arguments of other kinds.
             ImageError: image is not (*, 3, H, W).
             ShapeError: no pixels; parameters, order or enabled that do not fit the image or the steps.
-            DeviceError: tensors on different devices.
+            DeviceError: tensors on different devices; parameters in CPU memory are moved.
         """
         _check.channels("ColorProgram", "image", image, 3, ImageError)
         if not image.is_floating_point() and image.dtype != torch.uint8:
@@ -261,7 +261,7 @@ def _fitting(name: str, parameter: str, size: int, value: Value, image: Any) -> 
         if isinstance(value, Sequence):
             return tuple(map(float, value))
         return float(value) if size == 1 else (float(value),) * size
-    _check.same_device("ColorProgram", image=image, **{parameter: value})
+    value = _check.to_device_of("ColorProgram", image, parameter, value, of="image")
     axes, count = value.dim(), value.numel()
     batch = image.shape[0] if image.dim() == 4 else math.prod(image.shape[:-3])
     if size == 1 and axes <= 1 and (count == 1 or count == batch):

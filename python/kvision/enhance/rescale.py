@@ -25,6 +25,7 @@ class Rescale(FunctionModule):
     """
 
     def __init__(self, factor: float | Tensor) -> None:
+        factor = factor if isinstance(factor, Tensor) else _check.scalar("Rescale", "factor", factor)
         if isinstance(factor, bool) or not isinstance(factor, (int, float, Tensor)):
             raise TypeCheckError(f"Rescale: expected factor to be a number or a Tensor, got {factor!r}")
         if isinstance(factor, Tensor) and factor.dim() > 0:

@@ -54,7 +54,7 @@ def adjust_saturation(image: Tensor, factor: float | Tensor) -> Tensor:
         TypeCheckError: image is no floating-point tensor; factor is neither number nor tensor.
         ImageError: image is not (*, 3, H, W).
         ShapeError: factor has axes that the image has not, or differs between channels.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

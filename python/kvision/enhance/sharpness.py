@@ -74,7 +74,7 @@ def sharpness(input: Tensor, factor: float | Tensor) -> Tensor:
     Raises:
         TypeCheckError: input is no floating-point tensor; factor is neither number nor tensor.
         ShapeError: input is not (*, C, H, W); factor has axes that the image has not.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

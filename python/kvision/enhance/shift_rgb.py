@@ -26,7 +26,7 @@ def shift_rgb(image: Tensor, r_shift: float | Tensor, g_shift: float | Tensor, b
         TypeCheckError: image is no floating-point tensor; a shift is neither number nor tensor.
         ImageError: image is not (B, 3, H, W).
         ShapeError: a shift that is not (B,) or (1,).
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

@@ -35,7 +35,7 @@ def solarize(input: Tensor, thresholds: float | Tensor = 0.5, additions: float |
         TypeCheckError: input is no floating-point tensor; a parameter is neither number nor tensor.
         ShapeError: a tensor has axes that the image has not.
         ValueCheckError: additions is a number outside [-0.5, 0.5]. Tensors are not checked by value.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

@@ -12,7 +12,7 @@ from kvision import _check
 from kvision._modules import FunctionModule
 from kvision.color.program import step
 from kvision.core.exceptions import TypeCheckError
-from kvision.enhance.batch import as_batch, broadcast, check_broadcast, shaped
+from kvision.enhance.batch import as_batch, broadcast, broadcastable, shaped
 
 Value = float | Tensor
 
@@ -73,7 +73,7 @@ def threshold(
         ShapeError: thresh or maxval does not broadcast to the input.
         ValueCheckError: an unknown type.
         NotImplementedError: THRESH_OTSU, which is :func:`kvision.filters.otsu_threshold`.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K
@@ -81,11 +81,12 @@ def threshold(
         tensor([  0,   0, 255], dtype=torch.uint8)
     """
     _check.numbers("threshold", "input", input)
-    for name, value in (("thresh", thresh), ("maxval", maxval)):
-        if not isinstance(value, Tensor):
-            _check.number("threshold", name, value)
-            continue
-        check_broadcast("threshold", name, value, input)
+    thresh, maxval = (
+        broadcastable("threshold", name, value, input)
+        if isinstance(value, Tensor)
+        else _check.number("threshold", name, value)
+        for name, value in (("thresh", thresh), ("maxval", maxval))
+    )
     if not isinstance(type, int):
         raise TypeCheckError(f"threshold: expected type to be a ThresholdType, got {type!r}")
     if type & ThresholdType.THRESH_OTSU:

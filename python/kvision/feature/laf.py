@@ -259,6 +259,7 @@ def scale_laf(laf: Tensor, scale_coef: float | Tensor) -> Tensor:
     """
     laf = check_lafs("scale_laf", laf)
     if not isinstance(scale_coef, Tensor):
+        scale_coef = _check.scalar("scale_laf", "scale_coef", scale_coef)
         if isinstance(scale_coef, bool) or not isinstance(scale_coef, (int, float)):
             raise TypeCheckError(f"scale_laf: expected scale_coef to be a number or a Tensor, got {scale_coef!r}")
         return of_rows(_scale_parts, laf, 2, float(scale_coef), 1.0, 1.0)

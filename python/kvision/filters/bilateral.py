@@ -130,7 +130,7 @@ def bilateral_blur(
         TypeCheckError: input is no real tensor; an argument of a wrong kind.
         ShapeError: wrong ranks or batch sizes; a border wider than the image.
         ValueCheckError: an even kernel size, a sigma that is not positive, an unknown border_type or distance.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Source: C. Tomasi and R. Manduchi, "Bilateral filtering for gray and color images" (1998).
 
@@ -157,7 +157,7 @@ def joint_bilateral_blur(
     """Blur an image with weights that fall with the distance in space and in the colors of a second image.
 
     Args:
-        input: image (B, C, H, W).
+        input: image (B, C, H, W). uint8 gives uint8 (rounded half to even), other integers give float32.
         guidance: image (B, any channels, H, W) whose colors are compared, in units of its own.
         kernel_size, sigma_color, sigma_space, border_type, color_distance_type: as :func:`bilateral_blur`.
 
@@ -214,8 +214,10 @@ def _checked(
 def _sigma_color(op: str, x: Tensor, value: Tensor | float) -> tuple[Tensor | None, float]:
     """sigma_color for images `x`: (tensor (B or 1,), 0) or (None, number)."""
     if isinstance(value, Tensor):
+        value = value.reshape(1) if value.dim() == 0 else value
         _check.shape(op, "sigma_color", value, "B")
         return batch_of(op, "sigma_color", x, value), 0.0
+    value = _check.scalar(op, "sigma_color", value)
     if not isinstance(value, (int, float)):
         raise TypeCheckError(
             f"{op}: expected sigma_color to be a number or a Tensor (B,), got {value!r}", actual_type=type(value)

@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ValueCheckError
@@ -31,7 +32,7 @@ def blur_pool2d(input: Tensor, kernel_size: tuple[int, int] | int, stride: int =
     The border is zeros: (k - 1) // 2 before an axis and k // 2 after it.
 
     Args:
-        input: features (B, C, H, W), floating point.
+        input: features (B, C, H, W). Integers are computed in float32.
         kernel_size: size of the kernel, an int or (y, x).
         stride: step between the pixels that are kept.
 
@@ -39,7 +40,7 @@ def blur_pool2d(input: Tensor, kernel_size: tuple[int, int] | int, stride: int =
         (B, C, ceil(H / stride), ceil(W / stride)).
 
     Raises:
-        TypeCheckError: input is no floating-point tensor; kernel_size or stride is not of ints.
+        TypeCheckError: input is no real tensor; kernel_size or stride is not of ints.
         ShapeError: input is not (B, C, H, W).
         ValueCheckError: a kernel_size or stride below 1.
 
@@ -64,7 +65,7 @@ def max_blur_pool2d(
     """Take the maximum of every max_pool_size x max_pool_size window, at stride 1 and without border, then blur_pool2d.
 
     Args:
-        input: features (B, C, H, W), floating point.
+        input: features (B, C, H, W). Integers are computed in float32.
         kernel_size: size of the blur's kernel, an int or (y, x).
         stride: step between the pixels that are kept.
         max_pool_size: size of the windows of the maximum, at most H and W.
@@ -133,7 +134,8 @@ def edge_aware_blur_pool2d(
     epsilon = _check.number("edge_aware_blur_pool2d", "epsilon", epsilon, minimum=0)
     if not edge_threshold > 1:
         raise ValueCheckError(f"edge_aware_blur_pool2d: expected edge_threshold above 1, got {edge_threshold!r}")
-    _check.reflectable("edge_aware_blur_pool2d", x, (max(2, ky // 2), max(2, kx // 2)), "reflect")
+    advice = "pad the image or use a smaller kernel_size"
+    _check.reflectable("edge_aware_blur_pool2d", x, (max(2, ky // 2), max(2, kx // 2)), "reflect", advice)
     return _edge_aware_blur(x, ky, kx, math.log2(edge_threshold), dilation, epsilon)
 
 
@@ -149,10 +151,9 @@ def _edge_aware_blur(x: Tensor, ky: int, kx: int, threshold: float, dilation: in
 
 def _arguments(op: str, input: Tensor, kernel_size: tuple[int, int] | int, stride: int) -> tuple[Tensor, int, int, int]:
     _check.images(op, "input", input)
-    _check.floating(op, "input", input)
     ky, kx = _check.pair(op, "kernel_size", kernel_size)
     (stride,) = _check.ints(op, "stride", stride, 1)
-    return input, ky, kx, stride
+    return floats(input), ky, kx, stride
 
 
 class BlurPool2D(FunctionModule):

@@ -136,6 +136,8 @@ def canny(
         )
     _check.flag("canny", "hysteresis", hysteresis)
     eps = _check.number("canny", "eps", eps, minimum=0)
+    ky, kx = _check.pair("canny", "kernel_size", kernel_size)
+    _check.reflectable("canny", input, (ky // 2, kx // 2), "reflect", "use a smaller kernel_size")
     x, computed = floats(input), compute_dtype(input)
     dtype = x.dtype
     if x.shape[1] == 3:

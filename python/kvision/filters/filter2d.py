@@ -135,7 +135,7 @@ def filter2d(
         TypeCheckError: input or kernel is no real tensor.
         ShapeError: wrong ranks or batch sizes; a 'valid' kernel larger than the image, a border wider than it.
         ValueCheckError: an unknown border_type, padding or behaviour.
-        DeviceError: input and kernel are on different devices.
+        DeviceError: a kernel on another device; one in CPU memory is moved.
 
     Example:
         >>> import torch, kvision as K
@@ -220,7 +220,7 @@ def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behavio
         )
     if 0 in sizes[1:]:
         raise ShapeError(f"{op}: expected a kernel with at least one tap, got {tuple(sizes)}")
-    _check.same_device(op, input=x, kernel=kernel)
+    kernel = _check.to_device_of(op, x, "kernel", kernel)
     _check.flag(op, "normalized", normalized)
     _check.choice(op, "behaviour", behaviour, ("corr", "conv"))
     kernel = as_dtype(kernel, compute_dtype(x))

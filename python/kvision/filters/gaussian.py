@@ -80,7 +80,7 @@ def gaussian_blur2d(
         TypeCheckError: input is no real tensor; kernel_size or sigma of a wrong kind.
         ShapeError: wrong ranks or batch sizes; a border wider than the image.
         ValueCheckError: an even kernel size, a sigma that is not positive, an unknown border_type.
-        DeviceError: input and sigma are on different devices.
+        DeviceError: a sigma on another device; one in CPU memory is moved.
 
     Example:
         >>> import torch, kvision as K
@@ -142,13 +142,12 @@ def sigma_arguments(
 
 
 def batch_of(op: str, name: str, x: Tensor, values: Tensor) -> Tensor:
-    """`values` in the type that images `x` are computed in; raise unless there is one row, or one for each image."""
+    """`values` as images `x` are computed, in type and device; raise unless there is one row, or one for each image."""
     if values.shape[0] not in (1, x.shape[0]):
         raise ShapeError(
             f"{op}: expected {name} with 1 or {x.shape[0]} rows, got {tuple(values.shape)}", actual_shape=values.shape
         )
-    _check.same_device(op, input=x, **{name: values})
-    return as_dtype(values, compute_dtype(x))
+    return as_dtype(_check.to_device_of(op, x, name, values), compute_dtype(x))
 
 
 def axis_kernels(

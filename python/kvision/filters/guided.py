@@ -9,6 +9,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision._modules import FunctionModule
+from kvision._ops import match_layout
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.box import box_blur
 from kvision.filters.gaussian import batch_of
@@ -45,7 +46,7 @@ def guided_blur(
         TypeCheckError: an image is no real tensor; an argument of a wrong kind.
         ShapeError: images that differ in batch, height or width; a border wider than the (subsampled) image.
         ValueCheckError: a kernel_size or subsample below 1, a negative eps, an unknown border_type.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Source: K. He, J. Sun and X. Tang, "Guided image filtering" (2010); K. He and J. Sun, "Fast guided filter" (2015).
 
@@ -93,13 +94,15 @@ def guided_blur(
     gain, offset = mean(gain), mean(offset)
     if subsample > 1:
         gain, offset = _upsample(gain, h, w), _upsample(offset, h, w)
-    return ((gain * full_guide[:, :, None]).sum(1) + offset).to(stored)
+    return match_layout(((gain * full_guide[:, :, None]).sum(1) + offset).to(stored), input)
 
 
 def _checked_eps(guide: Tensor, eps: float | Tensor) -> Tensor | float:
     if isinstance(eps, Tensor):
+        eps = eps.reshape(1) if eps.dim() == 0 else eps
         _check.shape("guided_blur", "eps", eps, "B")
         return batch_of("guided_blur", "eps", guide, eps)[:, None, None, None, None]
+    eps = _check.scalar("guided_blur", "eps", eps)
     if not isinstance(eps, (int, float)):
         raise TypeCheckError(
             f"guided_blur: expected eps to be a number or a Tensor (B,), got {eps!r}", actual_type=type(eps)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import compute_dtype
 from kvision._modules import FunctionModule
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
@@ -19,7 +20,7 @@ def in_range(
     """Keep the pixels with lower <= value <= upper in every channel, and set the others to 0.
 
     Args:
-        input: image (B, C, H, W), (C, H, W) or (H, W).
+        input: image (B, C, H, W), (C, H, W) or (H, W), whose type the result has. Half types compare in float32.
         lower: smallest values, a tuple with one number a channel, or a tensor: (), (1,) or (C,), or 2 to 4 axes that
             broadcast to the input from the last.
         upper: largest values, of the same kind.
@@ -32,7 +33,7 @@ def in_range(
         TypeCheckError: input is no real tensor; bounds that are not both tuples or both tensors; return_mask no bool.
         ShapeError: a rank other than 2, 3 or 4; bounds that do not fit the input.
         ValueCheckError: tuples that do not have one number a channel.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K
@@ -68,9 +69,11 @@ def _between_numbers(channels: Tensor, lower: tuple[float, ...], upper: tuple[fl
         raise ValueCheckError(
             f"in_range: expected lower and upper of {count} numbers, one a channel, got {len(lower)} and {len(upper)}"
         )
+    lower, upper = _check.scalars("in_range", "lower", lower), _check.scalars("in_range", "upper", upper)
     if not all(isinstance(bound, (int, float)) for bound in (*lower, *upper)):
         raise TypeCheckError(f"in_range: expected lower and upper to hold numbers, got {lower} and {upper}")
-    values = channels if channels.is_floating_point() else channels.double()  # any bound is then representable
+    # Half types compare in float32, integers in a type that has any bound.
+    values = channels.to(compute_dtype(channels) if channels.is_floating_point() else torch.float64)
     inside = torch.ones_like(values[..., :1, :, :], dtype=torch.bool)
     for channel, low, high in zip(values.split(1, -3), lower, upper):
         inside = inside & (channel >= low) & (channel <= high)
@@ -79,7 +82,7 @@ def _between_numbers(channels: Tensor, lower: tuple[float, ...], upper: tuple[fl
 
 def _bound(name: str, bound: Tensor, channels: Tensor) -> Tensor:
     _check.numbers("in_range", name, bound)
-    _check.same_device("in_range", input=channels, **{name: bound})
+    bound = _check.to_device_of("in_range", channels, name, bound)
     aligned = bound[:, None, None] if bound.dim() == 1 else bound
     if aligned.dim() > channels.dim() or any(
         b not in (1, n) for b, n in zip(reversed(aligned.shape), reversed(channels.shape))
@@ -89,7 +92,7 @@ def _bound(name: str, bound: Tensor, channels: Tensor) -> Tensor:
             actual_shape=bound.shape,
         )
     if channels.is_floating_point():
-        return aligned.to(channels.dtype)
+        return aligned.to(compute_dtype(channels))
     return aligned.double() if bound.is_floating_point() else aligned
 
 

@@ -37,7 +37,7 @@ def gaussian(
     Raises:
         TypeCheckError, ShapeError, ValueCheckError: sigma is no number or (B, 1) tensor, is negative or NaN; a
             window_size below 1; an integer dtype.
-        DeviceError: a mean that is not on the device of the result.
+        DeviceError: a mean on another device than sigma; one in CPU memory is moved.
 
     Example:
         >>> import kvision as K
@@ -49,14 +49,14 @@ def gaussian(
         device = mean.device
     (sigma,), dtype = _sigma_columns("gaussian", sigma, 1, device, dtype)
     if isinstance(mean, Tensor):
+        mean = mean.reshape(1, 1) if mean.dim() == 0 else mean
         _check.shape("gaussian", "mean", mean, "B or 1", 1)
         if mean.shape[0] != sigma.shape[0] and 1 not in (mean.shape[0], sigma.shape[0]):
             raise ShapeError(
                 f"gaussian: expected mean with 1 or {sigma.shape[0]} rows, got {tuple(mean.shape)}",
                 actual_shape=mean.shape,
             )
-        _check.same_device("gaussian", sigma=sigma, mean=mean)
-        mean = mean.to(sigma)
+        mean = _check.to_device_of("gaussian", sigma, "mean", mean, of="sigma").to(sigma)
     elif mean is not None:
         mean = _check.number("gaussian", "mean", mean)
     return _sampled(window_size, sigma, mean).to(dtype)
@@ -239,9 +239,11 @@ def get_gaussian_erf_kernel1d(
 def sigmas(op: str, name: str, value: object, count: int, *, zero: bool = False) -> Tensor | tuple[float, ...]:
     """`value` checked: a tensor (B, count) as it is, its values unread; numbers as `count` positive floats."""
     if isinstance(value, Tensor):
+        value = value.expand(1, count) if value.dim() == 0 else value
         _check.shape(op, name, value, "B", count)
         return value
-    numbers = (value,) * count if isinstance(value, (int, float)) else value
+    numbers = _check.scalars(op, name, value)
+    numbers = (numbers,) * count if isinstance(numbers, (int, float)) else numbers
     if not isinstance(numbers, (tuple, list)):
         raise TypeCheckError(_refused(op, name, value, count, zero), actual_type=type(value))
     fits = len(numbers) == count
@@ -563,7 +565,7 @@ def get_spatial_gradient_kernel2d(
                 [ 1., -2.,  1.],
                 [ 0.,  0.,  0.]])
     """
-    check_derivative("get_spatial_gradient_kernel2d", mode, order)
+    order = check_derivative("get_spatial_gradient_kernel2d", mode, order)
     _real("get_spatial_gradient_kernel2d", dtype)
     return _derivative_kernels(mode, order, 2, device, dtype)
 
@@ -594,17 +596,19 @@ def get_spatial_gradient_kernel3d(
                 [-0.5000,  0.0000,  0.5000],
                 [ 0.0000,  0.0000,  0.0000]])
     """
-    check_derivative("get_spatial_gradient_kernel3d", mode, order, axes=3)
+    order = check_derivative("get_spatial_gradient_kernel3d", mode, order, axes=3)
     _fractions("get_spatial_gradient_kernel3d", dtype)
     return _derivative_kernels(mode, order, 3, device, dtype, normalized=True)[:, None]
 
 
-def check_derivative(op: str, mode: str, order: int, axes: int = 2) -> None:
-    """Raise unless there are kernels of this mode and order."""
+def check_derivative(op: str, mode: str, order: int, axes: int = 2) -> int:
+    """`order` as an int; raise unless there are kernels of this mode and order."""
     _check.choice(op, "mode", mode, ("sobel", "diff"))
+    order = _check.scalar(op, "order", order)
     _check.choice(op, "order", order, (1, 2))
     if axes == 3 and mode == "sobel":
         raise NotImplementedError(f"{op}: mode 'sobel' is not implemented in 3-D, use 'diff'")
+    return order
 
 
 def _derivative_kernels(
@@ -718,7 +722,8 @@ def binomial(size: int, device: torch.device, dtype: torch.dtype) -> Tensor:
 
 
 def _sizes(op: str, kernel_size: tuple[int, ...] | int, axes: int, even: bool = False) -> tuple[int, ...]:
-    sizes = _check.ints(op, "kernel_size", kernel_size, axes)
+    maximum = _check.LARGEST_INT if axes == 1 else _check.LARGEST_WINDOW
+    sizes = _check.ints(op, "kernel_size", kernel_size, axes, maximum=maximum)
     _check.flag(op, "force_even", even)
     if not even:
         _check.odd(op, "kernel_size", sizes)

@@ -36,7 +36,7 @@ def get_motion_kernel2d(
         TypeCheckError: an argument of a wrong kind.
         ShapeError: tensors of different lengths.
         ValueCheckError: an even kernel_size or one below 3, a number that is not finite, an unknown mode.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import kvision as K
@@ -204,7 +204,10 @@ def _parameters(
     Numbers become tensors on the device of the tensor parameters, or on that of the image and in the type it is computed in.
     """
     tensors = {name: p for name, p in (("angle", angle), ("direction", direction)) if isinstance(p, Tensor)}
+    if image is not None:
+        tensors = {name: _check.to_device_of(op, image, name, p) for name, p in tensors.items()}
     _check.same_device(op, **tensors)
+    angle, direction = tensors.get("angle", angle), tensors.get("direction", direction)
     types = [p.dtype for p in tensors.values() if p.is_floating_point()]
     default = torch.get_default_dtype() if image is None else compute_dtype(image)
     # One type in most calls; promote_types is not traced by torch.compile.
@@ -222,12 +225,15 @@ def _parameters(
 def _rows(op: str, name: str, value: object, count: int, device: torch.device | None, dtype: torch.dtype) -> Tensor:
     """`value` as (B, count), or (1, count) made from numbers on the device."""
     if isinstance(value, Tensor):
-        if count == 1:
+        if value.dim() == 0:
+            value = value.expand(count)
+        elif count == 1:
             value = value[..., None]
         value = value[None] if value.dim() == 1 else value
         _check.shape(op, name, value, "B", count)
         return value.to(dtype)
-    numbers = (value,) * count if isinstance(value, (int, float)) else value
+    numbers = _check.scalars(op, name, value)
+    numbers = (numbers,) * count if isinstance(numbers, (int, float)) else numbers
     if not isinstance(numbers, (tuple, list)) or not all(isinstance(v, (int, float)) for v in numbers):
         raise TypeCheckError(f"{op}: expected {name} to be a Tensor or numbers, got {value!r}", actual_type=type(value))
     if len(numbers) != count or not all(_check.fits_float(v) and -math.inf < v < math.inf for v in numbers):

@@ -91,7 +91,7 @@ def spatial_gradient(input: Tensor, mode: str = "sobel", order: int = 1, normali
         tensor([0.5000, 1.0000, 1.0000, 0.5000])
     """
     _check.images("spatial_gradient", "input", input)
-    check_derivative("spatial_gradient", mode, order)
+    order = check_derivative("spatial_gradient", mode, order)
     _check.flag("spatial_gradient", "normalized", normalized)
     return _spatial_gradient(floats(input), DERIVATIVE_MODE[mode], order, normalized)
 
@@ -153,7 +153,7 @@ def spatial_gradient3d(input: Tensor, mode: str = "diff", order: int = 1) -> Ten
         tensor([0.5000, 1.0000, 1.0000, 0.5000])
     """
     _check.volumes("spatial_gradient3d", "input", input)
-    check_derivative("spatial_gradient3d", mode, order, axes=3)
+    order = check_derivative("spatial_gradient3d", mode, order, axes=3)
     return _spatial_gradient3d(floats(input), order)
 
 

@@ -126,7 +126,8 @@ def draw_rectangle(
     """
     _check.shape("draw_rectangle", "image", image, "B", "C", "H", "W")
     _check.shape("draw_rectangle", "rectangle", rectangle, len(image), "N", 4)
-    if type(line_width) is not int or line_width < 1:
+    line_width = _check.scalar("draw_rectangle", "line_width", line_width)
+    if not _check.is_int(line_width) or line_width < 1:
         raise ValueCheckError(
             f"draw_rectangle: expected line_width to be an int of at least 1, got {line_width!r}",
             actual_value=line_width,

@@ -56,7 +56,7 @@ def get_sample_images(
         raise TypeCheckError(f"get_sample_images: expected paths to be a sequence of names or paths, got {paths!r}")
     photos = [_bundled(path) if path in _BUNDLED else load_image(path) for path in paths]
     if resize is not None:
-        size = _check.pair("get_sample_images", "resize", resize)
+        size = _check.pair("get_sample_images", "resize", resize, maximum=_check.LARGEST_INT)
         photos = [F.interpolate(photo[None], size, mode="bilinear", antialias=True)[0] for photo in photos]
     return photos if as_list or resize is None else torch.stack(photos)
 

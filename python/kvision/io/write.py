@@ -58,6 +58,7 @@ def write_image(path_file: str | os.PathLike[str], image: Tensor, quality: int =
             actual_type=type(path_file),
         )
     _check.is_tensor("write_image", "image", image)
+    quality = _check.scalar("write_image", "quality", quality)
     if not isinstance(quality, int) or isinstance(quality, bool):
         raise TypeCheckError(f"write_image: expected quality to be an int, got {quality!r}", actual_type=type(quality))
     if not 0 <= quality <= 100:

@@ -141,6 +141,7 @@ class _FromRef(nn.Module):
         self._op = type(self).__name__
         _check_options(self._op, kernel_function, num_bins, window_radius)
         self.kernel_function, self.num_bins, self.window_radius = kernel_function, num_bins, float(window_radius)
+        _check.numbers(self._op, "reference_signal", reference_signal)
         self.shape, self.dtype = reference_signal.shape, reference_signal.dtype
         signal, mask = _flattened(self._op, self._axes, "reference_signal", reference_signal, "mask", mask)
         self.register_buffer("reference", signal)

@@ -86,7 +86,7 @@ def dilation(
         ShapeError: tensor is not (B, C, H, W); kernel has no two axes, structuring_element others.
         ValueCheckError: an origin outside of the kernel; an unknown border_type or engine, which is a
             NotImplementedError, too.
-        DeviceError: tensors on different devices.
+        DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
     Source: J. Serra, "Image analysis and mathematical morphology" (1982).
 
@@ -163,13 +163,13 @@ def checked(
     ky, kx = kernel.shape
     if kernel.numel() == 0:
         raise ValueCheckError(f"{op}: expected a kernel of at least one pixel, got {tuple(kernel.shape)}")
-    _check.same_device(op, tensor=tensor, kernel=kernel)
+    kernel = _check.to_device_of(op, tensor, "kernel", kernel, of="tensor")
     if structuring_element is not None:
         _check.shape(op, "structuring_element", structuring_element, ky, kx)
-        _check.same_device(op, tensor=tensor, structuring_element=structuring_element)
+        structuring_element = _check.to_device_of(op, tensor, "structuring_element", structuring_element, of="tensor")
     if origin is None:
         origin = (ky // 2, kx // 2)
-    elif not isinstance(origin, (tuple, list)) or [*map(type, origin)] != [int, int]:
+    elif not isinstance(origin, (tuple, list)) or len(origin) != 2 or not all(map(_check.is_int, origin)):
         raise TypeCheckError(f"{op}: expected origin to be two ints, got {origin!r}", actual_type=type(origin))
     y, x = origin
     if not (0 <= y < ky and 0 <= x < kx):

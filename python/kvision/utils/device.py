@@ -7,6 +7,8 @@ import importlib.util
 import torch
 from torch import Tensor
 
+from kvision import _check
+
 __all__ = [
     "get_cuda_device_if_available",
     "get_cuda_or_mps_device_if_available",
@@ -71,11 +73,15 @@ def is_mps_tensor_safe(x: Tensor) -> bool:
     Returns:
         True for a tensor on an MPS device.
 
+    Raises:
+        TypeCheckError: `x` is no tensor.
+
     Example:
         >>> import torch, kvision as K
         >>> K.utils.is_mps_tensor_safe(torch.zeros(1))
         False
     """
+    _check.is_tensor("is_mps_tensor_safe", "x", x)
     return x.device.type == "mps"
 
 

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import as_dtype, compute_dtype
+from kvision._dtype import as_dtype, compute_dtype, pixels
 from kvision._leading import broadcast_shapes
 from kvision._modes import INTERPOLATION, PADDING
 from kvision._ops import Operator, register
@@ -288,7 +288,7 @@ def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:
     """Remove lens distortion from images.
 
     Args:
-        image: (*, C, H, W), floating point.
+        image: (*, C, H, W), floating point or uint8, which gives uint8. Other integers are computed in float32.
         K: camera matrices, (*, 3, 3).
         dist: coefficients in the order of :func:`distort_points`, (*, n) with n one of 4, 5, 8, 12 and 14. One image
             (1, C, H, W) may come with (3, 3) and (n,).
@@ -297,10 +297,10 @@ def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:
         (*, C, H, W), interpolated bilinearly; 0 where the sampling coordinates are out of the image.
 
     Raises:
-        TypeCheckError: an argument is no floating-point tensor.
+        TypeCheckError: `image` is no real tensor, `K` or `dist` no floating-point tensor.
         ShapeError: `image` is not (*, C, H, W); `K` is not (*, 3, 3); the leading axes differ; `dist` has a number of
             coefficients other than 4, 5, 8, 12 and 14.
-        DeviceError: the tensors are on different devices.
+        DeviceError: a tensor on another device; K and dist in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K
@@ -309,10 +309,11 @@ def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:
         tensor(1.)
     """
     op = "undistort_image"
-    _check.floating_trailing_shape(op, "image", image, "C", "H", "W")
+    _check.trailing_shape(op, "image", image, "C", "H", "W")
     _check.floating_trailing_shape(op, "K", K, 3, 3)
     _check_coefficients(op, dist)
-    _check.same_device(op, image=image, K=K, dist=dist)
+    image = pixels(image)
+    K, dist = (_check.to_device_of(op, image, name, x, of="image") for name, x in (("K", K), ("dist", dist)))
     leading, (h, w) = image.shape[:-3], image.shape[-2:]
     one_for_all = leading == (1,) and K.dim() == 2 and dist.dim() == 1
     if not one_for_all and not leading == K.shape[:-2] == dist.shape[:-1]:

@@ -36,7 +36,7 @@ def pixel2cam(depth: Tensor, intrinsics_inv: Tensor, pixel_coords: Tensor) -> Te
     """
     op = "pixel2cam"
     _check.shape(op, "depth", depth, "B", 1, "H", "W")
-    _check_grid(op, "pixel_coords", pixel_coords, "intrinsics_inv", intrinsics_inv)
+    intrinsics_inv = _check_grid(op, "pixel_coords", pixel_coords, "intrinsics_inv", intrinsics_inv)
     _check.shape(op, "pixel_coords", pixel_coords, depth.shape[0], *depth.shape[2:], 3)
     _check.same_device(op, depth=depth, pixel_coords=pixel_coords)
     rays = transform_points(intrinsics_inv, floats(pixel_coords))
@@ -64,17 +64,18 @@ def cam2pixel(cam_coords_src: Tensor, dst_proj_src: Tensor, eps: float = 1e-12) 
         tensor([[[[4., 2.]]]])
     """
     op = "cam2pixel"
-    _check_grid(op, "cam_coords_src", cam_coords_src, "dst_proj_src", dst_proj_src)
+    dst_proj_src = _check_grid(op, "cam_coords_src", cam_coords_src, "dst_proj_src", dst_proj_src)
     eps = _check.number(op, "eps", eps)
     return _divided(transform_points(dst_proj_src, floats(cam_coords_src)), eps)
 
 
-def _check_grid(op: str, name: str, grid: Tensor, matrix_name: str, matrix: Tensor) -> None:
+def _check_grid(op: str, name: str, grid: Tensor, matrix_name: str, matrix: Tensor) -> Tensor:
+    """The matrix on the device of the grid; raise unless these are a grid and its matrices."""
     _check.shape(op, name, grid, "B", "H", "W", 3)
     _check.shape(op, matrix_name, matrix, "B", 4, 4)
-    _check.same_device(op, **{name: grid, matrix_name: matrix})
     if matrix.shape[0] not in (1, grid.shape[0]):
         raise ShapeError(f"{op}: expected {matrix_name} with 1 or {grid.shape[0]} matrices, got {tuple(matrix.shape)}")
+    return _check.to_device_of(op, grid, matrix_name, matrix, of=name)
 
 
 @with_kernel_casts

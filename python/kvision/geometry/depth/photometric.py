@@ -173,7 +173,7 @@ def photometric_depth_loss(
             f"{op}: expected target of shape {(views.shape[0], views.shape[2], 'h', 'w')}, got {tuple(target.shape)}",
             actual_shape=target.shape,
         )
-    _check.same_device(op, views=views, target=target)
+    _check.same_device(op, views=views, target=target, depth=depth)
     depth = cast_to_image(op, views, "depth", depth)
     projections = cast_to_image(op, views, "projections", projections)
     outputs: Any = _photometric(views, target, depth, projections, PHOTOMETRIC_DISTANCE[distance], eps)

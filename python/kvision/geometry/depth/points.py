@@ -276,7 +276,7 @@ def depth_to_3d_v2(
         raise ShapeError(f"{op}: expected depth of shape (*, H, W), got {tuple(depth.shape)}", actual_shape=depth.shape)
     _check_cameras(op, camera_matrix)
     _check.flag(op, "normalize_points", normalize_points)
-    _check.same_device(op, depth=depth, camera_matrix=camera_matrix)
+    camera_matrix = _check.to_device_of(op, depth, "camera_matrix", camera_matrix, of="depth")
     depth = floats(depth)
     if xyz_grid is None:
         return _points_last(depth, camera_matrix, normalize_points)
@@ -346,7 +346,7 @@ def _of_samples(op: str, name: str, value: Any, x: Tensor) -> float | Tensor:
             raise TypeCheckError(f"{op}: expected {name} to be a number or a Tensor, got {value!r}")
         return _check.number(op, name, value)
     _check.numbers(op, name, value)
-    _check.same_device(op, disparity=x, **{name: value})
+    value = _check.to_device_of(op, x, name, value, of="disparity")
     if value.dim() == 0 or value.shape == (1,):
         return value.reshape(())
     if value.dim() != 1 or x.dim() < 3 or value.shape[0] != x.shape[0]:

@@ -13,7 +13,6 @@ from kvision._modes import INTERPOLATION, WARP_FORMULA
 from kvision._modules import FunctionModule
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform import sampling
-from kvision.geometry.transform.warp import broadcast_batch
 
 __all__ = ["Affine", "Rotate", "Scale", "Shear", "Translate", "affine", "rotate", "scale", "shear", "translate"]
 
@@ -47,7 +46,7 @@ def affine(
     images = _images("affine", tensor)
     _check.shape("affine", "matrix", matrix, "B", 2, 3)
     sampling.check_options("affine", mode, padding_mode, align_corners)
-    images, matrix = broadcast_batch("affine", images, "matrix", matrix)
+    matrix = sampling.cast_to_image("affine", images, "matrix", matrix, sampling.count_samples(images, matrix))
     padding, _ = sampling.padding_and_fill("affine", images, padding_mode, None)
     result = sampling.warp(
         images, matrix, None, None, list(images.shape[2:]), INTERPOLATION[mode], padding, align_corners, True, False

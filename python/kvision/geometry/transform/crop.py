@@ -388,7 +388,7 @@ class CenterCrop2D(FunctionModule):
         cropping_mode: str = "slice",
     ) -> None:
         _check.choice("CenterCrop2D", "cropping_mode", cropping_mode, ("slice", "resample"))
-        size = _check.pair("CenterCrop2D", "size", size)
+        size = _check.pair("CenterCrop2D", "size", size, maximum=_check.LARGEST_INT)
         super().__init__(size=size, align_corners=align_corners, resample=resample, cropping_mode=cropping_mode)
 
     def forward(self, input: Tensor) -> Tensor:

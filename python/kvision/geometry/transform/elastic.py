@@ -63,6 +63,7 @@ def elastic_transform2d(
     _check.shape(op, "noise", noise, "B", 2, *image.shape[2:])
     sampling.check_options(op, mode, padding_mode, align_corners)
     images = pixels(image)
+    _check.same_device(op, image=image, noise=noise)
     noise = sampling.cast_to_image(op, images, "noise", noise)
     if isinstance(sigma, Tensor) or not _are_numbers(sigma):
         sigma = _two(op, "sigma", sigma, images)[None]

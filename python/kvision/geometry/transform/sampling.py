@@ -521,12 +521,14 @@ def padding_and_fill(
     if padding_mode == "zeros" or fill_value is None:
         return PADDING["fill"], None
     dtype = compute_dtype(image)
+    if not isinstance(fill_value, Tensor):
+        fill_value = _check.scalars(op, "fill_value", fill_value)
     if isinstance(fill_value, (int, float)):
         fill_value = image.new_full((), fill_value, dtype=dtype)  # created on the device, without a copy from the host
     elif not isinstance(fill_value, Tensor):
         fill_value = torch.as_tensor(fill_value, dtype=dtype, device=image.device)
     _check.numbers(op, "fill_value", fill_value)
-    _check.same_device(op, src=image, fill_value=fill_value)
+    fill_value = _check.to_device_of(op, image, "fill_value", fill_value, of="src")
     shape = fill_value.shape
     if len(shape) == 4 and shape[2:] == (1, 1):
         fill_value = fill_value[..., 0, 0]
@@ -546,11 +548,13 @@ def symbolic_point(image: Tensor, x: float, y: float) -> Tensor:
 
 
 def cast_to_image(op: str, image: Tensor, name: str, x: Tensor, samples: int | None = None) -> Tensor:
-    """A matrix, map or parameter as the operators take it: in the dtype of the computation, with one row or one a sample.
+    """A matrix or parameter as the operators take it: in the dtype and on the device of the computation, with one row or
+    one a sample.
 
-    There is one sample of each image unless their number is given.
+    There is one sample of each image unless their number is given. Maps, too; their callers check that they are on the
+    image's device, since images and maps are not moved.
     """
-    _check.same_device(op, image=image, **{name: x})
+    x = _check.to_device_of(op, image, name, x, of="image")
     samples = image.shape[0] if samples is None else samples
     if x.shape[0] not in (1, samples):
         raise ShapeError(f"{op}: expected {name} with 1 or {samples} rows, got {tuple(x.shape)}", actual_shape=x.shape)

@@ -217,6 +217,7 @@ def remap(
     _check.images("remap", "image", image)
     _check.shape("remap", "map_x", map_x, "B", "H", "W")
     _check.shape("remap", "map_y", map_y, *map_x.shape)
+    _check.same_device("remap", image=image, map_x=map_x, map_y=map_y)
     if 0 in map_x.shape[1:]:
         raise ShapeError(f"remap: expected map_x with H, W of at least 1, got {tuple(map_x.shape)}")
     align_corners = False if align_corners is None else align_corners
@@ -253,7 +254,7 @@ def warp_grid(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
     """
     _check.shape("warp_grid", "grid", grid, "B", "H", "W", 2)
     _check.shape("warp_grid", "src_homo_dst", src_homo_dst, "B", 3, 3)
-    _check.same_device("warp_grid", grid=grid, src_homo_dst=src_homo_dst)
+    src_homo_dst = _check.to_device_of("warp_grid", grid, "src_homo_dst", src_homo_dst, of="grid")
     return transformed_grid(floats(grid), src_homo_dst)
 
 

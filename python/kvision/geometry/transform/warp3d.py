@@ -183,8 +183,8 @@ def rotate3d(
         _check.numbers("rotate3d", name, angle)
         if angle.numel() not in (1, batch):
             raise ShapeError(f"rotate3d: expected {name} of shape ({batch},), got {tuple(angle.shape)}")
+        angle = _check.to_device_of("rotate3d", volumes, name, angle, of="tensor")
         angles.append(as_dtype(angle if angle.dim() == 1 else angle.reshape(-1), dtype))
-    _check.same_device("rotate3d", tensor=volumes, yaw=yaw, pitch=pitch, roll=roll)
     if center is not None:
         _check.shape("rotate3d", "center", center, "B", 3)
         center = sampling.cast_to_image("rotate3d", volumes, "center", center)
@@ -264,7 +264,7 @@ def warp_grid3d(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
     """
     _check.shape("warp_grid3d", "grid", grid, "B", "D", "H", "W", 3)
     _check.shape("warp_grid3d", "src_homo_dst", src_homo_dst, "B", 4, 4)
-    _check.same_device("warp_grid3d", grid=grid, src_homo_dst=src_homo_dst)
+    src_homo_dst = _check.to_device_of("warp_grid3d", grid, "src_homo_dst", src_homo_dst, of="grid")
     return transformed_grid(floats(grid), src_homo_dst)
 
 

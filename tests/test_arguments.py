@@ -1,0 +1,277 @@
+"""Arguments as people pass them, swept over all public functions and modules; the calls are those of their examples.
+
+- Where a number is taken, so are NumPy's scalars and tensors of no axes.
+- A parameter in CPU memory follows images to their device; a second image, a map, points or labels do not.
+- What is no tensor, where a tensor is the first argument, is named in the error.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from torch import Tensor, nn
+
+import kvision as K
+from example_calls import Call, example_calls
+from kvision.core.exceptions import DeviceError, TypeCheckError
+
+# --- what is no tensor ------------------------------------------------------------------------------------------------
+
+NO_TENSORS = {
+    "list": [[1.0, 2.0]],
+    "NumPy array": np.zeros((1, 3, 4, 5), np.float32),
+    "PIL image": Image.new("RGB", (5, 4)),
+    "None": None,
+    "string": "image",
+}
+# Public names whose first argument is a tensor in their examples, but may be something else.
+OTHER_KINDS = {
+    "print_image": "takes the path of a file, too",
+    "Lambda.forward": "passes what it gets to the user's function",
+    "ImageSequential.forward": "takes arrays, PIL images and paths, and passes on what else it gets",
+    "PassLAF.forward": "returns what it gets",
+    "VideoSequential.forward": "says its shape first",
+    "Affine": "takes None for an angle",
+    "So2": "of complex numbers: says a complex Tensor",
+}
+
+
+# Their examples write files that are gone when the call is made again.
+WRITERS = {"write_image", "save_pointcloud_ply", "save_pointcloud_ply_binary"}
+
+
+def with_tensor_first() -> Iterator[Call]:
+    for calls in example_calls().values():
+        names = set()
+        for call in calls:
+            first = next(iter(call.arguments().values()), None)
+            if isinstance(first, Tensor) and call.name not in names and call.name not in OTHER_KINDS:
+                names.add(call.name)
+                yield call
+
+
+@pytest.mark.parametrize("call", list(with_tensor_first()), ids=lambda call: call.name)
+def test_what_is_no_tensor_is_named(call):
+    key = next(iter(call.arguments()))
+    for kind, value in NO_TENSORS.items():
+        with pytest.raises(TypeCheckError, match=rf"expected [\w\[\]]+ to be .*Tensor.*, got {type(value).__name__}"):
+            call.replaced(key, value)
+            pytest.fail(f"{call.name} accepts a {kind}")
+
+
+def test_nearly_all_public_names_have_examples():
+    """All but base classes, features that want weights, and the function that replaces those of Kornia."""
+    calls = example_calls()
+    assert sum(not calls[name] for name in calls) < 0.05 * len(calls)
+
+
+# --- numbers ----------------------------------------------------------------------------------------------------------
+
+
+def scalars_like(value: Any) -> list[Any]:
+    """A number, or a tuple or list of them, as NumPy and torch have it."""
+    if type(value) is int:
+        return [np.int64(value), np.int32(value), torch.tensor(value)]
+    if type(value) is float:
+        return [np.float32(value), np.float64(value), torch.tensor(value)]
+    if isinstance(value, (tuple, list)) and value and all(type(v) in (int, float) for v in value):
+        kinds = zip(*map(scalars_like, value))
+        return [type(value)(kind) for kind in kinds if type(value) in (tuple, list)]
+    return []
+
+
+# Numbers that are data, not parameters of an operation.
+NOT_PARAMETERS = {
+    "dataclass_to_dict",
+    "ImageSize",
+    "batched_forward",
+}
+
+
+def numeric_arguments() -> Iterator[tuple[Call, str | int, Any]]:
+    """The arguments of examples that are numbers, and the defaults that are."""
+    for home, calls in example_calls().items():
+        if home.startswith("augmentation."):
+            continue  # whose generators check their numbers themselves, and take Python's
+        seen = set()
+        for call in calls[:4]:
+            if call.name in NOT_PARAMETERS | WRITERS:
+                continue
+            for key, value in {**call.arguments(), **call.defaults()}.items():
+                if scalars_like(value) and (call.name, key) not in seen:
+                    seen.add((call.name, key))
+                    yield call, key, value
+
+
+@pytest.mark.parametrize("call, key, value", list(numeric_arguments()), ids=lambda x: getattr(x, "name", str(x))[:40])
+def test_scalars_of_numpy_and_torch_are_numbers(call, key, value):
+    def result(x: Any) -> Any:
+        torch.manual_seed(0)
+        return call.replaced(key, x)
+
+    expected = result(value)
+    for x in scalars_like(value):
+        found = result(x)
+        if isinstance(expected, Tensor):
+            assert found.dtype == expected.dtype and found.shape == expected.shape
+            torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-5, equal_nan=True)
+
+
+def test_a_number_that_requires_a_gradient_is_refused():
+    eps = torch.tensor(1e-6, requires_grad=True)
+    with pytest.raises(TypeError, match=r"sobel: expected eps to be a number, got a Tensor that requires a gradient"):
+        K.filters.sobel(torch.rand(1, 1, 4, 4), eps=eps)
+    with torch.no_grad():
+        K.filters.sobel(torch.rand(1, 1, 4, 4), eps=eps)
+
+
+def test_parameters_without_axes_get_gradients(device):
+    x = torch.rand(1, 3, 6, 6, device=device)
+    for call in (
+        lambda p: K.filters.gaussian_blur2d(x, 3, p),
+        lambda p: K.filters.bilateral_blur(x, 3, p, (1.0, 1.0)),
+        lambda p: K.filters.guided_blur(x, x, 3, p),
+        lambda p: K.enhance.adjust_gamma(x, p),
+        lambda p: K.geometry.intrinsics_like(p, x),
+        lambda p: K.color.rgb_to_rgba(x, p),
+    ):
+        p = torch.tensor(0.5, requires_grad=True)  # on the CPU, whatever the device of the images
+        call(p).sum().backward()
+        assert p.grad is not None and p.grad.shape == () and p.grad.isfinite()
+
+
+# --- devices ----------------------------------------------------------------------------------------------------------
+
+# The first argument of functions on images, and what among the others is data.
+IMAGES = {"image", "input", "tensor", "src", "patch_src", "data", "depth", "image_src", "input_tensor", "imgs", "seed"}
+IMAGES |= {"source", "views", "disparity", "inp", "img"}
+DATA = {"target", "img2", "guidance", "imageuv", "inputuv", "template", "src2", "mask", "noise", "map_x", "map_y"}
+DATA |= {"depth_dst", "patch_dst", "xyz_grid", "depth", "image"}
+DATA |= {"kernel_centers", "kernel_weights", "affine_weights", "pixel_coords", "dst", "laf", "lafs"}
+# Functions that read values on the host, which "meta" has not; draw_* and boxes of crops decide sizes.
+READ = {"draw_line", "draw_point2d", "draw_rectangle", "draw_convex_polygon", "crop_by_boxes", "crop_by_boxes3d"}
+READ |= {"crop_by_indices"}
+READ |= {"linear_transform"}  # uses torch.autocast, which has no answer for meta
+# guided_blur names its images guidance and input.
+SECOND_IMAGES = {("guided_blur", "input"), ("GuidedBlur", "input")}
+
+
+def tensor_parameters() -> Iterator[tuple[Call, str]]:
+    """The tensors besides the first one in examples of functions on images."""
+    for calls in example_calls().values():
+        seen = set()
+        for call in calls:
+            given = call.by_name()
+            names = [name for name, value in given.items() if isinstance(value, Tensor)]
+            if not names or inspect.isclass(call.function) or names[0] not in IMAGES or given[names[0]].dim() < 3:
+                continue
+            for name in names[1:]:
+                if (call.name, name) not in seen:
+                    seen.add((call.name, name))
+                    yield call, name
+
+
+@pytest.fixture
+def elsewhere(device: torch.device) -> torch.device:
+    """A device that is not the CPU."""
+    return device if device.type != "cpu" else torch.device("meta")
+
+
+@pytest.mark.parametrize("call, name", list(tensor_parameters()), ids=lambda x: getattr(x, "name", str(x)))
+def test_parameters_follow_the_images_and_data_does_not(call, name, elsewhere):
+    function = call.function.to(elsewhere) if isinstance(call.function, nn.Module) else call.function
+    given = {
+        key: value.to(elsewhere) if isinstance(value, Tensor) and key != name else value
+        for key, value in call.by_name().items()
+    }
+    if name in DATA:
+        with pytest.raises(DeviceError, match=r"expected all tensors on one device, got .*\bon cpu\b"):
+            function(**given)
+    elif elsewhere.type == "cuda" or call.name not in READ:
+        result = function(**given)
+        assert next(iter(result if isinstance(result, tuple) else (result,))).device.type == elsewhere.type
+
+
+x = torch.rand(2, 3, 6, 7)
+FOLLOWING = {
+    "adjust_brightness": lambda x, p: K.enhance.adjust_brightness(x, p),
+    "adjust_brightness_accumulative": lambda x, p: K.enhance.adjust_brightness_accumulative(x, p),
+    "adjust_contrast": lambda x, p: K.enhance.adjust_contrast(x, p),
+    "adjust_contrast_with_mean_subtraction": lambda x, p: K.enhance.adjust_contrast_with_mean_subtraction(x, p),
+    "adjust_gamma": lambda x, p: K.enhance.adjust_gamma(x, p, p),
+    "adjust_hue": lambda x, p: K.enhance.adjust_hue(x, p),
+    "adjust_log": lambda x, p: K.enhance.adjust_log(x, p),
+    "adjust_saturation": lambda x, p: K.enhance.adjust_saturation(x, p),
+    "adjust_sigmoid": lambda x, p: K.enhance.adjust_sigmoid(x, p, p),
+    "posterize": lambda x, p: K.enhance.posterize(x, (8 * p).round()),
+    "sharpness": lambda x, p: K.enhance.sharpness(x, p),
+    "solarize": lambda x, p: K.enhance.solarize(x, p, p),
+    "shift_rgb": lambda x, p: K.enhance.shift_rgb(x, p, p, p),
+    "add_weighted": lambda x, p: K.enhance.add_weighted(x, p[:1], x, p[:1], p[:1]),
+    "invert": lambda x, p: K.enhance.invert(x, p[0]),
+    "normalize": lambda x, p: K.enhance.normalize(x, p[:1], p[:1]),
+    "denormalize": lambda x, p: K.enhance.denormalize(x, p[:1], p[:1]),
+    "Normalize": lambda x, p: K.enhance.Normalize((0.5, 0.5, 0.5), (0.5, 0.5, 0.5))(x),
+    "ColorProgram": lambda x, p: K.enhance.ColorProgram(("brightness", p))(x),
+    "gaussian_blur2d": lambda x, p: K.filters.gaussian_blur2d(x, 3, torch.stack([p, p], 1)),
+    "bilateral_blur": lambda x, p: K.filters.bilateral_blur(x, 3, p, torch.stack([p, p], 1)),
+    "unsharp_mask": lambda x, p: K.filters.unsharp_mask(x, 3, torch.stack([p, p], 1)),
+    "guided_blur": lambda x, p: K.filters.guided_blur(x, x, 3, p),
+    "motion_blur": lambda x, p: K.filters.motion_blur(x, 3, p, p),
+    "in_range": lambda x, p: K.filters.in_range(x, torch.zeros(3), torch.ones(3)),
+    "rgba_to_rgb": lambda x, p: K.color.rgba_to_rgb(torch.cat([x, x[:, :1]], 1), torch.zeros(3, 1, 1)),
+    "apply_colormap": lambda x, p: K.color.apply_colormap(x[:, :1], K.color.ColorMap("jet")),
+    "focal_loss": lambda x, p: K.losses.focal_loss(x, x[:, 0].long(), 0.5, weight=torch.ones(3)),
+    "dice_loss": lambda x, p: K.losses.dice_loss(x, x[:, 0].long(), weight=torch.ones(3)),
+    "binary_focal_loss_with_logits": lambda x, p: K.losses.binary_focal_loss_with_logits(
+        x, x, 0.5, pos_weight=torch.ones(3), weight=torch.ones(3)
+    ),
+    "warp_perspective": lambda x, p: K.geometry.warp_perspective(
+        x, torch.eye(3)[None], (4, 4), padding_mode="fill", fill_value=torch.zeros(3)
+    ),
+    "rotate": lambda x, p: K.geometry.rotate(x, p, torch.ones(1, 2)),
+    "elastic_transform2d": lambda x, p: K.geometry.elastic_transform2d(
+        x, torch.zeros_like(x[:, :2]), (3, 3), sigma=p, alpha=p
+    ),
+    "dilation": lambda x, p: K.morphology.dilation(x, torch.ones(3, 3), torch.ones(3, 3)),
+}
+
+
+@pytest.mark.parametrize("name", FOLLOWING)
+def test_parameters_in_cpu_memory_follow_the_images(name, elsewhere):
+    p = torch.tensor([0.5, 0.75])
+    found = FOLLOWING[name](x.to(elsewhere), p)
+    expected = FOLLOWING[name](x, p)
+    assert found.device.type == elsewhere.type and found.shape == expected.shape and found.dtype == expected.dtype
+    if elsewhere.type == "cuda":
+        torch.testing.assert_close(found.cpu(), expected, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in FOLLOWING if name not in ("Normalize", "apply_colormap", "in_range")]
+)
+def test_parameters_follow_without_waiting(name, device):
+    """The copy of a parameter to the GPU does not wait for the GPU."""
+    if device.type != "cuda":
+        pytest.skip("needs a GPU")
+    p, images = torch.tensor([0.5, 0.75]), x.to(device)
+    FOLLOWING[name](images, p)
+    torch.cuda.synchronize()
+    with torch.cuda.device(device):
+        torch.cuda.set_sync_debug_mode("error")
+        try:
+            FOLLOWING[name](images, p)
+        finally:
+            torch.cuda.set_sync_debug_mode("default")
+
+
+def test_a_parameter_on_another_gpu_is_refused():
+    image, elsewhere = torch.rand(1, 3, 4, 4), torch.full((1,), 0.5, device="meta")
+    with pytest.raises(DeviceError, match="adjust_brightness: expected all tensors on one device"):
+        K.enhance.adjust_brightness(image, elsewhere)

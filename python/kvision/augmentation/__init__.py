@@ -43,6 +43,7 @@ from kvision.augmentation.filters import (
     RandomSharpness,
 )
 from kvision.augmentation.flip import RandomHorizontalFlip, RandomVerticalFlip
+from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.illumination import (
     RandomGaussianIllumination,
@@ -63,6 +64,18 @@ from kvision.augmentation.perspective import RandomPerspective
 from kvision.augmentation.plasma import RandomPlasmaBrightness, RandomPlasmaContrast, RandomPlasmaShadow
 from kvision.augmentation.random_noise import RandomGaussianNoise, RandomSaltAndPepperNoise
 from kvision.augmentation.resize import LongestMaxSize, PadTo, Resize, SmallestMaxSize
+from kvision.augmentation.volumes import (
+    CenterCrop3D,
+    RandomAffine3D,
+    RandomCrop3D,
+    RandomDepthicalFlip3D,
+    RandomEqualize3D,
+    RandomHorizontalFlip3D,
+    RandomMotionBlur3D,
+    RandomPerspective3D,
+    RandomRotation3D,
+    RandomVerticalFlip3D,
+)
 from kvision.augmentation.weather import RandomRain, RandomSnow
 
 __all__ = [
@@ -70,10 +83,12 @@ __all__ = [
     "AugmentationBase3D",
     "AugmentationSequential",
     "CenterCrop",
+    "CenterCrop3D",
     "ColorJiggle",
     "ColorJitter",
     "Denormalize",
     "GeometricAugmentationBase2D",
+    "GeometricAugmentationBase3D",
     "ImageSequential",
     "IntensityAugmentationBase2D",
     "IntensityAugmentationBase3D",
@@ -85,6 +100,7 @@ __all__ = [
     "PadTo",
     "PatchMix",
     "RandomAffine",
+    "RandomAffine3D",
     "RandomAutoContrast",
     "RandomBoxBlur",
     "RandomBrightness",
@@ -93,8 +109,11 @@ __all__ = [
     "RandomClahe",
     "RandomContrast",
     "RandomCrop",
+    "RandomCrop3D",
     "RandomCutMixV2",
+    "RandomDepthicalFlip3D",
     "RandomEqualize",
+    "RandomEqualize3D",
     "RandomErasing",
     "RandomGamma",
     "RandomGaussianBlur",
@@ -102,6 +121,7 @@ __all__ = [
     "RandomGaussianNoise",
     "RandomGrayscale",
     "RandomHorizontalFlip",
+    "RandomHorizontalFlip3D",
     "RandomHue",
     "RandomInvert",
     "RandomJPEG",
@@ -112,7 +132,9 @@ __all__ = [
     "RandomMixUpV2",
     "RandomMosaic",
     "RandomMotionBlur",
+    "RandomMotionBlur3D",
     "RandomPerspective",
+    "RandomPerspective3D",
     "RandomPlanckianJitter",
     "RandomPlasmaBrightness",
     "RandomPlasmaContrast",
@@ -122,6 +144,7 @@ __all__ = [
     "RandomRain",
     "RandomResizedCrop",
     "RandomRotation",
+    "RandomRotation3D",
     "RandomRotation90",
     "RandomSaltAndPepperNoise",
     "RandomSaturation",
@@ -131,6 +154,7 @@ __all__ = [
     "RandomSolarize",
     "RandomTranslate",
     "RandomVerticalFlip",
+    "RandomVerticalFlip3D",
     "Resize",
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",

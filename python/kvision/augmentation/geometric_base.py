@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION
-from kvision.augmentation.base import Execution, Params, RigidAffineAugmentationBase2D, Shape
+from kvision.augmentation.base import AugmentationBase, Execution, Params, RigidAffineAugmentationBase2D, Shape
 from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.constants import Resample, SamplePadding
 from kvision.geometry.linalg import transform_points
@@ -28,7 +28,45 @@ class Resampling(NamedTuple):
     fill: Any = None
 
 
-class GeometricAugmentationBase2D(RigidAffineAugmentationBase2D):
+class GeometricAugmentation(AugmentationBase):
+    """What geometric augmentations of images and of volumes share: points and inverse from the matrix of a call."""
+
+    def _matrix_of(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        """The matrices of an execution, the identity for samples that are not chosen."""
+        matrix = self.compute_transformation(x, self._params_on_device(x, execution), flags)
+        if execution.chosen is None:
+            return matrix
+        return torch.where(execution.chosen[:, None, None], matrix, self.identity_matrix(x).to(matrix))
+
+    def inverse_transform(self, input: Tensor, flags: dict[str, Any], transform: Tensor, size: Any) -> Tensor:
+        """Resample results at the pixels of the images that they came from, of a given size."""
+        raise NotImplementedError(f"{type(self).__name__}.inverse_transform")
+
+    def transform_points(self, points: Tensor, execution: Execution) -> Tensor:
+        if not execution.applied:
+            return points
+        return transform_points(self._matrix(execution).to(points), points)
+
+    def inverse(self, output: Tensor, params: Params | None = None, **kwargs: Any) -> Tensor:
+        flags = self._flags_of(kwargs)
+        x = self.transform_tensor(output)
+        execution = self._execution
+        if params is not None:
+            shape = tuple(int(n) for n in params["forward_input_shape"])
+            image = x.new_empty(1).expand(shape)  # of its size only
+            execution = self._from_params(params, image)
+            execution.matrix = self._matrix_of(image, execution, flags)
+        if execution is None:
+            raise RuntimeError(f"{type(self).__name__}.inverse: there was no call yet; pass its params")
+        if not execution.applied:
+            return output
+        y = self.inverse_transform(x, flags, self._matrix(execution), execution.shape[2:])
+        if self.keepdim and y.dim() > output.dim():
+            y = y.reshape(y.shape[y.dim() - output.dim() :])
+        return y
+
+
+class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentationBase2D):
     """Base of augmentations that move pixels by a matrix (B, 3, 3), from image pixels to result pixels.
 
     A subclass declares a chain of formulas of its columns, `transforms`, or overrides `compute_transformation`. One whose
@@ -96,10 +134,7 @@ class GeometricAugmentationBase2D(RigidAffineAugmentationBase2D):
         if execution.columns is not None or execution.params is None:
             drawn, chain = self._chain(x, execution, flags)
             return transform_matrix(drawn, chain)
-        matrix = self.compute_transformation(x, self._on_device(execution.params, x.device), flags)
-        if execution.chosen is None:
-            return matrix
-        return torch.where(execution.chosen[:, None, None], matrix, self.identity_matrix(x).to(matrix))
+        return super()._matrix_of(x, execution, flags)
 
     def _chain(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> tuple[Tensor, list[Transform]]:
         """The chain of an execution whose columns were drawn, with the tensor that they are in."""
@@ -131,7 +166,7 @@ class GeometricAugmentationBase2D(RigidAffineAugmentationBase2D):
             transform = self.compute_transformation(input, params, flags)
         return self._warp(input, transform, flags)
 
-    # --- labels and inverse ---
+    # --- masks and inverse ---
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:
@@ -142,33 +177,7 @@ class GeometricAugmentationBase2D(RigidAffineAugmentationBase2D):
         size = self.output_size(execution.shape, flags)
         return warp_labels(masks, self._matrix(execution), size, resampling)
 
-    def transform_points(self, points: Tensor, execution: Execution) -> Tensor:
-        if not execution.applied:
-            return points
-        return transform_points(self._matrix(execution).to(points), points)
-
-    def inverse(self, output: Tensor, params: Params | None = None, **kwargs: Any) -> Tensor:
-        flags = self._flags_of(kwargs)
-        x = self.transform_tensor(output)
-        execution = self._execution
-        if params is not None:
-            shape = tuple(int(n) for n in params["forward_input_shape"])
-            image = x.new_empty(1).expand(shape)  # of its size only
-            execution = self._from_params(params, image)
-            execution.matrix = self._matrix_of(image, execution, flags)
-        if execution is None:
-            raise RuntimeError(f"{type(self).__name__}.inverse: there was no call yet; pass its params")
-        if not execution.applied:
-            return output
-        y = self.inverse_transform(x, flags, self._matrix(execution), (execution.shape[-2], execution.shape[-1]))
-        if self.keepdim and y.dim() > output.dim():
-            y = y.reshape(y.shape[y.dim() - output.dim() :])
-        return y
-
-    def inverse_transform(
-        self, input: Tensor, flags: dict[str, Any], transform: Tensor, size: tuple[int, int]
-    ) -> Tensor:
-        """Resample results at the pixels of the images that they came from, of a given size."""
+    def inverse_transform(self, input: Tensor, flags: dict[str, Any], transform: Tensor, size: Any) -> Tensor:
         resampling = self.resampling(flags)
         return warp(
             input, transform.to(input.device), size, resampling._replace(padding="zeros", fill=None), inverse=False

@@ -122,6 +122,15 @@ def pairs(op: str, name: str, value: Any, count: int, **options: Any) -> list[Ra
     return [parse(op, name, value, **options)] * count
 
 
+def parse_each(op: str, name: str, value: Any, count: int, **options: Any) -> list[Range]:
+    """`count` ranges from as many numbers or pairs; one number or one pair is the range of all of them."""
+    if isinstance(value, Tensor) and not value.requires_grad:
+        value = value.tolist()
+    if isinstance(value, Sequence) and len(value) == count:
+        return [parse(op, name, part, **options) for part in value]
+    return [parse(op, name, value, **options)] * count
+
+
 def _learned(op: str, name: str, value: Tensor, center: float | None) -> Range:
     if value.numel() == 1 and center is not None:
         spread = value.reshape(1)

@@ -41,15 +41,25 @@ from kvision.augmentation.random_generator.plain import (
     ProbabilityGenerator,
     UniformDistribution,
 )
+from kvision.augmentation.random_generator.volumes import (
+    AffineGenerator3D,
+    CropGenerator3D,
+    MotionBlurGenerator3D,
+    PerspectiveGenerator3D,
+    RotationGenerator3D,
+    center_crop_generator3d,
+)
 from kvision.augmentation.random_generator.weather import RainGenerator
 
 __all__ = [
     "AffineGenerator",
+    "AffineGenerator3D",
     "ChannelDropoutGenerator",
     "ChannelShuffleGenerator",
     "ColorJiggleGenerator",
     "ColorJitterGenerator",
     "CropGenerator",
+    "CropGenerator3D",
     "CutmixGenerator",
     "DistributionWithMapper",
     "GaussianIlluminationGenerator",
@@ -61,8 +71,10 @@ __all__ = [
     "MixupGenerator",
     "MosaicGenerator",
     "MotionBlurGenerator",
+    "MotionBlurGenerator3D",
     "PatchMixGenerator",
     "PerspectiveGenerator",
+    "PerspectiveGenerator3D",
     "PlainUniformGenerator",
     "PlanckianJitterGenerator",
     "PosterizeGenerator",
@@ -73,9 +85,11 @@ __all__ = [
     "RectangleEraseGenerator",
     "ResizeGenerator",
     "ResizedCropGenerator",
+    "RotationGenerator3D",
     "SaltAndPepperGenerator",
     "ShearGenerator",
     "TranslateGenerator",
     "UniformDistribution",
     "center_crop_generator",
+    "center_crop_generator3d",
 ]

@@ -85,9 +85,11 @@ class MotionBlurGenerator(RandomGeneratorBase):
         tensor([3, 3], dtype=torch.int32)
     """
 
+    op = "RandomMotionBlur"
+
     def __init__(self, kernel_size: int | tuple[int, int], angle: Any, direction: Any) -> None:
         super().__init__()
-        op = "RandomMotionBlur"
+        op = self.op
         ranges.keep_parameters(self, angle=angle, direction=direction)
         sizes = (kernel_size, kernel_size) if isinstance(kernel_size, int) else tuple(kernel_size)
         if len(sizes) != 2 or any(type(n) is not int for n in sizes):

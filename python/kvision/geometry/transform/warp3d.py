@@ -68,7 +68,7 @@ def warp_perspective3d(
     _check.numbers(op, "M", M)
     M = M[None] if M.dim() == 2 else M
     _check.shape(op, "M", M, "B", 4, 4)
-    return _warp(op, src, M, dsize, flags, border_mode, align_corners)
+    return by_matrix(op, src, M, dsize, flags, border_mode, align_corners)
 
 
 def warp_affine3d(
@@ -105,7 +105,7 @@ def warp_affine3d(
     """
     _check.volumes("warp_affine3d", "src", src)
     _check.shape("warp_affine3d", "M", M, "B", 3, 4)
-    return _warp("warp_affine3d", src, M, dsize, flags, padding_mode, align_corners)
+    return by_matrix("warp_affine3d", src, M, dsize, flags, padding_mode, align_corners)
 
 
 def affine3d(
@@ -136,7 +136,7 @@ def affine3d(
     volumes = _volumes("affine3d", tensor)
     _check.shape("affine3d", "matrix", matrix, "B", 3, 4)
     size = tuple(volumes.shape[2:])
-    result = _warp("affine3d", volumes, matrix, size, mode, padding_mode, align_corners)
+    result = by_matrix("affine3d", volumes, matrix, size, mode, padding_mode, align_corners)
     return result[0] if tensor.dim() == 4 else result
 
 
@@ -239,7 +239,9 @@ def homography_warp3d(
     _check.volumes(op, "patch_src", patch_src)
     _check.shape(op, "src_homo_dst", src_homo_dst, "B", 4, 4)
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
-    return _warp(op, patch_src, src_homo_dst, dsize, mode, padding_mode, align_corners, False, normalized_coordinates)
+    return by_matrix(
+        op, patch_src, src_homo_dst, dsize, mode, padding_mode, align_corners, False, normalized_coordinates
+    )
 
 
 def warp_grid3d(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
@@ -279,7 +281,7 @@ def _volumes(op: str, tensor: Tensor) -> Tensor:
     return volumes
 
 
-def _warp(
+def by_matrix(
     op: str,
     volumes: Tensor,
     matrix: Tensor,
@@ -290,6 +292,7 @@ def _warp(
     inverse: bool = True,
     normalized: bool = False,
 ) -> Tensor:
+    """Warp volumes by matrices (B, 3, 4) or (B, 4, 4)."""
     options = _how(op, dsize, mode, padding_mode, align_corners)
     volumes = floats(volumes)
     matrix = sampling.cast_to_image(op, volumes, "matrix", matrix)

@@ -1,0 +1,93 @@
+"""Geometric augmentations of volumes: volumes, masks and points follow one matrix a sample."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision.augmentation.base import Execution, Params, RigidAffineAugmentationBase3D, Shape
+from kvision.augmentation.geometric_base import GeometricAugmentation, Resampling
+from kvision.constants import Resample
+from kvision.geometry.transform import warp3d
+
+__all__ = ["GeometricAugmentationBase3D"]
+
+
+class GeometricAugmentationBase3D(GeometricAugmentation, RigidAffineAugmentationBase3D):
+    """Base of augmentations that move voxels by a matrix (B, 4, 4), from voxels (x, y, z) of the volume to those of the result.
+
+    A subclass overrides `compute_transformation`. One whose results have another size overrides `output_size`. Inverse,
+    masks and points follow from the matrix.
+
+    Args:
+        p: probability that a sample is augmented.
+        p_batch: probability that a batch is.
+        same_on_batch: all samples get the same parameters.
+        keepdim: a volume (C, D, H, W) gives a volume (C, d, h, w) instead of a batch of one.
+        generator: draws the key of each call; default: torch's generator.
+        return_transform: calls return the volume and its matrix.
+
+    Raises:
+        TypeError: `p` or `p_batch` is no number.
+        ValueError: `p` or `p_batch` is not within 0 and 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> class Deeper(K.augmentation.GeometricAugmentationBase3D):
+        ...     def compute_transformation(self, input, params, flags):
+        ...         matrix = torch.eye(4)
+        ...         matrix[2, 3] = 1
+        ...         return matrix.expand(len(input), 4, 4)
+        >>> Deeper(p=1.0)(torch.tensor([1.0, 2.0, 3.0]).reshape(1, 1, 3, 1, 1)).flatten()
+        tensor([0., 1., 2.])
+    """
+
+    moves_whole_voxels = False  # every voxel of the result is one of the volume, or the fill value
+
+    # --- what subclasses declare ---
+
+    def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int, int]:
+        """Depth, height and width of the results for volumes of a shape (B, C, D, H, W)."""
+        return shape[-3], shape[-2], shape[-1]
+
+    def resampling(self, flags: dict[str, Any]) -> Resampling:
+        """How volumes are read."""
+        if self.moves_whole_voxels:
+            return Resampling("nearest")
+        mode = Resample.get(flags.get("resample", Resample.BILINEAR)).name.lower()
+        return Resampling(mode, align_corners=bool(flags.get("align_corners", True)))
+
+    # --- execution, masks and inverse ---
+
+    def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        raise NotImplementedError(f"{type(self).__name__}.compute_transformation")
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        if transform is None:
+            transform = self.compute_transformation(input, params, flags)
+        return self._warp(input, transform, self.output_size(tuple(input.shape), flags), self.resampling(flags))
+
+    def _warp(
+        self, x: Tensor, matrix: Tensor, size: tuple[int, ...], resampling: Resampling, inverse: bool = True
+    ) -> Tensor:
+        """Resample volumes of any type: float64 holds all integers up to 2^53."""
+        mode, padding, align_corners, _ = resampling
+        small = (torch.bool, torch.uint8, torch.int8, torch.int16)
+        exact = x if x.is_floating_point() else x.to(torch.float32 if x.dtype in small else torch.float64)
+        op = type(self).__name__
+        y = warp3d.by_matrix(op, exact, matrix.to(x.device), tuple(size), mode, padding, align_corners, inverse)
+        return y if x.is_floating_point() else y.round().to(x.dtype)
+
+    def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if not execution.applied:
+            return masks
+        size = self.output_size(execution.shape, flags)
+        return self._warp(masks, self._matrix(execution), size, self.resampling(flags))
+
+    def inverse_transform(self, input: Tensor, flags: dict[str, Any], transform: Tensor, size: Any) -> Tensor:
+        resampling = self.resampling(flags)._replace(padding="zeros")
+        return self._warp(input, transform, tuple(size), resampling, inverse=False)

@@ -43,6 +43,12 @@ GEOMETRIC = [
     Case("Resize", ((9, 11),), fixed=True, changes_size=True),
     Case("SmallestMaxSize", (9,), fixed=True, changes_size=True),
 ]
+RANGES = (-0.2, 0.2), (-0.2, 0.2), (0.9, 1.1)
+MAPS = [
+    Case("RandomElasticTransform", ((9, 9), (3.0, 3.0), (0.5, 0.5))),
+    Case("RandomFisheye", RANGES),
+    Case("RandomThinPlateSpline", (0.2,)),
+]
 INTENSITY = [
     Case("ColorJiggle", (0.2, 0.2, 0.2, 0.2), any_channels=False),
     Case("ColorJitter", (0.2, 0.2, 0.2, 0.2), any_channels=False),
@@ -82,4 +88,4 @@ INTENSITY = [
     Case("RandomRain", ((10, 20), (3, 6), (-3, 3))),
     Case("RandomSnow", ((0.3, 0.7), (1.0, 2.0)), any_channels=False, gradient=False),
 ]
-CASES = [*GEOMETRIC, *INTENSITY]
+CASES = [*GEOMETRIC, *MAPS, *INTENSITY]

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 import kvision.augmentation as A
-from augmentation_cases import GEOMETRIC, Case
+from augmentation_cases import GEOMETRIC, MAPS, Case
 from kvision.augmentation.container.runs import Warp
 
 JITTER = (0.2, 0.2, 0.2, 0.1)
@@ -269,3 +269,28 @@ def test_dispatchers() -> None:
         A.ManyToOneAugmentationDispather(
             A.AugmentationSequential(flips[0]), A.AugmentationSequential(flips[1], data_keys=["input", "mask"])
         )
+
+
+@pytest.mark.parametrize("case", MAPS, ids=lambda case: case.name)
+def test_points_and_masks_follow_a_map(case: Case, device: torch.device) -> None:
+    gentle = {
+        "RandomElasticTransform": ((47, 47), (8.0, 8.0), (1.5, 1.5)),
+        "RandomThinPlateSpline": (0.1,),
+        "RandomFisheye": ((-0.1, 0.1), (-0.1, 0.1), (1.9, 2.1)),
+    }
+    augment = A.AugmentationSequential(
+        getattr(A, case.name)(*gentle[case.name], p=1.0), data_keys=["input", "mask", "keypoints"]
+    )
+    at = torch.tensor([[[40.0, 27.0]]], device=device)
+    image = blob(40.0, 27.0).to(device)
+    moved_by = []
+    for seed in range(4):
+        moved, mask, point = augment(image, (image > 0.5).long(), at, seed=seed)
+        rows, columns = (torch.arange(n, device=device) for n in moved.shape[-2:])
+        weight = moved[0, 0] ** 4
+        center = torch.stack([(weight * columns).sum(), (weight * rows[:, None]).sum()]) / weight.sum()
+        assert (center - point[0, 0]).abs().max() < 0.1, seed
+        assert torch.equal(mask, (moved > 0.5).long()) or (mask - (moved > 0.5).long()).abs().sum() < 12
+        moved_by.append(float((point - at).abs().max()))
+    assert max(moved_by) > 0.5
+    assert augment(image, mask, at[:, :0], seed=0)[2].shape == (1, 0, 2)

@@ -30,6 +30,7 @@ from kvision.augmentation.container import (
     VideoSequential,
 )
 from kvision.augmentation.crop import CenterCrop, RandomCrop, RandomResizedCrop
+from kvision.augmentation.elastic import RandomElasticTransform, RandomFisheye, RandomThinPlateSpline
 from kvision.augmentation.erasing import RandomErasing
 from kvision.augmentation.filters import (
     RandomAutoContrast,
@@ -112,9 +113,11 @@ __all__ = [
     "RandomCrop3D",
     "RandomCutMixV2",
     "RandomDepthicalFlip3D",
+    "RandomElasticTransform",
     "RandomEqualize",
     "RandomEqualize3D",
     "RandomErasing",
+    "RandomFisheye",
     "RandomGamma",
     "RandomGaussianBlur",
     "RandomGaussianIllumination",
@@ -152,6 +155,7 @@ __all__ = [
     "RandomShear",
     "RandomSnow",
     "RandomSolarize",
+    "RandomThinPlateSpline",
     "RandomTranslate",
     "RandomVerticalFlip",
     "RandomVerticalFlip3D",

@@ -131,6 +131,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 4 ? 2 : 1) find(__grid_
 #pragma unroll
       for (int j = 0; j < R; ++j) neighbors.insert(square[i][j], start2 + in_tile<kTile>(tx, j));
       merge_lanes<8, 1>(neighbors);
+      __syncwarp();  // all lanes have read `farthest`
       if (tx == 0) of_rows[row].merge(neighbors);
       __syncwarp();
     }

@@ -39,13 +39,14 @@ def twins(name: str, device: torch.device, **options: object) -> tuple[nn.Module
 def compare(ours: nn.Module, theirs: nn.Module, x: torch.Tensor) -> None:
     """Results, and gradients to the input and to all parameters."""
     x.requires_grad_()
-    results = [net(x) for net in (ours, theirs)]
-    torch.testing.assert_close(*results, atol=2e-5, rtol=2e-5)
     grads = []
-    for net, y in zip((ours, theirs), results):
-        weights = torch.linspace(-1, 1, y.numel(), device=y.device).reshape(y.shape)
-        parameters = [p for p in net.parameters() if p.requires_grad]
-        grads.append(torch.autograd.grad((weights * y).sum(), (x, *parameters)))
+    with torch.backends.cudnn.flags(enabled=True, allow_tf32=False):  # TF32 rounds to 10 bits
+        results = [net(x) for net in (ours, theirs)]
+        torch.testing.assert_close(*results, atol=2e-5, rtol=2e-5)
+        for net, y in zip((ours, theirs), results):
+            weights = torch.linspace(-1, 1, y.numel(), device=y.device).reshape(y.shape)
+            parameters = [p for p in net.parameters() if p.requires_grad]
+            grads.append(torch.autograd.grad((weights * y).sum(), (x, *parameters)))
     for a, b in zip(*grads, strict=True):
         scale = max(float(b.abs().max()), 1e-30)  # a unit that is never active has no gradient
         torch.testing.assert_close(a / scale, b / scale, atol=2e-4, rtol=0)

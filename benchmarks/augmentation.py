@@ -80,6 +80,15 @@ def torchvision_pipeline(T: Any) -> dict[str, Make]:
     }
 
 
+def has_gradient(augment: Callable[[Tensor], Tensor], leaf: Tensor) -> bool:
+    try:
+        return augment(leaf).requires_grad
+    except RuntimeError as error:
+        if "modified inplace" in str(error):  # torchvision changes the hue in place, in views that autograd refuses
+            return False
+        raise
+
+
 def libraries() -> dict[str, dict[str, Make]]:
     found = {"kvision": kornia_pipeline(A)}
     for name, module, pipelines in (
@@ -130,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
             forward = 1e3 * stopwatch.time(lambda augment=augment: augment(images)).median
             with torch.enable_grad():
-                backward = 1e3 * stopwatch.time(both).median if augment(leaf).requires_grad else math.nan
+                backward = 1e3 * stopwatch.time(both).median if has_gradient(augment, leaf) else math.nan
             host = math.nan if device.type == "cpu" else microseconds(lambda augment=augment: augment(one))
             line += f"{forward:14.3f}{backward:9.3f}{host:8.0f}"
         print(line, flush=True)

@@ -275,14 +275,15 @@ def pinhole(library: Any, tensors: Mapping[str, Tensor], extrinsics: Tensor) -> 
     return library.geometry.PinholeCamera(intrinsics, extrinsics.expand_as(intrinsics), height, width)
 
 
-_COLOR_MAPS: dict[str, Any] = {}
+_COLOR_MAPS: dict[tuple[str, torch.device], Any] = {}
 
 
-def color_map(library: Any) -> Any:
-    """A table of colors, made once for each library: torch.compile does not trace how it is made."""
-    if library.__name__ not in _COLOR_MAPS:
-        _COLOR_MAPS[library.__name__] = library.color.ColorMap("autumn")
-    return _COLOR_MAPS[library.__name__]
+def color_map(library: Any, device: torch.device) -> Any:
+    """A table of colors, made once for each library and device: torch.compile does not trace how it is made."""
+    key = library.__name__, device
+    if key not in _COLOR_MAPS:
+        _COLOR_MAPS[key] = library.color.ColorMap("autumn", device=device)
+    return _COLOR_MAPS[key]
 
 
 def each(names: Sequence[str], arguments: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -368,7 +369,7 @@ ARGUMENTS: dict[str, Any] = {
     "roll": many(),
     "pitch": many(),
     "yaw": many(),
-    "colormap": Made(lambda library, _: color_map(library)),
+    "colormap": Made(lambda library, tensors: color_map(library, tensors["input_tensor"].device)),
     "alpha_val": 0.5,
     "cfa": Made(lambda library, _: library.color.CFA.BG),
 }

@@ -27,8 +27,14 @@ LIST = Path(__file__).with_name("public_api.txt")
 def public_modules() -> Iterator[ModuleType]:
     yield K
     yield from (getattr(K, name) for name in K.__all__ if is_plain_module(getattr(K, name)))
-    modules = ("kvision.core.exceptions", "kvision.core.ops", "kvision.augmentation.random_generator")  # of Kornia
-    yield from map(importlib.import_module, modules)
+    modules = (
+        "core.exceptions",
+        "core.ops",
+        "augmentation.auto",
+        "augmentation.auto.operations",
+        "augmentation.random_generator",
+    )
+    yield from (importlib.import_module(f"kvision.{module}") for module in modules)  # modules of Kornia
 
 
 def public_names(module: ModuleType) -> list[str]:

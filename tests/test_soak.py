@@ -29,7 +29,18 @@ class MallocInfo(ctypes.Structure):
 
     _fields_ = [
         (name, ctypes.c_size_t)
-        for name in ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks", "keepcost")
+        for name in (
+            "arena",
+            "ordblks",
+            "smblks",
+            "hblks",
+            "hblkhd",
+            "usmblks",
+            "fsmblks",
+            "uordblks",
+            "fordblks",
+            "keepcost",
+        )
     ]
 
 
@@ -81,7 +92,9 @@ def test_calls_do_not_leak(device: torch.device) -> None:
     for run in itertools.islice(turns, WARM_UP):
         run()
     before = in_use(device)
-    for run in itertools.islice(turns, CALLS - CALLS % len(runs)):  # whole turns, so that both ends hold the same results
+    for run in itertools.islice(
+        turns, CALLS - CALLS % len(runs)
+    ):  # whole turns, so that both ends hold the same results
         run()
     heap, gpu = (b - a for a, b in zip(before, in_use(device)))
     assert heap < CALLS, f"the heap grew by {heap / CALLS:.1f} bytes a call"

@@ -1,0 +1,849 @@
+"""Operations of policies with learned magnitudes and probabilities, as Faster AutoAugment trains them.
+
+Source: Hataya, Zdenek, Yoshizoe and Nakayama, Faster AutoAugment: learning augmentation strategies using backpropagation,
+ECCV 2020.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Generator, Tensor, nn
+
+import kvision.augmentation as A
+from kvision.augmentation.base import AugmentationBase2D, Params
+from kvision.augmentation.columns import draw_columns
+from kvision.augmentation.container.image import ImageSequential
+from kvision.augmentation.draws import Request, uniform
+from kvision.augmentation.keys import Seed, draw_keys
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
+
+__all__ = [
+    "AutoContrast",
+    "Brightness",
+    "Contrast",
+    "Equalize",
+    "Gray",
+    "HorizontalFlip",
+    "Hue",
+    "Invert",
+    "OperationBase",
+    "PolicySequential",
+    "Posterize",
+    "Rotate",
+    "Saturate",
+    "Sharpness",
+    "ShearX",
+    "ShearY",
+    "Solarize",
+    "SolarizeAdd",
+    "TranslateX",
+    "TranslateY",
+    "VerticalFlip",
+]
+
+
+class OperationBase(nn.Module):
+    """An augmentation whose magnitude and probability are learned.
+
+    A sample is augmented where a draw says so; the gradient to the probability is that of a relaxed Bernoulli variable, the
+    one to the magnitude that of the augmentation.
+
+    Args:
+        operation: the augmentation; its `p` is the initial probability, the range of its parameter that of the magnitude.
+        initial_magnitude: pairs of the parameter's name and its initial value; None for an operation without magnitude. The
+            first pair is learned; a value of None stands for the middle of the range.
+        temperature: of the relaxation: the lower, the closer the gradient to that of a step.
+        is_batch_operation: the whole batch is augmented, or none of it.
+        magnitude_fn: maps magnitudes to values of the parameter.
+        symmetric_megnitude: the sign of the magnitude is drawn for each sample. (Spelling as in Kornia.)
+
+    Raises:
+        TypeError: `operation` is no augmentation of images.
+        ValueError: `temperature` is not above 0.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> brighter = K.augmentation.auto.operations.Brightness(initial_magnitude=1.5, initial_probability=1.0)
+        >>> [name for name, _ in brighter.named_parameters()]
+        ['_probability', '_magnitude']
+        >>> brighter(torch.full((1, 3, 1, 1), 0.25)).flatten().tolist()
+        [0.75, 0.75, 0.75]
+    """
+
+    magnitude_range: tuple[float, float] | None = None
+    scale = 1.0  # from a magnitude to the parameter
+
+    def __init__(
+        self,
+        operation: AugmentationBase2D,
+        initial_magnitude: Sequence[tuple[str, float | None]] | None = None,
+        temperature: float = 0.1,
+        is_batch_operation: bool = False,
+        magnitude_fn: Callable[[Tensor], Tensor] | None = None,
+        symmetric_megnitude: bool = False,
+    ) -> None:
+        super().__init__()
+        op = type(self).__name__
+        if not isinstance(operation, AugmentationBase2D):
+            raise TypeCheckError(f"{op}: expected operation to be an augmentation, got {type(operation).__name__}")
+        if not temperature > 0:
+            raise ValueCheckError(f"{op}: expected temperature above 0, got {temperature}")
+        self.probability_range = (1e-7, 1 - 1e-7)
+        self._probability = nn.Parameter(torch.tensor([float(operation.p)]))
+        operation.p = 1.0
+        self.op, self.temperature, self.is_batch_operation = operation, float(temperature), is_batch_operation
+        self.magnitude_fn, self.symmetric_megnitude = magnitude_fn, symmetric_megnitude
+        self._factor_name = None
+        if initial_magnitude is not None:
+            self._factor_name, value = initial_magnitude[0]
+            if value is None:
+                value = sum(self.magnitude_range or (0.0, 1.0)) / 2
+            self._magnitude = nn.Parameter(torch.tensor([float(value)]))
+
+    @property
+    def magnitude(self) -> Tensor | None:
+        """The magnitude within its range; None for an operation without one."""
+        if self._factor_name is None:
+            return None
+        return self._magnitude if self.magnitude_range is None else self._magnitude.clamp(*self.magnitude_range)
+
+    @property
+    def probability(self) -> Tensor:
+        """The probability, between 0 and 1."""
+        return self._probability.clamp(*self.probability_range)
+
+    @property
+    def transform_matrix(self) -> Tensor | None:
+        """The matrices (B, 3, 3) of the last call; None before the first one."""
+        return self.op.transform_matrix
+
+    def forward_parameters(
+        self,
+        batch_shape: Sequence[int],
+        mag: Tensor | None = None,
+        *,
+        seed: Seed = None,
+        generator: Generator | None = None,
+    ) -> Params:
+        """Draw the parameters of a call on images of a shape.
+
+        Args:
+            batch_shape: (B, C, H, W).
+            mag: magnitudes (B,) or (1,); default: the learned one.
+            seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
+            generator: draws the key of this call; default: torch's generator.
+
+        Returns:
+            Parameters by name, with `batch_prob` (B,), which has a gradient to the probability.
+        """
+        shape, device = tuple(batch_shape), self._probability.device
+        keys = draw_keys(type(self).__name__, 1, device, seed, generator)
+        request = Request([uniform(0.0, 1.0), uniform(0.0, 1.0)], same_on_batch=False)
+        (columns,) = draw_columns(torch.empty(shape[0], device=device), keys, [request])
+        words = columns.values if not self.is_batch_operation else columns.values[:1].expand(shape[0], 2)
+        params = dict(self.op.generate_parameters(shape))
+        params = {name: x.to(device) if isinstance(x, Tensor) else x for name, x in params.items()}
+        magnitude = self.magnitude if mag is None else mag
+        if self._factor_name is not None and magnitude is not None:
+            value = magnitude.expand(shape[0])
+            if self.magnitude_fn is not None:
+                value = self.magnitude_fn(value)
+            if self.symmetric_megnitude:
+                value = torch.where(words[:, 1] < 0.5, -value, value)
+            params[self._factor_name] = self._value(value, params[self._factor_name], shape)
+        # A hard choice whose gradient is that of the relaxed one.
+        u = words[:, 0].clamp(1e-6, 1 - 1e-6)
+        relaxed = ((self.probability.logit() + u.logit()) / self.temperature).sigmoid()
+        hard = (relaxed > 0.5).to(relaxed)
+        params["batch_prob"] = hard + (relaxed - relaxed.detach()) if torch.is_grad_enabled() else hard
+        params["forward_input_shape"] = torch.tensor(shape)
+        return params
+
+    def _value(self, value: Tensor, drawn: Tensor, shape: Sequence[int]) -> Tensor:
+        """The parameter of magnitudes; those that count whole numbers have no gradient."""
+        value = value * self.scale
+        return value if drawn.is_floating_point() else value.detach().round().to(drawn.dtype)
+
+    def forward(
+        self,
+        input: Tensor,
+        params: Params | None = None,
+        *,
+        seed: Seed = None,
+        generator: Generator | None = None,
+    ) -> Tensor:
+        """Augment images.
+
+        Args:
+            input: images (B, C, H, W) of a floating-point type.
+            params: parameters of an earlier call.
+            seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
+            generator: draws the key of this call; default: torch's generator.
+
+        Returns:
+            Images of the shape of `input`.
+        """
+        x = self.op.transform_tensor(input)
+        if params is None:
+            params = self.forward_parameters(tuple(x.shape), seed=seed, generator=generator)
+        self._params = params
+        chosen = params["batch_prob"].to(x.device)
+        augmented = self.op(x, params={**params, "batch_prob": chosen.detach()})
+        if not chosen.requires_grad:
+            return augmented
+        # Samples that are not chosen pass bit for bit; the weight is there for its gradient.
+        applied = self.op(x, params={**params, "batch_prob": torch.ones_like(chosen).detach()})
+        weight = (chosen - chosen.detach()).to(x.dtype)[:, None, None, None]
+        return augmented + weight * (applied - x).detach()
+
+
+class PolicySequential(ImageSequential):
+    """A sub-policy: operations one after the other.
+
+    Args:
+        *operations: operations.
+
+    Raises:
+        ValueError: one is no operation.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> O = K.augmentation.auto.operations
+        >>> policy = O.PolicySequential(O.Brightness(), O.Rotate())
+        >>> policy(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(self, *operations: OperationBase) -> None:
+        for operation in operations:
+            if not isinstance(operation, OperationBase):
+                raise ValueCheckError(f"PolicySequential: expected operations, got {type(operation).__name__}")
+        super().__init__(*operations)
+
+
+class AutoContrast(OperationBase):
+    """Stretch the values of images to 0 and 1.
+
+    Args:
+        initial_probability: first probability that a sample is augmented.
+        temperature: of the relaxation of the choice.
+        symmetric_megnitude: the sign of the magnitude is drawn for each sample.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.AutoContrast()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_probability: float = 0.5,
+        temperature: float = 0.1,
+        symmetric_megnitude: bool = False,
+    ) -> None:
+        super().__init__(
+            A.RandomAutoContrast(p=initial_probability), None, temperature, symmetric_megnitude=symmetric_megnitude
+        )
+
+
+class Brightness(OperationBase):
+    """Change the brightness of images.
+
+    Args:
+        initial_magnitude: its first value; None for the middle of the range.
+        initial_probability: first probability that a sample is augmented.
+        magnitude_range: lowest and highest magnitude: factors as `RandomBrightness` takes them.
+        temperature: of the relaxation of the choice.
+        symmetric_megnitude: the sign of the magnitude is drawn for each sample.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.Brightness()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_magnitude: float | None = 0.5,
+        initial_probability: float = 0.5,
+        magnitude_range: tuple[float, float] = (0.2, 1.8),
+        temperature: float = 0.1,
+        symmetric_megnitude: bool = False,
+    ) -> None:
+        self.magnitude_range = magnitude_range
+        super().__init__(
+            A.RandomBrightness(magnitude_range, p=initial_probability),
+            [("brightness_factor", initial_magnitude)],
+            temperature,
+            symmetric_megnitude=symmetric_megnitude,
+        )
+
+
+class Contrast(OperationBase):
+    """Change the contrast of images.
+
+    Args:
+        initial_magnitude: its first value; None for the middle of the range.
+        initial_probability: first probability that a sample is augmented.
+        magnitude_range: lowest and highest magnitude: factors as `RandomContrast` takes them.
+        temperature: of the relaxation of the choice.
+        symmetric_megnitude: the sign of the magnitude is drawn for each sample.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.Contrast()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_magnitude: float | None = 0.5,
+        initial_probability: float = 0.5,
+        magnitude_range: tuple[float, float] = (0.2, 1.8),
+        temperature: float = 0.1,
+        symmetric_megnitude: bool = False,
+    ) -> None:
+        self.magnitude_range = magnitude_range
+        super().__init__(
+            A.RandomContrast(magnitude_range, p=initial_probability),
+            [("contrast_factor", initial_magnitude)],
+            temperature,
+            symmetric_megnitude=symmetric_megnitude,
+        )
+
+
+class Equalize(OperationBase):
+    """Equalize the histograms of images.
+
+    Args:
+        initial_probability: first probability that a sample is augmented.
+        temperature: of the relaxation of the choice.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.Equalize()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_probability: float = 0.5,
+        temperature: float = 0.1,
+    ) -> None:
+        super().__init__(A.RandomEqualize(p=initial_probability), None, temperature)
+
+
+class Gray(OperationBase):
+    """Make images gray.
+
+    Args:
+        initial_probability: first probability that a sample is augmented.
+        temperature: of the relaxation of the choice.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.Gray()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_probability: float = 0.5,
+        temperature: float = 0.1,
+    ) -> None:
+        super().__init__(A.RandomGrayscale(p=initial_probability), None, temperature)
+
+
+class HorizontalFlip(OperationBase):
+    """Flip images from left to right.
+
+    Args:
+        initial_probability: first probability that a sample is augmented.
+        temperature: of the relaxation of the choice.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.HorizontalFlip()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_probability: float = 0.5,
+        temperature: float = 0.1,
+    ) -> None:
+        super().__init__(A.RandomHorizontalFlip(p=initial_probability), None, temperature)
+
+
+class Hue(OperationBase):
+    """Turn the hue of images.
+
+    Args:
+        initial_magnitude: its first value; None for the middle of the range.
+        initial_probability: first probability that a sample is augmented.
+        magnitude_range: lowest and highest magnitude: turns.
+        temperature: of the relaxation of the choice.
+        symmetric_megnitude: the sign of the magnitude is drawn for each sample.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.Hue()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_magnitude: float | None = 0.0,
+        initial_probability: float = 0.5,
+        magnitude_range: tuple[float, float] = (-0.5, 0.5),
+        temperature: float = 0.1,
+        symmetric_megnitude: bool = False,
+    ) -> None:
+        self.magnitude_range = magnitude_range
+        super().__init__(
+            A.RandomHue(magnitude_range, p=initial_probability),
+            [("hue_factor", initial_magnitude)],
+            temperature,
+            symmetric_megnitude=symmetric_megnitude,
+        )
+
+
+class Invert(OperationBase):
+    """Invert images.
+
+    Args:
+        initial_probability: first probability that a sample is augmented.
+        temperature: of the relaxation of the choice.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.Invert()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_probability: float = 0.5,
+        temperature: float = 0.1,
+    ) -> None:
+        super().__init__(A.RandomInvert(p=initial_probability), None, temperature)
+
+
+class Posterize(OperationBase):
+    """Keep the high bits of the levels of images.
+
+    Args:
+        initial_magnitude: its first value; None for the middle of the range.
+        initial_probability: first probability that a sample is augmented.
+        magnitude_range: lowest and highest magnitude: bits.
+        temperature: of the relaxation of the choice.
+        symmetric_megnitude: the sign of the magnitude is drawn for each sample.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.Posterize()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_magnitude: float | None = 4.0,
+        initial_probability: float = 0.5,
+        magnitude_range: tuple[float, float] = (1.0, 8.0),
+        temperature: float = 0.1,
+        symmetric_megnitude: bool = False,
+    ) -> None:
+        self.magnitude_range = magnitude_range
+        super().__init__(
+            A.RandomPosterize(magnitude_range, p=initial_probability),
+            [("bits_factor", initial_magnitude)],
+            temperature,
+            symmetric_megnitude=symmetric_megnitude,
+        )
+
+
+class Rotate(OperationBase):
+    """Rotate images.
+
+    Args:
+        initial_magnitude: its first value; None for the middle of the range.
+        initial_probability: first probability that a sample is augmented.
+        magnitude_range: lowest and highest magnitude: degrees, counter-clockwise.
+        temperature: of the relaxation of the choice.
+        symmetric_megnitude: the sign of the magnitude is drawn for each sample.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.Rotate()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_magnitude: float | None = 15.0,
+        initial_probability: float = 0.5,
+        magnitude_range: tuple[float, float] = (0.0, 30.0),
+        temperature: float = 0.1,
+        symmetric_megnitude: bool = True,
+    ) -> None:
+        self.magnitude_range = magnitude_range
+        super().__init__(
+            A.RandomRotation(magnitude_range, p=initial_probability),
+            [("degrees", initial_magnitude)],
+            temperature,
+            symmetric_megnitude=symmetric_megnitude,
+        )
+
+
+class Saturate(OperationBase):
+    """Change the saturation of images.
+
+    Args:
+        initial_magnitude: its first value; None for the middle of the range.
+        initial_probability: first probability that a sample is augmented.
+        magnitude_range: lowest and highest magnitude: factors as `RandomSaturation` takes them.
+        temperature: of the relaxation of the choice.
+        symmetric_megnitude: the sign of the magnitude is drawn for each sample.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.Saturate()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_magnitude: float | None = 0.5,
+        initial_probability: float = 0.5,
+        magnitude_range: tuple[float, float] = (0.2, 1.8),
+        temperature: float = 0.1,
+        symmetric_megnitude: bool = False,
+    ) -> None:
+        self.magnitude_range = magnitude_range
+        super().__init__(
+            A.RandomSaturation(magnitude_range, p=initial_probability),
+            [("saturation_factor", initial_magnitude)],
+            temperature,
+            symmetric_megnitude=symmetric_megnitude,
+        )
+
+
+class Sharpness(OperationBase):
+    """Change the sharpness of images.
+
+    Args:
+        initial_magnitude: its first value; None for the middle of the range.
+        initial_probability: first probability that a sample is augmented.
+        magnitude_range: lowest and highest magnitude: factors as `RandomSharpness` takes them.
+        temperature: of the relaxation of the choice.
+        symmetric_megnitude: the sign of the magnitude is drawn for each sample.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.Sharpness()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_magnitude: float | None = 0.5,
+        initial_probability: float = 0.5,
+        magnitude_range: tuple[float, float] = (0.1, 1.9),
+        temperature: float = 0.1,
+        symmetric_megnitude: bool = False,
+    ) -> None:
+        self.magnitude_range = magnitude_range
+        super().__init__(
+            A.RandomSharpness(magnitude_range, p=initial_probability),
+            [("sharpness", initial_magnitude)],
+            temperature,
+            symmetric_megnitude=symmetric_megnitude,
+        )
+
+
+class ShearX(OperationBase):
+    """Shear images along x.
+
+    Args:
+        initial_magnitude: its first value; None for the middle of the range.
+        initial_probability: first probability that a sample is augmented.
+        magnitude_range: lowest and highest magnitude: fractions of half a turn.
+        temperature: of the relaxation of the choice.
+        symmetric_megnitude: the sign of the magnitude is drawn for each sample.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.ShearX()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    scale = 180.0  # degrees
+
+    def __init__(
+        self,
+        initial_magnitude: float | None = 0.1,
+        initial_probability: float = 0.5,
+        magnitude_range: tuple[float, float] = (0.0, 0.3),
+        temperature: float = 0.1,
+        symmetric_megnitude: bool = True,
+    ) -> None:
+        self.magnitude_range = magnitude_range
+        super().__init__(
+            A.RandomShear((0.0, 0.0), p=initial_probability),
+            [("shear_x", initial_magnitude)],
+            temperature,
+            symmetric_megnitude=symmetric_megnitude,
+        )
+
+
+class ShearY(OperationBase):
+    """Shear images along y.
+
+    Args:
+        initial_magnitude: its first value; None for the middle of the range.
+        initial_probability: first probability that a sample is augmented.
+        magnitude_range: lowest and highest magnitude: fractions of half a turn.
+        temperature: of the relaxation of the choice.
+        symmetric_megnitude: the sign of the magnitude is drawn for each sample.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.ShearY()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    scale = 180.0  # degrees
+
+    def __init__(
+        self,
+        initial_magnitude: float | None = 0.1,
+        initial_probability: float = 0.5,
+        magnitude_range: tuple[float, float] = (0.0, 0.3),
+        temperature: float = 0.1,
+        symmetric_megnitude: bool = True,
+    ) -> None:
+        self.magnitude_range = magnitude_range
+        super().__init__(
+            A.RandomShear((0.0, 0.0, 0.0, 0.0), p=initial_probability),
+            [("shear_y", initial_magnitude)],
+            temperature,
+            symmetric_megnitude=symmetric_megnitude,
+        )
+
+
+class Solarize(OperationBase):
+    """Invert values from a threshold on.
+
+    Args:
+        initial_magnitude: its first value; None for the middle of the range.
+        initial_probability: first probability that a sample is augmented.
+        magnitude_range: lowest and highest magnitude: thresholds.
+        temperature: of the relaxation of the choice.
+        symmetric_megnitude: the sign of the magnitude is drawn for each sample.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.Solarize()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_magnitude: float | None = 0.5,
+        initial_probability: float = 0.5,
+        magnitude_range: tuple[float, float] = (0.0, 1.0),
+        temperature: float = 0.1,
+        symmetric_megnitude: bool = False,
+    ) -> None:
+        self.magnitude_range = magnitude_range
+        super().__init__(
+            A.RandomSolarize(magnitude_range, (0.0, 0.0), p=initial_probability),
+            [("thresholds", initial_magnitude)],
+            temperature,
+            symmetric_megnitude=symmetric_megnitude,
+        )
+
+
+class SolarizeAdd(OperationBase):
+    """Add a number to images, and invert what reaches 0.5.
+
+    Args:
+        initial_magnitude: its first value; None for the middle of the range.
+        initial_probability: first probability that a sample is augmented.
+        magnitude_range: lowest and highest magnitude: numbers.
+        temperature: of the relaxation of the choice.
+        symmetric_megnitude: the sign of the magnitude is drawn for each sample.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.SolarizeAdd()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_magnitude: float | None = 0.0,
+        initial_probability: float = 0.5,
+        magnitude_range: tuple[float, float] = (-0.3, 0.3),
+        temperature: float = 0.1,
+        symmetric_megnitude: bool = False,
+    ) -> None:
+        self.magnitude_range = magnitude_range
+        super().__init__(
+            A.RandomSolarize((0.5, 0.5), magnitude_range, p=initial_probability),
+            [("additions", initial_magnitude)],
+            temperature,
+            symmetric_megnitude=symmetric_megnitude,
+        )
+
+
+class TranslateX(OperationBase):
+    """Shift images along x.
+
+    Args:
+        initial_magnitude: its first value; None for the middle of the range.
+        initial_probability: first probability that a sample is augmented.
+        magnitude_range: lowest and highest magnitude: fractions of the width.
+        temperature: of the relaxation of the choice.
+        symmetric_megnitude: the sign of the magnitude is drawn for each sample.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.TranslateX()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_magnitude: float | None = 0.2,
+        initial_probability: float = 0.5,
+        magnitude_range: tuple[float, float] = (0.0, 0.5),
+        temperature: float = 0.1,
+        symmetric_megnitude: bool = True,
+    ) -> None:
+        self.magnitude_range = magnitude_range
+        super().__init__(
+            A.RandomTranslate((0.0, 0.0), (0.0, 0.0), p=initial_probability),
+            [("translate_x", initial_magnitude)],
+            temperature,
+            symmetric_megnitude=symmetric_megnitude,
+        )
+
+    def _value(self, value: Tensor, drawn: Tensor, shape: Sequence[int]) -> Tensor:
+        return value * shape[-1]
+
+
+class TranslateY(OperationBase):
+    """Shift images along y.
+
+    Args:
+        initial_magnitude: its first value; None for the middle of the range.
+        initial_probability: first probability that a sample is augmented.
+        magnitude_range: lowest and highest magnitude: fractions of the height.
+        temperature: of the relaxation of the choice.
+        symmetric_megnitude: the sign of the magnitude is drawn for each sample.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.TranslateY()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_magnitude: float | None = 0.2,
+        initial_probability: float = 0.5,
+        magnitude_range: tuple[float, float] = (0.0, 0.5),
+        temperature: float = 0.1,
+        symmetric_megnitude: bool = True,
+    ) -> None:
+        self.magnitude_range = magnitude_range
+        super().__init__(
+            A.RandomTranslate((0.0, 0.0), (0.0, 0.0), p=initial_probability),
+            [("translate_y", initial_magnitude)],
+            temperature,
+            symmetric_megnitude=symmetric_megnitude,
+        )
+
+    def _value(self, value: Tensor, drawn: Tensor, shape: Sequence[int]) -> Tensor:
+        return value * shape[-2]
+
+
+class VerticalFlip(OperationBase):
+    """Flip images upside down.
+
+    Args:
+        initial_probability: first probability that a sample is augmented.
+        temperature: of the relaxation of the choice.
+
+    Raises:
+        ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.auto.operations.VerticalFlip()(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        initial_probability: float = 0.5,
+        temperature: float = 0.1,
+    ) -> None:
+        super().__init__(A.RandomVerticalFlip(p=initial_probability), None, temperature)

@@ -1,0 +1,89 @@
+"""Operations of policies with learned magnitudes and probabilities."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from kvision.augmentation.auto import operations as O
+
+NAMES = [n for n in O.__all__ if n not in ("OperationBase", "PolicySequential")]
+names = pytest.mark.parametrize("name", NAMES)
+WITHOUT_GRADIENT = ("Posterize", "Solarize")  # of the magnitude: it counts bits, or is a threshold
+
+
+def images(device: Any = "cpu") -> Tensor:
+    return (0.2 + 0.6 * torch.rand(8, 3, 12, 16, generator=torch.Generator().manual_seed(0))).to(device)
+
+
+@names
+def test_replay_seeds_and_gradients(name: str, device: torch.device) -> None:
+    x, operation = images(device), getattr(O, name)().to(device)
+    y = operation(x)
+    assert y.shape == x.shape
+    assert torch.equal(operation(x, params=operation._params), y)
+    assert torch.equal(operation(x, seed=3), operation(x, seed=3))
+    chosen = operation._params["batch_prob"] > 0.5
+    assert 0 < chosen.sum() < 8
+    y = operation(x, seed=3)
+    assert torch.equal(y[~chosen], x[~chosen])
+    y.square().sum().backward()
+    assert operation._probability.grad is not None and operation._probability.grad.isfinite().all()
+    if operation.magnitude is not None and name not in WITHOUT_GRADIENT:
+        assert operation._magnitude.grad is not None and operation._magnitude.grad.abs().sum() > 0
+
+
+@names
+def test_probability_is_that_of_the_choices(name: str) -> None:
+    for probability in (0.0, 1.0):
+        operation = getattr(O, name)(initial_probability=probability)
+        operation(images())
+        assert (operation._params["batch_prob"] == probability).all()
+    operation = getattr(O, name)(initial_probability=0.3)
+    with torch.no_grad():
+        share = operation.forward_parameters((4000, 3, 4, 4))["batch_prob"].mean()
+    assert abs(share - 0.3) < 0.04
+
+
+def test_magnitudes() -> None:
+    shape = (200, 3, 10, 20)
+    with torch.no_grad():
+        angles = O.Rotate(initial_magnitude=20.0).forward_parameters(shape)["degrees"]
+        assert set(angles.tolist()) == {-20.0, 20.0}
+        assert set(O.TranslateX(0.25).forward_parameters(shape)["translate_x"].tolist()) == {-5.0, 5.0}
+        shears = O.ShearY(0.1).forward_parameters(shape)["shear_y"]
+        torch.testing.assert_close(shears.abs(), torch.full_like(shears, 18.0))
+    assert O.Brightness(initial_magnitude=9.0).magnitude.item() == pytest.approx(1.8)
+    assert O.Brightness(initial_magnitude=None).magnitude.item() == pytest.approx(1.0)
+
+
+def test_gradient_of_the_probability_has_the_sign_of_the_change() -> None:
+    brighter = O.Brightness(initial_magnitude=1.5, initial_probability=0.5, temperature=1.0)
+    brighter(images()).sum().backward()
+    assert brighter._probability.grad.item() > 0
+
+
+def test_policies() -> None:
+    policy = O.PolicySequential(O.Brightness(), O.Rotate())
+    y = policy(images())
+    assert y.shape == images().shape and [p.name for p in policy._params] == ["Brightness_0", "Rotate_1"]
+    y.sum().backward()
+    assert all(p.grad is not None for p in policy.parameters())
+    with pytest.raises(ValueError, match="PolicySequential: expected operations"):
+        O.PolicySequential(torch.nn.Identity())
+    with pytest.raises(TypeError, match="expected operation to be an augmentation"):
+        O.OperationBase(torch.nn.Identity())
+    with pytest.raises(ValueError, match="temperature"):
+        O.Invert(temperature=0.0)
+
+
+def test_signatures_are_those_of_kornia() -> None:
+    theirs = pytest.importorskip("kornia.augmentation.auto.operations")
+    for name in NAMES:
+        ours = inspect.signature(getattr(O, name).__init__).parameters
+        expected = inspect.signature(getattr(theirs, name).__init__).parameters
+        assert {n: p.default for n, p in ours.items()} == {n: p.default for n, p in expected.items()}, name

@@ -27,6 +27,18 @@ CHAINS = {
     "two warps": lambda: [A.RandomRotation(20.0, p=1.0), A.RandomPerspective(0.3, p=0.5)],
     "colors": lambda: [A.ColorJitter(*JITTER), A.RandomGamma((0.5, 1.5), p=0.5), A.Normalize([0.5] * 3, [0.2] * 3)],
     "two contrasts": lambda: [A.ColorJitter(*JITTER), A.ColorJitter(*JITTER, p=0.5)],
+    "a crop that fits after padding alone": lambda: [
+        A.PadTo((30, 40)),
+        A.RandomCrop((25, 30)),
+        A.RandomRotation(9.0, p=1.0),
+    ],
+    "sizes by chance": lambda: [
+        A.RandomHorizontalFlip(),
+        A.RandomCrop((12, 12), p=0.5),
+        A.RandomTranslate((0.1, 0.4), p=1.0),
+        A.RandomCrop((8, 8), p=0.5),
+        A.ColorJitter(*JITTER),
+    ],
     "everything": lambda: [
         A.RandomResizedCrop((12, 14)),
         A.RandomHorizontalFlip(),
@@ -65,7 +77,8 @@ def test_replay_and_seeds(make: Any, device: torch.device) -> None:
     y = container(x, seed=9)
     assert torch.equal(container(x, seed=9), y)
     seeds = torch.arange(6)
-    assert torch.equal(container(x[3:], seed=seeds[3:]), container(x, seed=seeds)[3:])
+    if not any(0 < child.p_batch < 1 for child in make()):  # which is decided for the batch
+        assert torch.equal(container(x[3:], seed=seeds[3:]), container(x, seed=seeds)[3:])
     for other in (copy.deepcopy(container), pickle.loads(pickle.dumps(container))):
         assert torch.equal(other(x, seed=9), y)
 

@@ -20,6 +20,7 @@ from torch import Generator, Tensor, nn
 
 from kvision.augmentation.base import AugmentationBase, Execution
 from kvision.augmentation.columns import draw_columns
+from kvision.augmentation.draws import Request
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Resampling, warp
 from kvision.augmentation.intensity_base import (
     ColorPart,
@@ -166,26 +167,26 @@ def _draw(x: Tensor, modules: Sequence[AugmentationBase], source: Randomness, po
     if source.frames > 1:
         x = x[:: source.frames]
     shape = tuple(x.shape)
-    shapes, requests = [], []
-    # What changes sizes by chance decides with its key on the host, before the parameters of those after it are planned.
+    shapes, indices, applied = [], [], []
+    requests: list[Request] = []
     keys: Keys | None = None
-    count = sum(m.p > 0 and m.p_batch > 0 and m._request(shape) is not None for m in modules)
-    if count:
-        keys = draw_keys(source.op, count, x.device, source.seed, source.generator)
-    index, indices, applied = 0, [], []
     for module in modules:
         request = module._request(shape) if module.p > 0 and module.p_batch > 0 else None
-        applies = module._applies(
-            keys if request is not None else None, position + index if keys and keys.one_key else index
-        )
-        shapes.append(shape)
-        applied.append(applies)
-        indices.append(index if request is not None else None)
+        index = len(requests)
         if request is not None:
             requests.append(request)
-            index += 1
+            if module.whole_batch and module.p_batch < 1:
+                # What changes sizes by chance decides with its key on the host, before those after it are planned.
+                keys = _more_keys(keys, len(requests), x, source)
+        number = position + index if keys is not None and keys.one_key else index
+        applies = module._applies(keys if request is not None else None, number)
+        shapes.append(shape)
+        applied.append(applies)
+        indices.append(None if request is None else index)
         if applies and isinstance(module, GeometricAugmentationBase2D):
             shape = (*shape[:2], *module.output_size(shape, module.flags))
+    if requests:
+        keys = _more_keys(keys, len(requests), x, source)
     first = position if keys is not None and keys.one_key else 0
     columns = draw_columns(x, keys, requests, first) if keys is not None and requests else []
     executions = []
@@ -195,6 +196,17 @@ def _draw(x: Tensor, modules: Sequence[AugmentationBase], source: Randomness, po
             execution.redraw = (keys, first + i)
         executions.append(execution)
     return executions
+
+
+def _more_keys(keys: Keys | None, count: int, x: Tensor, source: Randomness) -> Keys:
+    """`count` keys, of which some may have been drawn."""
+    if keys is None:
+        return draw_keys(source.op, count, x.device, source.seed, source.generator)
+    known = len(keys.keys)
+    if keys.one_key or known == count:
+        return keys
+    more = draw_keys(source.op, count - known, x.device, source.seed, source.generator)
+    return keys._replace(keys=torch.cat([keys.keys, more.keys]))
 
 
 class _Pending:

@@ -32,6 +32,7 @@ def public_modules() -> Iterator[ModuleType]:
         "core.ops",
         "augmentation.auto",
         "augmentation.auto.operations",
+        "augmentation.presets.ada",
         "augmentation.random_generator",
     )
     yield from (importlib.import_module(f"kvision.{module}") for module in modules)  # modules of Kornia

@@ -307,3 +307,27 @@ def test_points_and_masks_follow_a_map(case: Case, device: torch.device) -> None
         moved_by.append(float((point - at).abs().max()))
     assert max(moved_by) > 0.5
     assert augment(image, mask, at[:, :0], seed=0)[2].shape == (1, 0, 2)
+
+
+def test_cells_of_a_grid(device: torch.device) -> None:
+    x = images(device)
+    children = [A.RandomInvert(p=1.0), nn.Identity(), A.RandomHorizontalFlip(p=1.0), A.RandomBrightness((1.5, 1.5))]
+    y = A.PatchSequential(*children, grid_size=(2, 2))(x)
+    torch.testing.assert_close(y[..., :8, :10], 1 - x[..., :8, :10])
+    assert torch.equal(y[..., :8, 10:], x[..., :8, 10:])
+    assert torch.equal(y[..., 8:, :10], x[..., 8:, :10].flip(-1))
+    torch.testing.assert_close(y[..., 8:, 10:], (x[..., 8:, 10:] + 0.5).clamp(0, 1))
+    for options in ({"patchwise_apply": False}, {"random_apply": 2}, {"random_apply": True}):
+        patches = A.PatchSequential(A.ColorJitter(*JITTER), A.RandomHorizontalFlip(), grid_size=(2, 4), **options)
+        y = patches(x)
+        assert y.shape == x.shape and not torch.equal(y, x)
+        assert torch.equal(patches(x, params=patches._params), y)
+        assert torch.equal(patches(x, seed=3), patches(x, seed=3))
+    invert = A.RandomInvert(p=1.0)
+    torch.testing.assert_close(A.PatchSequential(invert, grid_size=(3, 3), patchwise_apply=False)(x), 1 - x)
+    valid = A.PatchSequential(invert, grid_size=(3, 3), patchwise_apply=False, padding="valid")(x)
+    torch.testing.assert_close(valid, 1 - x[..., :15, 1:19])
+    with pytest.raises(ValueError, match="expected 4 children"):
+        A.PatchSequential(invert, grid_size=(2, 2))
+    with pytest.raises(ValueError, match="keep the size of cells"):
+        A.PatchSequential(A.CenterCrop(2), grid_size=(2, 2), patchwise_apply=False)(x)

@@ -133,3 +133,69 @@ def test_in_a_container() -> None:
     assert torch.equal(y[:, :1], moved.float())
     assert torch.equal(augment(torch.cat([mask.float()] * 3, 1), mask, params=augment._params)[0], y)
     assert x.shape == y.shape
+
+
+@pytest.mark.parametrize("name", ["RandomTransplantation", "RandomTransplantation3D"])
+def test_transplants_are_regions_of_one_label(name: str, device: torch.device) -> None:
+    size = (3, 6, 7) if name.endswith("3D") else (6, 7)
+    masks = torch.randint(0, 5, (8, *size), generator=torch.Generator().manual_seed(1)).to(device)
+    x = (10.0 * torch.arange(8, device=device).reshape(-1, *[1] * (1 + len(size))) + masks[:, None]).expand(8, 2, *size)
+    transplant = getattr(A, name)(excluded_labels=[0], p=0.6)
+    y, moved = transplant(x, masks, seed=3)
+    params = transplant._params
+    chosen = params["batch_prob"] > 0.5
+    assert 0 < chosen.sum() < 8
+    for i in range(8):
+        donor, label = (i - 1) % 8, params["selected_labels"][i]
+        region = (masks[donor] == label) & chosen[i]
+        assert label != 0
+        assert torch.equal(moved[i], torch.where(region, masks[donor], masks[i]))
+        assert torch.equal(y[i], torch.where(region, x[donor], x[i]))
+    again, _ = transplant(x, masks, params=params)
+    assert torch.equal(again, y)
+    without = {name: value for name, value in params.items() if name != "selection"}
+    assert torch.equal(getattr(A, name)(p=1.0)(x, masks, params=without)[1][chosen], moved[chosen])
+    assert torch.equal(getattr(A, name)(p=0.0)(x, masks)[0], x)
+    assert torch.equal(getattr(A, name)(excluded_labels=range(5), p=1.0)(x, masks)[0], x)
+    with pytest.raises(ValueError, match=f"{name}: expected one input of each data key"):
+        transplant(x)
+    with pytest.raises(ValueError, match=f"{name}: expected image of the size of masks"):
+        transplant(x[..., 1:], masks)
+
+
+def test_labels_are_equally_likely_to_be_transplanted() -> None:
+    masks = torch.zeros(3000, 4, 4, dtype=torch.int64)
+    masks[:, 0, 0], masks[:, 0, 1] = 1, 2  # one pixel each beside fourteen
+    transplant = A.RandomTransplantation(p=1.0)
+    transplant(torch.zeros(3000, 1, 4, 4), masks, seed=0)
+    counts = transplant._params["selected_labels"].bincount(minlength=3)
+    assert (counts - 1000).abs().max() < 130
+
+
+def test_adaptive_augmentation() -> None:
+    Ada = A.presets.ada.AdaptiveDiscriminatorAugmentation
+    x = images(batch=64)
+    ada = Ada(initial_p=0.5, update_every=2, adjustment_speed=0.25, max_p=0.8)
+    y = ada(x, seed=1)
+    kept = (y == x).flatten(1).all(1)
+    assert 15 < kept.sum() < 49
+    assert torch.equal(ada(x, params=ada._params), y)
+    for _ in range(2):
+        ada(x, real_acc=0.99)
+    assert ada.p == 0.75
+    for _ in range(2):
+        ada(x, real_acc=torch.ones(10))
+    assert ada.p == 0.8
+    ada.p, ada.ema_lambda = 0.1, 0.0
+    for _ in range(2):
+        ada(x, real_acc=0.2)
+    assert ada.p == 0.0
+    assert torch.equal(ada(x), x)
+    both = Ada(A.RandomInvert(p=1.0), initial_p=1.0, data_keys=["input", "mask"])
+    image, mask = both(x, x[:, :1].long())
+    torch.testing.assert_close(image, 1 - x)
+    assert mask.dtype == torch.int64
+    with pytest.raises(ValueError, match="initial_p"):
+        Ada(initial_p=2.0)
+    with pytest.raises(ValueError, match="keep sizes"):
+        Ada(A.CenterCrop(4), initial_p=1.0)(x)

@@ -1,6 +1,6 @@
 """Random augmentation of images with their masks, boxes, key points and labels."""
 
-from kvision.augmentation import auto, container, draws, random_generator
+from kvision.augmentation import auto, container, draws, presets, random_generator
 from kvision.augmentation.adjustments import (
     RandomBrightness,
     RandomContrast,
@@ -27,6 +27,7 @@ from kvision.augmentation.container import (
     ImageSequential,
     ManyToManyAugmentationDispather,
     ManyToOneAugmentationDispather,
+    PatchSequential,
     VideoSequential,
 )
 from kvision.augmentation.crop import CenterCrop, RandomCrop, RandomResizedCrop
@@ -65,6 +66,7 @@ from kvision.augmentation.perspective import RandomPerspective
 from kvision.augmentation.plasma import RandomPlasmaBrightness, RandomPlasmaContrast, RandomPlasmaShadow
 from kvision.augmentation.random_noise import RandomGaussianNoise, RandomSaltAndPepperNoise
 from kvision.augmentation.resize import LongestMaxSize, PadTo, Resize, SmallestMaxSize
+from kvision.augmentation.transplantation import RandomTransplantation, RandomTransplantation3D
 from kvision.augmentation.volumes import (
     CenterCrop3D,
     RandomAffine3D,
@@ -100,6 +102,7 @@ __all__ = [
     "Normalize",
     "PadTo",
     "PatchMix",
+    "PatchSequential",
     "RandomAffine",
     "RandomAffine3D",
     "RandomAutoContrast",
@@ -157,6 +160,8 @@ __all__ = [
     "RandomSolarize",
     "RandomThinPlateSpline",
     "RandomTranslate",
+    "RandomTransplantation",
+    "RandomTransplantation3D",
     "RandomVerticalFlip",
     "RandomVerticalFlip3D",
     "Resize",
@@ -166,5 +171,6 @@ __all__ = [
     "VideoSequential",
     "auto",
     "container",
+    "presets",
     "random_generator",
 ]

@@ -3,6 +3,7 @@
 from kvision.augmentation.container.augmentation import AugmentationSequential
 from kvision.augmentation.container.dispatcher import ManyToManyAugmentationDispather, ManyToOneAugmentationDispather
 from kvision.augmentation.container.image import ImageSequential, ImageSequentialBase
+from kvision.augmentation.container.patch import PatchSequential
 from kvision.augmentation.container.video import VideoSequential
 
 __all__ = [
@@ -11,5 +12,6 @@ __all__ = [
     "ImageSequentialBase",
     "ManyToManyAugmentationDispather",
     "ManyToOneAugmentationDispather",
+    "PatchSequential",
     "VideoSequential",
 ]

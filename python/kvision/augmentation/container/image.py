@@ -61,7 +61,7 @@ class ImageSequentialBase(nn.Sequential):
         self._stages: list[Stage] = []
         self._shape: tuple[int, ...] | None = None
         self._executed: list[Child] = []
-        self._given_params: list[ParamItem] | None = []
+        self._given_params: list[Any] | None = []  # ParamItems
         self._share()
 
     def _share(self) -> None:

@@ -1,0 +1,5 @@
+"""Ready-made pipelines."""
+
+from kvision.augmentation.presets import ada
+
+__all__ = ["ada"]

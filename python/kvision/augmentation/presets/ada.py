@@ -1,0 +1,172 @@
+"""Augmentation of the images that a discriminator sees, with a probability that follows its accuracy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Generator, Tensor, nn
+
+import kvision.augmentation as A
+from kvision.augmentation.columns import draw_columns
+from kvision.augmentation.container.augmentation import AugmentationSequential
+from kvision.augmentation.container.image import ParamItem
+from kvision.augmentation.draws import Request, uniform
+from kvision.augmentation.keys import Seed, draw_keys
+from kvision.constants import DataKey
+from kvision.core.exceptions import ValueCheckError
+
+__all__ = ["AdaptiveDiscriminatorAugmentation"]
+
+
+class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
+    """Augment a share of the images that a discriminator sees; the share grows while it is too sure of real images.
+
+    Source: Karras, Aittala, Hellsten, Laine, Lehtinen and Aila, Training generative adversarial networks with limited data,
+    NeurIPS 2020.
+
+    Args:
+        *args: augmentations; default: flips, quarter turns, erasing, an affine transform, color jitter and noise.
+        initial_p: first share of the samples that are augmented.
+        adjustment_speed: by how much the share changes at once.
+        max_p: highest share.
+        target_real_acc: accuracy on real images above which the share grows.
+        ema_lambda: weight of the past in the moving average of accuracies.
+        update_every: calls between two changes.
+        erasing_scale, erasing_ratio, erasing_fill_value: of the default RandomErasing.
+        data_keys: what the arguments of a call are; default: images alone.
+        same_on_batch: all samples get the same parameters.
+        **kwargs: further arguments of AugmentationSequential.
+
+    Attributes:
+        p: the share; it may be set.
+
+    Raises:
+        ValueError: a share or an accuracy is not within 0 and 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> ada = K.augmentation.presets.ada.AdaptiveDiscriminatorAugmentation(initial_p=0.5, update_every=1)
+        >>> ada(torch.rand(4, 3, 16, 16), real_acc=0.95).shape
+        torch.Size([4, 3, 16, 16])
+        >>> round(ada.p, 3)
+        0.51
+    """
+
+    def __init__(
+        self,
+        *args: nn.Module,
+        initial_p: float = 1e-05,
+        adjustment_speed: float = 0.01,
+        max_p: float = 0.8,
+        target_real_acc: float = 0.85,
+        ema_lambda: float = 0.99,
+        update_every: int = 5,
+        erasing_scale: tuple[float, float] = (0.02, 0.33),
+        erasing_ratio: tuple[float, float] = (0.3, 3.3),
+        erasing_fill_value: float = 0.0,
+        data_keys: Sequence[str | int | DataKey] | None = None,
+        same_on_batch: bool | None = False,
+        **kwargs: Any,
+    ) -> None:
+        for name, value in (("initial_p", initial_p), ("max_p", max_p), ("target_real_acc", target_real_acc)):
+            if not 0 <= value <= 1:
+                raise ValueCheckError(f"{type(self).__name__}: expected {name} within 0 and 1, got {value}")
+        augmentations = args or (
+            A.RandomHorizontalFlip(p=1.0),
+            A.RandomRotation90((0, 3), p=1.0),
+            A.RandomErasing(erasing_scale, erasing_ratio, erasing_fill_value, p=0.9),
+            A.RandomAffine(10.0, (0.1, 0.1), (0.9, 1.1), p=1.0),
+            A.ColorJitter(0.2, 0.2, 0.2, 0.1, p=1.0),
+            A.RandomGaussianNoise(std=0.1, p=1.0),
+        )
+        super().__init__(
+            *augmentations,
+            data_keys=(DataKey.INPUT,) if data_keys is None else data_keys,
+            same_on_batch=same_on_batch,
+            **kwargs,
+        )
+        self.p, self.adjustment_speed, self.max_p = float(initial_p), float(adjustment_speed), float(max_p)
+        self.target_real_acc, self.ema_lambda = float(target_real_acc), float(ema_lambda)
+        self.update_every = update_every
+        self.real_acc_ema, self._calls = 0.5, 0
+
+    def update(self, real_acc: float | Tensor) -> None:
+        """Take an accuracy on real images into account.
+
+        Args:
+            real_acc: the accuracy; or the discriminator's logits of real images, of which those above 0 are right.
+        """
+        if isinstance(real_acc, Tensor):
+            accuracy = float(real_acc if real_acc.dim() == 0 else (real_acc > 0).float().mean())
+        else:
+            accuracy = float(real_acc)
+        self._calls += 1
+        if self._calls % self.update_every:
+            return
+        weight = self.ema_lambda if self._calls > self.update_every else 0.0
+        self.real_acc_ema = weight * self.real_acc_ema + (1 - weight) * accuracy
+        step = self.adjustment_speed if self.real_acc_ema > self.target_real_acc else -self.adjustment_speed
+        self.p = min(max(self.p + step, 0.0), self.max_p)
+
+    def forward(
+        self,
+        *inputs: Any,
+        params: Sequence[ParamItem] | None = None,
+        data_keys: Sequence[str | int | DataKey] | None = None,
+        real_acc: float | Tensor | None = None,
+        seed: Seed = None,
+        generator: Generator | None = None,
+    ) -> Any:
+        """Augment a share of the samples.
+
+        Args:
+            *inputs: images and labels in the order of the data keys; or one dict.
+            params: the `_params` of an earlier call, to repeat it.
+            data_keys: keys of this call; default: those of the constructor.
+            real_acc: accuracy on real images, or the discriminator's logits of them, which adjust the share.
+            seed: an int from which all parameters follow.
+            generator: draws the keys of this call; default: that of the constructor, or torch's.
+
+        Returns:
+            What was given, with a share of the samples augmented.
+
+        Raises:
+            ValueError: an augmentation changes the size of the images.
+        """
+        if real_acc is not None:
+            self.update(real_acc)
+        given = inputs[0] if len(inputs) == 1 and isinstance(inputs[0], dict) else None
+        values = list(given.values()) if given is not None else list(inputs)
+        batch = next(x for x in values if isinstance(x, Tensor)).shape[0]
+        if params is not None:
+            chosen = params[-1].data["batch_prob"] > 0.5
+            outputs = super().forward(*inputs, params=params[:-1], data_keys=data_keys)
+        else:
+            keys = draw_keys(type(self).__name__, 1, torch.device("cpu"), seed, generator or self.generator)
+            (columns,) = draw_columns(
+                torch.empty(batch), keys, [Request([uniform(0.0, 1.0)])], _SHARE if keys.one_key else 0
+            )
+            chosen = columns.values[:, 0] < self.p
+            outputs = super().forward(*inputs, data_keys=data_keys, seed=seed, generator=generator)
+            self._given_params = [*self._params, ParamItem("share", {"batch_prob": chosen.float()})]
+        after = list(outputs.values()) if given is not None else outputs if isinstance(outputs, list) else [outputs]
+        mixed = [_where(chosen, new, old) for new, old in zip(after, values)]
+        if given is not None:
+            return dict(zip(given, mixed))
+        return mixed[0] if len(mixed) == 1 else mixed
+
+
+_SHARE = 1 << 16  # the position in the chain of the draw that chooses samples
+
+
+def _where(chosen: Tensor, new: Any, old: Any) -> Any:
+    if not isinstance(new, Tensor) or not isinstance(old, Tensor):
+        return new
+    if new.shape != old.shape:
+        raise ValueCheckError(
+            f"AdaptiveDiscriminatorAugmentation: expected augmentations that keep sizes, got {tuple(new.shape)} "
+            f"from {tuple(old.shape)}"
+        )
+    return torch.where(chosen.to(new.device).reshape(-1, *[1] * (new.dim() - 1)), new, old)

@@ -1,0 +1,198 @@
+"""Regions of one sample that are pasted into another, with their labels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+
+from kvision.augmentation.base import Execution, Params
+from kvision.augmentation.draws import integer, philox
+from kvision.augmentation.keys import Seed
+from kvision.augmentation.mix import MixAugmentationBaseV2
+from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+from kvision.constants import DataKey
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+
+__all__ = ["RandomTransplantation", "RandomTransplantation3D"]
+
+
+class _WordGenerator(RandomGeneratorBase):
+    """Draws one number of each sample, from which its label is chosen."""
+
+    fields = (("word", 0),)
+
+    def draws(self, shape: Shape) -> Sequence[Any]:
+        return [integer(0, 2**24 - 1)]  # exact in float32
+
+
+class RandomTransplantation(MixAugmentationBaseV2):
+    """Paste the region of a random label of one sample into the next one, in images and masks alike.
+
+    The donor of a sample is the one before it in the batch. All labels that the donor's mask has are equally likely.
+    Source: Sellner and others, Semantic segmentation of surgical hyperspectral images under geometric domain shifts, MICCAI
+    2023.
+
+    Args:
+        excluded_labels: labels that are never pasted.
+        p: probability that a sample receives a region.
+        p_batch: probability that samples of a batch do at all.
+        data_keys: what the arguments of a call are; default: the first one is the image, the second one its mask.
+
+    Raises:
+        TypeError: `excluded_labels` are no whole numbers.
+        ValueError: in a call, there is no mask, or its shape does not fit the images.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> images = torch.tensor([1.0, 2.0]).reshape(2, 1, 1, 1).expand(2, 1, 2, 2)
+        >>> masks = torch.tensor([[[0, 0], [0, 3]], [[0, 0], [0, 0]]])
+        >>> transplant = K.augmentation.RandomTransplantation(excluded_labels=[0], p=1.0)
+        >>> images, masks = transplant(images, masks)
+        >>> images[1, 0], masks[1]
+        (tensor([[2., 2.],
+                [2., 1.]]), tensor([[0, 0],
+                [0, 3]]))
+    """
+
+    def __init__(
+        self,
+        excluded_labels: Sequence[int] | Tensor | None = None,
+        p: float = 0.5,
+        p_batch: float = 1.0,
+        data_keys: Sequence[str | int | DataKey] | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(p, p_batch, data_keys=data_keys or ["input", "mask"], **options)
+        excluded = [] if excluded_labels is None else torch.as_tensor(excluded_labels).flatten().tolist()
+        if any(label != int(label) for label in excluded):
+            raise TypeCheckError(
+                f"{type(self).__name__}: expected excluded_labels of whole numbers, got {excluded_labels!r}"
+            )
+        self.excluded_labels = [int(label) for label in excluded]
+        self._param_generator = _WordGenerator()
+
+    def forward(  # type: ignore[override]  # several inputs
+        self,
+        *input: Tensor,
+        params: Params | None = None,
+        data_keys: Sequence[str | int | DataKey] | None = None,
+        seed: Seed = None,
+        generator: Generator | None = None,
+        **kwargs: Any,
+    ) -> Any:
+        """Paste regions.
+
+        Args:
+            *input: images (B, C, H, W) and masks (B, H, W), in the order of the data keys; the spatial axes are two to four.
+            params: the `_params` of an earlier call, to repeat it.
+            data_keys: keys of this call; default: those of the constructor.
+            seed: an int from which all parameters follow.
+            generator: draws the key of this call; default: that of the constructor, or torch's.
+            **kwargs: accepted for the other classes' sake.
+
+        Returns:
+            What was given, with the regions.
+
+        Raises:
+            TypeError: an input is no tensor.
+            ValueError: there is another number of inputs than of keys, or no mask; shapes do not fit.
+        """
+        op = type(self).__name__
+        keys = self.data_keys if data_keys is None else [DataKey.get(key) for key in data_keys]
+        if len(input) != len(keys) or DataKey.MASK not in keys:
+            raise ValueCheckError(f"{op}: expected one input of each data key, a mask among them, got {len(input)}")
+        for x in input:
+            if not isinstance(x, Tensor):
+                raise TypeCheckError(f"{op}: expected inputs to be Tensors, got {type(x).__name__}")
+        masks = input[keys.index(DataKey.MASK)]
+        execution = self._transplants(masks, params, seed, generator)
+        self._execution = execution
+        given = self._read_params(execution)
+        donors, selection = given["donor_indices"].to(masks.device), given["selection"].to(masks.device)
+        acceptors = given["acceptor_indices"].to(masks.device)
+        outputs = []
+        for key, x in zip(keys, input):
+            extra = x.dim() - masks.dim()
+            if x.shape[0] != masks.shape[0] or extra not in (0, 1) or x.shape[1 + extra :] != masks.shape[1:]:
+                raise ShapeError(
+                    f"{op}: expected {key.name.lower()} of the size of masks {tuple(masks.shape)}, got {tuple(x.shape)}"
+                )
+            chosen = selection[:, None] if extra else selection
+            pasted = torch.where(chosen, x[donors], x[acceptors])
+            outputs.append(x.index_copy(0, acceptors, pasted) if acceptors.numel() else x)
+        return outputs[0] if len(outputs) == 1 else outputs
+
+    def _transplants(self, masks: Tensor, params: Params | None, seed: Seed, generator: Generator | None) -> Execution:
+        """An execution whose parameters say which pixels of which donors go where."""
+        shape = tuple(masks.shape)
+        if params is not None:
+            params = dict(params)
+            if "selection" not in params:
+                labels = params["selected_labels"].to(masks.device)
+                donors = masks[params["donor_indices"].to(masks.device)]
+                params["selection"] = donors == labels.reshape(-1, *[1] * (masks.dim() - 1))
+            return Execution(shape, None, None, True, params)
+        execution = self._draw(masks, seed, generator)
+        columns = execution.columns
+        if columns is None or not execution.applied:
+            none = torch.zeros(0, dtype=torch.int64)
+            drawn: Params = {
+                "acceptor_indices": none,
+                "donor_indices": none,
+                "selected_labels": none,
+                "selection": torch.zeros(0, *shape[1:], dtype=torch.bool),
+            }
+            chosen = torch.zeros(shape[0])
+        else:
+            labels, has_label = self._labels(masks.roll(1, 0), columns.values[:, 0].long())
+            selection = (masks.roll(1, 0) == labels.reshape(-1, *[1] * (masks.dim() - 1))) & has_label
+            everyone = torch.arange(shape[0], device=masks.device)
+            chosen = torch.ones(shape[0], device=masks.device)
+            if columns.chosen is not None:
+                chosen = columns.chosen
+                selection = selection & (chosen > 0.5).reshape(-1, *[1] * (masks.dim() - 1))
+            drawn = {
+                "acceptor_indices": everyone,
+                "donor_indices": everyone.roll(1),
+                "selected_labels": labels,
+                "selection": selection,
+            }
+        execution.params = {**drawn, "batch_prob": chosen, "forward_input_shape": torch.tensor(shape)}
+        return execution
+
+    def _labels(self, donors: Tensor, words: Tensor) -> tuple[Tensor, Tensor]:
+        """A label of each donor (B,), and whether it has one (B, 1, ...), without a loop over labels.
+
+        Every label has a random rank that depends on the sample; the label of the pixel with the highest rank is taken.
+        """
+        flat = donors.flatten(1).long()
+        rank = philox(words[:, None], (flat & 0xFFFFFFFF, torch.zeros_like(flat), 0, 0))[0]
+        for label in self.excluded_labels:
+            rank = torch.where(flat == label, -1, rank)
+        if flat.shape[1] == 0:
+            return flat.new_zeros(flat.shape[0]), flat.new_zeros(flat.shape[0], *[1] * (donors.dim() - 1)).bool()
+        best, at = rank.max(1, keepdim=True)
+        return flat.gather(1, at)[:, 0].to(donors.dtype), (best >= 0).reshape(-1, *[1] * (donors.dim() - 1))
+
+
+class RandomTransplantation3D(RandomTransplantation):
+    """:class:`RandomTransplantation` for volumes (B, C, D, H, W) with masks (B, D, H, W).
+
+    Args:
+        excluded_labels: labels that are never pasted.
+        p: probability that a sample receives a region.
+        p_batch: probability that samples of a batch do at all.
+        data_keys: what the arguments of a call are; default: the first one is the volume, the second one its mask.
+
+    Raises:
+        TypeError: `excluded_labels` are no whole numbers.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> volumes, masks = torch.rand(2, 1, 2, 3, 4), torch.randint(0, 3, (2, 2, 3, 4))
+        >>> [x.shape for x in K.augmentation.RandomTransplantation3D(p=1.0)(volumes, masks)]
+        [torch.Size([2, 1, 2, 3, 4]), torch.Size([2, 2, 3, 4])]
+    """

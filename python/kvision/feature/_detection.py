@@ -47,8 +47,8 @@ def no_candidates(image: Tensor) -> tuple[Tensor, Tensor]:
     """No scores (B, 0) and no frames (B, 0, 2, 3) for images, with a gradient of 0 where one is wanted."""
     none = image.flatten()[:0]
     batch = image.shape[0]
-    wide = none.to(torch.promote_types(none.dtype, torch.float32))
-    return none.reshape(batch, 0), wide.reshape(batch, 0, 2, 3)
+    promoted = none.to(torch.promote_types(none.dtype, torch.float32))
+    return none.reshape(batch, 0), promoted.reshape(batch, 0, 2, 3)
 
 
 def strongest(scores: Tensor, count: int) -> tuple[Tensor, Tensor]:

@@ -112,9 +112,9 @@ def match_adalam(
     if desc1.shape[0] < 2 or desc2.shape[0] < 2:
         return _no_matches(desc1.new_empty(0, dtype=torch.float32))
     with torch.no_grad():
-        found = _Neighbors(desc1[None], desc2[None], _one(dm))
-        nearest = found.indices1[0, :, 0]
-        ratio = _ratio(found.distances1, found.indices1)[0]
+        neighbors = _Neighbors(desc1[None], desc2[None], _one(dm))
+        nearest = neighbors.indices1[0, :, 0]
+        ratio = _ratio(neighbors.distances1, neighbors.indices1)[0]
         own = (nearest >= 0).nonzero()[:, 0]
         to = nearest[own]
         frames1, frames2 = floats(lafs1).double()[:, own], floats(lafs2).double()[:, to]
@@ -124,7 +124,7 @@ def match_adalam(
             (get_laf_orientation(frames2) - get_laf_orientation(frames1)).flatten(),
             (get_laf_scale(frames2).log() - get_laf_scale(frames1).log()).flatten(),
             ratio[own].double().nan_to_num(nan=1.0),  # of two equal candidates, none is distinctive
-            _is_mutual(found.indices1[..., 0], found.indices2[..., 0])[0, own],
+            _is_mutual(neighbors.indices1[..., 0], neighbors.indices2[..., 0])[0, own],
         )
         areas = [_area(op, name, hw, floats(lafs)) for name, hw, lafs in (("hw1", hw1, lafs1), ("hw2", hw2, lafs2))]
         inverse, verified = _verify(putative, areas, options)

@@ -162,7 +162,7 @@ class _Neighbors:
         if dm is None:
             x, y = (as_dtype(floats(d), compute_dtype(desc1)) for d in (desc1, desc2))
             p, q, distance = positions if positions is not None else (None, None, 0.0)
-            found = _two_nearest(x, y, mask1, mask2, p, q, distance, both)
+            neighbors = _two_nearest(x, y, mask1, mask2, p, q, distance, both)
         else:
             d = as_dtype(floats(dm), compute_dtype(dm))
             if mask1 is not None and mask2 is not None:
@@ -171,8 +171,8 @@ class _Neighbors:
                 p, q, distance = positions
                 offsets = p[:, :, None] - q[:, None]
                 d = torch.where(offsets.square().sum(-1) < distance * distance, math.inf, d)
-            found = (*_smallest_two(d), *(_smallest_two(d.mT) if both else (d[:, :0, :2], d[:, :0, :2].long())))
-        self.distances1, self.indices1, self.distances2, self.indices2 = found
+            neighbors = (*_smallest_two(d), *(_smallest_two(d.mT) if both else (d[:, :0, :2], d[:, :0, :2].long())))
+        self.distances1, self.indices1, self.distances2, self.indices2 = neighbors
 
 
 def _ratio(distances: Tensor, indices: Tensor) -> Tensor:
@@ -262,10 +262,10 @@ def match_nn(desc1: Tensor, desc2: Tensor, dm: Tensor | None = None) -> tuple[Te
     _check_descriptors("match_nn", desc1, desc2, dm)
     if 0 in (desc1.shape[0], desc2.shape[0]):
         return _no_matches(desc1)
-    found = _Neighbors(desc1[None], desc2[None], _one(dm), both=False)
+    neighbors = _Neighbors(desc1[None], desc2[None], _one(dm), both=False)
     own = torch.arange(desc1.shape[0], device=desc1.device)
-    indices = torch.stack([own, found.indices1[0, :, 0].clamp(min=0)], 1)
-    return as_dtype(found.distances1[0, :, :1], found.dtype), indices
+    indices = torch.stack([own, neighbors.indices1[0, :, 0].clamp(min=0)], 1)
+    return as_dtype(neighbors.distances1[0, :, :1], neighbors.dtype), indices
 
 
 def match_mnn(desc1: Tensor, desc2: Tensor, dm: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -292,11 +292,11 @@ def match_mnn(desc1: Tensor, desc2: Tensor, dm: Tensor | None = None) -> tuple[T
     _check_descriptors("match_mnn", desc1, desc2, dm)
     if 0 in (desc1.shape[0], desc2.shape[0]):
         return _no_matches(desc1)
-    found = _Neighbors(desc1[None], desc2[None], _one(dm))
-    nearest, back = found.indices1[..., 0], found.indices2[..., 0]
+    neighbors = _Neighbors(desc1[None], desc2[None], _one(dm))
+    nearest, back = neighbors.indices1[..., 0], neighbors.indices2[..., 0]
     if desc1.shape[0] <= desc2.shape[0]:
-        return _selected(found.distances1[0, :, 0], nearest[0], _is_mutual(nearest, back)[0], found.dtype)
-    distances, indices = _selected(found.distances2[0, :, 0], back[0], _is_mutual(back, nearest)[0], found.dtype)
+        return _selected(neighbors.distances1[0, :, 0], nearest[0], _is_mutual(nearest, back)[0], neighbors.dtype)
+    distances, indices = _selected(neighbors.distances2[0, :, 0], back[0], _is_mutual(back, nearest)[0], neighbors.dtype)
     return distances, indices.flip(1)
 
 
@@ -327,9 +327,9 @@ def match_snn(desc1: Tensor, desc2: Tensor, th: float = 0.8, dm: Tensor | None =
     th = _check.number("match_snn", "th", th)
     if desc1.shape[0] == 0 or desc2.shape[0] < 2:
         return _no_matches(desc1 if dm is None else dm)
-    found = _Neighbors(desc1[None], desc2[None], _one(dm), both=False)
-    ratio = _ratio(found.distances1, found.indices1)[0]
-    return _selected(ratio, found.indices1[0, :, 0], ratio <= th, found.dtype)
+    neighbors = _Neighbors(desc1[None], desc2[None], _one(dm), both=False)
+    ratio = _ratio(neighbors.distances1, neighbors.indices1)[0]
+    return _selected(ratio, neighbors.indices1[0, :, 0], ratio <= th, neighbors.dtype)
 
 
 def match_smnn(desc1: Tensor, desc2: Tensor, th: float = 0.95, dm: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -357,9 +357,9 @@ def match_smnn(desc1: Tensor, desc2: Tensor, th: float = 0.95, dm: Tensor | None
     th = _check.number("match_smnn", "th", th)
     if desc1.shape[0] < 2 or desc2.shape[0] < 2:
         return _no_matches(desc1 if dm is None else dm)
-    found = _Neighbors(desc1[None], desc2[None], _one(dm))
-    ratio, kept = _ratio_test(found, th)
-    return _selected(ratio[0], found.indices1[0, :, 0], kept[0], found.dtype)
+    neighbors = _Neighbors(desc1[None], desc2[None], _one(dm))
+    ratio, kept = _ratio_test(neighbors, th)
+    return _selected(ratio[0], neighbors.indices1[0, :, 0], kept[0], neighbors.dtype)
 
 
 def match_smnn_batched(
@@ -409,11 +409,11 @@ def match_smnn_batched(
     if dm is not None:
         mask1 = desc1.new_ones(desc1.shape[:2], dtype=torch.bool) if mask1 is None else mask1
         mask2 = desc2.new_ones(desc2.shape[:2], dtype=torch.bool) if mask2 is None else mask2
-    found = _Neighbors(desc1, desc2, dm, mask1, mask2)
-    ratio, kept = _ratio_test(found, th)
+    neighbors = _Neighbors(desc1, desc2, dm, mask1, mask2)
+    ratio, kept = _ratio_test(neighbors, th)
     sample, own = kept.nonzero().unbind(1)
-    indices = torch.stack([sample, own, found.indices1[sample, own, 0]], 1)
-    return as_dtype(ratio[sample, own, None], found.dtype), indices
+    indices = torch.stack([sample, own, neighbors.indices1[sample, own, 0]], 1)
+    return as_dtype(ratio[sample, own, None], neighbors.dtype), indices
 
 
 def match_fginn(
@@ -467,16 +467,16 @@ def match_fginn(
     _check.flag(op, "mutual", mutual)
     if desc1.shape[0] == 0 or desc2.shape[0] < 2:
         return _no_matches(desc1 if dm is None else dm)
-    found = _Neighbors(desc1[None], desc2[None], _one(dm), both=mutual)
-    nearest = found.indices1[..., 0]
-    centers = as_dtype(floats(lafs2[..., 2]), found.distances1.dtype)
+    neighbors = _Neighbors(desc1[None], desc2[None], _one(dm), both=mutual)
+    nearest = neighbors.indices1[..., 0]
+    centers = as_dtype(floats(lafs2[..., 2]), neighbors.distances1.dtype)
     of_nearest = centers.gather(1, nearest.clamp(min=0)[..., None].expand(-1, -1, 2))
     elsewhere = _Neighbors(desc1[None], desc2[None], _one(dm), positions=(of_nearest, centers, spatial_th), both=False)
-    ratio = torch.where(nearest >= 0, found.distances1[..., 0] / elsewhere.distances1[..., 0], math.nan)
+    ratio = torch.where(nearest >= 0, neighbors.distances1[..., 0] / elsewhere.distances1[..., 0], math.nan)
     kept = ratio <= th
     if mutual:
-        kept = kept & _is_mutual(nearest, found.indices2[..., 0])
-    return _selected(ratio[0], nearest[0], kept[0], found.dtype)
+        kept = kept & _is_mutual(nearest, neighbors.indices2[..., 0])
+    return _selected(ratio[0], nearest[0], kept[0], neighbors.dtype)
 
 
 # --- modules --------------------------------------------------------------------------------------------------------

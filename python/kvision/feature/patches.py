@@ -61,11 +61,11 @@ def _reference_backward(grad: Tensor, pyramid: Tensor, laf: Tensor, *args: Any) 
 
     One that is not wanted has no channels or frames.
     """
-    *how, wants_pyramid, wants_laf = args
-    wide, batch = compute_dtype(pyramid), grad.shape[0]
-    pyramid, laf = pyramid.to(wide).expand(batch, -1, -1), laf.to(wide).expand(batch, -1, -1, -1)
-    vjp_fn = torch.func.vjp(lambda *inputs: _reference(*inputs, *how), pyramid, laf)[1]
-    of_pyramid, of_laf = vjp_fn(grad.to(wide))
+    *options, wants_pyramid, wants_laf = args
+    dtype, batch = compute_dtype(pyramid), grad.shape[0]
+    pyramid, laf = pyramid.to(dtype).expand(batch, -1, -1), laf.to(dtype).expand(batch, -1, -1, -1)
+    vjp_fn = torch.func.vjp(lambda *inputs: _reference(*inputs, *options), pyramid, laf)[1]
+    of_pyramid, of_laf = vjp_fn(grad.to(dtype))
     return of_pyramid if wants_pyramid else of_pyramid[:, :0], of_laf if wants_laf else of_laf[:, :0]
 
 

@@ -349,8 +349,8 @@ class AdaptiveQuadInterp3d(FunctionModule):
     """:func:`conv_quad_interp3d` or :func:`iterative_quad_interp3d`; both take the same time in kvision.
 
     Args:
-        mode: 'conv' for the first, 'patch' for the second, 'auto' for the first on CUDA and the second elsewhere, as
-            Kornia chooses.
+        mode: 'conv' for the first, 'patch' or 'auto' for the second. Kornia's 'auto' is the first on CUDA; here all
+            devices give the same peaks.
         n_iters, strict_maxima_bonus, max_subpixel_shift, allow_scale_steps: arguments of both functions.
         dilation_radius: argument of :func:`conv_quad_interp3d`.
         max_candidates: argument of :func:`iterative_quad_interp3d`.
@@ -394,6 +394,6 @@ class AdaptiveQuadInterp3d(FunctionModule):
             "precomputed_nms_mask": precomputed_nms_mask,
             "allow_scale_steps": self.allow_scale_steps,
         }
-        if self.mode == "conv" or (self.mode == "auto" and x.is_cuda):
+        if self.mode == "conv":
             return conv_quad_interp3d(x, dilation_radius=self.dilation_radius, **shared)
         return iterative_quad_interp3d(x, max_candidates=self.max_candidates, **shared)

@@ -85,7 +85,7 @@ def _are_numbers(x: Tensor | Sequence[float]) -> bool:
 def _two(op: str, name: str, x: Tensor | Sequence[float], like: Tensor) -> Tensor:
     dtype = compute_dtype(like)
     if isinstance(x, Tensor):
-        return x.to(like.device, dtype).reshape(-1).expand(2)
+        return _check.to_device_of(op, like, name, x, of="image").to(dtype).reshape(-1).expand(2)
     if not isinstance(x, (tuple, list)) or len(x) != 2:
         raise TypeCheckError(f"{op}: expected {name} to be two numbers or a Tensor, got {x!r}")
     return torch.stack([_number(op, name, v, like, dtype) for v in x])
@@ -93,7 +93,7 @@ def _two(op: str, name: str, x: Tensor | Sequence[float], like: Tensor) -> Tenso
 
 def _number(op: str, name: str, value: Tensor | float, like: Tensor, dtype: torch.dtype) -> Tensor:
     if isinstance(value, Tensor):
-        return value.to(like.device, dtype)
+        return _check.to_device_of(op, like, name, value, of="image").to(dtype)
     return like.new_full(
         (), _check.number(op, name, value), dtype=dtype
     )  # created on the device, without a copy from the host

@@ -82,9 +82,12 @@ def torchvision_pipeline(T: Any) -> dict[str, Make]:
 
 def has_gradient(augment: Callable[[Tensor], Tensor], leaf: Tensor) -> bool:
     try:
-        return augment(leaf).requires_grad
+        result = augment(leaf)
+        if result.requires_grad:
+            torch.autograd.grad(result.sum(), leaf)
+        return result.requires_grad
     except RuntimeError as error:
-        if "modified inplace" in str(error):  # torchvision changes the hue in place, in views that autograd refuses
+        if "inplace" in str(error):  # torchvision's hue and perspective write to tensors that autograd needs
             return False
         raise
 

@@ -578,7 +578,12 @@ OVERRIDES: dict[str, dict[str, Any]] = {
         "plane_offsets": lambda s: torch.rand(s.b, 1) + 1,
         "points_uv": points(2),
     },
-    "unproject_meshgrid": {"_like": image, "height": axis_of("_like", 2), "width": axis_of("_like", 3)},
+    "unproject_meshgrid": {
+        "_like": image,
+        "height": axis_of("_like", 2),
+        "width": axis_of("_like", 3),
+        "device": Made(lambda library, t: t["_like"].device),
+    },
     "depth_warp": {
         "_intrinsics": lambda s: torch.eye(4) + torch.nn.functional.pad(camera(s) - torch.eye(3), (0, 1, 0, 1)),
         "_extrinsics": poses,

@@ -38,6 +38,7 @@ OTHER_KINDS = {
     "PassLAF.forward": "returns what it gets",
     "VideoSequential.forward": "says its shape first",
     "Affine": "takes None for an angle",
+    "RandomFisheye": "takes pairs of numbers, too",
     "So2": "of complex numbers: says a complex Tensor",
 }
 

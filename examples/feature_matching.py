@@ -193,6 +193,30 @@ def panorama(matcher: Matcher, images: list[Tensor]) -> Tensor:
         return K.contrib.ImageStitcher(matcher, estimator="ransac")(*images)
 
 
+def device_of(parser: argparse.ArgumentParser, name: str) -> torch.device:
+    """The device of that name; an unknown or missing one ends the program in one line."""
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        parser.error(f"--device {name}: expected cpu or cuda")
+    if device.type not in ("cpu", "cuda"):
+        parser.error(f"--device {name}: expected cpu or cuda")
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        parser.error(f"--device {name}: torch finds no CUDA device" + (f" {device.index}" if device.index else ""))
+    return device
+
+
+def pictures_of(parser: argparse.ArgumentParser, paths: list[Path]) -> list[Tensor]:
+    """The files of --image as (1, 3, H, W); one that cannot be read ends the program in one line."""
+    pictures = []
+    for path in paths:
+        try:
+            pictures.append(K.io.load_image(path)[None])
+        except (OSError, ValueError, K.core.exceptions.ImageError) as error:
+            parser.error(f"--image {path}: {str(error).splitlines()[0]}")
+    return pictures
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--image", type=Path, nargs=2, metavar=("LEFT", "RIGHT"), help="two photographs of a scene")
@@ -202,20 +226,18 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("out/matching"), help="where the pictures go")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     options = parser.parse_args(arguments)
-    if torch.device(options.device).type == "cuda" and not torch.cuda.is_available():
-        parser.error("--device cuda: torch finds no CUDA device")
+    device = device_of(parser, options.device)
     if options.data and not any((options.data / name).is_dir() for name, _ in REAL):
         parser.error(
             f"--data {options.data}: expected a folder with {', '.join(name for name, _ in REAL)}, there is none"
         )
-    for path in [*(options.image or ()), *([options.weights] if options.weights else ())]:
-        if not path.is_file():
-            parser.error(f"{path}: there is no such file")
-    device = torch.device(options.device)
+    if options.weights and not options.weights.is_file():
+        parser.error(f"--weights {options.weights}: there is no such file")
+    own = pictures_of(parser, options.image or [])
     options.out.mkdir(parents=True, exist_ok=True)
     matcher = Matcher(Features(options.features, options.weights)).to(device).eval()
     if options.image:
-        images = [K.io.load_image(path)[None].to(device) for path in options.image]
+        images = [picture.to(device) for picture in own]
         pairs, overlapping = [Pair(options.image[0].stem, *images)], images
     else:
         pairs, overlapping = [*synthetic(device), *(real(options.data, device) if options.data else ())], views(device)

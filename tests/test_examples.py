@@ -144,7 +144,13 @@ def test_a_picture_that_cannot_be_read_is_said(name: str, content, tmp_path: Pat
         path.write_bytes(content)
     with pytest.raises(SystemExit) as stopped:
         example(name).main(
-            ["--device", "cpu", "--image", str(path), *([str(path)] if name == "depth_estimation" else [])]
+            [
+                "--device",
+                "cpu",
+                "--image",
+                str(path),
+                *([str(path)] if name in ("depth_estimation", "feature_matching") else []),
+            ]
         )
     assert stopped.value.code == 2
     assert f"error: --image {path}: " in capsys.readouterr().err.splitlines()[-1]

@@ -95,7 +95,7 @@ class PatchAffineShapeEstimator(nn.Module):
         >>> import torch, kvision as K
         >>> diagonal = torch.arange(9.0) + torch.arange(9.0)[:, None]
         >>> K.feature.PatchAffineShapeEstimator(9)(diagonal[None, None]).round(decimals=4)
-        tensor([[[1.0000, 0.9912, 1.0000]]])
+        tensor([[[1.0000, 0.9585, 1.0000]]])
     """
 
     def __init__(self, patch_size: int = 19, eps: float = 1e-10) -> None:

@@ -15,7 +15,7 @@ from kvision.augmentation.container.image import ParamItem
 from kvision.augmentation.draws import Request, uniform
 from kvision.augmentation.keys import Seed, draw_keys
 from kvision.constants import DataKey
-from kvision.core.exceptions import ValueCheckError
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = ["AdaptiveDiscriminatorAugmentation"]
 
@@ -133,13 +133,18 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
             What was given, with a share of the samples augmented.
 
         Raises:
+            TypeError: no input is a tensor.
             ValueError: an augmentation changes the size of the images.
         """
-        if real_acc is not None:
-            self.update(real_acc)
         given = inputs[0] if len(inputs) == 1 and isinstance(inputs[0], dict) else None
         values = list(given.values()) if given is not None else list(inputs)
-        batch = next(x for x in values if isinstance(x, Tensor)).shape[0]
+        images = next((x for x in values if isinstance(x, Tensor)), None)
+        if images is None:
+            got = type(values[0]).__name__ if values else "nothing"
+            raise TypeCheckError(f"{type(self).__name__}: expected inputs to be Tensors, got {got}")
+        batch = images.shape[0]
+        if real_acc is not None:
+            self.update(real_acc)
         if params is not None:
             chosen = params[-1].data["batch_prob"] > 0.5
             outputs = super().forward(*inputs, params=params[:-1], data_keys=data_keys)

@@ -136,6 +136,15 @@ def test_indices_out_of_range(bad, device):
         return
     with pytest.raises(ValueError, match=f"^crop_and_resize: expected box_indices from 0 to 1, got {bad}"):
         G.crop_and_resize(x, boxes, (3, 4), box_indices=wrong)
+
+
+@pytest.mark.native
+@pytest.mark.parametrize("bad", [-1, 2])
+def test_kernels_check_indices_that_python_cannot_read(bad, device):
+    if device.type != "cpu":
+        pytest.skip("indices on a GPU are clamped")
+    x, boxes = torch.rand(2, 3, 9, 8), quads(torch.zeros(2), 1).float()
+    wrong = torch.tensor([0, bad])
     with pytest.raises(RuntimeError, match="warp_by_formula: expected image_index from 0 to 1, got -1"):
         torch.func.vmap(lambda s: G.crop_and_resize(s, boxes, (3, 4), box_indices=wrong))(x[None])
 

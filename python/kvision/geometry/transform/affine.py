@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import compute_dtype, pixels
@@ -246,7 +247,8 @@ def _center(op: str, images: Tensor, center: Any) -> tuple[Tensor | None, float,
         center = _vector(op, images, "center", center, 2)
     h, w = images.shape[2:]
     x, y = (w - 1) / 2, (h - 1) / 2
-    if isinstance(x, torch.SymFloat) or isinstance(y, torch.SymFloat):
+    # Numbers of operators are constants of a program, and sizes may be symbolic, which dynamo's types do not show.
+    if is_compiling() or isinstance(x, torch.SymFloat) or isinstance(y, torch.SymFloat):
         return sampling.symbolic_point(images, x, y) if center is None else center, 0.0, 0.0
     return center, x, y
 

@@ -7,6 +7,7 @@ import math
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import pixels
@@ -288,7 +289,8 @@ def center_crop(
     images = pixels(input_tensor)
     _, _, height, width = images.shape
     y, x = height - h, width - w
-    symbolic = type(y) is not int or type(x) is not int  # their parity is unknown
+    # Their parity is unknown. Dynamo's types do not show it.
+    symbolic = is_compiling() or type(y) is not int or type(x) is not int
     if not symbolic and y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
         return _crop_pixels(images, [y // 2, x // 2], [h, w])
     padding, _ = sampling.padding_and_fill("center_crop", images, padding_mode, None)

@@ -99,7 +99,10 @@ def _differentiable_backward(needs, grad, source, target, matrix, *options):
 _photometric = register(
     "photometric",
     _reference,
-    fake=lambda source, target, matrix, *options: [matrix.new_empty(source.shape[0]), matrix.new_empty(source.shape[0], 3, 3)],
+    fake=lambda source, target, matrix, *options: [
+        matrix.new_empty(source.shape[0]),
+        matrix.new_empty(source.shape[0], 3, 3),
+    ],
     backward=_backward,
     saves_results=True,
     non_differentiable=(1,),

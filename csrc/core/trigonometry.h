@@ -79,8 +79,8 @@ KV_HD Double4 arctan2(Double4 y, Double4 x) {
 template <class V, int N>
 KV_HD Dual<V, N> square_root(Dual<V, N> a) {
   a.value = square_root(a.value);
-  V const slope = 0.5 / a.value;
-  for (int i = 0; i < N; ++i) a.d[i] = a.d[i] * slope;
+  V const derivative = 0.5 / a.value;
+  for (int i = 0; i < N; ++i) a.d[i] = a.d[i] * derivative;
   return a;
 }
 template <class V, int N>

@@ -88,10 +88,10 @@ __global__ void __launch_bounds__(kThreads) orient_patch_backward(__grid_constan
   OrientationPatch<F> s(n, bins, reinterpret_cast<F*>(shared_memory));
   Peak<F> const peak = s.find_peak(p.patches + first, p);
   F d[3];
-  peak.slopes(bins, d);
-  F* const slopes = s.histogram;  // nobody reads the histogram any more
+  peak.derivatives(bins, d);
+  F* const grad_bins = s.histogram;  // nobody reads the histogram any more
   F const grad = read(p.grad[blockIdx.x]);
-  for (int b = threadIdx.x; b < bins; b += kThreads) slopes[b] = grad * orientation_slope(peak, d, b, bins);
+  for (int b = threadIdx.x; b < bins; b += kThreads) grad_bins[b] = grad * angle_derivative(peak, d, b, bins);
   __syncthreads();
   F const per_radian = F(bins) / F(2 * kPi);
   SharedPatch<F> const u{s.rest(), n}, v{u.data + n * n, n};
@@ -99,7 +99,7 @@ __global__ void __launch_bounds__(kThreads) orient_patch_backward(__grid_constan
     auto const gradient = patch_gradient(sobel_stencil<F>(), s.patch.around(y, x));
     auto const polar = to_polar(gradient, p.eps);
     auto const vote = angular_vote(polar.angle, bins, F(bins) / 2);
-    F const weight = s.weights[y] * s.weights[x], a = slopes[vote.first], b = slopes[vote.second];
+    F const weight = s.weights[y] * s.weights[x], a = grad_bins[vote.first], b = grad_bins[vote.second];
     auto const back = to_polar_vjp(gradient, polar.magnitude, weight * (a + vote.t * (b - a)),
                                    weight * (b - a) * polar.magnitude * per_radian);
     u.data[i] = back.x, v.data[i] = back.y;

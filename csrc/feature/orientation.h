@@ -80,7 +80,7 @@ struct Peak {
     return F(kPi) - F(2 * kPi) * (F(bin) + offset) / F(bins);
   }
   // The derivatives of the angle along left, middle and right.
-  KV_HD void slopes(int bins, F (&d)[3]) const {
+  KV_HD void derivatives(int bins, F (&d)[3]) const {
     F const b = bend(), scale = -F(2 * kPi) / F(bins);
     F const offset = b != 0 ? (left - right) / b / 2 : F(0), inverse = b != 0 ? scale / b : F(0);
     d[0] = (F(0.5) - offset) * inverse, d[1] = 2 * offset * inverse, d[2] = (F(-0.5) - offset) * inverse;
@@ -89,7 +89,7 @@ struct Peak {
 
 // The derivative of the angle along bin `bin` of the histogram before it was smoothed.
 template <class F>
-KV_HD F orientation_slope(Peak<F> const& peak, F const (&d)[3], int bin, int bins) {
+KV_HD F angle_derivative(Peak<F> const& peak, F const (&d)[3], int bin, int bins) {
   F sum = 0;
   for (int k = -1; k <= 1; ++k)
     for (int e = -kSmoothing; e <= kSmoothing; ++e)

@@ -75,15 +75,15 @@ void orientation_backward(OrientationBackward<T> const& p, int64_t begin, int64_
   for (int64_t k = begin; k < end; ++k) {
     Peak<F> const peak = s.find_peak(p.patches + k * n * n, p);
     F d[3];
-    peak.slopes(bins, d);
-    F* const slopes = s.histogram;
+    peak.derivatives(bins, d);
+    F* const grad_bins = s.histogram;
     F const grad = load<1>(p.grad + k);
-    for (int b = 0; b < bins; ++b) slopes[b] = grad * orientation_slope(peak, d, b, bins);
+    for (int b = 0; b < bins; ++b) grad_bins[b] = grad * angle_derivative(peak, d, b, bins);
     for (int y = 0; y < n; ++y) {
       s.template fill_row<T>(y, p.eps);
       for (int x = 0; x < n; ++x) {
         auto const vote = angular_vote(s.angles[x], bins, F(bins) / 2);
-        F const weight = s.weights[y] * s.weights[x], a = slopes[vote.first], b = slopes[vote.second];
+        F const weight = s.weights[y] * s.weights[x], a = grad_bins[vote.first], b = grad_bins[vote.second];
         auto const gradient = patch_gradient(sobel_stencil<F>(), neighbors<1>(s.patch, y, x));
         auto const back = to_polar_vjp(gradient, s.magnitudes[x], weight * (a + vote.t * (b - a)),
                                        weight * (b - a) * s.magnitudes[x] * per_radian);

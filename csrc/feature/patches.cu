@@ -56,7 +56,7 @@ __global__ void __launch_bounds__(kThreads) sample_patch_backward(__grid_constan
           F values[4], along_x, along_y;
 #pragma unroll
           for (int t = 0; t < 4; ++t) values[t] = read(p.pyramid[plane + taps.indices[t]]);
-          taps.slopes(values, along_x, along_y);
+          taps.gradient(values, along_x, along_y);
           gx += g * along_x, gy += g * along_y;
         }
         if (p.grad_pyramid) {

@@ -130,7 +130,7 @@ struct BilinearTaps {
     return sum;
   }
   // The derivatives of the sample along x and y.
-  KV_SAMPLES void slopes(V const (&v)[4], V& along_x, V& along_y) const {
+  KV_SAMPLES void gradient(V const (&v)[4], V& along_x, V& along_y) const {
     along_x = (1 - y.t) * (v[1] - v[0]) + y.t * (v[3] - v[2]);
     along_y = (1 - x.t) * (v[2] - v[0]) + x.t * (v[3] - v[1]);
   }

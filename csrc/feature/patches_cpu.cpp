@@ -127,7 +127,7 @@ KV_HD void differentiate_frame(SamplePatchesBackward<T> const& p, PatchCoordinat
         T const* const plane = level + c * p.shape.size;
         V values[4], along_x, along_y;
         for (int t = 0; t < 4; ++t) values[t] = gather<N>(plane, taps.indices[t]);
-        taps.slopes(values, along_x, along_y);
+        taps.gradient(values, along_x, along_y);
         V const g = load<N>(grad + c * area + i);
         gx += g * along_x, gy += g * along_y;
       }

@@ -121,9 +121,9 @@ __global__ void __launch_bounds__(kThreads) sift_patch_backward(__grid_constant_
       for (int cx = 0; cx < cells; ++cx) {
         F const weight = weight_y * s.pooling[cx * n + x];
         if (weight == 0) continue;
-        F const slope = weight * (b[cx] - a[cx]);
-        grad_magnitude += weight * a[cx] + t * slope;
-        grad_position += slope;
+        F const difference = weight * (b[cx] - a[cx]);
+        grad_magnitude += weight * a[cx] + t * difference;
+        grad_position += difference;
       }
     }
     auto const gradient = patch_gradient(central_differences<F>(), s.patch.around(y, x));

@@ -128,7 +128,7 @@ __global__ void __launch_bounds__(kThreads)
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
     F along_x[3], along_y[3], normal[3];
-    slopes_of(column(i), column(i + 1), column(i + 2), along_x, along_y);  // each derivative is computed once
+    tangents_of(column(i), column(i + 1), column(i + 2), along_x, along_y);  // each derivative is computed once
     normal_of(along_x, along_y, normal);
 #pragma unroll
     for (int k = 0; k < 3; ++k) normals[k][i] = normal[k];
@@ -174,7 +174,7 @@ __global__ void __launch_bounds__(kThreads)
         for (int j = 0; j < 3; ++j) z[j] = rays.z_of(u, down[j], F(read(rows[j][at * p.depth.step])));
         return PointColumn<F>(u, down, z);
       };
-      slopes_of(column_at(0), column_at(1), column_at(2), along_x, along_y);
+      tangents_of(column_at(0), column_at(1), column_at(2), along_x, along_y);
 #pragma unroll
       for (int k = 0; k < 3; ++k) grad[k] = read(p.grad.row(b, k, y)[x * p.grad.step]);
       normal_vjp(along_x, along_y, grad, to_x, to_y);
@@ -242,7 +242,7 @@ __global__ void __launch_bounds__(kThreads)
 #pragma unroll
     for (int i = 0; i < kRun; ++i) {
       F const g[] = {grad[0][i], grad[1][i], grad[2][i]};
-      if (x + i < width) rays.add_slopes(F(x + i), F(y), d[i], g, sums);
+      if (x + i < width) rays.add_gradients(F(x + i), F(y), d[i], g, sums);
     }
   }
   __shared__ double of_warps[kThreads / 32][4];
@@ -270,7 +270,7 @@ __global__ void __launch_bounds__(128) finish_cameras(__grid_constant__ DepthPoi
   if (threadIdx.x % 32 == 0) sums[k] = sum;
   __syncthreads();
   if (threadIdx.x == 0)
-    Rays<Compute<T>>(p.cameras + b * p.camera_stride, p.distance).store_slopes(sums, p.to_camera + 9 * b);
+    Rays<Compute<T>>(p.cameras + b * p.camera_stride, p.distance).store_gradients(sums, p.to_camera + 9 * b);
 }
 
 }  // namespace

@@ -99,14 +99,14 @@ struct Rays {
   // Adds to sums for the gradient to the camera, from the gradient g to the point d ray. The gradients to fx and cx are
   // -fx times sums 0 and 2, those to fy and cy are -fy times sums 1 and 3, where fx and fy are the stored reciprocals.
   template <class V>
-  KV_HD void add_slopes(V x, F y, V d, V const (&g)[3], V (&sums)[4]) const {
+  KV_HD void add_gradients(V x, F y, V d, V const (&g)[3], V (&sums)[4]) const {
     V const u = across(x), v = V{} + down(y), z = z_of(u, down(y), V(V{} + 1));
     V const along = unit ? V((g[0] * u + g[1] * v + g[2]) * z * z) : V{};
     V const to_u = d * z * (g[0] - along * u), to_v = d * z * (g[1] - along * v);
     sums[0] = sums[0] + to_u * u, sums[1] = sums[1] + to_v * v;
     sums[2] = sums[2] + to_u, sums[3] = sums[3] + to_v;
   }
-  KV_HD void store_slopes(double const* sums, F* to_camera) const {
+  KV_HD void store_gradients(double const* sums, F* to_camera) const {
     for (int i = 0; i < 9; ++i) to_camera[i] = 0;
     to_camera[0] = F(-fx * sums[0]), to_camera[4] = F(-fy * sums[1]);
     to_camera[2] = F(-fx * sums[2]), to_camera[5] = F(-fy * sums[3]);
@@ -133,8 +133,8 @@ struct PointColumn {
 
 // Eight times the Sobel derivatives, from three columns of points.
 template <class V>
-KV_HD void slopes_of(PointColumn<V> const& left, PointColumn<V> const& middle, PointColumn<V> const& right,
-                     V (&along_x)[3], V (&along_y)[3]) {
+KV_HD void tangents_of(PointColumn<V> const& left, PointColumn<V> const& middle, PointColumn<V> const& right,
+                       V (&along_x)[3], V (&along_y)[3]) {
   for (int k = 0; k < 3; ++k) {
     along_x[k] = right.mean[k] - left.mean[k];
     along_y[k] = left.difference[k] + 2 * middle.difference[k] + right.difference[k];

@@ -31,7 +31,7 @@ KV_HD void for_each_pixel(A const& a, B const& b, int64_t begin, int64_t end, Ca
 // Calls f(lanes, x, along_x, along_y) with the derivatives of points along a row of depth, once for each pixel. Uses
 // vectors if pixels are adjacent in `other`, too.
 template <class T, class P, class Other, class Call>
-KV_HD void for_each_slope(P const& p, Other const& other, int64_t b, int64_t y, Call f) {
+KV_HD void for_each_tangents(P const& p, Other const& other, int64_t b, int64_t y, Call f) {
   using F = Compute<T>;
   int64_t const height = p.depth.height, width = p.depth.width;
   Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
@@ -47,7 +47,7 @@ KV_HD void for_each_slope(P const& p, Other const& other, int64_t b, int64_t y, 
       for (int j = 0; j < 3; ++j) z[j] = rays.z_of(u, down[j], load<N>(p.depth.row(b, 0, rows[j]) + at * p.depth.step));
       return PointColumn<V>(u, down, z);
     };
-    slopes_of(column(left), column(x), column(right), along_x, along_y);
+    tangents_of(column(left), column(x), column(right), along_x, along_y);
     f(lanes, x, along_x, along_y);
   };
   pixel(Width<1>{}, 0, 0, min(int64_t(1), width - 1));
@@ -93,7 +93,7 @@ template <class T>
 void depth_normals(DepthPoints<T> const& p, int64_t begin, int64_t end) {
   for (int64_t r = begin; r < end; ++r) {
     int64_t const b = r / p.y.height, y = r % p.y.height;
-    for_each_slope<T>(p, p.y, b, y, [&](auto lanes, int64_t x, auto const& along_x, auto const& along_y) {
+    for_each_tangents<T>(p, p.y, b, y, [&](auto lanes, int64_t x, auto const& along_x, auto const& along_y) {
       constexpr int N = decltype(lanes)::value;
       Lanes<Compute<T>, N> normal[3];
       normal_of(along_x, along_y, normal);
@@ -115,7 +115,7 @@ void depth_normals_backward(DepthNormalsBackward<T> const& p, int64_t begin, int
       for (int64_t x = 0; x < 6 * padded; ++x) gradients(y, 0)[x - 1] = 0;
       return;
     }
-    for_each_slope<T>(p, p.grad, b, y, [&](auto lanes, int64_t x, auto const& along_x, auto const& along_y) {
+    for_each_tangents<T>(p, p.grad, b, y, [&](auto lanes, int64_t x, auto const& along_x, auto const& along_y) {
       constexpr int N = decltype(lanes)::value;
       Lanes<F, N> grad[3], to_x[3], to_y[3];
       for (int k = 0; k < 3; ++k) grad[k] = load<N>(p.grad.row(b, k, y) + x * p.grad.step);
@@ -165,7 +165,7 @@ void depth_points_camera_backward(DepthPointsCameraBackward<T> const& p, int64_t
       constexpr int M = decltype(width)::value;
       Lanes<F, M> g[3], d = load<M>(p.depth.row(b, 0, y) + x * depth_step);
       for (int k = 0; k < 3; ++k) g[k] = load<M>(p.grad.row(b, k, y) + x * step);
-      rays.add_slopes(columns_from<M, F>(x), F(y), d, g, sums);
+      rays.add_gradients(columns_from<M, F>(x), F(y), d, g, sums);
     };
     int64_t x = 0;
     if (step == 1 && depth_step == 1)

@@ -136,7 +136,7 @@ Tensor depth_points_camera_backward(Tensor const& grad, Tensor const& depth, Ten
       double sums[4] = {};
       for (int64_t part = 0; part < parts; ++part)
         for (int k = 0; k < 4; ++k) sums[k] += params.partial[4 * (b * parts + part) + k];
-      Rays<F>(params.cameras + b * params.camera_stride, distance).store_slopes(sums, params.to_camera + 9 * b);
+      Rays<F>(params.cameras + b * params.camera_stride, distance).store_gradients(sums, params.to_camera + 9 * b);
     }
 #endif
   });

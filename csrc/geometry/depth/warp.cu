@@ -41,7 +41,7 @@ __global__ void __launch_bounds__(kThreads) warp_tiles(__grid_constant__ DepthWa
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    slope_tiles(__grid_constant__ DepthWarpCoordsBackward<T> const p, DepthTiles tiles) {
+    coords_backward_tiles(__grid_constant__ DepthWarpCoordsBackward<T> const p, DepthTiles tiles) {
   using F = Compute<T>;
   int64_t b;
   int y, x;
@@ -148,7 +148,7 @@ int depth_warp(DepthWarp<T> const& p, CUstream_st* stream) {
 template <class T>
 int depth_warp_coords_backward(DepthWarpCoordsBackward<T> const& p, CUstream_st* stream) {
   DepthTiles const tiles(p.grad.batch, p.grad.height, p.grad.width);
-  slope_tiles<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
+  coords_backward_tiles<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
   return cudaGetLastError();
 }
 

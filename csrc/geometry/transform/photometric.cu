@@ -53,10 +53,10 @@ __global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, 
   for_each_seen(p, places, [&](int y, int x, TapWindow<2, F> const& window, F u, F v) {
     F to_u = 0, to_v = 0;
     for_each_channel(p, places.tile.b, y, x, window, [&](F r, F along_x, F along_y) {
-      F slope;
-      sums[9] += distance_of(p.distance, r, p.eps, slope);
-      to_u += slope * along_x;
-      to_v += slope * along_y;
+      F derivative;
+      sums[9] += distance_of(p.distance, r, p.eps, derivative);
+      to_u += derivative * along_x;
+      to_v += derivative * along_y;
     });
     F const scale = reciprocal(places.weight(y, x));
     F const g[] = {to_u * scale, to_v * scale, -(to_u * u + to_v * v) * scale};
@@ -82,8 +82,8 @@ __global__ void __launch_bounds__(kThreads) normal_tiles(PhotometricNormalEquati
   for_each_seen(p, places, [&](int row, int column, TapWindow<2, F> const& window, F to_x, F to_y) {
     F xx = 0, xy = 0, yy = 0, by_x = 0, by_y = 0;
     for_each_channel(p, places.tile.b, row, column, window, [&](F r, F along_x, F along_y) {
-      F slope;
-      sums[45] += distance_of(p.distance, r, p.eps, slope);
+      F derivative;
+      sums[45] += distance_of(p.distance, r, p.eps, derivative);
       F const weight = weight_of(p.distance, r, p.eps), wx = weight * along_x, wy = weight * along_y;
       xx += wx * along_x;
       xy += wx * along_y;

@@ -64,23 +64,23 @@ KV_KERNEL(photometric_normal_total, PhotometricNormalTotal)
 
 // The error of a residual and its derivative; for l1 both are 0 at 0.
 template <class V, class F>
-KV_HD V distance_of(Distance distance, V r, F eps, V& slope) {
+KV_HD V distance_of(Distance distance, V r, F eps, V& derivative) {
   V const zero{};
   if (distance == Distance::l2) {
-    slope = r * 2;
+    derivative = r * 2;
     return r * r;
   }
   V const square = r * r + (distance == Distance::l1 ? F(0) : eps * eps);
   if (distance == Distance::l1) {
-    slope = r > 0 ? zero + 1 : r < 0 ? zero - 1 : r;
-    return r * slope;
+    derivative = r > 0 ? zero + 1 : r < 0 ? zero - 1 : r;
+    return r * derivative;
   }
 #if defined(__CUDACC__)
   V const root = ::sqrt(square);
 #else
   V const root = vsqrt(square);
 #endif
-  slope = r / root;
+  derivative = r / root;
   return root;
 }
 

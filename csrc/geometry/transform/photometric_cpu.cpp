@@ -57,10 +57,10 @@ KV_HD void add_places(Photometric<T> const& p, Homography<Compute<T>> const& map
   using V = Lanes<F, N>;
   V to_u{}, to_v{}, sum{};
   bool const inside = look<N>(p, places, b, y, first, e, [&](V r, V along_x, V along_y) {
-    V slope;
-    sum += distance_of(p.distance, r, p.eps, slope);
-    to_u += slope * along_x;
-    to_v += slope * along_y;
+    V derivative;
+    sum += distance_of(p.distance, r, p.eps, derivative);
+    to_u += derivative * along_x;
+    to_v += derivative * along_y;
   });
   if (!inside) {
     if constexpr (N > 1)
@@ -91,8 +91,8 @@ KV_HD void add_normals(PhotometricNormalEquations<F> const& p, F const* last_lin
   using V = Lanes<F, N>;
   V xx{}, xy{}, yy{}, by_x{}, by_y{}, sum{};
   bool const inside = look<N>(p, places, b, y, first, e, [&](V r, V along_x, V along_y) {
-    V slope;
-    sum += distance_of(p.distance, r, p.eps, slope);
+    V derivative;
+    sum += distance_of(p.distance, r, p.eps, derivative);
     V const weight = weight_of(p.distance, r, p.eps), wx = weight * along_x, wy = weight * along_y;
     xx += wx * along_x;
     xy += wx * along_y;

@@ -101,4 +101,4 @@ class Case:
     result: Callable[[Any], Tensor] = lambda output: output
     forward: Traffic = forward_traffic
     backward: Traffic = linear_backward
-    rim: int = 1  # border width in pixels within which a peer's border rule may differ
+    border: int = 1  # border width in pixels within which a peer's border rule may differ

@@ -79,7 +79,7 @@ def measure(
     for peer in (PEERS[name] for name in peers if name in case.peers and PEERS[name].serves(device, dtype)):
         try:
             candidate = peer.bind(case.peers[peer.name], inputs, case.result)
-            signs[peer.name] = agreement(ours, candidate.result(), case.rim)
+            signs[peer.name] = agreement(ours, candidate.result(), case.border)
             bound[peer.name] = candidate
         except Exception as error:  # a peer may fail in any way; the table reports it and continues
             yield Row(*where, peer.name, FORWARD, failure=_words(error))

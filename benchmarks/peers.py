@@ -129,10 +129,10 @@ def set_threads(threads: int) -> None:
         importlib.import_module("cv2").setNumThreads(threads)
 
 
-def agreement(ours: Tensor, theirs: Tensor, rim: int) -> str:
+def agreement(ours: Tensor, theirs: Tensor, border: int) -> str:
     """How close two results are, relative to the range of ours, as one character.
 
-    `=` equal up to rounding (1e-3, 1e-2 for half types), `b` equal but for `rim` pixels along the border, `~` close
+    `=` equal up to rounding (1e-3, 1e-2 for half types), `b` equal but for `border` pixels along the border, `~` close
     (mean error up to 1e-2), `x` different.
     """
     if ours.shape != theirs.shape:
@@ -140,7 +140,7 @@ def agreement(ours: Tensor, theirs: Tensor, rim: int) -> str:
     exact = 1e-3 if torch.finfo(ours.dtype).bits >= 32 else 1e-2
     ours, theirs = ours.double(), theirs.to(ours.device, torch.float64)
     error = (ours - theirs).abs() / (ours.max() - ours.min())
-    inner = error[..., rim:-rim, rim:-rim] if rim else error
+    inner = error[..., border:-border, border:-border] if border else error
     for sign, figure, limit in (("=", error.max(), exact), ("b", _max(inner), exact), ("~", error.mean(), 1e-2)):
         if figure <= limit:  # false for NaN
             return sign

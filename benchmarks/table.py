@@ -36,15 +36,15 @@ class Table:
         return self._line(name for name, _ in self._columns)
 
     def line(self, row: Row) -> str:
-        place = (row.case, row.size, row.dtype, row.stage)
+        cell = (row.case, row.size, row.dtype, row.stage)
         if row.library == KVISION and row.value is not None:
-            self._kvision[place] = row.value
+            self._kvision[cell] = row.value
         case = row.case if row.case != self._above[0] else ""
         stage = row.stage if case or row.stage != self._above[1] else ""
         self._above = (row.case, row.stage)
         if row.failure is not None:
             return self._line((case, stage, row.library)) + f"  FAILED {row.failure}"
-        ours = self._kvision.get(place)
+        ours = self._kvision.get(cell)
         return self._line((
             case,
             stage,
@@ -89,16 +89,16 @@ def heading(machine: dict[str, Any], bandwidth: float) -> str:
 def summary(checked: Sequence[CheckedBar], lost: Sequence[Loss]) -> str:
     """Bars, a line for each case and size, missed ones in capitals. Then every peer that is faster than kvision."""
     lines = [f"bars: {sum(v.met for v in checked)} met, {sum(not v.met for v in checked)} missed (measured/bar)"]
-    for place in dict.fromkeys((v.case, v.size, v.dtype) for v in checked):
-        here = (v for v in checked if (v.case, v.size, v.dtype) == place)
-        lines.append(f"  {place[0]:17}{place[1]:18}{place[2]:9}" + "  ".join(map(_bar, here)))
+    for cell in dict.fromkeys((v.case, v.size, v.dtype) for v in checked):
+        here = (v for v in checked if (v.case, v.size, v.dtype) == cell)
+        lines.append(f"  {cell[0]:17}{cell[1]:18}{cell[2]:9}" + "  ".join(map(_bar, here)))
     lines.append("kvision is slower than" if lost else "kvision is nowhere slower than a peer")
-    for place in dict.fromkeys((loss.case, loss.stage, loss.size, loss.dtype) for loss in lost):
-        here = [loss for loss in lost if (loss.case, loss.stage, loss.size, loss.dtype) == place]
+    for cell in dict.fromkeys((loss.case, loss.stage, loss.size, loss.dtype) for loss in lost):
+        here = [loss for loss in lost if (loss.case, loss.stage, loss.size, loss.dtype) == cell]
         faster = ", ".join(
             f"{loss.peer}{f' [{loss.agreement}]' if loss.agreement else ''} {loss.factor:.2f}x" for loss in here
         )
-        lines.append("  {:17}{:17}{:18}{:9}".format(*place) + faster)
+        lines.append("  {:17}{:17}{:18}{:9}".format(*cell) + faster)
     return "\n".join(lines)
 
 

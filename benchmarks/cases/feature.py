@@ -56,7 +56,7 @@ def of_patches(name: str, title: str, bars: Bars, **more: Any) -> Case:
         result: Tensor = module(library, name, x.device, x.dtype)(x)
         return result
 
-    return case(title, call, patches, bars, backward=nonlinear_backward, rim=0, **more)
+    return case(title, call, patches, bars, backward=nonlinear_backward, border=0, **more)
 
 
 def case(name: str, call: Callable[..., Any], inputs: Callable[..., Any], bars: Bars, **more: Any) -> Case:
@@ -83,7 +83,7 @@ def descriptors(count: int) -> Callable[..., tuple[Tensor, ...]]:
 
 
 def of_pairs(name: str, count: int, call: Callable[..., Any], bars: Bars) -> Case:
-    return case(name, call, descriptors(count), bars, backward=nonlinear_backward, result=lambda y: y[0], rim=0)
+    return case(name, call, descriptors(count), bars, backward=nonlinear_backward, result=lambda y: y[0], border=0)
 
 
 CASES = [

@@ -89,7 +89,7 @@ def box(size: int, bars: Bars) -> Case:
         "scipy": lambda x: ndimage.uniform_filter(x, size, mode="mirror", axes=(0, 1)),
         "pil": lambda image: image.filter(ImageFilter.BoxBlur(size // 2)),
     }
-    return case(f"box{size}", lambda K, x: K.filters.box_blur(x, size), bars, peers, rim=size // 2)
+    return case(f"box{size}", lambda K, x: K.filters.box_blur(x, size), bars, peers, border=size // 2)
 
 
 def gauss(size: int, sigma: float, bars: Bars) -> Case:
@@ -101,7 +101,7 @@ def gauss(size: int, sigma: float, bars: Bars) -> Case:
         "scipy": lambda x: ndimage.gaussian_filter(x, sigma, mode="mirror", radius=radius, axes=(0, 1)),
         "pil": lambda image: image.filter(ImageFilter.GaussianBlur(sigma)),
     }
-    return case(f"gauss{size}", lambda K, x: K.filters.gaussian_blur2d(x, ksize, sigmas), bars, peers, rim=radius)
+    return case(f"gauss{size}", lambda K, x: K.filters.gaussian_blur2d(x, ksize, sigmas), bars, peers, border=radius)
 
 
 def unsharp_opencv(x, out=None, blurred=None):
@@ -120,7 +120,7 @@ def median(size: int, bars: Bars) -> Case:
         "scipy": lambda x: ndimage.median_filter(x, size, mode="mirror", axes=(0, 1)),
         "pil": lambda image: image.filter(ImageFilter.MedianFilter(size)),
     }
-    more = {"backward": nonlinear_backward, "rim": size // 2}
+    more = {"backward": nonlinear_backward, "border": size // 2}
     return case(f"median{size}", lambda K, x: K.filters.median_blur(x, size), bars, peers, **more)
 
 
@@ -153,7 +153,7 @@ def any_kernel(name: str, size: int, bars: Bars, shared: bool = True) -> Case:
         "opencv": lambda x, k, out=None: cv2.filter2D(x, -1, k, out, borderType=cv2.BORDER_REFLECT_101),
         "scipy": lambda x, k: ndimage.correlate(x, k, mode="mirror", axes=(0, 1)),
     }
-    more = {"inputs": inputs, "rim": size // 2}
+    more = {"inputs": inputs, "border": size // 2}
     return case(name, lambda K, x, k: K.filters.filter2d(x, k), bars, one_for_all if shared else {}, **more)
 
 
@@ -197,7 +197,7 @@ CASES = [
             "scipy": unsharp_scipy,
             "pil": lambda image: image.filter(ImageFilter.UnsharpMask(1.5, 100, 0)),
         },
-        rim=2,
+        border=2,
     ),
     median(3, Bars(floor=1.5, opencv=1.0)),
     median(5, Bars(floor=5.0, opencv=1.0)),
@@ -211,7 +211,7 @@ CASES = [
             "skimage": lambda x: skrestoration.denoise_bilateral(x, 5, 0.1, 1.5, mode="symmetric", channel_axis=-1),
         },
         backward=nonlinear_backward,
-        rim=2,
+        border=2,
     ),
     case(
         "canny",
@@ -220,7 +220,7 @@ CASES = [
         {"opencv": canny_opencv, "skimage": canny_skimage},
         result=lambda outputs: outputs[1],
         backward=nonlinear_backward,
-        rim=3,
+        border=3,
     ),
     any_kernel("filter2d_3x3", 3, linear(opencv=1.0)),
     any_kernel("filter2d_5x5", 5, linear(floor=1.6, opencv=1.0)),

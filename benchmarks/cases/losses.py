@@ -84,7 +84,7 @@ def morphology(name: str, height: int, width: int, bars: Bars) -> Case:
     )
 
 
-as_number = {"result": beside_zero, "rim": 0}
+as_number = {"result": beside_zero, "border": 0}
 segmentations = {"inputs": segmentation, "backward": of_loss, **as_number}
 images = {"inputs": pairs, "backward": of_loss}
 

@@ -82,7 +82,7 @@ def test_setup_is_not_timed():
 )
 def test_agreement(change, sign):
     ours = photographs((1, 3, 20, 20), torch.float32, CPU)[0]
-    assert agreement(ours, change(ours), rim=2) == sign
+    assert agreement(ours, change(ours), border=2) == sign
 
 
 def double_opencv(image, out=None, scratch=None):

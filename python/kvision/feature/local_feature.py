@@ -295,6 +295,20 @@ def _dog_detector(num_features: int, compile_modules: bool | Collection[str], **
     )
 
 
+def _keynet_detector(
+    num_features: int, upright: bool, compile_model: bool, score_threshold: float, **modules: Any
+) -> nn.Module:
+    """Maxima of Key.Net's response, with OriNet's orientations."""
+    return KeyNetDetector(
+        True,
+        num_features,
+        ori_module=PassLAF() if upright else LAFOrienter(angle_detector=OriNet(True)),
+        compile_model=compile_model,
+        score_threshold=score_threshold,
+        **modules,
+    )
+
+
 class SIFTFeatureScaleSpace(_SIFT):
     """Extrema of differences of Gaussians over position and scale, dominant gradients and SIFT descriptors.
 
@@ -501,13 +515,7 @@ class KeyNetHardNet(_WithHardNet):
         compile_model: bool = False,
         score_threshold: float = 0.0,
     ) -> None:
-        detector = KeyNetDetector(
-            True,
-            num_features,
-            ori_module=PassLAF() if upright else LAFOrienter(angle_detector=OriNet(True)),
-            compile_model=compile_model,
-            score_threshold=score_threshold,
-        )
+        detector = _keynet_detector(num_features, upright, compile_model, score_threshold)
         super().__init__(detector, device, scale_laf)
 
 
@@ -540,14 +548,7 @@ class KeyNetAffNetHardNet(_WithHardNet):
         compile_model: bool = False,
         score_threshold: float = 0.0,
     ) -> None:
-        detector = KeyNetDetector(
-            True,
-            num_features,
-            ori_module=PassLAF() if upright else LAFOrienter(angle_detector=OriNet(True)),
-            aff_module=_affine(),
-            compile_model=compile_model,
-            score_threshold=score_threshold,
-        )
+        detector = _keynet_detector(num_features, upright, compile_model, score_threshold, aff_module=_affine())
         super().__init__(detector, device, scale_laf)
 
 

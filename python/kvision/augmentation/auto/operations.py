@@ -117,7 +117,11 @@ class OperationBase(nn.Module):
     @property
     def transform_matrix(self) -> Tensor | None:
         """The matrices (B, 3, 3) of the last call; None before the first one."""
-        return self.op.transform_matrix
+        matrix = self.op.transform_matrix
+        if matrix is None:
+            return None
+        chosen = self._params["batch_prob"].detach().to(matrix.device) > 0.5
+        return torch.where(chosen[:, None, None], matrix, torch.eye(3).to(matrix))
 
     def forward_parameters(
         self,
@@ -189,14 +193,14 @@ class OperationBase(nn.Module):
         if params is None:
             params = self.forward_parameters(tuple(x.shape), seed=seed, generator=generator)
         self._params = params
-        chosen = params["batch_prob"].to(x.device)
-        augmented = self.op(x, params={**params, "batch_prob": chosen.detach()})
+        chosen = params["batch_prob"].to(x.device)[:, None, None, None]
+        # To all samples, since the gradient to the probability asks what those not chosen would be.
+        augmented: Tensor = self.op(x, params={**params, "batch_prob": torch.ones(x.shape[0])})
+        y = torch.where(chosen.detach() > 0.5, augmented, x)
         if not chosen.requires_grad:
-            return augmented
-        # Samples that are not chosen pass bit for bit; the weight is there for its gradient.
-        applied = self.op(x, params={**params, "batch_prob": torch.ones_like(chosen).detach()})
-        weight = (chosen - chosen.detach()).to(x.dtype)[:, None, None, None]
-        return augmented + weight * (applied - x).detach()
+            return y
+        # The weight is 0: it is there for its gradient.
+        return y + (chosen - chosen.detach()).to(x.dtype) * (augmented - x).detach()
 
 
 class PolicySequential(ImageSequential):

@@ -383,3 +383,14 @@ def test_parameters_have_the_shapes_of_kornia(case: Case) -> None:
     assert {n: (v.shape, v.dtype) for n, v in ours._params.items()} == {
         n: (v.shape, v.dtype) for n, v in theirs._params.items()
     }
+
+
+def test_crops_of_volumes_change_the_shape_that_later_draws_see() -> None:
+    volumes = torch.rand(4, 1, 12, 12, 12) + 1
+    crops = A.ImageSequential(A.RandomCrop3D((6, 6, 6), p=1.0), A.RandomCrop3D((3, 3, 3), p=1.0))
+    assert (crops(volumes, seed=1) > 0).all()  # no voxel from outside of the first crop
+    assert crops.forward_parameters(volumes.shape)[1].data["forward_input_shape"].tolist() == [4, 1, 6, 6, 6]
+    assert torch.equal(crops(volumes, params=crops._params), crops(volumes, seed=1))
+    moved = A.ImageSequential(A.CenterCrop3D(6), A.RandomAffine3D(0.0, translate=(0.5, 0.5, 0.5), p=1.0))
+    moved(volumes)
+    assert moved._params[1].data["translations"].abs().max() <= 3

@@ -67,7 +67,7 @@ class RandomAffine(GeometricAugmentationBase2D):
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
         chain = transforms.affine(
-            _center(shape),
+            transforms.center_of(shape),
             angle=0,
             translation=(1, 2),
             scale=self._param_generator.scale_columns,
@@ -112,7 +112,7 @@ class RandomRotation(GeometricAugmentationBase2D):
         self.flags = {"resample": Resample.get(resample), "align_corners": align_corners}
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        return [transforms.affine(_center(shape), angle=0)]
+        return [transforms.affine(transforms.center_of(shape), angle=0)]
 
 
 class RandomShear(GeometricAugmentationBase2D):
@@ -155,7 +155,7 @@ class RandomShear(GeometricAugmentationBase2D):
         self.flags = _flags(resample, padding_mode, align_corners)
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        return [transforms.affine(_center(shape), shear=(0, 1))]
+        return [transforms.affine(transforms.center_of(shape), shear=(0, 1))]
 
 
 class RandomTranslate(GeometricAugmentationBase2D):
@@ -197,7 +197,7 @@ class RandomTranslate(GeometricAugmentationBase2D):
         self.flags = _flags(resample, padding_mode, align_corners)
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        return [transforms.affine(_center(shape), translation=(0, 1))]
+        return [transforms.affine(transforms.center_of(shape), translation=(0, 1))]
 
 
 class _TurnGenerator(RandomGeneratorBase):
@@ -265,11 +265,7 @@ class RandomRotation90(GeometricAugmentationBase2D):
         self.flags = {"resample": Resample.get(resample), "align_corners": align_corners}
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        return [transforms.affine(_center(shape), angle=0)]
-
-
-def _center(shape: Shape) -> tuple[float, float]:
-    return (shape[-1] - 1) / 2, (shape[-2] - 1) / 2
+        return [transforms.affine(transforms.center_of(shape), angle=0)]
 
 
 def _flags(resample: Any, padding_mode: Any, align_corners: bool) -> dict[str, Any]:

@@ -168,6 +168,10 @@ class AugmentationBase(nn.Module):
         if self._param_generator is not None:
             self._param_generator.set_rng_device_and_dtype(device, dtype)
 
+    def output_shape(self, shape: Shape, flags: dict[str, Any]) -> Shape:
+        """The shape of the results for images of a shape."""
+        return shape
+
     # --- drawing ---
 
     def _request(self, shape: Shape) -> Request | None:
@@ -189,21 +193,14 @@ class AugmentationBase(nn.Module):
         key = keys.on_host(type(self).__name__)[0 if keys.one_key else index]
         return is_chosen_batch(key, index if keys.one_key else 0, self.p_batch)
 
-    def _execute_draw(self, shape: Shape, keys: Keys | None, index: int, columns: Columns | None) -> Execution:
-        """An execution from the columns that were drawn for it."""
-        execution = Execution(shape, columns, None, self._applies(keys, index))
-        if keys is not None:
-            execution.redraw = (keys, index)
-        return execution
-
     def _draw(self, x: Tensor, seed: Seed, generator: Generator | None) -> Execution:
         shape = tuple(x.shape)
         request = self._request(shape) if self.p > 0 and self.p_batch > 0 else None
         if request is None:
-            return self._execute_draw(shape, None, 0, None)
+            return Execution(shape, applied=self._applies(None, 0))
         keys = draw_keys(type(self).__name__, 1, x.device, seed, generator or self.generator)
         (columns,) = draw_columns(x, keys, [request])
-        return self._execute_draw(shape, keys, 0, columns)
+        return Execution(shape, columns, applied=self._applies(keys, 0), redraw=(keys, 0))
 
     def _from_params(self, params: Params, x: Tensor) -> Execution:
         """An execution that replays given parameters."""

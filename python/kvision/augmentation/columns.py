@@ -44,7 +44,7 @@ def draw_columns(images: Tensor, keys: Keys, requests: Sequence[Request], first:
     columns: list[Columns] = []
     begin, draws, numbers = 0, 0, 0
     for end, request in enumerate(requests):
-        more, more_numbers = len(request.draws), sum(2 + len(draw.numbers) for draw in request.draws)
+        more, more_numbers = len(request.draws), 2 + sum(len(draw.numbers) for draw in request.draws)
         if end > begin and (draws + more > MAX_DRAWS or numbers + more_numbers > MAX_NUMBERS):
             columns += _draw(images, keys, requests[begin:end], first + begin)
             begin, draws, numbers = end, 0, 0

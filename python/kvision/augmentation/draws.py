@@ -110,8 +110,8 @@ def make_plan(requests: Sequence[Request], one_key: bool = False, position: int 
     numbers: list[float] = []
     for i, (draws, p, p_batch, same_on_batch) in enumerate(requests):
         firsts.append(column)
-        key, place = (0, position + i) if one_key else (i, 0)
-        plan += (key, place, int(same_on_batch), 1, len(draws))
+        key, link = (0, position + i) if one_key else (i, 0)
+        plan += (key, link, int(same_on_batch), 1, len(draws))
         numbers += (p, p_batch)
         for draw in draws:
             plan.append(KINDS[draw.kind].number)

@@ -62,7 +62,7 @@ class RandomHorizontalFlip(_RandomFlip):
     """
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        return [transforms.affine(((shape[-1] - 1) / 2, (shape[-2] - 1) / 2), scale=(0, -1))]
+        return [transforms.affine(transforms.center_of(shape), scale=(0, -1))]
 
 
 class RandomVerticalFlip(_RandomFlip):
@@ -86,4 +86,4 @@ class RandomVerticalFlip(_RandomFlip):
     """
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        return [transforms.affine(((shape[-1] - 1) / 2, (shape[-2] - 1) / 2), scale=(-1, 0))]
+        return [transforms.affine(transforms.center_of(shape), scale=(-1, 0))]

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision.augmentation.base import Execution, Params, RigidAffineAugmentationBase3D, Shape
+from kvision.augmentation.base import Execution, Params, RigidAffineAugmentationBase3D
 from kvision.augmentation.geometric_base import GeometricAugmentation, Resampling
 from kvision.constants import Resample
 from kvision.geometry.transform import warp3d
@@ -48,10 +48,6 @@ class GeometricAugmentationBase3D(GeometricAugmentation, RigidAffineAugmentation
 
     # --- what subclasses declare ---
 
-    def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int, int]:
-        """Depth, height and width of the results for volumes of a shape (B, C, D, H, W)."""
-        return shape[-3], shape[-2], shape[-1]
-
     def resampling(self, flags: dict[str, Any]) -> Resampling:
         """How volumes are read."""
         if self.moves_whole_voxels:
@@ -89,5 +85,4 @@ class GeometricAugmentationBase3D(GeometricAugmentation, RigidAffineAugmentation
         return self._warp(masks, self._matrix(execution), size, self.resampling(flags))
 
     def inverse_transform(self, input: Tensor, flags: dict[str, Any], transform: Tensor, size: Any) -> Tensor:
-        resampling = self.resampling(flags)._replace(padding="zeros")
-        return self._warp(input, transform, tuple(size), resampling, inverse=False)
+        return self._warp(input, transform, tuple(size), self.resampling(flags).for_inverse(), inverse=False)

@@ -27,9 +27,25 @@ class Resampling(NamedTuple):
     align_corners: bool = True
     fill: Any = None
 
+    def for_labels(self, mode: str | None = None) -> Resampling:
+        """How masks are read: pixels from outside are 0 where those of images have the fill value."""
+        padding = "zeros" if self.padding == "fill" else self.padding
+        return self._replace(mode=mode or self.mode, padding=padding, fill=None)
+
+    def for_inverse(self, mode: str | None = None) -> Resampling:
+        """How results are read to undo a call, which know nothing of the pixels that left them."""
+        return self._replace(mode=mode or self.mode, padding="zeros", fill=None)
+
 
 class GeometricAugmentation(AugmentationBase):
     """What geometric augmentations of images and of volumes share: points and inverse from the matrix of a call."""
+
+    def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, ...]:
+        """Height and width, of volumes depth, height and width, of the results for images of a shape."""
+        return shape[2:]
+
+    def output_shape(self, shape: Shape, flags: dict[str, Any]) -> Shape:
+        return (*shape[:2], *self.output_size(shape, flags))
 
     def _matrix_of(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         """The matrices of an execution, the identity for samples that are not chosen."""
@@ -104,10 +120,6 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         """The chain of formulas of the drawn columns; None if `compute_transformation` is overridden instead."""
         return None
 
-    def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:
-        """Height and width of the results for images of a shape (B, C, H, W)."""
-        return shape[-2], shape[-1]
-
     def resampling(self, flags: dict[str, Any]) -> Resampling:
         """How images are read."""
         if self.moves_whole_pixels:
@@ -171,20 +183,14 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:
             return masks
-        resampling = self.resampling(flags)._replace(fill=None)
-        if resampling.padding == "fill":
-            resampling = resampling._replace(padding="zeros")
         size = self.output_size(execution.shape, flags)
-        return warp_labels(masks, self._matrix(execution), size, resampling)
+        return warp_labels(masks, self._matrix(execution), size, self.resampling(flags).for_labels())
 
     def inverse_transform(self, input: Tensor, flags: dict[str, Any], transform: Tensor, size: Any) -> Tensor:
-        resampling = self.resampling(flags)
-        return warp(
-            input, transform.to(input.device), size, resampling._replace(padding="zeros", fill=None), inverse=False
-        )
+        return warp(input, transform.to(input.device), size, self.resampling(flags).for_inverse(), inverse=False)
 
 
-def warp(x: Tensor, matrix: Tensor, size: tuple[int, int], resampling: Resampling, inverse: bool = True) -> Tensor:
+def warp(x: Tensor, matrix: Tensor, size: Sequence[int], resampling: Resampling, inverse: bool = True) -> Tensor:
     """Resample images by matrices from their pixels to those of the result, or the other way for `inverse` = False."""
     mode, padding_mode, align_corners, fill_value = resampling
     padding, fill = sampling.padding_and_fill("augmentation", x, padding_mode, fill_value)
@@ -195,7 +201,7 @@ def warp(x: Tensor, matrix: Tensor, size: tuple[int, int], resampling: Resamplin
 
 
 def warp_labels(
-    masks: Tensor, matrix: Tensor, size: tuple[int, int], resampling: Resampling, inverse: bool = True
+    masks: Tensor, matrix: Tensor, size: Sequence[int], resampling: Resampling, inverse: bool = True
 ) -> Tensor:
     """The same for masks of any type, whose values pass unchanged: float64 holds all integers up to 2^53."""
     dtype = masks.dtype

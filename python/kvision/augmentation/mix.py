@@ -75,7 +75,7 @@ class MixAugmentationBaseV2(AugmentationBase2D):
         **options: Any,
     ) -> None:
         super().__init__(p=p, p_batch=p_batch, same_on_batch=same_on_batch, keepdim=keepdim, **options)
-        self.data_keys = [DataKey.INPUT] if data_keys is None else [_key(key) for key in data_keys]
+        self.data_keys = [DataKey.INPUT] if data_keys is None else [DataKey.get(key) for key in data_keys]
 
     @property
     def transform_matrix(self) -> Tensor:
@@ -107,7 +107,7 @@ class MixAugmentationBaseV2(AugmentationBase2D):
             ValueError: there are fewer inputs than keys.
             NotImplementedError: a key that this operation cannot mix.
         """
-        keys = self.data_keys if data_keys is None else [_key(key) for key in data_keys]
+        keys = self.data_keys if data_keys is None else [DataKey.get(key) for key in data_keys]
         if len(input) < len(keys):
             raise ValueCheckError(f"{type(self).__name__}: expected {len(keys)} inputs, got {len(input)}")
         x = self.transform_tensor(input[keys.index(DataKey.INPUT)])
@@ -184,10 +184,6 @@ class MixAugmentationBaseV2(AugmentationBase2D):
     def inverse(self, *args: Any, **kwargs: Any) -> Any:
         """Mixing has no inverse."""
         raise _NoMatrixError(f"{type(self).__name__}: mixed samples cannot be taken apart")
-
-
-def _key(key: Any) -> DataKey:
-    return DataKey.INPUT if isinstance(key, str) and key.lower() == "image" else DataKey.get(key)
 
 
 def _labels(labels: Tensor, partners: Tensor, weights: Tensor, params: Params) -> Tensor:

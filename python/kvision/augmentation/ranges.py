@@ -67,10 +67,6 @@ class Range:
             return LearnedPair(self.tensor, scale, offset, identity)
         return Draw("uniform_and_affine", (self.low, self.high, scale, offset, identity))
 
-    @property
-    def is_zero(self) -> bool:
-        return self.tensor is None and self.low == self.high == 0
-
 
 def parse(
     op: str,

@@ -36,6 +36,11 @@ class Transform(NamedTuple):
         return self._replace(columns=[c + first if c >= 0 else c for c in self.columns])
 
 
+def center_of(shape: Sequence[int]) -> tuple[float, float]:
+    """The center x, y of images of a shape (..., H, W): integer coordinates are the centers of pixels."""
+    return (shape[-1] - 1) / 2, (shape[-2] - 1) / 2
+
+
 def affine(
     center: tuple[float, float],
     *,

@@ -358,8 +358,8 @@ class RandomCrop3D(GeometricAugmentationBase3D):
         return self.size
 
     def resampling(self, flags: dict[str, Any]) -> Resampling:
-        resampling = padding_resampling("RandomCrop3D", flags["padding_mode"], flags["fill"])
-        return resampling._replace(padding="zeros") if resampling.padding == "fill" else resampling
+        # `apply_transform` pads with the fill value, since warps of volumes fill with 0 only.
+        return padding_resampling("RandomCrop3D", flags["padding_mode"], flags["fill"]).for_labels()
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         before = torch.tensor([float(n) for n in self.compute_padding(tuple(input.shape))[::2]])
@@ -370,7 +370,7 @@ class RandomCrop3D(GeometricAugmentationBase3D):
     ) -> Tensor:
         if transform is None:
             transform = self.compute_transformation(input, params, flags)
-        if flags["padding_mode"] == "constant" and flags["fill"] != 0:  # warps of volumes fill with 0 only
+        if flags["padding_mode"] == "constant" and flags["fill"] != 0:
             padding = self.compute_padding(tuple(input.shape))
             before = torch.tensor([-float(n) for n in padding[::2]])[None].to(input.device, non_blocking=True)
             input = nn.functional.pad(input, padding, value=flags["fill"])

@@ -127,8 +127,7 @@ def _matrix(operation: Tensor, value: Tensor, height: int, width: int) -> Tensor
         of("shear_x").atan().rad2deg(),
         of("shear_y").atan().rad2deg(),
     ]
-    center = ((width - 1) / 2, (height - 1) / 2)
-    chain = transforms.affine(center, angle=0, translation=(1, 2), shear=(3, 4))
+    chain = transforms.affine(transforms.center_of((height, width)), angle=0, translation=(1, 2), shear=(3, 4))
     return transform_matrix(torch.stack(columns, 1), [chain])
 
 

@@ -106,7 +106,7 @@ class AugmentationSequential(ImageSequential):
     def _keys(self, keys: Any) -> list[DataKey]:
         if isinstance(keys, str) or not isinstance(keys, Sequence) or not keys:
             raise ValueCheckError(f"AugmentationSequential: expected data_keys to be a sequence of keys, got {keys!r}")
-        return [_key(key) for key in keys]
+        return [DataKey.get(key) for key in keys]
 
     def forward(
         self,
@@ -135,7 +135,7 @@ class AugmentationSequential(ImageSequential):
         if len(args) == 1 and isinstance(args[0], Mapping):
             names = list(args[0])
             outputs = self._call(
-                [_key(_without_suffix(name)) for name in names], list(args[0].values()), params, seed, generator
+                [DataKey.get(_without_suffix(name)) for name in names], list(args[0].values()), params, seed, generator
             )
             return dict(zip(names, outputs))
         keys = self.data_keys if data_keys is None else self._keys(data_keys)
@@ -211,7 +211,7 @@ class AugmentationSequential(ImageSequential):
 
     def _mask_mode(self) -> str | None:
         for key, flags in self.extra_args.items():
-            if _key(key) == DataKey.MASK and "resample" in flags:
+            if DataKey.get(key) == DataKey.MASK and "resample" in flags:
                 mode = flags["resample"]
                 return getattr(mode, "name", str(mode)).lower()
         return None
@@ -234,7 +234,7 @@ class AugmentationSequential(ImageSequential):
         """
         if len(args) == 1 and isinstance(args[0], Mapping):
             names = list(args[0])
-            values = self._invert_all([_key(_without_suffix(n)) for n in names], list(args[0].values()), params)
+            values = self._invert_all([DataKey.get(_without_suffix(n)) for n in names], list(args[0].values()), params)
             return dict(zip(names, values))
         keys = self.data_keys if data_keys is None else self._keys(data_keys)
         outputs = self._invert_all(keys or [DataKey.INPUT], list(args), params)
@@ -257,12 +257,6 @@ class AugmentationSequential(ImageSequential):
             else:
                 outputs.append(value)
         return outputs
-
-
-def _key(key: Any) -> DataKey:
-    if isinstance(key, str) and key.lower() == "image":
-        return DataKey.INPUT
-    return DataKey.get(key)
 
 
 def _without_suffix(name: str) -> str:
@@ -303,14 +297,7 @@ def _move_back(points: Tensor, stages: Sequence[Stage]) -> Tensor:
 def _move_masks(masks: Tensor, stages: Sequence[Stage], mode: str | None) -> Tensor:
     for stage in stages:
         if isinstance(stage, Warp):
-            resampling = (
-                stage.resampling._replace(fill=None)
-                if mode is None
-                else stage.resampling._replace(mode=mode, fill=None)
-            )
-            if resampling.padding == "fill":
-                resampling = resampling._replace(padding="zeros")
-            masks = warp_labels(masks, stage.matrix, stage.size, resampling)
+            masks = warp_labels(masks, stage.matrix, stage.size, stage.resampling.for_labels(mode))
         elif "stages" in stage.flags:
             masks = _move_masks(masks, stage.flags["stages"], mode)
         elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
@@ -324,10 +311,10 @@ def _invert_masks(masks: Tensor, stages: Sequence[Stage]) -> Tensor:
         if isinstance(stage, Applied) and "stages" in stage.flags:
             masks = _invert_masks(masks, stage.flags["stages"])
         elif isinstance(stage, Warp):
-            resampling = stage.resampling._replace(mode="nearest", padding="zeros", fill=None)
+            resampling = stage.resampling.for_inverse("nearest")
             masks = warp_labels(masks, stage.matrix, stage.source, resampling, inverse=False)
         elif isinstance(stage.module, GeometricAugmentationBase2D) and stage.execution is not None:
-            resampling = stage.module.resampling(stage.flags)._replace(mode="nearest", padding="zeros", fill=None)
+            resampling = stage.module.resampling(stage.flags).for_inverse("nearest")
             matrix, (h, w) = stage.module._matrix(stage.execution), stage.execution.shape[-2:]
             masks = warp_labels(masks, matrix, (h, w), resampling, inverse=False)
     return masks

@@ -371,8 +371,8 @@ class ImageSequential(ImageSequentialBase):
         module: Any
         for name, module in self.get_forward_sequence():
             data = module.forward_parameters(shape) if hasattr(module, "forward_parameters") else None
-            if isinstance(module, GeometricAugmentationBase2D):
-                shape = (*shape[:2], *module.output_size(shape, module.flags))
+            if isinstance(module, AugmentationBase):
+                shape = module.output_shape(shape, module.flags)
             items.append(ParamItem(name, data))
         return items
 
@@ -421,8 +421,7 @@ def invert(x: Tensor, stages: Sequence[Stage]) -> Tensor:
     """Undo what stages did to the positions of pixels, the last one first."""
     for stage in reversed(stages):
         if isinstance(stage, Warp):
-            resampling = stage.resampling._replace(padding="zeros", fill=None)
-            x = warp(x, stage.matrix.to(x.device), stage.source, resampling, inverse=False)
+            x = warp(x, stage.matrix.to(x.device), stage.source, stage.resampling.for_inverse(), inverse=False)
         elif "stages" in stage.flags:
             x = invert(x, stage.flags["stages"])
         elif isinstance(stage.module, GeometricAugmentationBase2D) and stage.execution is not None:

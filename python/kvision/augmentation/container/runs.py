@@ -45,8 +45,8 @@ class Warp(NamedTuple):
     """Neighboring geometric augmentations that were executed as one warp."""
 
     matrix: Tensor
-    source: tuple[int, int]
-    size: tuple[int, int]
+    source: Sequence[int]
+    size: Sequence[int]
     resampling: Resampling
 
 
@@ -156,8 +156,8 @@ def _replay(x: Tensor, run: Sequence[Child]) -> list[Execution]:
     for child in run:
         module: AugmentationBase = child.module  # type: ignore[assignment]  # by _runs
         execution = module._from_params(child.params, image)
-        if execution.applied and isinstance(module, GeometricAugmentationBase2D):
-            image = image[:1, :1, :1, :1].expand(*image.shape[:2], *module.output_size(execution.shape, module.flags))
+        if execution.applied:
+            image = x.new_empty(1).expand(module.output_shape(execution.shape, module.flags))  # of its shape only
         executions.append(execution)
     return executions
 
@@ -183,18 +183,18 @@ def _draw(x: Tensor, modules: Sequence[AugmentationBase], source: Randomness, po
         shapes.append(shape)
         applied.append(applies)
         indices.append(None if request is None else index)
-        if applies and isinstance(module, GeometricAugmentationBase2D):
-            shape = (*shape[:2], *module.output_size(shape, module.flags))
+        if applies:
+            shape = module.output_shape(shape, module.flags)
     if requests:
         keys = _more_keys(keys, len(requests), x, source)
     first = position if keys is not None and keys.one_key else 0
     columns = draw_columns(x, keys, requests, first) if keys is not None and requests else []
     executions = []
     for at, i, applies in zip(shapes, indices, applied):
-        execution = Execution(at, None if i is None else columns[i], None, applies)
-        if i is not None and keys is not None:
-            execution.redraw = (keys, first + i)
-        executions.append(execution)
+        if i is None or keys is None:
+            executions.append(Execution(at, applied=applies))
+        else:
+            executions.append(Execution(at, columns[i], applied=applies, redraw=(keys, first + i)))
     return executions
 
 
@@ -223,7 +223,7 @@ class _Pending:
         """The shape of the images after what is pending."""
         shape = tuple(self.x.shape)
         for module, _ in self.geometric:
-            shape = (*shape[:2], *module.output_size(shape, module.flags))
+            shape = module.output_shape(shape, module.flags)
         return shape
 
     def add(self, module: AugmentationBase, execution: Execution) -> None:
@@ -246,6 +246,10 @@ class _Pending:
                 self.geometric.append((module, execution))
                 return
         self._flush_geometric()
+        self._execute(module, execution)
+
+    def _execute(self, module: AugmentationBase, execution: Execution) -> None:
+        """Execute an augmentation by itself."""
         self.x = module._run(self.x, execution, module.flags)
         self.stages.append(Applied(module, execution, module.flags))
 
@@ -267,9 +271,7 @@ class _Pending:
         if not pending:
             return
         if len(pending) == 1:
-            module, execution = pending[0]
-            self.x = module._run(self.x, execution, module.flags)
-            self.stages.append(Applied(module, execution, module.flags))
+            self._execute(*pending[0])
             return
         source = (self.x.shape[-2], self.x.shape[-1])
         drawn, chain = _joined(self.x, pending)

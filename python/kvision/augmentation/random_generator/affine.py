@@ -10,6 +10,7 @@ from torch import Tensor
 
 from kvision.augmentation import ranges
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+from kvision.augmentation.transforms import center_of
 
 __all__ = ["AffineGenerator", "ShearGenerator", "TranslateGenerator"]
 
@@ -70,8 +71,7 @@ class AffineGenerator(RandomGeneratorBase):
         params = super().to_params(columns, shape)
         if self._one_scale:
             params["scale"] = params["scale"][:, :1].expand(-1, 2)
-        height, width = shape[-2:]
-        center = torch.tensor([(width - 1) / 2, (height - 1) / 2], device=columns.device)
+        center = torch.tensor(center_of(shape), device=columns.device)
         return {**params, "center": center.expand(columns.shape[0], 2)}
 
     @property
@@ -122,8 +122,7 @@ class ShearGenerator(RandomGeneratorBase):
         return [r.uniform() for r in self._shear]
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
-        height, width = shape[-2:]
-        center = torch.tensor([(width - 1) / 2, (height - 1) / 2], device=columns.device)
+        center = torch.tensor(center_of(shape), device=columns.device)
         return {"center": center.expand(columns.shape[0], 2), **super().to_params(columns, shape)}
 
 

@@ -69,6 +69,6 @@ SHEET = Sheet(
         Step("perspective", rectify, rectify_opencv),
         Step("elastic", elastic),
         Step("pixels", pixelated),
-        Step("Laplacian", detail),
+        Step("pyramid detail", detail),
     ],
 )

@@ -109,10 +109,11 @@ def test_matching_of_real_pairs(data, device):
 
 
 NAMES = ("image_registration", "depth_estimation", "segmentation_losses", "feature_matching")
+WITHOUT_IMAGE = ("train_distributed",)
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", NAMES + WITHOUT_IMAGE)
 def test_a_missing_device_is_said(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
         example(name).main(["--device", "cuda"])
@@ -128,7 +129,7 @@ def test_a_wrong_folder_is_an_error(name: str, tmp_path: Path, capsys: pytest.Ca
     assert f"error: --data {tmp_path / 'wrong'}: expected a folder with " in capsys.readouterr().err.splitlines()[-1]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", NAMES + WITHOUT_IMAGE)
 def test_an_unknown_device_is_said(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
         example(name).main(["--device", "gpu"])

@@ -1,0 +1,158 @@
+"""examples/train_distributed.py under torchrun on CPUs: streams, resumption after a killed rank, folders of pictures."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+import kvision as K
+from kvision import _ops
+from test_examples import EXAMPLES, example
+
+SMALL = ("--batch", "4", "--count", "32", "--size", "40", "--crop", "32", "--device", "cpu")
+STEPS, EVERY = 60, 3
+
+
+def torchrun(folder: Path, *options: str, restarts: int = 0, ranks: int = 2) -> subprocess.Popen[str]:
+    launcher = (
+        "-m",
+        "torch.distributed.run",
+        "--standalone",
+        f"--max-restarts={restarts}",
+        f"--nproc-per-node={ranks}",
+    )
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "KVISION_BACKEND": _ops.current_backend(),
+        "OMP_NUM_THREADS": "1",
+        "TORCH_DISABLE_SHARE_RDZV_TCP_STORE": "1",  # each start of the ranks gets a store of its own
+    }
+    return subprocess.Popen(
+        [sys.executable, *launcher, EXAMPLES / "train_distributed.py", *SMALL, "--out", folder, *options],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def losses(folder: Path) -> list[str]:
+    """The loss of each step so far, as written."""
+    path = folder / "losses.csv"
+    return [row[1] for row in csv.reader(path.open())][1:] if path.exists() else []
+
+
+def rank_of(launcher: subprocess.Popen[str], rank: int) -> int:
+    """The process of that rank."""
+    for task in Path(f"/proc/{launcher.pid}/task").iterdir():
+        for child in (task / "children").read_text().split():
+            if f"RANK={rank}".encode() in Path(f"/proc/{child}/environ").read_bytes().split(b"\0"):
+                return int(child)
+    raise AssertionError(f"rank {rank} does not run")
+
+
+def kill_in_the_middle(launcher: subprocess.Popen[str], folder: Path) -> None:
+    """Kill rank 1 once three checkpoints have been written."""
+    while len(losses(folder)) < 3 * EVERY:
+        assert launcher.poll() is None, launcher.stdout.read()
+        time.sleep(0.01)
+    os.kill(rank_of(launcher, 1), signal.SIGKILL)
+    assert len(losses(folder)) < STEPS
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    folder = tmp_path_factory.mktemp("undisturbed")
+    output, _ = torchrun(folder, "--steps", str(STEPS), "--every", str(EVERY)).communicate(timeout=300)
+    assert output.count("images/s in all") == STEPS // EVERY, output
+    assert len(losses(folder)) == STEPS
+    return losses(folder)
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds processes in /proc")
+@pytest.mark.parametrize("by", ["torchrun", pytest.param("hand", marks=pytest.mark.slow)])
+def test_a_killed_rank_changes_no_loss(by: str, undisturbed: list[str], tmp_path: Path) -> None:
+    options = ("--steps", str(STEPS), "--every", str(EVERY), "--checkpoint", str(tmp_path / "checkpoint"))
+    launcher = torchrun(tmp_path, *options, restarts=1 if by == "torchrun" else 0)
+    try:
+        kill_in_the_middle(launcher, tmp_path)
+        output, _ = launcher.communicate(timeout=300)
+        if by == "hand":
+            assert launcher.returncode != 0
+            launcher = torchrun(tmp_path, *options)
+            output, _ = launcher.communicate(timeout=300)
+    finally:
+        launcher.kill()
+    assert launcher.returncode == 0, output
+    assert "continued at step " in output
+    assert losses(tmp_path) == undisturbed
+
+
+def test_the_loss_falls(undisturbed: list[str]) -> None:
+    numbers = [float(loss) for loss in undisturbed]
+    assert sum(numbers[-10:]) < 0.8 * sum(numbers[:10])
+
+
+def test_streams_of_ranks_differ(monkeypatch: pytest.MonkeyPatch) -> None:
+    training = example("train_distributed")
+    with training.process_group(torch.device("cpu")):
+        setup = training.Setup(torch.device("cpu"), crop=16)
+        run = training.Training(setup, training.Textures(4, 24, setup.device))
+        pictures = run.pictures.pixels.permute(0, 3, 1, 2)
+        results = []
+        for rank in (0, 1, 0):
+            monkeypatch.setattr(training.dist, "get_rank", lambda rank=rank: rank)
+            run.seed_streams()
+            results.append((run.augment(pictures), torch.rand(3)))
+    for first, second, again in zip(*results):
+        assert not torch.equal(first, second) and torch.equal(first, again)
+
+
+def test_ranks_share_an_epoch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every picture once in an epoch, in batches that are the same for 1 and 2 ranks."""
+    training = example("train_distributed")
+
+    def batches(ranks: int) -> list[list[int]]:
+        monkeypatch.setattr(training.dist, "get_world_size", lambda: ranks)
+        parts = []
+        for rank in range(ranks):
+            monkeypatch.setattr(training.dist, "get_rank", lambda rank=rank: rank)
+            parts.append(list(training.Order(count=24, batch=8 // ranks, seed=3, first=0, last=6)))
+        return [[index for part in pieces for index in part] for pieces in zip(*parts)]
+
+    alone = batches(1)
+    assert alone == batches(2)
+    first, second = (sorted(index for batch in epoch for index in batch) for epoch in (alone[:3], alone[3:]))
+    assert first == second == list(range(24))
+    assert alone[:3] != alone[3:]
+
+
+def test_pictures_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for label, name in enumerate(("dark", "bright")):
+        (tmp_path / "data" / name).mkdir(parents=True)
+        for i in range(6):
+            picture = 0.3 * torch.rand(3, 30 + i, 44) + 0.6 * label
+            K.io.write_image(tmp_path / "data" / name / f"{i}.png", picture)
+    options = ["--data", str(tmp_path / "data"), *SMALL, "--steps", "3", "--every", "1", "--workers", "1"]
+    checkpoint = ["--checkpoint", str(tmp_path / "checkpoint"), "--out", str(tmp_path)]
+    assert example("train_distributed").main([*options, *checkpoint]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith("1 ranks by gloo, small, 4 images a rank\n") and "step 3/3 loss" in printed
+    assert printed.endswith(f"the checkpoint is {tmp_path / 'checkpoint' / 'checkpoint.pt'}\n")
+    assert len(losses(tmp_path)) == 3
+
+
+def test_a_folder_without_classes_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        example("train_distributed").main(["--data", str(tmp_path), *SMALL])
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.endswith("in a folder of each class, got 0 in 0\n")

@@ -8,7 +8,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError
+
+BOX_FORMATS = {DataKey.BBOX: "vertices", DataKey.BBOX_XYXY: "xyxy", DataKey.BBOX_XYWH: "xywh"}
 
 # Boxes and points become points (B, M, 2) in coordinates of pixel centers, move with the image, and become boxes again.
 Mover = Callable[[Tensor], Tensor]
@@ -59,18 +62,31 @@ def move_boxes(boxes: Any, mode: str, move: Mover) -> Any:
         b, n = batch.shape[:2]
         moved = _keeping_type(values.reshape(b, n * 4, 2), move).reshape(b, n, 4, 2)
         return _as_type(_upright(moved), boxes)
+    corners = box_corners(values, mode)
+    b, n = corners.shape[:2]
+    moved = _keeping_type(corners.reshape(b, n * 4, 2), move).reshape(b, n, 4, 2)
+    return _as_type(_boxes_around(moved, mode), boxes)
+
+
+def box_corners(boxes: Tensor, mode: str) -> Tensor:
+    """The corners (..., 4, 2) of boxes (..., 4), in coordinates of pixel centers; those of "vertices" as they are."""
+    if mode == "vertices":
+        return boxes
     near, far = _OFFSETS[mode]
-    x, y, right, bottom = values.unbind(-1)
+    x, y, right, bottom = boxes.unbind(-1)
     if mode == "xywh":
         right, bottom = x + right, y + bottom
     x, y, right, bottom = x + near, y + near, right + far, bottom + far
-    corners = torch.stack([x, y, right, y, right, bottom, x, bottom], -1)
-    b, n = corners.shape[:2]
-    moved = _keeping_type(corners.reshape(b, n * 4, 2), move).reshape(b, n, 4, 2)
-    first, last = (moved.amin(2), moved.amax(2)) if n else (moved[:, :, 0], moved[:, :, 0])
+    return torch.stack([x, y, right, y, right, bottom, x, bottom], -1).reshape(*boxes.shape[:-1], 4, 2)
+
+
+def _boxes_around(corners: Tensor, mode: str) -> Tensor:
+    """The smallest upright boxes (B, N, 4) around four corners each."""
+    near, far = _OFFSETS[mode]
+    empty = corners.shape[1] == 0
+    first, last = (corners[:, :, 0], corners[:, :, 0]) if empty else (corners.amin(2), corners.amax(2))
     first, last = first - near, last - far
-    second = last - first if mode == "xywh" else last
-    return _as_type(torch.cat([first, second], -1), boxes)
+    return torch.cat([first, last - first if mode == "xywh" else last], -1)
 
 
 def _as_type(moved: Tensor, boxes: Tensor) -> Tensor:

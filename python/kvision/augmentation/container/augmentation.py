@@ -20,12 +20,6 @@ from kvision.geometry.linalg import transform_points
 
 __all__ = ["AugmentationSequential"]
 
-_BOXES = {
-    DataKey.BBOX: "vertices",
-    DataKey.BBOX_XYXY: "xyxy",
-    DataKey.BBOX_XYWH: "xywh",
-}
-
 
 class AugmentationSequential(ImageSequential):
     """Run augmentations on images, and move their masks, boxes and key points with them.
@@ -185,8 +179,8 @@ class AugmentationSequential(ImageSequential):
             return self._moved_masks(value, stages)
         if key == DataKey.KEYPOINTS:
             return labels.move_points(value, lambda points: _move(points, stages))
-        if key in _BOXES:
-            return labels.move_boxes(value, _BOXES[key], lambda points: _move(points, stages))
+        if key in labels.BOX_FORMATS:
+            return labels.move_boxes(value, labels.BOX_FORMATS[key], lambda points: _move(points, stages))
         return value
 
     def _moved_masks(self, masks: Any, stages: Sequence[Stage]) -> Any:
@@ -252,8 +246,10 @@ class AugmentationSequential(ImageSequential):
                 outputs.append(_invert_masks(value, stages))
             elif key == DataKey.KEYPOINTS:
                 outputs.append(labels.move_points(value, lambda points: _move_back(points, stages)))
-            elif key in _BOXES:
-                outputs.append(labels.move_boxes(value, _BOXES[key], lambda points: _move_back(points, stages)))
+            elif key in labels.BOX_FORMATS:
+                outputs.append(
+                    labels.move_boxes(value, labels.BOX_FORMATS[key], lambda points: _move_back(points, stages))
+                )
             else:
                 outputs.append(value)
         return outputs

@@ -64,6 +64,7 @@ from kvision.augmentation.mix import (
 from kvision.augmentation.normalize import Denormalize, Normalize
 from kvision.augmentation.perspective import RandomPerspective
 from kvision.augmentation.plasma import RandomPlasmaBrightness, RandomPlasmaContrast, RandomPlasmaShadow
+from kvision.augmentation.preview import preview
 from kvision.augmentation.random_noise import RandomGaussianNoise, RandomSaltAndPepperNoise
 from kvision.augmentation.resize import LongestMaxSize, PadTo, Resize, SmallestMaxSize
 from kvision.augmentation.transplantation import RandomTransplantation, RandomTransplantation3D
@@ -172,5 +173,6 @@ __all__ = [
     "auto",
     "container",
     "presets",
+    "preview",
     "random_generator",
 ]

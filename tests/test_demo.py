@@ -17,7 +17,7 @@ pytest.importorskip("PIL")
 pytest.importorskip("tqdm")
 
 from kvision.demo import __main__ as demo
-from kvision.demo import contact_sheet
+from kvision.demo import augmentation, contact_sheet
 from kvision.demo.restore import restore
 from kvision.io import load_image, write_image
 
@@ -120,6 +120,22 @@ def test_restoring_lowers_the_loss_and_brings_the_photo_back():
     assert len(restored.losses) == 61 and restored.losses[-1] < restored.losses[0] / 100
     assert restored.restored_psnr > restored.blurred_psnr + 3
     assert restored.restored.min() >= 0 and restored.restored.max() <= 1
+
+
+@pytest.mark.parametrize("name", ["astronaut", "mine"])
+def test_draws_of_augmentations_have_their_labels(name: str) -> None:
+    photo = torch.rand(3, 48, 48)
+    mask, boxes, points = augmentation.labels(name, 48)
+    for i, (x, y, right, bottom) in enumerate(boxes.round().long().tolist()):
+        inside = mask[0] == i + 1
+        assert inside.any() and inside[y:bottom, x:right].sum() == inside.sum()
+    assert ((points > 0) & (points < 47)).all()
+    rows = augmentation.rows(48)
+    assert len(rows) == 12
+    drawn = [(row, augmentation.cells(row, photo, name)) for row in rows[-2:]]
+    section = augmentation.section(drawn, name)
+    assert len(section.columns) == 9 and all(len(cells) == 9 for _, cells in section.rows)
+    assert {cell.size for _, cells in section.rows for cell in cells} == {(48, 48)}
 
 
 def test_makes_the_contact_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

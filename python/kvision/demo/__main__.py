@@ -21,7 +21,7 @@ from kvision.io import get_sample_images, load_image, write_image
 try:
     from tqdm import tqdm
 
-    from kvision.demo import color, filters, gallery, geometry, morphology
+    from kvision.demo import augmentation, color, filters, gallery, geometry, morphology
     from kvision.demo.restore import Restoration, blur, restore
     from kvision.demo.sheet import Column, Sheet, run
 except ModuleNotFoundError as error:
@@ -52,7 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     about = f"{len(photos)} photos of {SIDE}x{SIDE} on {device}, {torch.get_num_threads()} CPU threads"
     print(about)
     done: list[tuple[Sheet, list[Column]]] = []
-    with tqdm(total=sum(len(sheet.steps) for sheet in SHEETS) + STEPS, unit="step") as bar:
+    pipelines = augmentation.rows(SIDE)
+    with tqdm(total=sum(len(sheet.steps) for sheet in SHEETS) + len(pipelines) + STEPS, unit="step") as bar:
         for sheet in SHEETS:
             columns = []
             for step in sheet.steps:
@@ -60,10 +61,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 columns.append(run(step, photos))
                 bar.update()
             done.append((sheet, columns))
+        augmented = []
+        for row in pipelines:
+            bar.set_description(f"{row.title.split(':')[0]:14}")
+            augmented.append((row, augmentation.cells(row, photos[0], names[0])))
+            bar.update()
         bar.set_description(f"{'restoring':14}")
         restored = restore(photos[:2], counted(bar, STEPS))
 
     sections = [section(sheet, columns, names, photos) for sheet, columns in done]
+    sections.append(augmentation.section(augmented, names[0]))
     width = max(len(section.columns) for section in sections)
     sections += [wheel(photos[0], names[0], width), restoration(restored, names, photos, width)]
     path = options.out / "gallery.png"

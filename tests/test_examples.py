@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -108,7 +109,35 @@ def test_matching_of_real_pairs(data, device):
     assert pairs
 
 
-NAMES = ("image_registration", "depth_estimation", "segmentation_losses", "feature_matching")
+@pytest.mark.parametrize("workers", [0, 2])
+def test_training_with_augmentation(workers: int, device, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    augmentation = example("augmentation")
+    photographs(tmp_path)
+    options = ["--image", str(tmp_path / "left.png"), str(tmp_path / "right.png"), "--out", str(tmp_path / "out")]
+    options += ["--workers", str(workers), "--windows", "24", "--batch", "8", "--epochs", "2"]
+    rates = augmentation.main([*options, "--device", device.type])
+    assert len(rates) == 3 and all(rate > 0 for rate in rates.values())
+    printed = capsys.readouterr().out
+    assert float(re.search(r"difference between samples and batches: (\S+)", printed)[1]) < 1e-4
+    assert printed.endswith(f"are pictures in {tmp_path / 'out'}\n")
+    for name in ("chain", "draws", "batch"):
+        assert K.io.load_image(tmp_path / "out" / f"{name}.png").std() > 0.05
+
+
+def test_the_chain_of_the_paper_is_moved_back(device: torch.device) -> None:
+    augmentation = example("augmentation")
+    y, x = torch.meshgrid(*[torch.linspace(-1, 1, 64, device=device)] * 2, indexing="ij")
+    images = torch.exp(-8 * ((x - 0.2) ** 2 + (y + 0.1) ** 2)).expand(8, 3, -1, -1)
+    torch.manual_seed(0)
+    chain = augmentation.chain()[:2]
+    augmented, matrices = chain(images)
+    assert matrices.shape == (8, 3, 3) and (augmented - images).abs().amax((1, 2, 3)).min() > 0.1
+    back = augmentation.move_back(augmented, matrices)
+    middle = (..., slice(16, 48), slice(16, 48))
+    assert (back[middle] - images[middle]).abs().max() < 0.02
+
+
+NAMES = ("image_registration", "depth_estimation", "segmentation_losses", "feature_matching", "augmentation")
 WITHOUT_IMAGE = ("train_distributed",)
 
 

@@ -162,16 +162,16 @@ class Augmentation(nn.Module):
 
 
 class Block(nn.Module):
-    """Two 3 x 3 convolutions beside a shortcut."""
+    """Two 3 x 3 convolutions beside a shortcut. No sample depends on the others of its batch, which several ranks share."""
 
     def __init__(self, inputs: int, outputs: int, stride: int) -> None:
         super().__init__()
         self.first = nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False)
         self.second = nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False)
-        self.norm1, self.norm2 = nn.BatchNorm2d(outputs), nn.BatchNorm2d(outputs)
+        self.norm1, self.norm2 = nn.GroupNorm(8, outputs), nn.GroupNorm(8, outputs)
         self.shortcut: nn.Module = nn.Identity()
         if stride != 1 or inputs != outputs:
-            self.shortcut = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
+            self.shortcut = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.GroupNorm(8, outputs))
 
     def forward(self, x: Tensor) -> Tensor:
         return (self.shortcut(x) + self.norm2(self.second(self.norm1(self.first(x)).relu()))).relu()
@@ -183,7 +183,7 @@ def network(name: str, classes: int) -> nn.Module:
         from torchvision.models import resnet50
 
         return resnet50(num_classes=classes)
-    stem = nn.Conv2d(3, 16, 7, 4, 3, bias=False), nn.BatchNorm2d(16), nn.ReLU()
+    stem = nn.Conv2d(3, 16, 7, 4, 3, bias=False), nn.GroupNorm(8, 16), nn.ReLU()
     blocks = Block(16, 16, 1), Block(16, 32, 2), Block(32, 64, 2)
     return nn.Sequential(*stem, *blocks, nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Linear(64, classes))
 

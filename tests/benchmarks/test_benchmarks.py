@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from benchmarks import __main__ as command
-from benchmarks import kernels, overhead, sobel_figure, threads
+from benchmarks import kernels, overhead, scaling, sobel_figure, threads
 from benchmarks.bars import EXTRA, check, losses
 from benchmarks.case import Bars, Case, dead_leaves, nonlinear_backward, photographs
 from benchmarks.cases import ALL
@@ -269,3 +269,40 @@ def test_kernels_reads_what_ncu_writes():
     forward, backward = kernels.rows(report)
     assert forward.split()[:4] == ["warp_affine", "sample_tiles<float,", "2>", "69.5"] and " 48 " in forward
     assert backward.split()[:3] == ["backward", "gather", "1.0"]
+
+
+# -- scaling
+
+
+def test_scaling_on_two_processes(tmp_path, monkeypatch, capsys):
+    """Two CPU processes and one give the same augmented bits and nearly the same losses; the rest are figures."""
+    monkeypatch.setattr(scaling, "ALL", {name: ALL[name] for name in ("sobel", "warp_affine")})
+    small = ["--batch", "2", "--size", "32", "--crop", "24", "--seconds", "0.02"]
+    assert scaling.main(["--device", "cpu", "--ranks", "1,2", *small, "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "64 images by seeds of samples on 1, 2 ranks: the same bits\n" in printed
+    assert "2 cases on cpu, 4 threads at once: the same bits\n" in printed
+    rows = json.loads((tmp_path / "scaling.json").read_text())["rows"]
+    assert [row["ranks"] for row in rows] == [1, 2] and all(0 < row["share"] < 1 for row in rows)
+    assert len(rows[0]["losses"]) == scaling.STEPS
+    assert rows[1]["losses"] == pytest.approx(rows[0]["losses"], rel=1e-3)
+    assert (tmp_path / "scaling.txt").read_text() + f"written to {tmp_path}\n" == printed
+
+
+def scaled(ranks: int, alone: float, without: float, augmented: float, share: float = 0.01) -> scaling.Row:
+    return scaling.Row(ranks, alone, alone / ranks, without, augmented, share, "digest", [1.0, 0.5])
+
+
+def test_efficiency_is_the_rate_over_that_of_single_ranks():
+    rows = [scaled(1, 100, 10, 9), scaled(2, 190, 18, 17), scaled(4, 400, 32, 27)]
+    assert scaling.efficiency(rows, "alone") == pytest.approx([1, 0.95, 1])
+    share, alone, training = scaling.bars(rows)
+    assert share.endswith("1.00% / 3%") and alone.endswith("100.00% / 98%")
+    assert training.endswith(f"{27 / 9 / (32 / 10):.2%} / 95%  MISSED")
+
+
+def test_differences_between_devices_are_said():
+    one = [torch.ones(2)]
+    assert scaling.compared(one, lambda: [torch.ones(2)]) == ""
+    assert scaling.compared(one, lambda: [torch.tensor([1.0, 1.5])]) == "differs by 0.5"
+    assert scaling.compared(one, lambda: torch.ones(2) + torch.ones(3)).startswith("RuntimeError: The size")

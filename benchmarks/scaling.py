@@ -92,8 +92,9 @@ def work(rank: int, ranks: int, options: Options, folder: str) -> None:
         torch.backends.cudnn.benchmark = True
     else:
         torch.set_num_threads(1)
+    backend, own = ("nccl", device) if device.type == "cuda" else ("gloo", None)
     store = dist.FileStore(f"{folder}/store{ranks}", ranks)
-    dist.init_process_group("nccl" if device.type == "cuda" else "gloo", store=store, rank=rank, world_size=ranks)
+    dist.init_process_group(backend, store=store, rank=rank, world_size=ranks, device_id=own)
     train = example()
     pictures = train.Textures(max(options.batch, TOGETHER), options.size, device)
     setup = train.Setup(device, options.model, options.batch, size=options.size, crop=options.crop)

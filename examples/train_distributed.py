@@ -360,13 +360,13 @@ class Training:
 @contextlib.contextmanager
 def process_group(device: torch.device) -> Iterator[None]:
     """The processes that torchrun started, or this one alone."""
-    backend = "nccl" if device.type == "cuda" else "gloo"
-    if device.type == "cuda":
-        torch.cuda.set_device(device)
+    backend, own = ("nccl", device) if device.type == "cuda" else ("gloo", None)
+    if own:
+        torch.cuda.set_device(own)
     if "RANK" in os.environ:
-        dist.init_process_group(backend)
+        dist.init_process_group(backend, device_id=own)
     else:
-        dist.init_process_group(backend, store=dist.HashStore(), rank=0, world_size=1)
+        dist.init_process_group(backend, store=dist.HashStore(), rank=0, world_size=1, device_id=own)
     try:
         yield
     finally:

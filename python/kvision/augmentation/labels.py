@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -24,6 +24,8 @@ _OFFSETS = {"xyxy": (-0.5, -0.5), "xywh": (-0.5, -0.5), "xyxy_plus": (-0.5, 0.5)
 def move_points(points: Any, move: Mover) -> Any:
     """Key points (B, N, 2), (N, 2) or a list of (N, 2), of any floating-point type."""
     if isinstance(points, (list, tuple)):
+        if not points:
+            return points
         padded, sizes = _pad(points)
         moved = move_points(padded, move)
         return type(points)(m[:n] for m, n in zip(moved, sizes))
@@ -41,6 +43,8 @@ def move_points(points: Any, move: Mover) -> Any:
 def move_boxes(boxes: Any, mode: str, move: Mover) -> Any:
     """Boxes of a mode: vertices (B, N, 4, 2), or (B, N, 4); without the batch, or a list of those."""
     if isinstance(boxes, (list, tuple)):
+        if not boxes:
+            return boxes
         padded, sizes = _pad(boxes)
         moved = move_boxes(padded, mode, move)
         return type(boxes)(m[:n] for m, n in zip(moved, sizes))
@@ -81,12 +85,83 @@ def box_corners(boxes: Tensor, mode: str) -> Tensor:
 
 
 def _boxes_around(corners: Tensor, mode: str) -> Tensor:
-    """The smallest upright boxes (B, N, 4) around four corners each."""
+    """The smallest upright boxes (..., 4) around four corners each, (..., 4, 2)."""
     near, far = _OFFSETS[mode]
-    empty = corners.shape[1] == 0
-    first, last = (corners[:, :, 0], corners[:, :, 0]) if empty else (corners.amin(2), corners.amax(2))
-    first, last = first - near, last - far
+    first, last = corners.amin(-2) - near, corners.amax(-2) - far
     return torch.cat([first, last - first if mode == "xywh" else last], -1)
+
+
+class BoxFilter(NamedTuple):
+    """Which boxes stay after they have moved, and whether they end at the edges of the image."""
+
+    clip: bool = False
+    min_area: float = 0.0  # in pixels, of the part inside the image
+    min_visibility: float = 0.0  # the share of the area that is inside
+
+    @property
+    def does_nothing(self) -> bool:
+        return not (self.clip or self.min_area > 0 or self.min_visibility > 0)
+
+
+def filter_boxes(boxes: Any, mode: str, size: tuple[int, int], rule: BoxFilter) -> tuple[Any, Any]:
+    """Boxes in images of a size (H, W) by a rule, and which of them stay: bool (B, N), or a list of (N,).
+
+    Lists become shorter; in tensors the boxes that do not stay are 0.
+    """
+    if isinstance(boxes, (list, tuple)):
+        pairs = [_filtered(part, mode, size, rule) for part in boxes]
+        return type(boxes)(part[kept] for part, kept in pairs), [kept for _, kept in pairs]
+    if hasattr(boxes, "transform_boxes"):  # kvision.geometry.boxes.Boxes
+        filtered = boxes.clone()
+        filtered._data, kept = _filtered(boxes._data, "vertices", size, rule)
+        return filtered, kept
+    return _filtered(boxes, mode, size, rule)
+
+
+def _filtered(boxes: Tensor, mode: str, size: tuple[int, int], rule: BoxFilter) -> tuple[Tensor, Tensor]:
+    values = boxes if boxes.dtype == torch.float64 else boxes.float() if boxes.is_floating_point() else boxes.double()
+    corners = box_corners(values, mode)
+    beyond = 0.5 if mode == "vertices" else 0.0  # from the centers of the outermost pixels to their edges
+    first, last = corners.amin(-2) - beyond, corners.amax(-2) + beyond
+    first_inside, last_inside = _inside(first, size), _inside(last, size)
+    area, whole = (last_inside - first_inside).prod(-1), (last - first).prod(-1)
+    kept = (area > 0) & (area >= rule.min_area) & (area >= rule.min_visibility * whole)
+    if rule.clip:
+        center = (first_inside + last_inside) / 2
+        x, y = (first_inside + beyond).minimum(center).unbind(-1)
+        right, bottom = (last_inside - beyond).maximum(center).unbind(-1)
+        inside = torch.stack([x, y, right, y, right, bottom, x, bottom], -1).reshape(corners.shape)
+        values = inside if mode == "vertices" else _boxes_around(inside, mode)
+    axes = (..., *[None] * (boxes.dim() - kept.dim()))
+    return _as_type(torch.where(kept[axes], values, 0).to(values), boxes).to(boxes.dtype), kept
+
+
+def _inside(points: Tensor, size: tuple[int, int]) -> Tensor:
+    """Points moved to the nearest place inside an image, in coordinates of pixel centers."""
+    x, y = points.unbind(-1)
+    return torch.stack([x.clamp(-0.5, size[1] - 0.5), y.clamp(-0.5, size[0] - 0.5)], -1)
+
+
+def filter_labels(classes: Any, kept: Any) -> Any:
+    """The class labels of boxes that stay; in tensors, whose shape stays, -1 for the others.
+
+    Labels that do not begin with the shape of the boxes are those of images, and stay.
+    """
+    if isinstance(classes, (list, tuple)):
+        rows = kept if isinstance(kept, list) else list(kept)
+        if len(classes) != len(rows) or not all(isinstance(part, Tensor) for part in classes):
+            return classes
+        return type(classes)(
+            part[row.to(part.device)] if len(part) == len(row) else part for part, row in zip(classes, rows)
+        )
+    if isinstance(kept, list) or not isinstance(classes, Tensor) or classes.shape[: kept.dim()] != kept.shape:
+        return classes
+    if classes.dtype in (torch.uint8, torch.uint16, torch.uint32, torch.uint64, torch.bool):
+        raise TypeCheckError(
+            f"AugmentationSequential: expected class of a type with -1, which marks boxes that are gone, got {classes.dtype}"
+        )
+    axes = (..., *[None] * (classes.dim() - kept.dim()))
+    return torch.where(kept[axes].to(classes.device), classes, -1).to(classes.dtype)
 
 
 def _as_type(moved: Tensor, boxes: Tensor) -> Tensor:

@@ -29,6 +29,10 @@ class AugmentationSequential(ImageSequential):
     "keypoints" are (B, N, 2): the center of the first pixel is (0, 0). A moved box is the smallest upright one around the
     four moved corners. "class" is returned as it was given.
 
+    With `clip_boxes`, `min_box_area` or `min_box_visibility`, boxes without a part inside the image are removed as well. Lists
+    of boxes and of their classes become shorter. Tensors keep their shape: removed boxes are 0, their classes -1. `kept_boxes`
+    says which boxes stayed. "class" belongs to the boxes before it, or else to those after it, if it has one label of each.
+
     Args:
         *args: augmentations, other containers, or any modules of images.
         data_keys: what the arguments of a call are, the image first: "input" or "image", "mask", "bbox", "bbox_xyxy",
@@ -44,11 +48,15 @@ class AugmentationSequential(ImageSequential):
             pixel. {} reads them as the images.
         resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones and
             interpolates once.
+        clip_boxes: cut moved boxes off at the edges of the image.
+        min_box_area: moved boxes with fewer pixels inside the image are removed.
+        min_box_visibility: moved boxes with a smaller share of their area inside the image are removed, 0 to 1.
         generator: draws the keys of each call; default: torch's generator.
 
     Raises:
         TypeError: a child is no module.
-        ValueError: a key is unknown, or the first is not the image's.
+        ValueError: a key is unknown, or the first is not the image's; `min_box_area` is negative, or `min_box_visibility` not
+            within 0 and 1.
 
     Example:
         >>> import torch, kvision as K
@@ -73,6 +81,9 @@ class AugmentationSequential(ImageSequential):
         transformation_matrix_mode: str = "silent",
         extra_args: dict[Any, dict[str, Any]] | None = None,
         resample: str = "each",
+        clip_boxes: bool = False,
+        min_box_area: float = 0.0,
+        min_box_visibility: float = 0.0,
         generator: Generator | None = None,
     ) -> None:
         super().__init__(
@@ -94,6 +105,15 @@ class AugmentationSequential(ImageSequential):
             raise ValueCheckError(
                 f"AugmentationSequential: expected data_keys to begin with 'input', got {data_keys!r}"
             )
+        if not min_box_area >= 0:
+            raise ValueCheckError(f"AugmentationSequential: expected min_box_area of 0 or more, got {min_box_area}")
+        if not 0 <= min_box_visibility <= 1:
+            raise ValueCheckError(
+                f"AugmentationSequential: expected min_box_visibility within 0 and 1, got {min_box_visibility}"
+            )
+        self.box_filter = labels.BoxFilter(clip_boxes, min_box_area, min_box_visibility)
+        self._kept_boxes: list[Any] = []
+        self._result_size = (0, 0)
         self.transformation_matrix_mode = transformation_matrix_mode
         self.extra_args = {DataKey.MASK: {"resample": "nearest"}} if extra_args is None else extra_args
 
@@ -152,6 +172,7 @@ class AugmentationSequential(ImageSequential):
         image = inputs[keys.index(DataKey.INPUT)]
         x = self.transform_tensor(image)
         y = self._execute(x, params, self._source(seed, generator))
+        self._result_size = (y.shape[-2], y.shape[-1])
         first = keys.index(DataKey.INPUT)
         outputs = []
         for i, (key, value) in enumerate(zip(keys, inputs)):
@@ -163,16 +184,38 @@ class AugmentationSequential(ImageSequential):
                 outputs.append(self._restored(z, value))
             else:
                 outputs.append(self._moved(key, value, self._stages))
-        return outputs
+        return self._filtered(keys, outputs, self._result_size)
 
     def _move_alone(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
         """Labels without their images, moved by the last call or by given parameters."""
-        stages = self._stages
+        stages, size = self._stages, self._result_size
         if params is not None:
-            stages = self._stages_of(torch.zeros(1), params)
-        return [self._moved(key, value, stages) for key, value in zip(keys, inputs)]
+            image, stages = self._replayed(torch.zeros(1), params)
+            size = (image.shape[-2], image.shape[-1])
+        return self._filtered(keys, [self._moved(key, value, stages) for key, value in zip(keys, inputs)], size)
 
     # --- labels ---
+
+    @property
+    def kept_boxes(self) -> list[Any]:
+        """Which boxes of the last call stayed: for each input of boxes bool (B, N), or a list of (N,); empty without a filter."""
+        return self._kept_boxes
+
+    def _filtered(self, keys: Sequence[DataKey], values: list[Any], size: tuple[int, int]) -> list[Any]:
+        """Moved boxes that the filter leaves, and their class labels."""
+        self._kept_boxes = []
+        if self.box_filter.does_nothing:
+            return values
+        kept: dict[int, Any] = {}
+        for i, key in enumerate(keys):
+            if key in labels.BOX_FORMATS:
+                values[i], kept[i] = labels.filter_boxes(values[i], labels.BOX_FORMATS[key], size, self.box_filter)
+        self._kept_boxes = list(kept.values())
+        for i, key in enumerate(keys):
+            if key == DataKey.CLASS and kept:
+                before = [at for at in kept if at < i]
+                values[i] = labels.filter_labels(values[i], kept[before[-1] if before else min(kept)])
+        return values
 
     def _moved(self, key: DataKey, value: Any, stages: Sequence[Stage]) -> Any:
         if key == DataKey.MASK:

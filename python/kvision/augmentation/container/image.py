@@ -348,10 +348,13 @@ class ImageSequential(ImageSequentialBase):
 
     def _stages_of(self, x: Tensor, params: Sequence[ParamItem]) -> list[Stage]:
         """What a call with given parameters did, on images of which only the size counts."""
+        return self._replayed(x, params)[1]
+
+    def _replayed(self, x: Tensor, params: Sequence[ParamItem]) -> tuple[Tensor, list[Stage]]:
         shape = _input_shape(params)
         image = x.new_zeros(1).expand(tuple(x.shape) if shape is None else shape)
         source = self._source(None, None)
-        return execute(image, self._children_of_call(params, source), source)[1]
+        return execute(image, self._children_of_call(params, source), source)
 
     def is_intensity_only(self, strict: bool = True) -> bool:
         """Whether all children leave pixels in their places; other modules count as moving them if `strict`."""

@@ -1,0 +1,157 @@
+"""Boxes that are clipped and filtered after they have moved, with their class labels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+import kvision as K
+import kvision.augmentation as A
+
+
+class Shift(A.GeometricAugmentationBase2D):
+    """Three columns to the right and a row up."""
+
+    def compute_transformation(self, input: Tensor, params: Any, flags: Any) -> Tensor:
+        return torch.tensor([[1.0, 0, 3], [0, 1, -1], [0, 0, 1]], device=input.device).expand(len(input), 3, 3)
+
+
+def container(*children: Any, keys: tuple[str, ...] = ("image", "bbox_xyxy", "class"), **options: Any) -> Any:
+    return A.AugmentationSequential(*(children or (Shift(p=1.0),)), data_keys=keys, **options)
+
+
+IMAGE = torch.zeros(1, 3, 8, 10)
+# After the shift: whole; a quarter of 4x4 pixels inside; outside; half of 2x8 pixels inside.
+BOXES = torch.tensor([[[1.0, 2, 4, 4], [5.0, -1, 9, 3], [8.0, 3, 9, 4], [0.0, -3, 2, 5]]])
+MOVED = BOXES + torch.tensor([3.0, -1, 3, -1])
+CLASSES = torch.tensor([[5, 6, 7, 8]])
+
+
+def test_nothing_is_clipped_or_removed_by_default(device: torch.device) -> None:
+    augment = container()
+    _, boxes, classes = augment(IMAGE.to(device), BOXES.to(device), CLASSES.to(device))
+    assert torch.equal(boxes.cpu(), MOVED) and torch.equal(classes.cpu(), CLASSES)
+    assert augment.kept_boxes == []
+
+
+@pytest.mark.parametrize(
+    "options, kept",
+    [
+        ({"clip_boxes": True}, [True, True, False, True]),
+        ({"min_box_area": 4.0}, [True, True, False, True]),
+        ({"min_box_area": 4.1}, [True, False, False, True]),
+        ({"min_box_visibility": 0.25}, [True, True, False, True]),
+        ({"min_box_visibility": 0.4}, [True, False, False, True]),
+        ({"min_box_visibility": 1.0}, [True, False, False, False]),
+        ({"min_box_area": 7.0, "min_box_visibility": 0.1}, [False, False, False, True]),
+    ],
+)
+@pytest.mark.parametrize("format", ["bbox_xyxy", "bbox_xywh", "bbox"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.int64], ids=str)
+def test_boxes_that_stay(options: dict[str, Any], kept: list[bool], format: str, dtype: torch.dtype, device) -> None:
+    if format == "bbox" and dtype == torch.int64:
+        pytest.skip("vertices are not whole pixels here")
+    boxes = as_format(BOXES, format).to(dtype)
+    augment = container(keys=("image", format, "class"), **options)
+    _, moved, classes = augment(IMAGE.to(device), boxes.to(device), CLASSES.to(device))
+    (found,) = augment.kept_boxes
+    assert found.tolist() == [kept] and moved.dtype == dtype and moved.shape == boxes.shape
+    expected = MOVED.clone()
+    if options.get("clip_boxes"):
+        expected = torch.stack([*expected.unbind(-1)], -1)
+        expected[..., 0::2] = expected[..., 0::2].clamp(0, 10)
+        expected[..., 1::2] = expected[..., 1::2].clamp(0, 8)
+    expected = as_format(expected, format).to(dtype)
+    expected[:, ~torch.tensor(kept)] = 0
+    assert torch.equal(moved.cpu(), expected)
+    assert classes.tolist() == [[c if k else -1 for c, k in zip((5, 6, 7, 8), kept)]]
+
+
+def as_format(boxes: Tensor, format: str) -> Tensor:
+    x, y, right, bottom = boxes.unbind(-1)
+    if format == "bbox_xywh":
+        return torch.stack([x, y, right - x, bottom - y], -1)
+    if format == "bbox":  # centers of the outermost pixels
+        x, y, right, bottom = x, y, right - 1, bottom - 1
+        return torch.stack([x, y, right, y, right, bottom, x, bottom], -1).reshape(*boxes.shape[:-1], 4, 2)
+    return boxes
+
+
+def test_lists_become_shorter_with_their_classes(device: torch.device) -> None:
+    images = IMAGE.expand(3, -1, -1, -1).to(device)
+    boxes = [BOXES[0].to(device), BOXES[0, 2:3].to(device), BOXES[0, :0].to(device)]
+    classes = [CLASSES[0].to(device), CLASSES[0, 2:3].to(device), CLASSES[0, :0].to(device)]
+    augment = container(min_box_visibility=0.4)
+    _, moved, left = augment(images, boxes, classes)
+    assert [len(part) for part in moved] == [2, 0, 0] and torch.equal(moved[0].cpu(), MOVED[0, [0, 3]])
+    assert [part.tolist() for part in left] == [[5, 8], [], []]
+    assert [part.tolist() for part in augment.kept_boxes[0]] == [[True, False, False, True], [False], []]
+
+
+def test_empty_boxes(device: torch.device) -> None:
+    augment = container(clip_boxes=True, min_box_area=1.0)
+    _, boxes, classes = augment(IMAGE.to(device), BOXES[:, :0].to(device), CLASSES[:, :0].to(device))
+    assert boxes.shape == (1, 0, 4) and classes.shape == (1, 0)
+    none = augment(IMAGE[:0].to(device), BOXES[:0].to(device), CLASSES[:0].to(device))
+    assert [x.shape[0] for x in none] == [0, 0, 0]
+    _, boxes, _ = augment(IMAGE.to(device), [], [])
+    assert boxes == []
+
+
+def test_boxes_of_one_image_and_boxes_as_objects() -> None:
+    augment = container(keys=("image", "bbox_xyxy"), clip_boxes=True)
+    _, boxes = augment(IMAGE[0], BOXES[0])
+    assert boxes.shape == (4, 4) and augment.kept_boxes[0].tolist() == [True, True, False, True]
+    objects = K.geometry.Boxes.from_tensor(BOXES, mode="xyxy")
+    augment = container(keys=("image", "bbox"), min_box_visibility=0.4)
+    _, moved = augment(IMAGE, objects)
+    assert augment.kept_boxes[0].tolist() == [[True, False, False, True]]
+    assert torch.equal(moved.to_tensor("xyxy")[0, [0, 3]], MOVED[0, [0, 3]])
+
+
+def test_classes_belong_to_the_boxes_before_them() -> None:
+    keys = ("image", "class", "bbox_xyxy", "bbox_xywh", "class")
+    augment = container(keys=keys, min_box_visibility=0.4)
+    _, first, _, _, second = augment(IMAGE, CLASSES, BOXES, as_format(BOXES.flip(1), "bbox_xywh"), CLASSES)
+    assert first.tolist() == [[5, -1, -1, 8]] and second.tolist() == [[5, -1, -1, 8]][::-1]
+    assert len(augment.kept_boxes) == 2
+    inputs = {"image": IMAGE, "bbox_xyxy_1": BOXES, "class_1": CLASSES, "class_of_image": torch.tensor([3])}
+    outputs = container(keys=None, min_box_visibility=0.4)(inputs)
+    assert outputs["class_1"].tolist() == [[5, -1, -1, 8]] and outputs["class_of_image"].tolist() == [3]
+    assert torch.equal(inputs["class_1"], CLASSES)
+    one_hot = torch.eye(4)[None]
+    assert container(min_box_visibility=0.4)(IMAGE, BOXES, one_hot)[2][0, 1].tolist() == [-1] * 4
+
+
+def test_replay_and_labels_alone_are_filtered_alike(device: torch.device) -> None:
+    children = A.RandomResizedCrop((6, 5), scale=(0.2, 0.5)), A.RandomHorizontalFlip(), A.RandomRotation(30.0)
+    augment = container(*children, clip_boxes=True, min_box_visibility=0.3)
+    images = torch.rand(8, 3, 20, 24, device=device)
+    corner = 16 * torch.rand(8, 5, 2)
+    boxes = torch.cat([corner, corner + 2 + 6 * torch.rand(8, 5, 2)], -1).to(device)
+    classes = torch.arange(40, device=device).reshape(8, 5)
+    first = augment(images, boxes, classes)
+    params, (kept,) = augment._params, augment.kept_boxes
+    assert 0 < kept.sum() < 40
+    x, y, right, bottom = first[1][kept].unbind(-1)
+    assert (x >= 0).all() and (y >= 0).all() and (right <= 5).all() and (bottom <= 6).all()
+    assert (first[1][~kept] == 0).all() and (first[2][~kept] == -1).all()
+    assert torch.equal(first[2][kept], classes[kept])
+    alone = augment(boxes, classes, data_keys=["bbox_xyxy", "class"])
+    other = container(*children, clip_boxes=True, min_box_visibility=0.3)
+    replayed = other(boxes, classes, params=params, data_keys=["bbox_xyxy", "class"])
+    for moved in (alone, replayed, other(images, boxes, classes, params=params)[1:]):
+        torch.testing.assert_close(moved[0], first[1])
+        assert torch.equal(moved[1], first[2])
+
+
+def test_errors() -> None:
+    with pytest.raises(ValueError, match="AugmentationSequential: expected min_box_area of 0 or more, got -1"):
+        container(min_box_area=-1)
+    with pytest.raises(ValueError, match="AugmentationSequential: expected min_box_visibility within 0 and 1, got 2"):
+        container(min_box_visibility=2)
+    with pytest.raises(TypeError, match="expected class of a type with -1, .* got torch.uint8"):
+        container(clip_boxes=True)(IMAGE, BOXES, CLASSES.byte())

@@ -57,6 +57,11 @@ def test_quickstart_runs(photo: None) -> None:
     exec("\n".join(examples("docs/quickstart.md")), {})
 
 
+def test_deployment_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec("\n".join(examples("docs/deployment.md")), {})
+
+
 def test_coverage_of_kornia_is_as_written() -> None:
     """Modules that docs/migrating_from_kornia.md lists as missing are missing; the others exist."""
     rows = re.findall(

@@ -1,4 +1,4 @@
-"""From Python to production: programs of torch.export, and AOTInductor packages that run without kvision's Python."""
+"""From Python to production: programs of torch.export, and AOTInductor packages that run without kvision's Python or any."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from torch import Tensor, nn
 import kvision as K
 from kvision import _ops
 from op_tests import assert_close
+
+ROOT = Path(__file__).parents[1]
 
 
 class Sharpness(nn.Module):
@@ -77,3 +79,20 @@ assert not any(name.startswith("kvision") for name in sys.modules)
 """
     libraries = [_ops.LIBRARY_FOLDER / _ops._LIBRARIES[d] for d in {"cpu", device.type} if d not in _ops.unserved]
     subprocess.run([sys.executable, "-c", script, package, tmp_path / "case.pt", *sorted(libraries)], check=True)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("cpu" in _ops.unserved, reason="the program links libkvision.so")
+def test_pipeline_runs_in_cpp(cmake: str, device: torch.device, tmp_path: Path) -> None:
+    """examples/cpp/run_pipeline gives Python's numbers from a package and from a traced module."""
+    pytest.importorskip("skimage.data")
+    prefixes = f"{_ops.LIBRARY_FOLDER.parent};{torch.utils.cmake_prefix_path}"
+    build, saved = tmp_path / "build", tmp_path / "saved"
+    subprocess.run([cmake, "-S", ROOT / "examples/cpp", "-B", build, f"-DCMAKE_PREFIX_PATH={prefixes}"], check=True)
+    subprocess.run([cmake, "--build", build, "--target", "run_pipeline"], check=True)
+    script = ROOT / "examples/cpp/save_pipeline.py"
+    subprocess.run([sys.executable, script, "--device", device.type, "--out", saved], check=True)
+    printed = subprocess.run([build / "run_pipeline", saved], check=True, stdout=subprocess.PIPE, text=True).stdout
+    assert f"image [2, 3, 512, 512] on {device.type}" in printed
+    for name in ("AOTInductor package: ", "traced module: ", "AOTInductor package, batch of 1: "):
+        assert f"{name}largest difference from Python" in printed

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision._torch_compat import in_function_transform
+from kvision._torch_compat import in_function_transform, is_tracing
 from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
 
 BORDERS = ("constant", "reflect", "replicate", "circular")
@@ -115,6 +115,11 @@ def volumes(op: str, name: str, x: Any) -> None:
         raise ShapeError(
             f"{op}: expected {name} with D, H, W of at least 1, got {tuple(x.shape)}", actual_shape=x.shape
         )
+
+
+def sizes_as_numbers(x: Tensor) -> Sequence[int]:
+    """`x.shape` for arithmetic: under torch.jit.trace, whose sizes are tensors, as the numbers that it records."""
+    return tuple(map(int, x.shape)) if is_tracing() else x.shape
 
 
 def values_are_readable(x: Tensor) -> bool:
@@ -224,7 +229,7 @@ def scalar(op: str, name: str, value: Any) -> Any:
 def scalars(op: str, name: str, value: Any) -> Any:
     """`scalar`, also of the entries of a tuple or list."""
     if isinstance(value, (tuple, list)):
-        return type(value)(scalar(op, name, v) for v in value) if type(value) in (tuple, list) else value
+        return type(value)(scalar(op, name, v) for v in value) if type(value) in (tuple, list, torch.Size) else value
     return scalar(op, name, value)
 
 

@@ -4,7 +4,7 @@ An operator is its reference, written in plain torch, plus kernels registered un
 `torch.ops.kvision.<name>`. `register` ties them together and returns the function everything in kvision calls:
 
     call ──► reference                      no kernel for this device or dtype, or the user asked for it
-        ├──► torch.ops.kvision.<name>       while compiling or exporting: register_fake and register_autograd serve it
+        ├──► torch.ops.kvision.<name>       while compiling, exporting or tracing: register_fake, register_autograd serve it
         ├──► autograd.Function ──► kernel   a graph is wanted: requires_grad, torch.func, forward-mode
         └──► kernel                         otherwise
 
@@ -38,6 +38,7 @@ from kvision._torch_compat import (
     has_kernel,
     in_forward_ad,
     in_function_transform,
+    is_tracing,
     kernel_caller,
     schema_of,
     unwrap_dead_wrappers,
@@ -348,6 +349,8 @@ class Operator:
                 return self._call_reference(reason, args)
         if is_compiling():
             return self.kernel(*args)
+        if is_tracing():
+            return self.kernel(*map(_recorded, args))
         if in_function_transform():
             return self.function.apply(*args)
         if is_grad_enabled():
@@ -548,6 +551,13 @@ def vjp(reference: Callable[..., Tensor]) -> Callable[..., Tensor]:
 
 
 # --- helpers --------------------------------------------------------------------------------------------------------
+
+
+def _recorded(argument: Any) -> Any:
+    """A list of sizes as numbers, which torch.jit.trace records them as; it hands them out as tensors."""
+    if isinstance(argument, (list, tuple)):
+        return [n.item() if isinstance(n, Tensor) else n for n in argument]
+    return argument
 
 
 def _as_tuple(output: Any) -> tuple[Tensor, ...]:

@@ -6,11 +6,13 @@ a private one, and tools/test_torch_versions.py runs the core of the suite on th
 
 from __future__ import annotations
 
+import functools
+import inspect
 from collections.abc import Callable
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch._C import _are_functorch_transforms_active, _AutoDispatchBelowAutograd
 from torch._C._functorch import get_unwrapped, is_functorch_wrapped_tensor
 from torch._functorch.utils import unwrap_dead_wrappers
@@ -27,7 +29,9 @@ __all__ = [
     "has_kernel",
     "in_forward_ad",
     "in_function_transform",
+    "is_tracing",
     "kernel_caller",
+    "refuse_script",
     "schema_of",
     "unwrap_dead_wrappers",
     "without_transforms",
@@ -35,6 +39,9 @@ __all__ = [
 
 # Whether torch.func.vmap, grad, vjp, jvp or functionalize is active. Waits for a public predicate in torch.func.
 in_function_transform = _are_functorch_transforms_active
+
+# Whether torch.jit.trace records. torch.jit.is_tracing is public, and two Python frames around this one.
+is_tracing = torch._C._is_tracing
 
 # Calls inside skip autograd's dispatch key and reach the kernel. Python's counterpart of the public C++ class
 # at::AutoDispatchBelowAutograd; waits for a public one, such as a context manager in torch.library.
@@ -115,3 +122,25 @@ def function_caller(function: type[torch.autograd.Function]) -> Callable[..., An
     It is the apply of the private base class of autograd.Function. Waits for an apply that is in C++ as a whole.
     """
     return super(torch.autograd.Function, function).apply  # type: ignore[misc]  # stubs lack the base class
+
+
+def refuse_script(package: dict[str, Any]) -> None:
+    """Let torch.jit.script, which torch has deprecated, say for the functions and modules of a package what to use instead.
+
+    Without it the compiler of TorchScript complains of whatever it does not know in them. Waits for torch.jit to be gone.
+    """
+    for name, value in package.items():
+        if not getattr(value, "__module__", "").startswith("kvision."):
+            continue
+        sentence = (
+            f"kvision's {name} is not compiled by torch.jit.script, which PyTorch has deprecated: use torch.export (with "
+            "AOTInductor where there is no Python) or torch.jit.trace."
+        )
+        if inspect.isfunction(value):
+            value.__script_unsupported = sentence  # type: ignore[attr-defined]  # torch.jit.script looks for it
+        elif inspect.isclass(value) and issubclass(value, nn.Module):
+            value.__prepare_scriptable__ = functools.partialmethod(_raise_script_error, sentence)  # type: ignore[attr-defined]
+
+
+def _raise_script_error(_: nn.Module, sentence: str) -> None:
+    raise RuntimeError(f"TorchScript error: {sentence}")

@@ -1,5 +1,6 @@
 """Random augmentation of images with their masks, boxes, key points and labels."""
 
+from kvision import _torch_compat
 from kvision.augmentation import auto, container, draws, presets, random_generator
 from kvision.augmentation.adjustments import (
     RandomBrightness,
@@ -176,3 +177,6 @@ __all__ = [
     "preview",
     "random_generator",
 ]
+
+for _package in (globals(), vars(auto), vars(auto.operations)):
+    _torch_compat.refuse_script(dict(_package))

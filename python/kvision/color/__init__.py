@@ -4,6 +4,7 @@ Colors are in [0, 1] and hue is in radians unless said otherwise. Computation is
 images; half types are rounded once, at the end.
 """
 
+from kvision import _torch_compat
 from kvision.color.colormap import ApplyColorMap, ColorMap, ColorMapType, apply_colormap
 from kvision.color.gray import (
     BgrToGrayscale,
@@ -65,3 +66,5 @@ from kvision.color.yuv import (
     yuv422_to_rgb,
     yuv_to_rgb,
 )
+
+_torch_compat.refuse_script(globals())

@@ -1,5 +1,6 @@
 """Patches, regions, distances, noise, histograms and clusters."""
 
+from kvision import _torch_compat
 from kvision.contrib.connected_components import connected_components, connected_components_union_find
 from kvision.contrib.diamond_square import diamond_square
 from kvision.contrib.distance_transform import DistanceTransform, distance_transform
@@ -14,3 +15,5 @@ from kvision.contrib.patches import (
     compute_padding,
     extract_tensor_patches,
 )
+
+_torch_compat.refuse_script(globals())

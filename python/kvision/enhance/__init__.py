@@ -6,6 +6,7 @@ Parameters are numbers, or tensors with the leading axes of the images: (B,) has
 Computation is in float32, or in float64 for float64 images.
 """
 
+from kvision import _torch_compat
 from kvision.enhance.add_weighted import AddWeighted, add_weighted
 from kvision.enhance.brightness import (
     AdjustBrightness,
@@ -44,3 +45,5 @@ from kvision.enhance.shift_rgb import shift_rgb
 from kvision.enhance.solarize import solarize
 from kvision.enhance.threshold import Threshold, ThresholdType, threshold
 from kvision.enhance.zca import ZCAWhitening, linear_transform, zca_mean, zca_whiten
+
+_torch_compat.refuse_script(globals())

@@ -12,6 +12,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._ops import register, vjp
+from kvision._torch_compat import is_tracing
 from kvision.core.exceptions import ShapeError, ValueCheckError
 
 _KERNELS: dict[str, Callable[[Tensor], Tensor]] = {
@@ -53,8 +54,8 @@ class _Recomputed(torch.autograd.Function):
 
 
 def recomputed(f: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
-    # torch.compile decides itself what to store, and cannot trace a Function with forward mode.
-    return f(*tensors) if torch.compiler.is_compiling() else _Recomputed.apply(f, *tensors)
+    # torch.compile decides itself what to store, and cannot trace a Function with forward mode; torch.jit.trace saves none.
+    return f(*tensors) if torch.compiler.is_compiling() or is_tracing() else _Recomputed.apply(f, *tensors)
 
 
 def pieces(pixels: int, bins: int) -> int:

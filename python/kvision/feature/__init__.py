@@ -4,6 +4,7 @@ Frames are (B, N, 2, 3), one of N slots for each feature; a frame of zeros is an
 Everything but the choice of features is differentiable.
 """
 
+from kvision import _torch_compat
 from kvision.feature.adalam import match_adalam
 from kvision.feature.affine_shape import LAFAffineShapeEstimator, PatchAffineShapeEstimator
 from kvision.feature.affnet import LAFAffNetShapeEstimator
@@ -80,3 +81,5 @@ from kvision.feature.sift import (
 )
 from kvision.feature.sosnet import SOSNet
 from kvision.feature.tfeat import TFeat
+
+_torch_compat.refuse_script(globals())

@@ -4,6 +4,7 @@ Sizes and sigmas are (y, x). Results have the size of the input unless said othe
 float64 for float64 images; half types and, where OpenCV has it, uint8 are stored back.
 """
 
+from kvision import _torch_compat
 from kvision.filters.bilateral import BilateralBlur, JointBilateralBlur, bilateral_blur, joint_bilateral_blur
 from kvision.filters.blur_pool import (
     BlurPool2D,
@@ -56,3 +57,5 @@ from kvision.filters.separable import filter2d_separable
 from kvision.filters.sobel import Sobel, sobel
 from kvision.filters.spatial_gradient import SpatialGradient, SpatialGradient3d, spatial_gradient, spatial_gradient3d
 from kvision.filters.unsharp import UnsharpMask, unsharp_mask
+
+_torch_compat.refuse_script(globals())

@@ -1,5 +1,6 @@
 """Geometry: images moved, bent, resized, cropped and registered; points, poses, cameras and boxes."""
 
+from kvision import _torch_compat
 from kvision.geometry import (
     bbox,
     boxes,
@@ -48,3 +49,5 @@ from kvision.geometry.solvers import *  # noqa: F403
 from kvision.geometry.subpix import *  # noqa: F403
 from kvision.geometry.transform import *  # noqa: F403
 from kvision.geometry.vector import *  # noqa: F403
+
+_torch_compat.refuse_script(globals())

@@ -1,5 +1,6 @@
 """Images as tensors: conversion from and to NumPy, grids, drawing, printing."""
 
+from kvision import _torch_compat
 from kvision.image.convert import ImageToTensor, image_list_to_tensor, image_to_tensor, tensor_to_image
 from kvision.image.draw import draw_convex_polygon, draw_line, draw_point2d, draw_rectangle
 from kvision.image.grid import make_grid
@@ -28,3 +29,5 @@ __all__ = [
     "print_image",
     "tensor_to_image",
 ]
+
+_torch_compat.refuse_script(globals())

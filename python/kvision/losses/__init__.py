@@ -4,6 +4,7 @@ Segmentations are logits (B, C, H, W) with int64 labels (B, H, W). Every loss is
 with the device. Half types are computed in float32.
 """
 
+from kvision import _torch_compat
 from kvision.losses.divergence import js_div_loss_2d, kl_div_loss_2d
 from kvision.losses.focal import BinaryFocalLossWithLogits, FocalLoss, binary_focal_loss_with_logits, focal_loss
 from kvision.losses.hausdorff import HausdorffERLoss, HausdorffERLoss3D
@@ -44,3 +45,5 @@ from kvision.losses.smoothness import (
     total_variation,
 )
 from kvision.losses.ssim import L1SSIMLoss, SSIM3DLoss, SSIMLoss, l1_ssim_loss, ssim3d_loss, ssim_loss
+
+_torch_compat.refuse_script(globals())

@@ -4,6 +4,7 @@ Nothing waits for the device of its tensors, except where the result is a Python
 float64 for float64.
 """
 
+from kvision import _torch_compat
 from kvision.metrics.accuracy import accuracy
 from kvision.metrics.average_meter import AverageMeter
 from kvision.metrics.boxes import mean_average_precision, mean_iou_bbox
@@ -18,3 +19,5 @@ from kvision.metrics.endpoint_error import AEPE, aepe, average_endpoint_error
 from kvision.metrics.pose import angle_error_mat, angle_error_vec, auc_from_errors, pose_errors, translation_ate
 from kvision.metrics.psnr import psnr
 from kvision.metrics.ssim import SSIM, SSIM3D, ssim, ssim3d
+
+_torch_compat.refuse_script(globals())

@@ -1,5 +1,6 @@
 """Small helpers, and the names of other modules that older code imports from here."""
 
+from kvision import _torch_compat
 from kvision.core.ops import eye_like, vec_like
 from kvision.image import (
     ImageToTensor,
@@ -55,3 +56,5 @@ __all__ = [
     "vec_like",
     "xla_is_available",
 ]
+
+_torch_compat.refuse_script(globals())

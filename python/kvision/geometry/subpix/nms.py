@@ -13,7 +13,7 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import match_layout, register
-from kvision._torch_compat import in_function_transform
+from kvision._torch_compat import in_function_transform, is_tracing
 from kvision.geometry._precision import wants_derivative
 
 __all__ = ["NonMaximaSuppression2d", "NonMaximaSuppression3d", "nms2d", "nms3d", "nms3d_minmax"]
@@ -111,8 +111,8 @@ def _nms(x, window, volumes, mask_only):
 
 def _as_bool(flags):
     # A view of bytes as bool is free, but inductor does not compile the operators after it (torch 2.13), and vmap does
-    # not know it (torch 2.11).
-    viewable = not (torch.compiler.is_compiling() or in_function_transform())
+    # not know it (torch 2.11), nor torch.jit.trace.
+    viewable = not (torch.compiler.is_compiling() or is_tracing() or in_function_transform())
     return flags.view(torch.bool) if viewable else flags != 0
 
 

@@ -79,7 +79,7 @@ def pyrdown(input: Tensor, border_type: str = "reflect", align_corners: bool = F
     _check.images("pyrdown", "input", input)
     _check.flag("pyrdown", "align_corners", align_corners)
     factor = _check.number("pyrdown", "factor", factor)
-    size = [math.trunc(side / factor) if factor > 0 else 0 for side in input.shape[2:]]
+    size = [math.trunc(side / factor) if factor > 0 else 0 for side in _check.sizes_as_numbers(input)[2:]]
     if 0 in size:
         raise ShapeError(f"pyrdown: expected factor to leave a pixel of {tuple(input.shape[2:])}, got {factor}")
     if border_type == "circular":
@@ -195,7 +195,7 @@ def build_laplacian_pyramid(
     _check.images(op, "input", input)
     (count,) = _check.ints(op, "max_level", max_level, 1)
     image = input if input.is_floating_point() else input.float()
-    h, w = image.shape[2:]
+    h, w = _check.sizes_as_numbers(image)[2:]
     powers = [1 << (side - 1).bit_length() for side in (h, w)]
     halved = 2 ** (count - 1)
     if h % halved or w % halved or (powers[0] != h and powers[1] != w):

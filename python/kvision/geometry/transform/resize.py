@@ -212,7 +212,7 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
 def _size_of_images(op: str, input: Tensor) -> tuple[int, int]:
     _check.numbers(op, "input", input)
     if input.dim() >= 2:
-        h, w = input.shape[-2:]
+        h, w = _check.sizes_as_numbers(input)[-2:]
         if h != 0 and w != 0:
             return h, w
     raise ShapeError(
@@ -278,7 +278,8 @@ def _rescale(input, factor, interpolation, align_corners, antialias):
     if len(factors) != 2:
         raise TypeCheckError(f"rescale: expected factor to be a number or two, got {factor!r}")
     y, x = (_check.number("rescale", "factor", f, minimum=0) for f in factors)
-    size = (math.trunc(input.shape[-2] * y), math.trunc(input.shape[-1] * x))
+    h, w = _check.sizes_as_numbers(input)[-2:]
+    size = (math.trunc(h * y), math.trunc(w * x))
     if 0 in size:
         raise ValueCheckError(f"rescale: expected factor to leave a pixel of {tuple(input.shape[-2:])}, got {factor!r}")
     return _resize("rescale", input, size, interpolation, align_corners, "short", antialias)
@@ -319,7 +320,7 @@ def resize_to_be_divisible(
     op = "resize_to_be_divisible"
     _size_of_images(op, input)
     (n,) = _check.ints(op, "divisible_factor", divisible_factor, 1)
-    h, w = (max(1, round(side / n)) * n for side in input.shape[-2:])
+    h, w = (max(1, round(side / n)) * n for side in _check.sizes_as_numbers(input)[-2:])
     return _resize(op, input, (h, w), interpolation, align_corners, side, antialias)
 
 

@@ -106,6 +106,7 @@ def test_a_wrong_result_and_a_failing_peer_show():
     assert rows["scipy"].value is None and "no_such_thing" in rows["scipy"].failure
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALL)
 def test_the_cases_do_the_same_work_as_their_peers(name):
     case = ALL[name]

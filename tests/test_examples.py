@@ -137,7 +137,60 @@ def test_the_chain_of_the_paper_is_moved_back(device: torch.device) -> None:
     assert (back[middle] - images[middle]).abs().max() < 0.02
 
 
-NAMES = ("image_registration", "depth_estimation", "segmentation_losses", "feature_matching", "augmentation")
+def test_autoencoder_on_small_faces(device, tmp_path: Path) -> None:
+    """Both losses fall and the figures are written; what edges gain takes more steps."""
+    pytest.importorskip("skimage")
+    pytest.importorskip("matplotlib")
+    autoencoder = example("autoencoder")
+    images = autoencoder.faces(None).to(device)
+    assert images.shape == (100, 3, 64, 64) and 0 <= images.min() < 0.2 and 0.8 < images.max() <= 1
+    trained, unseen = autoencoder.compare(images, 0, 0.1, 30, 4, "test")
+    assert len(unseen) == 30
+    for i, (name, result) in enumerate(trained.items()):
+        assert sum(x[i] for x in result.curve[-5:]) < 0.9 * sum(x[i] for x in result.curve[:5]), name
+    decoded = {name: result.model(unseen[:3]).detach() for name, result in trained.items()}
+    autoencoder.draw_faces(decoded, tmp_path / "faces.png")
+    autoencoder.draw_curves({name: result.curve for name, result in trained.items()}, tmp_path / "curves.png")
+    assert all((tmp_path / name).stat().st_size > 0 for name in ("faces.png", "curves.png"))
+
+
+def test_autoencoder_cuts_the_sheet_of_faces(data) -> None:
+    sheet = K.io.load_image(data / "faces" / "faces_64.png")
+    images = example("autoencoder").faces(data)
+    assert images.shape == (527, 3, 64, 64)
+    assert torch.equal(images[32], sheet[:, 64:128, 64:128])
+
+
+@pytest.mark.slow
+def test_autoencoder_keeps_edges(data, device, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    portrait, out = tmp_path / "portrait.png", tmp_path / "out"
+    K.io.write_image(portrait, torch.rand(3, 90, 70))
+    options = [
+        "--data",
+        str(data),
+        "--seeds",
+        "1",
+        "--image",
+        str(portrait),
+        "--out",
+        str(out),
+        "--device",
+        str(device),
+    ]
+    assert example("autoencoder").main(options) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith("seed 0: edge error ") and printed.endswith(f"figures are in {out}\n")
+    assert (out / "faces.png").stat().st_size > 0 and (out / "curves.png").stat().st_size > 0
+
+
+NAMES = (
+    "image_registration",
+    "depth_estimation",
+    "segmentation_losses",
+    "feature_matching",
+    "augmentation",
+    "autoencoder",
+)
 WITHOUT_IMAGE = ("train_distributed",)
 
 
@@ -150,7 +203,7 @@ def test_a_missing_device_is_said(name: str, capsys: pytest.CaptureFixture[str])
     assert capsys.readouterr().err.endswith("error: --device cuda: torch finds no CUDA device\n")
 
 
-@pytest.mark.parametrize("name", ("image_registration", "depth_estimation", "feature_matching"))
+@pytest.mark.parametrize("name", ("image_registration", "depth_estimation", "feature_matching", "autoencoder"))
 def test_a_wrong_folder_is_an_error(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
         example(name).main(["--data", str(tmp_path / "wrong"), "--device", "cpu"])

@@ -53,8 +53,9 @@ def test_readme_example_runs(photo: None) -> None:
     assert K.io.load_image("edges.png").shape == (3, 512, 512)
 
 
-def test_quickstart_runs(photo: None) -> None:
-    exec("\n".join(examples("docs/quickstart.md")), {})
+@pytest.mark.parametrize("page", ["docs/quickstart.md", "docs/augmentation.md"])
+def test_guides_run(page: str, photo: None) -> None:
+    exec("\n".join(examples(page)), {"__name__": "guide"})
 
 
 def test_deployment_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -331,3 +331,23 @@ def test_cells_of_a_grid(device: torch.device) -> None:
         A.PatchSequential(invert, grid_size=(2, 2))
     with pytest.raises(ValueError, match="keep the size of cells"):
         A.PatchSequential(A.CenterCrop(2), grid_size=(2, 2), patchwise_apply=False)(x)
+
+
+@pytest.mark.tracing
+def test_compiles_with_labels() -> None:
+    augment = A.AugmentationSequential(
+        A.RandomResizedCrop((9, 11)),
+        A.RandomHorizontalFlip(),
+        A.ColorJitter(0.2, 0.2, 0.2, 0.1),
+        data_keys=["image", "mask", "keypoints"],
+    )
+    inputs = torch.rand(4, 3, 16, 20), torch.rand(4, 1, 16, 20) > 0.5, 10 * torch.rand(4, 2, 2)
+    compiled = torch.compile(lambda *x: augment(*x, seed=4), fullgraph=True, backend="aot_eager")
+    for y, expected in zip(compiled(*inputs), augment(*inputs, seed=4)):
+        torch.testing.assert_close(y, expected)
+    compiled = torch.compile(lambda x: augment(x, data_keys=["image"]), fullgraph=True, backend="aot_eager")
+    assert not torch.equal(compiled(inputs[0]), compiled(inputs[0]))
+    torch.manual_seed(1)
+    first = compiled(inputs[0])
+    torch.manual_seed(1)
+    assert torch.equal(compiled(inputs[0]), first)

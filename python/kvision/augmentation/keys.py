@@ -45,6 +45,8 @@ def draw_keys(op: str, count: int, device: torch.device, seed: Seed, generator: 
         where = device
     else:
         where = torch.device("cpu") if generator is None else generator.device
+    if is_compiling():  # which knows no random_
+        return Keys(torch.randint(_LOWEST, 2**63 - 1, (count,), generator=generator, device=where))
     if where.type == "cpu":
         return Keys(torch.empty(count, dtype=torch.int64).random_(_LOWEST, None, generator=generator))
     # A CUDA generator gives other numbers for several in one call than for several calls.

@@ -2,7 +2,7 @@
 
 from kvision.augmentation.container.augmentation import AugmentationSequential
 from kvision.augmentation.container.dispatcher import ManyToManyAugmentationDispather, ManyToOneAugmentationDispather
-from kvision.augmentation.container.image import ImageSequential, ImageSequentialBase
+from kvision.augmentation.container.image import ImageSequential, ImageSequentialBase, ParamItem
 from kvision.augmentation.container.patch import PatchSequential
 from kvision.augmentation.container.video import VideoSequential
 
@@ -12,6 +12,7 @@ __all__ = [
     "ImageSequentialBase",
     "ManyToManyAugmentationDispather",
     "ManyToOneAugmentationDispather",
+    "ParamItem",
     "PatchSequential",
     "VideoSequential",
 ]

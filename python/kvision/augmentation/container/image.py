@@ -225,7 +225,7 @@ class ImageSequential(ImageSequentialBase):
         """The input as a batch: (H, W) and (C, H, W) become (1, C, H, W)."""
         if not isinstance(input, Tensor):
             raise TypeCheckError(f"{type(self).__name__}: expected input to be a Tensor, got {type(input).__name__}")
-        axes = max((m.axes for m in self.modules() if isinstance(m, AugmentationBase)), default=3)
+        axes = max([3, *(m.axes for m in self.modules() if isinstance(m, AugmentationBase))])
         if not axes - 1 <= input.dim() <= axes + 1:
             raise ShapeError(
                 f"{type(self).__name__}: expected input with {axes - 1} to {axes + 1} axes, got {tuple(input.shape)}"

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision._torch_compat import in_function_transform, is_tracing
+from kvision._torch_compat import in_function_transform
 from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
 
 BORDERS = ("constant", "reflect", "replicate", "circular")
@@ -119,7 +119,7 @@ def volumes(op: str, name: str, x: Any) -> None:
 
 def sizes_as_numbers(x: Tensor) -> Sequence[int]:
     """`x.shape` for arithmetic: under torch.jit.trace, whose sizes are tensors, as the numbers that it records."""
-    return tuple(map(int, x.shape)) if is_tracing() else x.shape
+    return tuple(map(int, x.shape)) if torch.jit.is_tracing() else x.shape
 
 
 def values_are_readable(x: Tensor) -> bool:

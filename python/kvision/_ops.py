@@ -3,7 +3,7 @@
 An operator is its reference, written in plain torch, plus kernels registered under the same name as
 `torch.ops.kvision.<name>`. `register` ties them together and returns the function everything in kvision calls:
 
-    call ──► reference                      no kernel for this device or dtype, or the user asked for it
+    call ──► reference                      no kernel for this device or dtype, the user asked for it, or for ONNX
         ├──► torch.ops.kvision.<name>       while compiling, exporting or tracing: register_fake, register_autograd serve it
         ├──► autograd.Function ──► kernel   a graph is wanted: requires_grad, torch.func, forward-mode
         └──► kernel                         otherwise
@@ -347,10 +347,8 @@ class Operator:
             if self.nondeterministic is True or self.nondeterministic(*args):
                 reason = "its kernel is not deterministic and torch.use_deterministic_algorithms is on"
                 return self._call_reference(reason, args)
-        if is_compiling():
-            return self.kernel(*args)
-        if is_tracing():
-            return self.kernel(*map(_recorded, args))
+        if is_compiling() or is_tracing():
+            return self._call_traced(args)
         if in_function_transform():
             return self.function.apply(*args)
         if is_grad_enabled():
@@ -361,6 +359,12 @@ class Operator:
             return self._apply(*args)
         with below_autograd():
             return self._call_kernel(*args)
+
+    def _call_traced(self, args: Sequence[Any]) -> Any:
+        """What a graph is to hold: the operator, and for ONNX, which has no kernels, the operators of its reference."""
+        if torch.onnx.is_in_onnx_export():  # torch imports torch.onnx only here
+            return self._call_reference("ONNX has no kernels of it", args)
+        return self.kernel(*args) if is_compiling() else self.kernel(*map(_recorded, args))
 
     # The one predicate on devices and types; `supports` is the one on all arguments.
     def is_native(self, x: Tensor) -> bool:

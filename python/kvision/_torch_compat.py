@@ -40,7 +40,8 @@ __all__ = [
 # Whether torch.func.vmap, grad, vjp, jvp or functionalize is active. Waits for a public predicate in torch.func.
 in_function_transform = _are_functorch_transforms_active
 
-# Whether torch.jit.trace records. torch.jit.is_tracing is public, and two Python frames around this one.
+# Whether torch.jit.trace records. torch.jit.is_tracing is public, but has two Python frames around this, which is asked on
+# every call; unlike it, this one waits for torch.compile to know it.
 is_tracing = torch._C._is_tracing
 
 # Calls inside skip autograd's dispatch key and reach the kernel. Python's counterpart of the public C++ class

@@ -7,6 +7,7 @@ import math
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
@@ -41,10 +42,11 @@ def _reference_suppress(x: Tensor, low: float, high: float, eps: float) -> tuple
     along_y = (magnitude > at(-1, 0)) & (magnitude >= at(1, 0))
     falling = (magnitude > at(-1, -1)) & (magnitude > at(1, 1))
     rising = (magnitude > at(1, -1)) & (magnitude > at(-1, 1))
-    diagonal = torch.where((gx > 0) == (gy > 0), falling, rising)
+    falls = (gx > 0) == (gy > 0)
+    diagonal = (falls & falling) | (~falls & rising)
     mostly_y = gx.abs() < _TAN_22_5 * gy.abs()
     mostly_x = gy.abs() <= _TAN_22_5 * gx.abs()
-    ridge = torch.where(mostly_x, along_x, torch.where(mostly_y, along_y, diagonal))
+    ridge = (mostly_x & along_x) | (~mostly_x & ((mostly_y & along_y) | (~mostly_y & diagonal)))
     ridge = ridge & (magnitude > padded[..., :1, :1])  # the corner is outside of the image: no gradient
     magnitude = magnitude * ridge
     edges = 0.5 * ((magnitude > low).to(x.dtype) + (magnitude > high).to(x.dtype))
@@ -72,11 +74,17 @@ def _reference_hysteresis(edges: Tensor) -> Tensor:
     How long it takes depends on the edges, so vmap, which hides them, needs the kernels.
     """
     candidates, strong = (edges > 0).to(edges.dtype), (edges == 1).to(edges.dtype)
-    while True:
+
+    def grow(strong: Tensor, _: Tensor) -> tuple[Tensor, Tensor]:
         grown = candidates * F.max_pool2d(strong, 3, stride=1, padding=1)
-        if torch.equal(grown, strong):
-            return strong
-        strong = grown
+        return grown, (grown != strong).any()
+
+    changed = torch.ones((), dtype=torch.bool, device=edges.device)
+    if is_compiling():  # a graph has loops of its own
+        return torch.while_loop(lambda _, changed: changed.clone(), grow, (strong, changed))[0]
+    while changed:
+        strong, changed = grow(strong, changed)
+    return strong
 
 
 _canny_hysteresis = register("canny_hysteresis", _reference_hysteresis, non_differentiable=(0,))

@@ -1,0 +1,535 @@
+"""Apply a pipeline of kvision to every picture of a folder: on one machine, or with Ray on a cluster.
+
+    python examples/process_folder.py PICTURES RESULTS                          a Gaussian blur
+    python examples/process_folder.py PICTURES RESULTS --pipeline "K.filters.MedianBlur(5)" "K.filters.Sobel()"
+    python examples/process_folder.py LIST.txt RESULTS                          a path or URL in each line; URLs take fsspec
+    ... --device cuda --decoder torchvision                                     JPEG files are decoded on the GPU
+    ... --engine ray --actors 8                                                 pip install "kvision[ray]"; RAY_ADDRESS says where
+
+A step of the pipeline is a Python expression for an nn.Module that takes images (B, 3, H, W) in [0, 1], or uint8 with --uint8;
+images of one size go through it together. The result of PICTURES/a/b.jpg is RESULTS/a/b.jpg.png. It appears complete or not at all,
+so that a second start does what is left of the first. A picture that cannot be read, or that the pipeline refuses, is a line of
+RESULTS/broken.csv and is left alone until --retry.
+
+On one machine the workers of a DataLoader decode, each with several threads. A worker that dies is replaced; a picture whose worker
+dies again, when it is alone, counts as broken. With Ray, tasks decode on all CPUs and a pool of actors, one a GPU, grows with what
+waits; Ray holds back the tasks when the actors are busy, and repeats what was lost with a machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import csv
+import importlib.util
+import itertools
+import logging
+import os
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.utils.data import DataLoader, Dataset
+
+import kvision as K
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
+BLUR = "K.filters.GaussianBlur2d(5, (1.5, 1.5))"
+DECODERS = {"opencv": "cv2", "torchvision": "torchvision", "nvimgcodec": "nvidia.nvimgcodec"}
+PARTIAL = ".partial.png"
+
+
+@dataclass(frozen=True)
+class Task:
+    """A picture and the file of its result."""
+
+    path: str
+    target: str
+
+
+@dataclass(frozen=True)
+class Read:
+    """What a worker made of the task of that number: pixels, uint8 (3, H, W), or the bytes of a JPEG file, or an error."""
+
+    number: int
+    pixels: Tensor | None = None
+    jpeg: Tensor | None = None
+    error: str = ""
+
+
+# --- what there is to do --------------------------------------------------------------------------------------------
+
+
+def tasks_of(source: Path, out: Path) -> list[Task]:
+    """A task for each picture below a folder, or for each line of a text file; no two have the same target."""
+    if source.is_dir():
+        files = (path for path in sorted(source.rglob("*")) if path.suffix.lower() in SUFFIXES and not path.is_dir())
+        names = {str(path.relative_to(source)): str(path) for path in files}
+    else:
+        lines = filter(None, map(str.strip, source.read_text().splitlines()))
+        names = {name_of(line): line for line in lines}
+    return [Task(path, str(out / f"{name}.png")) for name, path in names.items()]
+
+
+def name_of(url: str) -> str:
+    """A relative path for a path or URL."""
+    parts = urlsplit(url)
+    path = unquote(parts.netloc + parts.path) if parts.scheme else url
+    return "/".join(part for part in path.split("/") if part not in ("", ".", ".."))
+
+
+def words(error: Exception) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
+class Report:
+    """RESULTS/broken.csv, a line for each broken picture, written at once."""
+
+    def __init__(self, out: Path, retry: bool) -> None:
+        self.path = out / "broken.csv"
+        if retry:
+            self.path.unlink(missing_ok=True)
+        known: list[list[str]] = []
+        if self.path.exists():
+            with self.path.open(newline="") as file:
+                known = [row for row in csv.reader(file) if len(row) == 2][1:]  # a killed run may leave half a row
+        self.known = {path for path, _ in known}
+        with self.path.open("w", newline="") as file:
+            csv.writer(file).writerows([("path", "error"), *known])
+
+    def add(self, path: str, error: str) -> None:
+        with self.path.open("a", newline="") as file:
+            csv.writer(file).writerow((path, error))
+
+
+# --- reading and decoding -------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def local(path: str) -> Iterator[str]:
+    """A file of this machine with the content of a path or URL."""
+    parts = urlsplit(path)
+    if parts.scheme in ("", "file"):
+        yield path if parts.scheme == "" else unquote(parts.path)
+        return
+    try:
+        import fsspec
+    except ImportError as error:
+        raise OSError(f"reading {parts.scheme}:// takes fsspec: pip install fsspec") from error
+    with fsspec.open(path) as remote, tempfile.NamedTemporaryFile() as file:
+        file.write(remote.read())
+        file.flush()
+        yield file.name
+
+
+def read(number: int, task: Task, keep_jpeg: bool) -> Read:
+    """Decode by OpenCV; with `keep_jpeg` leave whole, upright JPEG files to a decoder of the GPU."""
+    try:
+        with local(task.path) as path:
+            if keep_jpeg and (data := plain_jpeg(path)):
+                return Read(number, jpeg=torch.frombuffer(bytearray(data), dtype=torch.uint8))
+            return Read(number, K.io.load_image(path, K.io.ImageLoadType.RGB8))
+    except Exception as error:  # whatever is wrong with a picture, the others go on
+        return Read(number, error=words(error))
+
+
+def plain_jpeg(path: str) -> bytes:
+    """The file, if it is a JPEG file that ends as it should, in RGB or gray, and upright; otherwise nothing."""
+    from PIL import Image
+
+    data = Path(path).read_bytes()
+    if not data.startswith(b"\xff\xd8") or not data.rstrip(b"\0").endswith(b"\xff\xd9"):
+        return b""
+    with Image.open(path) as picture:
+        upright = picture.getexif().get(0x0112, 1) == 1
+        return data if upright and picture.mode in ("RGB", "L") else b""
+
+
+class Pictures(Dataset[Read]):
+    """The pictures of some tasks. A worker decodes those of a batch in several threads."""
+
+    def __init__(self, tasks: Sequence[Task], threads: int, keep_jpeg: bool) -> None:
+        self.tasks, self.threads, self.keep_jpeg = tasks, threads, keep_jpeg
+
+    def __len__(self) -> int:
+        return len(self.tasks)
+
+    def __getitem__(self, number: int) -> Read:
+        return read(number, self.tasks[number], self.keep_jpeg)
+
+    def __getitems__(self, numbers: list[int]) -> list[Read]:
+        with ThreadPoolExecutor(self.threads) as pool:
+            return list(pool.map(self.__getitem__, numbers))
+
+
+def jpeg_decoder(name: str, device: torch.device) -> Callable[[list[Tensor]], list[Tensor]]:
+    """Bytes of JPEG files to uint8 (3, H, W) on the GPU, many at once."""
+    if name == "torchvision":
+        from torchvision.io import ImageReadMode, decode_jpeg
+
+        return lambda files: decode_jpeg(files, ImageReadMode.RGB, device=device)
+    from nvidia import nvimgcodec
+
+    decoder = nvimgcodec.Decoder(device_id=device.index or 0)
+
+    def decode(files: list[Tensor]) -> list[Tensor]:
+        images = decoder.decode([file.numpy().tobytes() for file in files])
+        return [torch.from_dlpack(image).permute(2, 0, 1).contiguous() for image in images]
+
+    return decode
+
+
+# --- the pipeline ---------------------------------------------------------------------------------------------------
+
+
+def pipeline_of(steps: Sequence[str]) -> nn.Module:
+    """The modules that the expressions make, one after the other."""
+    names = {"K": K, "kvision": K, "A": K.augmentation, "nn": nn, "torch": torch}
+    return nn.Sequential(*(eval(step, names) for step in steps)).eval()
+
+
+class Apply:
+    """Decodes what workers left to the GPU, and runs the pipeline on all images of one size together."""
+
+    def __init__(self, steps: Sequence[str], device: str, decoder: str, uint8: bool) -> None:
+        self.device, self.uint8 = torch.device(device), uint8
+        self.pipeline = pipeline_of(steps).to(self.device)
+        self.decode = jpeg_decoder(decoder, self.device) if decoder != "opencv" else None
+
+    def __call__(self, batch: Sequence[Read]) -> list[tuple[int, Tensor | str]]:
+        """For each picture its number, and the result, uint8 (C, H, W) in CPU memory, or an error."""
+        results: list[tuple[int, Tensor | str]] = [(item.number, item.error) for item in batch if item.error]
+        pixels = {item.number: item.pixels for item in batch if item.pixels is not None}
+        files = {item.number: item.jpeg for item in batch if item.jpeg is not None}
+        pixels.update(self.decoded(files, results))
+        by_size: dict[tuple[int, ...], list[int]] = {}
+        for number, image in pixels.items():
+            by_size.setdefault(tuple(image.shape), []).append(number)
+        for numbers in by_size.values():
+            results += self.apply(numbers, [pixels[number] for number in numbers])
+        return results
+
+    def decoded(self, files: dict[int, Tensor], results: list[tuple[int, Tensor | str]]) -> dict[int, Tensor]:
+        """All files at once; where one is damaged, one by one."""
+        if not files:
+            return {}
+        assert self.decode
+        try:
+            return dict(zip(files, self.decode(list(files.values()))))
+        except Exception as error:
+            if len(files) == 1:
+                results += [(number, words(error)) for number in files]
+                return {}
+            return {k: v for number, file in files.items() for k, v in self.decoded({number: file}, results).items()}
+
+    def apply(self, numbers: list[int], images: list[Tensor]) -> list[tuple[int, Tensor | str]]:
+        try:
+            batch = torch.stack([image.to(self.device, non_blocking=True) for image in images])
+            with torch.inference_mode():
+                result = self.pipeline(batch if self.uint8 else batch.float() / 255)
+            if not isinstance(result, Tensor) or result.dim() != 4 or len(result) != len(images):
+                got = tuple(result.shape) if isinstance(result, Tensor) else type(result).__name__
+                raise ValueError(f"the pipeline must give images ({len(images)}, C, H, W), got {got}")
+            if result.dtype != torch.uint8:
+                result = (255 * result.float().nan_to_num(0).clamp(0, 1)).round().byte()
+            return list(zip(numbers, result.cpu()))
+        except Exception as error:  # of the pipeline, or no memory for all of them at once
+            if len(images) == 1:
+                return [(numbers[0], f"pipeline: {words(error)}")]
+        return [pair for number, image in zip(numbers, images) for pair in self.apply([number], [image])]
+
+
+def write(task: Task, image: Tensor) -> None:
+    """Write the result next to its place, then move it there in one step of the file system."""
+    target = Path(task.target)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    partial = target.with_name(f".{target.name}.{os.getpid()}.{threading.get_ident()}{PARTIAL}")
+    try:
+        K.io.write_image(partial, image)
+        os.replace(partial, target)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+# --- one machine ----------------------------------------------------------------------------------------------------
+
+
+class Job:
+    """Writes results and reports errors in threads, each task once."""
+
+    def __init__(self, tasks: Sequence[Task], report: Report, threads: int, progress: Callable[[], object]) -> None:
+        self.tasks, self.report, self.progress, self.broken = tasks, report, progress, 0
+        self.pool, self.lock, self.most = ThreadPoolExecutor(threads), threading.Lock(), 8 * threads
+        self.claimed: set[int] = set()
+        self.futures: deque[Future[None]] = deque()
+
+    def finish(self, results: Sequence[tuple[int, Tensor | str]]) -> None:
+        for number, result in results:
+            self.futures.append(self.pool.submit(self._finish, number, result))
+        while len(self.futures) > self.most:  # the disk is slower than the pipeline
+            self.futures.popleft().result()
+
+    def _finish(self, number: int, result: Tensor | str) -> None:
+        with self.lock:
+            if number in self.claimed:
+                return
+            self.claimed.add(number)
+        if isinstance(result, Tensor):
+            try:
+                write(self.tasks[number], result)
+            except ValueError as error:  # an image that PNG cannot hold; an error of the disk ends the job
+                result = words(error)
+        with self.lock:
+            if isinstance(result, str):
+                self.broken += 1
+                self.report.add(self.tasks[number].path, result)
+            self.progress()
+
+    def wait(self) -> None:
+        while self.futures:
+            self.futures.popleft().result()
+        self.pool.shutdown()
+
+
+def run_here(tasks: Sequence[Task], options: argparse.Namespace, job: Job) -> None:
+    """Decode in the workers of a DataLoader, apply here, write in threads."""
+    apply = Apply(options.pipeline, options.device, options.decoder, options.uint8)
+    pictures = Pictures(tasks, options.threads, options.decoder != "opencv")
+    waiting = deque(range(len(tasks)))
+    careful = 0  # pictures to read alone, after a worker died
+    while waiting:
+        workers, size = (1, 1) if careful else (options.workers, options.batch)
+        numbers = list(waiting)[: careful or None]
+        loader = DataLoader(
+            pictures,
+            batch_sampler=[numbers[i : i + size] for i in range(0, len(numbers), size)],
+            collate_fn=list,
+            num_workers=workers,
+            prefetch_factor=(1 if careful else 2) if workers else None,
+            multiprocessing_context="forkserver"
+            if workers
+            else None,  # without the threads and the GPU of this process
+        )
+        try:
+            for batch in loader:
+                job.finish(apply(batch))
+                for item in batch:
+                    waiting.remove(item.number)  # the first ones
+            careful = 0
+        except RuntimeError as error:
+            if "DataLoader worker" not in str(error):
+                raise
+            if careful:
+                job.finish([(waiting.popleft(), "the process that decoded it died")])
+            careful = options.workers * 2 * options.batch
+    job.wait()
+
+
+# --- a cluster ------------------------------------------------------------------------------------------------------
+
+
+def decode_rows(rows: dict[str, Any]) -> dict[str, Any]:
+    """Pictures of a batch of Ray's rows, in threads. A broken one has no pixels."""
+    with ThreadPoolExecutor(4) as pool:
+        items = list(pool.map(lambda path: read(0, Task(path, ""), False), rows["path"]))
+    empty = torch.zeros(3, 0, 0, dtype=torch.uint8)
+    pixels = np.empty(len(items), object)
+    for i, item in enumerate(items):
+        pixels[i] = (empty if item.pixels is None else item.pixels).numpy()
+    return {**rows, "pixels": pixels, "error": np.array([item.error for item in items], object)}
+
+
+class ApplyRows:
+    """`Apply` for batches of Ray's rows. Writes the results, unless an earlier attempt has, and gives path and error."""
+
+    def __init__(self, steps: Sequence[str], device: str, uint8: bool, threads: int) -> None:
+        self.apply, self.threads = Apply(steps, device, "opencv", uint8), threads
+
+    def __call__(self, rows: dict[str, Any]) -> dict[str, Any]:
+        tasks = [Task(str(path), str(target)) for path, target in zip(rows["path"], rows["target"])]
+        batch = [
+            Read(i, error=str(error)) if error else Read(i, torch.from_numpy(np.array(pixels)))
+            for i, (pixels, error) in enumerate(zip(rows["pixels"], rows["error"]))
+            if not os.path.exists(tasks[i].target)
+        ]
+        errors = [""] * len(tasks)
+
+        def finish(result: tuple[int, Tensor | str]) -> None:
+            number, image = result
+            try:
+                if isinstance(image, str):
+                    errors[number] = image
+                else:
+                    write(tasks[number], image)
+            except ValueError as error:
+                errors[number] = words(error)
+
+        with ThreadPoolExecutor(self.threads) as pool:
+            list(pool.map(finish, self.apply(batch)))
+        return {"path": rows["path"], "error": np.array(errors, object)}
+
+
+def run_on_cluster(
+    tasks: Sequence[Task], options: argparse.Namespace, report: Report, progress: Callable[[], object]
+) -> int:
+    """Decode in tasks, apply in a pool of actors. Returns the number of broken pictures."""
+    import ray
+
+    logging.getLogger("ray.data").setLevel(logging.WARNING)
+    ray.init(ignore_reinit_error=True, log_to_driver=False, logging_level=logging.WARNING)
+    ray.data.DataContext.get_current().enable_progress_bars = False
+    blocks = -(-len(tasks) // options.batch)
+    rows = ray.data.from_items([{"path": t.path, "target": t.target} for t in tasks], override_num_blocks=blocks)
+    results = rows.map_batches(decode_rows, batch_size=options.batch).map_batches(
+        ApplyRows,
+        fn_constructor_args=(options.pipeline, options.device, options.uint8, options.threads),
+        batch_size=options.batch,
+        num_gpus=1 if options.device.startswith("cuda") else 0,
+        num_cpus=1,
+        compute=ray.data.ActorPoolStrategy(min_size=1, max_size=options.actors),
+    )
+    broken = 0
+    for row in results.iter_rows():
+        if row["error"]:
+            broken += 1
+            report.add(row["path"], row["error"])
+        progress()
+    return broken
+
+
+# --- how fast -------------------------------------------------------------------------------------------------------
+
+
+def compare(tasks: Sequence[Task], options: argparse.Namespace) -> None:
+    """Print images a second of OpenCV's loop on some of the pictures, and of every decoder that is installed."""
+    import cv2
+
+    blurs = options.pipeline == [BLUR]
+    with tempfile.TemporaryDirectory() as folder:
+        whole = [task for i, task in enumerate(tasks) if not read(i, task, False).error and "://" not in task.path]
+        if not whole:
+            return
+        begin = time.perf_counter()
+        for i, task in enumerate(whole):
+            image = cv2.imread(task.path, cv2.IMREAD_COLOR)
+            cv2.imwrite(f"{folder}/{i}.png", cv2.GaussianBlur(image, (5, 5), 1.5) if blurs else image)
+        rate = len(whole) / (time.perf_counter() - begin)
+    does = "the same in a loop of OpenCV" if blurs else "reading and writing alone in a loop of OpenCV"
+    print(f"{does}, {len(whole)} pictures: {rate:.0f} images/s")
+    device = torch.device(options.device)
+    for name in decoders(device):
+        items = [read(i, task, name != "opencv") for i, task in enumerate(whole)]
+        files = [item.jpeg for item in items if item.jpeg is not None]
+        begin, count = time.perf_counter(), len(files)
+        if name == "opencv":
+            count = sum(1 for _ in Pictures(whole, options.threads, False).__getitems__(list(range(len(whole)))))
+        elif files:
+            decode = jpeg_decoder(name, device)
+            decode(files[:1])
+            begin = time.perf_counter()
+            for i in range(0, count, options.batch):
+                decode(files[i : i + options.batch])
+            torch.cuda.synchronize(device)
+        print(f"decoding by {name}, {count} pictures: {count / (time.perf_counter() - begin):.0f} images/s")
+
+
+def decoders(device: torch.device) -> list[str]:
+    """Those that are installed and serve the device."""
+
+    def installed(module: str) -> bool:
+        with contextlib.suppress(ModuleNotFoundError):
+            return importlib.util.find_spec(module) is not None
+        return False
+
+    return [
+        name for name, module in DECODERS.items() if installed(module) and (name == "opencv" or device.type == "cuda")
+    ]
+
+
+# --- the run --------------------------------------------------------------------------------------------------------
+
+
+def device_of(parser: argparse.ArgumentParser, name: str) -> torch.device:
+    """The device of that name; an unknown or missing one ends the program in one line."""
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        parser.error(f"--device {name}: expected cpu or cuda")
+    if device.type not in ("cpu", "cuda"):
+        parser.error(f"--device {name}: expected cpu or cuda")
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        parser.error(f"--device {name}: torch finds no CUDA device" + (f" {device.index}" if device.index else ""))
+    return device
+
+
+def check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """End the program in one line where the options ask for what is not there."""
+    device = device_of(parser, options.device) if options.engine == "local" else torch.device(options.device)
+    if not options.source.exists():
+        parser.error(f"{options.source}: expected a folder of pictures or a list of paths, there is none")
+    if options.engine == "ray" and importlib.util.find_spec("ray") is None:
+        parser.error('--engine ray: Ray is not installed: pip install "kvision[ray]"')
+    if options.decoder != "opencv" and (options.engine == "ray" or options.decoder not in decoders(device)):
+        parser.error(f"--decoder {options.decoder}: expected one of {', '.join(decoders(device))} here")
+    try:
+        pipeline_of(options.pipeline)
+    except Exception as error:
+        parser.error(f"--pipeline: {type(error).__name__}: {words(error)}")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    cores = os.cpu_count() or 1
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("source", type=Path, help="folder of pictures, or text file with a path or URL in each line")
+    parser.add_argument("out", type=Path, help="folder of the results")
+    parser.add_argument("--pipeline", nargs="+", default=[BLUR], metavar="MODULE", help=f"default: {BLUR}")
+    parser.add_argument("--uint8", action="store_true", help="give the pipeline uint8 images")
+    parser.add_argument("--engine", choices=("local", "ray"), default="local")
+    parser.add_argument("--decoder", choices=tuple(DECODERS), default="opencv", help="of JPEG files")
+    parser.add_argument("--batch", type=int, default=32)
+    parser.add_argument("--workers", type=int, default=max(1, cores // 4), help="processes that decode")
+    parser.add_argument("--threads", type=int, default=min(4, cores), help="of a worker, and to write")
+    parser.add_argument("--actors", type=int, default=max(1, torch.cuda.device_count()), help="most of them, with Ray")
+    parser.add_argument("--retry", action="store_true", help="try the pictures of broken.csv again")
+    parser.add_argument("--compare", type=int, default=64, metavar="N", help="pictures for OpenCV's loop; 0 for none")
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    options = parser.parse_args(arguments)
+    check(parser, options)
+    from tqdm import tqdm
+
+    options.out.mkdir(parents=True, exist_ok=True)
+    for left in options.out.rglob(f".*{PARTIAL}"):  # of a killed run
+        left.unlink(missing_ok=True)
+    everything = tasks_of(options.source, options.out.resolve())
+    report = Report(options.out, options.retry)
+    there = {task.path for task in everything if os.path.exists(task.target)}
+    tasks = [task for task in everything if task.path not in there | report.known]
+    begin = time.perf_counter()
+    with tqdm(total=len(everything), initial=len(everything) - len(tasks), unit="picture", leave=False) as bar:
+        if options.engine == "ray":
+            broken = run_on_cluster(tasks, options, report, bar.update) if tasks else 0
+        else:
+            job = Job(tasks, report, options.threads, bar.update)
+            run_here(tasks, options, job)
+            broken = job.broken
+    seconds = time.perf_counter() - begin
+    print(f"{len(everything)} pictures, {len(everything) - len(tasks)} of them done before", end="; ")
+    print(f"{len(tasks) - broken} done and {broken} broken in {seconds:.1f} s: {len(tasks) / seconds:.0f} images/s")
+    if options.compare and tasks:
+        compare(list(itertools.islice(tasks, options.compare)), options)
+    print(f"results and broken.csv are in {options.out}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

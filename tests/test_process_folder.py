@@ -1,0 +1,253 @@
+"""examples/process_folder.py: killed workers and jobs, broken pictures, lists of paths, decoders of a GPU."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+import kvision as K
+from kvision import _ops
+from test_examples import EXAMPLES, example
+
+COUNT = 500
+BROKEN = {
+    "empty.png": "the file is empty",
+    "text.jpg": "is in no format",
+    "short.jpg": "short.jpg",
+    "short.png": "short.png",
+    "damaged.png": "damaged.png",
+    "missing.png": "No such file",
+    "small.png": "pipeline: ",
+}
+BLUR = "K.filters.GaussianBlur2d(5, (1.5, 1.5))"
+# A step that takes its time, so that there is a middle in which something can be killed.
+WAIT = "type('Wait', (nn.Module,), {'forward': lambda self, x: (__import__('time').sleep(0.03), x)[1]})()"
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """500 pictures in two folders, in three formats and two sizes, seven of them broken."""
+    folder = tmp_path_factory.mktemp("pictures")
+    texture = np.random.default_rng(0).integers(0, 256, (60, 80, 3), np.uint8)
+    for name in ("a", "b"):
+        (folder / name).mkdir()
+    for i in range(COUNT - len(BROKEN)):
+        path = folder / "ab"[i % 2] / f"{i}{('.jpg', '.png', '.WEBP')[i % 3]}"
+        image = np.roll(texture, i, 1)[:, : 80 - 16 * (i % 2)]
+        path.write_bytes(cv2.imencode(path.suffix.lower(), image)[1].tobytes())
+    whole = {suffix: cv2.imencode(suffix, texture)[1].tobytes() for suffix in (".jpg", ".png")}
+    (folder / "empty.png").write_bytes(b"")
+    (folder / "text.jpg").write_text("this is no picture")
+    (folder / "short.jpg").write_bytes(whole[".jpg"][: len(whole[".jpg"]) // 2])
+    (folder / "short.png").write_bytes(whole[".png"][: len(whole[".png"]) // 2])
+    damaged = bytearray(whole[".png"])
+    damaged[len(damaged) // 2 :] = bytes(len(damaged) - len(damaged) // 2)
+    (folder / "damaged.png").write_bytes(damaged)
+    (folder / "missing.png").symlink_to(folder / "nowhere.png")
+    cv2.imwrite(str(folder / "small.png"), texture[:1, :1])
+    return folder
+
+
+def start(pictures: Path, out: Path, *options: str) -> subprocess.Popen[str]:
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "KVISION_BACKEND": _ops.current_backend(),
+        "OMP_NUM_THREADS": "1",
+    }
+    command = [
+        sys.executable,
+        EXAMPLES / "process_folder.py",
+        pictures,
+        out,
+        "--device",
+        "cpu",
+        "--batch",
+        "8",
+        *options,
+    ]
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def results(out: Path) -> dict[str, int]:
+    """The results so far, with the time of their writing."""
+    return {str(path.relative_to(out)): path.stat().st_mtime_ns for path in out.rglob("[!.]*.png")}
+
+
+def wait_for(count: int, out: Path, job: subprocess.Popen[str]) -> None:
+    while len(results(out)) < count:
+        assert job.poll() is None, job.stdout.read()
+        time.sleep(0.01)
+
+
+def below(process: int) -> list[int]:
+    """The children of a process and theirs."""
+    tasks = Path(f"/proc/{process}/task")
+    children = [int(child) for task in tasks.iterdir() for child in (task / "children").read_text().split()]
+    return children + [grandchild for child in children for grandchild in below(child)]
+
+
+def workers_of(process: int, engine: str) -> list[int]:
+    """Processes that decode: children of multiprocessing's server, or Ray's tasks."""
+    if engine == "ray":
+        names = {child: Path(f"/proc/{child}/cmdline").read_bytes() for child in below(process)}
+        return [child for child, name in names.items() if b"ray::" in name and b"MapBatches" in name]
+    inner = {child for child in below(process) if b"forkserver" in Path(f"/proc/{child}/cmdline").read_bytes()}
+    return [child for child in inner if not below(child)]
+
+
+def check(pictures: Path, out: Path) -> None:
+    """Every picture has its result or its line in the report, and some results are what the pipeline gives."""
+    names = {str(path.relative_to(pictures)) for path in pictures.rglob("*") if not path.is_dir()}
+    assert len(names) == COUNT
+    assert set(results(out)) == {f"{name}.png" for name in names - set(BROKEN)}
+    assert not list(out.rglob(".*"))
+    rows = list(csv.reader((out / "broken.csv").open()))
+    assert rows[0] == ["path", "error"] and len(rows) == 1 + len(BROKEN)
+    errors = {Path(path).name: error for path, error in rows[1:]}
+    assert errors.keys() == BROKEN.keys() and all(BROKEN[name] in errors[name] for name in BROKEN), errors
+    for name in sorted(names - set(BROKEN))[::50]:
+        expected = K.filters.gaussian_blur2d(K.io.load_image(pictures / name)[None], 5, (1.5, 1.5))[0]
+        assert (K.io.load_image(out / f"{name}.png") - expected).abs().max() < 0.6 / 255
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds processes in /proc")
+@pytest.mark.parametrize(
+    "engine",
+    ["local", pytest.param("ray", marks=pytest.mark.skipif(not find_spec("ray"), reason="Ray is not installed"))],
+)
+def test_nothing_is_lost_and_nothing_done_twice(engine: str, pictures: Path, tmp_path: Path) -> None:
+    """A worker is killed in the middle, later the whole job, which is then started again."""
+    out = tmp_path / "out"
+    options = ("--engine", engine, "--workers", "2", "--compare", "0", "--pipeline", BLUR, WAIT)
+    job = start(pictures, out, *options)
+    try:
+        wait_for(40, out, job)
+        os.kill(workers_of(job.pid, engine)[0], signal.SIGKILL)
+        wait_for(300, out, job)
+        processes = [job.pid, *below(job.pid)]
+        for process in processes:
+            os.kill(process, signal.SIGKILL)
+        job.wait()
+        first = results(out)
+        assert 300 <= len(first) < COUNT - len(BROKEN)
+        job = start(pictures, out, *options)
+        output, _ = job.communicate(timeout=300)
+    finally:
+        job.kill()
+    assert job.returncode == 0, output
+    check(pictures, out)
+    assert results(out).items() >= first.items(), "results of the first start were written again"
+    assert f"{COUNT} pictures, " in output and output.endswith(f"results and broken.csv are in {out}\n")
+
+
+def run(*options: object) -> int:
+    return example("process_folder").main([*map(str, options), "--device", "cpu", "--workers", "0"])
+
+
+def test_a_second_start_has_nothing_to_do(pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert run(pictures, out) == 0
+    check(pictures, out)
+    printed = capsys.readouterr().out
+    done = COUNT - len(BROKEN)
+    assert printed.startswith(f"500 pictures, 0 of them done before; {done} done and 7 broken in ")
+    assert "the same in a loop of OpenCV, " in printed and "decoding by opencv, " in printed
+    first = results(out)
+    assert run(pictures, out) == 0
+    assert results(out) == first
+    assert "500 pictures, 500 of them done before; 0 done and 0 broken" in capsys.readouterr().out
+    assert run(pictures, out, "--retry", "--compare", 0) == 0
+    assert "493 of them done before; 0 done and 7 broken" in capsys.readouterr().out
+    check(pictures, out)
+
+
+def test_a_list_of_paths_and_urls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("a b.png", "c.png"):
+        K.io.write_image(tmp_path / name, torch.rand(3, 9, 9))
+    lines = [
+        f"file://{tmp_path}/a%20b.png",
+        str(tmp_path / "c.png"),
+        "",
+        "nowhere://bucket/d.png",
+        str(tmp_path / "c.png"),
+    ]
+    (tmp_path / "list.txt").write_text("\n".join(lines))
+    assert run(tmp_path / "list.txt", tmp_path / "out", "--pipeline", "K.filters.Sobel()", "--compare", 0) == 0
+    inside = str(tmp_path).lstrip("/")
+    assert results(tmp_path / "out").keys() == {f"{inside}/a b.png.png", f"{inside}/c.png.png"}
+    assert "3 pictures, 0 of them done before; 2 done and 1 broken" in capsys.readouterr().out
+    assert "nowhere://bucket/d.png," in (tmp_path / "out" / "broken.csv").read_text()
+
+
+def test_a_task_is_finished_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    process = example("process_folder")
+    written: list[str] = []
+    monkeypatch.setattr(process, "write", lambda task, image: written.append(task.path))
+    tasks = [process.Task(str(i), str(tmp_path / f"{i}.png")) for i in range(3)]
+    job = process.Job(tasks, process.Report(tmp_path, False), 2, lambda: None)
+    for _ in range(2):
+        job.finish([(0, torch.zeros(3, 1, 1)), (1, "no picture"), (2, torch.zeros(3, 1, 1))])
+    job.wait()
+    assert sorted(written) == ["0", "2"] and job.broken == 1
+    assert (tmp_path / "broken.csv").read_text().splitlines() == ["path,error", "1,no picture"]
+
+
+def test_jpeg_files_go_to_the_decoder_of_the_gpu(pictures: Path) -> None:
+    """Upright whole ones do; where the decoder refuses one, the others are decoded still."""
+    pytest.importorskip("PIL")
+    process = example("process_folder")
+    names = ("a/0.jpg", "b/3.jpg", "b/1.png", "short.jpg", "text.jpg")
+    batch = [process.read(i, process.Task(str(pictures / name), ""), True) for i, name in enumerate(names)]
+    assert [item.jpeg is not None for item in batch] == [True, True, False, False, False]
+
+    def decode(files: list[torch.Tensor]) -> list[torch.Tensor]:
+        images = [cv2.imdecode(file.numpy(), cv2.IMREAD_COLOR_RGB) for file in files]
+        if len(files) > 1 or any(np.array_equal(file, batch[1].jpeg) for file in files):
+            raise RuntimeError("cannot decode")
+        return [K.image_to_tensor(image) for image in images]
+
+    apply = process.Apply(["nn.Identity()"], "cpu", "opencv", True)
+    apply.decode = decode
+    found = dict(apply(batch))
+    expected = K.io.load_image(pictures / "a/0.jpg", K.io.ImageLoadType.RGB8)
+    assert torch.equal(found[0], expected) and found[1] == "cannot decode" and found[2].shape == (3, 60, 64)
+    assert isinstance(found[3], str) and isinstance(found[4], str)
+
+
+def test_a_rotated_jpeg_is_left_to_opencv(data) -> None:
+    pytest.importorskip("PIL")
+    process = example("process_folder")
+    kinds = {}
+    for path in (data / "photos" / "exif").glob("*.jpg"):
+        kinds[path.stem] = process.read(0, process.Task(str(path), ""), True).jpeg is not None
+    assert kinds == {"landscape_1": True, "landscape_3": False, "landscape_6": False, "landscape_8": False}
+
+
+@pytest.mark.parametrize(
+    "options, said",
+    [
+        (["--device", "gpu"], "--device gpu: expected cpu or cuda"),
+        (["--decoder", "torchvision"], "--decoder torchvision: expected one of opencv here"),
+        (["--pipeline", "K.filters.NoSuch()"], "--pipeline: AttributeError: module 'kvision.filters' has no attribute"),
+    ],
+)
+def test_wrong_options_are_said(options: list[str], said: str, tmp_path: Path, capsys) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        example("process_folder").main([str(tmp_path), str(tmp_path / "out"), "--device", "cpu", *options])
+    assert stopped.value.code == 2
+    assert f"error: {said}" in capsys.readouterr().err.splitlines()[-1]
+    with pytest.raises(SystemExit):
+        run(tmp_path / "wrong", tmp_path / "out")
+    assert "expected a folder of pictures or a list of paths, there is none" in capsys.readouterr().err

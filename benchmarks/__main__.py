@@ -6,16 +6,16 @@ import argparse
 import dataclasses
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from benchmarks import bars, machine, table
+from benchmarks import awkward, bars, machine, table
 from benchmarks.case import Size
 from benchmarks.cases import ALL
-from benchmarks.measure import measure, name_of
+from benchmarks.measure import FORWARD, KVISION, Row, measure, name_of, size_name
 from benchmarks.peers import PEERS, set_threads
 from benchmarks.timing import CpuClock, clock
 
@@ -41,22 +41,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     on_gpu = device.type == "cuda"
     print(table.heading(about, bandwidth), table.LEGEND, *[table.CUDA_LEGEND] * on_gpu, sep="\n", flush=True)
 
-    rows, layout = [], table.Table(on_gpu)
-    for index, size in enumerate(options.sizes or parse_sizes(SIZES[device.type])):
+    rows: list[Row] = []
+    layout = table.Table(on_gpu)
+    round_sizes = options.sizes or parse_sizes(SIZES[device.type])
+    has_awkward = options.sizes is None if options.awkward is None else options.awkward
+    awkward_sizes = awkward.sizes(round_sizes[0]) if has_awkward else []
+    neighbors = [size for size in map(awkward.aligned, awkward_sizes) if size not in (*round_sizes, *awkward_sizes)]
+    for size in dict.fromkeys([*round_sizes, *awkward_sizes, *neighbors]):
         for dtype in options.dtype:
-            print(f"\n{'x'.join(map(str, size))} {name_of(dtype)}{copied(size, dtype, stopwatch)}")
+            print(f"\n{size_name(size)} {name_of(dtype)}{copied(size, dtype, stopwatch)}")
             print(layout.header(), flush=True)
             for case in cases:
-                for row in measure(
-                    case, size, dtype, device, peers, stopwatch, bandwidth,
-                    backward=options.backward, batch_one=index == 0,
-                ):  # fmt: skip
+                measured = measure(
+                    case, size, dtype, device, [] if size in neighbors else peers, stopwatch, bandwidth,
+                    backward=options.backward, batch_one=size == round_sizes[0],
+                )  # fmt: skip
+                for row in measured if size in round_sizes else where_served(measured, case.name, size, dtype):
                     rows.append(row)
                     print(layout.line(row), flush=True)
 
-    checked = bars.check(cases, rows, on_gpu)
+    with_bars = set(map(size_name, round_sizes))
+    checked = bars.check(cases, [row for row in rows if row.size in with_bars], on_gpu)
     lost = bars.losses(rows)
+    ratios = awkward.worst_ratios(rows, awkward_sizes)
     print("", table.summary(checked, lost), sep="\n")
+    if ratios:
+        print(table.ratios(ratios))
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         report = {
@@ -64,9 +74,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "rows": [dataclasses.asdict(row) for row in rows],
             "bars": [{**dataclasses.asdict(v), "met": v.met} for v in checked],
             "losses": [dataclasses.asdict(loss) for loss in lost],
+            "awkward": [dataclasses.asdict(ratio) for ratio in ratios],
         }
         options.json.write_text(json.dumps(report, indent=1) + "\n")
     return 0
+
+
+def where_served(rows: Iterator[Row], case: str, size: Size, dtype: torch.dtype) -> Iterator[Row]:
+    """The rows of a case, or one that says why it does not serve this size: some need even sides."""
+    try:
+        yield from rows
+    except ValueError as error:
+        yield Row(case, size_name(size), name_of(dtype), KVISION, FORWARD, failure=str(error).splitlines()[0])
 
 
 def parser() -> argparse.ArgumentParser:
@@ -75,6 +94,10 @@ def parser() -> argparse.ArgumentParser:
     parse.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parse.add_argument("--peers", type=parse_peers, default=list(PEERS), help=f"of {','.join(PEERS)}; 'none' for none")
     parse.add_argument("--sizes", type=parse_sizes, help="such as 16x3x256x256,1x3x1080x1920; default: the bars' sizes")
+    parse.add_argument(
+        "--awkward", action=argparse.BooleanOptionalAction,
+        help="measure sizes that are not aligned, too; default: unless --sizes is given",
+    )  # fmt: skip
     parse.add_argument("--dtype", type=parse_dtypes, default=[torch.float32], help="such as float32,float16")
     parse.add_argument("--backward", action="store_true", help="time backward and forward + backward too")
     parse.add_argument("--threads", type=int, default=1, help="of torch and OpenCV on the CPU (default 1)")

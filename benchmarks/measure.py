@@ -46,6 +46,10 @@ def name_of(dtype: torch.dtype) -> str:
     return str(dtype).removeprefix("torch.")
 
 
+def size_name(size: Size) -> str:
+    return "x".join(map(str, size))
+
+
 def measure(
     case: Case,
     size: Size,
@@ -59,7 +63,7 @@ def measure(
     batch_one: bool = False,
 ) -> Iterator[Row]:
     """Measure `case` at one size. `bandwidth`, bytes a second, sets the floors. `batch_one` adds the host time."""
-    where = (case.name, "x".join(map(str, size)), name_of(dtype))
+    where = (case.name, size_name(size), name_of(dtype))
     on_gpu = device.type == "cuda"
     if on_gpu:
         torch.cuda.empty_cache()  # the previous case's cached blocks would count for this case

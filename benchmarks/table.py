@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from benchmarks.awkward import Ratio
 from benchmarks.bars import CheckedBar, Loss
 from benchmarks.measure import KVISION, Row
 
@@ -99,6 +100,13 @@ def summary(checked: Sequence[CheckedBar], lost: Sequence[Loss]) -> str:
             f"{loss.peer}{f' [{loss.agreement}]' if loss.agreement else ''} {loss.factor:.2f}x" for loss in here
         )
         lines.append("  {:17}{:17}{:18}{:9}".format(*cell) + faster)
+    return "\n".join(lines)
+
+
+def ratios(worst: Sequence[Ratio]) -> str:
+    """The worst ratio of each case, with its size."""
+    lines = ["awkward sizes, the worst time over floor next to that of the aligned size beside it"]
+    lines += [f"  {r.case:17}{r.stage:17}{r.dtype:9}{number(r.factor):>6}  {r.size}" for r in worst]
     return "\n".join(lines)
 
 

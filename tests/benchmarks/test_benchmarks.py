@@ -6,13 +6,14 @@ import csv
 import json
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from benchmarks import __main__ as command
-from benchmarks import kernels, overhead, scaling, sobel_figure, threads
+from benchmarks import awkward, kernels, overhead, scaling, sobel_figure, threads
 from benchmarks.bars import EXTRA, check, losses
 from benchmarks.case import Bars, Case, dead_leaves, nonlinear_backward, photographs
 from benchmarks.cases import ALL
@@ -172,6 +173,46 @@ def test_losses_name_the_faster_peers_the_worst_first():
     ]
     assert "opencv [=] 2.00x" in summary([], losses(rows))
     assert "nowhere slower" in summary([], losses(rows[:2]))
+
+
+# -- awkward sizes
+
+
+def test_awkward_sizes_have_the_pixels_of_the_round_one_and_an_aligned_neighbor():
+    awkward_sizes = awkward.sizes((128, 3, 256, 256))
+    assert awkward_sizes == awkward.sizes((128, 3, 256, 256)) and (49, 3, 335, 513) in awkward_sizes
+    for size in awkward_sizes:
+        assert size[0] * size[2] * size[3] == pytest.approx(128 * 256 * 256, rel=0.05)
+    assert awkward.aligned((49, 3, 335, 513)) == (49, 3, 335, 528)
+    assert awkward.aligned((31, 3, 427, 640)) == (31, 3, 427, 640)
+
+
+def test_the_worst_ratio_of_a_case_is_listed():
+    def at(size: str, xfloor: float, **more) -> Row:
+        return replace(row(KVISION, value=xfloor, **more), size=size)
+
+    rows = [
+        at("2x3x8x15", 1.5), at("2x3x8x16", 1.2), at("2x3x9x17", 1.4), at("2x3x9x32", 1.0),
+        at("2x3x8x15", 3.0, dtype="float16"), at("2x3x8x16", 1.0, dtype="float16"),
+        at("2x3x7x48", 9.0), replace(at("2x3x9x17", 1.0), library="kornia"),
+    ]  # fmt: skip
+    worst = awkward.worst_ratios(rows, [(2, 3, 8, 15), (2, 3, 9, 17), (2, 3, 7, 48)])
+    assert [(r.dtype, r.size, r.factor) for r in worst] == [("float16", "2x3x8x15", 3.0), ("float32", "2x3x9x17", 1.4)]
+
+
+def test_command_line_measures_awkward_sizes_and_their_neighbors(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(awkward, "SHAPES", ((17, 15),))
+    monkeypatch.setattr(awkward, "RANDOM_SHAPES", 0)
+    out = tmp_path / "result.json"
+    options = ["--sizes", "1x3x16x16", "--awkward", "--seconds", "0.003", "--peers", "kornia", "--json", str(out)]
+    assert command.main(["sobel", "rgb_to_yuv420", *options]) == 0
+    assert "awkward sizes" in capsys.readouterr().out
+    report = json.loads(out.read_text())
+    assert [(ratio["case"], ratio["size"]) for ratio in report["awkward"]] == [("sobel", "1x3x17x15")]
+    libraries = {(r["size"], r["library"]) for r in report["rows"] if r["case"] == "sobel"}
+    assert {("1x3x17x15", "kornia"), ("1x3x17x16", KVISION)} <= libraries and ("1x3x17x16", "kornia") not in libraries
+    failed = [r for r in report["rows"] if r["case"] == "rgb_to_yuv420" and r["failure"]]
+    assert {r["size"] for r in failed} == {"1x3x17x15", "1x3x17x16"}
 
 
 # -- what is printed and written

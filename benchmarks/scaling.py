@@ -52,6 +52,7 @@ class Options:
     device: str
     model: str
     batch: int
+    count: int  # of the pictures, the same for any number of ranks
     size: int
     crop: int
     seconds: float
@@ -370,7 +371,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     head = f"{max(numbers)} x {about['hardware']}  torch {about['torch']}  {about['date']}  kvision {about['commit']}"
     task = f"{options.batch}x3x{options.size}x{options.size} uint8 a rank to {options.crop}x{options.crop}; {model}"
     print(f"{head}\n$ {about['command']}\n{task}\n", flush=True)
-    rows = measure(Options(options.device, model, options.batch, options.size, options.crop, options.seconds), numbers)
+    count = max(options.batch * numbers[-1], TOGETHER)
+    rows = measure(
+        Options(options.device, model, options.batch, count, options.size, options.crop, options.seconds), numbers
+    )
     judged = bars(rows) if options.device == "cuda" and model == "resnet50" and options.batch == 128 else []
     lines = [table(rows), "", *judged, *agreement(rows)]
     print("\n".join(lines), flush=True)

@@ -319,7 +319,7 @@ def test_kernels_reads_what_ncu_writes():
 def test_scaling_on_two_processes(tmp_path, monkeypatch, capsys):
     """Two CPU processes and one give the same augmented bits and nearly the same losses; the rest are figures."""
     monkeypatch.setattr(scaling, "ALL", {name: ALL[name] for name in ("sobel", "warp_affine")})
-    small = ["--batch", "2", "--size", "32", "--crop", "24", "--seconds", "0.02"]
+    small = ["--batch", "40", "--size", "32", "--crop", "24", "--seconds", "0.02"]
     assert scaling.main(["--device", "cpu", "--ranks", "1,2", *small, "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "64 images by seeds of samples on 1, 2 ranks: the same bits\n" in printed

@@ -1,0 +1,540 @@
+"""Every parameter of every class has its distribution, and parameters are independent of each other and from sample to sample.
+
+A class lists its variates: numbers that follow a distribution of their own, from the parameters by name or, where those
+are made of several draws, from the columns that were drawn. The tests of distributions and of independence are the same for all.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import pytest
+import torch
+from scipy import stats
+from torch import Tensor
+
+import kvision.augmentation as A
+from augmentation_cases import CASES
+from kvision.augmentation.base import AugmentationBase
+from kvision.augmentation.draws import is_chosen_batch
+
+N = 12000
+LEVEL = 1e-4 / 2000  # more than there are tests: Bonferroni
+CONSTANT = {
+    "batch_prob",
+    "forward_input_shape",
+    "center",
+    "dst",
+    "input_size",
+    "output_size",
+    "padding_size",
+    "batch_idx",
+}
+
+
+class Uniform(NamedTuple):
+    low: float
+    high: float
+    rounding: float = 1e-6  # how far values may be outside
+
+    def p_value(self, values: Tensor) -> float:
+        assert values.min() >= self.low - self.rounding and values.max() <= self.high + self.rounding
+        return float(stats.kstest(values.numpy(), stats.uniform(self.low, self.high - self.low).cdf).pvalue)
+
+
+class Normal(NamedTuple):
+    mean: float
+    deviation: float
+
+    def p_value(self, values: Tensor) -> float:
+        return float(stats.kstest(values.numpy(), stats.norm(self.mean, self.deviation).cdf).pvalue)
+
+
+class Integers(NamedTuple):
+    low: int
+    high: int
+    step: int = 1
+
+    def p_value(self, values: Tensor) -> float:
+        found, counts = values.unique(return_counts=True)
+        assert found.tolist() == list(range(self.low, self.high + 1, self.step))
+        return float(stats.chisquare(counts.numpy()).pvalue)
+
+
+class Permutations(NamedTuple):
+    """Numbers of permutations of n, as `code` makes them."""
+
+    n: int
+
+    def p_value(self, values: Tensor) -> float:
+        found, counts = values.unique(return_counts=True)
+        assert len(found) == math.factorial(self.n)
+        return float(stats.chisquare(counts.numpy()).pvalue)
+
+
+class Coin(NamedTuple):
+    p: float
+
+    def p_value(self, values: Tensor) -> float:
+        return float(stats.binomtest(int(values.sum()), len(values), self.p).pvalue)
+
+
+def code(orders: Tensor) -> Tensor:
+    """One number for each permutation (N, n)."""
+    n = orders.shape[1]
+    assert torch.equal(orders.sort(1).values, torch.arange(n).expand_as(orders).to(orders))
+    return (orders.double() * n ** torch.arange(n, dtype=torch.float64)).sum(1)
+
+
+Variates = dict[str, tuple[Any, Any]]
+
+
+class Spec(NamedTuple):
+    make: Callable[[float], Any]  # of the probability
+    variates: Callable[[dict[str, Tensor], Tensor], Variates]  # of the parameters by name, and of their columns
+    shape: tuple[int, ...] = (3, 16, 20)
+    dependent: tuple[str, ...] = ()  # variates that share a random number with others
+    whole_batch: bool = False
+
+
+def plain(**distributions: Any) -> Callable[[dict[str, Tensor], Tensor], Variates]:
+    """Parameters that are variates themselves."""
+    return lambda params, columns: {name: (params[name].reshape(N), d) for name, d in distributions.items()}
+
+
+def numbered(name: str, of: Callable[[int, int], Any]) -> Callable[[dict[str, Tensor], Tensor], Variates]:
+    """The coordinates of points (N, K, D), each with a distribution of its own."""
+
+    def variates(params: dict[str, Tensor], columns: Tensor) -> Variates:
+        points = params[name]
+        return {
+            f"{name}.{i}.{axis}": (points[:, i, axis], of(i, axis))
+            for i, axis in itertools.product(range(points.shape[1]), range(points.shape[2]))
+        }
+
+    return variates
+
+
+def in_columns(**distributions: Any) -> Callable[[dict[str, Tensor], Tensor], Variates]:
+    """Columns in their order."""
+    return lambda params, columns: {
+        name: (column, d) for column, (name, d) in zip(columns.unbind(1), distributions.items()) if d is not None
+    }
+
+
+def jitter(params: dict[str, Tensor], columns: Tensor) -> Variates:
+    factors = {name: (params[f"{name}_factor"], Uniform(0.8, 1.2)) for name in ("brightness", "contrast", "saturation")}
+    return {
+        **{f"{name}_factor": x for name, x in factors.items()},
+        "hue_factor": (params["hue_factor"], Uniform(-0.2, 0.2)),
+        "order": (code(params["order"]), Permutations(4)),
+    }
+
+
+def affine(params: dict[str, Tensor], columns: Tensor) -> Variates:
+    return {
+        "angle": (params["angle"], Uniform(-30, 30)),
+        "translations.x": (params["translations"][:, 0], Uniform(-2, 2)),
+        "translations.y": (params["translations"][:, 1], Uniform(-3.2, 3.2)),
+        "scale.x": (params["scale"][:, 0], Uniform(0.8, 1.2)),
+        "scale.y": (params["scale"][:, 1], Uniform(0.5, 0.7)),
+        "shear_x": (params["shear_x"], Uniform(-10, 10)),
+        "shear_y": (params["shear_y"], Uniform(5, 20)),
+    }
+
+
+def affine3d(params: dict[str, Tensor], columns: Tensor) -> Variates:
+    shears = {name: (params[name], Uniform(-10, 10)) for name in ("sxy", "sxz", "syx", "syz", "szx", "szy")}
+    ranges = {"translations": (0.8, 1.4, 0.6), "angles": (30, 30, 30)}
+    pairs = {
+        f"{name}.{i}": (params[name][:, i], Uniform(-most[i], most[i]))
+        for name, most in ranges.items()
+        for i in range(3)
+    }
+    return {**shears, **pairs, "scale": (params["scale"][:, 0], Uniform(0.8, 1.2))}
+
+
+def resized_crop(params: dict[str, Tensor], columns: Tensor) -> Variates:
+    src, side = params["src"].double(), 4096
+    (x, y), (w, h) = src[:, 0].unbind(1), (src[:, 2] - src[:, 0] + 1).unbind(1)
+    return {
+        "src.area": (w * h / side**2, Uniform(0.25, 0.5, 1e-3)),
+        "src.ratio": ((w / h).log(), Uniform(math.log(3 / 4), math.log(4 / 3), 1e-3)),
+        "src.x": ((x + 0.5) / (side - w + 1), Uniform(0, 1)),
+        "src.y": ((y + 0.5) / (side - h + 1), Uniform(0, 1)),
+    }
+
+
+def erasing(params: dict[str, Tensor], columns: Tensor) -> Variates:
+    x, y, w, h = (params[name].double() for name in ("xs", "ys", "widths", "heights"))
+    aspect, side = h / w, 4096
+    return {
+        "widths": (w * h / side**2, Uniform(0.02, 0.1, 1e-3)),
+        # As often wide as high, and uniform in each half.
+        "heights": (torch.where(aspect < 1, (aspect - 0.25) / 1.5, 0.5 + (aspect - 1) / 6), Uniform(0, 1, 1e-3)),
+        "xs": ((x + 0.5) / (side - w + 1), Uniform(0, 1)),
+        "ys": ((y + 0.5) / (side - h + 1), Uniform(0, 1)),
+    }
+
+
+def crop(params: dict[str, Tensor], columns: Tensor) -> Variates:
+    return {
+        f"src.{axis}": (params["src"][:, 0, i], Integers(0, last)) for i, axis, last in ((0, "x", 13), (1, "y", 11))
+    }
+
+
+def crop3d(params: dict[str, Tensor], columns: Tensor) -> Variates:
+    return {f"src.{i}": (params["src"][:, 0, i], Integers(0, last)) for i, last in enumerate((5, 4, 4))}
+
+
+def pixels(name: str, of: Callable[[], Any], *places: tuple[int, ...], **others: Any) -> Any:
+    """Some places of a map for each sample, besides plain parameters."""
+    return lambda params, columns: {
+        **plain(**others)(params, columns),
+        **{f"{name}.{place}": (params[name][(slice(None), *place)], of()) for place in places},
+    }
+
+
+def light(**distributions: Any) -> Callable[[dict[str, Tensor], Tensor], Variates]:
+    """Maps of illumination are made of several columns."""
+    return in_columns(**{f"gradient.{name}": d for name, d in distributions.items()})
+
+
+def mixed(name: str, variates: Callable[[dict[str, Tensor], Tensor], Variates], mixes: int = 1) -> Any:
+    """Partners, which are a permutation of the samples, by their distance around the batch."""
+
+    def both(params: dict[str, Tensor], columns: Tensor) -> Variates:
+        pairs = params[name].reshape(mixes, N)
+        assert torch.equal(pairs.sort(1).values, torch.arange(N).expand(mixes, N))
+        away = {f"{name}.{i}": (((p - torch.arange(N)) % N + 0.5) / N, Uniform(0, 1)) for i, p in enumerate(pairs)}
+        return {**away, **variates(params, columns)}
+
+    return both
+
+
+def mosaic(params: dict[str, Tensor], columns: Tensor) -> Variates:
+    partners = params["permutation"]
+    assert torch.equal(partners[:, 0], torch.arange(N))
+    return {
+        "src.x": (columns[:, 0], Uniform(0.3, 0.7)),
+        "src.y": (columns[:, 1], Uniform(0.3, 0.7)),
+        **{f"permutation.{i}": (((partners[:, i] - torch.arange(N)) % N + 0.5) / N, Uniform(0, 1)) for i in (1, 2, 3)},
+    }
+
+
+def cut_mix(params: dict[str, Tensor], columns: Tensor) -> Variates:
+    """The share kept is uniform; windows are made of it and of a position."""
+    names = ("word", "kept", "x", "y")
+    return {
+        f"crop_src.{i}.{name}": (column, Uniform(0, 1))
+        for (i, name), column in zip(itertools.product(range(2), names), columns.unbind(1))
+        if name != "word"
+    }
+
+
+def corner(i: int, axis: int) -> Uniform:
+    """Corners of 20 x 16 pixels, clockwise from top left, move inward by up to a quarter."""
+    last, most = ((19, 5), (15, 4))[axis]
+    near = (i in (0, 3)) if axis == 0 else (i in (0, 1))
+    return Uniform(0, most) if near else Uniform(last - most, last)
+
+
+def corner3d(i: int, axis: int) -> Uniform:
+    last, most = ((7, 2), (6, 1.75), (5, 1.5))[axis]
+    near = (i % 4 in (0, 3), i % 4 in (0, 1), i < 4)[axis]
+    return Uniform(0, most) if near else Uniform(last - most, last)
+
+
+TPS = ((-1, -1), (-1, 1), (1, -1), (1, 1), (0, 0))
+SMALL, VOLUME, LARGE = (3, 4, 5), (2, 6, 7, 8), (3, 4096, 4096)
+
+SPECS = {
+    "RandomAffine": Spec(
+        lambda p: A.RandomAffine(30.0, (0.1, 0.2), (0.8, 1.2, 0.5, 0.7), (-10, 10, 5, 20), p=p), affine
+    ),
+    "RandomHorizontalFlip": Spec(lambda p: A.RandomHorizontalFlip(p=p), plain()),
+    "RandomVerticalFlip": Spec(lambda p: A.RandomVerticalFlip(p=p), plain()),
+    "RandomPerspective": Spec(lambda p: A.RandomPerspective(0.5, p=p), numbered("end_points", corner)),
+    "RandomRotation": Spec(lambda p: A.RandomRotation((-10.0, 40.0), p=p), plain(degrees=Uniform(-10, 40))),
+    "RandomRotation90": Spec(lambda p: A.RandomRotation90((-1, 3), p=p), plain(times=Integers(-1, 3))),
+    "RandomShear": Spec(
+        lambda p: A.RandomShear((-10.0, 20.0, -5.0, 5.0), p=p), plain(shear_x=Uniform(-10, 20), shear_y=Uniform(-5, 5))
+    ),
+    "RandomTranslate": Spec(
+        lambda p: A.RandomTranslate((-0.1, 0.2), (0.0, 0.25), p=p),
+        plain(translate_x=Uniform(-2, 4), translate_y=Uniform(0, 4)),
+    ),
+    "RandomCrop": Spec(lambda p: A.RandomCrop((9, 11), padding=2), crop, whole_batch=True),
+    "RandomResizedCrop": Spec(
+        lambda p: A.RandomResizedCrop((9, 11), (0.25, 0.5)),
+        resized_crop,
+        LARGE,
+        dependent=("src.x", "src.y"),
+        whole_batch=True,
+    ),
+    "RandomElasticTransform": Spec(
+        lambda p: A.RandomElasticTransform(p=p),
+        pixels("noise", lambda: Uniform(-1, 1), (0, 0, 0), (1, 0, 0), (0, 0, 1), (1, 3, 4)),
+        SMALL,
+    ),
+    "RandomFisheye": Spec(
+        lambda p: A.RandomFisheye((-0.2, 0.2), (-0.3, 0.1), (0.9, 1.1), p=p),
+        plain(center_x=Uniform(-0.2, 0.2), center_y=Uniform(-0.3, 0.1), gamma=Uniform(0.9, 1.1)),
+    ),
+    "RandomThinPlateSpline": Spec(
+        lambda p: A.RandomThinPlateSpline(0.2, p=p),
+        numbered("dst", lambda i, axis: Uniform(TPS[i][axis] - 0.2, TPS[i][axis] + 0.2)),
+    ),
+    "ColorJiggle": Spec(lambda p: A.ColorJiggle(0.2, 0.2, 0.2, 0.2, p=p), jitter),
+    "ColorJitter": Spec(lambda p: A.ColorJitter(0.2, 0.2, 0.2, 0.2, p=p), jitter),
+    "RandomBrightness": Spec(lambda p: A.RandomBrightness((0.5, 1.4), p=p), plain(brightness_factor=Uniform(0.5, 1.4))),
+    "RandomChannelDropout": Spec(lambda p: A.RandomChannelDropout(p=p), plain(channel_idx=Integers(0, 2))),
+    "RandomChannelShuffle": Spec(
+        lambda p: A.RandomChannelShuffle(p=p),
+        lambda params, _: {"channels": (code(params["channels"]), Permutations(3))},
+    ),
+    "RandomClahe": Spec(lambda p: A.RandomClahe((1.0, 4.0), p=p), plain(clip_limit_factor=Uniform(1, 4))),
+    "RandomContrast": Spec(lambda p: A.RandomContrast((0.5, 1.4), p=p), plain(contrast_factor=Uniform(0.5, 1.4))),
+    "RandomGamma": Spec(
+        lambda p: A.RandomGamma((0.5, 1.5), (0.8, 1.0), p=p),
+        plain(gamma_factor=Uniform(0.5, 1.5), gain_factor=Uniform(0.8, 1)),
+    ),
+    "RandomGaussianBlur": Spec(lambda p: A.RandomGaussianBlur((3, 5), (0.5, 2.0), p=p), plain(sigma=Uniform(0.5, 2))),
+    "RandomHue": Spec(lambda p: A.RandomHue((-0.3, 0.2), p=p), plain(hue_factor=Uniform(-0.3, 0.2))),
+    "RandomJPEG": Spec(lambda p: A.RandomJPEG((20.0, 60.0), p=p), plain(jpeg_quality=Uniform(20, 60))),
+    "RandomMotionBlur": Spec(
+        lambda p: A.RandomMotionBlur((3, 7), 35.0, 0.5, p=p),
+        # The size is one for a batch, that of its first sample.
+        in_columns(ksize_factor=Integers(3, 7, 2), angle_factor=Uniform(-35, 35), direction_factor=Uniform(-0.5, 0.5)),
+    ),
+    "RandomPlanckianJitter": Spec(lambda p: A.RandomPlanckianJitter(p=p), plain(idx=Integers(0, 24))),
+    "RandomPosterize": Spec(lambda p: A.RandomPosterize(3, p=p), plain(bits_factor=Integers(3, 8))),
+    "RandomRGBShift": Spec(
+        lambda p: A.RandomRGBShift(0.5, 0.4, 0.3, p=p),
+        plain(r_shift=Uniform(-0.5, 0.5), g_shift=Uniform(-0.4, 0.4), b_shift=Uniform(-0.3, 0.3)),
+    ),
+    "RandomSaturation": Spec(lambda p: A.RandomSaturation((0.5, 1.4), p=p), plain(saturation_factor=Uniform(0.5, 1.4))),
+    "RandomSharpness": Spec(lambda p: A.RandomSharpness((0.2, 1.8), p=p), plain(sharpness=Uniform(0.2, 1.8))),
+    "RandomSolarize": Spec(
+        lambda p: A.RandomSolarize(0.1, 0.2, p=p), plain(thresholds=Uniform(0.4, 0.6), additions=Uniform(-0.2, 0.2))
+    ),
+    "RandomErasing": Spec(
+        lambda p: A.RandomErasing((0.02, 0.1), (0.25, 4.0), p=p), erasing, LARGE, dependent=("xs", "ys")
+    ),
+    "RandomGaussianIllumination": Spec(
+        lambda p: A.RandomGaussianIllumination((0.01, 0.15), (0.1, 0.9), (0.2, 1.0), (-1.0, 1.0), p=p),
+        light(
+            gain=Uniform(0.01, 0.15),
+            sign=Uniform(-1, 1),
+            x=Uniform(0.1, 0.9),
+            y=Uniform(0.1, 0.9),
+            sigma_x=Uniform(0.2, 1),
+            sigma_y=Uniform(0.2, 1),
+        ),
+        SMALL,
+    ),
+    "RandomLinearIllumination": Spec(
+        lambda p: A.RandomLinearIllumination((0.01, 0.2), (-1.0, 1.0), p=p),
+        light(gain=Uniform(0.01, 0.2), sign=Uniform(-1, 1), direction=Integers(0, 3)),
+        SMALL,
+    ),
+    "RandomLinearCornerIllumination": Spec(
+        lambda p: A.RandomLinearCornerIllumination((0.01, 0.2), (-1.0, 1.0), p=p),
+        light(gain=Uniform(0.01, 0.2), sign=Uniform(-1, 1), direction=Integers(0, 3)),
+        SMALL,
+    ),
+    "RandomGaussianNoise": Spec(
+        lambda p: A.RandomGaussianNoise(0.1, 0.2, p=p),
+        pixels("gaussian_noise", lambda: Normal(0.1, 0.2), (0, 0, 0), (1, 0, 0), (0, 0, 1), (2, 3, 4)),
+        SMALL,
+    ),
+    "RandomSaltAndPepperNoise": Spec(
+        lambda p: A.RandomSaltAndPepperNoise((0.1, 0.4), (0.4, 0.6), p=p),
+        lambda params, columns: {
+            **plain(amount_factor=Uniform(0.1, 0.4), salt_and_pepper_factor=Uniform(0.4, 0.6))(params, columns),
+            "mask_salt": (params["mask_salt"][:, 0, 1, 2], Coin(0.125)),
+            "mask_pepper": (params["mask_pepper"][:, 0, 2, 3], Coin(0.125)),
+        },
+        SMALL,
+        dependent=("mask_salt", "mask_pepper"),
+    ),
+    # The map is tested in test_weather_and_plasma.py.
+    "RandomPlasmaBrightness": Spec(
+        lambda p: A.RandomPlasmaBrightness((0.1, 0.7), (0.1, 0.2), p=p),
+        plain(roughness=Uniform(0.1, 0.7), intensity=Uniform(0.1, 0.2)),
+        SMALL,
+    ),
+    "RandomPlasmaContrast": Spec(
+        lambda p: A.RandomPlasmaContrast((0.1, 0.7), p=p), plain(roughness=Uniform(0.1, 0.7)), SMALL
+    ),
+    "RandomPlasmaShadow": Spec(
+        lambda p: A.RandomPlasmaShadow((0.1, 0.7), (-1.0, 0.0), (0.0, 1.0), p=p),
+        plain(roughness=Uniform(0.1, 0.7), shade_intensity=Uniform(-1, 0), shade_quantity=Uniform(0, 1)),
+        SMALL,
+    ),
+    "RandomRain": Spec(
+        lambda p: A.RandomRain((10, 20), (2, 4), (-3, 3), p=p),
+        lambda params, columns: {
+            **plain(
+                number_of_drops_factor=Integers(10, 20),
+                drop_height_factor=Integers(2, 4),
+                drop_width_factor=Integers(-3, 3),
+            )(params, columns),
+            **{
+                f"coordinates_factor.{i}.{axis}": (params["coordinates_factor"][:, i, axis], Uniform(0, 1))
+                for i, axis in ((0, 0), (0, 1), (1, 0), (19, 1))
+            },
+        },
+    ),
+    "RandomSnow": Spec(
+        lambda p: A.RandomSnow((0.3, 0.7), (1.0, 2.0), p=p),
+        plain(snow_coefficient=Uniform(0.3, 0.7), brightness=Uniform(1, 2)),
+    ),
+    "RandomAffine3D": Spec(lambda p: A.RandomAffine3D(30.0, (0.1, 0.2, 0.1), (0.8, 1.2), 10.0, p=p), affine3d, VOLUME),
+    "RandomRotation3D": Spec(
+        lambda p: A.RandomRotation3D((20.0, 30.0, 40.0), p=p),
+        plain(yaw=Uniform(-20, 20), pitch=Uniform(-30, 30), roll=Uniform(-40, 40)),
+        VOLUME,
+    ),
+    "RandomPerspective3D": Spec(lambda p: A.RandomPerspective3D(0.5, p=p), numbered("end_points", corner3d), VOLUME),
+    "RandomCrop3D": Spec(lambda p: A.RandomCrop3D((4, 5, 5), padding=1), crop3d, VOLUME, whole_batch=True),
+    "RandomMotionBlur3D": Spec(
+        lambda p: A.RandomMotionBlur3D((3, 5), (10.0, 20.0, 30.0), 0.5, p=p),
+        lambda params, columns: in_columns(
+            **{
+                "ksize_factor": Integers(3, 5, 2),
+                "angle_factor.x": Uniform(-10, 10),
+                "angle_factor.y": Uniform(-20, 20),
+                "angle_factor.z": Uniform(-30, 30),
+                "direction_factor": Uniform(-0.5, 0.5),
+            }
+        )(params, columns),
+        VOLUME,
+    ),
+    "RandomMixUpV2": Spec(
+        lambda p: A.RandomMixUpV2((0.2, 0.6), p=p), mixed("mixup_pairs", plain(mixup_lambdas=Uniform(0.2, 0.6)))
+    ),
+    "RandomCutMixV2": Spec(
+        lambda p: A.RandomCutMixV2(num_mix=2, p=p), mixed("mix_pairs", cut_mix, 2), whole_batch=True
+    ),
+    "PatchMix": Spec(
+        lambda p: A.PatchMix(patch_size=5, p=p),
+        mixed(
+            "mix_pairs",
+            lambda params, _: {
+                "patch_coords.x": (params["patch_coords"][:, 0], Integers(0, 15)),
+                "patch_coords.y": (params["patch_coords"][:, 1], Integers(0, 11)),
+            },
+        ),
+    ),
+    "RandomJigsaw": Spec(
+        lambda p: A.RandomJigsaw((2, 2), ensure_perm=False, p=p),
+        lambda params, _: {"permutation": (code(params["permutation"]), Permutations(4))},
+    ),
+    "RandomMosaic": Spec(lambda p: A.RandomMosaic(start_ratio_range=(0.3, 0.7), p=p), mosaic),
+}
+specs = pytest.mark.parametrize("name", SPECS)
+
+
+def drawn(spec: Spec, p: float) -> tuple[dict[str, Tensor], Tensor]:
+    """Parameters of N samples by name, and their columns."""
+    augment, shape = spec.make(p), (N, *spec.shape)
+    execution = augment._draw(torch.empty(1).expand(shape), 17, None)
+    columns = torch.empty(N, 0) if execution.columns is None else execution.columns.values
+    return augment._read_params(execution), columns.double()
+
+
+def test_all_classes_that_draw_have_a_spec() -> None:
+    fixed = {case.name for case in CASES if case.fixed}
+    fixed |= {
+        "CenterCrop3D",
+        "RandomHorizontalFlip3D",
+        "RandomVerticalFlip3D",
+        "RandomDepthicalFlip3D",
+        "RandomEqualize3D",
+    }
+    fixed |= {"RandomTransplantation", "RandomTransplantation3D"}  # choose among the labels of masks: test_mix.py
+    classes = {
+        name
+        for name in A.__all__
+        if isinstance(value := getattr(A, name), type) and issubclass(value, AugmentationBase) and "Base" not in name
+    }
+    assert classes - fixed == set(SPECS)
+
+
+@specs
+def test_parameters_have_their_distributions(name: str) -> None:
+    spec = SPECS[name]
+    params, columns = drawn(spec, 1.0)
+    variates = spec.variates(params, columns)
+    listed = {variate.split(".")[0] for variate in variates}
+    for parameter, values in params.items():  # nothing that varies is left out
+        varies = values.dim() and len(values) == N and bool((values != values[:1]).any())
+        assert parameter in listed | CONSTANT | {"plasma", "lam"} or not varies, parameter
+    for variate, (values, distribution) in variates.items():
+        assert values.shape == (N,)
+        assert distribution.p_value(values.double()) > LEVEL, variate
+
+
+@specs
+def test_parameters_are_independent(name: str) -> None:
+    """Of each other, of those of the sample before, and of those of another key."""
+    spec = SPECS[name]
+    variates = spec.variates(*drawn(spec, 1.0))
+    free = {v: values.double() for v, (values, _) in variates.items() if v not in spec.dependent}
+    for (first, a), (second, b) in itertools.combinations(free.items(), 2):
+        assert stats.spearmanr(a, b).pvalue > LEVEL, (first, second)
+    for variate, (values, _) in variates.items():
+        values = values.double()
+        assert stats.spearmanr(values[1:], values[:-1]).pvalue > LEVEL, variate
+        assert stats.spearmanr(values, torch.arange(N)).pvalue > LEVEL, variate
+
+
+@specs
+@pytest.mark.parametrize("p", [0.2, 0.7])
+def test_samples_are_chosen_with_their_probability(name: str, p: float) -> None:
+    spec = SPECS[name]
+    if spec.whole_batch:
+        pytest.skip("a batch is chosen as a whole")
+    params, columns = drawn(spec, p)
+    chosen = params["batch_prob"].double()
+    assert Coin(p).p_value(chosen) > LEVEL
+    assert stats.spearmanr(chosen[1:], chosen[:-1]).pvalue > LEVEL
+    # Chosen samples have the distributions of all.
+    if not name.startswith(
+        ("RandomMixUp", "PatchMix", "RandomMosaic", "RandomJigsaw", "RandomChannelShuffle", "Color")
+    ):
+        at = chosen > 0.5
+        for variate, (values, distribution) in spec.variates(params, columns).items():
+            if variate not in spec.dependent:
+                assert distribution.p_value(values[at].double()) > LEVEL, variate
+
+
+@pytest.mark.parametrize("p", [0.1, 0.5])
+def test_batches_are_chosen_with_their_probability(p: float) -> None:
+    keys = torch.randint(-(2**63), 2**63 - 1, (N,), generator=torch.Generator().manual_seed(2)).tolist()
+    for position in (0, 3):
+        chosen = torch.tensor([is_chosen_batch(key, position, p) for key in keys]).double()
+        assert Coin(p).p_value(chosen) > LEVEL
+    sequential = torch.tensor([is_chosen_batch(key, 0, p) for key in range(N)]).double()
+    assert Coin(p).p_value(sequential) > LEVEL
+    assert stats.spearmanr(sequential[1:], sequential[:-1]).pvalue > LEVEL
+
+
+def test_the_children_of_a_container_are_independent() -> None:
+    """Equal augmentations in a chain draw other numbers, under one seed as well."""
+    augment = A.ImageSequential(*[A.RandomRotation(30.0, p=0.5) for _ in range(3)])
+    for options in ({"seed": 5}, {"seed": torch.arange(N)}, {}):
+        torch.manual_seed(3)
+        augment(torch.zeros(1, 1, 1, 1).expand(N, 1, 1, 1), **options)
+        angles = [item.data["degrees"].double() for item in augment._params]
+        chosen = [item.data["batch_prob"].double() for item in augment._params]
+        for a, b in itertools.combinations(range(3), 2):
+            assert stats.spearmanr(chosen[a], chosen[b]).pvalue > LEVEL
+            both = (chosen[a] > 0) & (chosen[b] > 0)
+            assert stats.spearmanr(angles[a][both], angles[b][both]).pvalue > LEVEL
+        for angle, at in zip(angles, chosen):
+            assert Uniform(-30, 30).p_value(angle[at > 0]) > LEVEL

@@ -3,6 +3,8 @@
 // Storage types are converted on loading and storing, by vectors of up to 16 bytes if the memory is aligned.
 #pragma once
 
+#include <initializer_list>
+
 #include "core/block_reduce.cuh"
 #include "core/launch.cuh"
 
@@ -185,117 +187,209 @@ constexpr bool kSupportsStorage = sizeof(T) <= sizeof(F);
 template <class T>
 constexpr int kScale = sizeof(T) == 1 ? 255 : 1;
 
-// Whether P pixels are vectors in memory.
+// The pixels of sample b before the first whose P pixels are aligned vectors. P is 1 or 4.
 template <int P>
-inline bool is_vectorizable(Pixels const& x, int64_t pixels) {
-  int64_t const odd = pixels | x.outer_stride | x.inner_stride | (x.step == 1 ? x.channel_stride : 0);
-  return odd % P == 0 && reinterpret_cast<uintptr_t>(x.data) % 16 == 0 && (x.step == 1 || x.step == x.channels);
-}
-template <class F, int P>
-inline void set_access(Pixels& x, int64_t pixels) {
-  DType const computed = sizeof(F) == 8 ? DType::float64 : DType::float32;
-  x.access = !is_vectorizable<P>(x, pixels)      ? Access::elements
-             : x.type == computed && x.step == 1 ? Access::plain_vectors
-                                                 : Access::vectors;
+KV_HD int pixels_before_vectors(Pixels const& x, int64_t b) {
+  int64_t const element = int64_t(reinterpret_cast<uintptr_t>(x.data)) / size_of(x.type) + x.offset(b);
+  return int((x.step == 1 ? -element : element) & (P - 1));  // element + 3 n is a multiple of 4 for n = element
 }
 
-// Pixels of planes as raw words, of the compute type or a 16-bit type. fetch issues the loads; convert waits for them,
-// so that loads of the next pixels overlap with the steps on these.
-template <class F, int C, int P>
+// Chooses how a program accesses its images. Pixels are vectors if samples have them at the same pixels of all channels
+// and of all images; the first pixels of a sample, and the last ones, may be no whole vector. Where the planes of a
+// pixel begin differently, as those of odd sizes do, pixels are accessed element by element.
+template <class F, int P>
+inline void set_access(std::initializer_list<Pixels*> images, int64_t samples) {
+  DType const computed = sizeof(F) == 8 ? DType::float64 : DType::float32;
+  Pixels const& first = **images.begin();
+  bool vectors = true;
+  for (Pixels const* x : images) {
+    if (!x->data) continue;
+    bool const planar = x->step == 1 && (x->channels == 1 || x->channel_stride % P == 0);
+    vectors = vectors && (planar || (x->step == 3 && x->channels == 3));
+    for (int64_t b : {int64_t(0), int64_t(1), x->inner})  // offsets are linear, so these decide for all samples
+      if (b < samples) vectors = vectors && pixels_before_vectors<P>(*x, b) == pixels_before_vectors<P>(first, b);
+  }
+  for (Pixels* x : images)
+    x->access = !vectors                              ? Access::elements
+                : x->type == computed && x->step == 1 ? Access::plain_vectors
+                                                      : Access::vectors;
+}
+
+// Calls f with the channels of a kernel and whether it accesses single elements, as constants. In double all do.
+template <class F, class Call>
+void with_access(Pixels const& x, Call f) {
+  auto const with_channels = [&](auto elements) {
+    x.channels == 1 ? f(std::integral_constant<int, kChannelsOfValue<F>>{}, elements)
+                    : f(std::integral_constant<int, 3>{}, elements);
+  };
+  if constexpr (sizeof(F) == 8)
+    with_channels(std::true_type{});
+  else
+    x.access == Access::elements ? with_channels(std::true_type{}) : with_channels(std::false_type{});
+}
+
+// The pixels of a thread in a chunk of a sample: position, position + apart, ... With vectors they are adjacent, and
+// chunks begin `skew` pixels before the sample, so that vectors are aligned. Otherwise the pixels of adjacent threads
+// are adjacent, and a warp accesses elements of at most two cache lines at a time.
+template <int P, bool Elements>
+struct ThreadPixels {
+  static constexpr int apart = Elements ? 32 : 1;
+  int position, skew;
+  __device__ __forceinline__ ThreadPixels(Pixels const& x, int64_t b) {
+    int const t = int(threadIdx.x);
+    position = Elements ? t / 32 * 32 * P + t % 32 : t * P;
+    skew = Elements ? 0 : -pixels_before_vectors<P>(x, b) & (P - 1);
+  }
+};
+
+__device__ __forceinline__ bool is_in(int64_t i, int64_t pixels) { return uint64_t(i) < uint64_t(pixels); }
+
+// Calls f(j, its distance in elements from pixel i) for the pixels j of a thread that exist. Distances between single
+// elements are constants where they can be.
+template <int C, int P, bool Elements, class Call>
+__device__ __forceinline__ void for_each_element(Pixels const& x, int64_t i, int64_t pixels, Call f) {
+  auto const each = [&](auto step) {
+    constexpr int apart = ThreadPixels<P, Elements>::apart;
+#pragma unroll
+    for (int j = 0; j < P; ++j)
+      if (is_in(i + j * apart, pixels)) f(j, j * apart * step);
+  };
+  if (Elements && x.step == 1)
+    each(std::integral_constant<int, 1>{});
+  else if (Elements && C > 1 && x.step == C)
+    each(std::integral_constant<int, C>{});
+  else
+    each(x.step);
+}
+
+// Pixels of planes, or single elements, as raw words of the compute type or a 16-bit type. fetch issues the loads;
+// convert waits for them, so that loads of the next pixels overlap with the steps on these.
+template <class F, int C, int P, bool Elements>
 struct PrefetchedPixels {
   static constexpr bool kOfHalves = sizeof(F) == 4;
   template <class T>
   static constexpr bool kSupported = sizeof(T) == sizeof(F) || kOfHalves;
   static constexpr uint32_t kOrdinaryBits = 0x3f3f3f3f;  // a number between 0 and 2 in every type
-  uint32_t words[C][4];
+  uint32_t words[C][4];                                  // of single elements: one or two for each
 
   static __device__ __forceinline__ bool are_halves(Pixels const& x) {
     return kOfHalves && (x.type == DType::float16 || x.type == DType::bfloat16);
   }
   static __device__ __forceinline__ bool supports(Pixels const& x) {
-    bool const halves = are_halves(x) && x.access == Access::vectors && x.step == 1;
-    return x.channels == C && (halves || x.access == Access::plain_vectors);
+    bool const is_type = are_halves(x) || x.type == (sizeof(F) == 8 ? DType::float64 : DType::float32);
+    return x.channels == C && is_type && (Elements || x.step == 1);
   }
-  // The words of pixels past the end.
+  // The words of pixels that do not exist.
   __device__ __forceinline__ void fill(uint32_t word) {
 #pragma unroll
     for (int i = 0; i < 4 * C; ++i) words[i / 4][i % 4] = word;
   }
   __device__ __forceinline__ void fetch(Pixels const& x, int64_t offset, int64_t i, int64_t pixels) {
-    if (i >= pixels) return;
     if (are_halves(x))
-      fetch_as<Half>(x, offset + i);
+      fetch_as<Half>(x, offset, i, pixels);
     else
-      fetch_as<F>(x, offset + i);
+      fetch_as<F>(x, offset, i, pixels);
   }
   __device__ __forceinline__ void convert(Pixels const& x, F (&c)[C][P]) const {
     if (!are_halves(x))
-      convert_from<F>(c);
+      convert_from<F>(x, c);
     else if (x.type == DType::float16)
-      convert_from<Half>(c);
+      convert_from<Half>(x, c);
     else
-      convert_from<BFloat16>(c);
+      convert_from<BFloat16>(x, c);
   }
 
+  // Pixels i, ... of a sample that starts at element `offset`. Words of pixels that do not exist stay as they are.
   template <class T>
-  __device__ __forceinline__ void fetch_as(Pixels const& x, int64_t from) {
+  __device__ __forceinline__ void fetch_as(Pixels const& x, int64_t offset, int64_t i, int64_t pixels) {
     if constexpr (kSupported<T>) {
-      using Words = Vector<uint32_t, int(P * sizeof(T) / 4)>;  // converted later, so that nothing waits for them here
+      T const* const from = static_cast<T const*>(x.data) + offset + i * x.step;
+      if (!Elements && i >= 0 && i + P <= pixels) {
+        using Words = Vector<uint32_t, int(P * sizeof(T) / 4)>;  // converted later, so that nothing waits for them here
 #pragma unroll
-      for (int k = 0; k < C; ++k, from += x.channel_stride) {
-        auto const vector = *reinterpret_cast<Words const*>(static_cast<T const*>(x.data) + from);
-        __builtin_memcpy(words[k], vector.v, sizeof(vector));
+        for (int k = 0; k < C; ++k) {
+          auto const vector = *reinterpret_cast<Words const*>(from + k * x.channel_stride);
+          __builtin_memcpy(words[k], vector.v, sizeof(vector));
+        }
+      } else if (!Elements) {
+#pragma unroll
+        for (int k = 0; k < C; ++k) {
+          Vector<T, P> vector;
+          __builtin_memcpy(&vector, words[k], sizeof(vector));
+#pragma unroll
+          for (int j = 0; j < P; ++j)
+            if (is_in(i + j, pixels)) vector.v[j] = from[k * x.channel_stride + j];
+          __builtin_memcpy(words[k], &vector, sizeof(vector));
+        }
+      } else {
+        for_each_element<C, P, Elements>(x, i, pixels, [&](int j, auto distance) {
+#pragma unroll
+          for (int k = 0; k < C; ++k) {
+            T const element = from[k * x.channel_stride + distance];
+            if constexpr (sizeof(T) == 2)  // a whole word, so that nothing waits for the element here
+              words[k][j] = element.bits;
+            else
+              __builtin_memcpy(&words[k][j * kElementWords<T>], &element, sizeof(T));
+          }
+        });
       }
     }
   }
   template <class T>
-  __device__ __forceinline__ void convert_from(F (&c)[C][P]) const {
+  __device__ __forceinline__ void convert_from(Pixels const& x, F (&c)[C][P]) const {
     if constexpr (kSupported<T>) {
 #pragma unroll
       for (int k = 0; k < C; ++k) {
         Vector<T, P> vector;
-        __builtin_memcpy(&vector, words[k], sizeof(vector));
+        if (!Elements) {
+          __builtin_memcpy(&vector, words[k], sizeof(vector));
+        } else {
+#pragma unroll
+          for (int j = 0; j < P; ++j) __builtin_memcpy(&vector.v[j], &words[k][j * kElementWords<T>], sizeof(T));
+        }
 #pragma unroll
         for (int j = 0; j < P; ++j) c[k][j] = F(read(vector.v[j]));
       }
     }
   }
+
+ private:
+  template <class T>
+  static constexpr int kElementWords = sizeof(T) == 8 ? 2 : 1;
 };
 
-// Loads pixels i, i + 1, ... of a sample that starts at element `offset` of x. Missing channels, and pixels past the
-// end, become `fill`.
-template <class F, int C, int P>
+// Loads the pixels of a thread, of a sample that starts at element `offset`; i is the first one. Missing channels, and
+// pixels that do not exist, become `fill`.
+template <bool Elements, class F, int C, int P>
 __device__ __forceinline__ void load_pixels(Pixels const& x, int64_t offset, int64_t i, int64_t pixels, F fill,
                                             F (&c)[C][P]) {
 #pragma unroll
   for (int k = 0; k < C; ++k)
 #pragma unroll
     for (int j = 0; j < P; ++j) c[k][j] = fill;
-  if (i >= pixels) return;
   dispatch_dtype(x.type, [&](auto stored) {
     using T = decltype(stored);
     if constexpr (kSupportsStorage<F, T>) {
       constexpr F scale = F(1. / kScale<T>);
-      T const* const from = static_cast<T const*>(x.data) + offset;
-      if (x.access == Access::elements) {
+      T const* const from = static_cast<T const*>(x.data) + offset + i * x.step;
+      if (Elements || i < 0 || i + P > pixels) {
+        for_each_element<C, P, Elements>(x, i, pixels, [&](int j, auto distance) {
 #pragma unroll
-        for (int k = 0; k < C; ++k)
-#pragma unroll
-          for (int j = 0; j < P; ++j)
-            if (k < x.channels && i + j < pixels)
-              c[k][j] = F(read(from[k * x.channel_stride + (i + j) * x.step])) * scale;
+          for (int k = 0; k < C; ++k)
+            if (k < x.channels) c[k][j] = F(read(from[k * x.channel_stride + distance])) * scale;
+        });
       } else if (x.step == 1) {
 #pragma unroll
         for (int k = 0; k < C; ++k) {
           if (k >= x.channels) break;
-          auto const vector = *reinterpret_cast<Vector<T, P> const*>(from + k * x.channel_stride + i);
+          auto const vector = *reinterpret_cast<Vector<T, P> const*>(from + k * x.channel_stride);
 #pragma unroll
           for (int j = 0; j < P; ++j) c[k][j] = F(read(vector.v[j])) * scale;
         }
       } else {
         Vector<T, P> vector[C];
 #pragma unroll
-        for (int k = 0; k < C; ++k) vector[k] = *reinterpret_cast<Vector<T, P> const*>(from + C * i + k * P);
+        for (int k = 0; k < C; ++k) vector[k] = *reinterpret_cast<Vector<T, P> const*>(from + k * P);
 #pragma unroll
         for (int k = 0; k < C; ++k)
 #pragma unroll
@@ -305,11 +399,11 @@ __device__ __forceinline__ void load_pixels(Pixels const& x, int64_t offset, int
   });
 }
 
-template <class F, int C, int P>
+template <bool Elements, class F, int C, int P>
 __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t offset, int64_t i, int64_t pixels,
                                              F const (&c)[C][P]) {
-  if (i >= pixels) return;
-  if (y.access == Access::plain_vectors) {
+  bool const whole = !Elements && i >= 0 && i + P <= pixels;
+  if (whole && y.access == Access::plain_vectors) {
     F* to = static_cast<F*>(y.data) + offset + i;
 #pragma unroll
     for (int k = 0; k < C; ++k, to += y.channel_stride) {
@@ -323,13 +417,13 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t offset, in
     if constexpr (kSupportsStorage<F, T>) {
       constexpr F scale = kScale<T>;
       auto const rounded = [&](F v) { return round_to<T>(Compute<T>(v * scale)); };
-      T* const to = static_cast<T*>(y.data) + offset;
-      if (y.access != Access::vectors) {
+      T* const to = static_cast<T*>(y.data) + offset + i * y.step;
+      if (!whole) {
+        for_each_element<C, P, Elements>(y, i, pixels, [&](int j, auto distance) {
 #pragma unroll
-        for (int k = 0; k < C; ++k)
-#pragma unroll
-          for (int j = 0; j < P; ++j)
-            if (k < y.channels && i + j < pixels) to[k * y.channel_stride + (i + j) * y.step] = rounded(c[k][j]);
+          for (int k = 0; k < C; ++k)
+            if (k < y.channels) to[k * y.channel_stride + distance] = rounded(c[k][j]);
+        });
       } else if (y.step == 1) {
 #pragma unroll
         for (int k = 0; k < C; ++k) {
@@ -337,7 +431,7 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t offset, in
           Vector<T, P> vector;
 #pragma unroll
           for (int j = 0; j < P; ++j) vector.v[j] = rounded(c[k][j]);
-          *reinterpret_cast<Vector<T, P>*>(to + k * y.channel_stride + i) = vector;
+          *reinterpret_cast<Vector<T, P>*>(to + k * y.channel_stride) = vector;
         }
       } else {
         Vector<T, P> vector[C];
@@ -346,7 +440,7 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t offset, in
 #pragma unroll
           for (int j = 0; j < P; ++j) vector[(C * j + k) / P].v[(C * j + k) % P] = rounded(c[k][j]);
 #pragma unroll
-        for (int k = 0; k < C; ++k) *reinterpret_cast<Vector<T, P>*>(to + C * i + k * P) = vector[k];
+        for (int k = 0; k < C; ++k) *reinterpret_cast<Vector<T, P>*>(to + k * P) = vector[k];
       }
     }
   });

@@ -8,38 +8,40 @@
 namespace kv::color::cuda {
 namespace {
 
-template <class F, int C>
+template <class F, int C, bool Elements>
 __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ ProgramBackward<F> const p) {
   constexpr int P = kPixelsPerThread<F>;
   Program<F> const& q = p.forward;
   __shared__ Sample<F> sample;
-  using Prefetched = PrefetchedPixels<F, C, P>;
+  using Prefetched = PrefetchedPixels<F, C, P, Elements>;
   bool const prefetches = Prefetched::supports(q.x) && Prefetched::supports(p.grad) && q.x.type == p.grad.type;
   __shared__ F partial_grads[kThreads / 32][kMaxParameters];
   for (int64_t n = blockIdx.y; n < q.samples; n += gridDim.y) {
     int64_t const b = sample_of(q, n), from = q.x.offset(b), from_grad = p.grad.offset(b);
+    ThreadPixels<P, Elements> const own(q.x, b);
     int64_t const to = p.needs_grad_x ? p.grad_x.offset(b) : 0;
     F partial_mean = 0;
     sample.prepare(q, b, true);
     int const last = p.last_input(sample.length, [&](int s) { return sample.order[s].index; });
     for (int k = int(threadIdx.x % 32); k < kMaxParameters; k += 32) partial_grads[threadIdx.x / 32][k] = 0;
     __syncwarp();
-    for (int64_t chunk = blockIdx.x; chunk < chunks_of<F>(q.pixels); chunk += gridDim.x) {
-      int64_t const i = chunk * kChunk<F> + threadIdx.x * P, i_input = p.reads_input ? i : q.pixels;
+    int64_t const stride = gridDim.x * kChunk<F>;
+    for (int64_t chunk = blockIdx.x * kChunk<F> - own.skew; chunk < q.pixels; chunk += stride) {
+      int64_t const i = chunk + own.position, i_input = p.reads_input ? i : q.pixels;
       F c[C][P], g[C][P], inputs[kMaxSteps - 1][C][P];
       auto const load_both = [&](auto stored) {  // issues all loads before it waits for any
         using T = decltype(stored);
         Prefetched x, grad;
         x.fill(x.kOrdinaryBits);
         grad.fill(0);
-        if (i_input < q.pixels) x.template fetch_as<T>(q.x, from + i);
-        if (i < q.pixels) grad.template fetch_as<T>(p.grad, from_grad + i);
-        x.template convert_from<T>(c);
-        grad.template convert_from<T>(g);
+        x.template fetch_as<T>(q.x, from, i_input, q.pixels);
+        grad.template fetch_as<T>(p.grad, from_grad, i, q.pixels);
+        x.template convert_from<T>(q.x, c);
+        grad.template convert_from<T>(p.grad, g);
       };
       if (!prefetches) {
-        load_pixels(q.x, from, i_input, q.pixels, F(0.5), c);
-        load_pixels(p.grad, from_grad, i, q.pixels, F(0), g);
+        load_pixels<Elements>(q.x, from, i_input, q.pixels, F(0.5), c);
+        load_pixels<Elements>(p.grad, from_grad, i, q.pixels, F(0), g);
       } else if (q.x.type == DType::float16) {
         load_both(Half{});
       } else if (q.x.type == DType::bfloat16) {
@@ -82,7 +84,8 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
           for (int k = 0; k < C; ++k)
 #pragma unroll
             for (int j = 0; j < P; ++j)
-              if (i + j < q.pixels)  // pixels past the end add nothing to gradients of parameters
+              if (is_in(i + j * own.apart,
+                        q.pixels))  // pixels that do not exist add nothing to gradients of parameters
                 g[k][j] += sample.grad_mean * q.gray_weights[k];
         if (s > 0 && s <= last)
 #pragma unroll
@@ -90,7 +93,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
 #pragma unroll
             for (int j = 0; j < P; ++j) c[k][j] = inputs[s - 1][k][j];
       }
-      if (p.needs_grad_x && !q.measures_mean) store_pixels(p.grad_x, to, i, q.pixels, g);
+      if (p.needs_grad_x && !q.measures_mean) store_pixels<Elements>(p.grad_x, to, i, q.pixels, g);
     }
     if (q.measures_mean) {
       partial_mean = block_sum_to_all(partial_mean, sample.sums);
@@ -122,12 +125,11 @@ template <class F>
 int program_backward(ProgramBackward<F> const& params, CUstream_st* stream) {
   ProgramBackward<F> p = params;
   Program<F> const& q = p.forward;
-  for (Pixels* x : {&p.forward.x, &p.grad, &p.grad_x}) set_access<F, kPixelsPerThread<F>>(*x, q.pixels);
+  set_access<F, kPixelsPerThread<F>>({&p.forward.x, &p.grad, &p.grad_x}, q.samples);
   dim3 const grid = grid_of(q.samples, q.measures_mean ? q.parts_count : blocks_per_sample<F>(q.samples, q.pixels));
-  if (q.x.channels == 1)
-    run_backward<F, kChannelsOfValue<F>><<<grid, kThreads, 0, stream>>>(p);
-  else
-    run_backward<F, 3><<<grid, kThreads, 0, stream>>>(p);
+  with_access<F>(q.x, [&](auto channels, auto elements) {
+    run_backward<F, channels.value, elements.value><<<grid, kThreads, 0, stream>>>(p);
+  });
   return cudaGetLastError();
 }
 

@@ -8,6 +8,11 @@ namespace kv {
 // The numbers are stable: color programs in exported graphs contain them.
 enum class DType : int { uint8, float16, bfloat16, float32, float64 };
 
+// The size of an element in bytes.
+KV_HD int size_of(DType dtype) {
+  return dtype == DType::uint8 ? 1 : dtype == DType::float64 ? 8 : dtype == DType::float32 ? 4 : 2;
+}
+
 // Calls f with a value of the type.
 template <class F>
 KV_HD void dispatch_dtype(DType dtype, F f) {

@@ -1,37 +1,44 @@
-// CUDA kernel for add_weighted: each thread computes two vectors.
+// CUDA kernel for add_weighted: each thread computes two vectors, or eight pixels where vectors are not aligned alike.
 #include "add_weighted.h"
-#include "core/launch.cuh"
+#include "core/row_vectors.cuh"
 
 namespace kv::enhance::cuda {
 namespace {
 
-constexpr int kThreads = 256, kVectors = 2;
+constexpr int kThreads = 256;
+template <int P>
+constexpr int kAtOnce = P == 1 ? 8 : 2;  // vectors of P pixels
 
-template <class T, bool Vectorized>
+template <class T, int P>
 __global__ void __launch_bounds__(kThreads) run(__grid_constant__ AddWeighted<T> const p) {
   using F = Compute<T>;
-  constexpr int P = Vectorized ? kPixels<T> : 1;
-  int64_t const first = (blockIdx.x * int64_t(kVectors * kThreads) + threadIdx.x) * P, step = p.x.step;
+  int64_t const step = P > 1 ? 1 : p.x.step;
   for (int64_t plane = blockIdx.y; plane < p.x.count(); plane += gridDim.y) {
     F const a = p.weight_of(p.alpha, plane), b = p.weight_of(p.beta, plane), c = p.weight_of(p.gamma, plane);
     T const *const x = p.x.plane(plane), *const y = p.y.plane(plane);
     T* const result = p.result.plane(plane);
-    Vector<T, P> xs[kVectors], ys[kVectors];
+    auto const sum = [&](Vector<T, P> const& u, Vector<T, P> const& v, int64_t i) {
+      F sums[P];
 #pragma unroll
-    for (int k = 0; k < kVectors; ++k) {
+      for (int j = 0; j < P; ++j) sums[j] = read(u.v[j]) * a + read(v.v[j]) * b + c;
+      store_vector(result + i * step, sums);
+    };
+    AlignedBody<P, int64_t> const body(result, 0, p.x.width);
+    if (blockIdx.x == 0)
+      body.for_each_peeled([&](int64_t i) { result[i] = round_to<T>(read(x[i]) * a + read(y[i]) * b + c); });
+    int64_t const first = body.begin + (blockIdx.x * int64_t(kAtOnce<P> * kThreads) + threadIdx.x) * P;
+    Vector<T, P> xs[kAtOnce<P>], ys[kAtOnce<P>];
+#pragma unroll
+    for (int k = 0; k < kAtOnce<P>; ++k) {
       int64_t const i = first + k * kThreads * P;
-      if (i >= p.x.width) break;
+      if (i >= body.end) break;
       xs[k] = *reinterpret_cast<Vector<T, P> const*>(x + i * step);
       ys[k] = *reinterpret_cast<Vector<T, P> const*>(y + i * step);
     }
 #pragma unroll
-    for (int k = 0; k < kVectors; ++k) {
+    for (int k = 0; k < kAtOnce<P>; ++k) {
       int64_t const i = first + k * kThreads * P;
-      if (i >= p.x.width) break;
-      F v[P];
-#pragma unroll
-      for (int j = 0; j < P; ++j) v[j] = read(xs[k].v[j]) * a + read(ys[k].v[j]) * b + c;
-      store_vector(result + i * step, v);
+      if (i < body.end) sum(xs[k], ys[k], i);
     }
   }
 }
@@ -40,13 +47,14 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ AddWeighted<T>
 
 template <class T>
 int add_weighted(AddWeighted<T> const& p, CUstream_st* stream) {
-  constexpr int P = kPixels<T>;
-  with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y) && is_vectorizable<P>(p.result),
-                    [&](auto vectorized) {
-                      dim3 const blocks(unsigned(ceil_div(p.x.width, kVectors * kThreads * (vectorized.value ? P : 1))),
-                                        unsigned(min(p.x.count(), int64_t(65535))));
-                      run<T, vectorized.value><<<blocks, kThreads, 0, stream>>>(p);
-                    });
+  constexpr int P = sizeof(T) == 8 ? 1 : kPixels<T>;
+  bool const aligned_alike = are_aligned_alike<P>(p.result, p.x) && are_aligned_alike<P>(p.result, p.y);
+  with_row_vectors<P>(aligned_alike, [&](auto pixels) {
+    constexpr int N = pixels.value;
+    dim3 const blocks(unsigned(ceil_div(p.x.width, kAtOnce<N> * kThreads * N)),
+                      unsigned(min(p.x.count(), int64_t(65535))));
+    run<T, N><<<blocks, kThreads, 0, stream>>>(p);
+  });
   return cudaGetLastError();
 }
 

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "byte_histogram.h"
-#include "core/launch.cuh"
+#include "core/row_vectors.cuh"
 
 namespace kv::enhance {
 
@@ -16,48 +16,29 @@ __device__ __forceinline__ int level_of(T stored) {
   return x < 255 ? int(x) : 255;
 }
 
-// Loads P pixels of a flat plane from index i; pixels from `end` on are 0. Vectorized: the pixels are aligned, and all
-// are before `end`.
-template <bool Vectorized, int P, class T>
-__device__ __forceinline__ Vector<T, P> load_pixels(T const* x, int64_t step, int i, int end) {
-  Vector<T, P> vector{};
-  if constexpr (Vectorized) {
-    vector = *reinterpret_cast<Vector<T, P> const*>(x + i);
-  } else {
-#pragma unroll
-    for (int k = 0; k < P; ++k)
-      if (i + k < end) vector.v[k] = x[(i + k) * step];
-  }
-  return vector;
-}
+// Pixels of a vector of 16 bytes. float64, which is rare, has single pixels: each form costs compile time.
+template <class T>
+constexpr int kRowVector = sizeof(T) == 8 ? 1 : kPixels<T>;
 
-template <bool Vectorized, int P, class T>
-__device__ __forceinline__ void store_pixels(T* y, int64_t step, int i, int end, Compute<T> const (&v)[P]) {
-  if constexpr (Vectorized) {
-    store_vector(y + i, v);
-  } else {
-#pragma unroll
-    for (int k = 0; k < P; ++k)
-      if (i + k < end) y[(i + k) * step] = round_to<T>(v[k]);
-  }
-}
-
-// Calls f(vector, i) for the pixels [begin, end) of a plane. Each thread issues several vector loads before it uses
-// one.
-template <int Threads, bool Vectorized, int P, class T, class F>
+// Calls f(vector, i) for the pixels [begin, end) of a flat plane, each in one vector that begins at pixel i: aligned
+// vectors of P pixels, and peeled ones of a single pixel. P is 1 if pixels are not adjacent. Each thread issues several
+// loads before it uses one.
+template <int Threads, int P, class T, class F>
 __device__ __forceinline__ void for_each_vector(T const* x, int64_t step, int begin, int end, F f) {
-  constexpr int kAtOnce = Vectorized ? 4 : 1;
-  for (int64_t first = begin + int(threadIdx.x) * P; first < end; first += Threads * P * kAtOnce) {
+  constexpr int kAtOnce = 4;
+  AlignedBody<P, int> const body(x, begin, end);
+  body.for_each_peeled([&](int i) { f(Vector<T, 1>{x[i]}, i); });
+  for (int64_t first = body.begin + int(threadIdx.x) * P; first < body.end; first += Threads * P * kAtOnce) {
     Vector<T, P> vectors[kAtOnce];
 #pragma unroll
     for (int k = 0; k < kAtOnce; ++k) {
       int64_t const i = first + k * Threads * P;
-      if (i < end) vectors[k] = load_pixels<Vectorized, P>(x, step, int(i), end);
+      if (i < body.end) vectors[k] = *reinterpret_cast<Vector<T, P> const*>(x + i * step);
     }
 #pragma unroll
     for (int k = 0; k < kAtOnce; ++k) {
       int64_t const i = first + k * Threads * P;
-      if (i < end) f(vectors[k], int(i));
+      if (i < body.end) f(vectors[k], int(i));
     }
   }
 }

@@ -1,7 +1,8 @@
-// Histogram equalization on CUDA. A plane whose levels fit the shared memory of one multiprocessor is read once: one
-// block counts its levels, keeps them as bytes and maps them with the table. Larger planes are counted by several
-// blocks and read again.
+// Histogram equalization on CUDA. A plane of up to half a million pixels is read once: the blocks of a cluster, or one
+// block, count its levels, keep them as bytes in shared memory and map them with the table. Larger planes are counted
+// by several blocks and read again.
 #include "byte_histogram.cuh"
+#include "core/cluster.cuh"
 #include "equalize.h"
 
 namespace kv::enhance::cuda {
@@ -13,10 +14,7 @@ constexpr int kCountBytes = Counter::kSize * int(sizeof(int32_t));
 template <class T>
 constexpr int kBlocks = sizeof(T) == 8 ? 2 : 3;  // per multiprocessor
 
-// A few large planes use more multiprocessors if they are split into chunks.
-constexpr bool fits_one_block(int64_t planes, int64_t pixels) {
-  return pixels <= (planes >= 64 ? 192 << 10 : 16 << 10);
-}
+constexpr int kMostPixels = (64 << 10) + 64;  // of a block: shared memory is enough for three blocks then
 
 // The table from level to value, in as many copies as fit the memory of the counts.
 template <class F>
@@ -50,71 +48,92 @@ __device__ __forceinline__ bool make_table(int count, bool opencv, void* memory,
 }
 
 // Maps the pixels [begin, end) of a plane; without a table, copies them.
-template <bool Vectorized, class T>
+template <int P, class T>
 __device__ __forceinline__ void map_pixels(Equalize<T> const& p, int64_t plane, int begin, int end, bool has_table,
                                            Table<Compute<T>> table) {
-  constexpr int P = kPixels<T>;
   T* const y = p.y.plane(plane);
-  for_each_vector<kThreads, Vectorized, P>(p.x.plane(plane), p.x.step, begin, end,
-                                           [&](Vector<T, P> const& vector, int i) {
-                                             Compute<T> v[P];
+  for_each_vector<kThreads, P>(p.x.plane(plane), p.x.step, begin, end, [&](auto const& vector, int i) {
+    constexpr int N = sizeof(vector) / sizeof(T);
+    Compute<T> v[N];
 #pragma unroll
-                                             for (int k = 0; k < P; ++k) {
-                                               int const level = level_of(vector.v[k]);
-                                               v[k] = has_table && level < kLevels ? table[level] : read(vector.v[k]);
-                                             }
-                                             store_pixels<Vectorized>(y, p.y.step, i, end, v);
-                                           });
+    for (int k = 0; k < N; ++k) {
+      int const level = level_of(vector.v[k]);
+      v[k] = has_table && level < kLevels ? table[level] : read(vector.v[k]);
+    }
+    store_vector(y + i * p.y.step, v);
+  });
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_plane(Equalize<T> p) {
+__device__ __forceinline__ T change_of_plane(bool changes, bool has_nan) {
+  return round_to<T>(Compute<T>(int(!changes ? Change::none : has_nan ? Change::but_nan : Change::all)));
+}
+
+// A block processes `each` pixels of a plane, and a cluster of `parts` blocks the whole plane.
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_parts(Equalize<T> p, unsigned parts, int each) {
   using F = Compute<T>;
-  constexpr int P = kPixels<T>;
   extern __shared__ __align__(16) unsigned char memory[];
+  __shared__ int32_t totals[kLevels];
   Counter const counter{reinterpret_cast<int32_t*>(memory)};
-  unsigned char* const levels = memory + kCountBytes;  // one per pixel, in vectors
-  int const n = int(p.x.width);
+  unsigned const plane = blockIdx.x / parts, part = blockIdx.x - plane * parts;
+  T const* const x = p.x.plane(plane);
+  int const begin = int(part) * each, end = min(begin + each, int(p.x.width)), t = int(threadIdx.x);
+  AlignedBody<P, int> const body(x, begin, end);
+  unsigned char* const levels = memory + kCountBytes + P - body.begin;  // of pixel 0; vectors of levels are aligned
 
   counter.clear();
   __syncthreads();
   bool has_nan = false;
-  for_each_vector<kThreads, true, P>(p.x.plane(blockIdx.x), 1, 0, n, [&](Vector<T, P> const& vector, int i) {
-    Vector<unsigned char, P> bytes;
+  for_each_vector<kThreads, P>(x, p.x.step, begin, end, [&](auto const& vector, int i) {
+    constexpr int N = sizeof(vector) / sizeof(T);
+    Vector<unsigned char, N> bytes;
 #pragma unroll
-    for (int k = 0; k < P; ++k) {
+    for (int k = 0; k < N; ++k) {
       int const level = level_of(vector.v[k]);
       counter.add(level);
       has_nan = has_nan || level == kNanLevel;
       bytes.v[k] = static_cast<unsigned char>(level);
     }
-    *reinterpret_cast<Vector<unsigned char, P>*>(levels + i) = bytes;
+    *reinterpret_cast<Vector<unsigned char, N>*>(levels + i) = bytes;
   });
   has_nan = __syncthreads_or(has_nan);
-  int const count = threadIdx.x < kLevels ? counter[threadIdx.x] : 0;
+  int count = t < kLevels ? counter[t] : 0;
+  if (parts > 1) {
+    if (t < kLevels) totals[t] = count;
+    cluster_arrive();
+    cluster_wait();
+    count = 0;
+    for (unsigned rank = 0; t < kLevels && rank < parts; ++rank) count += load_of_block(&totals[t], rank);
+    cluster_arrive();  // no block ends before all others have read its totals
+  }
   __syncthreads();
   int counted;
   bool const changes = make_table<F>(count, p.opencv, memory, counted);
   Table<F> const table{reinterpret_cast<F*>(memory)};
-  if (threadIdx.x == 0)
-    p.changed[blockIdx.x] = round_to<T>(F(int(!changes ? Change::none : has_nan ? Change::but_nan : Change::all)));
+  if (part == 0 && t == 0) p.changed[plane] = change_of_plane<T>(changes, counted < p.x.width);
 
-  // A byte cannot represent NaN.
-  if (has_nan || !changes) return map_pixels<true>(p, blockIdx.x, 0, n, changes, table);
-  T* const y = p.y.plane(blockIdx.x);
-  for (int i = int(threadIdx.x) * P; i < n; i += kThreads * P) {
-    Vector<unsigned char, P> const bytes = *reinterpret_cast<Vector<unsigned char, P> const*>(levels + i);
-    F v[P];
+  if (has_nan || !changes) {  // a byte cannot represent NaN
+    map_pixels<P>(p, plane, begin, end, changes, table);
+  } else {
+    T* const y = p.y.plane(plane);
+    auto const map = [&](int i, auto size) {
+      constexpr int N = size.value;
+      auto const bytes = *reinterpret_cast<Vector<unsigned char, N> const*>(levels + i);
+      F v[N];
 #pragma unroll
-    for (int k = 0; k < P; ++k) v[k] = table[bytes.v[k]];
-    store_vector(y + i, v);
+      for (int k = 0; k < N; ++k) v[k] = table[bytes.v[k]];
+      store_vector(y + i * p.y.step, v);
+    };
+    body.for_each_peeled([&](int i) { map(i, std::integral_constant<int, 1>{}); });
+    for (int i = body.begin + t * P; i < body.end; i += kThreads * P) map(i, std::integral_constant<int, P>{});
   }
+  if (parts > 1) cluster_wait();
 }
 
 // Chunks of planes, `each` pixels per block.
-template <class T, bool Vectorized>
+template <class T, int P>
 __global__ void __launch_bounds__(kThreads, kBlocks<T>) count_levels(Equalize<T> p, unsigned chunks, int each) {
-  constexpr int P = kPixels<T>;
   __shared__ int32_t counts[Counter::kSize];
   Counter const counter{counts};
   unsigned const plane = blockIdx.x / chunks;
@@ -122,17 +141,15 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) count_levels(Equalize<T>
   int const end = int(min(begin + each, p.x.width));
   counter.clear();
   __syncthreads();
-  for_each_vector<kThreads, Vectorized, P>(p.x.plane(plane), p.x.step, int(begin), end,
-                                           [&](Vector<T, P> const& vector, int i) {
+  for_each_vector<kThreads, P>(p.x.plane(plane), p.x.step, int(begin), end, [&](auto const& vector, int) {
 #pragma unroll
-                                             for (int k = 0; k < P; ++k)
-                                               if (Vectorized || i + k < end) counter.add(level_of(vector.v[k]));
-                                           });
+    for (T const x : vector.v) counter.add(level_of(x));
+  });
   __syncthreads();
   if (threadIdx.x < kLevels) atomicAdd(p.counts + int64_t(plane) * kLevels + threadIdx.x, counter[threadIdx.x]);
 }
 
-template <class T, bool Vectorized>
+template <class T, int P>
 __global__ void __launch_bounds__(kThreads, kBlocks<T>) map_levels(Equalize<T> p, unsigned chunks, int each) {
   using F = Compute<T>;
   __shared__ __align__(16) unsigned char memory[kCountBytes];
@@ -141,19 +158,15 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) map_levels(Equalize<T> p
   int const count = threadIdx.x < kLevels ? p.counts[int64_t(plane) * kLevels + threadIdx.x] : 0;
   int counted;
   bool const changes = make_table<F>(count, p.opencv, memory, counted);
-  if (begin == 0 && threadIdx.x == 0) {
-    bool const has_nan = counted < p.x.width;
-    p.changed[plane] = round_to<T>(F(int(!changes ? Change::none : has_nan ? Change::but_nan : Change::all)));
-  }
-  map_pixels<Vectorized>(p, plane, int(begin), int(min(begin + each, p.x.width)), changes,
-                         Table<F>{reinterpret_cast<F*>(memory)});
+  if (begin == 0 && threadIdx.x == 0) p.changed[plane] = change_of_plane<T>(changes, counted < p.x.width);
+  map_pixels<P>(p, plane, int(begin), int(min(begin + each, p.x.width)), changes,
+                Table<F>{reinterpret_cast<F*>(memory)});
 }
 
 // The gradient is read only where it passes: nowhere, for most planes.
-template <class T, bool Vectorized>
+template <class T, int P>
 __global__ void __launch_bounds__(kThreads) equalize_gradients(EqualizeBackward<T> p, unsigned chunks, int each) {
   using F = Compute<T>;
-  constexpr int P = kPixels<T>;
   unsigned const plane = blockIdx.x / chunks;
   int64_t const begin = int64_t(blockIdx.x % chunks) * each;
   int const end = int(min(begin + each, p.grad.width));
@@ -161,62 +174,78 @@ __global__ void __launch_bounds__(kThreads) equalize_gradients(EqualizeBackward<
   T const* const grad = p.grad.plane(plane);
   T* const grad_x = p.grad_x.plane(plane);
   if (change == Change::all) {
+    AlignedBody<P, int> const body(grad_x, int(begin), end);
     F const none[P]{};
-    for (int i = int(begin) + int(threadIdx.x) * P; i < end; i += kThreads * P)
-      store_pixels<Vectorized>(grad_x, p.grad_x.step, i, end, none);
+    body.for_each_peeled([&](int i) { grad_x[i] = round_to<T>(F(0)); });
+    for (int i = body.begin + int(threadIdx.x) * P; i < body.end; i += kThreads * P)
+      store_vector(grad_x + i * p.grad_x.step, none);
     return;
   }
   bool const stays = change == Change::none;
-  Planes<T const> const& first = stays ? p.grad : p.output;
-  auto const pull = [&](Vector<T, P> const& vector, int i) {
-    F v[P];
+  Planes<T const> const& source = stays ? p.grad : p.output;
+  auto const pull = [&](auto const& vector, int i) {
+    constexpr int N = sizeof(vector) / sizeof(T);
+    F v[N];
 #pragma unroll
-    for (int k = 0; k < P; ++k) {
+    for (int k = 0; k < N; ++k) {
       F const x = read(vector.v[k]);
       v[k] = stays ? x : F(0);
       if (!stays && x != x) v[k] = read(grad[(i + k) * p.grad.step]);
     }
-    store_pixels<Vectorized>(grad_x, p.grad_x.step, i, end, v);
+    store_vector(grad_x + i * p.grad_x.step, v);
   };
-  for_each_vector<kThreads, Vectorized, P>(first.plane(plane), first.step, int(begin), end, pull);
+  for_each_vector<kThreads, P>(source.plane(plane), source.step, int(begin), end, pull);
 }
 
-template <bool Vectorized, class T>
+template <int P, class T>
 int equalize_in_chunks(Equalize<T> const& p, CUstream_st* stream) {
   int64_t const planes = p.x.count(), pixels = p.x.width;
   // Small enough for several blocks on every multiprocessor, large enough that the tables cost little.
   int64_t const each = clamp((planes * pixels) >> 10, int64_t(8) << 10, int64_t(64) << 10) / 4096 * 4096;
   unsigned const chunks = unsigned(ceil_div(pixels, each)), blocks = unsigned(planes) * chunks;
   if (int const error = cudaMemsetAsync(p.counts, 0, planes * kLevels * sizeof(int32_t), stream)) return error;
-  count_levels<T, Vectorized><<<blocks, kThreads, 0, stream>>>(p, chunks, int(each));
-  map_levels<T, Vectorized><<<blocks, kThreads, 0, stream>>>(p, chunks, int(each));
+  count_levels<T, P><<<blocks, kThreads, 0, stream>>>(p, chunks, int(each));
+  map_levels<T, P><<<blocks, kThreads, 0, stream>>>(p, chunks, int(each));
   return cudaGetLastError();
+}
+
+template <int P, class T>
+int equalize_planes(Equalize<T> const& p, CUstream_st* stream) {
+  int64_t const planes = p.x.count(), pixels = p.x.width;
+  int const most_parts = supports_clusters(equalize_parts<T, P>) ? kMaxClusterSize : 1;
+  int parts = 1;
+  while (parts < most_parts && ceil_div(pixels, parts) > kMostPixels) parts *= 2;
+  // Few planes use all multiprocessors if each is split further; fewer still if they are split into chunks.
+  while (parts < most_parts && planes * parts < 2 * multiprocessors() && pixels / parts > 8 << 10) parts *= 2;
+  int64_t const each = ceil_div(ceil_div(pixels, parts), 16) * 16;
+  bool const few = planes * parts < (most_parts == 1 ? 64 : multiprocessors()) && pixels > 16 << 10;
+  if (few || each > kMostPixels) return equalize_in_chunks<P>(p, stream);
+  int const bytes = kCountBytes + int(each) + 2 * P;
+  if (int const error = cudaFuncSetAttribute(equalize_parts<T, P>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
+    return error;
+  return launch_clusters(equalize_parts<T, P>, unsigned(planes * parts), kThreads, bytes, unsigned(parts), stream, p,
+                         unsigned(parts), int(each));
 }
 
 }  // namespace
 
 template <class T>
 int equalize(Equalize<T> const& p, CUstream_st* stream) {
-  constexpr int P = kPixels<T>;
-  if (!is_vectorizable<P>(p.x) || !is_vectorizable<P>(p.y)) return equalize_in_chunks<false>(p, stream);
-  int64_t const planes = p.x.count(), pixels = p.x.width;
-  if (!fits_one_block(planes, pixels)) return equalize_in_chunks<true>(p, stream);
-  int const bytes = kCountBytes + int(pixels);
-  if (int const error = cudaFuncSetAttribute(equalize_plane<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
-    return error;
-  equalize_plane<<<unsigned(planes), kThreads, bytes, stream>>>(p);
-  return cudaGetLastError();
+  int error = 0;
+  with_row_vectors<kRowVector<T>>(are_aligned_alike<kPixels<T>>(p.x, p.y),
+                                  [&](auto pixels) { error = equalize_planes<pixels.value>(p, stream); });
+  return error;
 }
 
 template <class T>
 int equalize_backward(EqualizeBackward<T> const& p, CUstream_st* stream) {
-  constexpr int P = kPixels<T>;
-  int64_t const planes = p.grad.count(), each = kThreads * P * 8;
+  int64_t const planes = p.grad.count(), each = kThreads * kPixels<T> * 8;
   unsigned const chunks = unsigned(ceil_div(p.grad.width, each)), blocks = unsigned(planes) * chunks;
-  if (is_vectorizable<P>(p.grad) && is_vectorizable<P>(p.output) && is_vectorizable<P>(p.grad_x))
-    equalize_gradients<T, true><<<blocks, kThreads, 0, stream>>>(p, chunks, int(each));
-  else
-    equalize_gradients<T, false><<<blocks, kThreads, 0, stream>>>(p, chunks, int(each));
+  bool const aligned_alike =
+      are_aligned_alike<kPixels<T>>(p.grad_x, p.grad) && are_aligned_alike<kPixels<T>>(p.grad_x, p.output);
+  with_row_vectors<kRowVector<T>>(aligned_alike, [&](auto pixels) {
+    equalize_gradients<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p, chunks, int(each));
+  });
   return cudaGetLastError();
 }
 

@@ -81,27 +81,22 @@ struct ChunkPosition {
         end(int(min(chunk * size + size, pixels))) {}
 };
 
-template <class T, bool Vectorized>
+template <class T, int P>
 __global__ void __launch_bounds__(kThreads) find_range(MinMax<T> p) {
   using F = Compute<T>;
-  constexpr int P = kPixels<T>;
   ChunkPosition const at(blockIdx.x, p.chunk, p.chunks, p.x.width);
   Range<F> range = Range<F>::none();
-  for_each_vector<kThreads, Vectorized, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end,
-                                           [&](Vector<T, P> const& vector, int i) {
+  for_each_vector<kThreads, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end, [&](auto const& vector, int) {
 #pragma unroll
-                                             for (int k = 0; k < P; ++k)
-                                               if (Vectorized || i + k < at.end)
-                                                 range.add({read(vector.v[k]), read(vector.v[k])});
-                                           });
+    for (T const x : vector.v) range.add({read(x), read(x)});
+  });
   range = of_block<Range<F>, F>(range);
   if (threadIdx.x == 0) reinterpret_cast<Range<F>*>(p.partial)[blockIdx.x] = range;
 }
 
-template <class T, bool Vectorized>
+template <class T, int P>
 __global__ void __launch_bounds__(kThreads) map_range(MinMax<T> p) {
   using F = Compute<T>;
-  constexpr int P = kPixels<T>;
   ChunkPosition const at(gridDim.x - 1 - blockIdx.x, p.chunk, p.chunks, p.x.width);
   auto const range = of_plane<Range<F>>(p.partial + 2 * at.plane * p.chunks, p.chunks);
   F const smallest = range.smallest, low = p.low, factor = p.scale / (range.largest - smallest + p.eps);
@@ -110,33 +105,31 @@ __global__ void __launch_bounds__(kThreads) map_range(MinMax<T> p) {
     p.range[2 * at.plane + 1] = round_to<T>(range.largest);
   }
   T* const y = p.y.plane(at.plane);
-  for_each_vector<kThreads, Vectorized, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end,
-                                           [&](Vector<T, P> const& vector, int i) {
-                                             F v[P];
+  for_each_vector<kThreads, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end, [&](auto const& vector, int i) {
+    constexpr int N = sizeof(vector) / sizeof(T);
+    F v[N];
 #pragma unroll
-                                             for (int k = 0; k < P; ++k)
-                                               v[k] = (read(vector.v[k]) - smallest) * factor + low;
-                                             store_pixels<Vectorized>(y, p.y.step, i, at.end, v);
-                                           });
+    for (int k = 0; k < N; ++k) v[k] = (read(vector.v[k]) - smallest) * factor + low;
+    store_vector(y + i * p.y.step, v);
+  });
 }
 
-template <class T, bool Vectorized>
+template <class T, int P>
 __global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
   using F = Compute<T>;
-  constexpr int P = kPixels<T>;
   ChunkPosition const at(blockIdx.x, p.chunk, p.chunks, p.x.width);
   F const smallest = read(p.range[2 * at.plane]), largest = read(p.range[2 * at.plane + 1]);
   T const* const grad = p.grad.plane(at.plane);
   Sums<F> sums{};
-  for_each_vector<kThreads, Vectorized, P>(
-      p.x.plane(at.plane), p.x.step, at.begin, at.end, [&](Vector<T, P> const& vector, int i) {
-        Vector<T, P> const grads = load_pixels<Vectorized, P>(grad, p.grad.step, i, at.end);
+  for_each_vector<kThreads, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end, [&](auto const& vector, int i) {
+    constexpr int N = sizeof(vector) / sizeof(T);
+    auto const grads = *reinterpret_cast<Vector<T, N> const*>(grad + i * p.grad.step);
 #pragma unroll
-        for (int k = 0; k < P; ++k) {
-          F const g = read(grads.v[k]), x = read(vector.v[k]);
-          if (Vectorized || i + k < at.end) sums.add({{g, g * (x - smallest), F(x == smallest), F(x == largest)}});
-        }
-      });
+    for (int k = 0; k < N; ++k) {
+      F const g = read(grads.v[k]), x = read(vector.v[k]);
+      sums.add({{g, g * (x - smallest), F(x == smallest), F(x == largest)}});
+    }
+  });
   sums = of_block<Sums<F>, F>(sums);
   if (threadIdx.x == 0) reinterpret_cast<Sums<F>*>(p.partial)[blockIdx.x] = sums;
 }
@@ -145,39 +138,37 @@ __global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
 __device__ __forceinline__ float product(float a, float b) { return __fmul_rn(a, b); }
 __device__ __forceinline__ double product(double a, double b) { return __dmul_rn(a, b); }
 
-template <class T, bool Vectorized>
+template <class T, int P>
 __global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
   using F = Compute<T>;
-  constexpr int P = kPixels<T>;
   ChunkPosition const at(gridDim.x - 1 - blockIdx.x, p.chunk, p.chunks, p.x.width);
   F const smallest = read(p.range[2 * at.plane]), largest = read(p.range[2 * at.plane + 1]);
   RangeGradient<F> const to(of_plane<Sums<F>>(p.partial + 4 * at.plane * p.chunks, p.chunks), smallest, largest,
                             p.scale, p.eps);
   T const* const grad = p.grad.plane(at.plane);
   T* const grad_x = p.grad_x.plane(at.plane);
-  for_each_vector<kThreads, Vectorized, P>(
-      p.x.plane(at.plane), p.x.step, at.begin, at.end, [&](Vector<T, P> const& vector, int i) {
-        Vector<T, P> const grads = load_pixels<Vectorized, P>(grad, p.grad.step, i, at.end);
-        F v[P];
+  for_each_vector<kThreads, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end, [&](auto const& vector, int i) {
+    constexpr int N = sizeof(vector) / sizeof(T);
+    auto const grads = *reinterpret_cast<Vector<T, N> const*>(grad + i * p.grad.step);
+    F v[N];
 #pragma unroll
-        for (int k = 0; k < P; ++k) {
-          F const x = read(vector.v[k]);
-          v[k] = product(read(grads.v[k]), to.factor) + (x == smallest ? to.to_smallest : F(0)) +
-                 (x == largest ? to.to_largest : F(0));
-        }
-        store_pixels<Vectorized>(grad_x, p.grad_x.step, i, at.end, v);
-      });
+    for (int k = 0; k < N; ++k) {
+      F const x = read(vector.v[k]);
+      v[k] = product(read(grads.v[k]), to.factor) + (x == smallest ? to.to_smallest : F(0)) +
+             (x == largest ? to.to_largest : F(0));
+    }
+    store_vector(grad_x + i * p.grad_x.step, v);
+  });
 }
 
 }  // namespace
 
 template <class T>
 int min_max(MinMax<T> const& p, CUstream_st* stream) {
-  constexpr int P = kPixels<T>;
   unsigned const blocks = unsigned(p.x.count() * p.chunks);
-  with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y), [&](auto aligned) {
-    find_range<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
-    map_range<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
+  with_row_vectors<kRowVector<T>>(are_aligned_alike<kPixels<T>>(p.x, p.y), [&](auto pixels) {
+    find_range<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p);
+    map_range<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p);
   });
   return cudaGetLastError();
 }
@@ -186,11 +177,11 @@ template <class T>
 int min_max_backward(MinMaxBackward<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   unsigned const blocks = unsigned(p.x.count() * p.chunks);
-  with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.grad) && is_vectorizable<P>(p.grad_x),
-                    [&](auto aligned) {
-                      find_sums<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
-                      map_gradient<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
-                    });
+  with_row_vectors<kRowVector<T>>(are_aligned_alike<P>(p.x, p.grad) && are_aligned_alike<P>(p.x, p.grad_x),
+                                  [&](auto pixels) {
+                                    find_sums<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p);
+                                    map_gradient<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p);
+                                  });
   return cudaGetLastError();
 }
 

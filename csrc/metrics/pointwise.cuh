@@ -1,8 +1,9 @@
-// Traversal of two tensors on CUDA, element by element: one block per chunk of a row, four elements of both per thread
-// and step. Included by *.cu files.
+// Traversal of two tensors on CUDA, element by element: one block per chunk of a row, 16 bytes of both at a time per
+// thread. Included by *.cu files.
 #pragma once
 
 #include "core/row_sums.cuh"
+#include "core/row_vectors.cuh"
 #include "pointwise.h"
 
 namespace kv::metrics::cuda {
@@ -26,42 +27,50 @@ struct PointMath {
   __device__ __forceinline__ static F divide(F x, F y) { return x * fast_reciprocal(y); }
 };
 
-constexpr int kVectorSize = 4;
+// Elements of a vector of 16 bytes, and how many vectors a thread has in flight.
+template <class T>
+constexpr int kVectorSize = 16 / int(sizeof(T));
+template <int P>
+constexpr int kAtOnce = P == 1 ? 4 : 2;
 
-// Calls f(first element, x, y) for the elements of chunk `chunk` that the thread processes: with vectors of kVectorSize
-// if rows are `vectorized`, which means that they start and end at multiples of a vector; otherwise, and for doubles,
-// with single elements. The loop is not unrolled: f is long, and a multiprocessor has enough threads to hide memory
-// latency.
-template <class T, class Call>
-__device__ __forceinline__ void for_each_vector(Pair<T> const& pair, int64_t row, int64_t chunk, bool vectorized,
-                                                Call f) {
+// Calls f(element, x, y) for the elements of a chunk: arrays of P elements, and of one where elements are peeled. If P
+// is not 1, rows are aligned alike.
+template <int P, class T, class Call>
+__device__ __forceinline__ void for_each_vector(Pair<T> const& pair, int64_t row, int64_t chunk, Call f) {
   using F = Compute<T>;
-  T const *const x = pair.x + row * pair.x_stride, *const y = pair.y + row * pair.y_stride;
-  int64_t const first = chunk * kPointChunk, last = min(first + kPointChunk, pair.size);
-  auto const take = [&](auto width) {
-    constexpr int P = decltype(width)::value;
+  int64_t const begin = chunk * kPointChunk;
+  T const *const x = pair.x + row * pair.x_stride + begin, *const y = pair.y + row * pair.y_stride + begin;
+  AlignedBody<P, int> const body(x, 0, int(min(kPointChunk, pair.size - begin)));
+  body.for_each_peeled([&](int e) {
+    F const u[1] = {read(x[e])}, v[1] = {read(y[e])};
+    f(begin + e, u, v);
+  });
 #pragma unroll 1
-    for (int64_t e = first + P * threadIdx.x; e < last; e += P * kSumThreads) {
-      Vector<T, P> const a = *reinterpret_cast<Vector<T, P> const*>(x + e);
-      Vector<T, P> const b = *reinterpret_cast<Vector<T, P> const*>(y + e);
-      F u[P], v[P];
+  for (int e = body.begin + P * int(threadIdx.x); e < body.end; e += kAtOnce<P> * P * kSumThreads) {
+    Vector<T, P> a[kAtOnce<P>], b[kAtOnce<P>];
 #pragma unroll
-      for (int i = 0; i < P; ++i) u[i] = read(a.v[i]), v[i] = read(b.v[i]);
-      f(row * pair.size + e, u, v);
-    }
-  };
-  if (sizeof(T) < 8 && vectorized)
-    take(std::integral_constant<int, sizeof(T) < 8 ? kVectorSize : 1>{});
-  else
-    take(std::integral_constant<int, 1>{});
+    for (int k = 0; k < kAtOnce<P>; ++k)
+      if (int const at = e + k * P * kSumThreads; at < body.end) {
+        a[k] = *reinterpret_cast<Vector<T, P> const*>(x + at);
+        b[k] = *reinterpret_cast<Vector<T, P> const*>(y + at);
+      }
+#pragma unroll
+    for (int k = 0; k < kAtOnce<P>; ++k)
+      if (int const at = e + k * P * kSumThreads; at < body.end) {
+        F u[P], v[P];
+#pragma unroll
+        for (int i = 0; i < P; ++i) u[i] = read(a[k].v[i]), v[i] = read(b[k].v[i]);
+        f(begin + at, u, v);
+      }
+  }
 }
 
 // Stores the sum of loss(x, y) over the block's chunk in `partial`.
-template <class T, class Loss>
-__device__ __forceinline__ void sum_chunk(Pair<T> const& pair, int64_t row, int64_t chunks, bool vectorized,
-                                          Compute<T>* partial, Loss loss) {
+template <int P, class T, class Loss>
+__device__ __forceinline__ void sum_chunk(Pair<T> const& pair, int64_t row, int64_t chunks, Compute<T>* partial,
+                                          Loss loss) {
   Compute<T> sum = 0;
-  for_each_vector(pair, row, blockIdx.x - row * chunks, vectorized, [&](int64_t, auto const& x, auto const& y) {
+  for_each_vector<P>(pair, row, blockIdx.x - row * chunks, [&](int64_t, auto const& x, auto const& y) {
 #pragma unroll
     for (int i = 0; i < int(sizeof(x) / sizeof(*x)); ++i) sum += loss(x[i], y[i]);
   });
@@ -70,24 +79,26 @@ __device__ __forceinline__ void sum_chunk(Pair<T> const& pair, int64_t row, int6
 }
 
 // Stores value(element, x, y) in `out` for the block's chunk.
-template <class T, class Value>
-__device__ __forceinline__ void map_chunk(Pair<T> const& pair, int64_t row, int64_t chunks, bool vectorized, T* out,
-                                          Value value) {
-  for_each_vector(pair, row, blockIdx.x - row * chunks, vectorized, [&](int64_t e, auto const& x, auto const& y) {
-    constexpr int P = sizeof(x) / sizeof(*x);
-    Compute<T> result[P];
+template <int P, class T, class Value>
+__device__ __forceinline__ void map_chunk(Pair<T> const& pair, int64_t row, int64_t chunks, T* out, Value value) {
+  for_each_vector<P>(pair, row, blockIdx.x - row * chunks, [&](int64_t e, auto const& x, auto const& y) {
+    constexpr int N = sizeof(x) / sizeof(*x);
+    Compute<T> result[N];
 #pragma unroll
-    for (int i = 0; i < P; ++i) result[i] = value(e + i, x[i], y[i]);
-    store_vector(out + e, result);
+    for (int i = 0; i < N; ++i) result[i] = value(row * pair.size + e + i, x[i], y[i]);
+    store_vector(out + row * pair.size + e, result);
   });
 }
 
+// Whether vectors of both tensors, and of a result like them or null, are aligned alike in every row.
 template <class T>
-bool is_vectorizable(Pair<T> const& pair, void const* other) {
-  auto const aligned = [](void const* at) {
-    return reinterpret_cast<uintptr_t>(at) % sizeof(Vector<T, kVectorSize>) == 0;
+bool are_aligned_alike(Pair<T> const& pair, T const* result) {
+  auto const view = [&](T const* data, int64_t stride) {
+    return Planes<T const>{data, pair.rows, 1, stride, 0, 0, 1, pair.size, 1};
   };
-  return aligned(pair.x) && aligned(pair.y) && aligned(other) && pair.size % kVectorSize == 0;
+  auto const x = view(pair.x, pair.x_stride);
+  return kv::are_aligned_alike<kVectorSize<T>>(x, view(pair.y, pair.y_stride)) &&
+         (!result || kv::are_aligned_alike<kVectorSize<T>>(x, view(result, pair.size)));
 }
 
 }  // namespace

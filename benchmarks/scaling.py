@@ -97,7 +97,7 @@ def work(rank: int, ranks: int, options: Options, folder: str) -> None:
     store = dist.FileStore(f"{folder}/store{ranks}", ranks)
     dist.init_process_group(backend, store=store, rank=rank, world_size=ranks, device_id=own)
     train = example()
-    pictures = train.Textures(max(options.batch * ranks, TOGETHER), options.size, device)
+    pictures = train.Textures(options.count, options.size, device)
     setup = train.Setup(device, options.model, options.batch, size=options.size, crop=options.crop)
     alone, slowest = augmentation(train, setup, pictures, options.seconds)
     without, _ = training(train, replace(setup, augment=False), pictures, options.seconds)

@@ -1,8 +1,10 @@
-// Resizing on CUDA. A warp adds up the weighted rows of a band to one line in shared memory; the pixels of its output
-// row are weighted means of that line. Memory is read and written in order at any size; rows that adjacent bands have
-// in common are in the L1. The weights are computed once for all rows and planes of a block's tile.
+// Resizing on CUDA: resize_strips.cu, and specialized kernels for frequent cases in resize_octave.cu, resize_linear.cu
+// and resize_linear_backward.cu. Here are the kernels for what these do not serve: windows of a hundred pixels, images
+// with many channels side by side, float64.
 //
-// Frequent cases have specialized kernels: resize_octave.cu, resize_linear.cu, resize_linear_backward.cu.
+// A warp adds up the weighted rows of a band to one line in shared memory; the pixels of its output row are weighted
+// means of that line. Memory is read and written in order at any size; rows that adjacent bands have in common are in
+// the L1. The weights are computed once for all rows and planes of a block's tile.
 #include "core/launch.cuh"
 #include "geometry/transform/resize.h"
 
@@ -194,6 +196,7 @@ int resize(Resize<T> const& p, CUstream_st* stream) {
     if (int const error = resize_linear(p, stream); error != kUnsupported) return error;
     if constexpr (sizeof(T) > 1)
       if (int const error = resize_linear_backward(p, stream); error != kUnsupported) return error;
+    if (int const error = resize_strips(p, stream); error != kUnsupported) return error;
     int const max_taps = max(p.rows.max_taps, p.columns.max_taps);
     done = max_taps <= 4   ? launch_tiles<4>(p, stream)
            : max_taps <= 8 ? launch_tiles<8>(p, stream)

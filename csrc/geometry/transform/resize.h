@@ -35,20 +35,27 @@ struct ResizeAxis {
   int64_t origin, num, den;  // of coordinates
   int64_t unit;              // of the window's x, in 1 / den
   double per_den, per_num;   // 1 / den, 1 / num or 0
-  int max_taps;              // the largest number of pixels in a band
+  int max_taps;              // the most pixels that a pixel of the output reads: of a band, or backward its holders
+  int max_readers;           // the most pixels of the output that read one pixel
 
   ResizeAxis(ResizeFilter filter, int64_t source, int64_t result, bool align_corners, bool antialias, bool backward,
              Border border = Border::replicate);
   KV_HD int64_t center(int i) const { return origin + i * num; }
-  // n / den rounded down. Divisions of integers take CUDA a hundred instructions.
-  KV_HD int64_t floor_div(int64_t n) const {
-    int64_t const q = int64_t(double(n) * per_den), rest = n - q * den;
-    return rest < 0 ? q - 1 : rest < den ? q : q + 1;
+  // n / den and n / num rounded down.
+  KV_HD int64_t floor_div(int64_t n) const { return rounded_down(n, den, per_den); }
+  KV_HD int64_t floor_div_num(int64_t n) const { return rounded_down(n, num, per_num); }
+  // Divisions of integers take CUDA a hundred instructions.
+  static KV_HD int64_t rounded_down(int64_t n, int64_t divisor, double reciprocal) {
+    int64_t const q = int64_t(double(n) * reciprocal), rest = n - q * divisor;
+    return rest < 0 ? q - 1 : rest < divisor ? q : q + 1;
   }
   // Whether taps out of bounds read the border pixel.
   KV_HD bool clamps_taps() const {
     return (filter == ResizeFilter::bilinear || filter == ResizeFilter::bicubic) && !antialias;
   }
+  // Whether a band is that of a window around its coordinate, and whether its weights are divided by their sum.
+  KV_HD bool has_window() const { return filter >= ResizeFilter::bilinear && filter <= ResizeFilter::lanczos; }
+  KV_HD bool is_normalized() const { return has_window() && !clamps_taps(); }
 };
 
 template <class T>
@@ -71,6 +78,8 @@ template <class T>
 int resize_linear(Resize<T> const& p, CUstream_st* stream);
 template <class T>
 int resize_linear_backward(Resize<T> const& p, CUstream_st* stream);
+template <class T>
+int resize_strips(Resize<T> const& p, CUstream_st* stream);
 }  // namespace cuda
 
 // --- sizes -----------------------------------------------------------------------------------------------------------
@@ -123,6 +132,7 @@ inline ResizeAxis::ResizeAxis(ResizeFilter filter, int64_t source, int64_t resul
       readers = num ? div_up(2 * filter_radius(filter) * unit, num) : result;
   }
   max_taps = int(backward ? min(readers, result) : min(taps, source));
+  max_readers = int(backward ? min(taps, source) : min(readers, result));
 }
 
 // --- windows ---------------------------------------------------------------------------------------------------------
@@ -226,7 +236,7 @@ KV_HD F unnormalized_weight(ResizeAxis const& a, int i, int j) {
 template <class F>
 KV_HD Band<F> normalized_band(ResizeAxis const& a, int i) {
   Band<F> band = extent<F>(a, i);
-  if (a.filter >= ResizeFilter::bilinear && a.filter <= ResizeFilter::lanczos && !a.clamps_taps()) {
+  if (a.is_normalized()) {
     F sum = 0;
 #pragma unroll 1
     for (int j = band.first; j <= band.last; ++j) sum += unnormalized_weight<F>(a, i, j);
@@ -260,11 +270,18 @@ struct Contributors {
   int first, count;
   F norm;  // of an image's band
 };
+// Without the norm that divides by the sum of weights.
 template <class F>
-KV_HD Contributors<F> contributors(ResizeAxis const& a, int index) {
+KV_HD Contributors<F> unnormalized_contributors(ResizeAxis const& a, int index) {
   if (!a.backward) {
-    Band<F> const band = normalized_band<F>(a, index);
+    Band<F> const band = extent<F>(a, index);
     return {band.first, band.last - band.first + 1, band.norm};
+  }
+  if (a.has_window() && a.num) {  // |index den - center(i)| < reach
+    int64_t const reach = filter_radius(a.filter) * a.unit, n = index * a.den - a.origin;
+    int64_t const first = clamp(a.floor_div_num(n - reach) + 1, int64_t(0), int64_t(a.result));
+    int64_t const last = min(a.floor_div_num(n + reach - 1), int64_t(a.result - 1));
+    return {int(first), int(max(last - first + 1, int64_t(0))), 1};
   }
   // An estimate to start the search from: bands move to the right with i.
   int i = int(clamp(double(index * a.den - a.origin) * a.per_num, 0., double(a.result - 1)));
@@ -273,6 +290,12 @@ KV_HD Contributors<F> contributors(ResizeAxis const& a, int index) {
   int count = 0;
   while (count < a.max_taps && i + count < a.result && extent<F>(a, i + count).first <= index) ++count;
   return {i, count, 1};
+}
+template <class F>
+KV_HD Contributors<F> contributors(ResizeAxis const& a, int index) {
+  if (a.backward) return unnormalized_contributors<F>(a, index);
+  Band<F> const band = normalized_band<F>(a, index);
+  return {band.first, band.last - band.first + 1, band.norm};
 }
 // The weight of the k-th of them.
 template <class F>

@@ -224,6 +224,58 @@ def test_half_and_twice_the_size(size, down, dtype, device):
                 assert torch.equal(found.isfinite(), call(x).isfinite())
 
 
+WINDOWS_OF_ANY_FACTOR = [
+    *[(name, True) for name in ("bilinear", "bicubic", "lanczos")],
+    *[(name, False) for name in ("bilinear", "bicubic", "area")],
+]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
+@pytest.mark.parametrize("size", [(224, 224), (333, 200), (150, 517), (400, 301), (160, 600), (20, 9)], ids=str)
+def test_any_factor_of_large_images(size, dtype, device):
+    """Rows that are no whole vectors, several strips of them, and factors of every kind: also of one side, and up."""
+    x = torch.rand(1, 3, 333, 517, device=device)
+    x = (x * 255).to(dtype) if dtype == torch.uint8 else x.to(dtype)
+    for layout in (torch.contiguous_format, torch.channels_last):
+        for name, antialias in WINDOWS_OF_ANY_FACTOR[:: 1 if layout == torch.contiguous_format else 5]:
+            image = x.contiguous(memory_format=layout)
+            check_like_reference(
+                lambda x, name=name, antialias=antialias: G.resize(x, size, name, antialias=antialias), image
+            )
+
+
+@pytest.mark.parametrize("size", [(299, 299), (335, 513), (321, 481), (96, 130)], ids=str)
+def test_pyramids_of_odd_sizes(size, device):
+    x = torch.rand(2, 3, *size, device=device)
+    for border in ("reflect", "replicate", "constant"):
+        check_like_reference(lambda x, border=border: G.pyrdown(x, border), x)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
+def test_bits_do_not_depend_on_where_rows_begin(dtype, device):
+    x = torch.rand(2, 3, 100, 264, device=device)
+    x = (x * 255).to(dtype) if dtype == torch.uint8 else x.to(dtype)
+    for size in ((70, 184), (31, 40), (150, 300), (100, 100)):
+        for name, antialias in WINDOWS_OF_ANY_FACTOR:
+            expected = G.resize(x, size, name, antialias=antialias)
+            for before in (1, 2, 3):
+                wider = torch.zeros(2, 3, 103, 264 + 2 * before + 1, dtype=dtype, device=device)
+                inner = wider[..., 2:-1, before : 264 + before].copy_(x)
+                assert torch.equal(G.resize(inner, size, name, antialias=antialias), expected)
+
+
+@pytest.mark.parametrize("name, antialias", WINDOWS_OF_ANY_FACTOR)
+def test_numbers_out_of_a_window_are_harmless(name, antialias, device):
+    x = torch.rand(1, 2, 120, 301, device=device)
+    x[0, 0, 60, 150], x[0, 1, 119, 300] = float("inf"), float("nan")
+    for size in ((53, 140), (120, 90), (200, 500)):
+        found = G.resize(x, size, name, antialias=antialias)
+        with K.backend("reference"):
+            expected = G.resize(x, size, name, antialias=antialias)
+        assert torch.equal(found.isfinite(), expected.isfinite())
+        assert_close(found.nan_to_num(0, 0, 0), expected.nan_to_num(0, 0, 0), 0, 4e-6)
+
+
 def check_like_reference(call, x):
     """Values and gradients."""
     tolerance = {torch.float32: 2e-6, torch.float16: 2e-3, torch.uint8: 1}[x.dtype]

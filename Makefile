@@ -1,4 +1,4 @@
-# make demo, make test, make bench, make lint: each prepares .venv with the versions of constraints.txt, builds what is out
+# make demo, make test, make bench, make lint, make docs: each prepares .venv with the versions of constraints.txt, builds what is out
 # of date, and runs. TESTS chooses tests, ARGS goes to the program:
 #
 #   make demo ARGS="photo.jpg --device cuda"        make test TESTS=tests/filters ARGS="-k sobel -x"
@@ -12,7 +12,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --no-compile --constraint constraints.txt
 READY := .venv/.ready
 
-.PHONY: demo test bench lint build clean distclean
+.PHONY: demo test bench lint docs build clean distclean
 
 demo: build
 	$(BIN)/python -m kvision.demo $(ARGS)
@@ -29,6 +29,11 @@ lint: $(READY)
 	git ls-files '*.h' '*.cuh' '*.cpp' '*.cu' | xargs $(BIN)/clang-format --dry-run --Werror
 
 # Nothing to do takes a moment: ninja looks for changed sources. A pure-Python install has no build folder.
+# The documentation as a site in build/site, with pictures, search and all docstrings; a broken link is an error.
+docs: build
+	$(PIP) --no-build-isolation --editable '.[docs]'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
 build: $(READY)
 	@if [ -f build/cmake/build.ninja ]; then $(BIN)/ninja -C build/cmake --quiet; fi
 

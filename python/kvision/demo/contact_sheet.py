@@ -14,7 +14,7 @@ from kvision.demo import gallery
 from kvision.demo.__main__ import SHEETS, load
 from kvision.demo.restore import blur, restore
 
-TILE, GAP, LABEL = 176, 8, 22  # pixels
+TILE, GAP, LABEL, ALONE = 176, 8, 22, 288  # pixels; ALONE is the side of a picture in a file of its own
 STEPS = 150  # of the restoration
 
 # (photo, step of the gallery), row by row; "photo", "blurred" and "restored" are no steps.
@@ -29,13 +29,23 @@ CELLS = [
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m kvision.demo.contact_sheet", description=__doc__)
     parser.add_argument("file", type=Path, metavar="FILE", help="for example docs/pictures/results.jpg")
-    path = parser.parse_args(arguments).file
-    contact_sheet().save(path, quality=85)
+    parser.add_argument("--tiles", type=Path, help="a folder for the results one by one, larger: docs/pictures/gallery")
+    options = parser.parse_args(arguments)
+    pictures = cells()
+    contact_sheet(pictures).save(options.file, quality=85)
+    if options.tiles is not None:
+        options.tiles.mkdir(parents=True, exist_ok=True)
+        for (name, title), picture in zip(CELLS, pictures):
+            resized(picture, ALONE).save(options.tiles / f"{name}_{title.replace(' ', '_')}.jpg", quality=82)
     return 0
 
 
-def contact_sheet() -> Image.Image:
-    """The results of CELLS, each with its title below."""
+def resized(picture: Image.Image, side: int) -> Image.Image:
+    return picture.resize((side, side), Image.Resampling.LANCZOS)
+
+
+def cells() -> list[Image.Image]:
+    """The results of CELLS."""
     names, photos = load([])
     results = {"photo": photos}
     wanted = {title for _, title in CELLS}
@@ -46,14 +56,17 @@ def contact_sheet() -> Image.Image:
                 results[step.title] = step.show(step.call(source)).clamp(0, 1)
     results["blurred"] = blur(photos)
     results["restored"] = torch.cat([restore(photos[:1], range(STEPS)).restored, photos[1:]])
+    return [gallery.picture(results[title][names.index(name)]) for name, title in CELLS]
+
+
+def contact_sheet(pictures: Sequence[Image.Image]) -> Image.Image:
+    """The results of CELLS on a page, each with its title below."""
     rows = -(-len(CELLS) // COLUMNS)
     page = Image.new("RGB", (COLUMNS * (TILE + GAP) + GAP, rows * (TILE + LABEL + GAP) + GAP), gallery.PAPER)
     draw, font = ImageDraw.Draw(page), ImageFont.load_default(14)
-    for i, (name, title) in enumerate(CELLS):
+    for i, ((_, title), picture) in enumerate(zip(CELLS, pictures)):
         x, y = GAP + i % COLUMNS * (TILE + GAP), GAP + i // COLUMNS * (TILE + LABEL + GAP)
-        page.paste(
-            gallery.picture(results[title][names.index(name)]).resize((TILE, TILE), Image.Resampling.LANCZOS), (x, y)
-        )
+        page.paste(resized(picture, TILE), (x, y))
         draw.text((x, y + TILE + 4), title, fill=gallery.INK, font=font)
     return page
 

@@ -1,0 +1,179 @@
+"""What MkDocs does for the site besides its plugins.
+
+- Pages of the repository that are not below docs/ (CHANGELOG.md, CONTRIBUTING.md, ...) and the examples become pages.
+- Links between files of the repository become links of the site; those to other files become their text.
+- A page of docs/reference gets, below its tables, the docstring of every name in them, through mkdocstrings.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import importlib
+import inspect
+import posixpath
+import re
+from pathlib import Path
+from typing import Any
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).parents[2]
+PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "benchmarks/README.md", "third_party/README.md")
+CPP = ("edges.cpp", "CMakeLists.txt", "save_pipeline.py", "run_pipeline.cpp")
+LANGUAGES = {".py": "python", ".cpp": "cpp", ".txt": "cmake"}
+MODULES_OF_KORNIA = {"reference/augmentation": ("augmentation", "augmentation.auto", "augmentation.auto.operations")}
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    for path in PAGES:
+        files.append(File.generated(config, path, content=(ROOT / path).read_text()))
+    examples = sorted((ROOT / "examples").glob("*.py"))
+    for path in examples:
+        files.append(File.generated(config, f"examples/{path.stem}.md", content=example(path)))
+    sources = [listing(ROOT / "examples/cpp" / name) for name in CPP]
+    text = "# C++\n\nA complete CMake project; [cpp.md](../docs/cpp.md) and [deployment.md](../docs/deployment.md) explain it.\n\n"
+    files.append(File.generated(config, "examples/cpp.md", content=text + "\n".join(sources)))
+    files.append(File.generated(config, "examples/index.md", content=list_of_examples(examples)))
+    return files
+
+
+def first_paragraph(path: Path) -> str:
+    return " ".join((ast.get_docstring(ast.parse(path.read_text())) or "").split("\n\n")[0].split())
+
+
+def title(stem: str) -> str:
+    return stem.replace("_", " ").capitalize()
+
+
+def example(path: Path) -> str:
+    documentation = ast.get_docstring(ast.parse(path.read_text())) or ""
+    # An indented line of a command stays one; the source follows.
+    return f"# {title(path.stem)}\n\n{documentation}\n\n{listing(path)}"
+
+
+def listing(path: Path) -> str:
+    return f'```` {{.{LANGUAGES[path.suffix]} title="{path.relative_to(ROOT)}"}}\n{path.read_text()}````\n'
+
+
+def list_of_examples(paths: list[Path]) -> str:
+    lines = ["# Examples", "", "Programs to read and to run on your own pictures.", ""]
+    lines += [f"- [{title(path.stem)}]({path.name}): {first_paragraph(path)}" for path in paths]
+    return "\n".join(
+        [*lines, "- [C++](cpp): a CMake project that calls kvision, and one that runs saved pipelines.", ""]
+    )
+
+
+# --- links --------------------------------------------------------------------------------------------------------------
+
+LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s#]*)(#[^)\s]*)?\)")
+
+
+def repository_path(uri: str) -> str:
+    """Where the source of a page of the site is in the repository."""
+    return uri if uri in PAGES or uri.startswith("examples/") else f"docs/{uri}"
+
+
+def site_uri(path: str) -> str:
+    """The page of the site that shows a file of the repository."""
+    if path.startswith("docs/"):
+        return {"docs/README.md": "index.md", "docs/reference": "reference/kvision.md"}.get(path, path[len("docs/") :])
+    if path.startswith("examples"):
+        page = path.removesuffix(".py")
+        return f"{page}.md" if not path.startswith("examples/cpp") else "examples/cpp.md"
+    return {"README.md": "index.md", "benchmarks": "benchmarks/README.md"}.get(path, path)
+
+
+def translate_links(text: str, page: Page, files: Files) -> str:
+    folder = posixpath.dirname(repository_path(page.file.src_uri))
+
+    def translated(link: re.Match[str]) -> str:
+        mark, words, target, anchor = link[1], link[2], link[3], link[4] or ""
+        if not target or re.match(r"\w+:", target):
+            return link[0]
+        uri = site_uri(posixpath.normpath(posixpath.join(folder, target)))
+        if files.get_file_from_path(uri) is None:
+            return words if (ROOT / folder / target).exists() else link[0]  # the second is an error of strict mode
+        return f"{mark}[{words}]({posixpath.relpath(uri, posixpath.dirname(page.file.src_uri) or '.')}{anchor})"
+
+    parts = re.split(r"(^ *````?.*?^ *````?$|`[^`\n]+`)", text, flags=re.MULTILINE | re.DOTALL)
+    return _outside_of_code(parts, lambda part: LINK.sub(translated, part))
+
+
+def _outside_of_code(parts: list[str], change: Any) -> str:
+    # A link whose words are code is split by the code, so blocks alone are kept apart.
+    joined, out = "", []
+    for part in parts:
+        if part.lstrip().startswith("```"):
+            out += [change(joined), part]
+            joined = ""
+        else:
+            joined += part
+    return "".join([*out, change(joined)])
+
+
+# --- reference ----------------------------------------------------------------------------------------------------------
+
+ROW = re.compile(r"^\| `([A-Za-z_]\w*)(\([^\n]*?\))?` \|", re.MULTILINE)
+
+
+@functools.cache
+def definitions(path: str) -> frozenset[str]:
+    """The functions and classes that a file defines."""
+    body = ast.parse(Path(path).read_text()).body
+    return frozenset(node.name for node in body if isinstance(node, (ast.FunctionDef, ast.ClassDef)))
+
+
+def documented_path(module: Any, name: str) -> str | None:
+    """Where the docstring of a name is, None where the sources do not define it under a name of its own."""
+    value = getattr(module, name, None)
+    if not (inspect.isfunction(value) or inspect.isclass(value)) or not value.__module__.startswith("kvision"):
+        return None
+    source = inspect.getsourcefile(value)
+    if source is None or value.__qualname__ not in definitions(source) or not inspect.getdoc(value):
+        return None
+    return f"{value.__module__}.{value.__qualname__}"
+
+
+def add_docstrings(text: str, uri: str) -> str:
+    dotted = uri.removeprefix("reference/").removesuffix(".md").replace("/", ".")
+    package = "kvision" if dotted == "kvision" else f"kvision.{dotted}"
+    module = importlib.import_module(package)
+    blocks: dict[str, str] = {}
+
+    def linked(row: re.Match[str]) -> str:
+        path = documented_path(module, row[1])
+        if path is None:
+            return row[0]
+        if path not in blocks:
+            blocks[path] = (
+                f"::: {path}\n    options:\n      heading: {package}.{row[1]}\n      toc_label: {row[1]}\n"
+                f"      members: {str(inspect.isclass(getattr(module, row[1]))).lower()}\n"
+            )
+        return f"| [`{row[1]}`](#{path}) |"
+
+    text = ROW.sub(linked, text)
+    return "\n".join([text, "", "## Names in detail", "", *blocks.values()]) if blocks else text
+
+
+GALLERY = re.compile(r"<div class=\"gallery\".*?</div>", re.DOTALL)
+
+
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    def figures(block: re.Match[str]) -> str:
+        return (
+            re.sub(r'(<img alt="([^"]*)"[^>]*?/?>)\s*', r"<figure>\1<figcaption>\2</figcaption></figure>", block[0])
+            .replace("<p>", "<div>")
+            .replace("</p>", "</div>")
+        )
+
+    return GALLERY.sub(figures, html)
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    text = translate_links(markdown, page, files)
+    if page.file.src_uri.startswith("reference/"):
+        text = add_docstrings(text, page.file.src_uri)
+    return text

@@ -67,57 +67,61 @@ constexpr int kBlocks = sizeof(T) == 8 ? 2
 
 // A separate kernel computes its matrices by a formula: its blocks wait for theirs first, and a run-time choice of
 // where a matrix comes from would cost 2 to 4 % of the time.
-template <class T, int K, bool ByFormula>
+template <class T, int K, bool ByFormula, bool Aligned>
 __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
-    sample_tiles(__grid_constant__ Sample<T> const p, TileGrid tiles, bool aligned) {
+    sample_tiles(__grid_constant__ Sample<T> const p, TileGrid tiles) {
   using F = Compute<T>;
+  using Source = SourceTile<T, Aligned>;
+  constexpr int across = !Aligned && sizeof(T) == 4 && K <= 2 ? kWholeRow : kAcross<T>;
   __shared__ BlockTiles<F> block;
   extern __shared__ __align__(16) unsigned char shared_pixels[];
   int const width = int(p.y.width), height = int(p.y.height);
   if constexpr (ByFormula) {
     F made[9];
-    block.template prepare<K>(tiles, p, width, height, [&](int64_t b) {
+    block.template prepare<K>(tiles, p, p.y.batch, width, height, [&](int64_t b) {
       make_plane_matrix(p.formula, b, made);
       return made;
     });
   } else {
-    block.template prepare<K>(tiles, p, width, height);
+    block.template prepare<K>(tiles, p, p.y.batch, width, height);
   }
 
 #pragma unroll 1
-  for (int number = 0; number < int(tiles.per_block) && block.tiles[number].x < width; ++number) {
+  for (int number = 0; number < int(tiles.per_block); ++number) {
     Tile<F> const& tile = block.tiles[number];
-    void* const kept = shared_pixels + SourceTile<T>::bytes(p.x.channels);
-    SourceTile<T> const source_tile(shared_pixels, block.template tap_bounds<K>(number, p, width, height, kept), p,
-                                    F());
-    int const origin = source_tile.origin(tile.u, tile.v);
+    if (tile.x >= width || tile.b >= p.y.batch) break;
+    void* const kept = shared_pixels + Source::bytes(p.x.channels);
+    if (!tiles.of_samples || number == 0) block.template find_taps<K>(number, p, width, height, kept, across);
+    Source source_tile(shared_pixels, block.taps[tiles.of_samples ? 0 : number], p.x, p, F());
     int64_t const b = tile.b;
-    int const x = tile.x + column_in_tile<T>(), y = tile.y + row_in_tile<T>();
-    for_each_channel_group<SourceTile<T>::kChannels>(p.x.channels, [&](int first, auto number) {
+    int const x = tile.x + column_in_tile(across), y = tile.y + row_in_tile(across);
+    for_each_channel_group<Source::kChannels>(p.x.channels, [&](int first, auto number) {
       constexpr int N = number.value;
       if (source_tile.fits)
-        source_tile.template load<N>(p.x, tile.image, first, p.x_axis, p.y_axis, aligned,
+        source_tile.template load<N>(p.x, tile.image, first, p.x_axis, p.y_axis,
                                      [&](int c) { return p.fill ? round_to<T>(p.fill_value(b, c)) : T{}; });
       if (x >= width) return;
       F poison = 0;  // NaN where a tap is no finite number
       if (source_tile.fits) {
-        ThreadCoords<F> const thread_coords(tile, p.coords, kept, column_in_tile<T>(), row_in_tile<T>());
+        T const* const origin = source_tile.origin(tile.u, tile.v);
+        ThreadCoords<F> const thread_coords(tile, p.coords, kept, column_in_tile(across), row_in_tile(across));
         T* planes[N];
 #pragma unroll
         for (int k = 0; k < N; ++k) planes[k] = p.y.row(b, first + k, 0);
         int to = y * int(p.y.row_stride) + x * int(p.y.step);  // a plane has less than 2^31 elements
+        int const pitch = source_tile.pitch(), plane = source_tile.plane();
 #pragma unroll 1
         for (int run = 0; run < kPixelsPerThread && y + run * kRowStep < height;
              ++run, to += kRowStep * int(p.y.row_stride)) {
           F u, v, tx, ty, wx[K], wy[K];
           thread_coords.at(run, u, v);
           int const column = near_tap<K>(u, tx), row = near_tap<K>(v, ty);
-          T const* const taps = source_tile.pixels + (row * SourceTile<T>::kPitch + column + origin);
+          T const* const taps = origin + (row * pitch + column);
           tap_weights(tx, wx);
           tap_weights(ty, wy);
 #pragma unroll
           for (int k = 0; k < N; ++k) {
-            F const sum = mean<K>(taps + k * SourceTile<T>::kSize, SourceTile<T>::kPitch, 1, tx, ty, wx, wy);
+            F const sum = mean<K>(taps + k * plane, pitch, 1, tx, ty, wx, wy);
             if constexpr (sizeof(T) > 1 && K > 1) poison += sum * 0;
             planes[k][to] = round_to<T>(sum);
           }
@@ -135,14 +139,18 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
 
 template <class T>
 int sample(Sample<T> const& p, CUstream_st* stream) {
-  TileGrid const tiles(p.y.batch, p.y.height, p.y.width, tiles_per_block(p.y.batch, p.y.height, p.y.width));
-  auto const run = [&](auto kernel) {
-    kernel<<<tiles.blocks, kThreads, SourceTile<T>::bytes(p.x.channels, p.coords), stream>>>(p, tiles,
-                                                                                             rows_are_aligned(p.x));
-  };
-  dispatch_taps(p.interpolation, [&](auto taps) {
-    constexpr int K = taps.value;
-    p.formula.by == MatrixBy::given ? run(sample_tiles<T, K, false>) : run(sample_tiles<T, K, true>);
+  int const per_block = tiles_per_block(p.y.batch, p.y.height, p.y.width);
+  bool const one_map = p.coords.has_map() && p.coords.x.batch_stride == 0 && p.coords.y.batch_stride == 0;
+  TileGrid const tiles(p.y.batch, p.y.height, p.y.width, per_block, one_map && p.y.batch >= per_block);
+  with_alignment_of(p.x, [&](auto aligned) {
+    auto const run = [&](auto kernel) {
+      kernel<<<tiles.blocks, kThreads, SourceTile<T, aligned.value>::bytes(p.x.channels, p.coords), stream>>>(p, tiles);
+    };
+    dispatch_taps(p.interpolation, [&](auto taps) {
+      constexpr int K = taps.value;
+      p.formula.by == MatrixBy::given ? run(sample_tiles<T, K, false, aligned.value>)
+                                      : run(sample_tiles<T, K, true, aligned.value>);
+    });
   });
   return cudaGetLastError();
 }

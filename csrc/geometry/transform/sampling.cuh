@@ -16,15 +16,18 @@ constexpr int kRowStep = kTile / kPixelsPerThread;          // rows from one to 
 
 // --- tiles -----------------------------------------------------------------------------------------------------------
 
-// The tiles of an output. A block takes `per_block` adjacent ones in turn, because the setup before the first tile
-// takes as long as a tile.
+// The tiles of an output. A block takes `per_block` of them in turn, because the setup before the first tile takes as
+// long as a tile: adjacent ones, or, where all samples have the same sampling coordinates, the same tile of several
+// samples.
 struct TileGrid {
   unsigned per_block, across, down, blocks;
-  TileGrid(int64_t batch, int64_t height, int64_t width, int per_block)
+  bool of_samples;
+  TileGrid(int64_t batch, int64_t height, int64_t width, int per_block, bool of_samples = false)
       : per_block(unsigned(per_block)),
-        across(unsigned(ceil_div(width, per_block * kTile))),
+        across(unsigned(ceil_div(width, (of_samples ? 1 : per_block) * kTile))),
         down(unsigned(ceil_div(height, kTile))),
-        blocks(unsigned(batch * across * down)) {}
+        blocks(unsigned(ceil_div(batch, of_samples ? per_block : 1) * across * down)),
+        of_samples(of_samples) {}
 };
 
 // A tile, in shared memory, written by one thread: its sample, its first pixel, and the map of its sampling
@@ -38,8 +41,9 @@ struct Tile {
   // The block's tile of that number.
   __device__ __forceinline__ void locate(TileGrid const& tiles, int number) {
     unsigned const row = blockIdx.x / tiles.across, sample = row / tiles.down;
-    b = image = sample;
-    x = (int((blockIdx.x - row * tiles.across) * tiles.per_block) + number) * kTile;
+    int const column = int(blockIdx.x - row * tiles.across), in_turn = int(tiles.per_block);
+    b = image = tiles.of_samples ? int(sample) * in_turn + number : int(sample);
+    x = (tiles.of_samples ? column : column * in_turn + number) * kTile;
     y = int(row - sample * tiles.down) * kTile;
     u = v = 0;
   }
@@ -58,16 +62,26 @@ struct Tile {
 };
 
 // The first pixel of a thread in its tile; the next ones are kRowStep rows further down each. A warp takes 8 x 4
-// coords, of types of two bytes 16 x 2: what it writes then fills sectors of memory.
+// coords, of types of two bytes 16 x 2: what it writes then fills sectors of memory. Where rows do not begin with a
+// sector, it takes 32 x 1 of them: fewer sectors are filled in part.
+template <class T>
+constexpr int kAcross = sizeof(T) == 2 ? 4 : 3;  // how many side by side, as a power of two
+constexpr int kWholeRow = 5;
+__device__ __forceinline__ int column_in_tile(int across) {
+  int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
+  return (lane & ((1 << across) - 1)) + ((warp & ((kTile >> across) - 1)) << across);
+}
+__device__ __forceinline__ int row_in_tile(int across) {
+  int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
+  return (lane >> across) + (warp >> (5 - across) << (5 - across));
+}
 template <class T = float>
 __device__ __forceinline__ int column_in_tile() {
-  constexpr int across = sizeof(T) == 2 ? 16 : 8;
-  return threadIdx.x % across + threadIdx.x / 32 % (kTile / across) * across;
+  return column_in_tile(kAcross<T>);
 }
 template <class T = float>
 __device__ __forceinline__ int row_in_tile() {
-  constexpr int across = sizeof(T) == 2 ? 16 : 8, down = 32 / across;
-  return threadIdx.x % 32 / across + threadIdx.x / (32 * down) * down;
+  return row_in_tile(kAcross<T>);
 }
 
 // --- sampling coordinates --------------------------------------------------------------------------------------------

@@ -37,31 +37,31 @@ struct CoordGrads {
   }
 };
 
-template <class T, int K>
+template <class T, int K, bool Aligned>
 __global__ void __launch_bounds__(kThreads, K == 4 || sizeof(T) == 8 ? 2 : 4)
-    coords_backward_tiles(__grid_constant__ SampleCoordsBackward<T> const p, TileGrid tiles, bool aligned) {
+    coords_backward_tiles(__grid_constant__ SampleCoordsBackward<T> const p, TileGrid tiles) {
   using F = Compute<T>;
   __shared__ BlockTiles<F> block;
   extern __shared__ __align__(16) unsigned char shared_pixels[];
   int const width = int(p.grad.width), height = int(p.grad.height);
-  block.template prepare<K>(tiles, p, width, height);
+  block.template prepare<K>(tiles, p, p.grad.batch, width, height);
 
   F sums[9] = {};
 #pragma unroll 1
   for (int number = 0; number < int(tiles.per_block) && block.tiles[number].x < width; ++number) {
     Tile<F> const& tile = block.tiles[number];
     TileCoords<F> const coords(p.coords, tile);
-    void* const kept = shared_pixels + SourceTile<T>::bytes(p.x.channels);
-    SourceTile<T> const source_tile(shared_pixels, block.template tap_bounds<K>(number, p, width, height, kept), p,
-                                    F());
-    int const origin = source_tile.origin(tile.u, tile.v);
+    void* const kept = shared_pixels + SourceTile<T, Aligned>::bytes(p.x.channels);
+    block.template find_taps<K>(number, p, width, height, kept);
+    SourceTile<T, Aligned> source_tile(shared_pixels, block.taps[number], p.x, p, F());
     int64_t const b = tile.b;
     int const x = tile.x + column_in_tile<T>();
-    for_each_channel_group<SourceTile<T>::kChannels>(p.x.channels, [&](int first, auto number) {
+    for_each_channel_group<SourceTile<T, Aligned>::kChannels>(p.x.channels, [&](int first, auto number) {
       constexpr int N = number.value;
       if (source_tile.fits)
-        source_tile.template load<N>(p.x, tile.image, first, p.x_axis, p.y_axis, aligned,
+        source_tile.template load<N>(p.x, tile.image, first, p.x_axis, p.y_axis,
                                      [&](int c) { return p.fill ? round_to<T>(p.fill_value(b, c)) : T{}; });
+      T const* const origin = source_tile.origin(tile.u, tile.v);
       ThreadCoords<F> const thread_coords(tile, p.coords, kept, column_in_tile<T>(), row_in_tile<T>());
 #pragma unroll 1
       for (int run = 0; run < kPixelsPerThread; ++run) {
@@ -77,13 +77,12 @@ __global__ void __launch_bounds__(kThreads, K == 4 || sizeof(T) == 8 ? 2 : 4)
           F tx, ty;
           thread_coords.at(run, u, v);
           int const column = near_tap<K>(u, tx), row = near_tap<K>(v, ty);
-          T const* const taps = source_tile.pixels + (row * SourceTile<T>::kPitch + column + origin);
           grads.set(tx, ty);
+          int const pitch = source_tile.pitch(), plane = source_tile.plane();
+          T const* const taps = origin + (row * pitch + column);
 #pragma unroll
           for (int k = 0; k < N; ++k)
-            grads.add(
-                [&](int j, int i) { return read(taps[k * SourceTile<T>::kSize + j * SourceTile<T>::kPitch + i]); },
-                g[k]);
+            grads.add([&](int j, int i) { return read(taps[k * plane + j * pitch + i]); }, g[k]);
         } else {
           coords.near(y, x, u, v);
         }
@@ -140,10 +139,11 @@ template <class T>
 int sample_coords_backward(SampleCoordsBackward<T> const& p, CUstream_st* stream) {
   TileGrid const tiles(p.grad.batch, p.grad.height, p.grad.width,
                        tiles_per_block(p.grad.batch, p.grad.height, p.grad.width));
-  dispatch_taps(p.interpolation, [&](auto taps) {
-    coords_backward_tiles<T, taps.value>
-        <<<tiles.blocks, kThreads, SourceTile<T>::bytes(p.x.channels, p.coords), stream>>>(p, tiles,
-                                                                                           rows_are_aligned(p.x));
+  with_alignment_of(p.x, [&](auto aligned) {
+    dispatch_taps(p.interpolation, [&](auto taps) {
+      coords_backward_tiles<T, taps.value, aligned.value>
+          <<<tiles.blocks, kThreads, SourceTile<T, aligned.value>::bytes(p.x.channels, p.coords), stream>>>(p, tiles);
+    });
   });
   return cudaGetLastError();
 }

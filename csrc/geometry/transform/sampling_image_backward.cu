@@ -176,35 +176,34 @@ __device__ __forceinline__ void clear_tile(Images<T> const& to, int64_t b, int x
 }
 
 // The gradients of a tile by one sample: `channels` of them from `begin` on, to `out`.
-template <int K, bool kAdds, class T, class F, class Out>
+template <int K, bool kAdds, bool Aligned, class T, class F, class Out>
 __device__ __forceinline__ void gather_tile(SampleImageBackward<T> const& p, GatherTile<F> const& tile,
-                                            Images<Out> const& out, int begin, int channels, void* shared_pixels,
-                                            bool aligned) {
-  using Gradients = SourceTile<T>;
+                                            Images<Out> const& out, int begin, int channels, void* shared_pixels) {
+  using Gradients = SourceTile<T, Aligned>;
   int const width = int(p.grad_x.width), height = int(p.grad_x.height);
   Axis<F> const x_axis{int(p.grad.width), Padding::fill, true}, y_axis{int(p.grad.height), Padding::fill, true};
-  Gradients const source_tile(shared_pixels, tile.coords);
+  Gradients source_tile(shared_pixels, tile.coords, p.grad);
   int const x = column_in_tile<T>();
   for_each_channel_group<Gradients::kChannels>(channels, [&](int group, auto number) {
     constexpr int N = number.value;
     int const first = begin + group;
-    if (source_tile.fits)
-      source_tile.template load<N>(p.grad, tile.b, first, x_axis, y_axis, aligned, [](int) { return T{}; });
+    if (source_tile.fits) source_tile.template load<N>(p.grad, tile.b, first, x_axis, y_axis, [](int) { return T{}; });
     if (tile.x + x >= width) return;
     F poison = 0;  // NaN where one of the gradients is no finite number: it may have had no weight
     Out* planes[N];
 #pragma unroll
     for (int k = 0; k < N; ++k) planes[k] = out.row(tile.image, first + k, 0);
     int to = (tile.y + row_in_tile<T>()) * width + tile.x + x;
-    int const origin = source_tile.origin(tile.u, tile.v);
+    T const* const origin = source_tile.origin(tile.u, tile.v);
+    int const pitch = source_tile.pitch(), plane = source_tile.plane();
 #pragma unroll 1
     for (int y = row_in_tile<T>(); source_tile.fits && y < min(kTile, height - tile.y);
          y += kRowStep, to += kRowStep * width) {
       F center_u, center_v, first_u, first_v, sums[N] = {};
       tile.back.apply(F(x), F(y), center_u, center_v);
       int const u = above(center_u - tile.reach_x, first_u), v = above(center_v - tile.reach_y, first_v);
-      T const* row = source_tile.pixels + (v * Gradients::kPitch + u + origin);
       auto const gather = [&](auto affine) {
+        T const* row = origin + (v * pitch + u);
         F const(&m)[9] = tile.map.m;
         F from_x = first_u * m[0] + (first_v * m[1] + m[2]), from_y = first_u * m[3] + (first_v * m[4] + m[5]);
         // Of an affine map places count from the pixel: one addition less for each. Not those of the nearest pixel,
@@ -214,7 +213,7 @@ __device__ __forceinline__ void gather_tile(SampleImageBackward<T> const& p, Gat
         from_y -= F(y - pixel_y);
         F from_weight = first_u * m[6] + (first_v * m[7] + m[8]);
 #pragma unroll 1
-        for (int j = 0; j < tile.rows; ++j, row += Gradients::kPitch) {
+        for (int j = 0; j < tile.rows; ++j, row += pitch) {
           F place_x = from_x, place_y = from_y, weight = from_weight;
           T const* grad = row;
 #pragma unroll 1
@@ -224,7 +223,7 @@ __device__ __forceinline__ void gather_tile(SampleImageBackward<T> const& p, Gat
               F const scale = affine.value ? F(1) : reciprocal_or_nan(weight);
               F const share = weight_at<K>(place_x * scale, pixel_x) * weight_at<K>(place_y * scale, pixel_y);
 #pragma unroll
-              for (int k = 0; k < N; ++k) sums[k] += share * F(read(grad[k * Gradients::kSize]));
+              for (int k = 0; k < N; ++k) sums[k] += share * F(read(grad[k * plane]));
               place_x += m[0];
               place_y += m[3];
               if constexpr (!affine.value) weight += m[6];
@@ -258,9 +257,9 @@ __device__ __forceinline__ void gather_tile(SampleImageBackward<T> const& p, Gat
 }
 
 // One sample an image.
-template <class T, int K>
+template <class T, int K, bool Aligned>
 __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
-    gather_tiles(__grid_constant__ SampleImageBackward<T> const p, TileGrid tiles, bool aligned, bool aligned_out) {
+    gather_tiles(__grid_constant__ SampleImageBackward<T> const p, TileGrid tiles, bool aligned_out) {
   using F = Compute<T>;
   __shared__ GatherTile<F> shared_tiles[kMaxTilesPerBlock];
   extern __shared__ __align__(16) unsigned char shared_pixels[];
@@ -279,7 +278,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
     if (tile.is_unread(int(p.grad.width), int(p.grad.height)))
       clear_tile(p.grad_x, tile.b, tile.x, tile.y, aligned_out);
     else
-      gather_tile<K, false>(p, tile, p.grad_x, 0, p.grad.channels, shared_pixels, aligned);
+      gather_tile<K, false, Aligned>(p, tile, p.grad_x, 0, p.grad.channels, shared_pixels);
   }
 }
 
@@ -309,10 +308,9 @@ __device__ __noinline__ bool may_read_tile(SampleImageBackward<T> const& p, int6
 // Several samples an image. A block takes a tile of an image and some of its channels. It looks through the samples, as
 // many at a time as it has threads, and adds those that read the tile in their order, so that all runs give the same
 // bits. Each sum belongs to one thread.
-template <class T, int K>
+template <class T, int K, bool Aligned>
 __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
-    gather_samples(__grid_constant__ SampleImageBackward<T> const p, TileGrid tiles, int channels_per_block,
-                   bool aligned) {
+    gather_samples(__grid_constant__ SampleImageBackward<T> const p, TileGrid tiles, int channels_per_block) {
   using F = Compute<T>;
   constexpr int kWarps = kThreads / 32;
   __shared__ GatherTile<F> shared_tiles[kMaxTilesPerBlock];
@@ -355,7 +353,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
       for (int number = 0; number < min(kMaxTilesPerBlock, count - next); ++number) {
         GatherTile<F> const& tile = shared_tiles[number];
         if (!tile.is_unread(int(p.grad.width), int(p.grad.height)))
-          gather_tile<K, true>(p, tile, out, begin, channels, shared_pixels, aligned);
+          gather_tile<K, true, Aligned>(p, tile, out, begin, channels, shared_pixels);
       }
       __syncthreads();  // before the tiles are overwritten
     }
@@ -626,9 +624,12 @@ template <class T>
 void gather(SampleImageBackward<T> const& p, CUstream_st* stream) {
   auto const& x = p.grad_x;
   TileGrid const tiles(x.batch, x.height, x.width, tiles_per_block(x.batch, x.height, x.width));
-  dispatch_taps(p.interpolation, [&](auto taps) {
-    gather_tiles<T, taps.value><<<tiles.blocks, kThreads, SourceTile<T>::bytes(p.grad.channels), stream>>>(
-        p, tiles, rows_are_aligned(p.grad), rows_are_aligned(p.grad_x));
+  with_alignment_of(p.grad, [&](auto aligned) {
+    dispatch_taps(p.interpolation, [&](auto taps) {
+      gather_tiles<T, taps.value, aligned.value>
+          <<<tiles.blocks, kThreads, SourceTile<T, aligned.value>::bytes(p.grad.channels), stream>>>(
+              p, tiles, rows_are_aligned(p.grad_x));
+    });
   });
 }
 
@@ -639,14 +640,16 @@ template <class T>
 void add_gathered(SampleImageBackward<T> const& p, CUstream_st* stream) {
   auto const& x = p.grad_x;
   TileGrid const tiles(x.batch, x.height, x.width, 1);
-  int64_t const groups = ceil_div(x.channels, SourceTile<T>::kChannels);
+  int64_t const groups = ceil_div(x.channels, SourceTile<T, true>::kChannels);
   int64_t const parts = min(groups, ceil_div(kGatherBlocks, int64_t(tiles.blocks)));
-  int const channels_per_block = int(ceil_div(groups, parts)) * SourceTile<T>::kChannels;
+  int const channels_per_block = int(ceil_div(groups, parts)) * SourceTile<T, true>::kChannels;
   dim3 const blocks(tiles.blocks, unsigned(ceil_div(int64_t(x.channels), int64_t(channels_per_block))));
-  dispatch_taps(p.interpolation, [&](auto taps) {
-    gather_samples<T, taps.value>
-        <<<blocks, kThreads, SourceTile<T>::bytes(min(channels_per_block, x.channels)), stream>>>(
-            p, tiles, channels_per_block, rows_are_aligned(p.grad));
+  with_alignment_of(p.grad, [&](auto aligned) {
+    dispatch_taps(p.interpolation, [&](auto taps) {
+      gather_samples<T, taps.value, aligned.value>
+          <<<blocks, kThreads, SourceTile<T, aligned.value>::bytes(min(channels_per_block, x.channels)), stream>>>(
+              p, tiles, channels_per_block);
+    });
   });
 }
 

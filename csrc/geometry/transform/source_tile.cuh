@@ -1,8 +1,7 @@
 // Source tiles: the pixels of an image that a tile of the output reads, in shared memory. Included by sampling*.cu.
 //
-// Pixels are loaded once, in vectors of 16 bytes where rows are aligned, together with their padding; the compiler then
-// knows the offsets of the taps. From global memory, each tap of a rotated tile would load as many cache lines as the
-// tile has rows.
+// Pixels are loaded once, in vectors of 16 bytes, together with their padding; the offsets of the taps are then known.
+// From global memory, each tap of a rotated tile would load as many cache lines as the tile has rows.
 #pragma once
 
 #include <cuda_pipeline.h>
@@ -111,22 +110,23 @@ struct BlockTiles {
   Tile<F> tiles[kMaxTilesPerBlock];
   TapBounds taps[kMaxTilesPerBlock];
 
-  // By all threads of a block, of an output of that size. By a matrix, taps lie between those of a tile's corners
-  // unless the horizon runs through it.
+  // By all threads of a block, of an output (samples, height, width). By a matrix, taps lie between those of a tile's
+  // corners unless the horizon runs through it.
   template <int K, class T>
-  __device__ __forceinline__ void prepare(TileGrid const& count, Sampling<T> const& p, int width, int height) {
+  __device__ __forceinline__ void prepare(TileGrid const& count, Sampling<T> const& p, int64_t samples, int width,
+                                          int height) {
     auto const given = [&](int64_t b) { return p.coords.matrices + b * p.coords.matrix_stride; };
-    prepare<K>(count, p, width, height, given);
+    prepare<K>(count, p, samples, width, height, given);
   }
   // By the matrices that `matrix(sample)` returns.
   template <int K, class T, class Matrix>
-  __device__ __forceinline__ void prepare(TileGrid const& count, Sampling<T> const& p, int width, int height,
-                                          Matrix matrix) {
+  __device__ __forceinline__ void prepare(TileGrid const& count, Sampling<T> const& p, int64_t samples, int width,
+                                          int height, Matrix matrix) {
     if (threadIdx.x < 32) {
       int const number = threadIdx.x / 4 % kMaxTilesPerBlock;
       Tile<F> tile;
       tile.locate(count, number);
-      tile.image = p.image_of(tile.b);
+      tile.image = p.image_of(min(tile.b, samples - 1));
       TapBounds box = TapBounds::empty();
       if (!p.coords.has_map()) {
         tile.bind(homography(matrix(tile.b), p.coords.use), p.coords.use.source);
@@ -147,19 +147,20 @@ struct BlockTiles {
     }
     __syncthreads();
   }
-  // The bounding box of a tile's taps. The coordinates of maps are read one by one, clamped to next to the image, and
-  // stored.
+  // Finds the bounding box of the taps of a tile, where `prepare` did not. The coordinates of maps are read one by one,
+  // clamped to next to the image, and stored.
   template <int K, class T>
-  __device__ __forceinline__ TapBounds tap_bounds(int number, Sampling<T> const& p, int width, int height, void* kept) {
-    if (!p.coords.has_map()) return taps[number];
+  __device__ __forceinline__ void find_taps(int number, Sampling<T> const& p, int width, int height, void* kept,
+                                            int across = kAcross<T>) {
+    if (!p.coords.has_map()) return;
     Tile<F> const& tile = tiles[number];
     TileCoords<F> const coords(p.coords, tile);
     F* const found = static_cast<F*>(kept) + threadIdx.x;
-    int const x = tile.x + column_in_tile<T>();
+    int const x = tile.x + column_in_tile(across);
     TapBounds box = TapBounds::empty();
 #pragma unroll
     for (int run = 0; run < kPixelsPerThread; ++run) {
-      int const y = tile.y + row_in_tile<T>() + run * kRowStep;
+      int const y = tile.y + row_in_tile(across) + run * kRowStep;
       F u = 0, v = 0;
       if (x < width && y < height) {
         coords.near(y, x, u, v);
@@ -178,66 +179,99 @@ struct BlockTiles {
       atomicMax(&taps[number].bottom, box.bottom);
     }
     __syncthreads();
-    return taps[number];
   }
 };
 
-template <class T>
+// The source tile of an image. Aligned: all rows of the image begin with whole vectors of 16 bytes.
+//
+// Else pixels keep their distance from whole vectors: rows and planes of the source tile are as far apart as those of
+// the image, but for whole vectors, so that vectors of the image are vectors of the source tile, too.
+template <class T, bool Aligned>
 struct SourceTile {
   static constexpr int kVectorSize = 16 / int(sizeof(T));
   // The capacity suffices for a tile of kTile x kTile rotated by any angle. Double4 rows one below the other are in
   // different banks.
   static constexpr int kPitch = sizeof(T) == 1 ? 80 : sizeof(T) == 2 ? 72 : 56, kRows = 52;
-  static constexpr int kSize = kPitch * kRows;
+  static constexpr int kSize = (Aligned ? kPitch : kPitch + kVectorSize) * kRows;
   static constexpr int kChannels = sizeof(T) == 8 ? 1 : 3;  // at a time
   static constexpr int kColumns = sizeof(T) == 8   ? 32
                                   : sizeof(T) == 4 ? 16
                                                    : 8;  // threads that take vectors of one row
 
-  T* pixels;
+  T* const memory;
+  [[maybe_unused]] int own_pitch = kPitch, own_plane = kSize;
   int left, top, columns, rows;
-  bool fits;
+  bool planar, fits;  // planar: one pixel of a row after the other
+  int start = 0;      // of the pixel (left, top) of the first channel
+
+  // Elements from a row to the next one, and from a channel: constants where aligned, for the offsets of taps.
+  __device__ __forceinline__ int pitch() const { return Aligned ? kPitch : own_pitch; }
+  __device__ __forceinline__ int plane() const { return Aligned ? kSize : own_plane; }
 
   // For a box that is not empty.
-  __device__ __forceinline__ SourceTile(void* pixels, TapBounds const& box)
-      : pixels(static_cast<T*>(pixels)),
-        left(box.left & -kVectorSize),
+  __device__ __forceinline__ SourceTile(void* memory, TapBounds const& box, Images<T const> const& x)
+      : memory(static_cast<T*>(memory)),
+        left(Aligned ? box.left & -kVectorSize : box.left),
         top(box.top),
         columns(box.right - left + 1),
-        rows(box.bottom - top + 1),
-        fits(columns <= min(kPitch, kColumns * kVectorSize) && rows <= kRows) {}
+        rows(box.bottom - box.top + 1),
+        planar(Aligned || x.step == 1) {
+    if (!Aligned && planar) {
+      own_pitch += int(x.row_stride) & (kVectorSize - 1);
+      own_plane += int(x.channel_stride) & (kVectorSize - 1);
+    }
+    fits = columns <= min(pitch(), kColumns * kVectorSize) - (Aligned ? 0 : kVectorSize - 1) && rows <= kRows;
+  }
   // Whether the taps in the box fit; where some are out of bounds, whether their padding can be stored.
   template <class S, class F>
-  __device__ __forceinline__ SourceTile(void* pixels, TapBounds const& box, Sampling<S> const& p, F)
-      : SourceTile(pixels, box) {
+  __device__ __forceinline__ SourceTile(void* memory, TapBounds const& box, Images<T const> const& x,
+                                        Sampling<S> const& p, F)
+      : SourceTile(memory, box, x) {
     bool const inside = box.left >= 0 && box.top >= 0 && box.right < p.x_axis.size && box.bottom < p.y_axis.size;
     // Reflected coordinates are not monotonic, and the fill may not be representable in the image's type.
     fits = fits && (inside || (p.x_axis.padding != Padding::reflection && (sizeof(T) == sizeof(F) || !p.fill)));
   }
   // Bytes of the source tile; the coordinates of maps are stored after it, at `end`.
-  static KV_HD size_t bytes(int channels) { return size_t(min(channels, kChannels)) * kSize * sizeof(T); }
+  static KV_HD size_t bytes(int channels) {
+    return size_t(min(channels, kChannels)) * (kSize + kVectorSize) * sizeof(T);
+  }
   template <class F>
   static size_t bytes(int channels, SampleCoords<F> const& coords) {
     return bytes(channels) + (coords.has_map() ? 2 * kTile * kTile * sizeof(F) : 0);
   }
 
-  // For taps of coordinates relative to (u, v).
-  __device__ __forceinline__ int origin(int u, int v) const { return (v - top) * kPitch + (u - left); }
+  // The first channel's pixel at the origin of coordinates relative to (u, v), of those that were loaded last.
+  __device__ __forceinline__ T const* origin(int u, int v) const {
+    return memory + ((v - top) * pitch() + (u - left) + start);
+  }
 
   // Loads N channels from `first` on; fill(channel) is the value out of bounds.
   template <int N, class F, class Fill>
   __device__ __forceinline__ void load(Images<T const> const& x, int64_t b, int first, Axis<F> const& x_axis,
-                                       Axis<F> const& y_axis, bool aligned, Fill fill) const {
+                                       Axis<F> const& y_axis, Fill fill) {
     __syncthreads();  // before the current contents are overwritten
+    if constexpr (Aligned)
+      load_aligned<N>(x, b, first, x_axis, y_axis, fill);
+    else
+      load_unaligned<N>(x, b, first, x_axis, y_axis, fill);
+    __pipeline_commit();
+    __pipeline_wait_prior(0);
+    __syncthreads();
+  }
+
+  // Where all rows of the image begin with whole vectors.
+  template <int N, class F, class Fill>
+  __device__ __forceinline__ void load_aligned(Images<T const> const& x, int64_t b, int first, Axis<F> const& x_axis,
+                                               Axis<F> const& y_axis, Fill fill) const {
     int const column = threadIdx.x % kColumns * kVectorSize, from = left + column;
-    bool const within = from >= 0 && from + kVectorSize <= x_axis.size, whole = aligned && within;
+    bool const within = from >= 0 && from + kVectorSize <= x_axis.size;
     bool const filled = y_axis.padding == Padding::fill, beside = from + kVectorSize <= 0 || from >= x_axis.size;
     int const row_stride = int(x.row_stride), step = int(x.step);  // a plane has less than 2^31 elements
     T const* planes[N];
 #pragma unroll
     for (int k = 0; k < N; ++k) planes[k] = x.row(b, first + k, 0);
-    T* to = pixels + threadIdx.x / kColumns * kPitch + column;
-    bool const inside = aligned && left >= 0 && top >= 0 && top + rows <= y_axis.size &&
+    T* to = memory + threadIdx.x / kColumns * kPitch + column;
+    bool const inside = left >= 0 && top >= 0 && top + rows <= y_axis.size &&
                         left + (columns + kVectorSize - 1) / kVectorSize * kVectorSize <= x_axis.size;
     if (column >= columns) {
     } else if (inside) {
@@ -255,7 +289,7 @@ struct SourceTile {
            row += kThreads / kColumns, to += kThreads / kColumns * kPitch) {
         int const y = pixel_at(y_axis, top + row);
         bool const exists = unsigned(y) < unsigned(y_axis.size);
-        if (whole && exists) {
+        if (within && exists) {
           int const at = y * row_stride + from;
 #pragma unroll
           for (int k = 0; k < N; ++k) __pipeline_memcpy_async(to + k * kSize, planes[k] + at, 16);
@@ -280,9 +314,80 @@ struct SourceTile {
         }
       }
     }
-    __pipeline_commit();
-    __pipeline_wait_prior(0);
-    __syncthreads();
+  }
+
+  // At any alignment: vectors of the image are vectors of the source tile.
+  template <int N, class F, class Fill>
+  __device__ __forceinline__ void load_unaligned(Images<T const> const& x, int64_t b, int first, Axis<F> const& x_axis,
+                                                 Axis<F> const& y_axis, Fill fill) {
+    int const pitch = own_pitch, plane = own_plane;
+    constexpr int kRest = kVectorSize - 1, kRowsAtOnce = kThreads / kColumns;
+    int const column = threadIdx.x % kColumns * kVectorSize, first_row = threadIdx.x / kColumns;
+    int const row_stride = int(x.row_stride), step = int(x.step);  // a plane has less than 2^31 elements
+    T const* planes[N];
+#pragma unroll
+    for (int k = 0; k < N; ++k) planes[k] = x.row(b, first + k, 0);
+    int from = (top + first_row) * row_stride + left * step;
+    start = planar ? int(reinterpret_cast<uintptr_t>(planes[0] + (top * row_stride + left)) / sizeof(T)) & kRest : 0;
+    int to = start + first_row * pitch;
+    if (planar && left >= kRest && top >= 0 && top + rows <= y_axis.size && left + columns + kRest <= x_axis.size) {
+      // Vectors begin `past` elements before the tile's first column.
+#pragma unroll 1
+      for (int row = first_row; row < rows; row += kRowsAtOnce) {
+#pragma unroll
+        for (int k = 0; k < N; ++k) {
+          int const past = (to + k * plane) & kRest, at = column - past;
+          if (at < columns) __pipeline_memcpy_async(memory + (to + k * plane + at), planes[k] + (from + at), 16);
+        }
+        from += kRowsAtOnce * row_stride;
+        to += kRowsAtOnce * pitch;
+      }
+    } else {
+      bool const filled = y_axis.padding == Padding::fill;
+#pragma unroll 1
+      for (int row = first_row; row < rows; row += kRowsAtOnce, to += kRowsAtOnce * pitch) {
+        int const y = pixel_at(y_axis, top + row);
+        bool const exists = unsigned(y) < unsigned(y_axis.size);
+        // Not of a row that stands for one out of bounds, which may be at another distance from whole vectors.
+        bool const copies = planar && exists && ((y - top - row) * row_stride & kRest) == 0;
+#pragma unroll 1
+        for (int k = 0; k < N; ++k) {
+          T const* const plane_k = x.row(b, first + k, 0);
+          int const past = planar ? (to + k * plane) & kRest : 0, at = left - past + column;
+          T* const cells = memory + (to + k * plane - past + column);
+          if (column - past >= columns) continue;
+          bool const within = at >= 0 && at + kVectorSize <= x_axis.size;
+          if (copies && within) {
+            __pipeline_memcpy_async(cells, plane_k + (y * row_stride + at), 16);
+          } else if (filled && (!exists || at + kVectorSize <= 0 || at >= x_axis.size)) {
+            T const value = fill(first + k);
+#pragma unroll
+            for (int i = 0; i < kVectorSize; ++i) cells[i] = value;
+          } else {
+            constexpr int kAtOnce = kVectorSize < 4 ? kVectorSize : 4;  // loads before the first of them is waited for
+#pragma unroll 1
+            for (int i = 0; i < kVectorSize; i += kAtOnce) {
+              T values[kAtOnce];
+#pragma unroll
+              for (int j = 0; j < kAtOnce; ++j) {
+                int const pixel = within ? at + i + j : pixel_at(x_axis, at + i + j);
+                bool const is = exists && unsigned(pixel) < unsigned(x_axis.size);
+                T const* const from = plane_k + (y * row_stride + pixel * step);
+                if constexpr (sizeof(T) >= 4) {
+                  if (is) __pipeline_memcpy_async(cells + i + j, from, sizeof(T));
+                  if (!is) cells[i + j] = fill(first + k);
+                } else {
+                  values[j] = is ? *from : fill(first + k);
+                }
+              }
+              if constexpr (sizeof(T) < 4)
+#pragma unroll
+                for (int j = 0; j < kAtOnce; ++j) cells[i + j] = values[j];
+            }
+          }
+        }
+      }
+    }
   }
 };
 
@@ -303,6 +408,15 @@ bool rows_are_aligned(Images<T> const& x) {
   int64_t const vector = 16 / int64_t(sizeof(T));
   return reinterpret_cast<uintptr_t>(x.data) % 16 == 0 && x.step == 1 && x.row_stride % vector == 0 &&
          x.channel_stride % vector == 0 && x.batch_stride % vector == 0;
+}
+
+// Calls run with whether they do, as a type. float64 has one form, which serves all images.
+template <class T, class Run>
+void with_alignment_of(Images<T> const& x, Run run) {
+  if (sizeof(T) < 8 && rows_are_aligned(x))
+    run(std::bool_constant<(sizeof(T) < 8)>{});
+  else
+    run(std::false_type{});
 }
 
 }  // namespace kv::geometry::cuda

@@ -367,6 +367,53 @@ def test_one_image_serves_many_matrices(device):
     assert_close(torch.autograd.grad(many.sum(), x)[0], torch.autograd.grad(each.sum(), x)[0])
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16], ids=str)
+@pytest.mark.parametrize("padding", PADDINGS)
+@pytest.mark.parametrize("mode", MODES)
+def test_bits_do_not_depend_on_where_rows_begin(mode, padding, dtype, device):
+    """On CUDA source tiles are copied by vectors wherever rows begin, and pixels next to the border one by one."""
+    x = torch.rand(3, 3, 71, 136, device=device).to(dtype)
+    M = affine(torch.zeros(3)).float().to(device) * torch.tensor([[1.0, 1, 20], [1, 1, -10]], device=device)
+    expected = G.warp_affine(x, M, (70, 130), mode, padding)
+    map_x, map_y = (
+        torch.rand(1, 70, 130, device=device) * 40 - 4 + torch.arange(130.0, device=device) for _ in range(2)
+    )
+    mapped = G.remap(x, map_x, map_y, mode, padding)
+    for before in range(4):
+        wider = torch.zeros(3, 3, 74, 136 + 2 * before + 1, device=device, dtype=dtype)
+        inner = wider[..., 2:-1, before : 136 + before].copy_(x)
+        assert torch.equal(G.warp_affine(inner, M, (70, 130), mode, padding), expected)
+        assert torch.equal(G.remap(inner, map_x, map_y, mode, padding), mapped)
+
+
+@pytest.mark.parametrize("padding", PADDINGS)
+@pytest.mark.parametrize("mode", MODES)
+def test_large_images_of_odd_rows(mode, padding, device):
+    x = torch.rand(2, 3, 335, 513, dtype=torch.float64, device=device)
+    M = affine(torch.zeros(2)).to(device)
+    weight = torch.rand(2, 3, 300, 481, dtype=torch.float64, device=device)
+    results = []
+    for image in (x, x.float()):
+        image.requires_grad_()
+        found = G.warp_affine(image, M.to(image.dtype), (300, 481), mode, padding)
+        (grad,) = torch.autograd.grad((found * weight.to(found.dtype)).sum(), image)
+        results.append((found.detach().double(), grad.double()))
+    differs = (results[0][0] - results[1][0]).abs() > 1e-4
+    assert differs.double().mean() < (1e-3 if mode == "nearest" else 1e-9)  # places between two pixels
+    differs = (results[0][1] - results[1][1]).abs() > 1e-3
+    assert differs.double().mean() < (1e-2 if mode == "nearest" else 1e-9)
+
+
+def test_one_map_serves_a_batch(device):
+    """On CUDA a block takes a tile of several images in turn where they have the same map."""
+    x = torch.rand(70, 3, 256, 250, device=device, requires_grad=True)
+    map_x = torch.rand(1, 256, 250, device=device) * 9 - 4 + torch.arange(250.0, device=device)
+    map_y = torch.rand(1, 256, 250, device=device) * 9 - 4 + torch.arange(256.0, device=device)[:, None]
+    one_map = G.remap(x, map_x, map_y)
+    of_each = G.remap(x, map_x.repeat(70, 1, 1), map_y.repeat(70, 1, 1))
+    assert torch.equal(one_map, of_each)
+
+
 # --- more samples than images ---------------------------------------------------------------------------------------
 
 SAMPLES = 300  # more than a block of the CUDA kernel looks at together

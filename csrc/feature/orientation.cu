@@ -27,7 +27,7 @@ struct OrientationPatch {
 
   // Called by all threads, returned to all of them.
   template <class T, class Params>
-  __device__ __forceinline__ Peak<F> find_peak(T const* from, Params const& p) {
+  __device__ __forceinline__ Peaks<F> find_peaks(T const* from, Params const& p) {
     __shared__ int peak;
     patch.read_from(from);
     for (int i = threadIdx.x; i < n; i += kThreads) weights[i] = centered_gaussian(i, n, F(n) / 6);
@@ -66,7 +66,7 @@ struct OrientationPatch {
       if (lane == 0) peak = at < bins ? at : 0;
     }
     __syncthreads();
-    return Peak<F>(smoothed, peak, bins);
+    return Peaks<F>(smoothed, peak, bins, p.share);
   }
 };
 
@@ -76,8 +76,10 @@ template <class T>
 __global__ void __launch_bounds__(kThreads) orient_patch(__grid_constant__ Orientation<T> const p) {
   using F = Compute<T>;
   OrientationPatch<F> s(p.n, p.bins, reinterpret_cast<F*>(shared_memory));
-  Peak<F> const peak = s.find_peak(p.patches + int64_t(blockIdx.x) * p.n * p.n, p);
-  if (threadIdx.x == 0) p.angles[blockIdx.x] = round_to<T>(peak.angle(p.bins));
+  Peaks<F> peaks = s.find_peaks(p.patches + int64_t(blockIdx.x) * p.n * p.n, p);
+  if (threadIdx.x > 0) return;
+  T* const angles = p.angles + int64_t(blockIdx.x) * p.peaks;
+  for (int k = 0; k < p.peaks; ++k) angles[k] = round_to<T>(peaks.next().angle(p.bins));
 }
 
 template <class T>
@@ -86,12 +88,16 @@ __global__ void __launch_bounds__(kThreads) orient_patch_backward(__grid_constan
   int const n = p.n, bins = p.bins;
   int64_t const first = int64_t(blockIdx.x) * n * n;
   OrientationPatch<F> s(n, bins, reinterpret_cast<F*>(shared_memory));
-  Peak<F> const peak = s.find_peak(p.patches + first, p);
-  F d[3];
-  peak.derivatives(bins, d);
+  Peaks<F> peaks = s.find_peaks(p.patches + first, p);
   F* const grad_bins = s.histogram;  // nobody reads the histogram any more
-  F const grad = read(p.grad[blockIdx.x]);
-  for (int b = threadIdx.x; b < bins; b += kThreads) grad_bins[b] = grad * angle_derivative(peak, d, b, bins);
+  for (int b = threadIdx.x; b < bins; b += kThreads) grad_bins[b] = 0;
+  for (int k = 0; k < p.peaks; ++k) {
+    Peak<F> const peak = peaks.next();
+    F d[3];
+    peak.derivatives(bins, d);
+    F const grad = read(p.grad[int64_t(blockIdx.x) * p.peaks + k]);
+    for (int b = threadIdx.x; b < bins; b += kThreads) grad_bins[b] += grad * angle_derivative(peak, d, b, bins);
+  }
   __syncthreads();
   F const per_radian = F(bins) / F(2 * kPi);
   SharedPatch<F> const u{s.rest(), n}, v{u.data + n * n, n};

@@ -8,6 +8,9 @@
 //   angle = pi - 2 pi (peak + 1/2 (l - r) / (l + r - 2 m)) / bins     l, m, r: the bin before, the largest, the next
 //   one
 //
+// Further angles of a patch are those of the next largest local maxima of the histogram that have at least a share of
+// the largest bin. Where there are fewer of them, the first angle takes their place.
+//
 // Included by orientation_cpu.cpp, orientation.cu and orientation_op.cpp.
 #pragma once
 
@@ -28,20 +31,20 @@ KV_HD F smoothing_weight(int distance) {
 template <class T>
 struct Orientation {
   T const* patches;  // (count, n, n)
-  T* angles;         // (count)
+  T* angles;         // (count, peaks)
   int64_t count;
-  int n, bins;
-  Compute<T> eps;
+  int n, bins, peaks;
+  Compute<T> eps, share;
 };
 
 template <class T>
 struct OrientationBackward {
-  T const* grad;
+  T const* grad;  // (count, peaks)
   T const* patches;
   T* grad_patches;
   int64_t count;
-  int n, bins;
-  Compute<T> eps;
+  int n, bins, peaks;
+  Compute<T> eps, share;
 };
 
 KV_KERNEL(orientation, Orientation)
@@ -63,7 +66,7 @@ KV_HD F smoothed_bin(F const* histogram, int bin, int bins) {
   return sum;
 }
 
-// The largest bin of a smoothed histogram with its neighbors. A histogram without a peak has bend 0.
+// A bin of a smoothed histogram with its neighbors. A histogram without a peak has bend 0.
 template <class F>
 struct Peak {
   int bin;
@@ -84,6 +87,36 @@ struct Peak {
     F const b = bend(), scale = -F(2 * kPi) / F(bins);
     F const offset = b != 0 ? (left - right) / b / 2 : F(0), inverse = b != 0 ? scale / b : F(0);
     d[0] = (F(0.5) - offset) * inverse, d[1] = 2 * offset * inverse, d[2] = (F(-0.5) - offset) * inverse;
+  }
+};
+
+// The peaks of a smoothed histogram, the largest first.
+template <class F>
+class Peaks {
+  F const* smoothed;
+  int first, last, bins;  // last is -1 after the last one
+  F share;
+  bool started = false;
+
+  // The largest local maximum after `last`; of equal ones the first.
+  KV_HD int after_last() const {
+    int best = -1;
+    for (int b = 0; b < bins; ++b) {
+      F const m = smoothed[b];
+      bool const is_peak = m > smoothed[around_circle(b - 1, bins)] && m >= smoothed[around_circle(b + 1, bins)];
+      bool const is_next = m < smoothed[last] || (m == smoothed[last] && b > last);
+      if (is_peak && is_next && m >= share * smoothed[first] && (best < 0 || m > smoothed[best])) best = b;
+    }
+    return best;
+  }
+
+ public:
+  KV_HD Peaks(F const* smoothed, int largest, int bins, F share)
+      : smoothed(smoothed), first(largest), last(largest), bins(bins), share(share) {}
+  KV_HD Peak<F> next() {
+    if (started && last >= 0) last = after_last();
+    started = true;
+    return Peak<F>(smoothed, last < 0 ? first : last, bins);
   }
 };
 

@@ -32,7 +32,7 @@ struct OrientationPatch {
   }
 
   template <class T, class Params>
-  KV_HD Peak<F> find_peak(T const* from, Params const& p) {
+  KV_HD Peaks<F> find_peaks(T const* from, Params const& p) {
     patch.read(from);
     for (int b = 0; b < bins; ++b) histogram[b] = 0;
     for (int y = 0; y < n; ++y) {
@@ -49,7 +49,7 @@ struct OrientationPatch {
       smoothed[b] = smoothed_bin(histogram, b, bins);
       if (smoothed[b] > smoothed[peak]) peak = b;
     }
-    return Peak<F>(smoothed, peak, bins);
+    return Peaks<F>(smoothed, peak, bins, p.share);
   }
 };
 
@@ -60,7 +60,10 @@ void orientation(Orientation<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   Scratch<F> scratch(OrientationPatch<F>::size(p.n, p.bins));
   OrientationPatch<F> s(p.n, p.bins, scratch.data);
-  for (int64_t k = begin; k < end; ++k) store<1>(p.angles + k, s.find_peak(p.patches + k * p.n * p.n, p).angle(p.bins));
+  for (int64_t k = begin; k < end; ++k) {
+    Peaks<F> peaks = s.find_peaks(p.patches + k * p.n * p.n, p);
+    for (int i = 0; i < p.peaks; ++i) store<1>(p.angles + k * p.peaks + i, peaks.next().angle(p.bins));
+  }
 }
 
 template <class T>
@@ -73,12 +76,16 @@ void orientation_backward(OrientationBackward<T> const& p, int64_t begin, int64_
   PaddedPatch<F> const u{scratch.data + own, n}, v{u.data + padded, n};
   F const per_radian = F(bins) / F(2 * kPi);
   for (int64_t k = begin; k < end; ++k) {
-    Peak<F> const peak = s.find_peak(p.patches + k * n * n, p);
-    F d[3];
-    peak.derivatives(bins, d);
+    Peaks<F> peaks = s.find_peaks(p.patches + k * n * n, p);
     F* const grad_bins = s.histogram;
-    F const grad = load<1>(p.grad + k);
-    for (int b = 0; b < bins; ++b) grad_bins[b] = grad * angle_derivative(peak, d, b, bins);
+    for (int b = 0; b < bins; ++b) grad_bins[b] = 0;
+    for (int i = 0; i < p.peaks; ++i) {
+      Peak<F> const peak = peaks.next();
+      F d[3];
+      peak.derivatives(bins, d);
+      F const grad = load<1>(p.grad + k * p.peaks + i);
+      for (int b = 0; b < bins; ++b) grad_bins[b] += grad * angle_derivative(peak, d, b, bins);
+    }
     for (int y = 0; y < n; ++y) {
       s.template fill_row<T>(y, p.eps);
       for (int x = 0; x < n; ++x) {

@@ -161,7 +161,8 @@ inline Tensor sift_descriptor(Tensor const& patches, SiftOptions const& options 
 }
 // Angles (B,) of patches (B, 1, n, n), in radians, counter-clockwise as seen in the image.
 inline Tensor dominant_orientation(Tensor const& patches, int64_t num_angular_bins = 36, double eps = 1e-8) {
-  return ops::orientation(detail::square_patches("dominant_orientation", patches), num_angular_bins, eps);
+  return ops::orientation(detail::square_patches("dominant_orientation", patches), num_angular_bins, eps, 1, 1.0)
+      .squeeze(1);
 }
 // Ellipses (B, 1, 3) of patches (B, 1, n, n).
 inline Tensor affine_shape(Tensor const& patches, double eps = 1e-10) {

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 import kvision as K
+from kvision.feature.orientation import dominant_orientations
 from op_tests import assert_close
 from patch_tests import SquarePatchTests, of_patches
 
@@ -156,3 +157,38 @@ class TestLAFOrienter:
         ]:
             with pytest.raises(error, match="^LAFOrienter: "):
                 K.feature.LAFOrienter()(bad_laf, bad_image)
+
+
+class TestSeveralOrientations(SquarePatchTests):
+    """The peaks of a patch, the largest first."""
+
+    function = staticmethod(dominant_orientations)
+    operators = ("orientation", "orientation_backward")
+    variants = [{"count": 2}, {"count": 3, "share": 0.2}]
+    tolerances = {torch.float32: (1e-4, 5e-5), torch.float16: (1e-2, 1e-2)}
+
+    def input(self, shape, dtype, device):
+        """Patches that grow to the right, and, half as wide, almost as much downwards."""
+        if dtype == torch.uint8 or shape[-1] != shape[-2]:
+            return super().input(shape, dtype, device)
+        n = shape[-1]
+        x = torch.linspace(-1, 1, n, dtype=torch.float64).abs()
+        noise = torch.rand(math.prod(shape), dtype=torch.float64, generator=torch.Generator().manual_seed(n))
+        corner = torch.maximum(x, 0.97 * x[:, None] + 0.02) + 0.02 * x
+        return (corner + 0.02 * noise.reshape(shape)).to(dtype).to(device)
+
+    test_patches_of_another_size = None  # they say which size they have
+
+    def test_two_directions(self, device):
+        """The second peak counts where it has a share of the first one; the first angle is that of the module."""
+        n = 32
+        x = torch.arange(n, dtype=torch.float64, device=device) - (n - 1) / 2
+        right, down = x.expand(n, n), x[:, None].expand(n, n)
+        patches = torch.stack(
+            [torch.where(right > down, a * right, b * down) for a, b in ((1, 0.9), (1, 0.5), (0.9, 1))]
+        )
+        angles = dominant_orientations(patches[:, None], 3)
+        assert difference(angles[:, 0], torch.tensor([0, 0, -math.pi / 2], device=device)).abs().max() < 0.06
+        assert difference(angles[:, 1], torch.tensor([-math.pi / 2, 0, 0], device=device)).abs().max() < 0.06
+        assert (angles[1] == angles[1, 0]).all() and (angles[:, 2] == angles[:, 0]).all()
+        assert_close(angles[:, 0], K.feature.PatchDominantGradientOrientation(n)(patches[:, None]))

@@ -29,26 +29,40 @@ _SMOOTHING = (0.29962780949740747, 0.2311235920177775, 0.11906250323351877)  # o
 # --- the operator ---------------------------------------------------------------------------------------------------
 
 
-def _reference(patches: Tensor, bins: int, eps: float) -> Tensor:
+def _reference(patches: Tensor, bins: int, eps: float, peaks: int, share: float) -> Tensor:
     n = patches.shape[-1]
     magnitude, angle = to_polar(*patch_gradients(patches, sobel=True), eps)
     window = centered_gaussian(n, n / 6, patches)
     votes = angular_votes(magnitude * torch.outer(window, window), angle, bins, bins / 2)
-    return math.pi - 2 * math.pi / bins * peak_of(votes.flatten(2).sum(2))
+    return math.pi - 2 * math.pi / bins * _peaks(votes.flatten(2).sum(2), peaks, share)
 
 
 def peak_of(histogram: Tensor) -> Tensor:
     """The position in bins of the peak of histograms (B, bins) around the circle, (B,); without a peak the first bin."""
+    return _peaks(histogram, 1, 1.0)[:, 0]
+
+
+def _peaks(histogram: Tensor, count: int, share: float) -> Tensor:
+    """The positions (B, count) of the largest bin and of the next local maxima of at least its share.
+
+    Where there are fewer, the first takes their place.
+    """
     bins = histogram.shape[1]
     smoothed = _SMOOTHING[0] * histogram
     for distance in (1, 2):
         both = histogram.roll(distance, 1) + histogram.roll(-distance, 1)
         smoothed = smoothed + _SMOOTHING[distance] * both
-    peak = smoothed.detach().argmax(1, keepdim=True)
-    left, middle, right = (smoothed.gather(1, (peak + k) % bins)[:, 0] for k in (-1, 0, 1))
+    values = smoothed.detach()
+    first = values.argmax(1, keepdim=True)
+    is_peak = (values > values.roll(1, 1)) & (values >= values.roll(-1, 1)) & (values >= share * values.amax(1, True))
+    ranked, index = (
+        torch.where(is_peak, values, -1).scatter(1, first, math.inf).sort(dim=1, descending=True, stable=True)
+    )
+    peak = torch.where(ranked >= 0, index, first)[:, :count]
+    left, middle, right = (smoothed.gather(1, (peak + k) % bins) for k in (-1, 0, 1))
     bend = left + right - 2 * middle
     has_peak = bend != 0
-    return peak[:, 0] + torch.where(has_peak, (left - right) / torch.where(has_peak, bend, 1) / 2, 0)
+    return peak + torch.where(has_peak, (left - right) / torch.where(has_peak, bend, 1) / 2, 0)
 
 
 def _supports(patches: Tensor, bins: int, *_: Any) -> str | None:
@@ -68,7 +82,7 @@ def _backward(needs, grad, *args):
 _orientation = register(
     "orientation",
     _reference,
-    fake=lambda patches, *_: (patches.shape[0],),
+    fake=lambda patches, bins, eps, peaks, share: (patches.shape[0], peaks),
     backward=_backward,
     supports=_supports,
 )
@@ -79,6 +93,19 @@ _orientation_backward = register(
     layout_of=1,
     supports=_supports_backward,
 )
+
+
+def dominant_orientations(patches: Tensor, count: int, bins: int = 36, eps: float = 1e-8, share: float = 0.8) -> Tensor:
+    """The angles (B, count) in radians of the largest peaks of the histograms of patches (B, 1, n, n).
+
+    The first is that of :class:`PatchDominantGradientOrientation`. The others have at least `share` of its bin; where
+    there are fewer peaks, the first angle takes their place.
+    """
+    op = "dominant_orientations"
+    _check.images(op, "patches", patches)
+    x = check_patches(op, "patches", patches, patches.shape[3])
+    return _orientation(x, bins, eps, count, share)
+
 
 # --- modules --------------------------------------------------------------------------------------------------------
 
@@ -128,7 +155,7 @@ class PatchDominantGradientOrientation(nn.Module):
 
     def forward(self, patch: Tensor) -> Tensor:
         x = check_patches("PatchDominantGradientOrientation", "patch", patch, self.patch_size)
-        return _orientation(x, self.num_ang_bins, self.eps)
+        return _orientation(x, self.num_ang_bins, self.eps, 1, 1.0)[:, 0]
 
 
 class LAFOrienter(nn.Module):

@@ -112,6 +112,22 @@ def test_refinement_by_soft_argmax(device):
         assert (responses > 0).sum() > 5 and lafs.isfinite().all()
 
 
+def test_thresholds(device):
+    """A blob is round; a bar, which has one at its end, bends along one direction only."""
+    grid = torch.arange(80, dtype=torch.float64, device=device)
+    bar = torch.exp(-((grid - 40.3) ** 2) / 18) * (0.8 + 0.05 * torch.sin(grid[:, None] / 6))
+    image = bar[None, None] + blobs(torch.tensor([[14.3, 40.2]], dtype=torch.float64), 3.0, 80).to(device)
+    options = {"resp_module": F.BlobDoG(), "scale_space_response": True, "minima_are_also_good": True}
+    both, blob = (F.ScaleSpaceDetector(20, edge_threshold=ratio, **options)(image) for ratio in (None, 10.0))
+    at_blob, on_bar = ((both[0][0, :, 0, 2] - x).abs() < 6 for x in (14.3, 40.3))
+    assert at_blob.any() and on_bar.any()
+    strong = blob[1][0] > 0.3 * blob[1][0, 0]
+    assert ((blob[0][0, :, 0, 2] - 14.3).abs() < 6)[strong].all()
+    threshold = both[1][0, 2].item()
+    few = F.ScaleSpaceDetector(20, score_threshold=threshold, **options)(image)[1]
+    assert (few > 0).sum() == 2 and torch.equal(few[:, :2], both[1][:, :2])
+
+
 def test_nothing_waits_for_the_gpu(device):
     image, mask = photo(64, 70).float().to(device), torch.ones(1, 1, 64, 70, device=device)
     detector = F.ScaleSpaceDetector(10, minima_are_also_good=True)
@@ -125,6 +141,8 @@ def test_half_images_have_frames_of_float32(device):
 
 BAD = [
     (lambda: F.ScaleSpaceDetector(0), ValueError, "num_features"),
+    (lambda: F.ScaleSpaceDetector(edge_threshold=0.5), ValueError, "edge_threshold"),
+    (lambda: F.ScaleSpaceDetector(score_threshold="low"), TypeError, "score_threshold"),
     (lambda: F.ScaleSpaceDetector(compile_modules=["x"]), ValueError, "compile_modules must be of scale_pyr"),
     (lambda: F.ScaleSpaceDetector()([1]), TypeError, "expected img to be a Tensor, got list"),
     (lambda: F.ScaleSpaceDetector()(torch.rand(40, 40)), ValueError, r"expected img of shape \(B, C, H, W\)"),

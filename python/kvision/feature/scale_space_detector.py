@@ -14,6 +14,7 @@ from kvision.core.exceptions import ShapeError
 from kvision.feature import _detection as detection
 from kvision.feature.laf import laf_is_filled
 from kvision.feature.responses import BlobHessian
+from kvision.filters.spatial_gradient import spatial_gradient
 from kvision.geometry.subpix import AdaptiveQuadInterp3d, ConvQuadInterp3d, IterativeQuadInterp3d, nms3d_minmax
 from kvision.geometry.transform.pyramid import ScalePyramid
 
@@ -62,6 +63,9 @@ class ScaleSpaceDetector(nn.Module):
         scale_space_response: call `resp_module` with whole octaves (B, 1, L, H, W), as BlobDoG needs it.
         compile_modules: True, or names out of scale_pyr, resp, subpix, ori, aff, for torch.compile.
         nms_module: another name of `subpix_module`.
+        edge_threshold: leave out maxima on edges, where the response bends more than this many times as much along one
+            direction as along another; None keeps them. SIFT has 10. At least 1.
+        score_threshold: responses of features are above it; None for no threshold.
 
     `forward(img, mask=None)` takes images (B, 1, H, W) and a mask (B, 1, H, W) or (1, 1, H, W): features are where it
     is not 0, and floating-point weights below 1 make responses weaker. It returns frames (B, num_features, 2, 3) and
@@ -71,7 +75,8 @@ class ScaleSpaceDetector(nn.Module):
     Raises:
         TypeCheckError: a mask or an image is no tensor of real numbers.
         ShapeError: another shape of an image, of a mask or of a response.
-        ValueCheckError: `num_features` is below 1, or an unknown name in `compile_modules`.
+        ValueCheckError: `num_features` is below 1, `edge_threshold` below 1, or an unknown name in
+            `compile_modules`.
 
     Example:
         >>> import torch, kvision as K
@@ -99,6 +104,8 @@ class ScaleSpaceDetector(nn.Module):
         scale_space_response: bool = False,
         compile_modules: bool | Collection[str] = False,
         nms_module: nn.Module | None = None,
+        edge_threshold: float | None = None,
+        score_threshold: float | None = None,
     ) -> None:
         super().__init__()
         op = "ScaleSpaceDetector"
@@ -119,6 +126,12 @@ class ScaleSpaceDetector(nn.Module):
             setattr(self, name, module)
         self.minima_are_also_good = minima_are_also_good
         self.scale_space_response = scale_space_response
+        self.edge_threshold = edge_threshold
+        if edge_threshold is not None:
+            self.edge_threshold = _check.number(op, "edge_threshold", edge_threshold, 1)
+        self.score_threshold = score_threshold
+        if score_threshold is not None:
+            self.score_threshold = _check.number(op, "score_threshold", score_threshold)
 
     def forward(self, img: Tensor, mask: Tensor | None = None) -> tuple[Tensor, Tensor]:
         responses, lafs = self.detect(img, self.num_features, mask)
@@ -177,6 +190,8 @@ class ScaleSpaceDetector(nn.Module):
         scale = self.mr_size * sigmas[:, :1, None, None].to(response.dtype) * torch.exp2(level / n_levels)
         with torch.no_grad():
             room = _BORDER + scale / 2
+            if self.edge_threshold is not None:
+                found = found & _is_off_edges(response, self.edge_threshold)
             found = found[:, 0] & (x >= room) & (y >= room) & (x + room <= width - 1) & (y + room <= height - 1)
         scores = values[:, 0]
         if mask is not None:
@@ -184,6 +199,8 @@ class ScaleSpaceDetector(nn.Module):
             scores = detection.weighted(scores, weights, mask)
             with torch.no_grad():
                 found = found & _is_allowed(weights, x, y)
+        if self.score_threshold is not None:
+            found = found & (scores > self.score_threshold)
         scores, index = detection.strongest(torch.where(found, scores, detection.EMPTY).flatten(1), count)
         scale, x, y = (v.flatten(1).gather(1, index) for v in (scale, x, y))
         to_x, to_y = (image_size[1] - 1) / (width - 1), (image_size[0] - 1) / (height - 1)
@@ -207,6 +224,15 @@ class ScaleSpaceDetector(nn.Module):
         if self._takes_candidates:
             return self.subpix(response, precomputed_nms_mask=candidates)
         return self.subpix(response)
+
+
+def _is_off_edges(response: Tensor, threshold: float) -> Tensor:
+    """Whether the principal curvatures of a response (B, 1, L, H, W) over a level have a ratio below the threshold."""
+    levels = response.detach().transpose(1, 2).flatten(0, 1)
+    xx, xy, yy = spatial_gradient(levels, "diff", 2)[:, 0].unbind(1)
+    trace, det = xx + yy, xx * yy - xy * xy
+    off_edges = (det > 0) & (trace * trace * threshold < (threshold + 1) ** 2 * det)
+    return off_edges.view(response.shape)
 
 
 def _is_allowed(weights: Tensor, x: Tensor, y: Tensor) -> Tensor:

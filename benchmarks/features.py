@@ -149,13 +149,6 @@ def sift_of(k: Any, count: int, device: torch.device, detector: Any = None) -> M
     return of_module(Described(k, detector, k.SIFTDescriptor(32, rootsift=True)).to(device).eval())
 
 
-def dog_sift(count: int, device: torch.device) -> Method:
-    """Differences of Gaussians on copies of the image in many sizes, orientations and SIFT: what Kornia's SIFTFeature is."""
-    k = K.feature
-    detector = k.MultiResolutionDetector(k.BlobDoGSingle(1.0, 1.6), count, ori_module=k.LAFOrienter(19))
-    return of_module(Described(k, detector, k.SIFTDescriptor(41, rootsift=True), 41).to(device))
-
-
 def learned(count: int, weights: Path, descriptor: str, device: torch.device) -> Method:
     """Key.Net + AffNet + OriNet with SIFT or TFeat, of published weights."""
     k = K.feature
@@ -171,7 +164,7 @@ def learned(count: int, weights: Path, descriptor: str, device: torch.device) ->
 def methods(count: int, folder: Path | None, device: torch.device) -> dict[str, Callable[[], Method]]:
     """What makes each method, by its name."""
     found: dict[str, Callable[[], Method]] = {
-        "kvision SIFT": lambda: dog_sift(count, device),
+        "kvision SIFT": lambda: of_module(K.feature.SIFTFeature(count, device=device)),
         "kvision Hessian-affine SIFT": lambda: sift_of(K.feature, count, device),
         "OpenCV SIFT": lambda: opencv(count, False),
         "OpenCV RootSIFT": lambda: opencv(count, True),

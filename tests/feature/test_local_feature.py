@@ -70,6 +70,55 @@ def test_sift_features(name, backend, device):
     assert_close(feature(image.expand(1, 3, -1, -1))[1], one[1], 1e-4, 1e-5)
 
 
+def test_sift_features_have_up_to_two_orientations(device):
+    """Both of a position have its response and size, and stand one after the other; upright features have none."""
+    image = photo().float().to(device)
+    lafs, responses, _ = F.SIFTFeature(200, device=device)(image)
+    centers, filled = F.get_laf_center(lafs)[0], F.laf_is_filled(lafs)[0]
+    twice = (centers[1:] == centers[:-1]).all(1) & filled[1:]
+    assert 3 < twice.sum() < 0.4 * filled.sum()
+    assert not (twice[1:] & twice[:-1]).any()
+    assert (responses[0, 1:] == responses[0, :-1])[twice].all()
+    scale, turn = F.get_laf_scale(lafs).flatten(), F.get_laf_orientation(lafs).flatten().diff().abs()
+    assert_close(scale[1:][twice], scale[:-1][twice], 1e-4, 1e-4)
+    assert (turn[twice] > 10).all()
+    upright = F.SIFTFeature(200, upright=True, device=device)(image)[0]
+    assert (F.get_laf_orientation(upright) == 0).all()
+
+
+def test_sift_features_match_as_well_as_those_of_opencv(device):
+    """A turned and smaller photograph: as many right matches, of which as many are right, of as many features."""
+    cv2 = pytest.importorskip("cv2")
+    image = photo(250, 300).float().to(device)
+    center, angle = torch.tensor([[150.0, 125]], device=device), torch.tensor([25.0], device=device)
+    matrix = K.geometry.get_rotation_matrix2d(center, angle, torch.full((1, 2), 0.8, device=device))
+    turned = K.geometry.warp_affine(image, matrix, (250, 300), padding_mode="reflection")
+    feature, sift = F.SIFTFeature(300, device=device), cv2.SIFT_create(300)
+    ours, theirs = [], []
+    for x in (image, turned):
+        lafs, _, descriptors = feature(x)
+        filled = F.laf_is_filled(lafs)[0]
+        ours.append((F.get_laf_center(lafs)[0][filled], descriptors[0][filled]))
+        points, descriptors = sift.detectAndCompute((255 * x[0, 0]).round().byte().cpu().numpy(), None)
+        theirs.append((torch.tensor([p.pt for p in points], device=device), torch.tensor(descriptors, device=device)))
+    right, accuracy = [], []
+    for (p, a), (q, b) in (ours, theirs):
+        _, index = F.match_smnn(a, b, 0.9)
+        moved = p[index[:, 0]] @ matrix[0, :, :2].T + matrix[0, :, 2]
+        is_right = (moved - q[index[:, 1]]).norm(dim=1) < 3
+        right.append(int(is_right.sum()))
+        accuracy.append(float(is_right.float().mean()))
+    assert right[0] >= right[1] > 30 and accuracy[0] >= accuracy[1] - 0.01
+
+
+@pytest.mark.parametrize("config", [None, F.get_default_detector_config()], ids=["scale space", "copies"])
+def test_score_thresholds_of_sift_features(config, device):
+    image = photo().float().to(device)
+    responses = F.SIFTFeature(60, upright=True, config=config, device=device)(image)[1]
+    feature = F.SIFTFeature(60, upright=True, config=config, score_threshold=responses[0, 9].item(), device=device)
+    assert (feature(image)[1] > 0).sum() == 9
+
+
 @pytest.mark.parametrize("name", ["SIFTFeature", "SIFTFeatureScaleSpace"])
 def test_no_room_and_constant_images(name, device):
     feature = getattr(F, name)(5, device=device)

@@ -14,13 +14,14 @@ from kvision import _check
 from kvision._dtype import as_dtype, floats
 from kvision.color import rgb_to_grayscale
 from kvision.core.exceptions import ShapeError
+from kvision.feature._detection import EMPTY, gather_frames
 from kvision.feature.affnet import LAFAffNetShapeEstimator
 from kvision.feature.hardnet import HardNet
 from kvision.feature.keynet import KeyNetDetector
-from kvision.feature.laf import check_lafs, get_laf_center, laf_is_filled, scale_laf
+from kvision.feature.laf import check_lafs, get_laf_center, laf_is_filled, rotate_laf, scale_laf
 from kvision.feature.matching import GeometryAwareDescriptorMatcher
 from kvision.feature.multi_resolution_detector import Detector_config, MultiResolutionDetector
-from kvision.feature.orientation import LAFOrienter
+from kvision.feature.orientation import LAFOrienter, dominant_orientations
 from kvision.feature.orinet import OriNet
 from kvision.feature.patches import extract_patches_from_pyramid
 from kvision.feature.responses import BlobDoG, BlobDoGSingle, BlobHessian, CornerGFTT
@@ -209,10 +210,46 @@ class _Magnitude(nn.Module):
         return self.dog(input).abs()
 
 
+class _SeveralOrientations(nn.Module):
+    """The frames of a detector turned onto each of the two largest peaks of their gradients' directions.
+
+    Of these it keeps the strongest, as many as the detector has slots. A second peak has 80% of the first one at least.
+    """
+
+    _peaks, _patch_size = 2, 19
+
+    def __init__(self, detector: nn.Module) -> None:
+        super().__init__()
+        self.detector = detector
+
+    def forward(self, img: Tensor, mask: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        lafs, responses = self.detector(img, mask)
+        patches = extract_patches_from_pyramid(img, lafs, self._patch_size).flatten(0, 1)
+        angles = dominant_orientations(patches, self._peaks).reshape(*lafs.shape[:2], self._peaks)
+        is_other = angles != angles[..., :1]  # a missing peak repeats the first
+        is_feature = laf_is_filled(lafs)[..., None] & torch.cat([~is_other[..., :1], is_other[..., 1:]], -1)
+        turned = rotate_laf(lafs.repeat_interleave(self._peaks, 1), torch.rad2deg(angles.flatten(1)))
+        scores = torch.where(is_feature, responses[..., None], EMPTY).flatten(1)
+        # A stable sort, so that frames of one position keep their order.
+        scores, index = scores.sort(dim=1, descending=True, stable=True)
+        scores, index = (x[:, : lafs.shape[1]] for x in (scores, index))
+        filled = scores > EMPTY
+        frames = torch.where(filled[..., None, None], gather_frames(turned, index), 0)
+        return frames, torch.where(filled, scores, 0)
+
+
 class _SIFT(_OfGrayImages):
     """SIFT descriptors of a detector's frames, from patches or from a pyramid."""
 
-    def __init__(self, detector: Any, upright: bool, rootsift: bool, device: Device, backend: str, layout: str) -> None:
+    def __init__(
+        self,
+        detector: nn.Module,
+        rootsift: bool,
+        device: Device,
+        backend: str,
+        layout: str,
+        scaling_coef: float = 1.0,
+    ) -> None:
         op = type(self).__name__
         _check.choice(op, "descriptor_backend", backend, _BACKENDS)
         _check.choice(op, "descriptor_layout", layout, _LAYOUTS)
@@ -221,33 +258,32 @@ class _SIFT(_OfGrayImages):
             descriptor = SIFTDescriptorFromPyramid(rootsift=rootsift)
         else:
             descriptor = LAFDescriptor(SIFTDescriptor(41, rootsift=rootsift), 41)
-            detector.ori = PassLAF() if upright else LAFOrienter(19)
-        super().__init__(detector, descriptor)
-        self.upright, self.descriptor_layout = upright, layout
+        super().__init__(detector, descriptor, scaling_coef)
+        self.descriptor_layout = layout
         self.to(device or "cpu")
 
     def forward(self, img: Tensor, mask: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
-        if isinstance(self.descriptor, LAFDescriptor):
-            lafs, responses, descriptors = super().forward(img, mask)
-        else:
-            _check.images(type(self).__name__, "img", img)
-            image = rgb_to_grayscale(floats(img)) if img.shape[1] == 3 else img
-            lafs, responses = self.detector(image, mask)
-            lafs, descriptors = self.descriptor.orient_and_describe(image, lafs, upright=self.upright)  # type: ignore[operator]
+        lafs, responses, descriptors = super().forward(img, mask)
         if self.descriptor_layout == "opencv":
             descriptors = convert_sift_descriptor_layout(descriptors, "kornia", "opencv")
         return lafs, responses, descriptors
 
 
 class SIFTFeature(_SIFT):
-    """Difference of Gaussians on images of several sizes, dominant gradients and SIFT descriptors.
+    """Extrema of differences of Gaussians that are not on edges, up to two orientations each, and SIFT descriptors.
+
+    The scale space begins with the image at twice its size. A position whose gradients have two dominant directions
+    takes two slots. Frames have the size of what is described: 9 times the blur of their level.
+
+    With a `config` the features are those of Kornia's SIFTFeature instead: maxima on copies of the image in several
+    sizes, with one orientation.
 
     Args:
         num_features: slots of each image.
         upright: leave out the dominant gradients.
         rootsift: compute RootSIFT.
         device: of the modules; None for the CPU.
-        config: options of :class:`MultiResolutionDetector`.
+        config: options of :class:`MultiResolutionDetector`; None for the scale space.
         compile_model: torch.compile the response.
         score_threshold: responses of features are above it.
         descriptor_backend: 'patch', or 'pyramid' for :class:`SIFTDescriptorFromPyramid`.
@@ -275,10 +311,24 @@ class SIFTFeature(_SIFT):
         descriptor_backend: str = "patch",
         descriptor_layout: str = "kornia",
     ) -> None:
-        detector = MultiResolutionDetector(
-            _Magnitude(), num_features, config, compile_model=compile_model, score_threshold=score_threshold
-        )
-        super().__init__(detector, upright, rootsift, device, descriptor_backend, descriptor_layout)
+        detector: nn.Module
+        if config is None:
+            options = {"edge_threshold": 10.0, "score_threshold": score_threshold}
+            detector = _dog_detector(num_features, ("resp",) if compile_model else False, **options)
+            detector, scale = detector if upright else _SeveralOrientations(detector), 1.5
+        else:
+            detector, scale = (
+                MultiResolutionDetector(
+                    _Magnitude(),
+                    num_features,
+                    config,
+                    ori_module=_orienter(upright),
+                    compile_model=compile_model,
+                    score_threshold=score_threshold,
+                ),
+                1.0,
+            )
+        super().__init__(detector, rootsift, device, descriptor_backend, descriptor_layout, scale)
 
 
 def _dog_detector(num_features: int, compile_modules: bool | Collection[str], **modules: Any) -> nn.Module:
@@ -341,8 +391,8 @@ class SIFTFeatureScaleSpace(_SIFT):
         descriptor_backend: str = "patch",
         descriptor_layout: str = "kornia",
     ) -> None:
-        detector = _dog_detector(num_features, compile_modules)
-        super().__init__(detector, upright, rootsift, device, descriptor_backend, descriptor_layout)
+        detector = _dog_detector(num_features, compile_modules, ori_module=_orienter(upright))
+        super().__init__(detector, rootsift, device, descriptor_backend, descriptor_layout)
 
 
 class _WithHardNet(_OfGrayImages):

@@ -1,10 +1,11 @@
-"""`python -m benchmarks.plots`: the plots of docs/performance.md, from the committed results, to docs/pictures.
+"""`python -m benchmarks.plots`: the plots of docs/performance.md and docs/batches.md, from the committed results, to docs/pictures.
 
 Nothing is measured here. Every number comes from a table in benchmarks/results.
 """
 
 from __future__ import annotations
 
+import csv
 import re
 import sys
 from collections.abc import Sequence
@@ -91,14 +92,64 @@ def speedup(machine: str, files: Sequence[str], peer: str, sizes: Sequence[str],
     return [(case, [ratio.get((case, size)) for size in sizes]) for case in cases]
 
 
-def dots(path: Path, groups: Sequence[tuple[str, Cases]], sizes: Sequence[str], label: str) -> None:
-    """Cases from top to bottom, a dot for each size; one panel a group, on a logarithmic scale with a line at 1."""
+def batches() -> dict[str, list[tuple[int, float]]]:
+    """Batch size and milliseconds a batch of every library of the Sobel figure."""
+    curves: dict[str, list[tuple[int, float]]] = {}
+    with (RESULTS / "h200" / "sobel_figure" / "sobel.csv").open(newline="") as file:
+        for row in csv.DictReader(file):
+            curves.setdefault(row["library"], []).append((int(row["batch"]), float(row["ms"])))
+    return curves
+
+
+def curves(path: Path, lines: dict[str, list[tuple[int, float]]], label: str) -> None:
+    """Both axes logarithmic; a panel for the CPU and one for the GPU, where a library names its device."""
+    import matplotlib
+
+    style()
+    import matplotlib.pyplot as plt
+    from matplotlib.ticker import FuncFormatter
+
+    panels = {"CPU": [name for name in lines if not name.endswith(" cuda")]}
+    panels["GPU"] = [name for name in lines if name.endswith(" cuda")]
+    colors = matplotlib.colormaps["tab10"]
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), sharey=True, layout="constrained")
+    for axis, (device, names) in zip(axes, panels.items()):
+        for i, name in enumerate(sorted(names, key=lambda name: -lines[name][-1][1])):  # as they lie
+            own = name.startswith("kvision")
+            xs, ys = zip(*lines[name])
+            color = COLORS[0] if own else COLORS[1] if name.startswith("kornia") else colors(i)
+            axis.loglog(
+                xs, ys, marker="o", markersize=3, color=color, linewidth=2.2 if own else 1.2, label=name.split()[0]
+            )
+        ticks = [x for x, _ in lines[names[0]]]
+        axis.set_xscale("log", base=2)
+        axis.set_xticks(ticks, [str(x) for x in ticks])
+        axis.set_ylim(None, 6000)
+        axis.legend(frameon=False, loc="upper left", ncols=3)
+        axis.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
+        axis.grid(color="#e4e4e4")
+        axis.set_title(device, fontsize=9)
+        axis.set_xlabel("images in a batch")
+        for side in ("top", "right"):
+            axis.spines[side].set_visible(False)
+    axes[0].set_ylabel(label)
+    figure.savefig(path, metadata={"Date": None})
+    plt.close(figure)
+
+
+def style() -> None:
+    """The same bits for the same numbers, with text as text."""
     import matplotlib
 
     matplotlib.use("svg")
     matplotlib.rcParams.update(
         {"svg.hashsalt": "kvision", "svg.fonttype": "none", "font.size": 8, "font.family": "DejaVu Sans"}
     )
+
+
+def dots(path: Path, groups: Sequence[tuple[str, Cases]], sizes: Sequence[str], label: str) -> None:
+    """Cases from top to bottom, a dot for each size; one panel a group, on a logarithmic scale with a line at 1."""
+    style()
     import matplotlib.pyplot as plt
     from matplotlib.ticker import FuncFormatter, NullFormatter
 
@@ -145,6 +196,7 @@ def main() -> int:
     dots(PICTURES / "h200_kornia.svg", kornia, GPU_SIZES, "Kornia's time / kvision's")
     opencv = [(title, speedup("epyc", files, "opencv", CPU_SIZES)) for title, files in EPYC]
     dots(PICTURES / "epyc_opencv.svg", opencv, CPU_SIZES, "OpenCV's time / kvision's")
+    curves(PICTURES / "sobel_batches.svg", batches(), "milliseconds a batch")
     return 0
 
 

@@ -1,5 +1,5 @@
-# make demo, make test, make bench, make lint, make docs: each prepares .venv with the versions of constraints.txt, builds what is out
-# of date, and runs. TESTS chooses tests, ARGS goes to the program:
+# make demo, make test, make bench, make lint, make docs, make wheel: each prepares .venv with the versions of constraints.txt,
+# builds what is out of date, and runs. TESTS chooses tests, ARGS goes to the program:
 #
 #   make demo ARGS="photo.jpg --device cuda"        make test TESTS=tests/filters ARGS="-k sobel -x"
 #   make bench ARGS="sobel box_blur"                make clean, make distclean (with .venv)
@@ -12,7 +12,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --no-compile --constraint constraints.txt
 READY := .venv/.ready
 
-.PHONY: demo test bench lint docs build clean distclean
+.PHONY: demo test bench lint docs wheel build clean distclean
 
 demo: build
 	$(BIN)/python -m kvision.demo $(ARGS)
@@ -33,6 +33,11 @@ lint: $(READY)
 docs: build
 	$(PIP) --no-build-isolation --editable '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+# An sdist and a wheel in dist; KVISION_CUDA=ON adds the CUDA kernels. tools/test_wheel.py tries the wheel.
+wheel: $(READY)
+	$(PIP) --no-build-isolation --editable '.[release]'
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python tools/build_wheels.py $(ARGS)
 
 build: $(READY)
 	@if [ -f build/cmake/build.ninja ]; then $(BIN)/ninja -C build/cmake --quiet; fi

@@ -4,6 +4,7 @@ Environment:
     KVISION_BUILD   auto (the default): pure Python, saying why, where there is no compiler or no torch to build with;
                     native: that is an error; reference: pure Python. Code that does not compile is always an error.
     KVISION_CUDA    AUTO (the default): the CUDA kernels where a GPU is visible and nvcc is found; ON, or OFF.
+    KVISION_PYTHONS more interpreters to build kvision._C for, separated by colons; tools/build_wheels.py sets it.
     CMAKE_ARGS      passed on to CMake, say "-DKVISION_ISA=avx2" or "-DCMAKE_CUDA_ARCHITECTURES=89".
     CXX, CUDACXX    the compilers, read by CMake.
 """
@@ -98,6 +99,7 @@ class BuildNative(Command):
             *("-U", "TorchStable_*", f"-DTORCH_ROOT={torch}", f"-DPython_EXECUTABLE={sys.executable}"),
             *("-DCMAKE_INSTALL_LIBDIR=lib", f"-DKVISION_INPLACE={'ON' if self.editable_mode else 'OFF'}"),
             f"-DKVISION_CUDA={CUDA}",
+            f"-DKVISION_PYTHONS={os.environ.get('KVISION_PYTHONS', '').replace(os.pathsep, ';')}",
             *shlex.split(os.environ.get("CMAKE_ARGS", "")),
         ]
         if subprocess.run(configure).returncode != 0:

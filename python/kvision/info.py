@@ -108,12 +108,12 @@ def _gpus() -> Iterator[str]:
 
 
 def _has_code_for(architectures: str, capability: int) -> bool:
-    """Whether one of CMake's architectures, say "80-real;90", runs on a GPU of this compute capability.
+    """Whether one of CMake's architectures, say "80-real;90" or "80-real,90", runs on a GPU of this compute capability.
 
     Machine code runs on GPUs of its generation whose number is as high or higher. PTX runs on all later ones, too; "90" has
     it, "90-real" does not.
     """
-    for architecture in architectures.split(";"):
+    for architecture in architectures.replace(",", ";").split(";"):
         number, _, kind = architecture.partition("-")
         code = int(number.rstrip("af"))
         if code <= capability and (kind != "real" or code // 10 == capability // 10):

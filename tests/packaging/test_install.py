@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import torch
@@ -32,6 +34,14 @@ def build_wheel(folder: Path, **environment: str) -> Path:
     return next(folder.glob("*.whl"))
 
 
+def tool(name: str) -> ModuleType:
+    """A program of tools as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / f"tools/{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
 def unpack(wheel: Path, folder: Path) -> dict[str, str]:
     """What pip would install, and the environment that finds it first."""
     zipfile.ZipFile(wheel).extractall(folder)
@@ -42,7 +52,9 @@ def unpack(wheel: Path, folder: Path) -> dict[str, str]:
 def wheel(cmake: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     # One instruction set, not optimised: this is about what is in it.
     quick = "-DKVISION_CUDA=OFF -DKVISION_ISA=baseline -DCMAKE_BUILD_TYPE=None"
-    return build_wheel(tmp_path_factory.mktemp("native"), KVISION_BUILD="native", CMAKE_ARGS=quick)
+    pythons = os.pathsep.join(tool("build_wheels").other_pythons(None))
+    folder = tmp_path_factory.mktemp("native")
+    return build_wheel(folder, KVISION_BUILD="native", CMAKE_ARGS=quick, KVISION_PYTHONS=pythons)
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +69,15 @@ def test_wheel_serves_every_python(wheel: Path) -> None:
     headers = (path.relative_to(ROOT) for path in (ROOT / "include/kvision").rglob("*.h"))
     assert {f"kvision/{header}" for header in headers} <= names
     assert not [name for name in names if name.startswith("tests/") or "csrc" in name]
+
+
+def test_wheel_has_a_module_for_each_python(wheel: Path) -> None:
+    """kvision._C of each Python whose headers are here, imported there."""
+    pythons = [sys.executable, *tool("build_wheels").other_pythons(None)]
+    modules = [name for name in zipfile.ZipFile(wheel).namelist() if name.startswith("kvision/_C.")]
+    assert len(modules) == len(pythons)
+    for python in pythons:
+        assert tool("test_wheel").import_module(wheel, python).endswith("baseline")
 
 
 def test_wheel_works(installed: dict[str, str]) -> None:

@@ -47,10 +47,7 @@ struct CoordRow {
       copy(coords.y, b, y, first, count, coords.scale[1], F(y) * own + coords.offset[1], F(0), v);
       return;
     }
-    if (sample != b) {
-      map = homography(coords.matrices + b * coords.matrix_stride, coords.use);
-      sample = b;
-    }
+    map_of(coords, b);
     double first_u, first_v;
     map.apply(double(first), double(y), first_u, first_v);
     Size const source = coords.use.source;
@@ -63,6 +60,15 @@ struct CoordRow {
       store<N>(u + x, Lanes<F, N>(to_u + from_u));
       store<N>(v + x, Lanes<F, N>(to_v + from_v));
     });
+  }
+
+  // From pixels of sample b to those of its image.
+  Homography<double> const& map_of(SampleCoords<F> const& coords, int64_t b) {
+    if (sample != b) {
+      map = homography(coords.matrices + b * coords.matrix_stride, coords.use);
+      sample = b;
+    }
+    return map;
   }
 
  private:

@@ -298,10 +298,10 @@ class AugmentationBase(nn.Module):
         stored = x.dtype
         image = x
         if stored == torch.uint8 and not self.accepts_bytes:
-            image = x.float() / 255
+            image = x.float().div_(255)
         y = self.apply_transform(image, params, flags, transform)
         if stored == torch.uint8 and y.dtype != torch.uint8:
-            y = (y * 255).round().clamp(0, 255).to(torch.uint8)
+            y = (y * 255).round_().clamp_(0, 255).to(torch.uint8)
         elif y.dtype != stored and stored.is_floating_point:
             y = y.to(stored)
         if execution.chosen is not None and y.shape == x.shape:

@@ -64,8 +64,6 @@ class RandomBoxBlur(IntensityAugmentationBase2D):
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self.flags = {"kernel_size": kernel_size, "border_type": border_type, "normalized": normalized}
 
-    accepts_bytes = False
-
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
@@ -113,8 +111,6 @@ class RandomGaussianBlur(IntensityAugmentationBase2D):
             "border_type": BorderType.get(border_type),
         }
 
-    accepts_bytes = False
-
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
@@ -151,8 +147,6 @@ class RandomMedianBlur(IntensityAugmentationBase2D):
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self.flags = {"kernel_size": kernel_size}
-
-    accepts_bytes = False
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None

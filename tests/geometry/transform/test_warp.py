@@ -1,4 +1,5 @@
 import contextlib
+import itertools
 import subprocess
 import sys
 from pathlib import Path
@@ -627,3 +628,33 @@ def test_grids(device):
     M = homography(torch.zeros(3)).float().to(device)
     homogeneous = torch.cat([grid, torch.ones_like(grid[..., :1])], -1) @ M.mT[:, None]
     assert_close(G.warp_grid(grid, M), homogeneous[..., :2] / homogeneous[..., 2:])
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float16, torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("layout", ["contiguous", "channels_last", "column_slice"])
+@pytest.mark.parametrize("channels", [1, 3, 5])
+def test_flips_and_shifts_by_whole_pixels_copy(
+    dtype: torch.dtype, channels: int, layout: str, device: torch.device
+) -> None:
+    """Also beyond the image, where the padding counts, in rows longer than a chunk, and with NaN and inf beside."""
+    x = (255 * torch.rand(2, channels, 5, 150, device=device)).to(dtype)
+    if dtype.is_floating_point:
+        x[0, 0, 1, 2], x[1, -1, 3, 140] = torch.nan, torch.inf
+    x = with_layout(x, layout)
+    matrix = dtype if dtype == torch.float64 else torch.float32
+    for flips, (right, down), mode in itertools.product(
+        ((1, 1), (-1, 1), (1, -1), (-1, -1)), ((0, 0), (7, -2), (-130, 1), (141, 3), (-400, 9)), ("nearest", "bilinear")
+    ):
+        last = [(n - 1) * (s < 0) for n, s in zip((150, 5), flips)]
+        m = torch.tensor([[flips[0], 0, last[0] + right], [0, flips[1], last[1] + down], [0, 0, 1]], dtype=matrix)
+        for padding, options in (("zeros", {}), ("border", {}), ("fill", {"fill_value": torch.full((channels,), 3.0)})):
+            y = G.warp_perspective(x, m.expand(2, 3, 3).to(device), (6, 145), mode, padding, **options)
+            u, v = (
+                (s * (torch.arange(n, device=device) - t - e)).long()
+                for s, n, t, e in zip(flips, (145, 6), (right, down), last)
+            )
+            expected = x[:, :, v.clamp(0, 4)[:, None], u.clamp(0, 149)]
+            outside = ((v < 0) | (v > 4))[:, None] | (u < 0) | (u > 149)
+            if padding != "border":
+                expected = expected.masked_fill(outside, 0 if padding == "zeros" else 3)
+            assert torch.equal(y.nan_to_num(7), expected.nan_to_num(7)), (flips, right, down, mode, padding)

@@ -114,7 +114,9 @@ def test_equalize_agrees_with_the_reference(shape, dtype, layout, device):
     x[-1, -1] = 0.5  # stays as it is
     with kvision.backend("reference"):
         expected = enhance.equalize(x)
-    torch.testing.assert_close(enhance.equalize(x), expected, rtol=0, atol=0, equal_nan=True)
+    # On a GPU torch divides by 255 through a product: the last bit differs.
+    atol = 0.0 if device.type == "cpu" else 6e-8
+    torch.testing.assert_close(enhance.equalize(x), expected, rtol=0, atol=atol, equal_nan=True)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

@@ -35,7 +35,8 @@ class _NamedEnum(Enum):
         if isinstance(value, cls):
             return value
         if isinstance(value, str):
-            if value.upper() in cls.__members__:
+            # Not in __members__: torch.compile of torch 2.11 cannot read a property of a class.
+            if value.upper() in cls._member_map_:
                 return cls[value.upper()]
             error: type[ValueCheckError] = _UnknownNameError
         elif isinstance(value, int) and not isinstance(value, bool):

@@ -204,13 +204,13 @@ def test_command_line_measures_awkward_sizes_and_their_neighbors(tmp_path, capsy
     monkeypatch.setattr(awkward, "SHAPES", ((17, 15),))
     monkeypatch.setattr(awkward, "RANDOM_SHAPES", 0)
     out = tmp_path / "result.json"
-    options = ["--sizes", "1x3x16x16", "--awkward", "--seconds", "0.003", "--peers", "kornia", "--json", str(out)]
+    options = ["--sizes", "1x3x16x16", "--awkward", "--seconds", "0.003", "--peers", "opencv", "--json", str(out)]
     assert command.main(["sobel", "rgb_to_yuv420", *options]) == 0
     assert "awkward sizes" in capsys.readouterr().out
     report = json.loads(out.read_text())
     assert [(ratio["case"], ratio["size"]) for ratio in report["awkward"]] == [("sobel", "1x3x17x15")]
     libraries = {(r["size"], r["library"]) for r in report["rows"] if r["case"] == "sobel"}
-    assert {("1x3x17x15", "kornia"), ("1x3x17x16", KVISION)} <= libraries and ("1x3x17x16", "kornia") not in libraries
+    assert {("1x3x17x15", "opencv"), ("1x3x17x16", KVISION)} <= libraries and ("1x3x17x16", "opencv") not in libraries
     failed = [r for r in report["rows"] if r["case"] == "rgb_to_yuv420" and r["failure"]]
     assert {r["size"] for r in failed} == {"1x3x17x15", "1x3x17x16"}
 

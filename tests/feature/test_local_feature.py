@@ -70,6 +70,69 @@ def test_sift_features(name, backend, device):
     assert_close(feature(image.expand(1, 3, -1, -1))[1], one[1], 1e-4, 1e-5)
 
 
+DETECTORS = {
+    "Hessian with shapes": lambda: F.ScaleSpaceDetector(
+        20, ori_module=F.LAFOrienter(19), aff_module=F.LAFAffineShapeEstimator(19)
+    ),
+    "soft maxima": lambda: F.ScaleSpaceDetector(
+        20, subpix_module=K.geometry.ConvSoftArgmax3d((3, 3, 3), (1, 1, 1), (1, 1, 1), normalized_coordinates=False)
+    ),
+    "Harris": lambda: F.ScaleSpaceDetector(20, resp_module=F.CornerHarris(0.04)),
+    "copies": lambda: F.MultiResolutionDetector(F.CornerGFTT(), 20),
+    "SIFTFeature": lambda: F.SIFTFeature(20),
+    "SIFTFeature of copies": lambda: F.SIFTFeature(20, config=F.get_default_detector_config()),
+    "SIFTFeature from a pyramid": lambda: F.SIFTFeature(20, descriptor_backend="pyramid"),
+    "SIFTFeatureScaleSpace": lambda: F.SIFTFeatureScaleSpace(20),
+}
+
+
+@pytest.mark.parametrize("backend", ["auto", "reference"])
+@pytest.mark.parametrize("detector", DETECTORS)
+def test_results_and_gradients_are_finite_whatever_the_image_is(detector, backend, device):
+    """A NaN pixel leaves features and gradients where it is not read; where all are NaN or equal there are none."""
+    photograph = photo(80, 90).float().to(device)
+    step = torch.zeros_like(photograph)
+    step[..., 45:] = 1
+    module = DETECTORS[detector]().to(device)
+    for value in (torch.nan, torch.inf):
+        for bad in (photograph.clone(), torch.full_like(photograph, value), step):
+            if bad is not step:
+                bad[0, 0, 40, 41] = value
+            image = bad.requires_grad_()
+            with K.backend(backend):
+                results = module(image)
+                (grad,) = torch.autograd.grad(sum(x.sum() for x in results), image)
+            assert all(x.isfinite().all() for x in results) and grad.isfinite().all()
+            assert [x.shape[:2] for x in results] == len(results) * [(1, 20)]
+    with K.backend(backend):
+        image = torch.full_like(photograph, 0.5, requires_grad=True)
+        results = module(image)
+        (grad,) = torch.autograd.grad(sum(x.sum() for x in results), image)
+    assert all((x == 0).all() for x in results) and (grad == 0).all()
+
+
+@pytest.mark.parametrize("detector", ["Hessian with shapes", "SIFTFeature"])
+def test_a_pixel_that_is_not_a_number_leaves_the_other_gradients(detector, device):
+    image = photo(120, 150).float().to(device)
+    image[0, 0, 3, 3] = torch.nan
+    image.requires_grad_()
+    lafs, responses, *_ = DETECTORS[detector]().to(device)(image)
+    (grad,) = torch.autograd.grad(responses.sum() + F.get_laf_center(lafs).sum(), image)
+    assert (responses > 0).sum() == 20 and grad.abs().amax() > 0
+
+
+def test_functions_of_detectors_transform(device):
+    detector = F.ScaleSpaceDetector(5)
+    image = photo(48, 52).to(device)
+
+    def strength(x):
+        return detector(x)[1].sum()
+
+    leaf = image.clone().requires_grad_()
+    (expected,) = torch.autograd.grad(strength(leaf), leaf)
+    assert_close(torch.func.grad(strength)(image), expected)
+
+
 def test_sift_features_have_up_to_two_orientations(device):
     """Both of a position have its response and size, and stand one after the other; upright features have none."""
     image = photo().float().to(device)

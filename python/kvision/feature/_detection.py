@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -12,6 +13,37 @@ from kvision import _check
 from kvision.core.exceptions import ShapeError
 
 EMPTY = float("-inf")  # the score of a position without a feature
+
+
+class _FiniteGradient(torch.autograd.Function):
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(x: Tensor) -> Tensor:
+        return x.view_as(x)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: Any, output: Any) -> None: ...
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> Tensor:
+        return torch.where(grad.isfinite(), grad, 0)
+
+    @staticmethod
+    def jvp(ctx: Any, tangent: Tensor) -> Tensor:
+        return tangent.view_as(tangent)
+
+
+def with_finite_gradient(x: Tensor) -> Tensor:
+    """The same values, whose gradient is 0 where it is not finite.
+
+    Where an image is NaN or infinite there is no feature, but its pixels times gradients of 0 would be NaN, which the
+    blurs of a pyramid and the frames would spread. Compiled code has the gradient as it is: a Function with forward mode
+    would break its graph.
+    """
+    if not x.requires_grad or torch.compiler.is_compiling():
+        return x
+    return _FiniteGradient.apply(x)
 
 
 def check_mask(op: str, mask: Tensor | None, image: Tensor) -> None:

@@ -79,7 +79,7 @@ class MultiResolutionDetector(nn.Module):
     A feature is above all other pixels of its window, above the threshold, and 15 pixels of its level inside of the
     image. Its position is the top of the quadratic through the 3 x 3 pixels around it, so that gradients pass through
     positions as well as responses. Nothing waits for the GPU. An image's features do not depend on the rest of its
-    batch.
+    batch. There are none where pixels are not finite, and gradients that would not be are 0.
 
     Args:
         model: the response: images (B, C, H, W) to (B, 1, H, W).
@@ -194,7 +194,8 @@ class MultiResolutionDetector(nn.Module):
 
         `factor` is how many pixels of the image one of the level is, along x and y. The mask has the image's size.
         """
-        response = self.model(level_img)
+        level_img = detection.with_finite_gradient(level_img)
+        response = detection.with_finite_gradient(self.model(level_img))
         height, width = level_img.shape[2:]
         if response.shape != (level_img.shape[0], 1, height, width):
             raise ShapeError(

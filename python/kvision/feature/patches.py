@@ -12,6 +12,7 @@ from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
+from kvision.feature._detection import with_finite_gradient
 from kvision.geometry.transform.pyramid import pyrdown
 from kvision.geometry.transform.sampling import sample
 
@@ -111,8 +112,9 @@ def sample_levels(levels: Sequence[Tensor], laf: Tensor, patch_size: int, window
     """
     image = levels[0]
     pyramid = image.flatten(2) if len(levels) == 1 else torch.cat([level.flatten(2) for level in levels], 2)
-    frames = as_dtype(laf, compute_dtype(image))
-    return _sample_patches(pyramid, frames, list(image.shape[2:]), len(levels), patch_size, float(window))
+    frames = with_finite_gradient(as_dtype(laf, compute_dtype(image)))
+    patches = _sample_patches(pyramid, frames, list(image.shape[2:]), len(levels), patch_size, float(window))
+    return with_finite_gradient(patches)
 
 
 def build_levels(image: Tensor, smallest: int) -> list[Tensor]:

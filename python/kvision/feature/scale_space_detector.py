@@ -46,7 +46,8 @@ class ScaleSpaceDetector(nn.Module):
 
     The response of each level of a scale pyramid is searched for voxels above all of their 26 neighbors. These are
     refined between pixels and levels, and the strongest of all octaves get an affine shape and an orientation.
-    Nothing waits for the GPU. An image's features do not depend on the rest of its batch.
+    Nothing waits for the GPU. An image's features do not depend on the rest of its batch. There are none where pixels are
+    not finite, and gradients that would not be are 0.
 
     Args:
         num_features: slots of each image, at least 1.
@@ -150,7 +151,8 @@ class ScaleSpaceDetector(nn.Module):
         for octave, sigma in zip(octaves, sigmas):
             if min(octave.shape[3:]) < _SMALLEST:
                 continue
-            response = self._response(op, octave, sigma)
+            response = self._response(op, detection.with_finite_gradient(octave), sigma)
+            response = detection.with_finite_gradient(response)
             lafs_and_scores = self._strongest_of_octave(response, sigma, image.shape[2:], num_feats, mask)
             lafs.append(lafs_and_scores[0])
             scores.append(lafs_and_scores[1])

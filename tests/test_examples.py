@@ -109,6 +109,26 @@ def test_matching_of_real_pairs(data, device):
     assert pairs
 
 
+def test_attack_on_matching(device, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A short one: it says that it missed its figures, and the images stay near to the originals."""
+    pytest.importorskip("skimage")
+    attack = example("attack_on_matching")
+    options = ["--iterations", "12", "--seeds", "1", "--height", "120", "--features", "120"]
+    assert attack.main([*options, "--out", str(tmp_path), "--device", device.type]) == 1
+    printed = capsys.readouterr().out
+    psnr = [float(x) for x in re.search(r"PSNR ([\d.]+) and ([\d.]+) dB", printed).groups()]
+    assert min(psnr) >= attack.WANTED_PSNR
+    assert "MISSED" in printed and "0 of 1 attacks succeeded" in printed
+    assert (tmp_path / "seed0.png").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_attack_on_matching_reaches_its_figures(data, device, tmp_path: Path) -> None:
+    attack = example("attack_on_matching")
+    options = ["--data", str(data / "nonmatching"), "--out", str(tmp_path), "--device", device.type]
+    assert attack.main(options) == 0
+
+
 @pytest.mark.parametrize("workers", [0, 2])
 def test_training_with_augmentation(workers: int, device, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     augmentation = example("augmentation")

@@ -35,6 +35,7 @@ struct ResizeAxis {
   int64_t origin, num, den;  // of coordinates
   int64_t unit;              // of the window's x, in 1 / den
   double per_den, per_num;   // 1 / den, 1 / num or 0
+  double per_unit;           // 1 / unit
   int max_taps;              // the most pixels that a pixel of the output reads: of a band, or backward its holders
   int max_readers;           // the most pixels of the output that read one pixel
 
@@ -110,6 +111,7 @@ inline ResizeAxis::ResizeAxis(ResizeFilter filter, int64_t source, int64_t resul
   unit = antialias ? max(num, den) : den;
   per_den = 1. / double(den);
   per_num = num ? 1. / double(num) : 0;
+  per_unit = 1. / double(unit);
   bool const shrinks = num > den;
   int64_t taps, readers;  // pixels in a band, and bands that a pixel is in
   switch (filter) {
@@ -194,6 +196,14 @@ KV_HD LinearTaps<F> linear_taps(ResizeAxis const& a, int i) {
   return {clamp(at, 0, last), clamp(rest ? at + 1 : at, 0, last), F(rest) / F(a.den)};
 }
 
+// |j den - center(i)| < reach
+template <class F>
+KV_HD Band<F> window_band(ResizeAxis const& a, int i) {
+  int64_t const n = a.center(i), reach = filter_radius(a.filter) * a.unit;
+  int64_t const first = a.floor_div(n - reach) + 1, last = a.floor_div(n + reach - 1);
+  return {int(max(first, int64_t(0))), int(min(last, int64_t(a.source - 1))), 1};
+}
+
 template <class F>
 KV_HD Band<F> extent(ResizeAxis const& a, int i) {
   int const last = a.source - 1;
@@ -215,11 +225,15 @@ KV_HD Band<F> extent(ResizeAxis const& a, int i) {
       LinearTaps<F> const from = linear_taps<F>(a, max(i - 2, 0)), to = linear_taps<F>(a, min(i + 2, a.result - 1));
       return {from.a, to.b, 1};
     }
-    default: {
-      int64_t const n = a.center(i), reach = filter_radius(a.filter) * a.unit;
-      return {int(max(a.floor_div(n - reach) + 1, int64_t(0))), int(min(a.floor_div(n + reach - 1), int64_t(last))), 1};
-    }
+    default:
+      return window_band<F>(a, i);
   }
+}
+
+// The window at a distance in units of 1 / den. The product is as exact in float as a division.
+template <class F>
+KV_HD F window_at(ResizeAxis const& a, int64_t distance) {
+  return filter_at(a, sizeof(F) == 4 ? F(double(distance) * a.per_unit) : F(distance) / F(a.unit));
 }
 
 // A pixel's weight in pixel i of the result, before it is divided by their sum.
@@ -229,7 +243,7 @@ KV_HD F unnormalized_weight(ResizeAxis const& a, int i, int j) {
   int const from = a.clamps_taps() && j == 0 ? -2 : j, to = a.clamps_taps() && j == a.source - 1 ? j + 2 : j;
   F sum = 0;
 #pragma unroll 1
-  for (int t = from; t <= to; ++t) sum += filter_at(a, F(t * a.den - a.center(i)) / F(a.unit));
+  for (int t = from; t <= to; ++t) sum += window_at<F>(a, t * a.den - a.center(i));
   return sum;
 }
 
@@ -270,6 +284,15 @@ struct Contributors {
   int first, count;
   F norm;  // of an image's band
 };
+// The pixels of the result whose windows hold source pixel j, where coordinates differ.
+template <class F>
+KV_HD Contributors<F> window_holders(ResizeAxis const& a, int j) {
+  int64_t const reach = filter_radius(a.filter) * a.unit, n = j * a.den - a.origin;
+  int64_t const first = clamp(a.floor_div_num(n - reach) + 1, int64_t(0), int64_t(a.result));
+  int64_t const last = min(a.floor_div_num(n + reach - 1), int64_t(a.result - 1));
+  return {int(first), int(max(last - first + 1, int64_t(0))), 1};
+}
+
 // Without the norm that divides by the sum of weights.
 template <class F>
 KV_HD Contributors<F> unnormalized_contributors(ResizeAxis const& a, int index) {
@@ -277,12 +300,7 @@ KV_HD Contributors<F> unnormalized_contributors(ResizeAxis const& a, int index) 
     Band<F> const band = extent<F>(a, index);
     return {band.first, band.last - band.first + 1, band.norm};
   }
-  if (a.has_window() && a.num) {  // |index den - center(i)| < reach
-    int64_t const reach = filter_radius(a.filter) * a.unit, n = index * a.den - a.origin;
-    int64_t const first = clamp(a.floor_div_num(n - reach) + 1, int64_t(0), int64_t(a.result));
-    int64_t const last = min(a.floor_div_num(n + reach - 1), int64_t(a.result - 1));
-    return {int(first), int(max(last - first + 1, int64_t(0))), 1};
-  }
+  if (a.has_window() && a.num) return window_holders<F>(a, index);
   // An estimate to start the search from: bands move to the right with i.
   int i = int(clamp(double(index * a.den - a.origin) * a.per_num, 0., double(a.result - 1)));
   while (i > 0 && extent<F>(a, i - 1).last >= index) --i;

@@ -5,9 +5,8 @@
 // where it grows, a row of the result is the weighted sum of a few rows in shared memory. That line of sums then goes
 // to shared memory, and the pixels of the result are weighted means of it.
 //
-//   strip of the image     a row of 16-byte vectors at any alignment: a row in shared memory is as far from a whole
-//                          vector as it is in the image, since rows are as far apart as there but for whole vectors
-//   line                   one number a column
+//   strip of the image     rows, copied by 16 bytes where all of them are whole vectors, else by words of 4
+//   line                   one sum a column; some lines are weighted along x together
 //   strip of the result    each thread every 32nd element
 //
 // A block computes the weights once for its warps, which take the same columns of several planes.
@@ -28,8 +27,8 @@ constexpr int kBlocks = 3;          // on a multiprocessor at once
 // M: the most windows that hold a row, where the image shrinks, or the most rows in a window, where it grows.
 template <class T, int M, bool Shrinks>
 struct StripOf {
-  static constexpr int kSpan = Shrinks && M <= 4 ? 256 : 128;                   // elements of a row
-  static constexpr int kColumns = kSpan / 32, kGroup = sizeof(T) == 2 ? 2 : 4;  // of a thread, some of them adjacent
+  static constexpr int kSpan = Shrinks && M <= 4 ? 256 : 128;  // elements of a row
+  static constexpr int kColumns = kSpan / 32;                  // of a thread, some of them adjacent
   static constexpr int kVector = 16 / int(sizeof(T)), kRowBytes = kSpan * int(sizeof(T));
   static constexpr int kRing = Shrinks && sizeof(T) == 4 ? 4 : 8, kAhead = Shrinks ? kRing - 2 : kRing - M;
   static constexpr int kLines = M > 4 ? M : 4;               // rows of sums at a time
@@ -46,13 +45,27 @@ struct ResizeStrips {
   int span_y;             // rows of x that a strip reads, at most
 };
 
-// Not inlined: these take most of the time to compile.
-__device__ __noinline__ Contributors<float> find_contributors(ResizeAxis const& axis, int index) {
+// Not inlined: these take most of the time to compile. They serve what the functions below do not.
+__device__ __noinline__ Contributors<float> call_contributors(ResizeAxis const& axis, int index) {
   return unnormalized_contributors<float>(axis, index);
 }
-__device__ __noinline__ Band<float> find_extent(ResizeAxis const& axis, int i) { return extent<float>(axis, i); }
-__device__ __noinline__ float find_weight(ResizeAxis const& axis, Band<float> const band, int i, int j) {
-  return band_weight(axis, band, i, j);
+__device__ __noinline__ Band<float> call_extent(ResizeAxis const& axis, int i) { return extent<float>(axis, i); }
+__device__ __noinline__ float call_weight(ResizeAxis const& axis, float norm, int i, int j) {
+  return band_weight(axis, Band<float>{0, 0, norm}, i, j);
+}
+
+__device__ __forceinline__ Contributors<float> find_contributors(ResizeAxis const& axis, int index) {
+  if (!axis.has_window() || axis.num == 0) return call_contributors(axis, index);
+  if (axis.backward) return window_holders<float>(axis, index);
+  Band<float> const band = window_band<float>(axis, index);
+  return {band.first, band.last - band.first + 1, 1};
+}
+// The weight of source pixel j in pixel i of the result.
+__device__ __forceinline__ float find_weight(ResizeAxis const& axis, float norm, int i, int j) {
+  bool const is_border = axis.clamps_taps() && (j == 0 || j == axis.source - 1);
+  if ((axis.filter != ResizeFilter::bilinear && axis.filter != ResizeFilter::bicubic) || is_border)
+    return call_weight(axis, norm, i, j);
+  return window_at<float>(axis, j * axis.den - axis.center(i)) * norm;
 }
 
 // The sum over `group` adjacent threads, for all of them.
@@ -61,91 +74,85 @@ __device__ __forceinline__ float group_sum(float x, int group) {
   return x;
 }
 
-// A part of an axis of the output, and the table of its weights in shared memory.
-struct WeightTable {
-  ResizeAxis const& axis;
-  int first_pixel, last_pixel, step;  // of the part; `step` entries for each of them
-  int slots;                          // entries, a multiple of 32
-  float* weights;
-  int pixel_stride, tap_stride;
-  int *first, *end;  // the first pixel that is read, and the one after the last one
-  float* norms;      // backward: the factors of the weights of pixels of the result from `norms_from` on
-  int norms_from, norms_count;
-
-  // `threads` adjacent ones share an entry: that of `thread`.
-  __device__ __forceinline__ void write(int thread, int threads) const {
-    int const i = thread / threads, index = min(first_pixel + i / step, last_pixel), part = thread % threads;
-    Contributors<float> const reads = find_contributors(axis, index);
-    float* const to = weights + i * pixel_stride;
-    float sum = 0;
-    for (int k = part; k < axis.max_taps; k += threads) {
-      int const at = reads.first + k;
-      float weight = 0;
-      if (k < reads.count)
-        weight = axis.backward ? find_weight(axis, {0, 0, norms[at - norms_from]}, at, index)
-                               : find_weight(axis, {0, 0, reads.norm}, index, at);
-      to[k * tap_stride] = weight;
-      sum += weight;
-    }
-    sum = group_sum(sum, threads);
-    if (!axis.backward && axis.is_normalized())
-      for (int k = part; k < axis.max_taps; k += threads) to[k * tap_stride] *= 1 / sum;
-    if (part == 0) first[i] = reads.first, end[i] = reads.first + reads.count;
-  }
-  __device__ __forceinline__ void write_norm(int thread, int threads) const {
-    int const i = thread / threads, index = min(norms_from + i, axis.result - 1), part = thread % threads;
-    Band<float> const band = find_extent(axis, index);
+// Writes the factors of the weights of `count` pixels of the result from `from` on, for the backward pass. `thread`: of
+// a block, in any order of its warps.
+__device__ __forceinline__ void write_norms(ResizeAxis const& axis, int thread, float* norms, int from, int count) {
+  int const group = axis.max_readers > 8 ? 8 : 2, all = (count + 31) / 32 * 32 * group;  // `group` threads a pixel
+#pragma unroll 1
+  for (int t = thread; t < all; t += kThreads) {
+    int const i = t / group, index = min(from + i, axis.result - 1);
+    Band<float> const band = axis.has_window() ? window_band<float>(axis, index) : call_extent(axis, index);
     float sum = 0;
     if (axis.is_normalized())
-      for (int j = band.first + part; j <= band.last; j += threads) sum += find_weight(axis, {0, 0, 1}, index, j);
-    sum = group_sum(sum, threads);
-    if (i < norms_count && part == 0) norms[i] = axis.is_normalized() ? 1 / sum : band.norm;
+#pragma unroll 1
+      for (int j = band.first + t % group; j <= band.last; j += group) sum += find_weight(axis, 1, index, j);
+    sum = group_sum(sum, group);
+    if (i < count && t % group == 0) norms[i] = axis.is_normalized() ? 1 / sum : band.norm;
+  }
+}
+
+// The weights of a part of an axis of the output, in shared memory.
+struct WeightTable {
+  int first_pixel, last_pixel, step, slots;  // of `slots` entries, a multiple of 32, `step` are for each pixel
+  float* weights;
+  int pixel_stride, tap_stride;
+  int *first, *end;    // the first pixel that is read, and the one after the last one
+  float const* norms;  // of the backward pass, those of pixels of the result from `norms_from` on
+  int norms_from;
+
+  // `thread`: as above.
+  __device__ __forceinline__ void write(ResizeAxis const& axis, int thread) const {
+    int const group = axis.max_taps > 8 ? 8 : 1;  // threads that share an entry
+#pragma unroll 1
+    for (int t = thread; t < slots * group; t += kThreads) {
+      int const i = t / group, index = min(first_pixel + (step == 1 ? i : i / step), last_pixel);
+      Contributors<float> const reads = find_contributors(axis, index);
+      float* const to = weights + i * pixel_stride;
+      float sum = 0;
+#pragma unroll 1
+      for (int k = t % group; k < axis.max_taps; k += group) {
+        int const at = reads.first + k;
+        float weight = 0;
+        if (k < reads.count)
+          weight = axis.backward ? find_weight(axis, norms[at - norms_from], at, index)
+                                 : find_weight(axis, reads.norm, index, at);
+        to[k * tap_stride] = weight;
+        sum += weight;
+      }
+      if (!axis.backward && axis.is_normalized()) {
+        float const norm = 1 / group_sum(sum, group);
+        for (int k = t % group; k < axis.max_taps; k += group) to[k * tap_stride] *= norm;
+      }
+      if (t % group == 0) first[i] = reads.first, end[i] = reads.first + reads.count;
+    }
   }
 };
 
-// Writes the tables of both axes, by all threads of a block.
-__device__ __forceinline__ void write_tables(WeightTable const& columns, WeightTable const& rows) {
-  int const taps = max(columns.axis.max_taps, rows.axis.max_taps), threads = taps <= 2 ? 1 : taps <= 8 ? 2 : 8;
-  auto const table_of = [&](int i, int of_columns) -> WeightTable const& { return i < of_columns ? columns : rows; };
-  if (columns.axis.backward) {
-    constexpr int kThreadsOfNorm = 4;
-    int const of_columns = ((columns.norms_count + 31) / 32 * 32) * kThreadsOfNorm,
-              all = of_columns + ((rows.norms_count + 31) / 32 * 32) * kThreadsOfNorm;
-#pragma unroll 1
-    for (int t = threadIdx.x; t < all; t += kThreads)
-      table_of(t, of_columns).write_norm(t < of_columns ? t : t - of_columns, kThreadsOfNorm);
-    __syncthreads();
-  }
-  int const of_columns = columns.slots * threads, all = of_columns + rows.slots * threads;
-#pragma unroll 1
-  for (int t = threadIdx.x; t < all; t += kThreads)
-    table_of(t, of_columns).write(t < of_columns ? t : t - of_columns, threads);
-}
-
-// The pixels of a thread in a row: groups of adjacent ones, 32 groups apart. The row begins `past` bytes after a word.
+// The pixels of a thread in a row: groups of four adjacent ones, 128 apart. The row begins `past` bytes after a word.
 template <class S, class T>
 __device__ __forceinline__ void read_pixels(T const* row, int past, float (&pixels)[S::kColumns]) {
-  constexpr int P = S::kGroup;
-  auto const* const bytes = reinterpret_cast<unsigned char const*>(row);
 #pragma unroll
-  for (int i = 0; i < S::kColumns; i += P) {
-    int const at = (32 * i + P * int(threadIdx.x % 32)) * int(sizeof(T));
+  for (int i = 0; i < S::kColumns; i += 4) {
+    T const* const four = row + 32 * i + 4 * int(threadIdx.x % 32);
     if constexpr (sizeof(T) == 4) {
-      Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(bytes + at);
+      Vector<T, 4> const vector = *reinterpret_cast<Vector<T, 4> const*>(four);
 #pragma unroll
-      for (int j = 0; j < P; ++j) pixels[i + j] = vector.v[j];
-    } else if constexpr (sizeof(T) == 1) {
-      auto const* const words = reinterpret_cast<uint32_t const*>(bytes + at);
-      uint32_t const four = __funnelshift_r(words[0], words[1], 8 * past);
-#pragma unroll
-      for (int j = 0; j < P; ++j) pixels[i + j] = float(four >> 8 * j & 255);
-    } else if (past == 0) {
-      Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(bytes + at);
-#pragma unroll
-      for (int j = 0; j < P; ++j) pixels[i + j] = read(vector.v[j]);
+      for (int j = 0; j < 4; ++j) pixels[i + j] = vector.v[j];
     } else {
+      constexpr int kWords = int(sizeof(T));  // and some bytes of the next one
+      Vector<uint32_t, kWords> words = *reinterpret_cast<Vector<uint32_t, kWords> const*>(four);
+      uint32_t const next = reinterpret_cast<uint32_t const*>(four)[kWords];
 #pragma unroll
-      for (int j = 0; j < P; ++j) pixels[i + j] = read(*reinterpret_cast<T const*>(bytes + at + past + j * sizeof(T)));
+      for (int j = 0; j < kWords; ++j)
+        words.v[j] = __funnelshift_r(words.v[j], j + 1 < kWords ? words.v[min(j + 1, kWords - 1)] : next, 8 * past);
+#pragma unroll
+      for (int j = 0; j < 4; ++j) {
+        uint32_t const bits = words.v[j * kWords / 4] >> 8 * kWords * j % 32;
+        if constexpr (sizeof(T) == 1)
+          pixels[i + j] = float(bits & 255);
+        else
+          pixels[i + j] = read(T{uint16_t(bits)});
+      }
     }
   }
 }
@@ -171,8 +178,8 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   int const columns_padded = (strips.elements + 31) & -32;
   float* const all_lines = reinterpret_cast<float*>(memory + kWarps * S::kWarpBytes);
   float* const lines = all_lines + warp * strips.lines;
-  float* const weights_of_rows =
-      all_lines + kWarps * strips.lines;  // of a strip's rows: slots, by row of the result % M
+  // Of a row of x in the rows of the result that it is part of, by their numbers modulo M.
+  float* const weights_of_rows = all_lines + kWarps * strips.lines;
   float* const weights_x = weights_of_rows + (Shrinks ? strips.warps_down * strips.span_y * S::kSlots : 0);
   int* const first_x = reinterpret_cast<int*>(weights_x + taps_x * columns_padded);
   int* const end_x = first_x + columns_padded;
@@ -184,17 +191,19 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
 
   // The pixels that the strip, the warp and the block read: each thread finds one end.
   int const last_x = (e0 + elements - 1) / step, last_y = min(y0 + strips.rows, height) - 1;
-  int const ends[6] = {e0 / step,      last_x,  min(y0, height - 1),
-                       max(last_y, 0), block_y, min(block_y + table_rows, height) - 1};
-  int end_of_lane = ends[0];
-#pragma unroll
-  for (int i = 1; i < 6; ++i) end_of_lane = lane % 8 == i ? ends[i] : end_of_lane;
-  Contributors<float> const reads = find_contributors(lane % 8 < 2 ? p.columns : p.rows, end_of_lane);
-  auto const begin_of = [&](int i) { return __shfl_sync(0xffffffffu, reads.first, i); };
-  auto const end_of = [&](int i) { return __shfl_sync(0xffffffffu, reads.first + reads.count, i); };
-  int const from_x = begin_of(0), from = from_x * step & (aligned ? -S::kVector : -1);
-  int const length = min(end_of(1) * step - from, S::kSpan);
-  int const from_y = begin_of(2), to_y = end_of(3), block_from_y = begin_of(4), block_to_y = end_of(5);
+  int const ends[4] = {min(y0, height - 1), max(last_y, 0), block_y, min(block_y + table_rows, height) - 1};
+  Contributors<float> const of_column = find_contributors(p.columns, lane % 2 ? last_x : e0 / step);
+  Contributors<float> const of_row =
+      find_contributors(p.rows, lane % 4 < 2 ? (lane % 2 ? ends[1] : ends[0]) : (lane % 2 ? ends[3] : ends[2]));
+  auto const begin_of = [&](Contributors<float> const& of, int i) { return __shfl_sync(0xffffffffu, of.first, i); };
+  auto const end_of = [&](Contributors<float> const& of, int i) {
+    return __shfl_sync(0xffffffffu, of.first + of.count, i);
+  };
+  int const from_x = begin_of(of_column, 0), to_x = end_of(of_column, 1),
+            from = from_x * step & (aligned ? -S::kVector : -1);
+  int const length = min(to_x * step - from, S::kSpan);
+  int const from_y = begin_of(of_row, 0), to_y = end_of(of_row, 1);
+  int const block_from_y = begin_of(of_row, 2), block_to_y = end_of(of_row, 3);
 
   // The ring of rows, in which a row begins at a word as it does in the image.
   int const stride = int(p.x.row_stride * sizeof(T));
@@ -230,24 +239,19 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
 #pragma unroll 1
     for (int i = 0; i < (Shrinks ? S::kRing - 1 : S::kRing); ++i) fetch();
 
-  // The weights.
-  int const norms_count = min(end_of(1) - from_x, S::kSpan);
-  WeightTable const columns{p.columns, e0 / step, last_x, step,    padded, weights_x,  1,
-                            padded,    first_x,   end_x,  norms_x, from_x, norms_count};
-  WeightTable const of_rows{p.rows,
-                            block_y,
-                            min(block_y + table_rows, height) - 1,
-                            1,
-                            row_slots,
-                            weights_y,
-                            taps_y,
-                            1,
-                            first_y,
-                            end_y,
-                            norms_y,
-                            block_from_y,
-                            block_to_y - block_from_y};
-  write_tables(columns, of_rows);
+  // The weights. The last warps begin with those of rows.
+  int const thread_of_rows = 32 * (kWarps - 1 - warp) + lane;
+  if (p.columns.backward) {
+    write_norms(p.columns, threadIdx.x, norms_x, from_x, min(to_x - from_x, S::kSpan));
+    write_norms(p.rows, thread_of_rows, norms_y, block_from_y, block_to_y - block_from_y);
+    __syncthreads();
+  }
+  int const last_row = min(block_y + table_rows, height) - 1;
+  WeightTable const columns{e0 / step, last_x, step, padded, weights_x, 1, padded, first_x, end_x, norms_x, from_x};
+  columns.write(p.columns, threadIdx.x);
+  WeightTable const of_rows{block_y, last_row, 1,     row_slots, weights_y,   taps_y,
+                            1,       first_y,  end_y, norms_y,   block_from_y};
+  of_rows.write(p.rows, thread_of_rows);
   if constexpr (Shrinks)
     for (int i = threadIdx.x; i < strips.warps_down * strips.span_y * S::kSlots; i += kThreads) weights_of_rows[i] = 0;
   __syncthreads();
@@ -320,7 +324,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
     }
   };
   auto const store_line = [&](int j, float const(&sums)[S::kColumns]) {
-    constexpr int P = S::kGroup;
+    constexpr int P = 4;
 #pragma unroll
     for (int i = 0; i < S::kColumns; i += P) {
       Vector<float, P> vector;
@@ -390,8 +394,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
 
 // The most adjacent pixels of a row of the output that read at most `span` adjacent ones.
 inline int64_t pixels_of_span(ResizeAxis const& a, int64_t span) {
-  int64_t const step = a.backward ? a.den : a.num,
-                unit = a.backward ? a.num : a.den;  // a pixel of the output, and one of x
+  int64_t const step = a.backward ? a.den : a.num, unit = a.backward ? a.num : a.den;  // a pixel of y, and one of x
   int64_t const band = a.has_window() ? 2 * filter_radius(a.filter) * a.unit : (a.max_taps + 1) * unit;
   if (span * unit < band) return 0;
   return step ? (span * unit - band) / step + 1 : INT64_MAX;

@@ -104,7 +104,10 @@ def test_few_descriptors(mode, sizes, device):
         assert scores.shape == (count, 1) and indices.shape == (count, 2) and indices.dtype == torch.int64
         if 0 in sizes or (mode not in ("nn", "mnn") and sizes[1] < 2) or (mode == "smnn" and 1 in sizes):
             assert count == 0
-        elif dm is None:
+        if dm is None:
+            grads = torch.autograd.grad(scores.sum(), (x, y), retain_graph=True)
+            assert all(g.isfinite().all() and (count > 0 or (g == 0).all()) for g in grads)
+        if count > 0 and dm is None:
             expected_scores, expected_indices = MODES[mode](KF, x, y)
             assert torch.equal(indices, expected_indices)
             torch.testing.assert_close(scores, expected_scores)

@@ -205,8 +205,11 @@ def _selected(scores: Tensor, nearest: Tensor, kept: Tensor, dtype: torch.dtype)
     return as_dtype(scores[own, None], dtype), torch.stack([own, nearest[own]], 1)
 
 
-def _no_matches(like: Tensor, columns: int = 2) -> tuple[Tensor, Tensor]:
-    return floats(like).new_zeros(0, 1), torch.zeros(0, columns, dtype=torch.int64, device=like.device)
+def _no_matches(*sources: Tensor | None, columns: int = 2) -> tuple[Tensor, Tensor]:
+    """No scores, of the type of the first source and with gradients of 0 to all, and no indices."""
+    none = [floats(x).flatten()[:0] for x in sources if x is not None]
+    scores = torch.cat([x.to(none[0].dtype) for x in none]).reshape(0, 1)
+    return scores, torch.zeros(0, columns, dtype=torch.int64, device=scores.device)
 
 
 def _check_descriptors(op: str, desc1: Any, desc2: Any, dm: Any, *batch: str) -> None:
@@ -261,7 +264,7 @@ def match_nn(desc1: Tensor, desc2: Tensor, dm: Tensor | None = None) -> tuple[Te
     """
     _check_descriptors("match_nn", desc1, desc2, dm)
     if 0 in (desc1.shape[0], desc2.shape[0]):
-        return _no_matches(desc1)
+        return _no_matches(desc1, desc2, dm)
     neighbors = _Neighbors(desc1[None], desc2[None], _one(dm), both=False)
     own = torch.arange(desc1.shape[0], device=desc1.device)
     indices = torch.stack([own, neighbors.indices1[0, :, 0].clamp(min=0)], 1)
@@ -291,7 +294,7 @@ def match_mnn(desc1: Tensor, desc2: Tensor, dm: Tensor | None = None) -> tuple[T
     """
     _check_descriptors("match_mnn", desc1, desc2, dm)
     if 0 in (desc1.shape[0], desc2.shape[0]):
-        return _no_matches(desc1)
+        return _no_matches(desc1, desc2, dm)
     neighbors = _Neighbors(desc1[None], desc2[None], _one(dm))
     nearest, back = neighbors.indices1[..., 0], neighbors.indices2[..., 0]
     if desc1.shape[0] <= desc2.shape[0]:
@@ -326,7 +329,7 @@ def match_snn(desc1: Tensor, desc2: Tensor, th: float = 0.8, dm: Tensor | None =
     _check_descriptors("match_snn", desc1, desc2, dm)
     th = _check.number("match_snn", "th", th)
     if desc1.shape[0] == 0 or desc2.shape[0] < 2:
-        return _no_matches(desc1 if dm is None else dm)
+        return _no_matches(dm, desc1, desc2)
     neighbors = _Neighbors(desc1[None], desc2[None], _one(dm), both=False)
     ratio = _ratio(neighbors.distances1, neighbors.indices1)[0]
     return _selected(ratio, neighbors.indices1[0, :, 0], ratio <= th, neighbors.dtype)
@@ -356,7 +359,7 @@ def match_smnn(desc1: Tensor, desc2: Tensor, th: float = 0.95, dm: Tensor | None
     _check_descriptors("match_smnn", desc1, desc2, dm)
     th = _check.number("match_smnn", "th", th)
     if desc1.shape[0] < 2 or desc2.shape[0] < 2:
-        return _no_matches(desc1 if dm is None else dm)
+        return _no_matches(dm, desc1, desc2)
     neighbors = _Neighbors(desc1[None], desc2[None], _one(dm))
     ratio, kept = _ratio_test(neighbors, th)
     return _selected(ratio[0], neighbors.indices1[0, :, 0], kept[0], neighbors.dtype)
@@ -405,7 +408,7 @@ def match_smnn_batched(
                 raise TypeCheckError(f"{op}: expected {name} to be bool, got {mask.dtype}", actual_type=mask.dtype)
             _check.same_device(op, desc1=desc, mask=mask)
     if desc1.shape[0] == 0 or desc1.shape[1] < 2 or desc2.shape[1] < 2:
-        return _no_matches(desc1 if dm is None else dm, 3)
+        return _no_matches(dm, desc1, desc2, columns=3)
     if dm is not None:
         mask1 = desc1.new_ones(desc1.shape[:2], dtype=torch.bool) if mask1 is None else mask1
         mask2 = desc2.new_ones(desc2.shape[:2], dtype=torch.bool) if mask2 is None else mask2
@@ -466,7 +469,7 @@ def match_fginn(
     spatial_th = _check.number(op, "spatial_th", spatial_th, 0.0)
     _check.flag(op, "mutual", mutual)
     if desc1.shape[0] == 0 or desc2.shape[0] < 2:
-        return _no_matches(desc1 if dm is None else dm)
+        return _no_matches(dm, desc1, desc2)
     neighbors = _Neighbors(desc1[None], desc2[None], _one(dm), both=mutual)
     nearest = neighbors.indices1[..., 0]
     centers = as_dtype(floats(lafs2[..., 2]), neighbors.distances1.dtype)

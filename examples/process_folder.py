@@ -46,7 +46,8 @@ import kvision as K
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 BLUR = "K.filters.GaussianBlur2d(5, (1.5, 1.5))"
 DECODERS = {"opencv": "cv2", "torchvision": "torchvision", "nvimgcodec": "nvidia.nvimgcodec"}
-PARTIAL = ".partial.png"
+FORMATS = (".png", ".jpg", ".webp")  # of the results; PNG keeps every bit
+PARTIAL = "partial"
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class Read:
 # --- what there is to do --------------------------------------------------------------------------------------------
 
 
-def tasks_of(source: Path, out: Path) -> list[Task]:
+def tasks_of(source: Path, out: Path, suffix: str = ".png") -> list[Task]:
     """A task for each picture below a folder, or for each line of a text file; no two have the same target."""
     if source.is_dir():
         files = (path for path in sorted(source.rglob("*")) if path.suffix.lower() in SUFFIXES and not path.is_dir())
@@ -78,7 +79,7 @@ def tasks_of(source: Path, out: Path) -> list[Task]:
     else:
         lines = filter(None, map(str.strip, source.read_text().splitlines()))
         names = {name_of(line): line for line in lines}
-    return [Task(path, str(out / f"{name}.png")) for name, path in names.items()]
+    return [Task(path, str(out / f"{name}{suffix}")) for name, path in names.items()]
 
 
 def name_of(url: str) -> str:
@@ -250,10 +251,11 @@ class Apply:
 
 
 def write(task: Task, image: Tensor) -> None:
-    """Write the result next to its place, then move it there in one step of the file system."""
+    """Write the result beside its place, then move it there in one step of the file system."""
     target = Path(task.target)
     target.parent.mkdir(parents=True, exist_ok=True)
-    partial = target.with_name(f".{target.name}.{os.getpid()}.{threading.get_ident()}{PARTIAL}")
+    mark = f"{os.getpid()}.{threading.get_ident()}.{PARTIAL}"
+    partial = target.with_name(f".{target.name}.{mark}{target.suffix}")
     try:
         K.io.write_image(partial, image)
         os.replace(partial, target)
@@ -301,11 +303,24 @@ class Job:
         self.pool.shutdown()
 
 
+def next_of(batches: Iterator[list[Read]]) -> list[Read] | None:
+    """The next batch; nothing at the end, or when a worker died. What it had sent may be lost with it."""
+    try:
+        return next(batches, None)
+    except (ConnectionError, EOFError, FileNotFoundError):
+        return None
+    except RuntimeError as error:
+        if "DataLoader worker" in str(error):
+            return None
+        raise
+
+
 def run_here(tasks: Sequence[Task], options: argparse.Namespace, job: Job) -> None:
     """Decode in the workers of a DataLoader, apply here, write in threads."""
     apply = Apply(options.pipeline, options.device, options.decoder, options.uint8)
     pictures = Pictures(tasks, options.threads, options.decoder != "opencv")
     waiting = deque(range(len(tasks)))
+    context = "forkserver"  # workers without the threads and the GPU of this process
     careful = 0  # pictures to read alone, after a worker died
     while waiting:
         workers, size = (1, 1) if careful else (options.workers, options.batch)
@@ -316,22 +331,17 @@ def run_here(tasks: Sequence[Task], options: argparse.Namespace, job: Job) -> No
             collate_fn=list,
             num_workers=workers,
             prefetch_factor=(1 if careful else 2) if workers else None,
-            multiprocessing_context="forkserver"
-            if workers
-            else None,  # without the threads and the GPU of this process
+            multiprocessing_context=context if workers else None,
         )
-        try:
-            for batch in loader:
-                job.finish(apply(batch))
-                for item in batch:
-                    waiting.remove(item.number)  # the first ones
-            careful = 0
-        except RuntimeError as error:
-            if "DataLoader worker" not in str(error):
-                raise
-            if careful:
-                job.finish([(waiting.popleft(), "the process that decoded it died")])
-            careful = options.workers * 2 * options.batch
+        batches = iter(loader)
+        while (batch := next_of(batches)) is not None:
+            job.finish(apply(batch))
+            for item in batch:
+                waiting.remove(item.number)  # the first ones
+        unread = bool(waiting) and waiting[0] <= numbers[-1]
+        if unread and careful:
+            job.finish([(waiting.popleft(), "the process that decoded it died")])
+        careful = options.workers * 2 * options.batch if unread else 0
     job.wait()
 
 
@@ -415,14 +425,16 @@ def compare(tasks: Sequence[Task], options: argparse.Namespace) -> None:
     import cv2
 
     blurs = options.pipeline == [BLUR]
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 80, cv2.IMWRITE_WEBP_QUALITY, 80]  # as kvision.io.write_image
     with tempfile.TemporaryDirectory() as folder:
-        whole = [task for i, task in enumerate(tasks) if not read(i, task, False).error and "://" not in task.path]
+        whole = [task for task in tasks if os.path.exists(task.target) and "://" not in task.path]
         if not whole:
             return
         begin = time.perf_counter()
         for i, task in enumerate(whole):
             image = cv2.imread(task.path, cv2.IMREAD_COLOR)
-            cv2.imwrite(f"{folder}/{i}.png", cv2.GaussianBlur(image, (5, 5), 1.5) if blurs else image)
+            image = cv2.GaussianBlur(image, (5, 5), 1.5) if blurs else image
+            cv2.imwrite(f"{folder}/{i}{options.format}", image, quality)
         rate = len(whole) / (time.perf_counter() - begin)
     does = "the same in a loop of OpenCV" if blurs else "reading and writing alone in a loop of OpenCV"
     print(f"{does}, {len(whole)} pictures: {rate:.0f} images/s")
@@ -496,6 +508,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--uint8", action="store_true", help="give the pipeline uint8 images")
     parser.add_argument("--engine", choices=("local", "ray"), default="local")
     parser.add_argument("--decoder", choices=tuple(DECODERS), default="opencv", help="of JPEG files")
+    parser.add_argument("--format", choices=FORMATS, default=FORMATS[0], help="of the results")
     parser.add_argument("--batch", type=int, default=32)
     parser.add_argument("--workers", type=int, default=max(1, cores // 4), help="processes that decode")
     parser.add_argument("--threads", type=int, default=min(4, cores), help="of a worker, and to write")
@@ -508,9 +521,9 @@ def main(arguments: list[str] | None = None) -> int:
     from tqdm import tqdm
 
     options.out.mkdir(parents=True, exist_ok=True)
-    for left in options.out.rglob(f".*{PARTIAL}"):  # of a killed run
+    for left in options.out.rglob(f".*.{PARTIAL}.*"):  # of a killed run
         left.unlink(missing_ok=True)
-    everything = tasks_of(options.source, options.out.resolve())
+    everything = tasks_of(options.source, options.out.resolve(), options.format)
     report = Report(options.out, options.retry)
     there = {task.path for task in everything if os.path.exists(task.target)}
     tasks = [task for task in everything if task.path not in there | report.known]

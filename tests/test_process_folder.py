@@ -191,6 +191,15 @@ def test_a_list_of_paths_and_urls(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "nowhere://bucket/d.png," in (tmp_path / "out" / "broken.csv").read_text()
 
 
+def test_results_as_jpeg(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    K.io.write_image(tmp_path / "gray.png", torch.full((3, 16, 16), 0.5))
+    (tmp_path / "list.txt").write_text(str(tmp_path / "gray.png"))
+    assert run(tmp_path / "list.txt", tmp_path / "out", "--format", ".jpg") == 0
+    (result,) = (tmp_path / "out").rglob("gray.png.jpg")
+    assert result.read_bytes().startswith(b"\xff\xd8")
+    assert "the same in a loop of OpenCV, 1 pictures: " in capsys.readouterr().out
+
+
 def test_a_task_is_finished_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     process = example("process_folder")
     written: list[str] = []

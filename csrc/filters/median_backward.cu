@@ -1,7 +1,7 @@
 // Backward pass of the median blur on CUDA: one launch for every window and layout. A block takes a tile of pixels of
-// one channel. The outputs around the tile go through shared memory, chunk by chunk, each with its median and the
-// gradient of one tied pixel, g / (pixels of the window that equal the median). A pixel sums the gradients of the
-// windows whose median it equals.
+// one channel. The outputs around the tile go through shared memory, each with its median and the gradient of one tied
+// pixel, g / (pixels of the window that equal the median). A pixel sums the gradients of the windows whose median it
+// equals.
 #include "core/launch.cuh"
 #include "median.h"
 
@@ -109,10 +109,129 @@ __global__ void __launch_bounds__(kTile* kRowsOfThreads)
   }
 }
 
+// --- planar images and windows of 3 x 3 or 5 x 5 pixels ------------------------------------------------------------------
+
+// A thread has a column of the tile: several outputs at once for the counts, then several pixels at once for the sums.
+// So it reads a number from shared memory once for all windows along y that contain it.
+constexpr int kColumns = 64, kGroups = 4, kThreads = kColumns * kGroups;  // kGroups: of rows
+constexpr int kOutputsDown = 9, kPixelsOfColumn = 8;
+
+template <int K>
+struct StripTile {
+  static constexpr int R = K / 2, kWidth = kColumns - 2 * R, kHeight = kGroups * kPixelsOfColumn;  // pixels
+  static constexpr int kOutputs = kGroups * kOutputsDown;                                          // rows of outputs
+  static_assert(kOutputs >= kHeight + 2 * R);
+  float pixels[kOutputs + 2 * R][kColumns + 2 * R];
+  TiedGradient<float> outputs[kOutputs][kColumns];
+  float counts[kHeight][K];  // how often the outputs around a row of pixels read it
+};
+
+template <int K, class T>
+__global__ void __launch_bounds__(kThreads)
+    median_backward_columns(__grid_constant__ MedianBlurBackward<T> const p, unsigned across, unsigned down) {
+  constexpr int R = K / 2;
+  using Tile = StripTile<K>;
+  __shared__ Tile tile;
+  unsigned const line = blockIdx.x / across, plane = line / down;
+  int const x0 = int(blockIdx.x - line * across) * Tile::kWidth, y0 = int(line - plane * down) * Tile::kHeight;
+  int const width = int(p.x.width), height = int(p.x.height);
+  int const column = threadIdx.x % kColumns, group = threadIdx.x / kColumns;
+  bool const circular = p.border == Border::circular;
+
+  T const* const in = p.x.plane(plane);
+  int const first = x0 - 2 * R + column;  // the position of the thread's pixel in a row of the tile
+  int const source = border_index(p.border, first, width), second = border_index(p.border, first + kColumns, width);
+#pragma unroll 2
+  for (int row = group; row < Tile::kOutputs + 2 * R; row += kGroups) {
+    int const y = border_index(p.border, y0 - 2 * R + row, height);
+    T const* const from = in + max(y, 0) * p.x.row_stride;
+    tile.pixels[row][column] = y >= 0 && source >= 0 ? read(from[source]) : 0.f;
+    if (column < 2 * R) tile.pixels[row][kColumns + column] = y >= 0 && second >= 0 ? read(from[second]) : 0.f;
+  }
+  bool const at_border = x0 <= R || y0 <= R || x0 + Tile::kWidth >= width - R || y0 + Tile::kHeight >= height - R;
+  if (at_border)
+    for (int i = threadIdx.x; i < Tile::kHeight * K; i += kThreads) {
+      int const y = y0 + i / K;
+      tile.counts[i / K][i % K] = y < height ? float(median_read_count(p.border, y - R + i % K, y, height, R, R)) : 0.f;
+    }
+
+  float medians[kOutputsDown], gradients[kOutputsDown];
+  int const output_x = first + R, wrapped_x = circular ? border_index(Border::circular, output_x, width) : output_x;
+#pragma unroll
+  for (int q = 0; q < kOutputsDown; ++q) {
+    int const row = y0 - R + group * kOutputsDown + q;
+    int const y = circular ? border_index(Border::circular, row, height) : row;
+    bool const exists = unsigned(wrapped_x) < unsigned(width) && unsigned(y) < unsigned(height);
+    medians[q] = exists ? read(p.y.row(plane, y)[wrapped_x]) : __int_as_float(0x7fc00000);
+    gradients[q] = exists ? read(p.grad.row(plane, y)[wrapped_x]) : 0.f;
+  }
+  __syncthreads();
+  int equal[kOutputsDown] = {};
+#pragma unroll
+  for (int r = 0; r < kOutputsDown + 2 * R; ++r)
+#pragma unroll
+    for (int c = 0; c < K; ++c) {
+      float const pixel = tile.pixels[group * kOutputsDown + r][column + c];
+#pragma unroll
+      for (int q = max(0, r - 2 * R); q <= min(r, kOutputsDown - 1); ++q) equal[q] += pixel == medians[q];
+    }
+#pragma unroll
+  for (int q = 0; q < kOutputsDown; ++q)
+    tile.outputs[group * kOutputsDown + q][column] = {medians[q], gradients[q] / float(equal[q])};
+  __syncthreads();
+
+  int const x = output_x;
+  if (column < R || column >= kColumns - R || x >= width) return;
+  float value[kPixelsOfColumn], sum[kPixelsOfColumn] = {};
+#pragma unroll
+  for (int i = 0; i < kPixelsOfColumn; ++i) value[i] = tile.pixels[group * kPixelsOfColumn + 2 * R + i][column + R];
+  auto const add_all = [&](auto weight_x, auto weight_y) {
+#pragma unroll
+    for (int r = 0; r < kPixelsOfColumn + 2 * R; ++r)
+#pragma unroll
+      for (int c = 0; c < K; ++c) {
+        TiedGradient<float> const output = tile.outputs[group * kPixelsOfColumn + r][column - R + c];
+        float const gradient = weight_x(c, output.gradient);
+#pragma unroll
+        for (int i = max(0, r - 2 * R); i <= min(r, kPixelsOfColumn - 1); ++i)
+          if (output.median == value[i]) sum[i] += weight_y(i, r - i, gradient);
+      }
+  };
+  if (at_border) {
+    float counts[K];
+#pragma unroll
+    for (int c = 0; c < K; ++c) counts[c] = float(median_read_count(p.border, x - R + c, x, width, R, R));
+    add_all([&](int c, float g) { return g * counts[c]; },
+            [&](int i, int k, float g) { return g * tile.counts[group * kPixelsOfColumn + i][k]; });
+  } else {
+    add_all([](int, float g) { return g; }, [](int, int, float g) { return g; });
+  }
+#pragma unroll
+  for (int i = 0; i < kPixelsOfColumn; ++i) {
+    int const y = y0 + group * kPixelsOfColumn + i;
+    if (y < height) p.grad_x.row(plane, y)[x] = round_to<T>(sum[i]);
+  }
+}
+
+template <int K, class T>
+bool try_columns(MedianBlurBackward<T> const& p, CUstream_st* stream) {
+  if constexpr (sizeof(T) < 8) {
+    if (p.ky != K || p.kx != K || p.x.step != 1) return false;
+    if (p.border == Border::circular && min(p.x.width, p.x.height) < 2 * K) return false;  // would wrap twice
+    int64_t const across = ceil_div(p.x.width, StripTile<K>::kWidth),
+                  down = ceil_div(p.x.height, StripTile<K>::kHeight);
+    median_backward_columns<K>
+        <<<unsigned(p.x.count() * across * down), kThreads, 0, stream>>>(p, unsigned(across), unsigned(down));
+    return true;
+  }
+  return false;
+}
+
 }  // namespace
 
 template <class T>
 int median_blur_backward(MedianBlurBackward<T> const& p, CUstream_st* stream) {
+  if (try_columns<3>(p, stream) || try_columns<5>(p, stream)) return cudaGetLastError();
   int64_t const across = ceil_div(p.x.width, kTile), down = ceil_div(p.x.height, kTile);
   unsigned const blocks = unsigned(p.x.count() * p.x.step * across * down);
   dim3 const threads(kTile, kRowsOfThreads);

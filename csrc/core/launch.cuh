@@ -127,13 +127,18 @@ __device__ __forceinline__ double fast_log2(double x) { return ::log2(x); }
 
 // --- strips ---
 //
-// A warp reads a row of 32 P elements of a planar image (step 1), each thread the elements x - R ... x + P - 1 + R. The
-// neighbors come from adjacent threads by shuffles; only the first and the last thread of a warp and those at the image
-// border read memory again. Elements out of bounds follow the border rule, where constant is 0. R <= P.
+// A warp reads a row of 32 P elements of a planar image (step 1), each thread the elements x - R ... x + P - 1 + R.
+// Elements out of bounds follow the border rule, where constant is 0. R <= P.
 //
+// Reading a row has two steps, so that loads of the next row are in flight while this one is processed: fetch, and
+// spread, which like store is called by all 32 threads, also by those out of bounds.
+
+constexpr int kStripWarps = 8;  // of a block at most, unless a kernel says otherwise
+
 // Aligned: rows start at multiples of the vector's size and their width is a multiple of P (is_vectorizable), so a
-// thread is in bounds or out of bounds as a whole. The other form reads element by element.
-template <int R, bool Aligned, int P = 4>
+// thread is in bounds or out of bounds as a whole. The neighbors come from adjacent threads by shuffles; only the first
+// and the last thread of a warp and those at the image border read memory again.
+template <int R, bool Aligned, int P = 4, int Warps = kStripWarps>
 struct Strip {
   static_assert(R >= 0 && R <= P, "an adjacent thread holds P elements");
   int x, width;
@@ -155,7 +160,6 @@ struct Strip {
     }
   }
 
-  // Reading a row has two steps, so that loads of the next row are in flight while this one is processed.
   template <class T>
   struct FetchedRow {
     Vector<T, P> own;
@@ -164,24 +168,14 @@ struct Strip {
   template <class T>
   __device__ __forceinline__ FetchedRow<T> fetch(T const* row) const {
     FetchedRow<T> f{};
-    if constexpr (Aligned) {
-      if (inside) f.own = *reinterpret_cast<Vector<T, P> const*>(row + x);
+    if (inside) f.own = *reinterpret_cast<Vector<T, P> const*>(row + x);
 #pragma unroll
-      for (int i = 0; i < R; ++i) {
-        if (left_end && left[i] >= 0) f.left[i] = row[left[i]];
-        if (right_end && right[i] >= 0) f.right[i] = row[right[i]];
-      }
-    } else {
-#pragma unroll
-      for (int i = 0; i < P + 2 * R; ++i) {
-        int const at = x - R + i < width + R ? border_index(border, x - R + i, width) : -1;
-        T& to = i < R ? f.left[i] : i < R + P ? f.own.v[i - R] : f.right[i - R - P];
-        if (inside && at >= 0) to = row[at];
-      }
+    for (int i = 0; i < R; ++i) {
+      if (left_end && left[i] >= 0) f.left[i] = row[left[i]];
+      if (right_end && right[i] >= 0) f.right[i] = row[right[i]];
     }
     return f;
   }
-  // Called by all 32 threads, also by those out of bounds.
   template <class T>
   __device__ __forceinline__ void spread(FetchedRow<T> const& f, Compute<T> (&v)[P + 2 * R]) const {
 #pragma unroll
@@ -190,8 +184,8 @@ struct Strip {
     for (int i = 0; i < R; ++i) {
       Compute<T> const from_left = __shfl_up_sync(0xffffffffu, v[P + i], 1);
       Compute<T> const from_right = __shfl_down_sync(0xffffffffu, v[R + i], 1);
-      v[i] = left_end || !Aligned ? read(f.left[i]) : from_left;
-      v[R + P + i] = right_end || !Aligned ? read(f.right[i]) : from_right;
+      v[i] = left_end ? read(f.left[i]) : from_left;
+      v[R + P + i] = right_end ? read(f.right[i]) : from_right;
     }
   }
   template <class T>
@@ -200,13 +194,215 @@ struct Strip {
   }
   template <class T>
   __device__ __forceinline__ void store(T* row, Compute<T> const (&v)[P]) const {
-    if constexpr (Aligned) {
-      if (inside) store_vector(row + x, v);
-    } else {
+    if (inside) store_vector(row + x, v);
+  }
+  // As `store`; other rows in stripes, which costs less where rows are read ahead, too.
+  template <class T>
+  __device__ __forceinline__ void store_in_stripes(T* row, Compute<T> const (&v)[P]) const {
+    store(row, v);
+  }
+};
+
+// N elements of shared memory for each warp of a block.
+template <class T, int N, int Warps>
+__device__ __forceinline__ T* warp_memory() {
+  __shared__ __align__(16) T memory[Warps][N];
+  return memory[threadIdx.x / 32];
+}
+
+// Rows that are no vectors are accessed by words of 4 bytes. Elements of 1 or 2 bytes may begin within a word: then the
+// first word of a row's part begins with elements that precede it.
+template <class T>
+constexpr int kPerWord = sizeof(T) < 4 ? 4 / sizeof(T) : 1;
+template <class T>
+__device__ __forceinline__ int preceding_elements(T const* at) {
+  return kPerWord<T> == 1 ? 0 : int(reinterpret_cast<uintptr_t>(at) % 4 / sizeof(T));
+}
+
+// Stores the P elements of each thread of a warp, those at x ... of a row of `width`, to any address. Called by all 32
+// threads, which exchange them in shared memory: adjacent threads store adjacent elements.
+template <int P, int Warps, class T>
+__device__ __forceinline__ void store_striped(T* to, Compute<T> const (&v)[P], int x, int width) {
+  T* const memory = warp_memory<T, 32 * P, Warps>();
+  int const lane = threadIdx.x % 32, ahead = lane - P * lane;
+  Vector<T, P> vector;
+#pragma unroll
+  for (int i = 0; i < P; ++i) vector.v[i] = round_to<T>(v[i]);
+  __syncwarp();
+  *reinterpret_cast<Vector<T, P>*>(memory + P * lane) = vector;
+  __syncwarp();
+#pragma unroll
+  for (int i = 0; i < P; ++i)
+    if (x + ahead + 32 * i < width) to[ahead + 32 * i] = memory[32 * i + lane];
+}
+
+// Stores the P elements of each thread of a warp, those at x ... of a row of `width`, to any address. Called by all 32
+// threads: a word with elements of two threads is stored by the second one.
+template <class T, int P>
+__device__ __forceinline__ void store_words(T* to, Compute<T> const (&v)[P], int x, int width) {
+  if constexpr (kPerWord<T> == 1 || P % kPerWord<T> != 0) {
+#pragma unroll
+    for (int i = 0; i < P; ++i)
+      if (x + i < width) to[i] = round_to<T>(v[i]);
+  } else {
+    constexpr int W = kPerWord<T>, N = P / W;
+    Vector<T, P> vector;
+#pragma unroll
+    for (int i = 0; i < P; ++i) vector.v[i] = round_to<T>(v[i]);
+    uint32_t own[N], words[N];
+    __builtin_memcpy(own, &vector, sizeof(own));
+    int const lane = threadIdx.x % 32, preceding = preceding_elements(to), begin = lane == 0 ? preceding : 0;
+    uint32_t const previous = __shfl_up_sync(0xffffffffu, own[N - 1], 1);
+#pragma unroll
+    for (int k = 0; k < N; ++k)
+      words[k] = __funnelshift_rc(k > 0 ? own[max(k - 1, 0)] : previous, own[k], 32 - 8 * int(sizeof(T)) * preceding);
+    Vector<T, P> shifted;
+    __builtin_memcpy(&shifted, words, sizeof(words));
+    T* const first = to - preceding;
+    int const count = width - x + preceding;  // elements from the first word to the end of the row
+    if (count >= P) {
+#pragma unroll
+      for (int k = 0; k < N; ++k)
+        if (k > 0 || begin == 0) reinterpret_cast<uint32_t*>(first)[k] = words[k];
+#pragma unroll
+      for (int i = 1; i < W; ++i)
+        if (begin > 0 && i >= begin) first[i] = shifted.v[i];
+    } else if (count > 0) {
 #pragma unroll
       for (int i = 0; i < P; ++i)
-        if (x + i < width) row[x + i] = round_to<T>(v[i]);
+        if (i >= begin && i < count) first[i] = shifted.v[i];
     }
+    // The last elements of the last thread.
+#pragma unroll
+    for (int i = 1; i < W; ++i)
+      if (lane == 31 && i <= preceding && x + P - i < width) to[P - i] = vector.v[P - i];
+  }
+}
+
+// Any address and width. Of the words of a row each thread reads every 32nd, so that those of a warp are adjacent. The
+// P elements that it computes, and their neighbors, it gets by way of shared memory.
+template <int R, int P, int Warps>
+struct Strip<R, false, P, Warps> {
+  static_assert(R >= 0 && R <= P);
+  int x, width;
+  Border border;
+  bool inside, left_end, right_end;
+  int first;              // column of the strip
+  int halo, halo_source;  // an element that the thread reads besides its words, and from where; -1: the constant
+  bool has_halo;
+
+  __device__ __forceinline__ Strip(int x, int width, Border border)
+      : x(x),
+        width(width),
+        border(border),
+        inside(x < width),
+        left_end(inside && threadIdx.x % 32 == 0),
+        right_end(inside && (threadIdx.x % 32 == 31 || x + P >= width)),
+        first(x - P * int(threadIdx.x % 32)) {
+    // R elements to the left of the strip, its last element, and R after it. The last one is part of a word that is not
+    // read where a row ends within a word: that may be the end of the memory.
+    int const lane = threadIdx.x % 32, last = min(first + 32 * P, width) - 1;
+    halo = lane < 16 ? first - 1 - lane : last + lane - 16;
+    has_halo = first < width && (lane < 16 ? lane < R : lane - 16 <= R);
+    halo_source = has_halo ? border_index(border, halo, width) : -1;
+  }
+
+  template <class T>
+  static constexpr bool kByWords = sizeof(T) == 2;
+  template <class T>
+  using Word = std::conditional_t<kByWords<T>, uint32_t, T>;
+  template <class T>
+  struct FetchedRow {
+    static constexpr int kCount = kByWords<T> ? P / 2 : P;
+    Word<T> words[kCount];
+    T halo;
+    int preceding;  // elements in the first word
+  };
+  template <class T>
+  __device__ __forceinline__ FetchedRow<T> fetch(T const* row) const {
+    FetchedRow<T> f{};
+    constexpr int W = kByWords<T> ? 2 : 1;
+    T const* const from = row + first;
+    f.preceding = kByWords<T> ? preceding_elements(from) : 0;
+    auto const* const words = reinterpret_cast<Word<T> const*>(from - f.preceding) + threadIdx.x % 32;
+    int const count = width - first + f.preceding - W * int(threadIdx.x % 32);
+#pragma unroll
+    for (int i = 0; i < FetchedRow<T>::kCount; ++i)
+      if (count >= 32 * W * i + W) f.words[i] = words[32 * i];
+    if (halo_source >= 0) f.halo = row[halo_source];
+    return f;
+  }
+  template <class T>
+  __device__ __forceinline__ void spread(FetchedRow<T> const& f, Compute<T> (&v)[P + 2 * R]) const {
+    constexpr int kPad = 16 / sizeof(T), kCount = FetchedRow<T>::kCount;
+    static_assert(R + (kByWords<T> ? 1 : 0) <= kPad);
+    int const lane = threadIdx.x % 32;
+    T* const row = warp_memory<T, 32 * P + 2 * kPad, Warps>() + kPad;
+    T* const elements = row + f.preceding;
+    __syncwarp();
+#pragma unroll
+    for (int i = 0; i < kCount; ++i)
+      if (kByWords<T> || first + 32 * i + lane < width) reinterpret_cast<Word<T>*>(row)[32 * i + lane] = f.words[i];
+    if constexpr (kByWords<T>) __syncwarp();  // the ends of words are not those of the row
+    if (has_halo) elements[halo - first] = f.halo;
+    __syncwarp();
+    if constexpr (kByWords<T>) {
+      // The thread's words and those beside them, whose element i is element i + R - 2 kBefore - preceding of the
+      // result.
+      uint32_t const* const around = reinterpret_cast<uint32_t const*>(row + P * lane);
+      constexpr int kBefore = (R + 1) / 2, kWords = kBefore + P / 2 + R / 2 + 1;
+      uint32_t words[kWords];
+#pragma unroll
+      for (int k = 0; k < kBefore; ++k) words[k] = around[k - kBefore];
+      auto const own = *reinterpret_cast<Vector<uint32_t, P / 2> const*>(around);
+#pragma unroll
+      for (int k = 0; k < P / 2; ++k) words[kBefore + k] = own.v[k];
+#pragma unroll
+      for (int k = kBefore + P / 2; k < kWords; ++k) words[k] = around[k - kBefore];
+      constexpr int kSkip = 2 * kBefore - R;  // elements, 0 or 1
+#pragma unroll
+      for (int k = 0; k < (P + 2 * R + 1 + kSkip) / 2; ++k) {
+        uint32_t const word = k + 1 < kWords
+                                  ? __funnelshift_r(words[k], words[min(k + 1, kWords - 1)], 16 * f.preceding)
+                                  : words[k] >> 16 * f.preceding;
+        Vector<T, 2> pair;
+        __builtin_memcpy(&pair, &word, 4);
+#pragma unroll
+        for (int i = 0; i < 2; ++i) {
+          int const at = 2 * k + i - kSkip;
+          if (at >= 0 && at < P + 2 * R) v[at] = read(pair.v[i]);
+        }
+      }
+    } else {
+      auto const own = *reinterpret_cast<Vector<T, P> const*>(row + P * lane);
+#pragma unroll
+      for (int i = 0; i < P; ++i) v[R + i] = read(own.v[i]);
+#pragma unroll
+      for (int i = 0; i < R; ++i) {
+        v[i] = read(row[P * lane - R + i]);
+        v[R + P + i] = read(row[P * lane + P + i]);
+      }
+    }
+  }
+  // Rows that are not read ahead do not wait for the other threads: each reads its elements one by one.
+  template <class T>
+  __device__ __forceinline__ void load(Compute<T> (&v)[P + 2 * R], T const* row) const {
+#pragma unroll
+    for (int i = 0; i < P + 2 * R; ++i) {
+      int const at = inside && x - R + i < width + R ? border_index(border, x - R + i, width) : -1;
+      v[i] = at >= 0 ? read(row[at]) : Compute<T>(0);
+    }
+  }
+  template <class T>
+  __device__ __forceinline__ void store(T* row, Compute<T> const (&v)[P]) const {
+    store_words(row + x, v, x, width);
+  }
+  template <class T>
+  __device__ __forceinline__ void store_in_stripes(T* row, Compute<T> const (&v)[P]) const {
+    if constexpr (sizeof(T) >= 4)
+      store_striped<P, Warps>(row + x, v, x, width);
+    else
+      store_words(row + x, v, x, width);
   }
 };
 

@@ -18,6 +18,12 @@ namespace {
 
 constexpr int kHalo = 16;  // pixels on either side of a strip; lanes 0 to 15 serve the left side, the others the right
 
+// Row y of an image whose rows are `stride` bytes apart, in one instruction.
+template <class T>
+__device__ __forceinline__ T* row_at(T* first_row, int y, int stride) {
+  return reinterpret_cast<T*>(reinterpret_cast<uintptr_t>(first_row) + int64_t(y) * stride);
+}
+
 // Starts an asynchronous copy of `Bytes` to shared memory; it writes zeros instead if `zero`, and nothing unless
 // `enabled`. Inline assembly makes it one instruction: the library's form has a branch for each of the two.
 template <int Bytes>
@@ -37,31 +43,54 @@ __device__ __forceinline__ void copy_async_if(uint32_t to, void const* from, boo
         : "memory");
 }
 
-// Row y of an image whose rows are `stride` bytes apart, in one instruction.
-template <class T>
-__device__ __forceinline__ T* row_at(T* first_row, int y, int stride) {
-  return reinterpret_cast<T*>(reinterpret_cast<uintptr_t>(first_row) + int64_t(y) * stride);
+// The same, where the bytes from `bytes` on are zeros and not read.
+template <int Bytes>
+__device__ __forceinline__ void copy_part_async_if(uint32_t to, void const* from, bool enabled, int bytes) {
+  if constexpr (Bytes == 16)
+    asm volatile("{.reg .pred w; setp.ne.s32 w, %2, 0; @w cp.async.cg.shared.global [%0], [%1], 16, %3;}" ::"r"(to),
+                 "l"(__cvta_generic_to_global(from)), "r"(int(enabled)), "r"(bytes)
+                 : "memory");
+  else
+    asm volatile("{.reg .pred w; setp.ne.s32 w, %2, 0; @w cp.async.ca.shared.global [%0], [%1], %4, %3;}" ::"r"(to),
+                 "l"(__cvta_generic_to_global(from)), "r"(int(enabled)), "r"(bytes), "n"(Bytes)
+                 : "memory");
 }
+
+// Whether rows may begin within a vector and are copied by vectors all the same.
+template <class T, class Aligned>
+constexpr bool kMayPrecede = sizeof(T) < 4 && !std::is_same_v<Aligned, std::true_type>;
+
+// Pixels of a row of the ring.
+template <class T, int P, class Aligned>
+constexpr int kRingPitch = 32 * P + 2 * kHalo + (kMayPrecede<T, Aligned> ? 16 / int(sizeof(T)) : 0);
 
 // Prefetches `count` rows from `first` on: 32 P pixels from `left` on, and `Radius` pixels on either side of them.
 // `Rows` is the size of the ring; all rows but one are in flight. Pixels out of bounds follow the borders `across` and
 // `down`. `aligned`: rows are vectors of P pixels, and `left` is the start of one; std::true_type or std::false_type
 // decide this at compile time.
+//
+// Other rows of words are copied word by word, every 32nd one by a thread. Other rows of smaller pixels are copied by
+// vectors all the same: the pixels that precede a row in its first vector are copied with it, so it begins as many
+// pixels later in the ring, and row() points that much further.
 template <class T, int P, int Radius, int Rows, class Aligned>
 struct RowPrefetcher {
-  using Ring = T[Rows][32 * P + 2 * kHalo];
-  T (*const ring)[32 * P + 2 * kHalo];
+  static constexpr int kPitch = kRingPitch<T, P, Aligned>, kBytes = P * int(sizeof(T));
+  static constexpr bool kPrecede = kMayPrecede<T, Aligned>;
+  using Ring = T[Rows][kPitch];
+  static constexpr uint32_t kRowBytes = sizeof(Ring) / Rows;
+  static_assert(Radius < kHalo && Rows <= 4);
+
+  T (*const ring)[kPitch];
   T const* const in;
   Border const across, down;
   int const in_width, in_height, left, first, count, in_stride, lane;
   int column, filled, source, next = 0, source_row;  // filled: the column out of bounds that the thread fills in
   Aligned const aligned;
-  bool has_halo, has_column, fills, source_in_ring;
+  bool has_halo, has_filled, fills, source_in_ring;
   int halo;  // the first column that the thread copies of those on either side
   uint32_t column_to, halo_to;
+  [[maybe_unused]] uint32_t preceding = 0;  // pixels that precede the last four rows, the latest row's in the low byte
   T const *column_from, *halo_from;
-
-  static constexpr uint32_t kRowBytes = sizeof(Ring) / Rows;
 
   __device__ __forceinline__ RowPrefetcher(Ring& memory, Planes<T const> const& x, int64_t plane, Border across,
                                            Border down, Aligned aligned, int left, int first, int count)
@@ -77,24 +106,26 @@ struct RowPrefetcher {
         in_stride(int(x.row_stride * sizeof(T))),
         lane(threadIdx.x % 32),
         aligned(aligned) {
-    // A thread copies P adjacent pixels of a row if aligned, else every 32nd pixel. Of the 16 pixels on either side it
-    // copies P or one. Pixels out of bounds stay zero, or are filled in from their source.
-    int const side = lane < 16 ? left - kHalo : left + 32 * P;
-    halo = side + lane % 16 * (aligned ? P : 1), column = left + lane * (aligned ? P : 1);
-    has_halo = (!aligned || lane % 16 < kHalo / P) && halo >= 0 && halo < in_width;
-    has_column = column < in_width;
+    // A thread copies a vector of a row or every 32nd word, and one of the vectors or words on either side. Vectors may
+    // hold pixels that are up to P - 1 further left. Pixels out of bounds stay zero, or are filled in from their
+    // source.
+    int const size = kPrecede || aligned ? P : 1, side = lane < 16 ? left - kHalo : left + 32 * P;
+    int const late = kPrecede ? P - 1 : 0;
+    halo = side + lane % 16 * size, column = left + lane * size;
+    has_halo = lane < 16 ? halo < left && halo + size > left - Radius && halo + size > 0
+                         : halo < left + 32 * P + Radius + late && halo < in_width + late;
     auto const address = [&](int x) { return uint32_t(__cvta_generic_to_shared(ring[0] + kHalo - left + x)); };
     column_to = address(column), halo_to = address(halo);
     column_from = in + column, halo_from = in + halo;
-    for (int i = lane; i < Rows * (32 * P + 2 * kHalo); i += 32) ring[0][i] = T{};
+    for (int i = lane; i < Rows * kPitch; i += 32) ring[0][i] = T{};
     __syncwarp();
 
     filled = lane < 16 ? min(left, 0) - 1 - lane : max(min(left + 32 * P, in_width), left) + lane - 16;
-    bool const reached =
-        filled >= left - Radius && filled < left + 32 * P + Radius && (filled < 0 || filled >= in_width);
-    source = reached ? border_index(across, filled, in_width) : -1;
-    fills = __any_sync(0xffffffffu, source >= 0);
-    source_in_ring = source >= max(left - kHalo, 0) && source < left + 32 * P + kHalo;
+    has_filled = filled >= left - Radius && filled < left + 32 * P + Radius && (filled < 0 || filled >= in_width);
+    source = has_filled ? border_index(across, filled, in_width) : -1;
+    if (!kPrecede) has_filled = source >= 0;  // zeros stay
+    fills = __any_sync(0xffffffffu, has_filled);
+    source_in_ring = source >= max(left - Radius, 0) && source < left + 32 * P + Radius;
 #pragma unroll 1
     for (int i = 0; i < Rows - 1; ++i) fetch();
   }
@@ -109,41 +140,40 @@ struct RowPrefetcher {
     ++next;
     T const* const from = row_at(column_from, max(y, 0), in_stride);
     T const* const from_halo = row_at(halo_from, max(y, 0), in_stride);
-    if (aligned) {
-      copy_async_if<P * sizeof(T)>(column_to + to, from, more && has_column, zero);
-      copy_async_if<P * sizeof(T)>(halo_to + to, from_halo, more && has_halo, zero);
-    } else {
-      auto const in_bounds = [&](int i) { return more && column + 32 * i >= 0 && column + 32 * i < in_width; };
-      if constexpr (sizeof(T) == 4) {
+    if constexpr (kPrecede) {
+      int const begin = int(reinterpret_cast<uintptr_t>(from) % kBytes);  // bytes, the same for all threads
+      preceding = preceding << 8 | uint32_t(begin / int(sizeof(T)));
+      auto const copy = [&](uint32_t to, T const* from, int x, bool enabled) {
+        int const bytes = (in_width - x) * int(sizeof(T)) + begin;  // from the vector to the end of the row
+        copy_part_async_if<kBytes>(to, reinterpret_cast<char const*>(from) - begin, more && enabled && bytes > 0,
+                                   zero ? 0 : min(bytes, kBytes));
+      };
+      copy(column_to + to, from, column, true);
+      copy(halo_to + to, from_halo, halo, has_halo && (halo + P) * int(sizeof(T)) > begin);
+    } else if (aligned) {
+      copy_async_if<kBytes>(column_to + to, from, more && column < in_width, zero);
+      copy_async_if<kBytes>(halo_to + to, from_halo, more && has_halo, zero);
+    } else if constexpr (sizeof(T) == 4) {
 #pragma unroll
-        for (int i = 0; i < P; ++i) copy_async_if<4>(column_to + to + 128 * i, from + 32 * i, in_bounds(i), zero);
-        copy_async_if<4>(halo_to + to, from_halo, more && has_halo, zero);
-      } else {  // too small for an asynchronous copy
-        T* const row = ring[slot] + kHalo - left;
-        T pixels[P + 1];
-#pragma unroll
-        for (int i = 0; i < P; ++i) pixels[i] = in_bounds(i) && !zero ? from[32 * i] : T{};
-        pixels[P] = more && has_halo && !zero ? *from_halo : T{};
-#pragma unroll
-        for (int i = 0; i < P; ++i)
-          if (in_bounds(i)) row[column + 32 * i] = pixels[i];
-        if (more && has_halo) row[halo] = pixels[P];
-      }
+      for (int i = 0; i < P; ++i)
+        copy_async_if<4>(column_to + to + 128 * i, from + 32 * i, more && column + 32 * i < in_width, zero);
+      copy_async_if<4>(halo_to + to, from_halo, more && has_halo, zero);
     }
     __pipeline_commit();
   }
 
   // Row i; calls are in order. Pixel `left` is at kHalo.
   __device__ __forceinline__ T const* row(int i) {
-    T* const row = ring[i & (Rows - 1)];
+    T* row = ring[i & (Rows - 1)];
     __pipeline_wait_prior(Rows - 2);
     __syncwarp();
     fetch();
+    if constexpr (kPrecede) row += preceding >> 8 * (Rows - 1) & 15;
     if (fills) {
       if (source_in_ring) {
         row[kHalo + filled - left] = row[kHalo + source - left];
-      } else if (source >= 0) {
-        int const from = border_index(down, first + i, in_height);
+      } else if (has_filled) {
+        int const from = source < 0 ? -1 : border_index(down, first + i, in_height);
         row[kHalo + filled - left] = from < 0 ? T{} : *(row_at(in, from, in_stride) + source);
       }
       __syncwarp();
@@ -155,26 +185,40 @@ struct RowPrefetcher {
 // Reads the windows of K pixels around a thread's P pixels from a row. The thread's first pixel is v[kBefore].
 template <int K, int P>
 constexpr int kBefore = (K / 2 + P - 1) / P * P;
-template <int K, int P, class T>
-__device__ __forceinline__ void read_windows(T const* row, float (&v)[P + 2 * kBefore<K, P>]) {
+template <int K, int P, class T, class Aligned = std::true_type>
+__device__ __forceinline__ void read_windows(T const* row, float (&v)[P + 2 * kBefore<K, P>], Aligned = {}) {
+  constexpr int N = P + 2 * kBefore<K, P>;
   T const* const first = row + kHalo + P * (threadIdx.x % 32) - kBefore<K, P>;
+  if constexpr (kMayPrecede<T, Aligned>) {  // words, within which the windows may begin
+    constexpr int W = kPerWord<T>;
+    int const preceding = preceding_elements(first);
+    auto const* const words = reinterpret_cast<uint32_t const*>(first - preceding);
 #pragma unroll
-  for (int j = 0; j < P + 2 * kBefore<K, P>; j += P) {
-    Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(first + j);
+    for (int j = 0; j < N / W; ++j) {
+      uint32_t const word = __funnelshift_r(words[j], words[j + 1], 8 * int(sizeof(T)) * preceding);
+      Vector<T, W> pixels;
+      __builtin_memcpy(&pixels, &word, 4);
 #pragma unroll
-    for (int k = 0; k < P; ++k) v[j + k] = read(vector.v[k]);
+      for (int k = 0; k < W; ++k) v[j * W + k] = read(pixels.v[k]);
+    }
+  } else {
+#pragma unroll
+    for (int j = 0; j < N; j += P) {
+      auto const vector = *reinterpret_cast<Vector<T, P> const*>(first + j);
+#pragma unroll
+      for (int k = 0; k < P; ++k) v[j + k] = read(vector.v[k]);
+    }
   }
 }
 
-// Stores a thread's P pixels, those at x ... of a row of `width`, to `to`. `aligned`: as in RowPrefetcher.
+// Stores a thread's P pixels, those at x ... of a row of `width`, to `to`. `aligned`: as in RowPrefetcher. Called by
+// all 32 threads.
 template <class T, int P, class Aligned>
 __device__ __forceinline__ void store_pixels(T* to, float const (&v)[P], int x, int width, Aligned aligned) {
   if (aligned) {
     if (x < width) store_vector(to, v);
   } else {
-#pragma unroll
-    for (int j = 0; j < P; ++j)
-      if (x + j < width) to[j] = round_to<T>(v[j]);
+    store_words(to, v, x, width);
   }
 }
 

@@ -30,9 +30,9 @@ constexpr int kStripRows = K == 3   ? 3 * P
 template <int K, int P>
 constexpr int kResident = 512 / (P * K + K * K + 40);
 
-template <class T, int K, int P, bool Accumulates>
+template <class T, int K, int P, bool Accumulates, class Aligned>
 struct alignas(16) StripMemory {
-  T rows[kRing][32 * P + 2 * kHalo];
+  T rows[kRing][kRingPitch<T, P, Aligned>];
   Vector<float, P> border[Accumulates ? K / 2 + 1 : 1][32];  // incomplete results, by their distance from the edge
 };
 
@@ -41,8 +41,8 @@ template <class T, int K, int P, bool Accumulates, class Aligned>
 __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
     filter_strip(__grid_constant__ Filter2d<T> const p, __grid_constant__ Strips<P> const strips, Aligned aligned) {
   constexpr int R = K / 2;
-  __shared__ StripMemory<T, K, P, Accumulates> memory[kWarps];
-  StripMemory<T, K, P, Accumulates>& shared = memory[threadIdx.x / 32];
+  __shared__ StripMemory<T, K, P, Accumulates, Aligned> memory[kWarps];
+  StripMemory<T, K, P, Accumulates, Aligned>& shared = memory[threadIdx.x / 32];
   int64_t plane;
   int x, y0;
   if (!strips.locate(plane, x, y0)) return;
@@ -64,8 +64,8 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   if constexpr (Accumulates)
     for (int i = 0; i <= R; ++i) shared.border[i][lane] = {};
 
-  int const out_stride = int(p.y.row_stride * sizeof(T));
   T* const out = p.y.plane(plane) + x;
+  int const out_stride = int(p.y.row_stride * sizeof(T));
   [[maybe_unused]] bool const reflects = p.accumulation == Border::reflect;
   float sums[K - 1][P] = {};
 #pragma unroll 1
@@ -73,7 +73,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
     int const y = first + i + above - (K - 1);  // the output row that this row completes
     T const* const row = rows.row(i);
     float v[P + 2 * kBefore<K, P>];
-    read_windows<K, P>(row, v);
+    read_windows<K, P>(row, v, aligned);
 
     float updated[K][P];  // the sums including this row; the first is complete
 #pragma unroll
@@ -85,20 +85,40 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
         for (int k = 0; k < K; ++k) updated[t][j] = fmaf(w[K - 1 - t][k], v[kBefore<K, P> - R + j + k], updated[t][j]);
       }
     if constexpr (Accumulates) {
-      // The position q pixels before the first pixel, or after the last one, reads R + 1 - q pixels.
-      auto const accumulate = [&](bool reflects, bool left) {
+      // The position q pixels before the first pixel, or after the last one, reads R + 1 - q pixels. Pixel j of the
+      // thread has `distance(j)` pixels to that end and receives these sums.
+      auto const accumulate = [&](auto left, auto distance) {
+        auto const accumulate_as = [&](auto reflects) {
 #pragma unroll
-        for (int t = 0; t < K; ++t)
+          for (int j = 0; j < P; ++j)
 #pragma unroll
-          for (int q = 1; q <= R; ++q) {
-            float& to = updated[t][left ? (reflects ? q : 0) : P - 1 - (reflects ? q : 0)];
+            for (int q = 1; q <= R; ++q) {
+              int const d = reflects ? q : 0;
+              if (distance(j) == d) {
 #pragma unroll
-            for (int k = 0; k <= R - q; ++k)
-              to = fmaf(w[K - 1 - t][left ? R + q + k : R - q - k], v[kBefore<K, P> + (left ? k : P - 1 - k)], to);
-          }
+                for (int t = 0; t < K; ++t)
+#pragma unroll
+                  for (int k = 0; k <= R - q; ++k) {
+                    // Pixels that other warps have are not reached.
+                    int const at = kBefore<K, P> + min(max(left ? j - d + k : j + d - k, -R), P - 1 + R);
+                    updated[t][j] = fmaf(w[K - 1 - t][left ? R + q + k : R - q - k], v[at], updated[t][j]);
+                  }
+              }
+            }
+        };
+        reflects ? accumulate_as(std::true_type{}) : accumulate_as(std::false_type{});
       };
-      if (x == 0) reflects ? accumulate(true, true) : accumulate(false, true);
-      if (x + P == width) reflects ? accumulate(true, false) : accumulate(false, false);
+      if (x == 0) accumulate(std::true_type{}, [](int j) { return j; });
+      if constexpr (Aligned::value) {
+        if (x + P == width) accumulate(std::false_type{}, [](int j) { return P - 1 - j; });
+      } else {
+        if (x < width && x + P >= width - R)
+          accumulate(std::false_type{}, [&](int j) {
+            int pixels = width - 1 - x - j;
+            asm("" : "+r"(pixels));  // or the compiler would index registers by it, in local memory
+            return pixels;
+          });
+      }
     }
 #pragma unroll
     for (int t = 0; t < K - 1; ++t)
@@ -127,19 +147,21 @@ template <int K, class T>
 bool launch_strips(Filter2d<T> const& p, CUstream_st* stream) {
   constexpr int P = kStripPixels<T, K>, R = K / 2;
   bool const accumulates = p.accumulation != Border::constant;
-  bool const aligned =
-      p.axis_x.before == R && p.axis_y.before == R && is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y);
-  if (accumulates && (!aligned || p.y.height < 2 * (R + 1))) return false;  // rows near both borders are not supported
+  bool const centered = p.axis_x.before == R && p.axis_y.before == R;
+  bool const aligned = centered && is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y);
+  if (accumulates && (!centered || p.y.height < 2 * (R + 1))) return false;  // rows near both borders are not supported
   int rows = kStripRows<K, P>;
   while (accumulates && p.y.height % rows > 0 && p.y.height % rows <= R)
     ++rows;  // the last row and all rows that it receives are in one strip
   Strips<P> const strips(p.y.count(), p.y.height, p.y.width, rows);
-  auto const launch = [&](auto aligned, auto accumulates) {
-    filter_strip<T, K, P, accumulates><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips, aligned);
+  auto const launch = [&](auto accumulates) {
+    with_alignment<T>(aligned, [&](auto aligned) {
+      filter_strip<T, K, P, accumulates><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips, aligned);
+    });
   };
   if constexpr (sizeof(T) > 1)  // uint8 has no gradient
-    if (accumulates) return launch(std::true_type{}, std::true_type{}), true;
-  aligned ? launch(std::true_type{}, std::false_type{}) : launch(std::false_type{}, std::false_type{});
+    if (accumulates) return launch(std::true_type{}), true;
+  launch(std::false_type{});
   return true;
 }
 

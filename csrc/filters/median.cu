@@ -69,8 +69,8 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1
     sort(fetched1, next1);
   };
   auto const store = [&](F const(&first)[P], F const(&second)[P], int y) {
-    strip.store(out, first);
-    if (y + 1 < y1) strip.store(out + p.y.row_stride, second);
+    strip.store_in_stripes(out, first);
+    if (y + 1 < y1) strip.store_in_stripes(out + p.y.row_stride, second);
     out += 2 * p.y.row_stride;
   };
 

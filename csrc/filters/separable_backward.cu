@@ -16,7 +16,7 @@ namespace {
 
 template <class T, int K, int P>
 struct alignas(16) BackwardMemory {
-  T rows[kRing<K>][32 * P + 2 * kHalo];
+  T rows[kRing<K>][kRingPitch<T, P, bool>];
   float x[32];
   float y[3][32];                // weights, first the one that completes a row; reversed weights; the sum of both
   float border_sums[2][32 * P];  // accumulated from the left and from the right border
@@ -93,7 +93,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
     T const* const row = rows.row(i);
     float v[P + 2 * kBefore<K, P>], h[P], result[P];
     float4 four;
-    read_windows<K, P>(row, v);
+    read_windows<K, P>(row, v, aligned);
     filter_row<K>(v, [&](int t) { return weight_at(shared.x, t, four); }, h);
     if (at_left || at_right) accumulate_border_x(row, h);
 

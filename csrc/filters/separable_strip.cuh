@@ -17,8 +17,7 @@ namespace kv::filters::cuda {
 // Launch kernels for the size of p.kx, which is that of p.ky. The result is divided by `divisor`.
 //
 //   separable_strips                   forward passes, and transposes without border accumulation
-//   separable_reflect_backward_strips  transposes of a reflected border with symmetric weights; unaligned images fall
-//                                      back to the next one
+//   separable_reflect_backward_strips  transposes of a reflected border with symmetric weights
 //   separable_backward_strips          all transposes with border accumulation; separable_backward.cu
 template <class T>
 int separable_strips(Separable<T> const& p, float divisor, CUstream_st* stream);
@@ -53,9 +52,9 @@ constexpr int kRegisters = P * K + (K <= 7 ? 52 : 64);
 template <int K, int P>
 constexpr int kResident = 512 / (kRegisters<K, P> < 170 ? kRegisters<K, P> : 170);
 
-template <class T, int K, int P, bool ReflectBackward>
+template <class T, int K, int P, bool ReflectBackward, class Aligned>
 struct alignas(16) WarpMemory {
-  T rows[kRing<K>][32 * P + 2 * kHalo];
+  T rows[kRing<K>][kRingPitch<T, P, Aligned>];
   float x[32], y[32];  // weights; those of y begin with the one that completes a row
   float first[ReflectBackward ? 32 * P
                               : 1];  // the weight with which a pixel of the strip reads the first pixel of the row
@@ -111,8 +110,8 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
     separable_strip(__grid_constant__ Separable<T> const p, __grid_constant__ Strips<P> const strips, float divisor,
                     Aligned aligned) {
   constexpr int R = K / 2;
-  __shared__ WarpMemory<T, K, P, ReflectBackward> memory[kWarps];
-  WarpMemory<T, K, P, ReflectBackward>& shared = memory[threadIdx.x / 32];
+  __shared__ WarpMemory<T, K, P, ReflectBackward, Aligned> memory[kWarps];
+  WarpMemory<T, K, P, ReflectBackward, Aligned>& shared = memory[threadIdx.x / 32];
   int64_t plane;
   int x, y0;
   if (!strips.locate(plane, x, y0)) return;
@@ -175,7 +174,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
 
     float v[P + 2 * kBefore<K, P>], h[P], result[P];
     [[maybe_unused]] float4 four;
-    read_windows<K, P>(row, v);
+    read_windows<K, P>(row, v, aligned);
     filter_row<K>(
         v, [&](int t) { return kInRegisters ? weights_x[kInRegisters ? t : 0] : weight_at(shared.x, t, four); }, h);
     if (reads_first) add_doubled(shared.first, row[kHalo], h);
@@ -233,15 +232,8 @@ int launch_strip(Separable<T> p, float divisor, CUstream_st* stream) {
   bool const aligned = is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y) && p.kx.before == K / 2;
   if constexpr (ReflectBackward) {
     p.border = p.accumulation = Border::reflect;
-    if (!aligned) {  // such as odd widths: they are not worth another kernel for each size and type
-      p.border = Border::constant;
-      p.alpha /= divisor, p.beta /= divisor;
-      return separable_backward_strips(p, stream);
-    }
-    launch(std::true_type{});
-  } else {
-    with_alignment<T>(aligned, launch);
   }
+  with_alignment<T>(aligned, launch);
   return cudaGetLastError();
 }
 

@@ -36,7 +36,7 @@ __global__ void __launch_bounds__(256) sobel_strip(Sobel<T> p, Strips<kPixels<T>
       prefetched = strip.fetch(rows.next());
       strip.spread(fetched, c);
     } else {
-      strip.load(c, rows.next());
+      strip.spread(strip.fetch(rows.next()), c);
     }
     SobelColumn<F> columns[P + 2];
 #pragma unroll
@@ -48,7 +48,7 @@ __global__ void __launch_bounds__(256) sobel_strip(Sobel<T> p, Strips<kPixels<T>
       sobel_gradients(columns[i], columns[i + 1], columns[i + 2], F(1), gx, gy);
       result[i] = fast_sqrt((gx * gx + gy * gy) * scale + p.eps);
     }
-    strip.store(out, result);
+    strip.store_in_stripes(out, result);
     out += p.y.row_stride;
 #pragma unroll
     for (int i = 0; i < P + 2; ++i) a[i] = b[i], b[i] = c[i];

@@ -52,7 +52,7 @@ __global__ void __launch_bounds__(256) forward_strip(SpatialGradient<T> p, Strip
 #pragma unroll
       for (int i = 0; i < P; ++i)
         result[i] = c.down().dot([&](int k) { return along[k][c.value][i]; }) * c.template scale<F>(p.normalized);
-      strip.store(out + c.value * channel_stride, result);
+      strip.store_in_stripes(out + c.value * channel_stride, result);
     });
     out += p.y.row_stride;
 #pragma unroll

@@ -61,7 +61,7 @@ __global__ void __launch_bounds__(256) backward_strip(SpatialGradientBackward<T>
         result[i] += c.down().dot_vjp([&](int k) { return along[k][c.value][i]; }, y == 0, y == height - 1) *
                      c.template scale<F>(p.normalized);
     });
-    strip.store(out, result);
+    strip.store_in_stripes(out, result);
     out += p.grad_x.row_stride;
 #pragma unroll
     for (int k = 0; k < 2 * R; ++k)

@@ -20,7 +20,8 @@ __device__ __forceinline__ Compute<T> sum_of_strip(TotalVariation<T> const& p, i
   constexpr int P = kPixels<T>, kAhead = 2;  // kAhead: rows that are prefetched
   using F = Compute<T>;
   int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + kVariationRows, height);
-  Strip<1, Aligned, P> const strip(x, width, Border::replicate);
+  using Row = Strip<1, Aligned, P, kSumming / 32>;
+  Row const strip(x, width, Border::replicate);
   RowCursor<T> rows(p.x, plane, y0);
   F along_x = 0, along_y = 0, v[P + 2], above[P];
   auto const add_row = [&] {
@@ -30,7 +31,7 @@ __device__ __forceinline__ Compute<T> sum_of_strip(TotalVariation<T> const& p, i
   strip.load(v, rows.next());
   add_row();
   for (int y = y0 + 1; y <= y1; y += kAhead) {  // the last one is the first row of the strip below
-    typename Strip<1, Aligned, P>::template FetchedRow<T> fetched[kAhead];
+    typename Row::template FetchedRow<T> fetched[kAhead];
 #pragma unroll
     for (int r = 0; r < kAhead; ++r) fetched[r] = strip.fetch(rows.next());
 #pragma unroll

@@ -1,0 +1,119 @@
+"""Large images whose rows are no vectors of 16 bytes: odd widths, and slices of larger images.
+
+Of rows that are vectors, kernels have a form of their own. Where both read the same pixels they give the same bits.
+"""
+
+import pytest
+import torch
+
+import kvision as kv
+from kvision import filters, losses, metrics, morphology
+
+KERNEL = torch.tensor([[0.1, 0.2, 0.05], [0.3, -0.4, 0.1], [0.05, 0.2, 0.15]])
+
+# Functions of an image, and how far they reach.
+STENCILS = {
+    "sobel": (filters.sobel, 1),
+    "spatial_gradient": (filters.spatial_gradient, 1),
+    "spatial_gradient of order 2": (lambda x: filters.spatial_gradient(x, order=2), 2),
+    "box_blur 3": (lambda x: filters.box_blur(x, 3), 1),
+    "box_blur 11": (lambda x: filters.box_blur(x, 11), 5),
+    "gaussian_blur2d 5": (lambda x: filters.gaussian_blur2d(x, 5, (1.5, 1.5)), 2),
+    "gaussian_blur2d 5, constant": (lambda x: filters.gaussian_blur2d(x, 5, (1.5, 1.5), "constant"), 2),
+    "gaussian_blur2d 5, replicate": (lambda x: filters.gaussian_blur2d(x, 5, (1.5, 1.5), "replicate"), 2),
+    "gaussian_blur2d 9, circular": (lambda x: filters.gaussian_blur2d(x, 9, (2.0, 2.0), "circular"), 4),
+    "gaussian_blur2d 31": (lambda x: filters.gaussian_blur2d(x, 31, (5.0, 5.0)), 15),
+    "unsharp_mask": (lambda x: filters.unsharp_mask(x, 5, (1.5, 1.5)), 2),
+    "laplacian 3": (lambda x: filters.laplacian(x, 3), 1),
+    "filter2d 3": (lambda x: filters.filter2d(x, KERNEL[None].to(x)), 1),
+    "filter2d 3, replicate": (lambda x: filters.filter2d(x, KERNEL[None].to(x), "replicate"), 1),
+    "filter2d 7": (lambda x: filters.filter2d(x, torch.ones(1, 7, 7).to(x), normalized=True), 3),
+    "median_blur 3": (lambda x: filters.median_blur(x, 3), 1),
+    "median_blur 5": (lambda x: filters.median_blur(x, 5), 2),
+    "dilation 3": (lambda x: morphology.dilation(x, torch.ones(3, 3).to(x)), 1),
+    "erosion 3": (lambda x: morphology.erosion(x, torch.ones(3, 3).to(x)), 1),
+    "dilation 3, not flat": (lambda x: morphology.dilation(x, torch.ones(3, 3).to(x), KERNEL.to(x)), 1),
+    "dilation 7": (lambda x: morphology.dilation(x, torch.ones(7, 7).to(x)), 3),
+    "ssim 7": (lambda x: metrics.ssim(x, x.flip(-2), 7), 3),
+}
+HALVES = (torch.float16, torch.bfloat16)
+
+
+def result_and_gradient(call, x, upstream):
+    """The gradient's upstream is as aligned as the image."""
+    x = x.detach().requires_grad_()
+    result = call(x)
+    g = upstream.expand(result.shape) if upstream.dim() == 0 else upstream
+    return result.detach(), *torch.autograd.grad(result, x, g)
+
+
+def sliced(x, before, after):
+    """The same values, as a slice of a larger image, whose rows begin `before` pixels late and are longer."""
+    *batch, height, width = x.shape
+    larger = x.new_full((*batch, height + 1, width + before + after), torch.nan)
+    view = larger[..., 1:, before : before + width]
+    return view.copy_(x)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, *HALVES], ids=str)
+@pytest.mark.parametrize("before, after", [(1, 0), (2, 3), (3, 4), (5, 2)])
+@pytest.mark.parametrize("name", STENCILS)
+def test_slices_give_the_same_bits(name, before, after, dtype, device):
+    call, _ = STENCILS[name]
+    x = torch.rand(2, 3, 43, 272, device=device).to(dtype)
+    g = torch.rand_like(call(x))
+    result, gradient = result_and_gradient(call, x, g)
+    of_slice, gradient_of_slice = result_and_gradient(call, sliced(x, before, after), sliced(g, before, after))
+    assert torch.equal(of_slice, result)
+    assert torch.equal(gradient_of_slice, gradient)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16], ids=str)
+@pytest.mark.parametrize("width", [129, 257, 299, 481, 513, 514, 517])
+@pytest.mark.parametrize("name", STENCILS)
+def test_odd_widths(name, width, dtype, device):
+    """Far from the right border they agree with a wider image, near it with the reference."""
+    call, reach = STENCILS[name]
+    wider = torch.rand(1, 3, 37, (width + 15) // 16 * 16, device=device).to(dtype)
+    x = wider[..., :width].contiguous()
+    g = torch.rand_like(call(wider))
+    wrapped = 2 * reach if "circular" in name else 0
+    result, gradient = result_and_gradient(call, x, g[..., :width].contiguous())
+    of_wider, gradient_of_wider = result_and_gradient(call, wider, g)
+    assert torch.equal(result[..., wrapped : width - reach], of_wider[..., wrapped : width - reach])
+    assert torch.equal(gradient[..., wrapped : width - 2 * reach], gradient_of_wider[..., wrapped : width - 2 * reach])
+    with kv.backend("reference"):
+        expected, expected_gradient = result_and_gradient(call, x.float(), g[..., :width].float())
+    atol = 2e-4 if dtype == torch.float32 else 2e-2
+    torch.testing.assert_close(result.float(), expected, atol=atol, rtol=atol)
+    if "median" not in name and "dilation" not in name and "erosion" not in name:  # ties depend on rounding
+        torch.testing.assert_close(gradient.float(), expected_gradient, atol=5 * atol, rtol=5 * atol)
+
+
+@pytest.mark.parametrize("width", [257, 513])
+@pytest.mark.parametrize("before", [0, 1, 2, 3])
+@pytest.mark.parametrize("kernel_size", [3, 5, 11, 31])
+def test_bytes(kernel_size, before, width, device):
+    x = torch.randint(0, 256, (2, 3, 37, width), dtype=torch.uint8, device=device)
+    larger = torch.full((2, 3, 37, width + 6), 255, dtype=torch.uint8, device=device)
+    view = larger[..., before : before + width]
+    view.copy_(x)
+    calls = [lambda x: filters.gaussian_blur2d(x, kernel_size, (2.0, 2.0)), lambda x: filters.box_blur(x, kernel_size)]
+    if kernel_size <= 5:
+        calls.append(lambda x: filters.median_blur(x, kernel_size))
+    for call in calls:
+        assert torch.equal(call(view), call(x))
+        with kv.backend("reference"):
+            expected = call(x)
+        assert (call(x).int() - expected.int()).abs().max() <= 1
+
+
+@pytest.mark.parametrize("width", [256, 257])
+def test_losses_of_slices(width, device):
+    x, y = torch.rand(2, 2, 3, 40, width, device=device).unbind()
+    expected, gradient = result_and_gradient(lambda x: losses.ssim_loss(x, y, 11), x, torch.ones((), device=device))
+    of_slice, gradient_of_slice = result_and_gradient(
+        lambda x: losses.ssim_loss(x, sliced(y, 1, 4), 11), sliced(x, 3, 2), torch.ones((), device=device)
+    )
+    assert torch.equal(of_slice, expected)
+    assert torch.equal(gradient_of_slice, gradient)

@@ -457,7 +457,7 @@ struct Sample {
   };
   F p[kMaxParameters + kMaxStepTensorParameters];
   Entry order[kMaxSteps];
-  int length;
+  int length, steps[kMaxSteps];       // the latter by position, -1 for none
   alignas(16) F sums[kThreads / 32];  // read by vectors, with nothing else in them
   F mean, grad_mean;                  // the latter per pixel
 
@@ -465,14 +465,18 @@ struct Sample {
     __syncthreads();  // the previous sample may still be in use
     int const t = int(threadIdx.x);
     int contrast = program.contrast;
-    if (!program.order) {
+    if (program.has_order()) {
+      if (t < program.length) steps[t] = program.step_at(b, t);
+      __syncthreads();
+    }
+    if (!program.has_order()) {
       if (t < program.steps) order[t] = {t, program.step[t], program.first[t]};
       if (t == 0) length = program.steps;
     } else if (t == 0 || contrast >= 0) {
       int n = 0;
       contrast = -1;
       for (int i = 0; i < program.length; ++i) {
-        int const index = program.step_at(b, i);
+        int const index = steps[i];
         if (index < 0) continue;
         if (program.step[index] == Step::contrast) contrast = index;
         if (t == 0) order[n++] = {index, program.step[index], program.first[index]};
@@ -486,7 +490,7 @@ struct Sample {
       F sum = 0;
       if (!program.measures_mean) {
         for (int64_t i = t; i < program.parts_count; i += kThreads) sum += program.parts[b * program.parts_count + i];
-        sum = block_sum_to_all(sum, sums) / F(program.pixels);
+        sum = block_sum_to_all(sum, sums) / F(program.mean_pixels);
       }
       if (t == 0) {
         mean = backward ? program.means[b] : sum;

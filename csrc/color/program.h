@@ -171,27 +171,38 @@ struct Program {
   int64_t inner;  // samples of an image
   int tensor_count;
   ParameterTensor tensor[kMaxTensors];
-  int64_t const* order;  // the step at each position of an image, -1 for none; null: all steps in order
+  // The steps of an image in its order: a step for each of `length` positions, or -1 for none. `order` has them; or
+  // they are made of columns of the tensors, if `ordered_by_columns`; else all steps follow each other.
+  int64_t const* order;
   int64_t order_stride;
   int length;
+  bool ordered_by_columns;
+  int order_column[kMaxSteps];  // of a number that is added to order_first, where it is not negative; -1: nothing is
+  int order_first[kMaxSteps];
 
   // For contrast around the mean a first run computes partial sums of the mean, `parts`. The second run adds them up
   // and stores `means`, which the backward pass reads.
   int contrast;  // index of the first such step, or -1; if there are several, a sample's order has one at most
   bool measures_mean;
-  F gray_weights[3];  // of the channels in the mean
+  int64_t mean_pixels;  // that the mean is taken of: all of a sample
+  F gray_weights[3];    // of the channels in the mean
   int64_t parts_count;
   F* parts;
   F* means;
 
-  KV_HD F parameter(int64_t b, int i) const {
-    if (column[i] < 0) return numbers[i];
+  KV_HD F column_value(int64_t b, int at) const {
     int k = tensor_count - 1;
-    while (tensor[k].first_column > column[i]) --k;
-    return tensor[k].template value<F>(b / inner, b % inner, column[i]);
+    while (tensor[k].first_column > at) --k;
+    return tensor[k].template value<F>(b / inner, b % inner, at);
   }
+  KV_HD F parameter(int64_t b, int i) const { return column[i] < 0 ? numbers[i] : column_value(b, column[i]); }
+  KV_HD bool has_order() const { return order || ordered_by_columns; }
   KV_HD int step_at(int64_t b, int i) const {
-    int64_t const at = order ? order[b / inner * order_stride + i] : i;
+    int64_t at = order ? order[b / inner * order_stride + i] : ordered_by_columns ? order_first[i] : i;
+    if (ordered_by_columns && order_column[i] >= 0) {
+      F const added = column_value(b, order_column[i]);
+      at = added >= 0 ? at + int64_t(added) : -1;
+    }
     return at >= 0 && at < steps ? int(at) : -1;
   }
 };

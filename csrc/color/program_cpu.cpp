@@ -339,7 +339,7 @@ struct Sample {
     if (contrast < 0 || (program.measures_mean && !backward)) return;
     F sum = 0;
     for (int64_t i = 0; !program.measures_mean && i < program.parts_count; ++i)
-      sum += program.parts[b * program.parts_count + i] / F(program.pixels);
+      sum += program.parts[b * program.parts_count + i] / F(program.mean_pixels);
     mean = backward ? program.means[b] : sum;
     grad_mean = sum;
     p[program.first[contrast] + 1] = mean;
@@ -374,7 +374,7 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
   F* const c = scratch.data;
   // The first step reads the image and the last one writes the result in place, if these are planes of F.
   bool const one_channel = p.steps > 0 && gives_one_channel(p.step[p.steps - 1]);
-  bool const direct = !p.measures_mean && !p.order && p.steps == 1 && (p.y.channels == C || one_channel) &&
+  bool const direct = !p.measures_mean && !p.has_order() && p.steps == 1 && (p.y.channels == C || one_channel) &&
                       is_plain_chunk<F>(p.x, p.pixels) && is_plain_chunk<F>(p.y, p.pixels);
   auto const work = [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
     bool const reads = is_plain_chunk<F>(p.x, count) && s.length > 0 && !p.measures_mean;

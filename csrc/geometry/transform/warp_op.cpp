@@ -1,23 +1,8 @@
 // Warps by a matrix: schemas and entry points of the operators, for CPU and CUDA.
-#include "geometry/transform/sampling_glue.h"
+#include "geometry/transform/warp_glue.h"
 
 namespace kv::geometry {
 namespace {
-
-Tensor warped(Tensor const& image, SamplingOptions const& a, Matrix const& m) {
-  Size const source = m.use.source, output = m.use.output;
-  int64_t const samples = a.images.samples, channels = image.size(1);
-  Tensor const y = empty({samples, channels, output.height, output.width}, image, layout_of(image));
-  dispatch_floating_and_uint8(a.op, image, [&](auto type) {
-    using T = typename decltype(type)::type;
-    Sample<T> const params{a.of<T>(source, m.coords<Compute<T>>()), images<T const>(image, a.images.images),
-                           images<T>(y, samples), m.formula};
-    check_planes(a.op, params.x);
-    check_planes(a.op, params.y);
-    KV_RUN(sample, image, params, y.numel() > 0 ? samples * output.height : 0, 4 * channels * output.width);
-  });
-  return y;
-}
 
 Tensor warp(Tensor const& image, Tensor const& matrix, std::optional<Tensor> const& fill,
             std::optional<Tensor> const& image_index, std::vector<int64_t> size, int64_t interpolation, int64_t padding,
@@ -66,19 +51,7 @@ Tensor warp_image_backward(Tensor const& grad, Tensor const& matrix, std::option
   KV_CHECK(grad.size(0) == sampled.samples, op, ": grad does not fit the images");
   SamplingOptions const a(op, interpolation, padding, align_corners, grad, {}, sampled);
   Matrix const m(op, matrix, grad, sampled.samples, inverse, normalized, align_corners, source, output);
-  int64_t const channels = grad.size(1);
-  return image_gradient(op, grad, batch, a.padding == Padding::fill && sampled.is_one_sample_per_image(),
-                        [&](auto type, Tensor const& from, Tensor const& to, Tensor const& sums) {
-                          using T = typename decltype(type)::type;
-                          SampleImageBackward<T> const params{a.of<T>(source, m.coords<Compute<T>>()),
-                                                              images<T const>(from, sampled.samples),
-                                                              images<T>(to, batch.images), data_ptr<Compute<T>>(sums)};
-                          check_planes(op, params.grad);
-                          check_planes(op, params.grad_x);
-                          int64_t const cost =
-                              8 * output.height * output.width * sampled.samples / std::max<int64_t>(batch.images, 1);
-                          KV_RUN(sample_image_backward, from, params, batch.images * channels, cost);
-                        });
+  return warp_image_gradient(grad, batch, a, m);
 }
 
 Tensor warp_matrix_backward(Tensor const& grad, Tensor const& image, Tensor const& matrix,
@@ -93,27 +66,7 @@ Tensor warp_matrix_backward(Tensor const& grad, Tensor const& image, Tensor cons
   check_gradient(op, grad, image, batch);
   SamplingOptions const a(op, interpolation, padding, align_corners, image, fill, sampled);
   Matrix const m(op, matrix, image, batch, inverse, normalized, align_corners, source, output);
-  int64_t const parts = coords_backward_parts(output, tiles_per_block(batch, output.height, output.width));
-  Tensor const sums = empty({batch, parts, 9}, grad, Layout::planar, ScalarType::Double);
-  Tensor const grad_matrix = empty({batch, m.use.rows, 3}, m.tensor);
-  dispatch_floating(op, image, [&](auto type) {
-    using T = typename decltype(type)::type;
-    using F = Compute<T>;
-    SampleCoords<F> const coords = m.coords<F>();
-    SampleCoordsBackward<T> const params{a.of<T>(source, coords),
-                                         images<T const>(image, image.size(0)),
-                                         images<T const>(grad, batch),
-                                         {},
-                                         {},
-                                         data_ptr<double>(sums),
-                                         parts};
-    check_planes(op, params.x);
-    check_planes(op, params.grad);
-    KV_RUN(sample_coords_backward, image, params, batch * output.height, 8 * image.size(1) * output.width);
-    WarpMatrixBackward<F> const gradient{coords, data_ptr<double const>(sums), parts, batch, data_ptr<F>(grad_matrix)};
-    KV_RUN(warp_matrix_backward, image, gradient, batch, 9 * parts);
-  });
-  return grad_matrix;
+  return warp_matrix_gradient(grad, image, a, m);
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
-// Random parameters, the matrices that they give, noise and erased rectangles. Arguments are those of
-// torch.ops.kvision, plans and numbers those of python/kvision/augmentation/draws.py, transforms.py and noise.py.
+// Random parameters, the matrices that they give, passes over images, noise and erased rectangles. Arguments are those
+// of torch.ops.kvision, plans and numbers those of python/kvision/augmentation/draws.py, transforms.py,
+// warp_and_color.py and noise.py.
 #pragma once
 
 #include <ATen/ExpandUtils.h>
@@ -31,6 +32,28 @@ inline constexpr auto erased_gradients = [](Backward const& b) -> variable_list 
   return {kept, Tensor(), at::sum_to((b.grad() - kept).to(values.scalar_type()).sum({1, 2, 3}), values.sizes())};
 };
 
+// The columns have gradients from the steps that read them and from the matrices that are made of them.
+inline constexpr auto warp_and_color_gradients = [](Backward const& b) -> variable_list {
+  TORCH_CHECK_NOT_IMPLEMENTED(!b.needs(2), "warp_and_color: C++ has no gradient of fill; Python's kvision has");
+  auto const grads = b.call("warp_and_color_backward", {{"of_image", b.needs(0)}, {"of_columns", b.needs(1)}});
+  Tensor const of_image = b.needs(0) ? grads[0] : Tensor();
+  if (!b.needs(1)) return {of_image, Tensor(), Tensor()};
+  Tensor const columns = b.tensor(1);
+  Tensor of_columns = grads[1].size(1) > 0 ? grads[1] : at::zeros_like(columns);
+  if (!b.arguments[3].toIntVector().empty()) {
+    Ints const plan = b.arguments[4].toIntVector();
+    Floats const numbers = b.arguments[5].toDoubleVector();
+    Ints const chain(plan.begin() + 6, plan.begin() + 6 + plan[5]);
+    constexpr int64_t inputs[] = {9, 16, 7, 9};  // of the kinds of transforms
+    int64_t count = 0;
+    for (size_t at = 0; at < chain.size(); at += size_t(1 + inputs[chain[at]])) count += inputs[chain[at]];
+    Floats const own(numbers.begin(), numbers.begin() + count);
+    of_columns = of_columns + b.call("transform_matrix_backward",
+                                     {{"grad", grads[2]}, {"columns", columns}, {"plan", chain}, {"numbers", own}})[0];
+  }
+  return {of_image, of_columns, Tensor()};
+};
+
 }  // namespace detail
 
 inline constexpr Operator<"draw_parameters",
@@ -38,6 +61,12 @@ inline constexpr Operator<"draw_parameters",
     draw_parameters{non_differentiable};
 inline constexpr Operator<"transform_matrix", Tensor(Tensor columns, Ints plan, Floats numbers)> transform_matrix{
     from<"transform_matrix_backward">};
+
+// A warp by the matrices of a chain of transforms of columns (B, P), then a program of color steps: the result, the
+// matrices, and the means of contrast. warp_and_color.py explains size, plan and numbers.
+inline constexpr Operator<"warp_and_color", Three(Tensor image, OptionalTensor columns, OptionalTensor fill, Ints size,
+                                                  Ints plan, Floats numbers)>
+    warp_and_color{detail::warp_and_color_gradients, 2};
 
 inline constexpr Operator<"gaussian_noise", Tensor(Tensor images, Tensor parameters, Tensor keys, OptionalTensor seeds,
                                                    OptionalTensor chosen, Ints plan)>

@@ -19,8 +19,10 @@ from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor, nn
+from torch.compiler import is_compiling
 
-from kvision.augmentation.columns import Columns, draw_columns, identity_values
+from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, identity_values, plan_draws
+from kvision.augmentation.configuration import Flags, Plans, settings_changed
 from kvision.augmentation.draws import Draw, Request, is_chosen_batch
 from kvision.augmentation.keys import Keys, Seed, draw_keys
 from kvision.augmentation.noise import PixelNoise
@@ -51,6 +53,11 @@ class Execution:
         self.params = params  # by name, where they were given or have been read
         self.redraw = redraw  # the keys, and the index of this augmentation's
         self.matrix: Tensor | None = None
+
+    def keep_matrix(self, matrix: Tensor) -> None:
+        """Keep the matrices of an operator, which carry no gradients; where parameters do, they are computed when asked for."""
+        if self.columns is None or not self.columns.drawn.requires_grad:
+            self.matrix = matrix
 
     @property
     def chosen(self) -> Tensor | None:
@@ -88,10 +95,19 @@ class AugmentationBase(nn.Module):
         self.p, self.p_batch = float(p), float(p_batch)
         self.same_on_batch, self.keepdim = same_on_batch, keepdim
         self.generator, self.return_transform = generator, return_transform
+        self._plans = Plans()
         self.flags: dict[str, Any] = {}
         self._param_generator: RandomGeneratorBase | None = None
         self._execution: Execution | None = None
         self._rng: tuple[torch.device, torch.dtype] = (torch.device("cpu"), torch.float32)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "_execution":
+            object.__setattr__(self, name, value)
+            return
+        settings_changed()
+        given: Any = Flags(value) if name == "flags" else value
+        super().__setattr__(name, given)
 
     def extra_repr(self) -> str:
         shown = {"p": self.p, "p_batch": self.p_batch, "same_on_batch": self.same_on_batch, **self.flags}
@@ -194,12 +210,18 @@ class AugmentationBase(nn.Module):
         return is_chosen_batch(key, index if keys.one_key else 0, self.p_batch)
 
     def _draw(self, x: Tensor, seed: Seed, generator: Generator | None) -> Execution:
-        shape = tuple(x.shape)
-        request = self._request(shape) if self.p > 0 and self.p_batch > 0 else None
-        if request is None:
+        shape, key = tuple(x.shape), ("draw", x.shape, seed is None)
+        plans: list[DrawPlan] | None = None if is_compiling() else self._plans.get(key)  # one, or none
+        if plans is None:
+            request = self._request(shape) if self.p > 0 and self.p_batch > 0 else None
+            plans = [] if request is None else plan_draws([request], seed is not None)
+            if not is_compiling() and all(plan.learned is None for plan in plans):
+                self._plans.keep(key, plans)
+        if not plans:
             return Execution(shape, applied=self._applies(None, 0))
+        plan = plans[0]
         keys = draw_keys(type(self).__name__, 1, x.device, seed, generator or self.generator)
-        (columns,) = draw_columns(x, keys, [request])
+        columns = Columns(plan.draw(x, keys), plan.spans[0])
         return Execution(shape, columns, applied=self._applies(keys, 0), redraw=(keys, 0))
 
     def _from_params(self, params: Params, x: Tensor) -> Execution:
@@ -242,7 +264,7 @@ class AugmentationBase(nn.Module):
             parts[0] = torch.where(chosen[:, None], values, identity)
             parts.insert(0, chosen[:, None].to(values.dtype))
         drawn = torch.cat(parts, 1) if len(parts) > 1 else values
-        return Columns(drawn, 0, drawn.shape[1], len(parts) > 1 and parts[0] is not values and chosen is not None)
+        return Columns(drawn, Span(0, drawn.shape[1], len(parts) > 1 and parts[0] is not values and chosen is not None))
 
     def _further_columns(self, shape: Shape, values: Tensor, chosen: Tensor | None) -> list[Tensor]:
         """Columns that follow those of the parameters."""

@@ -15,54 +15,91 @@ from kvision.augmentation.ranges import LearnedPair, LearnedUniform
 Learned = LearnedUniform | LearnedPair
 
 
-class Columns(NamedTuple):
-    """The columns of one augmentation among those that a launch has drawn for all."""
+class Span(NamedTuple):
+    """Where the columns of one augmentation are among those of a launch."""
 
-    drawn: Tensor  # (B, all columns)
-    first: int  # of this augmentation
+    first: int
     width: int
     has_chosen: bool  # the first of its columns says which samples are chosen
-
-    @property
-    def chosen(self) -> Tensor | None:
-        """(B,): 1 for samples that are chosen, else 0; None for all."""
-        return self.drawn[:, self.first] if self.has_chosen else None
 
     @property
     def first_value(self) -> int:
         """The first column of a parameter."""
         return self.first + self.has_chosen
 
+    def moved(self, first: int) -> Span:
+        """The same columns behind `first` others."""
+        return self._replace(first=self.first + first) if first else self
+
+
+class Columns(NamedTuple):
+    """The columns of one augmentation among those that a launch has drawn for all."""
+
+    drawn: Tensor  # (B, all columns)
+    span: Span
+
+    @property
+    def chosen(self) -> Tensor | None:
+        """(B,): 1 for samples that are chosen, else 0; None for all."""
+        return self.drawn[:, self.span.first] if self.span.has_chosen else None
+
     @property
     def values(self) -> Tensor:
         """(B, P), the parameters."""
-        return self.drawn[:, self.first_value : self.first + self.width]
+        return self.drawn[:, self.span.first_value : self.span.first + self.span.width]
+
+
+class DrawPlan(NamedTuple):
+    """The arguments of one launch that draws the columns of requests `begin` to `end`."""
+
+    begin: int
+    end: int
+    plan: list[int]
+    numbers: list[float]
+    spans: list[Span]  # of the requests
+    learned: Sequence[Draw | Learned] | None  # all draws, where some are from ranges that get gradients
+
+    def draw(self, images: Tensor, keys: Keys) -> Tensor:
+        """The columns (B, P)."""
+        own = keys.keys
+        if not keys.one_key and (self.begin > 0 or self.end < len(own)):
+            own = own[self.begin : self.end]
+        seeds = None if keys.seeds is None else keys.seeds.to(images.device, non_blocking=True)
+        images = images.detach() if images.requires_grad else images
+        drawn: Tensor = draw_parameters(images, own, seeds, self.plan, self.numbers)
+        return drawn if self.learned is None else _with_learned(drawn, self.learned)
+
+
+def plan_draws(requests: Sequence[Request], one_key: bool, first: int = 0) -> list[DrawPlan]:
+    """As few launches as the operator allows, of requests whose keys or positions in the chain begin with number `first`."""
+    plans: list[DrawPlan] = []
+    begin, draws, numbers = 0, 0, 0
+    for end, request in enumerate(requests):
+        more, more_numbers = len(request.draws), 2 + sum(len(draw.numbers) for draw in request.draws)
+        if end > begin and (draws + more > MAX_DRAWS or numbers + more_numbers > MAX_NUMBERS):
+            plans.append(_plan_launch(requests, begin, end, one_key, first))
+            begin, draws, numbers = end, 0, 0
+        draws, numbers = draws + more, numbers + more_numbers
+    return [*plans, _plan_launch(requests, begin, len(requests), one_key, first)]
+
+
+def _plan_launch(requests: Sequence[Request], begin: int, end: int, one_key: bool, first: int) -> DrawPlan:
+    own = requests[begin:end]
+    plan, numbers, firsts = make_plan(own, one_key, first + begin)
+    ends = [*firsts[1:], plan[0]]
+    spans = [Span(a, b - a, request.draws[:1] == [_CHOSEN]) for a, b, request in zip(firsts, ends, own)]
+    draws = [draw for request in own for draw in request.draws]
+    learned = draws if any(isinstance(draw, Learned) for draw in draws) else None
+    return DrawPlan(first + begin, first + end, plan, numbers, spans, learned)
 
 
 def draw_columns(images: Tensor, keys: Keys, requests: Sequence[Request], first: int = 0) -> list[Columns]:
     """The columns of each request, whose keys or positions in the chain begin with number `first`."""
     columns: list[Columns] = []
-    begin, draws, numbers = 0, 0, 0
-    for end, request in enumerate(requests):
-        more, more_numbers = len(request.draws), 2 + sum(len(draw.numbers) for draw in request.draws)
-        if end > begin and (draws + more > MAX_DRAWS or numbers + more_numbers > MAX_NUMBERS):
-            columns += _draw(images, keys, requests[begin:end], first + begin)
-            begin, draws, numbers = end, 0, 0
-        draws, numbers = draws + more, numbers + more_numbers
-    return columns + _draw(images, keys, requests[begin:], first + begin)
-
-
-def _draw(images: Tensor, keys: Keys, requests: Sequence[Request], first: int) -> list[Columns]:
-    plan = make_plan(requests, keys.one_key, first)
-    own = keys.keys if keys.one_key else keys.keys[first : first + len(requests)]
-    seeds = None if keys.seeds is None else keys.seeds.to(images.device, non_blocking=True)
-    drawn = draw_parameters(images.detach(), own, seeds, plan.plan, plan.numbers)
-    drawn = _with_learned(drawn, [draw for request in requests for draw in request.draws])
-    ends = [*plan.first_columns[1:], drawn.shape[1]]
-    return [
-        Columns(drawn, begin, end - begin, request.draws[:1] == [_CHOSEN])
-        for begin, end, request in zip(plan.first_columns, ends, requests)
-    ]
+    for plan in plan_draws(requests, keys.one_key, first):
+        drawn = plan.draw(images, keys)
+        columns += [Columns(drawn, span) for span in plan.spans]
+    return columns
 
 
 _CHOSEN = Draw("chosen")
@@ -70,8 +107,6 @@ _CHOSEN = Draw("chosen")
 
 def _with_learned(drawn: Tensor, draws: Sequence[Draw | Learned]) -> Tensor:
     """The columns, with those drawn from ranges that get gradients."""
-    if not any(isinstance(draw, Learned) for draw in draws):
-        return drawn
     parts, first = [], 0
     for draw in draws:
         part = drawn[:, first : first + draw.columns]

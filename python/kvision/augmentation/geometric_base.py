@@ -3,38 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION
 from kvision.augmentation.base import AugmentationBase, Execution, Params, RigidAffineAugmentationBase2D, Shape
 from kvision.augmentation.transforms import Transform, transform_matrix
+from kvision.augmentation.warp_and_color import Pass, Resampling, make_pass
 from kvision.constants import Resample, SamplePadding
 from kvision.geometry.linalg import transform_points
 from kvision.geometry.transform import sampling
 
 __all__ = ["GeometricAugmentationBase2D"]
-
-
-class Resampling(NamedTuple):
-    """How a warp reads an image: names as the warps of kvision.geometry take them, and the fill value."""
-
-    mode: str = "bilinear"
-    padding: str = "zeros"
-    align_corners: bool = True
-    fill: Any = None
-
-    def for_labels(self, mode: str | None = None) -> Resampling:
-        """How masks are read: pixels from outside are 0 where those of images have the fill value."""
-        padding = "zeros" if self.padding == "fill" else self.padding
-        return self._replace(mode=mode or self.mode, padding=padding, fill=None)
-
-    def for_inverse(self, mode: str | None = None) -> Resampling:
-        """How results are read to undo a call, which know nothing of the pixels that left them."""
-        return self._replace(mode=mode or self.mode, padding="zeros", fill=None)
 
 
 class GeometricAugmentation(AugmentationBase):
@@ -136,8 +120,25 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or self._is_customized() or self.transforms(execution.shape, flags) is None:
             return super()._run(x, execution, flags)
-        execution.matrix = self._matrix_of(x, execution, flags)
-        return self._warp(x, execution.matrix, flags)
+        if execution.columns is None and execution.params is not None:
+            execution.matrix = self._matrix_of(x, execution, flags)
+            return self._warp(x, execution.matrix, flags)
+        first = 0 if execution.columns is None else execution.columns.span.first_value
+        key = (execution.shape, first)
+        keeps = flags is self.flags and not is_compiling()
+        own: Pass | None = self._plans.get(key) if keeps else None
+        if own is None:
+            own = self._pass(execution.shape, first, flags)
+            if keeps:
+                self._plans.keep(key, own)
+        y, matrix = own.run(x, None if execution.columns is None else execution.columns.drawn)
+        execution.keep_matrix(matrix)
+        return y
+
+    def _pass(self, shape: Shape, first: int, flags: dict[str, Any]) -> Pass:
+        """The pass of images of a shape, by parameters that begin at column `first`."""
+        chain = [t.moved(first) for t in self.transforms(shape, flags) or ()]
+        return make_pass(chain, self.output_size(shape, flags), self.resampling(flags))
 
     def _warp(self, x: Tensor, matrix: Tensor, flags: dict[str, Any]) -> Tensor:
         return warp(x, matrix, self.output_size(tuple(x.shape), flags), self.resampling(flags))
@@ -153,7 +154,7 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         chain, columns = self.transforms(execution.shape, flags) or (), execution.columns
         if columns is None:
             return torch.empty(execution.shape[0], 0, device=x.device), list(chain)
-        return columns.drawn, [t.moved(columns.first_value) for t in chain]
+        return columns.drawn, [t.moved(columns.span.first_value) for t in chain]
 
     def _matrix(self, execution: Execution) -> Tensor:
         if execution.matrix is None and execution.applied and execution.columns is not None:

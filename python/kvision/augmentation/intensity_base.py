@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision.augmentation.base import (
     Execution,
@@ -15,23 +16,11 @@ from kvision.augmentation.base import (
     RigidAffineAugmentationBase3D,
     Shape,
 )
+from kvision.augmentation.columns import Span
 from kvision.augmentation.draws import Draw, Request
-from kvision.color.program import MAX_NUMBERS, MAX_STEPS, MAX_TENSORS, Arguments, run
-from kvision.color.steps import CONTRAST, STEPS
+from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Pass, make_pass
 
 __all__ = ["IntensityAugmentationBase2D", "IntensityAugmentationBase3D"]
-
-
-class ColorStep(NamedTuple):
-    """A step of a color program: its name (kvision.color.steps) and its parameters, a number or the index of a column each."""
-
-    name: str
-    parameters: Sequence[float] = ()
-    columns: Sequence[int] = ()  # one of a parameter, -1 for a number; empty if all are numbers
-
-    @property
-    def number(self) -> int:
-        return STEPS[self.name].number
 
 
 class ColorSteps(NamedTuple):
@@ -93,8 +82,25 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:
             return x
-        part = None if self._is_customized() else color_part(self, execution, flags)
-        return super()._run(x, execution, flags) if part is None else run_color(x, [part])
+        own = None if self._is_customized() else self._pass(execution, flags)
+        if own is None:
+            return super()._run(x, execution, flags)
+        return own.run(x, None if execution.columns is None else execution.columns.drawn)[0]
+
+    def _pass(self, execution: Execution, flags: dict[str, Any]) -> Pass | None:
+        """The pass of an execution; None for one with parameters by name, or without steps."""
+        if execution.columns is None and execution.params is not None:
+            return None
+        span = None if execution.columns is None else execution.columns.span
+        key = (execution.shape, span)
+        keeps = flags is self.flags and not is_compiling()
+        own: Pass | None = self._plans.get(key) if keeps else None
+        if own is None:
+            part = color_part(self, execution.shape, span, flags)
+            own = None if part is None else make_pass(None, parts=[part])
+            if own is not None and keeps:
+                self._plans.keep(key, own)
+        return own
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
@@ -105,8 +111,7 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
         columns = None
         if self._param_generator is not None:
             columns = self._param_generator.to_columns(params, tuple(input.shape)).to(input.device)
-        order = None if steps.order is None or columns is None else columns[:, steps.order[0] : steps.order[-1] + 1]
-        return run_color(input, [ColorPart(steps, columns, 0, order)])
+        return make_pass(None, parts=[ColorPart(steps.steps, 0, steps.order)]).run(input, columns)[0]
 
 
 class IntensityAugmentationBase3D(RigidAffineAugmentationBase3D):
@@ -130,83 +135,19 @@ class IntensityAugmentationBase3D(RigidAffineAugmentationBase3D):
     """
 
 
-class ColorPart(NamedTuple):
-    """What one augmentation contributes to a color program."""
-
-    steps: ColorSteps
-    columns: Tensor | None  # (B, all columns)
-    first: int  # of its parameters among the columns
-    order: Tensor | None  # (B, S) positions in its steps, -1 for none
-
-
-def color_part(module: IntensityAugmentationBase2D, execution: Execution, flags: dict[str, Any]) -> ColorPart | None:
-    """The part of an execution whose columns were drawn; None for one with parameters by name, or without steps."""
-    steps = module.color_steps(execution.shape, flags)
-    if steps is None or (execution.columns is None and execution.params is not None):
+def color_part(
+    module: IntensityAugmentationBase2D, shape: Shape, span: Span | None, flags: dict[str, Any]
+) -> ColorPart | None:
+    """What an augmentation contributes to a color program, by its columns; None for one without steps."""
+    steps = module.color_steps(shape, flags)
+    if steps is None:
         return None
-    columns = execution.columns
-    if columns is None:
-        return ColorPart(steps, None, 0, None)
-    first = columns.first_value
+    if span is None:
+        return ColorPart(steps.steps)
+    order = None
     if steps.order is not None:
-        order = columns.drawn[:, first + steps.order[0] : first + steps.order[-1] + 1]
-    elif columns.has_chosen:
-        order = columns.values[:, -len(steps.steps) :]
-    else:
-        order = None
-    return ColorPart(steps, columns.drawn, first, order)
-
-
-def fits_one_program(parts: Sequence[ColorPart]) -> bool:
-    """Whether the kernels take the steps of all parts in one program."""
-    steps = [step for part in parts for step in part.steps.steps]
-    numbers = sum(STEPS[step.name].parameters for step in steps)
-    return len(steps) <= MAX_STEPS and numbers <= MAX_NUMBERS and sum(step.number == CONTRAST for step in steps) <= 1
-
-
-def run_color(x: Tensor, parts: Sequence[ColorPart], dtype: torch.dtype | None = None, layout: int = -1) -> Tensor:
-    """Run the steps of neighboring augmentations as one color program."""
-    steps: list[int] = []
-    numbers: list[float] = []
-    columns: list[int] = []
-    tensors: list[Tensor] = []  # of parameters; augmentations drawn by one launch share one
-    orders: list[Tensor | None] = []
-    for part in parts:
-        orders.append(part.order if part.order is None or not steps else _moved(part.order, len(steps)))
-        first = part.first
-        if part.columns is not None:
-            index = next((i for i, t in enumerate(tensors) if t is part.columns), len(tensors))
-            if index == len(tensors):
-                tensors.append(part.columns)
-            first += sum(t.shape[1] for t in tensors[:index])
-        for step in part.steps.steps:
-            count = STEPS[step.name].parameters
-            steps.append(step.number)
-            numbers += [*step.parameters, *[0.0] * (count - len(step.parameters))]
-            columns += [first + c if c >= 0 else -1 for c in step.columns] + [-1] * (count - len(step.columns))
-    order = _order(x, parts, orders) if any(o is not None for o in orders) else None
-    if all(c < 0 for c in columns):
-        return run(x, steps, Arguments((None,) * MAX_TENSORS, numbers, ()), order, dtype, layout)
-    if len(tensors) > MAX_TENSORS:
-        tensors = [torch.cat(tensors, 1)]
-    rows = [t[:, None] for t in tensors]
-    return run(
-        x, steps, Arguments((*rows, *[None] * (MAX_TENSORS - len(rows))), numbers, columns), order, dtype, layout
-    )
-
-
-def _moved(order: Tensor, first: int) -> Tensor:
-    return torch.where(order < 0, order, order + first)
-
-
-def _order(x: Tensor, parts: Sequence[ColorPart], orders: Sequence[Tensor | None]) -> Tensor:
-    """The order of all steps, (B, S)."""
-    rows, first = [], 0
-    for part, order in zip(parts, orders):
-        count = len(part.steps.steps)
-        if order is None:
-            order = torch.arange(first, first + count, device=x.device, dtype=torch.float32)
-            order = order.expand(x.shape[0], -1)
-        rows.append(order)
-        first += count
-    return (torch.cat(rows, 1) if len(rows) > 1 else rows[0]).long()
+        order = [span.first_value + c for c in steps.order]
+    elif span.has_chosen:
+        end = span.first + span.width
+        order = list(range(end - len(steps.steps), end))
+    return ColorPart(steps.steps, span.first_value, order)

@@ -18,9 +18,9 @@ from torch import Tensor
 from kvision import enhance
 from kvision.augmentation import transforms
 from kvision.augmentation.container.runs import Stage, Warp
-from kvision.augmentation.geometric_base import Resampling, warp
-from kvision.augmentation.intensity_base import ColorPart, ColorStep, ColorSteps, run_color
+from kvision.augmentation.geometric_base import warp
 from kvision.augmentation.transforms import transform_matrix
+from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Resampling, make_pass
 from kvision.enhance.posterize import SPLIT
 
 
@@ -94,14 +94,15 @@ def execute_step(x: Tensor, names: Sequence[str], operation: Tensor, value: Tens
         stages.append(Warp(matrix, size, size, _BILINEAR))
     color = [name for name in _COLOR if name in names]
     if color:
-        columns = torch.where(operation == OPERATIONS["posterize"].number, value.round(), value)[:, None]
-        order = torch.stack([torch.where(is_one(operation, name), i, -1) for i, name in enumerate(color)], 1)
+        values = torch.where(operation == OPERATIONS["posterize"].number, value.round(), value)
+        order = [torch.where(is_one(operation, name), float(i), -1.0) for i, name in enumerate(color)]
+        columns = torch.stack([values, *order], 1)
         steps = [_COLOR[name] for name in color]
         if x.dtype in SPLIT:
             steps = [
                 step._replace(parameters=(0.0, SPLIT[x.dtype])) if step.name == "posterize" else step for step in steps
             ]
-        x = run_color(x, [ColorPart(ColorSteps(steps), columns, 0, order)])
+        x, _ = make_pass(None, parts=[ColorPart(steps, 0, range(1, 1 + len(steps)))]).run(x, columns)
     for name, function in _ALONE.items():
         if name in names:
             chosen = is_one(operation, name)

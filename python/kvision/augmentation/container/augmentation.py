@@ -52,6 +52,8 @@ class AugmentationSequential(ImageSequential):
         min_box_area: moved boxes with fewer pixels inside the image are removed.
         min_box_visibility: moved boxes with a smaller share of their area inside the image are removed, 0 to 1.
         generator: draws the keys of each call; default: torch's generator.
+        output_dtype: type of the results; default: that of the images. Floating-point types have uint8 images in [0, 1].
+        memory_format: `torch.channels_last` or `torch.contiguous_format` for the results; default: that of the images.
 
     Raises:
         TypeError: a child is no module.
@@ -85,6 +87,8 @@ class AugmentationSequential(ImageSequential):
         min_box_area: float = 0.0,
         min_box_visibility: float = 0.0,
         generator: Generator | None = None,
+        output_dtype: torch.dtype | None = None,
+        memory_format: torch.memory_format | None = None,
     ) -> None:
         super().__init__(
             *args,
@@ -94,6 +98,8 @@ class AugmentationSequential(ImageSequential):
             random_apply_weights=random_apply_weights,
             resample=resample,
             generator=generator,
+            output_dtype=output_dtype,
+            memory_format=memory_format,
         )
         if transformation_matrix_mode not in ("silent", "silence", "rigid", "skip"):
             raise ValueCheckError(

@@ -8,13 +8,17 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Generator, Tensor, nn
+from torch.compiler import is_compiling
 
+from kvision._ops import FLOATS
 from kvision.augmentation.base import AugmentationBase
+from kvision.augmentation.configuration import Plans
 from kvision.augmentation.container.runs import Applied, Child, Randomness, Stage, Warp, execute
 from kvision.augmentation.draws import philox, unit
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
 from kvision.augmentation.keys import Seed, draw_keys
+from kvision.augmentation.warp_and_color import SAME, Output
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = ["ImageSequential", "ImageSequentialBase", "ParamItem"]
@@ -27,6 +31,9 @@ class ParamItem(NamedTuple):
 
     name: str
     data: Any
+
+
+_STATE = frozenset(("_stages", "_shape", "_executed", "_given_params"))  # what a call leaves behind
 
 
 class ImageSequentialBase(nn.Sequential):
@@ -58,11 +65,18 @@ class ImageSequentialBase(nn.Sequential):
             known = any(module is other for other in self.children())
             self.add_module(name, copy.deepcopy(module) if known else module)
         self._same_on_batch, self._keepdim = same_on_batch, keepdim
+        self._plans = Plans()
         self._stages: list[Stage] = []
         self._shape: tuple[int, ...] | None = None
         self._executed: list[Child] = []
         self._given_params: list[Any] | None = []  # ParamItems
         self._share()
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in _STATE:
+            object.__setattr__(self, name, value)  # torch looks for parameters in what it sets
+        else:
+            super().__setattr__(name, value)
 
     def _share(self) -> None:
         for child in self.children():
@@ -116,9 +130,11 @@ class ImageSequential(ImageSequentialBase):
         resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones and
             interpolates once.
         generator: draws the keys of each call; default: torch's generator.
+        output_dtype: type of the results; default: that of the images. Floating-point types have uint8 images in [0, 1].
+        memory_format: `torch.channels_last` or `torch.contiguous_format` for the results; default: that of the images.
 
     Raises:
-        TypeError: a child is no module; `random_apply` is neither a bool nor one or two ints.
+        TypeError: a child is no module; `random_apply` is neither a bool nor one or two ints; `output_dtype` is no type of images.
         ValueError: `random_apply_weights` has another length; `resample` is unknown.
 
     Example:
@@ -142,6 +158,8 @@ class ImageSequential(ImageSequentialBase):
         disable_sequential_features: bool = False,
         resample: str = "each",
         generator: Generator | None = None,
+        output_dtype: torch.dtype | None = None,
+        memory_format: torch.memory_format | None = None,
     ) -> None:
         super().__init__(*args, same_on_batch=same_on_batch, keepdim=keepdim)
         op = type(self).__name__
@@ -153,7 +171,16 @@ class ImageSequential(ImageSequentialBase):
             )
         self.random_apply = self._counts(random_apply)
         self.random_apply_weights = None if random_apply_weights is None else list(random_apply_weights)
+        if output_dtype is not None and output_dtype not in (*FLOATS, torch.uint8):
+            raise TypeCheckError(
+                f"{op}: expected output_dtype to be uint8 or a floating-point type, got {output_dtype!r}"
+            )
+        if memory_format not in (None, torch.contiguous_format, torch.channels_last):
+            raise ValueCheckError(
+                f"{op}: expected memory_format to be torch.contiguous_format or torch.channels_last, got {memory_format!r}"
+            )
         self.resample, self.generator = resample, generator
+        self.output_dtype, self.memory_format = output_dtype, memory_format
 
     def _counts(self, random_apply: Any) -> tuple[int, int] | None:
         """The lowest number of children that run, and the end of the range of numbers; None for all in order."""
@@ -225,7 +252,11 @@ class ImageSequential(ImageSequentialBase):
         """The input as a batch: (H, W) and (C, H, W) become (1, C, H, W)."""
         if not isinstance(input, Tensor):
             raise TypeCheckError(f"{type(self).__name__}: expected input to be a Tensor, got {type(input).__name__}")
-        axes = max([3, *(m.axes for m in self.modules() if isinstance(m, AugmentationBase))])
+        axes: int | None = None if is_compiling() else self._plans.get("axes")
+        if axes is None:
+            axes = max([3, *(m.axes for m in self.modules() if isinstance(m, AugmentationBase))])
+            if not is_compiling():
+                self._plans.keep("axes", axes)
         if not axes - 1 <= input.dim() <= axes + 1:
             raise ShapeError(
                 f"{type(self).__name__}: expected input with {axes - 1} to {axes + 1} axes, got {tuple(input.shape)}"
@@ -253,11 +284,13 @@ class ImageSequential(ImageSequentialBase):
         return x
 
     def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:
-        y = self._execute(x, params, source._replace(once=source.once or self.resample == "once"))
+        once = source.once or self.resample == "once"
+        y = self._execute(x, params, source._replace(once=once, plans=self._plans, output=SAME))
         return y, Applied(self, None, {"stages": self._stages})
 
     def _source(self, seed: Seed, generator: Generator | None) -> Randomness:
-        return Randomness(type(self).__name__, seed, generator or self.generator, self.resample == "once")
+        once, output = self.resample == "once", Output(self.output_dtype, self.memory_format)
+        return Randomness(type(self).__name__, seed, generator or self.generator, once, self._plans, output)
 
     @property
     def _params(self) -> list[ParamItem]:
@@ -302,11 +335,13 @@ class ImageSequential(ImageSequentialBase):
         return self._restored(y, input)
 
     def _restored(self, y: Tensor, input: Tensor) -> Tensor:
+        if y.dim() <= input.dim():
+            return y
         keeps = self.keepdim
         if keeps is None:
             augmentations = [m for m in self.children() if isinstance(m, AugmentationBase)]
             keeps = bool(augmentations) and all(m.keepdim for m in augmentations)
-        return y.reshape(y.shape[y.dim() - input.dim() :]) if keeps and y.dim() > input.dim() else y
+        return y.reshape(y.shape[y.dim() - input.dim() :]) if keeps else y
 
     # --- matrices and the inverse ---
 

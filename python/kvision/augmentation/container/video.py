@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import torch
 from torch import Generator, Tensor, nn
 
 from kvision.augmentation.container.image import ImageSequential, ParamItem, invert
@@ -33,6 +34,8 @@ class VideoSequential(ImageSequential):
         resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones and
             interpolates once.
         generator: draws the keys of each call; default: torch's generator.
+        output_dtype: type of the results; default: that of the images. Floating-point types have uint8 images in [0, 1].
+        memory_format: `torch.channels_last` or `torch.contiguous_format` for the results; default: that of the images.
 
     Raises:
         TypeError: a child is no module.
@@ -55,6 +58,8 @@ class VideoSequential(ImageSequential):
         if_unsupported_ops: str = "raise",
         resample: str = "each",
         generator: Generator | None = None,
+        output_dtype: torch.dtype | None = None,
+        memory_format: torch.memory_format | None = None,
     ) -> None:
         super().__init__(
             *args,
@@ -62,6 +67,8 @@ class VideoSequential(ImageSequential):
             random_apply_weights=random_apply_weights,
             resample=resample,
             generator=generator,
+            output_dtype=output_dtype,
+            memory_format=memory_format,
         )
         if not isinstance(data_format, str) or data_format.upper() not in ("BTCHW", "BCTHW"):
             raise ValueCheckError(

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from kvision.augmentation.columns import draw_columns
+from kvision.augmentation.configuration import settings_changed
 from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.keys import draw_keys
 from kvision.augmentation.noise import PixelNoise
@@ -40,6 +41,10 @@ class RandomGeneratorBase(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.device, self.dtype = torch.device("cpu"), torch.float32
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        settings_changed()
+        super().__setattr__(name, value)
 
     def set_rng_device_and_dtype(self, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32) -> None:
         """Choose where and in which type :meth:`forward` gives parameters. The values do not depend on the device."""

@@ -1,0 +1,58 @@
+// Chains of transforms for the entries of operators. Included by transforms_op.cpp and warp_and_color_op.cpp.
+#pragma once
+
+#include <span>
+
+#include "augmentation/transforms.h"
+#include "glue/glue.h"
+
+namespace kv::augmentation {
+
+// The plan has for each transform its kind and the columns of its inputs.
+template <class T>
+TransformMatrix<T> transform_params(char const* op, Tensor const& columns, std::span<int64_t const> plan,
+                                    std::span<double const> numbers) {
+  TransformMatrix<T> p;
+  p.parameters = data_ptr<T const>(columns);
+  p.stride = columns.stride(0);
+  p.column_stride = columns.stride(1);
+  p.batch = columns.size(0);
+  p.columns = int(columns.size(1));
+  p.count = 0;
+  size_t number = 0;
+  for (size_t at = 0; at < plan.size(); ++p.count) {
+    KV_CHECK(p.count < kMaxTransforms, op, ": expected at most ", kMaxTransforms, " transforms");
+    int64_t const kind = plan[at++];
+    KV_CHECK(kind >= 0 && kind < kTransformKinds, op, ": there is no kind of transform ", kind);
+    p.kinds[p.count] = TransformKind(kind);
+    size_t const count = size_t(num_inputs_of(TransformKind(kind)));
+    KV_CHECK(at + count <= plan.size() && number + count <= kMaxTransformNumbers, op, ": expected ", count,
+             " columns of inputs, and at most ", kMaxTransformNumbers, " in all");
+    for (size_t i = 0; i < count; ++i, ++at, ++number) {
+      KV_CHECK(plan[at] >= -1 && plan[at] < p.columns, op, ": there is no column ", plan[at]);
+      p.indices[number] = int16_t(plan[at]);
+    }
+  }
+  KV_CHECK(numbers.size() == number, op, ": expected ", number, " numbers, got ", numbers.size());
+  for (size_t i = 0; i < number; ++i) p.numbers[i] = numbers[i];
+  return p;
+}
+
+inline void check_columns(char const* op, Tensor const& columns) {
+  KV_CHECK(columns.dim() == 2 && columns.size(1) <= INT16_MAX, op, ": expected columns of shape (B, P)");
+}
+
+// The matrices (B, 3, 3) of a chain.
+inline Tensor chain_matrix(char const* op, Tensor const& columns, std::span<int64_t const> plan,
+                           std::span<double const> numbers) {
+  check_columns(op, columns);
+  Tensor const result = empty({columns.size(0), 3, 3}, columns);
+  dispatch_floating(op, columns, [&]<class T>(Type<T>) {
+    auto params = transform_params<T>(op, columns, plan, numbers);
+    params.result = data_ptr<T>(result);
+    KV_RUN(transform_matrix, columns, params, params.batch, 64 * params.count);
+  });
+  return result;
+}
+
+}  // namespace kv::augmentation

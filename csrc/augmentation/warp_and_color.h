@@ -1,0 +1,29 @@
+// A warp by a matrix and a program of color steps in one pass over memory, on the CPU: both halves are those of
+// geometry/transform/warp and color/program, on bands of rows that stay in the cache. On CUDA they run one after the
+// other. Included by warp_and_color_cpu.cpp and warp_and_color_op.cpp.
+#pragma once
+
+#include "color/program.h"
+#include "geometry/transform/sampling.h"
+
+namespace kv::augmentation {
+
+// Images have one or three channels, and types that compute in float. The sampled pixels are not stored: `warp.y` has
+// their size only. `program.x` is not used.
+template <class T>
+struct WarpAndColor {
+  geometry::Sample<T> warp;
+  color::Program<float> program;
+};
+
+// A band of rows of a sample is processed at a time. Each has its own partial sum of a mean.
+constexpr int64_t kBandPixels = 8192;
+KV_HD int64_t rows_of_band(int64_t width) { return max(int64_t(1), kBandPixels / width); }
+KV_HD int64_t bands_of(int64_t height, int64_t width) {
+  int64_t const rows = rows_of_band(width);
+  return (height + rows - 1) / rows;
+}
+
+KV_KERNEL(warp_and_color, WarpAndColor)
+
+}  // namespace kv::augmentation

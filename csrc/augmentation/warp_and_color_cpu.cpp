@@ -1,0 +1,54 @@
+// Warps with a program of color steps on the CPU: parts [begin, end) of all samples, which are bands of rows. The warp
+// writes a band to a buffer that stays in the cache, and the program reads it there. Compiled once per instruction set.
+#include "augmentation/warp_and_color.h"
+#include "core/lanes.h"
+#include "core/scratch.h"
+
+namespace kv::augmentation::KV_ISA {
+namespace {
+
+template <class T>
+constexpr DType kTypeOf = sizeof(T) == 4             ? DType::float32
+                          : sizeof(T) == 1           ? DType::uint8
+                          : __is_same(T, ::kv::Half) ? DType::float16
+                                                     : DType::bfloat16;
+
+}  // namespace
+
+template <class T>
+void warp_and_color(WarpAndColor<T> const& p, int64_t begin, int64_t end) {
+  Images<T> const& y = p.warp.y;
+  int64_t const width = y.width, rows = rows_of_band(width), bands = bands_of(y.height, width);
+  Scratch<T> band(y.channels * rows * width);
+  for (int64_t part = begin; part < end; ++part) {
+    int64_t const b = part / bands, first = (part - b * bands) * rows, count = min(rows, y.height - first);
+    geometry::Sample<T> warp = p.warp;
+    warp.y = {band.data - first * width, 0, rows * width, width, 1, y.batch, y.height, width, y.channels};
+    geometry::KV_ISA::sample(warp, b * y.height + first, b * y.height + first + count);
+
+    // The band as a sample of its own, but for the pixels of the mean.
+    color::Program<float> program = p.program;
+    program.x = {band.data, kTypeOf<T>, y.channels, 1, 0, 0, rows * width, 1};
+    program.pixels = count * width;
+    float mean;
+    if (first > 0) program.means = &mean - b;  // stored once, with the first band
+    if (program.measures_mean) {
+      program.parts_count = 1;
+      program.parts += part - b;
+      color::KV_ISA::program(program, b, b + 1);
+    } else {
+      program.y.data = static_cast<char*>(program.y.data) + first * width * program.y.step * size_of(program.y.type);
+      int64_t const chunks = color::chunks_of<float>(program.pixels);
+      color::KV_ISA::program(program, b * chunks, (b + 1) * chunks);
+    }
+  }
+}
+
+KV_INSTANTIATE_ONE(warp_and_color, WarpAndColor, float)
+KV_INSTANTIATE_ONE(warp_and_color, WarpAndColor, uint8_t)
+#if !defined(__AVX512F__)
+KV_INSTANTIATE_ONE(warp_and_color, WarpAndColor, ::kv::Half)
+KV_INSTANTIATE_ONE(warp_and_color, WarpAndColor, ::kv::BFloat16)
+#endif
+
+}  // namespace kv::augmentation::KV_ISA

@@ -1,0 +1,259 @@
+// Warps with a program of color steps: schemas and entries, for CPU and CUDA alike. A warp without steps, or steps
+// without a warp, run as such; so do both one after the other where no kernel joins them.
+#include "augmentation/transforms_glue.h"
+#include "augmentation/warp_and_color.h"
+#include "color/program_glue.h"
+#include "geometry/transform/warp_glue.h"
+
+namespace kv::augmentation {
+namespace {
+
+using OptionalTensor = std::optional<Tensor>;
+using Numbers = std::vector<double>;
+
+// The schemas' `plan`, as make_plan in warp_and_color.py writes it: the dtype and the layout of the result;
+// interpolation, padding and align_corners; the number of integers of the transforms, and these; the number of steps,
+// and these; the number of columns of their parameters, and these; and the order of the steps. `numbers` are those of
+// the transforms, then those of the steps.
+struct WarpAndColorPlan {
+  int64_t interpolation, padding;
+  bool align_corners;
+  std::span<int64_t const> transforms, order;
+  color::PlanArgument program;
+  std::span<double const> transform_numbers;
+  Numbers numbers;
+
+  WarpAndColorPlan(char const* op, std::vector<int64_t> const& plan, Numbers const& all_numbers) {
+    std::span<int64_t const> rest(plan);
+    auto const next = [&](size_t count) {
+      KV_CHECK(count <= rest.size(), op, ": the plan ends early");
+      auto const part = rest.first(count);
+      rest = rest.subspan(count);
+      return part;
+    };
+    auto const list = [&] {
+      int64_t const count = next(1)[0];
+      KV_CHECK(count >= 0, op, ": expected a number of integers, got ", count);
+      return next(size_t(count));
+    };
+    auto const head = next(5);
+    KV_CHECK(head[0] >= -1 && head[0] <= int64_t(DType::float64), op, ": there is no dtype ", head[0]);
+    KV_CHECK(head[1] >= -1 && head[1] <= 1, op, ": there is no layout ", head[1]);
+    interpolation = head[2];
+    padding = head[3];
+    align_corners = head[4] != 0;
+    transforms = list();
+    auto const steps = list();
+    KV_CHECK(steps.size() <= color::kMaxSteps, op, ": expected at most ", color::kMaxSteps, " steps, got ",
+             steps.size());
+    program = {head[0], head[1], steps, list()};
+    order = rest;
+    size_t count = 0;
+    for (size_t at = 0; at < transforms.size();) {
+      KV_CHECK(transforms[at] >= 0 && transforms[at] < kTransformKinds, op, ": there is no kind of transform ",
+               transforms[at]);
+      size_t const inputs = size_t(num_inputs_of(TransformKind(transforms[at])));
+      count += inputs;
+      at += 1 + inputs;
+    }
+    KV_CHECK(count <= all_numbers.size(), op, ": expected at least ", count, " numbers, got ", all_numbers.size());
+    transform_numbers = std::span<double const>(all_numbers).first(count);
+    numbers.assign(all_numbers.begin() + std::ptrdiff_t(count), all_numbers.end());
+  }
+  bool has_steps() const { return !program.steps.empty(); }
+};
+
+// What the entries share: the checked arguments, and how images are read.
+struct WarpAndColorArguments {
+  char const* op;
+  WarpAndColorPlan plan;
+  Tensor columns;
+  std::optional<geometry::Matrix> matrix;  // none: pixels stay in their places
+  std::optional<geometry::SamplingOptions> sampling;
+  OptionalTensor given_matrix;
+
+  // With the matrices of an earlier call, or with none.
+  WarpAndColorArguments(char const* op, Tensor const& image, OptionalTensor const& given_columns,
+                        OptionalTensor const& fill, OptionalTensor const& matrices, std::vector<int64_t> const& size,
+                        std::vector<int64_t> const& plan_numbers, Numbers const& numbers)
+      : op(op), plan(op, plan_numbers, numbers), columns(columns_of(op, image, given_columns)) {
+    if (size.empty()) return;
+    geometry::Size const output = geometry::checked_size(op, size), source = geometry::checked_size(op, image);
+    given_matrix = matrices ? *matrices : chain_matrix(op, columns, plan.transforms, plan.transform_numbers);
+    sampling.emplace(op, plan.interpolation, plan.padding, plan.align_corners, image, fill);
+    matrix.emplace(op, *given_matrix, image, image.size(0), true, false, plan.align_corners, source, output);
+  }
+
+  static Tensor columns_of(char const* op, Tensor const& image, OptionalTensor const& columns) {
+    check_images(op, "image", image);
+    if (!columns) return empty({image.size(0), 0}, image, Layout::planar, compute_dtype(image));
+    KV_CHECK(columns->dim() == 2 && columns->size(0) == image.size(0) && columns->device() == image.device() &&
+                 columns->scalar_type() == compute_dtype(image),
+             op, ": expected columns of shape (B, P), of the type that computes, on the device of the images");
+    return *columns;
+  }
+
+  // The program on images like `x`.
+  color::ProgramArguments program(Tensor const& x, ScalarType result) const {
+    color::ProgramArguments a(op, x, plan.program, plan.numbers, result, !plan.order.empty());
+    a.add_columns(op, x, columns);
+    a.check_columns(op, plan.program);
+    a.set_order(op, plan.order);
+    return a;
+  }
+
+#if !defined(KV_CUDA)
+  // Whether the kernel that joins warp and program serves images.
+  bool is_joined(Tensor const& image, color::ProgramArguments const& a) const {
+    int64_t const channels = image.size(1);
+    return !a.in_double && sampling->interpolation != geometry::Interpolation::bicubic &&
+           (channels == 3 || (channels == 1 && a.per_value));
+  }
+  // Samples as the kernels take them, of three channels or one.
+  color::Samples samples(Tensor const& image) const {
+    geometry::Size const size = matrix->use.output;
+    return {image.size(0), 1, size.height * size.width, image.size(1) == 1, false};
+  }
+  template <class T>
+  geometry::Sample<T> warp(Tensor const& image) const {
+    geometry::Size const source = matrix->use.source, output = matrix->use.output;
+    int64_t const batch = image.size(0);
+    geometry::Sample<T> const p{sampling->of<T>(source, matrix->coords<Compute<T>>()), images<T const>(image, batch),
+                                Images<T>{nullptr, 0, 0, 0, 0, batch, output.height, output.width, int(image.size(1))}};
+    geometry::check_planes(op, p.x);
+    return p;
+  }
+#endif
+};
+
+#if !defined(KV_CUDA)
+template <class Run>
+void dispatch_joined(char const* op, Tensor const& x, Run run) {
+  switch (x.scalar_type()) {
+    case ScalarType::Byte:
+      return run(Type<uint8_t>{});
+    case ScalarType::Float:
+      return run(Type<float>{});
+    case ScalarType::Half:
+      return run(Type<Half>{});
+    case ScalarType::BFloat16:
+      return run(Type<BFloat16>{});
+    default:
+      KV_CHECK(false, op, ": no kernel for this dtype");
+  }
+}
+
+// The result and the means of contrast.
+std::tuple<Tensor, Tensor> run_joined(WarpAndColorArguments const& a, Tensor const& image,
+                                      color::ProgramArguments const& arguments) {
+  color::PlanArgument const& plan = a.plan.program;
+  geometry::Size const size = a.matrix->use.output;
+  ScalarType const type = color::result_type(plan, image);
+  Layout const layout = plan.layout < 0 ? layout_of(image) : plan.layout == 0 ? Layout::planar : Layout::channels_last;
+  int64_t const batch = image.size(0), channels = arguments.sequence.one_channel ? 1 : image.size(1);
+  Tensor const y =
+      empty({batch, channels, size.height, size.width}, image, channels == 1 ? Layout::planar : layout, type);
+  bool const around_mean = arguments.sequence.contrast >= 0;
+  Tensor const means = empty({batch, around_mean ? 1 : 0}, image, Layout::planar, ScalarType::Float);
+  color::Samples const samples = a.samples(image);
+  dispatch_joined(a.op, image, [&]<class T>(Type<T>) {
+    WarpAndColor<T> p{a.warp<T>(image), color::program_of<float>(arguments, samples, a.plan.numbers, plan.columns)};
+    color::Program<float>& program = p.program;
+    program.y = samples.pixels_of(a.op, y, channels == 1 ? Layout::planar : layout);
+    if (around_mean) program.means = data_ptr<float>(means);
+    program.parts_count = bands_of(size.height, size.width);
+    int64_t const bands = y.numel() > 0 ? batch * program.parts_count : 0, cost = 6 * channels * kBandPixels;
+    Tensor partial_means;
+    if (around_mean) {
+      partial_means = empty({bands}, means);
+      program.parts = data_ptr<float>(partial_means);
+      program.measures_mean = true;
+      KV_RUN(warp_and_color, image, p, bands, cost);
+      program.measures_mean = false;
+    }
+    KV_RUN(warp_and_color, image, p, bands, cost);
+  });
+  return {y, means};
+}
+#endif
+
+// The result, the matrices of the warp (B, 3, 3), and the means of contrast (B, 1); without a warp (B, 0, 3), and
+// without contrast (B, 0).
+std::tuple<Tensor, Tensor, Tensor> warp_and_color(Tensor const& image, OptionalTensor const& columns,
+                                                  OptionalTensor const& fill, std::vector<int64_t> const& size,
+                                                  std::vector<int64_t> const& plan, Numbers const& numbers) {
+  WarpAndColorArguments const a("warp_and_color", image, columns, fill, {}, size, plan, numbers);
+  color::PlanArgument const& program = a.plan.program;
+  Tensor const matrix = a.matrix ? *a.given_matrix : empty({image.size(0), 0, 3}, a.columns);
+  bool const same = program.dtype < 0 && (program.layout < 0 || program.layout == int64_t(layout_of(image)));
+  if (a.matrix && same && !a.plan.has_steps())
+    return {geometry::warped(image, *a.sampling, *a.matrix), matrix, empty({image.size(0), 0}, a.columns)};
+  auto const arguments = a.program(image, color::result_type(program, image));
+#if !defined(KV_CUDA)
+  if (a.matrix && a.is_joined(image, arguments)) {
+    auto const [y, means] = run_joined(a, image, arguments);
+    return {y, matrix, means};
+  }
+#endif
+  Tensor const x = a.matrix ? geometry::warped(image, *a.sampling, *a.matrix) : image;
+  auto const [y, means] = color::run_program(a.op, x, arguments, program, a.plan.numbers);
+  return {y, matrix, arguments.sequence.contrast >= 0 ? means : empty({image.size(0), 0}, a.columns)};
+}
+
+// The gradients of the image, of the columns that the program reads, and of the matrices. One that is not wanted has no
+// elements.
+std::tuple<Tensor, Tensor, Tensor> warp_and_color_backward(Tensor const& grad, Tensor const& image,
+                                                           OptionalTensor const& columns, OptionalTensor const& fill,
+                                                           Tensor const& matrix, Tensor const& means,
+                                                           std::vector<int64_t> const& size,
+                                                           std::vector<int64_t> const& plan, Numbers const& numbers,
+                                                           bool of_image, bool of_columns) {
+  char const* const op = "warp_and_color_backward";
+  OptionalTensor const matrices = size.empty() ? OptionalTensor() : OptionalTensor(matrix);
+  WarpAndColorArguments const a(op, image, columns, fill, matrices, size, plan, numbers);
+  check_images(op, "grad", grad);
+  bool const of_matrix = of_columns && a.matrix, through = of_image || of_matrix;
+  int64_t const height = a.matrix ? a.matrix->use.output.height : image.size(2),
+                width = a.matrix ? a.matrix->use.output.width : image.size(3);
+  KV_CHECK(grad.size(0) == image.size(0) && grad.size(2) == height && grad.size(3) == width &&
+               grad.device() == image.device() && grad.scalar_type() != ScalarType::Byte &&
+               image.scalar_type() != ScalarType::Byte,
+           op, ": grad does not fit the result for this image");
+  Tensor const none = empty({image.size(0), 0}, a.columns);
+  Tensor sampled_grad = grad, grad_columns = none;
+  if (a.plan.has_steps() || grad.scalar_type() != image.scalar_type()) {
+    auto const arguments = a.program(image, grad.scalar_type());
+    KV_CHECK(!of_columns || arguments.columns <= color::kMaxParameters, op, ": expected at most ",
+             color::kMaxParameters, " columns, got ", arguments.columns);
+    KV_CHECK(grad.size(1) == (arguments.sequence.one_channel ? 1 : image.size(1)), op,
+             ": grad does not fit the result for this image");
+    bool const of_parameters = of_columns && arguments.columns > 0;
+    color::WantedGradients const wanted{through, of_parameters};
+    Tensor const x = a.matrix ? geometry::warped(image, *a.sampling, *a.matrix) : image;
+    auto const around = arguments.sequence.contrast >= 0 ? OptionalTensor(means) : OptionalTensor();
+    auto const [of_sampled, of_program] =
+        color::program_gradients(op, grad, x, arguments, a.plan.program, a.plan.numbers, around, wanted);
+    sampled_grad = of_sampled;
+    if (of_parameters) grad_columns = torch::stable::squeeze(of_program, 1);
+  }
+  Tensor grad_image = none, grad_matrix = empty({image.size(0), 0, 3}, a.columns);
+  if (!a.matrix) {
+    if (of_image) grad_image = sampled_grad;
+  } else {
+    geometry::BatchSize const batch{image.size(0), a.matrix->use.source};
+    if (of_image) grad_image = geometry::warp_image_gradient(sampled_grad, batch, *a.sampling, *a.matrix);
+    if (of_matrix) grad_matrix = geometry::warp_matrix_gradient(sampled_grad, image, *a.sampling, *a.matrix);
+  }
+  return {grad_image, grad_columns, grad_matrix};
+}
+
+}  // namespace
+
+KV_OPERATOR(warp_and_color,
+            "(Tensor image, Tensor? columns, Tensor? fill, SymInt[] size, int[] plan, float[] numbers) "
+            "-> (Tensor, Tensor, Tensor)")
+KV_OPERATOR(warp_and_color_backward,
+            "(Tensor grad, Tensor image, Tensor? columns, Tensor? fill, Tensor matrix, Tensor means, SymInt[] size, "
+            "int[] plan, float[] numbers, bool of_image, bool of_columns) -> (Tensor, Tensor, Tensor)")
+
+}  // namespace kv::augmentation

@@ -1,0 +1,55 @@
+"""What calls of the same settings and sizes share: it is computed once and kept until a setting changes."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Any
+
+_MOST = 64  # plans of an object: images of many sizes are rarer than plans are large
+
+
+class _Changes:
+    count = 0  # of settings of all augmentations in the process
+
+
+def settings_changed() -> None:
+    """To be called when a setting of any augmentation changes: plans that were made before are not used again."""
+    _Changes.count += 1
+
+
+class Plans:
+    """Plans of one object by what they depend on besides its settings. Copies and pickles have none."""
+
+    def __init__(self) -> None:
+        self._plans: dict[Hashable, Any] = {}
+        self._count = _Changes.count
+
+    def get(self, key: Hashable) -> Any:
+        """The plan of a key; None if there is none, or if a setting has changed since."""
+        return self._plans.get(key) if self._count == _Changes.count else None
+
+    def keep(self, key: Hashable, plan: Any) -> None:
+        if self._count != _Changes.count or len(self._plans) >= _MOST:
+            self._plans, self._count = {}, _Changes.count
+        self._plans[key] = plan
+
+    def __reduce__(self) -> Any:
+        return Plans, ()
+
+
+def _noticing(name: str) -> Any:
+    method = getattr(dict, name)
+
+    def changed(self: Flags, *args: Any, **kwargs: Any) -> Any:
+        settings_changed()
+        return method(self, *args, **kwargs)
+
+    return changed
+
+
+class Flags(dict[str, Any]):
+    """Settings of an augmentation by name."""
+
+    for _name in ("__setitem__", "__delitem__", "__ior__", "clear", "pop", "popitem", "setdefault", "update"):
+        locals()[_name] = _noticing(_name)
+    del _name

@@ -1,0 +1,386 @@
+"""One pass over images: a warp by the matrix of a chain of transforms, and then a program of color steps.
+
+Both read the columns of drawn parameters. The operator stands for `transform_matrix`, `warp` and a color program one after the
+other, and gives what they give: what the warp samples is rounded to the type of the images. A kernel that joins them keeps it in
+registers. Either part may be missing; the result may have another type and layout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from kvision._dtype import compute_dtype
+from kvision._modes import INTERPOLATION, PADDING
+from kvision._ops import register
+from kvision.augmentation import transforms
+from kvision.augmentation.transforms import MAX_TRANSFORMS, Transform
+from kvision.color import program
+from kvision.color.program import MAX_TENSORS
+from kvision.color.steps import CONTRAST, STEPS
+from kvision.geometry.transform import sampling
+
+# Arguments of the operator: images (B, C, H, W); columns (B, P) in the type that computes, or None; the fill as warps take it, or
+# None; the size of the result, empty without a warp; the plan; and numbers. The plan has the dtype and the layout of the result,
+# as in color programs; interpolation, padding and align_corners; and lists, of which all but the last begin with their length:
+# the plan of the transforms (transforms.make_plan); the steps; the column of each of their parameters, or -1 for a number; and the
+# order of the steps, a pair for each position: a step, after the column of a number that is added to it, or -1. Where the number
+# is negative there is no step. Without an order all steps follow each other. The numbers are those of the transforms, then those
+# of the steps.
+
+
+class _Plan(NamedTuple):
+    dtype: int
+    layout: int
+    sampling: tuple[int, int, bool]
+    transforms: Sequence[int]
+    steps: Sequence[int]
+    columns: Sequence[int]
+    order: Sequence[int]
+    transform_numbers: Sequence[float]
+    numbers: Sequence[float]
+
+    @property
+    def color_plan(self) -> list[int]:
+        """The plan of the color program by itself."""
+        return [self.dtype, self.layout, len(self.steps), *self.steps, *self.columns]
+
+
+def _parse(plan: Sequence[int], numbers: Sequence[float]) -> _Plan:
+    dtype, layout, interpolation, padding, align_corners, *rest = plan
+    lists = []
+    for _ in range(3):
+        count = rest[0]
+        lists.append(rest[1 : 1 + count])
+        rest = rest[1 + count :]
+    chain, steps, columns = lists
+    counts = [inputs for _, inputs in transforms.KINDS.values()]
+    at = count = 0
+    while at < len(chain):
+        count += counts[chain[at]]
+        at += 1 + counts[chain[at]]
+    how = (interpolation, padding, bool(align_corners))
+    return _Plan(dtype, layout, how, chain, steps, columns, rest, numbers[:count], numbers[count:])
+
+
+# --- the reference --------------------------------------------------------------------------------------------------
+
+
+def _reference(
+    image: Tensor,
+    columns: Tensor | None,
+    fill: Tensor | None,
+    size: Sequence[int],
+    plan: Sequence[int],
+    numbers: Sequence[float],
+) -> tuple[Tensor, Tensor, Tensor]:
+    parts = _parse(plan, numbers)
+    columns = _columns_of(image, columns)
+    matrix = columns.new_empty(image.shape[0], 0, 3)
+    if size:
+        matrix = transforms._transform_matrix.reference(columns, parts.transforms, parts.transform_numbers)
+    y, mean = _apply(image, columns, fill, matrix, size, parts)
+    return y, matrix, mean
+
+
+def _columns_of(image: Tensor, columns: Tensor | None) -> Tensor:
+    return image.new_empty(image.shape[0], 0, dtype=compute_dtype(image)) if columns is None else columns
+
+
+def _apply(
+    image: Tensor, columns: Tensor, fill: Tensor | None, matrix: Tensor, size: Sequence[int], parts: _Plan
+) -> tuple[Tensor, Tensor]:
+    """The result by given matrices, and the means of contrast."""
+    x = image
+    if size:
+        x = sampling.warp.reference(image, matrix, fill, None, size, *parts.sampling, True, False)
+    mean = columns.new_empty(columns.shape[0], 0)
+    if parts.steps or not size or parts.dtype >= 0 or parts.layout >= 0:
+        tensors = [columns[:, None], *[None] * (MAX_TENSORS - 1)]
+        x, means = program._program_around_mean.reference(
+            x, *tensors, _order_of(parts.order, columns), parts.color_plan, parts.numbers
+        )
+        mean = means if CONTRAST in parts.steps else mean
+    return x, mean
+
+
+def _order_of(order: Sequence[int], columns: Tensor) -> Tensor | None:
+    """The steps at all positions, (B, S); -1 for none."""
+    if not order:
+        return None
+    positions = []
+    for column, step in zip(order[::2], order[1::2]):
+        if column < 0:
+            positions.append(columns.new_full((columns.shape[0],), step))
+        else:
+            added = columns[:, column].detach()
+            positions.append(torch.where(added >= 0, added + step, -1.0))
+    return torch.stack(positions, 1).long()
+
+
+def _reference_backward(
+    grad: Tensor,
+    image: Tensor,
+    columns: Tensor | None,
+    fill: Tensor | None,
+    matrix: Tensor,
+    mean: Tensor,
+    size: Sequence[int],
+    plan: Sequence[int],
+    numbers: Sequence[float],
+    of_image: bool,
+    of_columns: bool,
+) -> tuple[Tensor, Tensor, Tensor]:
+    columns = _columns_of(image, columns)
+    parts = _parse(plan, numbers)._replace(dtype=program._DTYPES.index(columns.dtype))
+    if size:  # from the columns again, of which it is a function for second derivatives
+        matrix = transforms._transform_matrix.reference(columns, parts.transforms, parts.transform_numbers)
+
+    def result(image: Tensor, columns: Tensor, matrix: Tensor) -> Tensor:
+        return _apply(image, columns, fill, matrix, size, parts)[0]
+
+    vjp_fn: Any = torch.func.vjp(result, image.to(columns.dtype), columns, matrix)[1]
+    grad_image, grad_columns, grad_matrix = vjp_fn(grad.to(columns.dtype))
+    of_matrix = of_columns and bool(size)
+    grad_image = grad_image.to(image.dtype)
+    return (
+        _gradient_layout(grad_image, image, size) if of_image else image.new_empty(image.shape[0], 0),
+        grad_columns if _has_column_gradient(parts, columns, of_columns) else columns[:, :0],
+        grad_matrix if of_matrix else matrix[:, :0],
+    )
+
+
+def _gradient_layout(grad: Tensor, image: Tensor, size: Sequence[int]) -> Tensor:
+    """As the kernels write it: those of warps write planes."""
+    return grad.contiguous() if size else program.match_layout(grad, image)
+
+
+def _has_column_gradient(parts: _Plan, columns: Tensor, of_columns: bool) -> bool:
+    return of_columns and bool(parts.steps) and columns.shape[1] > 0
+
+
+# --- rules ----------------------------------------------------------------------------------------------------------
+
+
+def _fake(image, columns, fill, size, plan, numbers):
+    parts = _parse(plan, numbers)
+    like = image.new_empty(image.shape[:2] + tuple(size)) if size else image
+    like = program.match_layout(like, image)
+    tensors = [None] * MAX_TENSORS
+    y = program._result(like, *tensors, None, parts.color_plan, parts.numbers)
+    dtype, batch = compute_dtype(image), image.shape[0]
+    return [
+        y,
+        image.new_empty((batch, 3 if size else 0, 3), dtype=dtype),
+        image.new_empty((batch, 1 if CONTRAST in parts.steps else 0), dtype=dtype),
+    ]
+
+
+def _fake_backward(grad, image, columns, fill, matrix, mean, size, plan, numbers, of_image, of_columns):
+    columns = _columns_of(image, columns)
+    has_columns = _has_column_gradient(_parse(plan, numbers), columns, of_columns)
+    return [
+        _gradient_layout(torch.empty_like(image), image, size) if of_image else image.new_empty((image.shape[0], 0)),
+        columns.new_empty((image.shape[0], columns.shape[1] if has_columns else 0)),
+        columns.new_empty((image.shape[0], 3 if size and of_columns else 0, 3)),
+    ]
+
+
+def _backward(needs, grad, _, __, y, matrix, mean, image, columns, fill, size, plan, numbers):
+    if needs[2] or image.dtype == torch.uint8 or y.dtype == torch.uint8:
+        return warp_and_color.differentiate_reference(needs, grad, _, __, image, columns, fill, size, plan, numbers)
+    arguments = (grad, image, columns, fill, matrix, mean, size, plan, numbers)
+    grad_image, grad_columns, grad_matrix = _warp_and_color_backward(*arguments, needs[0], needs[1])
+    if not needs[1]:
+        return [grad_image, None, None]
+    if size:
+        parts = _parse(plan, numbers)
+        of_chain = transforms._transform_matrix_backward(
+            grad_matrix, columns, parts.transforms, parts.transform_numbers
+        )
+        grad_columns = of_chain + grad_columns if grad_columns.shape[1] else of_chain
+    elif not grad_columns.shape[1]:
+        grad_columns = torch.zeros_like(columns)
+    return [grad_image if needs[0] else None, grad_columns, None]
+
+
+def _supports(image: Tensor, columns: Tensor | None, fill: Tensor | None, size: Any, plan: Any, *_: Any) -> str | None:
+    """Images have a pixel, and image and result are both float64, or neither is."""
+    if 0 in image.shape[2:]:
+        return f"there is no kernel for images without pixels, here {tuple(image.shape)}"
+    if plan[0] >= 0 and (image.dtype == torch.float64) != (plan[0] == program._DTYPES.index(torch.float64)):
+        return f"there is no kernel from {image.dtype} to {program._DTYPES[plan[0]]}"
+    return None
+
+
+def _supports_backward(grad: Tensor, image: Tensor, columns: Tensor | None, *rest: Any) -> str | None:
+    """Images have a pixel, and at most 64 columns get gradients."""
+    if 0 in image.shape[2:]:
+        return f"there is no kernel for images without pixels, here {tuple(image.shape)}"
+    if rest[-1] and columns is not None and columns.shape[1] > program.MAX_NUMBERS:
+        return f"there is no kernel for gradients of {columns.shape[1]} columns"
+    return None
+
+
+def _adds_by_atomics(grad: Tensor, image: Tensor, *rest: Any) -> bool:
+    """The gradient of an image on CUDA, unless pixels from outside are the fill value."""
+    size, plan, of_image = rest[4], rest[5], rest[7]
+    return grad.is_cuda and bool(size) and bool(of_image) and plan[3] != PADDING["fill"]
+
+
+warp_and_color = register(
+    "warp_and_color",
+    _reference,
+    fake=_fake,
+    backward=_backward,
+    saves_results=True,
+    non_differentiable=(1, 2),
+    bytes=True,
+    casts_outputs=True,
+    supports=_supports,
+)
+_warp_and_color_backward = register(
+    "warp_and_color_backward",
+    _reference_backward,
+    fake=_fake_backward,
+    casts_outputs=True,
+    supports=_supports_backward,
+    nondeterministic=_adds_by_atomics,
+)
+
+# --- passes ---------------------------------------------------------------------------------------------------------
+
+
+class Resampling(NamedTuple):
+    """How a warp reads an image: names as the warps of kvision.geometry take them, and the fill value."""
+
+    mode: str = "bilinear"
+    padding: str = "zeros"
+    align_corners: bool = True
+    fill: Any = None
+
+    def for_labels(self, mode: str | None = None) -> Resampling:
+        """How masks are read: pixels from outside are 0 where those of images have the fill value."""
+        padding = "zeros" if self.padding == "fill" else self.padding
+        return self._replace(mode=mode or self.mode, padding=padding, fill=None)
+
+    def for_inverse(self, mode: str | None = None) -> Resampling:
+        """How results are read to undo a call, which know nothing of the pixels that left them."""
+        return self._replace(mode=mode or self.mode, padding="zeros", fill=None)
+
+
+class ColorStep(NamedTuple):
+    """A step of a color program: its name (kvision.color.steps) and its parameters, a number or the index of a column each."""
+
+    name: str
+    parameters: Sequence[float] = ()
+    columns: Sequence[int] = ()  # one of a parameter, -1 for a number; empty if all are numbers
+
+    @property
+    def number(self) -> int:
+        return STEPS[self.name].number
+
+
+class ColorPart(NamedTuple):
+    """The steps of one augmentation, whose parameters begin at column `first`."""
+
+    steps: Sequence[ColorStep]
+    first: int = 0
+    order: Sequence[int] | None = (
+        None  # columns with the steps in their order, -1 for none; None: all follow each other
+    )
+
+
+class Output(NamedTuple):
+    """The type and the layout of a result; None for those of the images."""
+
+    dtype: torch.dtype | None = None
+    memory_format: torch.memory_format | None = None
+
+
+SAME = Output()
+
+
+class Pass(NamedTuple):
+    """The arguments of the operator that do not depend on data."""
+
+    size: list[int]
+    plan: list[int]
+    numbers: list[float]
+    resampling: Resampling | None  # with a fill value
+    chain: Sequence[Transform]  # the transforms that did not fit the kernel, after which the matrix is computed before
+
+    def run(self, x: Tensor, columns: Tensor | None) -> tuple[Tensor, Tensor]:
+        """The result, and the matrices (B, 3, 3) of the warp, which do not carry gradients."""
+        fill = None
+        if self.resampling is not None:
+            fill = sampling.padding_and_fill("augmentation", x, self.resampling.padding, self.resampling.fill)[1]
+        dtype = torch.float64 if x.dtype == torch.float64 else torch.float32
+        if columns is not None and columns.dtype != dtype:
+            columns = columns.to(dtype)
+        if self.chain:
+            columns = transforms.transform_matrix(_columns_of(x, columns), self.chain).flatten(1)
+        y, matrix, _ = warp_and_color(x, columns, fill, self.size, self.plan, self.numbers)
+        return y, matrix
+
+
+def make_pass(
+    chain: Sequence[Transform] | None,
+    size: Sequence[int] = (),
+    resampling: Resampling | None = None,
+    parts: Sequence[ColorPart] = (),
+    output: Output = SAME,
+) -> Pass:
+    """The pass of a chain of transforms, None for no warp, and then of the steps of several augmentations."""
+    how = [0, 0, 0]
+    transform_plan: list[int] = []
+    numbers: list[float] = []
+    before: Sequence[Transform] = ()
+    if chain is not None:
+        assert resampling is not None
+        padding = PADDING.get(resampling.padding, PADDING["fill"])
+        how = [INTERPOLATION[resampling.mode], padding, int(resampling.align_corners)]
+        if len(chain) > MAX_TRANSFORMS:
+            assert not parts  # whose columns would be others
+            before, chain = chain, [Transform("matrix", [0.0] * 9, range(9))]
+        transform_plan, numbers = transforms.make_plan(chain)
+    steps: list[int] = []
+    columns: list[int] = []
+    order: list[int] = []
+    is_ordered = any(part.order is not None for part in parts)
+    for part in parts:
+        first = len(steps)
+        for step in part.steps:
+            count = STEPS[step.name].parameters
+            steps.append(step.number)
+            numbers += [*step.parameters, *[0.0] * (count - len(step.parameters))]
+            columns += [part.first + c if c >= 0 else -1 for c in step.columns] + [-1] * (count - len(step.columns))
+        if is_ordered:
+            for i in range(len(part.steps)):
+                order += (-1, first + i) if part.order is None else (part.order[i], first)
+    if all(c < 0 for c in columns):
+        columns = []
+    head = [
+        -1 if output.dtype is None else program._DTYPES.index(output.dtype),
+        program.LAYOUTS[output.memory_format],
+        *how,
+    ]
+    plan = [*head, len(transform_plan), *transform_plan, len(steps), *steps, len(columns), *columns, *order]
+    has_fill = resampling is not None and resampling.padding == "fill" and resampling.fill is not None
+    return Pass(
+        [] if chain is None else list(size), plan, [float(x) for x in numbers], resampling if has_fill else None, before
+    )
+
+
+def fits_one_program(parts: Sequence[ColorPart]) -> bool:
+    """Whether the kernels take the steps of all parts in one program."""
+    steps = [step for part in parts for step in part.steps]
+    numbers = sum(STEPS[step.name].parameters for step in steps)
+    return (
+        len(steps) <= program.MAX_STEPS
+        and numbers <= program.MAX_NUMBERS
+        and sum(step.number == CONTRAST for step in steps) <= 1
+    )

@@ -1,0 +1,207 @@
+"""Passes over images: a warp by a chain of transforms, then a program of color steps."""
+
+import pytest
+import torch
+
+import kvision as K
+from kvision.augmentation.transforms import Transform, affine
+from kvision.augmentation.warp_and_color import SAME, ColorPart, ColorStep, Resampling, make_pass
+from kvision.core.exceptions import ShapeError, TypeCheckError
+from op_tests import OpTests, assert_close
+
+A = K.augmentation
+
+
+def apply_pass(input, columns=None, chain=None, size=(), resampling=None, parts=(), output=SAME):
+    """The operator with the checks of its callers."""
+    if not isinstance(input, torch.Tensor) or not (input.is_floating_point() or input.dtype == torch.uint8):
+        if not isinstance(input, torch.Tensor) or input.is_complex():
+            raise TypeCheckError("apply_pass: expected images")
+        input = input.float()
+    if input.dim() != 4 or 0 in input.shape[2:]:
+        raise ShapeError("apply_pass: expected images of shape (B, C, H, W)")
+    return make_pass(chain, size, resampling, parts, output).run(input, columns)[0]
+
+
+# Columns: angle, translation, box of a crop, factors, an angle of hue, an order.
+def columns(x):
+    torch.manual_seed(4)
+    batch, (h, w) = x.shape[0], x.shape[-2:]
+    rest = torch.tensor([[10.0, 1.3, -0.7, 0.0, 0.0, 0.9 * w, 0.8 * h, 0.9, 1.1, 1.2, 0.1]], dtype=torch.float64)
+    drawn = rest.expand(batch, -1) * (1 + 0.05 * torch.rand(batch, 11, dtype=torch.float64))
+    # Between integers, so that numerical derivatives do not change a step.
+    orders = torch.tensor([[2.0, 0, 1, 3], [-1, 3, 2, 1], [0, 1, 2, 3]], dtype=torch.float64) + 0.25
+    return torch.cat([drawn, orders[torch.arange(batch) % 3]], 1)
+
+
+TURN = [affine((8.0, 6.0), angle=0, translation=(1, 2))]
+CROP = [Transform("crop", (0, 0, 0, 0, 9, 7, 0), (3, 4, 5, 6, -1, -1, -1)), affine((4.0, 3.0), scale=(-1, -1))]
+LINEAR, NEAREST = Resampling("bilinear", "border", False), Resampling("nearest", "zeros")
+FILLED = Resampling("bilinear", "fill", True, 0.3)
+JITTER = ColorPart(
+    [
+        ColorStep("scale_shift", (0.0, 0.0, 1.0), (7,)),
+        ColorStep("contrast", (0.0,), (8,)),
+        ColorStep("saturation_gray", (0.0,), (9,)),
+        ColorStep("hue", (0.0,), (10,)),
+    ],
+    0,
+    range(11, 15),
+)
+PLAIN = ColorPart([ColorStep("saturation_gray", (0.0,), (9,)), ColorStep("scale_shift", (0.0, 0.1, 0.0), (7,))])
+NORMALIZE = ColorPart([ColorStep("standardize_rgb", (0.5, 0.4, 0.3, 0.3, 0.2, 0.4))])
+
+
+class TestWarpAndColor(OpTests):
+    function = staticmethod(apply_pass)
+    operators = ("warp_and_color", "warp_and_color_backward", "transform_matrix_backward")
+    channels = 3
+    small = (2, 3, 4, 5)
+    bytes = True
+    # A warp takes images of any size to any other.
+    accepted = ("image cut along axis -1", "image cut along axis -2")
+    max_size = 17
+    shape = (3, 3, 13, 18)
+    variants = [
+        {"columns": columns, "chain": CROP, "size": (7, 9), "resampling": LINEAR, "parts": (PLAIN, NORMALIZE)},
+        {"columns": columns, "chain": TURN, "size": (13, 18), "resampling": LINEAR, "parts": (JITTER,)},
+        {"columns": columns, "chain": TURN, "size": (11, 6), "resampling": FILLED},
+        {"columns": columns, "parts": (JITTER, NORMALIZE)},
+        {"columns": columns, "chain": CROP, "size": (7, 9), "resampling": NEAREST, "parts": (PLAIN,)},
+        {"columns": columns, "chain": CROP, "size": (7, 9), "resampling": LINEAR, "parts": (JITTER, NORMALIZE)},
+    ]
+    # Between the warp and the program, what is sampled is rounded to the type of the images.
+    tolerances = {torch.float16: (1e-2, 1e-2), torch.bfloat16: (8e-2, 8e-2), torch.uint8: (0.0, 2.0)}
+
+    def input(self, shape, dtype, device):
+        """Colors away from grays, from ties of their channels and from the bounds, where gradients jump."""
+        x = torch.rand(shape, dtype=torch.float64)
+        if shape[-3] == 3:
+            x = 0.25 + 0.1 * x + torch.tensor([0.2, 0.0, 0.4], dtype=torch.float64)[:, None, None]
+        return (255 * x).to(dtype).to(device) if dtype == torch.uint8 else x.to(dtype).to(device)
+
+
+def pipeline(**options):
+    return A.AugmentationSequential(
+        A.RandomResizedCrop((24, 20)),
+        A.RandomHorizontalFlip(),
+        A.ColorJitter(0.2, 0.2, 0.2, 0.1),
+        A.Normalize((0.485, 0.456, 0.406), (0.229, 0.224, 0.225)),
+        **options,
+    )
+
+
+def one_by_one(augment, x, seed):
+    torch.manual_seed(seed)
+    for child in augment.children():
+        x = child(x)
+    return x
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        pipeline,
+        lambda: A.ImageSequential(A.RandomAffine(30.0, (0.1, 0.1), p=0.6), A.RandomGrayscale(p=0.5)),
+        lambda: A.ImageSequential(
+            A.ColorJitter(0.3, 0.3, 0.3, 0.1, p=0.5), A.RandomVerticalFlip(), A.RandomInvert(p=0.5)
+        ),
+        lambda: A.ImageSequential(
+            A.RandomHorizontalFlip(), A.RandomRotation(20.0), A.ColorJitter(contrast=0.4), A.ColorJitter(contrast=0.4)
+        ),
+        lambda: A.ImageSequential(A.RandomCrop((17, 15), padding=2, fill=0.4), A.Normalize(0.4, 0.3)),
+    ],
+)
+def test_equals_separate_calls(make, device):
+    augment, x = make(), torch.rand(6, 3, 32, 27, device=device)
+    for seed in range(3):  # the second call finds its plan
+        torch.manual_seed(seed)
+        y = augment(x)
+        assert_close(y, one_by_one(augment, x, seed), 1e-5, 2e-5)
+        assert_close(augment(x, params=augment._params), y, 1e-5, 2e-5)
+
+
+def test_pipeline_takes_five_launches_at_most(device):
+    if device.type != "cuda":
+        pytest.skip("needs --device cuda")
+    augment, x = pipeline(), torch.rand(32, 3, 64, 64, device=device)
+    augment(x)
+    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CUDA]) as profile:
+        augment(x)
+        torch.cuda.synchronize()
+    kernels = [e.name for e in profile.events() if e.device_type == torch.autograd.DeviceType.CUDA]
+    assert 0 < len(kernels) <= 5, kernels  # draws, matrices, warp, mean, program
+
+
+@pytest.mark.parametrize("memory_format", [None, torch.contiguous_format, torch.channels_last])
+@pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.uint8])
+@pytest.mark.parametrize("stored", [torch.uint8, torch.float32])
+def test_results_have_the_wanted_type_and_layout(stored, dtype, memory_format, device):
+    x = torch.randint(0, 256, (4, 3, 32, 32), dtype=torch.uint8, device=device)
+    x = x if stored == torch.uint8 else x.float() / 255
+    augment = pipeline(output_dtype=dtype, memory_format=memory_format)
+    torch.manual_seed(1)
+    y = augment(x)
+    assert y.dtype == dtype and y.shape == (4, 3, 24, 20)
+    assert y.is_contiguous(memory_format=memory_format or torch.contiguous_format)
+    torch.manual_seed(1)
+    expected = pipeline()(x.float() / 255 if stored == torch.uint8 else x)
+    if dtype == torch.uint8:
+        assert_close(y, (255 * expected).round().clamp(0, 255).to(torch.uint8), 0, 10)
+    else:
+        # The crop rounds bytes to bytes, and the deviations divide by a fifth.
+        rtol, atol = (0.0, 0.05) if stored == torch.uint8 else (2e-3, 2e-3)
+        assert_close(y.float(), expected, rtol, atol)
+
+
+@pytest.mark.parametrize(
+    "make", [lambda **o: A.ImageSequential(**o), lambda **o: A.ImageSequential(torch.nn.Identity(), **o)]
+)
+def test_type_of_results_without_passes(make, device):
+    x = torch.randint(0, 256, (2, 3, 8, 9), dtype=torch.uint8, device=device)
+    y = make(output_dtype=torch.float32, memory_format=torch.channels_last)(x)
+    assert_close(y, x.float() / 255)
+    assert y.is_contiguous(memory_format=torch.channels_last)
+
+
+def test_types_of_results_are_checked():
+    with pytest.raises(TypeError, match="ImageSequential: expected output_dtype to be uint8 or a floating-point type"):
+        A.ImageSequential(output_dtype=torch.int32)
+    with pytest.raises(ValueError, match="ImageSequential: expected memory_format to be"):
+        A.ImageSequential(memory_format=torch.channels_last_3d)
+
+
+def test_changed_settings_are_noticed(device):
+    """Plans are kept from call to call until a setting changes, in any of the ways to change one."""
+    x = torch.rand(4, 3, 16, 16, device=device)
+    flip, crop = A.RandomHorizontalFlip(p=1.0), A.RandomResizedCrop((8, 8))
+    affine_, jitter = A.RandomAffine(0.0, p=1.0), A.ColorJitter(brightness=(1.0, 1.0))
+    augment = A.ImageSequential(flip, affine_, jitter)
+    assert_close(augment(x), x.flip(-1), 1e-5, 1e-5)
+    flip.p = 0.0
+    assert_close(augment(x), x, 1e-5, 1e-5)
+    affine_.flags["padding_mode"] = K.constants.SamplePadding.BORDER
+    affine_._param_generator = A.RandomAffine((90.0, 90.0))._param_generator
+    assert_close(augment(x), x.rot90(1, (2, 3)), 1e-5, 1e-5)
+    jitter.apply_transform = lambda input, *_: input + 1
+    assert_close(augment(x), x.rot90(1, (2, 3)) + 1, 1e-5, 1e-5)
+    augment.append(crop)
+    assert augment(x).shape == (4, 3, 8, 8)
+    augment[0] = A.RandomVerticalFlip(p=1.0)
+    flip.p = 1.0
+    assert augment(torch.rand(2, 3, 20, 20, device=device)).shape == (2, 3, 8, 8)
+
+
+def test_gradients_of_learned_ranges(device):
+    """Of an augmentation in a pass with others, they equal those of separate calls."""
+    grads = []
+    x = torch.rand(3, 3, 16, 16, device=device)
+    for together in (True, False):
+        angle = torch.nn.Parameter(torch.tensor([-20.0, 20.0], device=device))
+        bright = torch.nn.Parameter(torch.tensor([0.8, 1.2], device=device))
+        augment = A.ImageSequential(A.RandomRotation(angle, p=1.0), A.ColorJitter(brightness=bright))
+        torch.manual_seed(3)
+        y = augment(x) if together else one_by_one(augment, x, 3)
+        grads.append(torch.autograd.grad((y**2).sum(), [angle, bright]))
+    for together, alone in zip(*grads):
+        assert_close(together, alone, 1e-4, 1e-4)

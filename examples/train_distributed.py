@@ -12,7 +12,7 @@ on its own device, with its own stream of random numbers; with --seed-samples th
 instead, and a batch is augmented alike on any number of ranks. A checkpoint has the parameters, the state of the optimizer and all
 generators: a run that was killed, also in a single rank, gives the same losses when it is started again with the same number of
 ranks. On GPUs this also takes --deterministic. FOLDER must be seen by all machines. torchrun starts the ranks again itself with
---max-restarts 3; set TORCH_DISABLE_SHARE_RDZV_TCP_STORE=1 then, or the new ranks look for the old ones (torch 2.4 to 2.13).
+--max-restarts 3; set TORCH_DISABLE_SHARE_RDZV_TCP_STORE=1 then, or the new ranks look for the old ones (seen with torch 2.13).
 
 The program prints images a second, of all ranks and of each, and the share of the time that augmentation takes.
 """

@@ -148,7 +148,7 @@ struct RowPrefetcher {
         copy_part_async_if<kBytes>(to, reinterpret_cast<char const*>(from) - begin, more && enabled && bytes > 0,
                                    zero ? 0 : min(bytes, kBytes));
       };
-      copy(column_to + to, from, column, true);
+      copy(column_to + to, from, column, (column + P) * int(sizeof(T)) > begin);
       copy(halo_to + to, from_halo, halo, has_halo && (halo + P) * int(sizeof(T)) > begin);
     } else if (aligned) {
       copy_async_if<kBytes>(column_to + to, from, more && column < in_width, zero);
@@ -156,7 +156,8 @@ struct RowPrefetcher {
     } else if constexpr (sizeof(T) == 4) {
 #pragma unroll
       for (int i = 0; i < P; ++i)
-        copy_async_if<4>(column_to + to + 128 * i, from + 32 * i, more && column + 32 * i < in_width, zero);
+        copy_async_if<4>(column_to + to + 128 * i, from + 32 * i,
+                         more && column + 32 * i >= 0 && column + 32 * i < in_width, zero);
       copy_async_if<4>(halo_to + to, from_halo, more && has_halo, zero);
     }
     __pipeline_commit();
@@ -169,6 +170,11 @@ struct RowPrefetcher {
     __syncwarp();
     fetch();
     if constexpr (kPrecede) row += preceding >> 8 * (Rows - 1) & 15;
+    if constexpr (kPrecede)
+      if (left < 0) {  // the first vector of the row may have brought pixels that precede it
+        for (int x = left + lane; x < 0; x += 32) row[kHalo + x - left] = T{};
+        __syncwarp();
+      }
     if (fills) {
       if (source_in_ring) {
         row[kHalo + filled - left] = row[kHalo + source - left];

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
-from mkdocs.structure.files import File, Files
+from mkdocs.structure.files import File, Files, InclusionLevel
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[2]
@@ -32,12 +32,17 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, path, content=(ROOT / path).read_text()))
     examples = sorted((ROOT / "examples").glob("*.py"))
     for path in examples:
-        files.append(File.generated(config, f"examples/{path.stem}.md", content=example(path)))
+        files.append(_example_page(config, path.stem, example(path)))
     sources = [listing(ROOT / "examples/cpp" / name) for name in CPP]
     text = "# C++\n\nA complete CMake project; [cpp.md](../docs/cpp.md) and [deployment.md](../docs/deployment.md) explain it.\n\n"
-    files.append(File.generated(config, "examples/cpp.md", content=text + "\n".join(sources)))
+    files.append(_example_page(config, "cpp", text + "\n".join(sources)))
     files.append(File.generated(config, "examples/index.md", content=list_of_examples(examples)))
     return files
+
+
+def _example_page(config: MkDocsConfig, stem: str, content: str) -> File:
+    """A page that the list of examples links to, without a line in the navigation."""
+    return File.generated(config, f"examples/{stem}.md", content=content, inclusion=InclusionLevel.NOT_IN_NAV)
 
 
 def first_paragraph(path: Path) -> str:
@@ -132,7 +137,7 @@ def documented_path(module: Any, name: str) -> str | None:
     if not (inspect.isfunction(value) or inspect.isclass(value)) or not value.__module__.startswith("kvision"):
         return None
     source = inspect.getsourcefile(value)
-    if source is None or value.__qualname__ not in definitions(source) or not inspect.getdoc(value):
+    if source is None or name != value.__qualname__ or name not in definitions(source) or not inspect.getdoc(value):
         return None
     return f"{value.__module__}.{value.__qualname__}"
 

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 import kvision as K
 import kvision.augmentation as A
-from kvision.augmentation.preview import draw_samples
+from kvision.augmentation.sheet import draw_samples
 
 ORANGE = torch.tensor([255, 140, 0])[:, None, None] / 255
 KEYS = ["image", "mask", "bbox_xyxy", "keypoints"]

@@ -65,9 +65,9 @@ from kvision.augmentation.mix import (
 from kvision.augmentation.normalize import Denormalize, Normalize
 from kvision.augmentation.perspective import RandomPerspective
 from kvision.augmentation.plasma import RandomPlasmaBrightness, RandomPlasmaContrast, RandomPlasmaShadow
-from kvision.augmentation.preview import preview
 from kvision.augmentation.random_noise import RandomGaussianNoise, RandomSaltAndPepperNoise
 from kvision.augmentation.resize import LongestMaxSize, PadTo, Resize, SmallestMaxSize
+from kvision.augmentation.sheet import preview
 from kvision.augmentation.transplantation import RandomTransplantation, RandomTransplantation3D
 from kvision.augmentation.volumes import (
     CenterCrop3D,

@@ -65,7 +65,7 @@ def preview(
         >>> augment = K.augmentation.RandomAffine(30.0, p=1.0)
         >>> box = torch.tensor([[2.0, 2.0, 9.0, 7.0]])
         >>> K.augmentation.preview(augment, torch.rand(3, 12, 16), box, data_keys=["image", "bbox_xyxy"], size=64).shape
-        torch.Size([3, 168, 216])
+        torch.Size([3, 160, 208])
     """
     for name, value in (("count", count), ("columns", columns), ("size", size)):
         if not isinstance(value, int) or value < 1:

@@ -240,6 +240,8 @@ def measure(options: Options, numbers: Sequence[int]) -> list[Row]:
             print(f"{ranks} ranks ...", file=sys.stderr, flush=True)
             torch.multiprocessing.spawn(work, (ranks, options, folder), ranks)
             rows.append(Row(**json.loads(Path(folder, f"{ranks}.json").read_text())))
+            alone, augmented = round(rows[-1].alone), round(rows[-1].augmented)
+            print(f"  {alone} images/s augmented alone, {augmented} trained with augmentation", file=sys.stderr, flush=True)
     return rows
 
 

@@ -25,6 +25,7 @@ from tqdm import tqdm
 
 import kvision as K
 import kvision.augmentation as A
+from kvision.demo.arguments import device_of, images_of
 
 WINDOW, CROP = 224, 160
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -165,27 +166,9 @@ def wait(device: torch.device) -> None:
 # --- the run --------------------------------------------------------------------------------------------------------
 
 
-def device_of(parser: argparse.ArgumentParser, name: str) -> torch.device:
-    """The device of that name; an unknown or missing one ends the program in one line."""
-    try:
-        device = torch.device(name)
-    except RuntimeError:
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type not in ("cpu", "cuda"):
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        parser.error(f"--device {name}: torch finds no CUDA device" + (f" {device.index}" if device.index else ""))
-    return device
-
-
 def photographs_of(parser: argparse.ArgumentParser, paths: list[Path]) -> list[Tensor]:
     """Photographs, uint8 (3, H, W), their shorter side 320; a file that cannot be read ends the program in one line."""
-    pictures = []
-    for path in paths:
-        try:
-            pictures.append(K.io.load_image(path))
-        except (OSError, ValueError, K.core.exceptions.ImageError) as error:
-            parser.error(f"--image {path}: {str(error).splitlines()[0]}")
+    pictures = [image[0] for image in images_of(parser, paths)]
     if not paths:
         try:
             pictures = K.io.get_sample_images()

@@ -24,6 +24,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 import kvision as K
+from kvision.demo.arguments import device_of, images_of
 
 SIZE, LATENT, HELD_OUT = 64, 100, 0.3
 WIDTHS = (32, 64, 128, 256)  # channels of the encoder
@@ -154,29 +155,9 @@ def draw_curves(curves: dict[str, list[tuple[float, float]]], path: Path) -> Non
 # --- the run --------------------------------------------------------------------------------------------------------
 
 
-def device_of(parser: argparse.ArgumentParser, name: str) -> torch.device:
-    """The device of that name; an unknown or missing one ends the program in one line."""
-    try:
-        device = torch.device(name)
-    except RuntimeError:
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type not in ("cpu", "cuda"):
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        parser.error(f"--device {name}: torch finds no CUDA device" + (f" {device.index}" if device.index else ""))
-    return device
-
-
-def pictures_of(parser: argparse.ArgumentParser, paths: list[Path]) -> list[Tensor]:
-    """The files of --image as (1, 3, 64, 64), cut to squares; one that cannot be read ends the program in one line."""
-    pictures = []
-    for path in paths:
-        try:
-            picture = K.geometry.resize(K.io.load_image(path)[None], SIZE, antialias=True)
-        except (OSError, ValueError, K.core.exceptions.ImageError) as error:
-            parser.error(f"--image {path}: {str(error).splitlines()[0]}")
-        pictures.append(K.geometry.center_crop(picture, (SIZE, SIZE)))
-    return pictures
+def squared(image: Tensor) -> Tensor:
+    """The square in the middle of an image, (1, 3, 64, 64)."""
+    return K.geometry.center_crop(K.geometry.resize(image, SIZE, antialias=True), (SIZE, SIZE))
 
 
 def compare(
@@ -210,7 +191,7 @@ def main(arguments: list[str] | None = None) -> int:
     device = device_of(parser, options.device)
     if options.data and not (options.data / "faces" / "faces_64.png").is_file():
         parser.error(f"--data {options.data}: expected a folder with faces/faces_64.png, there is none")
-    pictures = pictures_of(parser, options.image)
+    pictures = [squared(x) for x in images_of(parser, options.image)]
     images = faces(options.data or default_folder()).to(device)
     options.out.mkdir(parents=True, exist_ok=True)
     missed = 0

@@ -28,6 +28,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
+from kvision.demo.arguments import device_of, images_of
 
 LEVELS, ITERATIONS = 5, 120
 RATE, MOMENTUM = 0.001, 0.9
@@ -278,30 +279,6 @@ def estimate(
     return found, time.perf_counter() - begin
 
 
-def device_of(parser: argparse.ArgumentParser, name: str) -> torch.device:
-    """The device of that name; an unknown or missing one ends the program in one line."""
-    try:
-        device = torch.device(name)
-    except RuntimeError:
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type not in ("cpu", "cuda"):
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        parser.error(f"--device {name}: torch finds no CUDA device" + (f" {device.index}" if device.index else ""))
-    return device
-
-
-def pictures_of(parser: argparse.ArgumentParser, paths: list[Path]) -> list[Tensor]:
-    """The files of --image as (1, 3, H, W); one that cannot be read ends the program in one line."""
-    pictures = []
-    for path in paths:
-        try:
-            pictures.append(K.io.load_image(path)[None])
-        except (OSError, ValueError, K.core.exceptions.ImageError) as error:
-            parser.error(f"--image {path}: {str(error).splitlines()[0]}")
-    return pictures
-
-
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, help="folder with rgbd_livingroom")
@@ -322,7 +299,7 @@ def main(arguments: list[str] | None = None) -> int:
     device = device_of(parser, options.device)
     if options.data and not (options.data / "rgbd_livingroom").is_dir():
         parser.error(f"--data {options.data}: expected a folder with rgbd_livingroom, there is none")
-    own = pictures_of(parser, options.image)
+    own = images_of(parser, options.image)
     if own and own[0].shape != own[1].shape:
         parser.error(
             f"--image: expected two pictures of one size, got {tuple(own[0].shape[2:])} and {tuple(own[1].shape[2:])}"

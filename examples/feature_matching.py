@@ -22,6 +22,7 @@ import torch
 from torch import Tensor, nn
 
 import kvision as K
+from kvision.demo.arguments import device_of, images_of
 
 # Real pairs: folder, number of the second image.
 REAL = (("graf", 3), ("boat", 3), ("leuven", 4), ("bikes", 3))
@@ -193,30 +194,6 @@ def panorama(matcher: Matcher, images: list[Tensor]) -> Tensor:
         return K.contrib.ImageStitcher(matcher, estimator="ransac")(*images)
 
 
-def device_of(parser: argparse.ArgumentParser, name: str) -> torch.device:
-    """The device of that name; an unknown or missing one ends the program in one line."""
-    try:
-        device = torch.device(name)
-    except RuntimeError:
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type not in ("cpu", "cuda"):
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        parser.error(f"--device {name}: torch finds no CUDA device" + (f" {device.index}" if device.index else ""))
-    return device
-
-
-def pictures_of(parser: argparse.ArgumentParser, paths: list[Path]) -> list[Tensor]:
-    """The files of --image as (1, 3, H, W); one that cannot be read ends the program in one line."""
-    pictures = []
-    for path in paths:
-        try:
-            pictures.append(K.io.load_image(path)[None])
-        except (OSError, ValueError, K.core.exceptions.ImageError) as error:
-            parser.error(f"--image {path}: {str(error).splitlines()[0]}")
-    return pictures
-
-
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--image", type=Path, nargs=2, metavar=("LEFT", "RIGHT"), help="two photographs of a scene")
@@ -233,7 +210,7 @@ def main(arguments: list[str] | None = None) -> int:
         )
     if options.weights and not options.weights.is_file():
         parser.error(f"--weights {options.weights}: there is no such file")
-    own = pictures_of(parser, options.image or [])
+    own = images_of(parser, options.image or [])
     options.out.mkdir(parents=True, exist_ok=True)
     matcher = Matcher(Features(options.features, options.weights)).to(device).eval()
     if options.image:

@@ -24,6 +24,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 import kvision as K
+from kvision.demo.arguments import device_of, images_of
 
 LEVELS = 4
 CONVERGED = 0.7  # least correlation of local contrasts: 0.9 where the homography is right, below 0.1 in other minima
@@ -196,30 +197,6 @@ def draw(pair: Pair, levels: list[Tensor], path: Path) -> None:
     plt.close(figure)
 
 
-def device_of(parser: argparse.ArgumentParser, name: str) -> torch.device:
-    """The device of that name; an unknown or missing one ends the program in one line."""
-    try:
-        device = torch.device(name)
-    except RuntimeError:
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type not in ("cpu", "cuda"):
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        parser.error(f"--device {name}: torch finds no CUDA device" + (f" {device.index}" if device.index else ""))
-    return device
-
-
-def pictures_of(parser: argparse.ArgumentParser, paths: list[Path]) -> list[Tensor]:
-    """The files of --image as (1, 3, H, W); one that cannot be read ends the program in one line."""
-    pictures = []
-    for path in paths:
-        try:
-            pictures.append(K.io.load_image(path)[None])
-        except (OSError, ValueError, K.core.exceptions.ImageError) as error:
-            parser.error(f"--image {path}: {str(error).splitlines()[0]}")
-    return pictures
-
-
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--solver", choices=tuple(SOLVERS), default="adam")
@@ -236,7 +213,7 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(
             f"--data {options.data}: expected a folder with {', '.join(name for name, *_ in REAL)}, there is none"
         )
-    own = [(path.stem, picture) for path, picture in zip(options.image, pictures_of(parser, options.image))]
+    own = [(path.stem, picture) for path, picture in zip(options.image, images_of(parser, options.image))]
     iterations = options.iterations or SOLVERS[options.solver][1]
     options.out.mkdir(parents=True, exist_ok=True)
     missed = 0

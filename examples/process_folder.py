@@ -42,6 +42,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
 import kvision as K
+from kvision.demo.arguments import device_of
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 BLUR = "K.filters.GaussianBlur2d(5, (1.5, 1.5))"
@@ -469,19 +470,6 @@ def decoders(device: torch.device) -> list[str]:
 
 
 # --- the run --------------------------------------------------------------------------------------------------------
-
-
-def device_of(parser: argparse.ArgumentParser, name: str) -> torch.device:
-    """The device of that name; an unknown or missing one ends the program in one line."""
-    try:
-        device = torch.device(name)
-    except RuntimeError:
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type not in ("cpu", "cuda"):
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        parser.error(f"--device {name}: torch finds no CUDA device" + (f" {device.index}" if device.index else ""))
-    return device
 
 
 def check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:

@@ -20,6 +20,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 import kvision as K
+from kvision.demo.arguments import device_of, images_of
 
 SIZE, CLASSES, BATCH = 32, 3, 8
 
@@ -123,30 +124,6 @@ def draw(curves: dict[str, list[float]], path: Path) -> None:
     picture.save(path)
 
 
-def device_of(parser: argparse.ArgumentParser, name: str) -> torch.device:
-    """The device of that name; an unknown or missing one ends the program in one line."""
-    try:
-        device = torch.device(name)
-    except RuntimeError:
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type not in ("cpu", "cuda"):
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        parser.error(f"--device {name}: torch finds no CUDA device" + (f" {device.index}" if device.index else ""))
-    return device
-
-
-def pictures_of(parser: argparse.ArgumentParser, paths: list[Path]) -> list[Tensor]:
-    """The files of --image as (1, 3, H, W); one that cannot be read ends the program in one line."""
-    pictures = []
-    for path in paths:
-        try:
-            pictures.append(K.io.load_image(path)[None])
-        except (OSError, ValueError, K.core.exceptions.ImageError) as error:
-            parser.error(f"--image {path}: {str(error).splitlines()[0]}")
-    return pictures
-
-
 def label(model: nn.Module, picture: Tensor, device: torch.device) -> Tensor:
     """A photograph (1, 3, H, W), 256 pixels on its shorter side, next to its labels in the colors of the shapes."""
     small = K.geometry.resize(picture.to(device), 256, antialias=True)
@@ -165,7 +142,7 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     options = parser.parse_args(arguments)
     auto = "cuda" if torch.cuda.is_available() else "cpu"
     device = device_of(parser, auto if options.device == "auto" else options.device)
-    pictures = pictures_of(parser, options.image)
+    pictures = images_of(parser, options.image)
     options.out.mkdir(parents=True, exist_ok=True)
     curves = {}
     for name, loss in LOSSES.items():

@@ -39,6 +39,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 
 import kvision as K
 import kvision.augmentation as A
+from kvision.demo.arguments import device_of
 
 MEAN, STD = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
 TEXTURES = ("stripes", "checks", "rings", "dots")
@@ -376,21 +377,6 @@ def process_group(device: torch.device) -> Iterator[None]:
 # --- the run --------------------------------------------------------------------------------------------------------
 
 
-def device_of(parser: argparse.ArgumentParser, name: str) -> torch.device:
-    """The device of that name, of several GPUs this rank's; an unknown or missing one ends the program in one line."""
-    try:
-        device = torch.device(name)
-    except RuntimeError:
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type not in ("cpu", "cuda"):
-        parser.error(f"--device {name}: expected cpu or cuda")
-    if device.type == "cuda" and device.index is None:
-        device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0)))
-    if device.type == "cuda" and device.index >= torch.cuda.device_count():
-        parser.error(f"--device {name}: torch finds no CUDA device" + (f" {device.index}" if device.index else ""))
-    return device
-
-
 def pictures_of(parser: argparse.ArgumentParser, options: argparse.Namespace, device: torch.device) -> Any:
     """The pictures to train on; too few of them end the program in one line."""
     together = options.batch * dist.get_world_size()
@@ -433,7 +419,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("out/train"), help="where losses.csv goes")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     options = parser.parse_args(arguments)
-    device = device_of(parser, options.device)
+    device = device_of(parser, options.device, int(os.environ.get("LOCAL_RANK", 0)))
     if options.deterministic:
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True)

@@ -1,0 +1,39 @@
+"""What the examples take on their command lines; whatever cannot be had ends a program in one line."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from kvision.core.exceptions import ImageError
+from kvision.io import load_image
+
+
+def device_of(parser: argparse.ArgumentParser, name: str, index: int | None = None) -> torch.device:
+    """The device of `--device`; without a number, the GPU of this index."""
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        parser.error(f"--device {name}: expected cpu or cuda")
+    if device.type not in ("cpu", "cuda"):
+        parser.error(f"--device {name}: expected cpu or cuda")
+    if device.type == "cuda" and device.index is None and index is not None:
+        device = torch.device("cuda", index)
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        parser.error(f"--device {name}: torch finds no CUDA device" + (f" {device.index}" if device.index else ""))
+    return device
+
+
+def images_of(parser: argparse.ArgumentParser, paths: Sequence[Path]) -> list[Tensor]:
+    """The files of `--image` as (1, 3, H, W), float32 in [0, 1]."""
+    images = []
+    for path in paths:
+        try:
+            images.append(load_image(path)[None])
+        except (OSError, ValueError, ImageError) as error:
+            parser.error(f"--image {path}: {str(error).splitlines()[0]}")
+    return images

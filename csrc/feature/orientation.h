@@ -19,7 +19,7 @@
 
 namespace kv::feature {
 
-constexpr int kMostOrientationBins = 64;
+constexpr int kMaxOrientationBins = 64;
 
 // The weights of bins 0, 1 and 2 away: the discrete Gaussian I_k(s) of s = 1.6^2, over its sum.
 constexpr int kSmoothing = 2;

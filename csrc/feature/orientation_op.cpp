@@ -6,7 +6,7 @@ namespace kv::feature {
 namespace {
 
 int checked_bins(char const* op, int64_t bins) {
-  KV_CHECK(bins >= 3 && bins <= kMostOrientationBins, op, ": expected bins of 3 to ", kMostOrientationBins, ", got ",
+  KV_CHECK(bins >= 3 && bins <= kMaxOrientationBins, op, ": expected bins of 3 to ", kMaxOrientationBins, ", got ",
            bins);
   return int(bins);
 }

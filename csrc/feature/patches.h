@@ -21,13 +21,13 @@
 
 namespace kv::feature {
 
-constexpr int kMostLevels = 16;
+constexpr int kMaxLevels = 16;
 
 // Where the levels are in a plane.
 struct PyramidShape {
   int levels;
-  int heights[kMostLevels], widths[kMostLevels];
-  int64_t offsets[kMostLevels], size;
+  int heights[kMaxLevels], widths[kMaxLevels];
+  int64_t offsets[kMaxLevels], size;
 };
 
 template <class T>

@@ -11,7 +11,7 @@ constexpr int64_t kLargestPatch = (1 << 15) - 1;
 PyramidShape pyramid_shape(char const* op, std::vector<int64_t> const& size, int64_t levels) {
   KV_CHECK(size.size() == 2 && size[0] > 0 && size[1] > 0 && size[0] <= INT32_MAX && size[1] <= INT32_MAX, op,
            ": expected a size of height and width");
-  KV_CHECK(levels > 0 && levels <= kMostLevels, op, ": expected 1 to ", kMostLevels, " levels, got ", levels);
+  KV_CHECK(levels > 0 && levels <= kMaxLevels, op, ": expected 1 to ", kMaxLevels, " levels, got ", levels);
   PyramidShape shape{};
   shape.levels = int(levels);
   for (int l = 0; l < shape.levels; ++l) {

@@ -5,11 +5,11 @@
 namespace kv::feature {
 namespace {
 
-constexpr int64_t kMostSiftBins = 64, kMostSiftCells = 32, kLargestSift = 1024;
+constexpr int64_t kMaxSiftBins = 64, kMaxSiftCells = 32, kLargestSift = 1024;
 
 SiftGrid sift_grid(char const* op, int n, int64_t bins, int64_t cells) {
-  KV_CHECK(bins >= 2 && bins <= kMostSiftBins, op, ": expected angular_bins of 2 to ", kMostSiftBins, ", got ", bins);
-  KV_CHECK(cells >= 1 && cells <= kMostSiftCells, op, ": expected spatial_bins of 1 to ", kMostSiftCells, ", got ",
+  KV_CHECK(bins >= 2 && bins <= kMaxSiftBins, op, ": expected angular_bins of 2 to ", kMaxSiftBins, ", got ", bins);
+  KV_CHECK(cells >= 1 && cells <= kMaxSiftCells, op, ": expected spatial_bins of 1 to ", kMaxSiftCells, ", got ",
            cells);
   KV_CHECK(bins * cells * cells <= kLargestSift, op, ": expected descriptors of at most ", kLargestSift, " numbers");
   SiftGrid grid{n, int(cells), int(bins), n / int(cells), 2 * (n / (int(cells) + 1))};

@@ -69,7 +69,7 @@ __global__ void __launch_bounds__(kThreads) windows_of(__grid_constant__ SoftArg
 // --- windows around every pixel of images ----------------------------------------------------------------------------
 
 constexpr int kRun = 4, kRows = 15, kStripThreads = 128;
-constexpr float kMostExponent =
+constexpr float kMaxExponent =
     90;  // largest range of exponents, of base 2, in a strip: rounding them costs 3e-6 of a weight
 
 // The numbers of a thread's columns, and R of each neighboring thread's: sums of 2R + 1 of them, and sums weighted by
@@ -152,7 +152,7 @@ struct ImageStrip {
       least = ::fmin(least, __shfl_xor_sync(0xffffffffu, least, step));
     }
     from = most * sharpness;
-    return (most - least) * sharpness <= kMostExponent && ::fabs(from) <= 0x1p24f;
+    return (most - least) * sharpness <= kMaxExponent && ::fabs(from) <= 0x1p24f;
   }
   __device__ __forceinline__ Vector<float, kRun> load(float const* plane, int y) const {
     return *reinterpret_cast<Vector<float, kRun> const*>(plane + int64_t(y) * width);

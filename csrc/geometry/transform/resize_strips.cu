@@ -21,8 +21,8 @@ namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kWarps = 8, kThreads = 32 * kWarps;
-constexpr int kMostElements = 256;  // of the result in a row of a strip
-constexpr int kBlocks = 3;          // on a multiprocessor at once
+constexpr int kMaxElements = 256;  // of the result in a row of a strip
+constexpr int kBlocks = 3;         // on a multiprocessor at once
 
 // M: the most windows that hold a row, where the image shrinks, or the most rows in a window, where it grows.
 template <class T, int M, bool Shrinks>
@@ -411,8 +411,8 @@ int launch(Resize<T> const& p, CUstream_st* stream) {
   int64_t const before = aligned ? S::kVector - 1 : 4 / int(sizeof(T)) - 1;
   bool const whole = p.x.row_size() <= S::kSpan - (aligned ? 0 : before);
   int64_t const most = min(whole ? p.y.width : pixels_of_span(p.columns, (S::kSpan - before) / step),
-                           max(kMostElements / step, int64_t(1)));
-  if (most == 0 || step > kMostElements) return kUnsupported;
+                           max(kMaxElements / step, int64_t(1)));
+  if (most == 0 || step > kMaxElements) return kUnsupported;
   ResizeStrips strips;
   strips.across = unsigned(ceil_div(p.y.width, most));
   strips.elements = int(ceil_div(p.y.width, strips.across) * step);

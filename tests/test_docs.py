@@ -115,7 +115,7 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
     subprocess.run(command, cwd=ROOT, check=True, env=environment)
-    assert "kvision.filters.sobel.sobel" in (tmp_path / "reference/filters/index.html").read_text()
+    assert "kvision.filters.edges.sobel.sobel" in (tmp_path / "reference/filters/index.html").read_text()
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -21,7 +21,10 @@ import venv
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-TESTS = ("tests/test_ops.py", "tests/test_torch_compat.py", "tests/filters/test_sobel.py", "tests/filters/test_box.py")
+TESTS = (
+    *("tests/test_ops.py", "tests/test_torch_compat.py"),
+    *("tests/filters/edges/test_sobel.py", "tests/filters/smoothing/test_box.py"),
+)
 # What the tests import besides torch.
 PACKAGES = ("numpy", "opencv-python-headless>=4.12", "scikit-image", "scipy", "kornia", "pytest", "hypothesis")
 

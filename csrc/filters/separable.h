@@ -12,7 +12,7 @@
 //
 //   constant   full(j)
 //   circular   full(j) of the gradient continued circularly
-// replicate  full(j), for the first and the last pixel also all of `full` out of bounds
+//   replicate  full(j), for the first and the last pixel also all of `full` out of bounds
 //   reflect    full(j) + full(-j) + full(2 (n - 1) - j)
 #pragma once
 
@@ -54,6 +54,15 @@ KV_HD F tap_weight(Taps<F> const& taps, int64_t sample, int t) {
   return excess == 0 ? F(1) : exp(-excess / (2 * sigma * sigma));
 }
 
+// sum / divisor. Bytes are divided exactly: a product with the rounded reciprocal may miss a tie.
+template <class T, class V, class F>
+KV_HD V quotient(V sum, F divisor, F reciprocal) {
+  if constexpr (sizeof(T) == 1)
+    return sum / divisor;
+  else
+    return sum * reciprocal;
+}
+
 constexpr int kMaxTaps = 701;  // of the CUDA kernels: shared memory holds that many rows
 
 template <class T>
@@ -63,20 +72,19 @@ struct Separable {
   Taps<Compute<T>> kx, ky;
   int64_t planes;  // of a sample
   Compute<T> alpha, beta;
-  Border border;  // of x
-  Border
-      accumulation;  // the border accumulated into the result by transposes: replicate, reflect, or constant for none
+  Border border;        // of x
+  Border accumulation;  // of the border, into the result, by transposes: replicate, reflect, or constant for none
 };
 
 constexpr int kWeightsTileWidth = 128;  // of separable_weights_backward on CUDA
 
 // The gradient to the weights, from the gradient g to the output. With h = x filtered along rows, v along columns,
 //
-//   dkx[j] = sum over r, c of g(r, c) v(r, c - before_x + j)      dky[i] = sum over r, c of g(r, c) h(r - before_y + i,
-//   c)
+//   dkx[j] = sum over r, c of g(r, c) v(r, c - before_x + j)
+//   dky[i] = sum over r, c of g(r, c) h(r - before_y + i, c)
 //
-// Images are planar. Each tile of a plane writes its sums, kx before ky, to its row of `sums` (samples, tiles, kx +
-// ky).
+// Images are planar. Each tile of a plane writes its sums, kx before ky, to its row of `sums`, which has shape
+// (samples, tiles, kx + ky).
 template <class T>
 struct SeparableWeightsBackward {
   Planes<T const> grad, x;

@@ -8,7 +8,6 @@
 // + weight * row.
 #pragma once
 
-#include "box.h"
 #include "core/row_prefetcher.cuh"
 #include "separable.h"
 
@@ -104,7 +103,7 @@ __device__ __forceinline__ void add_row(float const (&h)[P], W weight, float (&s
 
 // `aligned`: rows of input and output are vectors of P pixels that start at the same columns. ReflectBackward: the
 // transpose of a reflected border with symmetric weights. It is D^-1 A D, where A is the forward pass and D doubles the
-// first and the last pixel of an axis; see BoxAxis in box.h.
+// first and the last pixel of an axis; see BoxAxis in smoothing/box.h.
 template <class T, int K, int P, bool ReflectBackward, class Aligned>
 __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
     separable_strip(__grid_constant__ Separable<T> const p, __grid_constant__ Strips<P> const strips, float divisor,

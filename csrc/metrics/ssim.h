@@ -17,7 +17,7 @@
 // dsquares and dapart are twice the derivatives by these means. The transpose differs from the means M only at the
 // border. With zeros around the image it is the same operator. For 'valid' windows it pads the result with zeros. For a
 // reflected border it is D^-1 A D, where A are the means and D doubles the first and the last pixel of an axis;
-// filters/box.h has the proof.
+// filters/smoothing/box.h has the proof.
 #pragma once
 
 #include "core/border.h"

@@ -10,8 +10,8 @@ from kvision._dtype import as_dtype, floats
 from kvision._modes import DERIVATIVE_MODE
 from kvision._modules import FunctionModule
 from kvision.core.exceptions import ShapeError
-from kvision.filters.gaussian import gaussian_blur2d
-from kvision.filters.spatial_gradient import spatial_gradient
+from kvision.filters.edges.spatial_gradient import spatial_gradient
+from kvision.filters.smoothing.gaussian import gaussian_blur2d
 from kvision.geometry.linalg import root
 
 __all__ = [

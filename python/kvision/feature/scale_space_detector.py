@@ -14,7 +14,7 @@ from kvision.core.exceptions import ShapeError
 from kvision.feature import _detection as detection
 from kvision.feature.laf import laf_is_filled
 from kvision.feature.responses import BlobHessian
-from kvision.filters.spatial_gradient import spatial_gradient
+from kvision.filters.edges.spatial_gradient import spatial_gradient
 from kvision.geometry.subpix import AdaptiveQuadInterp3d, ConvQuadInterp3d, IterativeQuadInterp3d, nms3d_minmax
 from kvision.geometry.transform.pyramid import ScalePyramid
 

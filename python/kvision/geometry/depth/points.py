@@ -13,7 +13,7 @@ from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._leading import expand_to_batch
 from kvision._ops import register, vjp, with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError
-from kvision.filters.spatial_gradient import derivatives
+from kvision.filters.edges.spatial_gradient import derivatives
 from kvision.geometry._transform_points import met
 from kvision.geometry.transform.sampling import cast_to_image
 

@@ -11,8 +11,8 @@ from kvision import _check
 from kvision._dtype import compute_dtype, pixels
 from kvision._modes import INTERPOLATION
 from kvision.core.exceptions import TypeCheckError
-from kvision.filters.gaussian import _gaussian_blur2d as blur
-from kvision.filters.gaussian import blur_arguments
+from kvision.filters.smoothing.gaussian import _gaussian_blur2d as blur
+from kvision.filters.smoothing.gaussian import blur_arguments
 from kvision.geometry.transform import sampling
 
 __all__ = ["elastic_transform2d"]

@@ -9,8 +9,8 @@ from kvision._dtype import pixels
 from kvision._modes import BORDER
 from kvision._modules import FunctionModule
 from kvision._ops import register, transpose
-from kvision.filters.box import divide_exactly, window_sum
 from kvision.filters.kernels import laplacian_sizes
+from kvision.filters.smoothing.box import divide_exactly, window_sum
 
 
 def _reference(x: Tensor, ky: int, kx: int, normalized: bool, border: int) -> Tensor:

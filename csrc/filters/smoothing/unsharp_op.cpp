@@ -1,5 +1,5 @@
 // unsharp_mask: schemas and entries, for CPU and CUDA alike.
-#include "separable_glue.h"
+#include "filters/separable_glue.h"
 
 namespace kv::filters {
 namespace {

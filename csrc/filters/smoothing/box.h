@@ -1,12 +1,13 @@
 // Window sums, at a cost that hardly depends on the window's size: box blur, the Laplacian, and their transposes.
 // Nothing is ever subtracted from a sum. A running sum that subtracts what leaves its window would carry a NaN, an
-// infinity, or the rounding error of a large value to the end of the row. Included by box_cpu.cpp, box.cu, box_op.cpp
-// and separable_strip.cuh.
+// infinity, or the rounding error of a large value to the end of the row. Included by box_cpu.cpp, box.cu and
+// box_glue.h.
 #pragma once
 
 #include "core/border.h"
 #include "core/isa.h"
 #include "core/view.h"
+#include "filters/separable.h"
 
 namespace kv::filters {
 
@@ -60,15 +61,6 @@ KV_HD int64_t read_count(Border border, int64_t r, int64_t j, int64_t n, int64_t
   if (border == Border::reflect) count += (j > 0 && low <= -j) + (j < n - 1 && 2 * (n - 1) - j <= high);
   if (border == Border::circular) count += (low <= j - n) + (j + n <= high);
   return count;
-}
-
-// sum / divisor. Bytes are divided exactly: a product with the rounded reciprocal may miss a tie.
-template <class T, class V, class F>
-KV_HD V quotient(V sum, F divisor, F reciprocal) {
-  if constexpr (sizeof(T) == 1)
-    return sum / divisor;
-  else
-    return sum * reciprocal;
 }
 
 }  // namespace kv::filters

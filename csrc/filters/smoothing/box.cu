@@ -5,7 +5,7 @@
 
 #include "box.h"
 #include "core/launch.cuh"
-#include "separable_strip.cuh"
+#include "filters/separable_strip.cuh"
 
 namespace kv::filters::cuda {
 namespace {

@@ -11,8 +11,8 @@ from kvision._dtype import compute_dtype
 from kvision._modules import FunctionModule
 from kvision._ops import match_layout
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
-from kvision.filters.box import box_blur
-from kvision.filters.gaussian import batch_of
+from kvision.filters.smoothing.box import box_blur
+from kvision.filters.smoothing.gaussian import batch_of
 
 
 def guided_blur(

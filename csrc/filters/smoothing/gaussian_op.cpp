@@ -1,5 +1,5 @@
 // gaussian_blur2d: schemas and entries, for CPU and CUDA alike.
-#include "separable_glue.h"
+#include "filters/separable_glue.h"
 
 namespace kv::filters {
 namespace {

@@ -17,9 +17,9 @@ from kvision.color.gray import LUMA
 from kvision.color.program import arguments, run
 from kvision.color.steps import STEPS
 from kvision.core.exceptions import ImageError, ValueCheckError
-from kvision.filters.gaussian import _gaussian_blur2d, blur_arguments
-from kvision.filters.sobel import _sobel_backward, root
-from kvision.filters.spatial_gradient import derivatives
+from kvision.filters.edges.sobel import _sobel_backward, root
+from kvision.filters.edges.spatial_gradient import derivatives
+from kvision.filters.smoothing.gaussian import _gaussian_blur2d, blur_arguments
 
 _TAN_22_5 = math.sqrt(2) - 1
 

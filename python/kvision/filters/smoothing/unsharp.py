@@ -6,8 +6,8 @@ from torch import Tensor
 
 from kvision._modules import FunctionModule
 from kvision._ops import register, transpose
-from kvision.filters.gaussian import _reference as blur
-from kvision.filters.gaussian import blur_arguments, sigma_gradient
+from kvision.filters.smoothing.gaussian import _reference as blur
+from kvision.filters.smoothing.gaussian import blur_arguments, sigma_gradient
 
 
 def _reference(

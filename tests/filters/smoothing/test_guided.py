@@ -6,7 +6,7 @@ import torch
 
 import kvision as K
 from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
-from kvision.filters.guided import _solve
+from kvision.filters.smoothing.guided import _solve
 from op_tests import assert_close
 
 guided_blur = K.filters.guided_blur

@@ -15,7 +15,7 @@ from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.border import windows
-from kvision.filters.gaussian import axis_kernels, batch_of, positive, sigma_arguments
+from kvision.filters.smoothing.gaussian import axis_kernels, batch_of, positive, sigma_arguments
 
 
 def _reference(x: Tensor, *args: Any) -> Tensor:

@@ -50,10 +50,7 @@ def numbers(op: str, name: str, x: Any) -> None:
 def shape(op: str, name: str, x: Any, *expected: str | int) -> None:
     """Raise unless `x` is a tensor with one axis per entry of `expected`; an int entry fixes the size of its axis."""
     numbers(op, name, x)
-    fits = x.dim() == len(expected)
-    for e, n in zip(expected, x.shape):
-        fits = fits and (not isinstance(e, int) or e == n)
-    if not fits:
+    if not _fits(x.shape, expected, 0):
         listed = ", ".join(map(str, expected)) + ("," if len(expected) == 1 else "")
         raise ShapeError(
             f"{op}: expected {name} of shape ({listed}), got {tuple(x.shape)}",
@@ -65,14 +62,22 @@ def shape(op: str, name: str, x: Any, *expected: str | int) -> None:
 def trailing_shape(op: str, name: str, x: Any, *expected: str | int) -> None:
     """Raise unless `x` is a tensor whose last axes are `expected`, after any others; an int fixes the size of its axis."""
     numbers(op, name, x)
-    fits = x.dim() >= len(expected)
-    for e, n in zip(reversed(expected), reversed(x.shape)):
-        fits = fits and (not isinstance(e, int) or e == n)
-    if not fits:
+    if not _fits(x.shape, expected, x.dim() - len(expected)):
         raise ShapeError(
             f"{op}: expected {name} of shape (*, {', '.join(map(str, expected))}), got {tuple(x.shape)}",
             actual_shape=x.shape,
         )
+
+
+def _fits(sizes: Sequence[int], expected: Sequence[str | int], first: int) -> bool:
+    """Whether the axes from `first` on are `expected`, which are all of them where `first` is 0."""
+    if len(sizes) - first != len(expected) or first < 0:
+        return False
+    for e in expected:
+        if isinstance(e, int) and e != sizes[first]:
+            return False
+        first += 1
+    return True
 
 
 def broadcastable(op: str, **shapes: Sequence[int]) -> None:

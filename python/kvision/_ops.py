@@ -20,7 +20,7 @@ import importlib
 import os
 import threading
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -598,6 +598,13 @@ def _without_tf32() -> Iterator[None]:
         _cudnn_conv.fp32_precision = previous
 
 
+def wants_derivative(*tensors: Tensor | None) -> bool:
+    """Whether a call on them is to be differentiated: then it is made of operators that have gradients of their own."""
+    if in_function_transform() or in_forward_ad():
+        return True
+    return is_grad_enabled() and any(t is not None and t.requires_grad for t in tensors)
+
+
 def saturate_to_byte(x: Tensor) -> Tensor:
     """Round half to even and saturate, as OpenCV stores bytes."""
     return x.round().clamp(0, 255).to(torch.uint8)
@@ -633,17 +640,34 @@ def with_kernel_casts(
     def wrapped(*args: Any) -> Any:
         x = args[0]
         dtype = x.dtype
-        promoted: Iterable[Any]
-        if native_half and dtype in _HALVES:
-            promoted = args
-        elif dtype == torch.float64:
-            promoted = (a.to(dtype) if isinstance(a, Tensor) and a.is_floating_point() else a for a in args)
-        else:
-            promoted = (a.float() if isinstance(a, Tensor) and a.dtype in _PROMOTED else a for a in args)
-        store = saturate_to_byte if dtype == torch.uint8 else lambda y: y.to(dtype)
-        return _map(lambda y: match_layout(store(y), args[layout_of]), reference(*promoted))
+        if not (native_half and dtype in _HALVES):
+            args = _promoted(args, dtype)
+        output, like = reference(*args), args[layout_of]
+        if isinstance(output, (tuple, list)):
+            return tuple(_stored(y, dtype, like) for y in output)
+        return _stored(output, dtype, like)
 
     return wrapped
+
+
+def _promoted(args: tuple[Any, ...], dtype: torch.dtype) -> tuple[Any, ...]:
+    """Arguments in the type that computes for images of `dtype`; labels and masks stay as they are."""
+    for a in args:  # nearly always they have it, and small calls take no longer than this
+        if isinstance(a, Tensor) and a.dtype is not dtype:
+            break
+    else:
+        if dtype is torch.float32 or dtype is torch.float64:
+            return args
+    if dtype == torch.float64:
+        return tuple(a.to(dtype) if isinstance(a, Tensor) and a.is_floating_point() else a for a in args)
+    return tuple(a.float() if isinstance(a, Tensor) and a.dtype in _PROMOTED else a for a in args)
+
+
+def _stored(y: Tensor, dtype: torch.dtype, like: Tensor) -> Tensor:
+    """A result as the kernels store it, for images of `dtype` and the layout of `like`."""
+    if y.dtype is not dtype:
+        y = saturate_to_byte(y) if dtype == torch.uint8 else y.to(dtype)
+    return match_layout(y, like)
 
 
 def flatten_batches(n: int, in_dims: tuple[Any, ...], args: tuple[Any, ...]) -> tuple[list[Any], int]:

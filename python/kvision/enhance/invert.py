@@ -6,9 +6,8 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import as_dtype
 from kvision._modules import FunctionModule
-from kvision.enhance.batch import as_batch, shaped
-from kvision.enhance.brightness import scale_shift
 
 
 def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
@@ -37,9 +36,8 @@ def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
         max_val = _check.to_device_of("invert", image, "max_val", max_val, of="image")
     else:
         max_val = 1.0 if max_val is None else _check.number("invert", "max_val", max_val)
-    if image.is_floating_point() and (not isinstance(max_val, Tensor) or max_val.numel() == 1):
-        largest = max_val.reshape(1, 1, 1) if isinstance(max_val, Tensor) else max_val
-        return shaped(scale_shift(as_batch(image), -1.0, largest, False), image)
+    if image.is_floating_point():
+        return as_dtype(max_val - image, image.dtype)
     return torch.as_tensor(max_val).to(image.dtype) - image
 
 

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
-from kvision._dtype import compute_dtype, floats
+from kvision._dtype import as_dtype, compute_dtype
+from kvision._ops import without_autocast_and_tf32
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 
@@ -173,15 +174,22 @@ def linear_transform(inp: Tensor, transform_matrix: Tensor, mean_vector: Tensor,
     """
     _check.numbers("linear_transform", "inp", inp)
     dim = _axis("linear_transform", inp, dim)
-    samples = inp.to(compute_dtype(inp)).movedim(dim, 0)
+    samples = as_dtype(inp, compute_dtype(inp))
+    samples = samples if dim == 0 else samples.movedim(dim, 0)
     features = samples.shape[1:].numel()
     _check.shape("linear_transform", "transform_matrix", transform_matrix, features, features)
     _check.shape("linear_transform", "mean_vector", mean_vector, 1, features)
     transform_matrix = _check.to_device_of("linear_transform", inp, "transform_matrix", transform_matrix, of="inp")
     mean_vector = _check.to_device_of("linear_transform", inp, "mean_vector", mean_vector, of="inp")
-    with torch.autocast(inp.device.type, enabled=False):
-        y = (samples.reshape(-1, features) - mean_vector.to(samples.dtype)) @ transform_matrix.to(samples.dtype)
-    return y.reshape(samples.shape).movedim(0, dim).to(floats(inp).dtype)
+    rows = samples if samples.dim() == 2 else samples.reshape(-1, features)
+    y = _transformed(rows, as_dtype(transform_matrix, samples.dtype), as_dtype(mean_vector, samples.dtype))
+    y = y if y.dim() == inp.dim() else y.reshape(samples.shape)
+    return as_dtype(y if dim == 0 else y.movedim(0, dim), inp.dtype if inp.is_floating_point() else torch.float32)
+
+
+@without_autocast_and_tf32
+def _transformed(rows: Tensor, matrix: Tensor, mean: Tensor) -> Tensor:
+    return (rows - mean) @ matrix
 
 
 def _axis(op: str, inp: Tensor, dim: int) -> int:

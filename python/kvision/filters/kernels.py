@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -493,6 +495,23 @@ def derivative_rows(mode: str, order: int, axes: int) -> list[tuple[tuple[tuple[
     return [(tuple(row for row, _ in channel), math.prod([unit for _, unit in channel])) for channel in channels]
 
 
+def _product(rows: Sequence[Sequence[int]], unit: float, factor: int = 1) -> Any:
+    """The product of rows, those of x first, divided by `unit`, as nested lists: integers first, as 0 is never -0 there."""
+    if not rows:
+        return factor / unit
+    return [_product(rows[:-1], unit, factor * n) for n in rows[-1]]
+
+
+_KERNELS = {
+    (mode, order, axes, normalized): [
+        _product(rows, unit if normalized else 1) for rows, unit in derivative_rows(mode, order, axes)
+    ]
+    for mode, order in _ROWS
+    for axes in (2, 3)
+    for normalized in (False, True)
+}
+
+
 def get_sobel_kernel2d(*, device: torch.device | None = None, dtype: torch.dtype | None = None) -> Tensor:
     """The 3x3 Sobel kernels, not normalized.
 
@@ -619,13 +638,8 @@ def _derivative_kernels(
     dtype: torch.dtype | None,
     normalized: bool = False,
 ) -> Tensor:
-    kernels = []
-    for rows, unit in derivative_rows(mode, order, axes):
-        kernel = torch.ones((), dtype=torch.int64)  # integers: a product with 0 is never -0
-        for row in reversed(rows):
-            kernel = kernel[..., None] * torch.tensor(row)
-        kernels.append(kernel / unit if normalized else kernel)
-    return torch.stack(kernels).to(device, dtype or torch.get_default_dtype())
+    kernels = _KERNELS[mode, order, axes, normalized]
+    return torch.tensor(kernels, device=device, dtype=dtype or torch.get_default_dtype())
 
 
 # ------------------------------------------------------------------------------------------------ other kernels

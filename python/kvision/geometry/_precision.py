@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from kvision._torch_compat import in_forward_ad, in_function_transform
 from kvision.geometry.linalg import root
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -53,13 +52,6 @@ def _map(f: Callable[[Any], Any], values: Any) -> Any:
 def promoted(x: Tensor) -> Tensor:
     """In double, where the device has it."""
     return x if x.device.type == "mps" else x.double()
-
-
-def wants_derivative(*tensors: Tensor | None) -> bool:
-    """Whether a call on them is to be differentiated: then it is made of operators that have gradients of their own."""
-    if in_function_transform() or in_forward_ad():
-        return True
-    return torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in tensors)
 
 
 # --- values at the boundary of a function's domain, with finite gradients ---------------------------------------------

@@ -7,6 +7,7 @@ The corners of a 3D box are those of its front face, then those of its back face
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -34,7 +35,12 @@ __all__ = [
 
 def corners(near: Tensor, far: Tensor) -> Tensor:
     """The 4 or 8 corners (*, V, D) of boxes from their first and their last corner, (*, D) each."""
-    x, y, *z = zip(near.unbind(-1), far.unbind(-1))
+    return _corners(near.unbind(-1), far.unbind(-1))
+
+
+def _corners(near: Sequence[Tensor], far: Sequence[Tensor]) -> Tensor:
+    """`corners` of points given axis by axis."""
+    x, y, *z = zip(near, far)
     around = [(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1])]
     vertices = [(*corner, *depth) for depth in itertools.product(*z) for corner in around]
     return torch.stack([c for vertex in vertices for c in vertex], -1).unflatten(-1, (len(vertices), -1))
@@ -101,15 +107,17 @@ def _generated(op: str, **tensors: Tensor) -> Tensor:
         _check.numbers(op, name, x)
         if x.dim() > 1:
             raise ShapeError(f"{op}: expected {name} of shape () or (B,), got {tuple(x.shape)}")
-    dtypes = {name: x.dtype for name, x in tensors.items()}
-    if len(set(dtypes.values())) > 1:
+    if len({x.dtype for x in tensors.values()}) > 1:
+        dtypes = {name: x.dtype for name, x in tensors.items()}
         raise TypeCheckError(f"{op}: expected tensors of one type, got {dtypes}")
     _check.same_device(op, **tensors)
     _check.broadcastable(op, **{name: x.shape for name, x in tensors.items()})
-    values = torch.broadcast_tensors(*(x.reshape(-1) for x in tensors.values()))
+    values = [x.reshape(-1) for x in tensors.values()]
+    if any(x.shape != values[0].shape for x in values):
+        values = torch.broadcast_tensors(*values)
     axes = len(values) // 2
-    near, size = torch.stack(values[:axes], -1), torch.stack(values[axes:], -1)
-    return corners(near, near + size - 1)
+    near, far = values[:axes], [start + (size - 1) for start, size in zip(values[:axes], values[axes:])]
+    return _corners(near, far)
 
 
 # --- shapes and masks -----------------------------------------------------------------------------------------------

@@ -61,7 +61,7 @@ def _corners(boxes: Tensor, box_format: int) -> tuple[Tensor, Tensor]:
 
 
 def _area(size: Tensor, otherwise: float = torch.nan) -> Tensor:
-    return torch.where((size > 0).all(-1), size.prod(-1), otherwise)
+    return torch.where((size > 0).all(-1), size[..., 0] * size[..., 1], otherwise)
 
 
 def _fake(a: Tensor, b: Tensor, box_format: int) -> tuple[int, int, int]:

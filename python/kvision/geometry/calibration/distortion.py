@@ -22,10 +22,10 @@ from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, pixels
 from kvision._leading import broadcast_shapes
 from kvision._modes import INTERPOLATION, PADDING
-from kvision._ops import Operator, register
+from kvision._ops import Operator, register, wants_derivative
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._formula import batch_of
-from kvision.geometry._precision import in_full_precision, wants_derivative
+from kvision.geometry._precision import in_full_precision
 from kvision.geometry.transform import sampling
 
 __all__ = ["distort_points", "tilt_projection", "undistort_image", "undistort_points"]

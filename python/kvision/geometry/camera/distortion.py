@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
 from kvision._ops import with_kernel_casts
-from kvision.geometry.conversions.series import angle_per_sine, angle_per_tangent_derivative, cos, sinc, squared
+from kvision.geometry.conversions.series import angle_per_tangent, angle_per_tangent_derivative, cos, sinc, squared
 
 __all__ = [
     "distort_points_affine",
@@ -141,16 +143,15 @@ def _distort_fisheye(points: Tensor, params: Tensor) -> Tensor:
 
 def _radial_scale(square: Tensor, params: Tensor) -> Tensor:
     """The distorted over the undistorted radius, as a function of the squared distance from the optical axis."""
-    per_radius = angle_per_sine(square, torch.ones_like(square))
-    return per_radius * _polynomial(per_radius.square() * square, params)
+    per_radius = angle_per_tangent(square)
+    return per_radius * _polynomial(per_radius.square() * square, params[..., 4:].split(1, -1))
 
 
-def _polynomial(square: Tensor, params: Tensor, weights: tuple[int, ...] = (1, 1, 1, 1)) -> Tensor:
-    """1 + w0 k0 s + w1 k1 s^2 + w2 k2 s^3 + w3 k3 s^4, of s = `square` and `weights` w."""
-    k = params[..., 4:].split(1, -1)
-    total = k[3] * weights[3]
-    for i in (2, 1, 0):
-        total = total * square + k[i] * weights[i]
+def _polynomial(square: Tensor, k: Sequence[Tensor]) -> Tensor:
+    """1 + k0 s + k1 s^2 + k2 s^3 + k3 s^4, of s = `square`."""
+    total = torch.addcmul(k[2], k[3], square)
+    total = torch.addcmul(k[1], total, square)
+    total = torch.addcmul(k[0], total, square)
     return 1 + total * square
 
 
@@ -186,18 +187,20 @@ def _undistort_fisheye(pixels: Tensor, params: Tensor) -> Tensor:
     square = squared(points)
     # The angle is `ratio` times the distorted radius: ratio * polynomial(angle^2) = 1.
     ratio = torch.ones_like(square)
-    fixed = square.detach(), params.detach()
+    # Side by side the polynomial in the angle, and the derivative of the angle times the polynomial.
+    both = [torch.cat([k, weight * k], -1) for k, weight in zip(params[..., 4:].split(1, -1), (3, 5, 7, 9))]
+    fixed = [k.detach() for k in both]
     for _ in range(10):
-        ratio = _newton(ratio, *fixed)
+        ratio = _newton(ratio, square.detach(), fixed)
     for _ in range(2):
-        ratio = _newton(ratio, square, params)
+        ratio = _newton(ratio, square, both)
     angle = ratio.square() * square
     return points * ratio * sinc(angle) / cos(angle)
 
 
-def _newton(ratio: Tensor, square: Tensor, params: Tensor) -> Tensor:
-    angle = ratio.square() * square
-    return ratio - (ratio * _polynomial(angle, params) - 1) / _polynomial(angle, params, (3, 5, 7, 9))
+def _newton(ratio: Tensor, square: Tensor, both: Sequence[Tensor]) -> Tensor:
+    value, derivative = _polynomial(ratio.square() * square, both).split(1, -1)
+    return ratio - (ratio * value - 1) / derivative
 
 
 def dx_distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor, params: Tensor) -> Tensor:
@@ -229,13 +232,14 @@ def dx_distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor
 def _fisheye_jacobian(points: Tensor, params: Tensor) -> Tensor:
     square = squared(points)
     # As in _radial_scale. The derivatives are with respect to the squared distance.
-    per_radius, grad_per_radius = angle_per_sine(square, torch.ones_like(square)), angle_per_tangent_derivative(square)
+    per_radius = angle_per_tangent(square)
+    grad_per_radius = angle_per_tangent_derivative(square, per_radius)
     angle = per_radius.square() * square
-    grad_angle = per_radius.square() + 2 * per_radius * grad_per_radius * square
-    polynomial = _polynomial(angle, params)
-    scale = per_radius * polynomial
+    grad_angle = per_radius * torch.addcmul(per_radius, grad_per_radius, square, value=2)
     k = params[..., 4:].split(1, -1)
-    grad_polynomial = k[0] + angle * (2 * k[1] + angle * (3 * k[2] + angle * 4 * k[3]))
+    polynomial = _polynomial(angle, k)
+    scale = per_radius * polynomial
+    grad_polynomial = torch.addcmul(k[0], angle, 2 * k[1] + angle * torch.addcmul(3 * k[2], angle, k[3], value=4))
     grad_scale = grad_per_radius * polynomial + per_radius * grad_polynomial * grad_angle
     isotropic = torch.diag_embed(scale.expand(*scale.shape[:-1], 2))
     radial = 2 * grad_scale[..., None] * points[..., :, None] * points[..., None, :]

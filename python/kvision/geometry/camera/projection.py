@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import as_dtype, floats
 from kvision.core.exceptions import ShapeError
 
 __all__ = [
@@ -142,8 +142,11 @@ def unproject_points_orthographic(points_in_camera: Tensor, extension: Tensor) -
     op = "unproject_points_orthographic"
     _check.trailing_shape(op, "points_in_camera", points_in_camera, 2)
     depth = _depth(op, points_in_camera, extension)
-    points, depth = torch.broadcast_tensors(points_in_camera, depth.to(points_in_camera.dtype))
-    return torch.cat([points, depth[..., :1]], -1)
+    points, depth = points_in_camera, as_dtype(depth, points_in_camera.dtype)
+    if points.shape[:-1] != depth.shape[:-1]:
+        points, depth = torch.broadcast_tensors(points, depth)
+        depth = depth[..., :1]
+    return torch.cat([points, depth], -1)
 
 
 def dx_project_points_orthographic(points_in_camera: Tensor) -> Tensor:

@@ -6,10 +6,11 @@ that pixel is the origin and the scale is 1, so that all these maps are invertib
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import floats
@@ -166,8 +167,23 @@ def _moved(op: str, points: Tensor, back: bool, **sizes: int) -> Tensor:
 
 @with_kernel_casts
 def _along_axes(points: Tensor, lines: Sequence[Line]) -> Tensor:
-    moved = [x * scale + offset for x, (scale, offset) in zip(points.unbind(-1), lines)]
-    return torch.stack(moved, -1)
+    if points.dim() == 1:
+        return _along_axes(points[None], lines)[0]
+    # Rows of points are rows of numbers that take the scales and offsets in turn: long loops, where an axis has 2 or 3.
+    scale, offset = filled(zip(*lines), points).repeat(1, points.shape[-2])
+    return torch.addcmul(offset, points.flatten(-2), scale).unflatten(-1, points.shape[-2:])
+
+
+def filled(rows: Iterable[Sequence[float]], like: Tensor) -> Tensor:
+    """A matrix of numbers, filled on the device of `like`, without a copy from the host."""
+    values = [list(row) for row in rows]
+    if like.device.type == "cpu" and not is_compiling():
+        return torch.tensor(values, dtype=like.dtype)
+    matrix = torch.empty(len(values), len(values[0]), dtype=like.dtype, device=like.device)
+    for i, row in enumerate(values):
+        for j, value in enumerate(row):
+            matrix[i, j].fill_(value)
+    return matrix
 
 
 # --- matrices -------------------------------------------------------------------------------------------------------

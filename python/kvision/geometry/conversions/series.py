@@ -31,14 +31,20 @@ def angle_per_sine(sine: Tensor, cosine: Tensor) -> Tensor:
     return torch.where(small, series, torch.where(none, 0, angle / s))
 
 
-def angle_per_tangent_derivative(tangent: Tensor) -> Tensor:
-    """The derivative of atan(t) / t with respect to t squared, where `tangent` is t squared; differentiable at 0."""
+def angle_per_tangent(tangent: Tensor) -> Tensor:
+    """atan(t) / t, where `tangent` is t squared, differentiable at 0."""
+    small = tangent < 1e-4
+    series = 1 - tangent * (1 / 3 - tangent * (1 / 5 - tangent / 7))
+    t = torch.where(small, 1, tangent).sqrt()
+    return torch.where(small, series, t.atan() / t)
+
+
+def angle_per_tangent_derivative(tangent: Tensor, angle_per_tangent: Tensor) -> Tensor:
+    """The derivative of `angle_per_tangent`, given as well, with respect to t squared; differentiable at 0."""
     small = tangent < 1e-3
     series = -1 / 3 + tangent * (2 / 5 - tangent * (3 / 7 - tangent * (4 / 9 - tangent * (5 / 11))))
     square = torch.where(small, 1, tangent)
-    return torch.where(
-        small, series, (1 / (1 + square) - angle_per_sine(square, torch.ones_like(square))) / (2 * square)
-    )
+    return torch.where(small, series, (1 / (1 + square) - angle_per_tangent) / (2 * square))
 
 
 def squared(x: Tensor) -> Tensor:

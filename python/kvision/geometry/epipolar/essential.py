@@ -162,7 +162,8 @@ def relative_camera_motion(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tu
     """
     _check_motions("relative_camera_motion", R1, t1, R2, t2)
     motion = of_all(_camera_motion, 2, R1, t1, R2, t2)
-    return motion[..., :3, :], motion[..., 3, :, None]
+    R, t = motion.split((3, 1), -2)
+    return R, t.mT
 
 
 def _check_motions(op: str, R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> None:

@@ -11,7 +11,7 @@ from kvision import _check
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._formula import of_all, register_formula
 from kvision.geometry._normalization import to_unit_last
-from kvision.geometry._precision import in_full_precision, length
+from kvision.geometry._precision import in_full_precision
 from kvision.geometry.linalg import adjugate
 from kvision.geometry.solvers._minimal import eight_points, minimal_solver
 from kvision.geometry.solvers.correspondences import check_correspondences
@@ -194,12 +194,13 @@ def lines(points: Tensor, F: Tensor) -> Tensor:
     """F x for points (*, N, 2 or 3)."""
     if points.shape[-1] == 3:
         return points @ F.mT
-    return points @ F[..., :2].mT + F[..., None, :, 2]
+    linear, last = F.mT.split((2, 1), -2)
+    return points @ linear + last
 
 
 def scaled_lines(line: Tensor) -> Tensor:
-    size = length(line[..., :2], keepdim=True)
-    return line / torch.where(size > 0, size, 1) + 0  # no negative zeros
+    square = line[..., :2].square().sum(-1, keepdim=True)
+    return line / torch.where(square > 0, square, 1).sqrt() + 0  # no negative zeros
 
 
 def check_points(op: str, name: str, x: Tensor) -> None:
@@ -237,10 +238,13 @@ def get_perpendicular(lines: Tensor, points: Tensor) -> Tensor:
 
 def _perpendicular(line: Tensor, points: Tensor) -> Tensor:
     """The cross product of the point and the direction (a, b, 0), a point at infinity."""
-    a, b = line[..., 0], line[..., 1]
-    x, y = points[..., 0], points[..., 1]
-    w = points[..., 2] if points.shape[-1] == 3 else torch.ones_like(x)
-    return torch.stack(torch.broadcast_tensors(-w * b, w * a, x * b - y * a), -1) + 0
+    a, b, _ = line.unbind(-1)
+    x, y, *w = points.unbind(-1)
+    first, second = (w[0] * a, w[0] * b) if w else (a, b)
+    last = x * b - y * a
+    if first.shape != last.shape:
+        first, second = first.expand_as(last), second.expand_as(last)
+    return torch.stack((-second, first, last), -1) + 0
 
 
 @in_full_precision

@@ -168,7 +168,7 @@ def depth_from_point(R: Tensor, t: Tensor, X: Tensor) -> Tensor:
     _check.floating_trailing_shape(op, "t", t, 3, 1)
     _check.floating_trailing_shape(op, "X", X, "N", 3)
     _check.same_device(op, R=R, t=t, X=X)
-    return (R[..., 2:, :] @ X.mT)[..., 0, :] + t[..., 2, :]
+    return (R.narrow(-2, 2, 1) @ X.mT).squeeze(-2) + t.select(-2, 2)
 
 
 @in_full_precision

@@ -179,12 +179,10 @@ def sample_is_valid_for_homography(points1: Tensor, points2: Tensor) -> Tensor:
 
 def _turns(points: Tensor) -> Tensor:
     """The orientation, -1, 0 or 1, of the four triangles of points (B, 4, 2): (B, 4)."""
-    a, b, c, d = points[:, :4].unbind(1)
-    signs = []
-    for p, q, r in ((a, b, c), (a, b, d), (a, c, d), (b, c, d)):
-        (x, y), (u, v) = (q - p).unbind(-1), (r - p).unbind(-1)
-        signs.append((x * v - y * u).sign())
-    return torch.stack(signs, -1)
+    first = points[:, :4]
+    p, q, r = (torch.stack([first[:, i] for i in of], 1) for of in ((0, 0, 0, 1), (1, 1, 2, 2), (2, 3, 3, 3)))
+    (x, y), (u, v) = (q - p).unbind(-1), (r - p).unbind(-1)
+    return (x * v - y * u).sign()
 
 
 def _check_relation(op: str, pts1: Tensor, pts2: Tensor, H: Tensor) -> None:

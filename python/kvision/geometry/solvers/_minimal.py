@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from kvision._modes import MODEL, MODEL_NAMES
-from kvision._ops import register
+from kvision._ops import register, wants_derivative
 from kvision.geometry._normalization import normalized, to_unit_last
-from kvision.geometry._precision import promoted, wants_derivative
+from kvision.geometry._precision import promoted
 from kvision.geometry.homography.dlt import of_lines
 from kvision.geometry.homography.errors import sample_is_valid_for_homography
 from kvision.geometry.linalg import adjugate

@@ -8,8 +8,12 @@ Source: D. Nister, "An Efficient Solution to the Five-Point Relative Pose Proble
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision.geometry._precision import in_full_precision
@@ -24,22 +28,32 @@ _CUBIC = (
 )
 
 
-def _terms(left: tuple[str, ...], right: tuple[str, ...], product: tuple[str, ...]) -> list[list[tuple[int, int]]]:
-    """The pairs of factors that contribute to each monomial of the product."""
-    return [
-        [(i, k) for i, a in enumerate(left) for k, b in enumerate(right) if "".join(sorted(a + b)) == monomial]
-        for monomial in product
-    ]
+class Terms:
+    """The pairs of factors' coefficients that contribute to each monomial of a product, as lists and as a matrix."""
+
+    def __init__(self, left: Sequence[str], right: Sequence[str], product: Sequence[str]) -> None:
+        factors = [(i, k, "".join(sorted(a + b))) for i, a in enumerate(left) for k, b in enumerate(right)]
+        self.pairs = [[(i, k) for i, k, found in factors if found == monomial] for monomial in product]
+        matrix = np.array([[found == monomial for monomial in product] for _, _, found in factors])
+        self.matrix = {torch.float32: matrix.astype(np.float32), torch.float64: matrix.astype(np.float64)}
 
 
-_TO_QUADRATIC = _terms(_LINEAR, _LINEAR, _QUADRATIC)
-_TO_CUBIC = _terms(_QUADRATIC, _LINEAR, _CUBIC)
+def _powers(count: int) -> list[str]:
+    return ["z" * n for n in range(count)]
 
 
-def product(a: Tensor, b: Tensor, terms: list[list[tuple[int, int]]]) -> Tensor:
+_TO_QUADRATIC = Terms(_LINEAR, _LINEAR, _QUADRATIC)
+_TO_CUBIC = Terms(_QUADRATIC, _LINEAR, _CUBIC)
+_TO_SIXTH_POWER = Terms(_powers(4), _powers(4), _powers(7))
+_TO_TENTH_POWER = Terms(_powers(7), _powers(5), _powers(11))
+
+
+def product(a: Tensor, b: Tensor, terms: Terms) -> Tensor:
     """The coefficients of a product, from those of its factors along the last axes."""
-    p, q = a.unbind(-1), b.unbind(-1)
-    return torch.stack([torch.stack([p[i] * q[k] for i, k in pairs]).sum(0) for pairs in terms], -1)
+    if a.is_cpu and not is_compiling():
+        return (a.unsqueeze(-1) * b.unsqueeze(-2)).flatten(-2) @ torch.from_numpy(terms.matrix[a.dtype])
+    p, q = a.unbind(-1), b.unbind(-1)  # elsewhere the matrix would be copied from the host, and rounded to TF32
+    return torch.stack([torch.stack([p[i] * q[k] for i, k in pairs]).sum(0) for pairs in terms.pairs], -1)
 
 
 @in_full_precision
@@ -121,20 +135,7 @@ def determinant_to_polynomial(A: Tensor) -> Tensor:
         tensor([[0., 1., 0., 0., 0., 0., 0., 0., 0., 0., 0.]])
     """
     _check.floating_trailing_shape("determinant_to_polynomial", "A", A, 3, 13)
-    first, second, third = (part.flip(-1) for part in A.split([4, 4, 5], -1))
-
-    def minor(i: int, k: int) -> Tensor:
-        return _in_z(first[..., i, :], second[..., k, :]) - _in_z(first[..., k, :], second[..., i, :])
-
-    return (
-        _in_z(minor(0, 1), third[..., 2, :])
-        + _in_z(minor(1, 2), third[..., 0, :])
-        + _in_z(minor(2, 0), third[..., 1, :])
-    )
-
-
-def _in_z(a: Tensor, b: Tensor) -> Tensor:
-    """The product of polynomials in one unknown."""
-    size = a.shape[-1] + b.shape[-1] - 1
-    shifted = [torch.nn.functional.pad(a * b[..., i : i + 1], (i, size - i - a.shape[-1])) for i in range(b.shape[-1])]
-    return torch.stack(shifted).sum(0)
+    third, second, first = A.flip(-1).split([5, 4, 4], -1)
+    # Of rows i and i + 1 each, to be multiplied by row i + 2.
+    minors = product(first, second.roll(-1, -2), _TO_SIXTH_POWER) - product(first.roll(-1, -2), second, _TO_SIXTH_POWER)
+    return product(minors, third.roll(1, -2), _TO_TENTH_POWER).sum(-2)

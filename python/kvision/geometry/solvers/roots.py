@@ -37,12 +37,15 @@ def solve_quadratic(coeffs: Tensor) -> Tensor:
     _check.floating_trailing_shape("solve_quadratic", "coeffs", coeffs, "B", 3)
     a, b, c = _scaled(coeffs).unbind(-1)
     discriminant = b * b - 4 * a * c
-    q = -0.5 * (b + torch.where(b < 0, -1.0, 1.0).to(b.dtype) * root(discriminant.clamp(min=0)))
-    linear = a == 0
-    other = torch.where(q == 0, 0, c / torch.where(q == 0, 1, q))  # also the root of the linear equation
-    one = q / torch.where(linear, 1, a)
-    first, second = torch.where(b < 0, one, other), torch.where(b < 0, other, one)
-    double = -b / (2 * torch.where(linear, 1, a))
+    distance = root(discriminant.clamp(min=0))
+    negative, linear = b < 0, a == 0
+    q = -0.5 * (b + torch.where(negative, -distance, distance))
+    none = q == 0
+    other = torch.where(none, 0, c / torch.where(none, 1, q))  # also the root of the linear equation
+    leading = torch.where(linear, 1, a)
+    one = q / leading
+    first, second = torch.where(negative, one, other), torch.where(negative, other, one)
+    double = -b / (2 * leading)
     flat = discriminant == 0
     first, second = torch.where(flat, double, first), torch.where(flat, double, second)
     first, second = torch.where(linear, other, first), torch.where(linear, 0, second)

@@ -12,9 +12,8 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
-from kvision._ops import match_layout, register
+from kvision._ops import match_layout, register, wants_derivative
 from kvision._torch_compat import in_function_transform, is_tracing
-from kvision.geometry._precision import wants_derivative
 
 __all__ = ["NonMaximaSuppression2d", "NonMaximaSuppression3d", "nms2d", "nms3d", "nms3d_minmax"]
 

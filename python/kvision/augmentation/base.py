@@ -45,6 +45,7 @@ class Execution:
         applied: bool = True,
         params: Params | None = None,
         redraw: tuple[Keys, int] | None = None,
+        frames: int = 1,
     ) -> None:
         self.shape = shape  # of the images, (B, C, H, W)
         self.columns = columns  # of the parameters, on their device
@@ -52,6 +53,7 @@ class Execution:
         self.applied = applied  # False where the whole batch passes unchanged
         self.params = params  # by name, where they were given or have been read
         self.redraw = redraw  # the keys, and the index of this augmentation's
+        self.frames = frames  # neighboring samples that share what was drawn
         self.matrix: Tensor | None = None
 
     def keep_matrix(self, matrix: Tensor) -> None:
@@ -73,6 +75,7 @@ class AugmentationBase(nn.Module):
     axes: ClassVar[int]  # of an image with its channels: 3, of a volume: 4
     whole_batch: ClassVar[bool] = False  # the size of the result changes, so that all samples are chosen or none
     accepts_bytes: ClassVar[bool] = True  # otherwise uint8 images are computed in float32, in [0, 1]
+    keeps_lines: ClassVar[bool] = True  # straight lines stay straight, so that the corners of a box say where it is
     fuses_noise: ClassVar[bool] = False  # `apply_transform` takes "_noise" in place of the parameters of pixels
 
     def __init__(
@@ -137,7 +140,9 @@ class AugmentationBase(nn.Module):
                 # Drawn again on the host, which gives the same numbers and waits for nothing but a key on the device.
                 keys, index = redraw
                 host = Keys(keys.keys.cpu(), None if keys.seeds is None else keys.seeds.cpu(), keys.one_key)
-                (columns,) = draw_columns(torch.empty(shape[0]), host, [request], index)
+                (columns,) = draw_columns(torch.empty(shape[0] // execution.frames), host, [request], index)
+                if execution.frames > 1:
+                    columns = columns._replace(drawn=columns.drawn.repeat_interleave(execution.frames, 0))
                 redraw = (host, index)
             params: Params = {}
             if columns is not None:
@@ -150,7 +155,7 @@ class AugmentationBase(nn.Module):
                 params = self._param_generator.to_params(values, shape)
                 if self._param_generator.per_pixel and redraw is not None:
                     noise = PixelNoise(*redraw, self.same_on_batch, values.device)
-                    params.update(self._param_generator.pixel_params(values, shape, noise))
+                    params.update(self._pixel_params(values, execution, noise))
             params["batch_prob"] = chosen
             params["forward_input_shape"] = torch.tensor(shape)
             execution.params = {
@@ -347,11 +352,20 @@ class AugmentationBase(nn.Module):
         params.update(self._param_generator.to_params(values, shape))
         if self._param_generator.per_pixel and execution.redraw is not None:
             noise = PixelNoise(*execution.redraw, self.same_on_batch, x.device)
-            if self.fuses_noise and not self._is_customized():
+            if self.fuses_noise and execution.frames == 1 and not self._is_customized():
                 params["_noise"] = (values, noise)
             else:
-                params.update(self._param_generator.pixel_params(values, shape, noise))
+                params.update(self._pixel_params(values, execution, noise))
         return params
+
+    def _pixel_params(self, values: Tensor, execution: Execution, noise: PixelNoise) -> Params:
+        """The parameters with numbers of their own for each pixel, the same for the frames of a video."""
+        assert self._param_generator is not None
+        shape, frames = execution.shape, execution.frames
+        if frames == 1:
+            return self._param_generator.pixel_params(values, shape, noise)
+        drawn = self._param_generator.pixel_params(values[::frames], (shape[0] // frames, *shape[1:]), noise)
+        return {name: x.repeat_interleave(frames, 0) for name, x in drawn.items()}
 
     # --- calling ---
 
@@ -433,6 +447,14 @@ class AugmentationBase(nn.Module):
         """Points (B, N, 2), (B, N, 3) of volumes, moved as the images were."""
         return points
 
+    def inverse_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        """Masks (B, C, h, w) of results, moved back."""
+        return masks
+
+    def inverse_points(self, points: Tensor, execution: Execution) -> Tensor:
+        """Points (B, N, 2), (B, N, 3) of volumes, of results, moved back."""
+        return points
+
     def inverse(self, output: Tensor, params: Params | None = None, **kwargs: Any) -> Tensor:
         """Undo the geometric part of a call, the last one unless parameters are given.
 
@@ -445,6 +467,40 @@ class AugmentationBase(nn.Module):
             Images of the size that the input had; 0 where the result knows nothing of them.
         """
         return output
+
+    def known_pixels(self, output: Tensor, params: Params | None = None) -> Tensor:
+        """Which pixels of the images :meth:`inverse` finds in a result; the others were lost in the call, or in part.
+
+        Args:
+            output: images (B, C, h, w) as that call returned them, of which only the device counts.
+            params: the `_params` of the call.
+
+        Returns:
+            bool (B, 1, H, W), of the size that the input had.
+        """
+        x = self.transform_tensor(output)
+        execution = self._execution_of(params, x, self.flags)
+        if execution is None:
+            return is_known(known_everywhere(x.shape, x.device))
+        ones = known_everywhere(execution.shape, x.device)
+        moved = self.transform_masks(ones, execution, {**self.flags, "resample": "bilinear"})
+        return is_known(self.inverse(moved, params).reshape(ones.shape))
+
+    def _execution_of(self, params: Params | None, x: Tensor, flags: dict[str, Any]) -> Execution | None:
+        """The last execution, or that of given parameters, for an inverse on the device of results x."""
+        if params is None:
+            return self._execution
+        return self._from_params(params, x.new_empty(1).expand(tuple(int(n) for n in params["forward_input_shape"])))
+
+
+def known_everywhere(shape: Shape, device: torch.device) -> Tensor:
+    """One channel of ones for images of a shape (B, C, H, W)."""
+    return torch.ones((shape[0], 1, *shape[2:]), device=device)
+
+
+def is_known(back: Tensor) -> Tensor:
+    """Pixels that were read from ones alone."""
+    return back > 1 - 1e-3
 
 
 def _shown(value: Any) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from kvision._dtype import compute_dtype
@@ -23,38 +24,85 @@ class _MapAugmentation(AugmentationBase2D):
     """A deformation by a map: where each pixel of the result reads the image."""
 
     accepts_bytes = True
+    keeps_lines = False
 
     def coordinates(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
         """The map (B, 2, H, W): x and y in pixels."""
         raise NotImplementedError
 
-    def _read(self, x: Tensor, params: Params, flags: dict[str, Any], mode: str, padding: str) -> Tensor:
-        like = x.new_empty(0, dtype=compute_dtype(x))
-        map_x, map_y = self.coordinates(tuple(x.shape), params, flags, like).unbind(1)
-        return remap(x, map_x, map_y, mode, padding, flags.get("align_corners", True))
-
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        mode = Resample.get(flags.get("resample", Resample.BILINEAR)).name.lower()
-        return self._read(input, params, flags, mode, _padding(flags))
+        coordinates = self.coordinates(
+            tuple(input.shape), params, flags, input.new_empty(0, dtype=compute_dtype(input))
+        )
+        return _read(input, coordinates, _mode(flags), _padding(flags), flags.get("align_corners", True))
+
+    def _map(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        """The map of an execution, for images, masks or points that follow it."""
+        params = self._params_on_device(x, execution)
+        like = x.new_empty(0, dtype=compute_dtype(x) if x.is_floating_point() else torch.float32)
+        return self.coordinates((x.shape[0], 1, *execution.shape[-2:]), params, flags, like)
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or masks.shape[0] == 0:
             return masks
-        params = self._params_on_device(masks, execution)
-        exact = masks if masks.is_floating_point() else masks.double()  # holds all integers up to 2^53
-        moved = self._read(exact, params, flags, "nearest", _padding(flags)).to(masks.dtype)
-        return moved if execution.chosen is None else torch.where(execution.chosen[:, None, None, None], moved, masks)
+        coordinates, corners = self._map(masks, execution, flags), flags.get("align_corners", True)
+        return _chosen_of(execution, _read_labels(masks, coordinates, _mode(flags), _padding(flags), corners), masks)
 
     def transform_points(self, points: Tensor, execution: Execution) -> Tensor:
         if not execution.applied or 0 in points.shape:
             return points
-        params = self._params_on_device(points, execution)
-        shape = (points.shape[0], 1, *execution.shape[-2:])
-        coordinates = self.coordinates(shape, params, self.flags, points.new_empty(0))
-        moved = invert_map(coordinates, points)
-        return moved if execution.chosen is None else torch.where(execution.chosen[:, None, None], moved, points)
+        return _chosen_of(execution, invert_map(self._map(points, execution, self.flags), points), points)
+
+    # --- inverse ---
+
+    def inverse(self, output: Tensor, params: Params | None = None, **kwargs: Any) -> Tensor:
+        flags = self._flags_of(kwargs)
+        x = self.transform_tensor(output)
+        execution = self._execution_of(params, x, flags)
+        if execution is None:
+            raise RuntimeError(f"{type(self).__name__}.inverse: there was no call yet; pass its params")
+        if not execution.applied or 0 in x.shape:
+            return output
+        back, is_found = invert_map_everywhere(self._map(x, execution, flags))
+        y = torch.where(is_found, _read(x, back, _mode(flags), "zeros", True), 0).to(x.dtype)
+        y = _chosen_of(execution, y, x)
+        return y.reshape(y.shape[y.dim() - output.dim() :]) if self.keepdim and y.dim() > output.dim() else y
+
+    def inverse_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if not execution.applied or 0 in masks.shape:
+            return masks
+        back, is_found = invert_map_everywhere(self._map(masks, execution, flags))
+        moved = torch.where(is_found, _read_labels(masks, back, "nearest", "zeros", True), 0).to(masks.dtype)
+        return _chosen_of(execution, moved, masks)
+
+    def inverse_points(self, points: Tensor, execution: Execution) -> Tensor:
+        if not execution.applied or 0 in points.shape:
+            return points
+        return _chosen_of(execution, _at(self._map(points, execution, self.flags), points), points)
+
+
+def _mode(flags: dict[str, Any]) -> str:
+    return Resample.get(flags.get("resample", Resample.BILINEAR)).name.lower()
+
+
+def _chosen_of(execution: Execution, moved: Tensor, given: Tensor) -> Tensor:
+    """What moved of the samples that are chosen, and what was given of the others."""
+    if execution.chosen is None:
+        return moved
+    return torch.where(execution.chosen.to(moved.device).reshape(-1, *[1] * (moved.dim() - 1)), moved, given)
+
+
+def _read(x: Tensor, coordinates: Tensor, mode: str, padding: str, align_corners: bool) -> Tensor:
+    map_x, map_y = coordinates.to(compute_dtype(x)).unbind(1)
+    return remap(x, map_x, map_y, mode, padding, align_corners)
+
+
+def _read_labels(masks: Tensor, coordinates: Tensor, mode: str, padding: str, align_corners: bool) -> Tensor:
+    """Masks of any type."""
+    exact = masks if masks.is_floating_point() else masks.double()  # holds all integers up to 2^53
+    return _read(exact, coordinates, mode, padding, align_corners).to(masks.dtype)
 
 
 def invert_map(coordinates: Tensor, points: Tensor) -> Tensor:
@@ -68,6 +116,31 @@ def invert_map(coordinates: Tensor, points: Tensor) -> Tensor:
     known = coordinates[:, :, rows][..., columns].flatten(2).mT  # (B, G, 2)
     best = torch.cdist(points, known.to(points)).argmin(-1)
     at = torch.stack([columns[best % len(columns)], rows[best // len(columns)]], -1).to(points)
+    return _newton(coordinates, points, at)
+
+
+def invert_map_everywhere(coordinates: Tensor) -> tuple[Tensor, Tensor]:
+    """The map (B, 2, H, W) from the pixels of an image to those of the result, and bool (B, 1, H, W), which are there.
+
+    `coordinates` (B, 2, H, W) is the map from the result to the image. The pixels of a coarse grid are searched for, and
+    the method begins between these for all.
+    """
+    h, w = coordinates.shape[-2:]
+    rows, columns = (torch.linspace(0, n - 1, min(n, _GUESSES), device=coordinates.device) for n in (h, w))
+    coarse = torch.stack([columns.expand(len(rows), -1), rows[:, None].expand(-1, len(columns))], -1).flatten(0, 1)
+    found = invert_map(coordinates, coarse.to(coordinates).expand(len(coordinates), -1, 2))
+    between = found.mT.unflatten(2, (len(rows), len(columns)))
+    start = F.interpolate(between, (h, w), mode="bilinear", align_corners=True).flatten(2).mT
+    pixels = _pixels(_grid(h, w, coordinates), h, w, True)
+    points = pixels.flatten(1).mT.expand_as(start)
+    at = _newton(coordinates, points, start)
+    is_found = (_at(coordinates, at) - points).abs().amax(-1) < 0.5
+    return at.mT.unflatten(2, (h, w)), is_found.unflatten(1, (1, h, w))
+
+
+def _newton(coordinates: Tensor, points: Tensor, at: Tensor) -> Tensor:
+    """Where the map reads points (B, N, 2), from a place `at` near each on."""
+    h, w = coordinates.shape[-2:]
     for _ in range(_STEPS):
         here = _at(coordinates, at)
         step_x, step_y = at.new_tensor([0.5, 0.0]), at.new_tensor([0.0, 0.5])

@@ -84,5 +84,11 @@ class GeometricAugmentationBase3D(GeometricAugmentation, RigidAffineAugmentation
         size = self.output_size(execution.shape, flags)
         return self._warp(masks, self._matrix(execution), size, self.resampling(flags))
 
+    def inverse_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if not execution.applied:
+            return masks
+        resampling = self.resampling(flags).for_inverse("nearest")
+        return self._warp(masks, self._matrix(execution), execution.shape[2:], resampling, inverse=False)
+
     def inverse_transform(self, input: Tensor, flags: dict[str, Any], transform: Tensor, size: Any) -> Tensor:
         return self._warp(input, transform, tuple(size), self.resampling(flags).for_inverse(), inverse=False)

@@ -31,6 +31,12 @@ class GeometricAugmentation(AugmentationBase):
     def output_shape(self, shape: Shape, flags: dict[str, Any]) -> Shape:
         return (*shape[:2], *self.output_size(shape, flags))
 
+    def _execution_of(self, params: Params | None, x: Tensor, flags: dict[str, Any]) -> Execution | None:
+        execution = super()._execution_of(params, x, flags)
+        if execution is not None and params is not None:
+            execution.matrix = self._matrix_of(x.new_empty(1).expand(execution.shape), execution, flags)
+        return execution
+
     def _matrix_of(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         """The matrices of an execution, the identity for samples that are not chosen."""
         matrix = self.compute_transformation(x, self._params_on_device(x, execution), flags)
@@ -47,15 +53,15 @@ class GeometricAugmentation(AugmentationBase):
             return points
         return transform_points(self._matrix(execution).to(points), points)
 
+    def inverse_points(self, points: Tensor, execution: Execution) -> Tensor:
+        if not execution.applied:
+            return points
+        return transform_points(torch.linalg.inv(self._matrix(execution)).to(points), points)
+
     def inverse(self, output: Tensor, params: Params | None = None, **kwargs: Any) -> Tensor:
         flags = self._flags_of(kwargs)
         x = self.transform_tensor(output)
-        execution = self._execution
-        if params is not None:
-            shape = tuple(int(n) for n in params["forward_input_shape"])
-            image = x.new_empty(1).expand(shape)  # of its size only
-            execution = self._from_params(params, image)
-            execution.matrix = self._matrix_of(image, execution, flags)
+        execution = self._execution_of(params, x, flags)
         if execution is None:
             raise RuntimeError(f"{type(self).__name__}.inverse: there was no call yet; pass its params")
         if not execution.applied:
@@ -186,6 +192,12 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
             return masks
         size = self.output_size(execution.shape, flags)
         return warp_labels(masks, self._matrix(execution), size, self.resampling(flags).for_labels())
+
+    def inverse_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if not execution.applied:
+            return masks
+        resampling, size = self.resampling(flags).for_inverse("nearest"), execution.shape[-2:]
+        return warp_labels(masks, self._matrix(execution), size, resampling, inverse=False)
 
     def inverse_transform(self, input: Tensor, flags: dict[str, Any], transform: Tensor, size: Any) -> Tensor:
         return warp(input, transform.to(input.device), size, self.resampling(flags).for_inverse(), inverse=False)

@@ -58,6 +58,12 @@ def draw_keys(op: str, count: int, device: torch.device, seed: Seed, generator: 
 
 
 _LOWEST = -(2**63)
+_STEP = -0x61C8864680B583EB  # of the seeds of frames: the golden ratio times 2^64
+
+
+def frame_seeds(seeds: Tensor, frames: int) -> Tensor:
+    """Seeds (B T,) of the frames of videos with seeds (B,): the first frame has that of its video."""
+    return (seeds[:, None] + _STEP * torch.arange(frames, device=seeds.device)).flatten()
 
 
 def _from_seed(op: str, seed: int | Tensor) -> Keys:

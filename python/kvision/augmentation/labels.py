@@ -15,6 +15,7 @@ BOX_FORMATS = {DataKey.BBOX: "vertices", DataKey.BBOX_XYXY: "xyxy", DataKey.BBOX
 
 # Boxes and points become points (B, M, 2) in coordinates of pixel centers, move with the image, and become boxes again.
 Mover = Callable[[Tensor], Tensor]
+CURVED = 16  # points on each side of a box that moves by a map, which bends its sides
 
 # How far the corners of a box are from the centers of its outermost pixels. xyxy and xywh, as COCO has them, end at the edges
 # of pixels: the first pixel's center, 0, is half a pixel from its left edge, 0. The far corner of xyxy_plus is a pixel.
@@ -40,13 +41,35 @@ def move_points(points: Any, move: Mover) -> Any:
     return _keeping_type(batch, move).reshape(points.shape)
 
 
-def move_boxes(boxes: Any, mode: str, move: Mover) -> Any:
-    """Boxes of a mode: vertices (B, N, 4, 2), or (B, N, 4); without the batch, or a list of those."""
+def visible_points(before: Any, after: Any, back: Mover, size: tuple[int, int]) -> Any:
+    """Which moved points are inside images of a size (H, W), and come from where they were: bool (B, N), or a list of (N,).
+
+    A map that folds may show what was at a point in no place; the point found for it is moved back to another place.
+    """
+    if isinstance(after, (list, tuple)):
+        if not after:
+            return after
+        (padded, sizes), (given, _) = _pad(after), _pad(before)
+        return type(after)(row[:n] for row, n in zip(visible_points(given, padded, back, size), sizes))
+    if hasattr(after, "transform_keypoints"):
+        return visible_points(before._data, after._data, back, size)
+    points = after if after.dim() == 3 else after[None]
+    x, y = points.unbind(-1)
+    inside = (x >= -0.5) & (x <= size[1] - 0.5) & (y >= -0.5) & (y <= size[0] - 0.5)
+    miss = (_keeping_type(points, back) - before.reshape(points.shape)).abs().amax(-1)
+    return (inside & (miss < 0.5)).reshape(after.shape[:-1])
+
+
+def move_boxes(boxes: Any, mode: str, move: Mover, points_of_side: int = 1) -> Any:
+    """Boxes of a mode: vertices (B, N, 4, 2), or (B, N, 4); without the batch, or a list of those.
+
+    Upright boxes are the smallest around so many points on each side, of which the first is a corner.
+    """
     if isinstance(boxes, (list, tuple)):
         if not boxes:
             return boxes
         padded, sizes = _pad(boxes)
-        moved = move_boxes(padded, mode, move)
+        moved = move_boxes(padded, mode, move, points_of_side)
         return type(boxes)(m[:n] for m, n in zip(moved, sizes))
     if hasattr(boxes, "transform_boxes"):  # kvision.geometry.boxes.Boxes
         moved = boxes.clone()
@@ -67,8 +90,12 @@ def move_boxes(boxes: Any, mode: str, move: Mover) -> Any:
         moved = _keeping_type(values.reshape(b, n * 4, 2), move).reshape(b, n, 4, 2)
         return _as_type(_upright(moved), boxes)
     corners = box_corners(values, mode)
-    b, n = corners.shape[:2]
-    moved = _keeping_type(corners.reshape(b, n * 4, 2), move).reshape(b, n, 4, 2)
+    if points_of_side > 1:
+        along = torch.arange(points_of_side, dtype=corners.dtype, device=corners.device)[:, None] / points_of_side
+        sides = corners.roll(-1, -2) - corners
+        corners = (corners[..., None, :] + along * sides[..., None, :]).flatten(-3, -2)
+    b, n, m = corners.shape[:3]
+    moved = _keeping_type(corners.reshape(b, n * m, 2), move).reshape(b, n, m, 2)
     return _as_type(_boxes_around(moved, mode), boxes)
 
 
@@ -85,7 +112,7 @@ def box_corners(boxes: Tensor, mode: str) -> Tensor:
 
 
 def _boxes_around(corners: Tensor, mode: str) -> Tensor:
-    """The smallest upright boxes (..., 4) around four corners each, (..., 4, 2)."""
+    """The smallest upright boxes (..., 4) around points of each, (..., M, 2)."""
     near, far = _OFFSETS[mode]
     first, last = corners.amin(-2) - near, corners.amax(-2) - far
     return torch.cat([first, last - first if mode == "xywh" else last], -1)

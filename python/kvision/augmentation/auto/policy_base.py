@@ -100,8 +100,10 @@ class PolicyAugmentBase(ImageSequential):
 
     def _draw(self, x: Tensor, source: Randomness) -> list[tuple[Tensor, Tensor]]:
         """The operation and the value (B,) of each sample in each step."""
-        keys = draw_keys(source.op, 1, x.device, source.seed, source.generator)
-        drawn = draw_columns(x, keys, [self._request()])[0].drawn
+        keys = draw_keys(source.op, 1, x.device, source.seed_of_samples, source.generator)
+        drawn = draw_columns(x[:: source.frames], keys, [self._request()])[0].drawn
+        if source.frames > 1:
+            drawn = drawn.repeat_interleave(source.frames, 0)
         if self._table.device != x.device:
             self._table = self._table.to(x.device)
         steps = []

@@ -10,9 +10,10 @@ from torch import Generator, Tensor, nn
 
 from kvision.augmentation import labels
 from kvision.augmentation.base import AugmentationBase
-from kvision.augmentation.container.image import ImageSequential, ParamItem, invert
-from kvision.augmentation.container.runs import Applied, Stage, Warp, execute
-from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp_labels
+from kvision.augmentation.container.image import ImageSequential, ParamItem, invert, move_masks
+from kvision.augmentation.container.runs import Applied, Randomness, Stage, Warp, execute
+from kvision.augmentation.container.video import VideoLayout, VideoSequential
+from kvision.augmentation.geometric_base import warp_labels
 from kvision.augmentation.keys import Seed
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -26,8 +27,11 @@ class AugmentationSequential(ImageSequential):
 
     Masks are read at the nearest pixel, whatever their type. Boxes "bbox_xyxy" and "bbox_xywh" are (B, N, 4) with edges of
     pixels as COCO has them: a box over all of an image is (0, 0, W, H). "bbox" has four corners (B, N, 4, 2), and
-    "keypoints" are (B, N, 2): the center of the first pixel is (0, 0). A moved box is the smallest upright one around the
-    four moved corners. "class" is returned as it was given.
+    "keypoints" are (B, N, 2): the center of the first pixel is (0, 0). A moved box is the smallest upright one around what
+    its outline became. "class" is returned as it was given. `visible_points` says which points the results show.
+
+    With a VideoSequential among the children, images are videos (B, T, C, H, W) as its `data_format` says, masks likewise, and
+    labels have the axes (B, T) in place of B. Other children give each frame its own parameters.
 
     With `clip_boxes`, `min_box_area` or `min_box_visibility`, boxes without a part inside the image are removed as well. Lists
     of boxes and of their classes become shorter. Tensors keep their shape: removed boxes are 0, their classes -1. `kept_boxes`
@@ -119,6 +123,8 @@ class AugmentationSequential(ImageSequential):
             )
         self.box_filter = labels.BoxFilter(clip_boxes, min_box_area, min_box_visibility)
         self._kept_boxes: list[Any] = []
+        self._points: list[tuple[Any, Any]] = []  # those of the last call, before and after
+        self._videos: VideoLayout | None = None  # of the last call
         self._result_size = (0, 0)
         self.transformation_matrix_mode = transformation_matrix_mode
         self.extra_args = {DataKey.MASK: {"resample": "nearest"}} if extra_args is None else extra_args
@@ -175,11 +181,13 @@ class AugmentationSequential(ImageSequential):
             if self._shape is None and params is None:
                 raise ValueCheckError("AugmentationSequential: expected one of data_keys to be 'input'")
             return self._move_alone(keys, inputs, params)
-        image = inputs[keys.index(DataKey.INPUT)]
+        first = keys.index(DataKey.INPUT)
+        self._videos = self._video_layout(inputs[first])
+        inputs = self._of_frames(keys, inputs)
+        image = inputs[first]
         x = self.transform_tensor(image)
         y = self._execute(x, params, self._source(seed, generator))
         self._result_size = (y.shape[-2], y.shape[-1])
-        first = keys.index(DataKey.INPUT)
         outputs = []
         for i, (key, value) in enumerate(zip(keys, inputs)):
             if i == first:
@@ -190,22 +198,86 @@ class AugmentationSequential(ImageSequential):
                 outputs.append(self._restored(z, value))
             else:
                 outputs.append(self._moved(key, value, self._stages))
-        return self._filtered(keys, outputs, self._result_size)
+        return self._finished(keys, inputs, outputs, self._result_size)
+
+    def _finished(
+        self, keys: Sequence[DataKey], inputs: Sequence[Any], outputs: list[Any], size: tuple[int, int]
+    ) -> list[Any]:
+        """Filtered results, with what `visible_points` needs kept, and the frames of videos as videos."""
+        self._points = [(given, y) for key, given, y in zip(keys, inputs, outputs) if key == DataKey.KEYPOINTS]
+        return self._of_videos(self._filtered(keys, outputs, size))
+
+    # --- videos ---
+
+    def _source(self, seed: Seed, generator: Generator | None) -> Randomness:
+        source = super()._source(seed, generator)
+        return source if self._videos is None else source._replace(time=self._videos.sizes[1])
+
+    def _video_layout(self, videos: Any) -> VideoLayout | None:
+        """The layout of videos, which containers with a VideoSequential take."""
+        for child in self.children():
+            if isinstance(child, VideoSequential):
+                return VideoLayout.of("AugmentationSequential", child.data_format, videos)
+        return None
+
+    def _of_frames(self, keys: Sequence[DataKey], inputs: Sequence[Any]) -> list[Any]:
+        """Videos and their labels as images and theirs."""
+        videos = self._videos
+        if videos is None:
+            return list(inputs)
+        self._restore: list[Any] = []  # what turns each of them back
+        frames = []
+        for key, value in zip(keys, inputs):
+            if key == DataKey.INPUT or (key == DataKey.MASK and isinstance(value, Tensor) and value.dim() == 5):
+                own = VideoLayout.of(videos.op, videos.data_format, value)
+                frames.append(own.frames(value))
+                self._restore.append(own.videos)
+            elif key == DataKey.MASK and isinstance(value, Tensor):  # (B, T, H, W)
+                frames.append(videos.labels_of_frames("mask", value)[:, None])
+                self._restore.append(lambda moved: videos.labels_of_videos(moved[:, 0]))
+            elif key == DataKey.CLASS and (not isinstance(value, Tensor) or value.shape[:2] != videos.sizes):
+                frames.append(value)  # of the videos
+                self._restore.append(lambda moved: moved)
+            else:
+                frames.append(videos.labels_of_frames(key.name.lower(), value))
+                self._restore.append(videos.labels_of_videos)
+        return frames
+
+    def _of_videos(self, outputs: list[Any]) -> list[Any]:
+        videos = self._videos
+        if videos is None:
+            return outputs
+        return [restore(moved) for restore, moved in zip(self._restore, outputs)]
 
     def _move_alone(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
         """Labels without their images, moved by the last call or by given parameters."""
         stages, size = self._stages, self._result_size
+        inputs = self._of_frames(keys, inputs)
         if params is not None:
             image, stages = self._replayed(torch.zeros(1), params)
             size = (image.shape[-2], image.shape[-1])
-        return self._filtered(keys, [self._moved(key, value, stages) for key, value in zip(keys, inputs)], size)
+        return self._finished(keys, inputs, [self._moved(key, value, stages) for key, value in zip(keys, inputs)], size)
 
     # --- labels ---
 
     @property
     def kept_boxes(self) -> list[Any]:
         """Which boxes of the last call stayed: for each input of boxes bool (B, N), or a list of (N,); empty without a filter."""
-        return self._kept_boxes
+        return (
+            self._kept_boxes if self._videos is None else [self._videos.labels_of_videos(k) for k in self._kept_boxes]
+        )
+
+    @property
+    def visible_points(self) -> list[Any]:
+        """Which points of the last call its results show: for each input of key points bool (B, N), or a list of (N,).
+
+        Points outside of the result are not visible, nor are those that a map has folded away.
+        """
+        visible = [
+            labels.visible_points(before, after, lambda points: _move_back(points, self._stages), self._result_size)
+            for before, after in self._points
+        ]
+        return visible if self._videos is None else [self._videos.labels_of_videos(kept) for kept in visible]
 
     def _filtered(self, keys: Sequence[DataKey], values: list[Any], size: tuple[int, int]) -> list[Any]:
         """Moved boxes that the filter leaves, and their class labels."""
@@ -229,7 +301,8 @@ class AugmentationSequential(ImageSequential):
         if key == DataKey.KEYPOINTS:
             return labels.move_points(value, lambda points: _move(points, stages))
         if key in labels.BOX_FORMATS:
-            return labels.move_boxes(value, labels.BOX_FORMATS[key], lambda points: _move(points, stages))
+            count = 1 if _keeps_lines(stages) else labels.CURVED
+            return labels.move_boxes(value, labels.BOX_FORMATS[key], lambda points: _move(points, stages), count)
         return value
 
     def _moved_masks(self, masks: Any, stages: Sequence[Stage]) -> Any:
@@ -247,7 +320,7 @@ class AugmentationSequential(ImageSequential):
         if batched.dim() != 4:
             raise ShapeError(f"AugmentationSequential: expected mask of shape (B, C, H, W), got {tuple(shape)}")
         mode = self._mask_mode()
-        moved = _move_masks(batched, stages, mode)
+        moved = move_masks(batched, stages, mode)
         if moved.shape[:2] == batched.shape[:2] and masks.dim() < 4:
             return moved.reshape(*shape[:-2], *moved.shape[-2:])
         return moved
@@ -285,8 +358,12 @@ class AugmentationSequential(ImageSequential):
 
     def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
         stages = self._stages
+        if DataKey.INPUT in keys:
+            self._videos = self._video_layout(inputs[keys.index(DataKey.INPUT)])
+        inputs = self._of_frames(keys, inputs)
         if params is not None:
             stages = self._stages_of(torch.zeros(1), params)
+        count = 1 if _keeps_lines(stages) else labels.CURVED
         outputs = []
         for key, value in zip(keys, inputs):
             if key == DataKey.INPUT:
@@ -297,11 +374,16 @@ class AugmentationSequential(ImageSequential):
                 outputs.append(labels.move_points(value, lambda points: _move_back(points, stages)))
             elif key in labels.BOX_FORMATS:
                 outputs.append(
-                    labels.move_boxes(value, labels.BOX_FORMATS[key], lambda points: _move_back(points, stages))
+                    labels.move_boxes(value, labels.BOX_FORMATS[key], lambda points: _move_back(points, stages), count)
                 )
             else:
                 outputs.append(value)
-        return outputs
+        return self._of_videos(outputs)
+
+    def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
+        videos = self._video_layout(output)
+        known = super().known_pixels(output if videos is None else videos.frames(output), params)
+        return known if videos is None else videos.videos(known)
 
 
 def _without_suffix(name: str) -> str:
@@ -333,22 +415,20 @@ def _move_back(points: Tensor, stages: Sequence[Stage]) -> Tensor:
             points = _move_back(points, stage.flags["stages"])
         elif isinstance(stage, Warp):
             points = transform_points(torch.linalg.inv(stage.matrix).to(points), points)
-        elif isinstance(stage.module, GeometricAugmentationBase2D) and stage.execution is not None:
-            matrix = stage.module._matrix(stage.execution)
-            points = transform_points(torch.linalg.inv(matrix).to(points), points)
+        elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
+            points = stage.module.inverse_points(points, stage.execution)
     return points
 
 
-def _move_masks(masks: Tensor, stages: Sequence[Stage], mode: str | None) -> Tensor:
+def _keeps_lines(stages: Sequence[Stage]) -> bool:
+    """Whether straight lines stay straight."""
     for stage in stages:
-        if isinstance(stage, Warp):
-            masks = warp_labels(masks, stage.matrix, stage.size, stage.resampling.for_labels(mode))
-        elif "stages" in stage.flags:
-            masks = _move_masks(masks, stage.flags["stages"], mode)
-        elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
-            flags = stage.flags if mode is None else {**stage.flags, "resample": mode}
-            masks = stage.module.transform_masks(masks, stage.execution, flags)
-    return masks
+        if isinstance(stage, Applied):
+            if not _keeps_lines(stage.flags.get("stages", ())):
+                return False
+            if isinstance(stage.module, AugmentationBase) and not stage.module.keeps_lines:
+                return False
+    return True
 
 
 def _invert_masks(masks: Tensor, stages: Sequence[Stage]) -> Tensor:
@@ -358,8 +438,6 @@ def _invert_masks(masks: Tensor, stages: Sequence[Stage]) -> Tensor:
         elif isinstance(stage, Warp):
             resampling = stage.resampling.for_inverse("nearest")
             masks = warp_labels(masks, stage.matrix, stage.source, resampling, inverse=False)
-        elif isinstance(stage.module, GeometricAugmentationBase2D) and stage.execution is not None:
-            resampling = stage.module.resampling(stage.flags).for_inverse("nearest")
-            matrix, (h, w) = stage.module._matrix(stage.execution), stage.execution.shape[-2:]
-            masks = warp_labels(masks, matrix, (h, w), resampling, inverse=False)
+        elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
+            masks = stage.module.inverse_masks(masks, stage.execution, stage.flags)
     return masks

@@ -11,11 +11,11 @@ from torch import Generator, Tensor, nn
 from torch.compiler import is_compiling
 
 from kvision._ops import FLOATS
-from kvision.augmentation.base import AugmentationBase
+from kvision.augmentation.base import AugmentationBase, is_known, known_everywhere
 from kvision.augmentation.configuration import Plans
 from kvision.augmentation.container.runs import Applied, Child, Randomness, Stage, Warp, execute
 from kvision.augmentation.draws import philox, unit
-from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp
+from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp, warp_labels
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
 from kvision.augmentation.keys import Seed, draw_keys
 from kvision.augmentation.warp_and_color import SAME, Output
@@ -33,7 +33,10 @@ class ParamItem(NamedTuple):
     data: Any
 
 
-_STATE = frozenset(("_stages", "_shape", "_executed", "_given_params"))  # what a call leaves behind
+# What a call leaves behind.
+_STATE = frozenset(
+    ("_stages", "_shape", "_executed", "_given_params", "_result_size", "_kept_boxes", "_points", "_videos", "_restore")
+)
 
 
 class ImageSequentialBase(nn.Sequential):
@@ -381,6 +384,22 @@ class ImageSequential(ImageSequentialBase):
         stages = self._stages if params is None else self._stages_of(x, params)
         return self._restored(invert(x, stages), input)
 
+    def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
+        """Which pixels of the images :meth:`inverse` finds in a result; the others were lost in the call, or in part.
+
+        Args:
+            output: images (B, C, h, w) as that call returned them, of which only the device counts.
+            params: the `_params` of the call.
+
+        Returns:
+            bool (B, 1, H, W), of the size that the images had before the call.
+        """
+        x = self.transform_tensor(output)
+        shape, stages = self._shape or tuple(x.shape), self._stages
+        if params is not None:
+            shape, stages = _input_shape(params) or shape, self._stages_of(x, params)
+        return is_known(invert(move_masks(known_everywhere(shape, x.device), stages, "bilinear"), stages))
+
     def _stages_of(self, x: Tensor, params: Sequence[ParamItem]) -> list[Stage]:
         """What a call with given parameters did, on images of which only the size counts."""
         return self._replayed(x, params)[1]
@@ -453,6 +472,19 @@ def _product(shape: tuple[int, ...], stages: Sequence[Stage]) -> Tensor:
             continue
         matrix = own @ matrix.to(own)
     return matrix
+
+
+def move_masks(masks: Tensor, stages: Sequence[Stage], mode: str | None) -> Tensor:
+    """Masks (B, C, H, W) after all stages, read in a mode; None for that of the images."""
+    for stage in stages:
+        if isinstance(stage, Warp):
+            masks = warp_labels(masks, stage.matrix, stage.size, stage.resampling.for_labels(mode))
+        elif "stages" in stage.flags:
+            masks = move_masks(masks, stage.flags["stages"], mode)
+        elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
+            flags = stage.flags if mode is None else {**stage.flags, "resample": mode}
+            masks = stage.module.transform_masks(masks, stage.execution, flags)
+    return masks
 
 
 def invert(x: Tensor, stages: Sequence[Stage]) -> Tensor:

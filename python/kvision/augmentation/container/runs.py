@@ -27,7 +27,7 @@ from kvision.augmentation.configuration import Plans
 from kvision.augmentation.draws import Request
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, color_part
-from kvision.augmentation.keys import Keys, Seed, draw_keys
+from kvision.augmentation.keys import Keys, Seed, draw_keys, frame_seeds
 from kvision.augmentation.transforms import MAX_TRANSFORMS, Transform, transform_matrix
 from kvision.augmentation.warp_and_color import (
     SAME,
@@ -78,6 +78,14 @@ class Randomness(NamedTuple):
     plans: Plans  # of the container
     output: Output = SAME  # the type and layout of the results
     frames: int = 1  # how many neighboring samples share their parameters: the frames of a video
+    time: int = 0  # how many neighboring samples are the frames of a video; 0 for images
+
+    @property
+    def seed_of_samples(self) -> Seed:
+        """The seed of a call; seeds of videos as those of their frames, where these have parameters of their own."""
+        if isinstance(self.seed, Tensor) and self.seed.dim() == 1 and self.time > 0 and self.frames == 1:
+            return frame_seeds(self.seed, self.time)
+        return self.seed
 
 
 def execute(x: Tensor, children: Sequence[Child], source: Randomness, position: int = 0) -> tuple[Tensor, list[Stage]]:
@@ -243,7 +251,7 @@ def _draw(
     if plan.draws:
         if keys is None:
             keys = draw_keys(
-                source.op, plan.draws[-1].end - plan.draws[0].begin, x.device, source.seed, source.generator
+                source.op, plan.draws[-1].end - plan.draws[0].begin, x.device, source.seed_of_samples, source.generator
             )
         if len(plan.draws) == 1:
             columns = plan.draws[0].draw(samples, keys)
@@ -256,9 +264,8 @@ def _draw(
         if request is None or columns is None or span is None or keys is None:
             executions.append(Execution(shape, applied=applies))
         else:
-            # Frames are drawn without their keys: drawn again, samples would be others.
-            redraw = None if source.frames > 1 else (keys, plan.first + request)
-            executions.append(Execution(shape, Columns(columns, span), applied=applies, redraw=redraw))
+            drawn, redraw = Columns(columns, span), (keys, plan.first + request)
+            executions.append(Execution(shape, drawn, applied=applies, redraw=redraw, frames=source.frames))
     return executions, columns, plan.steps
 
 
@@ -309,7 +316,7 @@ def _plan_run(
 def _more_keys(keys: Keys | None, count: int, x: Tensor, source: Randomness) -> Keys:
     """`count` keys, of which some may have been drawn."""
     if keys is None:
-        return draw_keys(source.op, count, x.device, source.seed, source.generator)
+        return draw_keys(source.op, count, x.device, source.seed_of_samples, source.generator)
     known = len(keys.keys)
     if keys.one_key or known == count:
         return keys

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Generator, Tensor, nn
 
 from kvision.augmentation.container.image import ImageSequential, ParamItem, invert
-from kvision.augmentation.container.runs import Randomness
+from kvision.augmentation.container.runs import Randomness, Stage
 from kvision.augmentation.keys import Seed
 from kvision.core.exceptions import ShapeError, ValueCheckError
 
@@ -18,6 +18,41 @@ __all__ = ["VideoSequential"]
 
 class _RankError(ShapeError, AssertionError):
     """Kornia raises an AssertionError."""
+
+
+class VideoLayout(NamedTuple):
+    """How videos and what belongs to their frames are a batch of frames: (B, T, ...) as (B T, ...)."""
+
+    op: str
+    data_format: str  # of videos
+    sizes: tuple[int, int]  # B, T
+
+    @classmethod
+    def of(cls, op: str, data_format: str, videos: Any) -> VideoLayout:
+        if not isinstance(videos, Tensor) or videos.dim() != 5:
+            got = tuple(videos.shape) if isinstance(videos, Tensor) else type(videos).__name__
+            raise _RankError(f"{op}: expected input of shape ({', '.join(data_format)}), got {got}")
+        t = data_format.index("T")
+        return cls(op, data_format, (videos.shape[0], videos.shape[t]))
+
+    def frames(self, videos: Tensor) -> Tensor:
+        """Videos of this layout, or masks as they are, as images."""
+        return (videos.transpose(1, 2) if self.data_format == "BCTHW" else videos).flatten(0, 1)
+
+    def videos(self, frames: Tensor) -> Tensor:
+        videos = frames.unflatten(0, self.sizes)
+        return videos.transpose(1, 2) if self.data_format == "BCTHW" else videos
+
+    def labels_of_frames(self, name: str, labels: Any) -> Any:
+        """Boxes, points or classes (B, T, ...) as those of images; others as they are."""
+        if not isinstance(labels, Tensor):
+            return labels
+        if labels.shape[:2] != self.sizes:
+            raise ShapeError(f"{self.op}: expected {name} of shape {(*self.sizes, '...')}, got {tuple(labels.shape)}")
+        return labels.flatten(0, 1)
+
+    def labels_of_videos(self, labels: Any) -> Any:
+        return labels.unflatten(0, self.sizes) if isinstance(labels, Tensor) else labels
 
 
 class VideoSequential(ImageSequential):
@@ -78,21 +113,11 @@ class VideoSequential(ImageSequential):
 
     # Frames are samples of a batch (B T, C, H, W), and the parameters of a video are repeated for its frames.
 
-    def _frames(self, videos: Any) -> tuple[Tensor, tuple[int, int]]:
-        if not isinstance(videos, Tensor) or videos.dim() != 5:
-            got = tuple(videos.shape) if isinstance(videos, Tensor) else type(videos).__name__
-            axes = ", ".join(self.data_format)
-            raise _RankError(f"VideoSequential: expected input of shape ({axes}), got {got}")
-        if self.data_format == "BCTHW":
-            videos = videos.transpose(1, 2)
-        return videos.flatten(0, 1), (videos.shape[0], videos.shape[1])
-
-    def _videos(self, frames: Tensor, sizes: tuple[int, int]) -> Tensor:
-        videos = frames.unflatten(0, sizes)
-        return videos.transpose(1, 2) if self.data_format == "BCTHW" else videos
+    def _layout(self, videos: Any) -> VideoLayout:
+        return VideoLayout.of("VideoSequential", self.data_format, videos)
 
     def transform_tensor(self, input: Tensor) -> Tensor:
-        return self._frames(input)[0]
+        return self._layout(input).frames(input)
 
     def forward(  # a video has one more axis
         self,
@@ -118,15 +143,17 @@ class VideoSequential(ImageSequential):
         Raises:
             ValueError: `input` has another number of axes.
         """
-        frames, sizes = self._frames(input)
-        y = self._execute(frames, params, self._source(seed, generator)._replace(frames=self._repeats(sizes)))
-        return self._videos(y, sizes)
+        layout = self._layout(input)
+        source = self._of_frames(self._source(seed, generator), layout.sizes[1])
+        return layout.videos(self._execute(layout.frames(input), params, source))
 
-    def _repeats(self, sizes: tuple[int, int]) -> int:
-        return sizes[1] if self.same_on_frame else 1
+    def _of_frames(self, source: Randomness, time: int) -> Randomness:
+        return source._replace(frames=time if self.same_on_frame else 1, time=time)
 
-    def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> Any:
-        raise _RankError("VideoSequential: expected videos, got the images of another container")
+    def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:
+        if source.time == 0:
+            raise _RankError("VideoSequential: expected videos, got the images of another container")
+        return super()._execute_nested(x, params, self._of_frames(source, source.time))
 
     def inverse(
         self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
@@ -141,6 +168,19 @@ class VideoSequential(ImageSequential):
         Returns:
             Videos of the size that the input had; 0 where the result knows nothing of them.
         """
-        frames, sizes = self._frames(input)
+        layout = self._layout(input)
+        frames = layout.frames(input)
         stages = self._stages if params is None else self._stages_of(frames, params)
-        return self._videos(invert(frames, stages), sizes)
+        return layout.videos(invert(frames, stages))
+
+    def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
+        """Which pixels of the videos :meth:`inverse` finds in a result; the others were lost in the call, or in part.
+
+        Args:
+            output: videos as that call returned them, of which only the sizes and the device count.
+            params: the `_params` of the call.
+
+        Returns:
+            bool (B, T, 1, H, W), or (B, 1, T, H, W) as `data_format` says, of the size that the videos had before the call.
+        """
+        return self._layout(output).videos(super().known_pixels(output, params))

@@ -1,0 +1,115 @@
+"""What `inverse` finds in a result: images, labels, and which pixels are known."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+import kvision.augmentation as A
+
+H, W = 48, 64
+MAPS = {
+    "elastic": lambda **o: A.RandomElasticTransform((47, 47), (8.0, 8.0), (1.5, 1.5), **o),
+    "thin plate": lambda **o: A.RandomThinPlateSpline(0.1, **o),
+    "fisheye": lambda **o: A.RandomFisheye((-0.1, 0.1), (-0.1, 0.1), (1.9, 2.1), **o),
+}
+
+
+def smooth(device: torch.device) -> Tensor:
+    y, x = torch.linspace(0, 3, H)[:, None], torch.linspace(0, 4, W)
+    return torch.stack([(x + y).sin(), x.cos() * y.cos(), (x - y).sin()])[None].mul(0.4).add(0.5).to(device)
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_maps_are_undone(name: str, device: torch.device) -> None:
+    """Image, mask, boxes and points come back where the result shows them."""
+    image = smooth(device)
+    mask = (image[:, :1] > 0.5).to(torch.uint8)
+    points = torch.tensor([[[30.0, 20.0], [40.0, 28.0]]], device=device)
+    box = torch.tensor([[[22.0, 14.0, 42.0, 30.0]]], device=device)
+    augment = A.AugmentationSequential(MAPS[name](p=1.0), data_keys=["input", "mask", "keypoints", "bbox_xyxy"])
+    for seed in range(3):
+        moved = augment(image, mask, points, box, seed=seed)
+        back = augment.inverse(*moved)
+        known = augment.known_pixels(moved[0])
+        assert known.shape == (1, 1, H, W) and 0.4 < known.float().mean() <= 1
+        assert ((back[0] - image).abs() * known).max() < 0.06
+        assert (back[0] * ~known)[..., 8:-8, 8:-8].numel() and ((back[1] != mask) & known).float().mean() < 0.03
+        torch.testing.assert_close(back[2], points, rtol=0, atol=0.02)
+        found = back[3] - box  # around what was around the moved one
+        assert (found[..., :2] < 0.05).all() and (found[..., 2:] > -0.05).all() and found.abs().max() < 12
+        assert augment.visible_points[0].all()
+        for a, b in zip(augment.inverse(*moved, params=augment._params), back):
+            torch.testing.assert_close(a, b)
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_a_map_alone(name: str, device: torch.device) -> None:
+    image = smooth(device).expand(3, -1, -1, -1)
+    augment = MAPS[name](p=0.5)
+    moved = augment(image, seed=4)
+    chosen = augment._params["batch_prob"] > 0.5
+    assert 0 < chosen.sum() < 3
+    back = augment.inverse(moved)
+    assert torch.equal(back[~chosen], image[~chosen]) and not torch.equal(back[chosen], image[chosen])
+    known = augment.known_pixels(moved)
+    assert known[~chosen].all() and ((back - image).abs() * known).max() < 0.06
+    assert (augment.inverse((255 * moved).byte()).dtype) == torch.uint8
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_boxes_hold_what_was_in_them(name: str, device: torch.device) -> None:
+    """Sides bend: a moved box is around all of its outline, not only around the corners."""
+    box = torch.tensor([[[14.0, 10.0, 50.0, 38.0]]], device=device)
+    filled = torch.zeros(1, 1, H, W, device=device)
+    filled[..., 10:38, 14:50] = 1
+    augment = A.AugmentationSequential(MAPS[name](p=1.0), data_keys=["input", "bbox_xyxy"])
+    for seed in range(5):
+        moved, found = augment(filled, box, seed=seed)
+        rows, columns = (moved[0, 0] > 0.5).nonzero().float().unbind(1)
+        x0, y0, x1, y1 = found[0, 0]
+        assert x0 - 0.6 <= columns.min() and columns.max() + 1 <= x1 + 0.6
+        assert y0 - 0.6 <= rows.min() and rows.max() + 1 <= y1 + 0.6
+        assert (x1 - x0 - (columns.max() - columns.min() + 1)).abs() < 2
+        assert (y1 - y0 - (rows.max() - rows.min() + 1)).abs() < 2
+
+
+def test_known_pixels_of_crops_and_turns(device: torch.device) -> None:
+    image = smooth(device).expand(2, -1, -1, -1)
+    crop = A.AugmentationSequential(A.RandomCrop((20, 30)), A.RandomHorizontalFlip())
+    moved = crop(image)
+    known, back = crop.known_pixels(moved), crop.inverse(moved)
+    assert known.sum((1, 2, 3)).tolist() == [600, 600]
+    assert torch.equal(back * known, image * known) and (back * ~known).abs().sum() == 0
+    assert torch.equal(crop.known_pixels(moved, params=crop._params), known)
+
+    # Left the image in the first of two shifts, although the second one brings it back.
+    apart = A.ImageSequential(A.RandomTranslate((0.25, 0.25), p=1.0), A.RandomTranslate((-0.25, -0.25), p=1.0))
+    known = apart.known_pixels(apart(image))
+    assert known[..., : W - 16].all() and not known[..., W - 16 :].any()
+    alone = A.RandomHorizontalFlip(p=1.0)
+    assert alone.known_pixels(alone(image)).all()
+    assert A.RandomInvert().known_pixels(image).all()
+
+
+def test_visible_points(device: torch.device) -> None:
+    """Points that a crop cuts off are not visible; nor are those that a map folds away."""
+    image = smooth(device)
+    points = torch.tensor([[[2.0, 2.0], [32.0, 24.0], [60.0, 45.0]]], device=device)
+    crop = A.AugmentationSequential(A.CenterCrop((20, 20)), data_keys=["input", "keypoints"])
+    crop(image, points)
+    assert crop.visible_points[0].tolist() == [[False, True, False]]
+    crop(image, [points[0]])
+    assert isinstance(crop.visible_points[0], list) and crop.visible_points[0][0].tolist() == [False, True, False]
+
+    wild = A.AugmentationSequential(
+        A.RandomElasticTransform((15, 15), (2.0, 2.0), (6.0, 6.0), p=1.0), data_keys=["input", "keypoints"]
+    )
+    grid = torch.stack(torch.meshgrid(torch.arange(4.0, 60, 4), torch.arange(4.0, 44, 4), indexing="xy"), -1)
+    grid = grid.reshape(1, -1, 2).to(device)
+    _, moved = wild(image, grid, seed=0)
+    visible = wild.visible_points[0]
+    assert 0 < visible.sum() < visible.numel()
+    back = wild.inverse(moved, data_keys=["keypoints"])
+    assert (back - grid)[visible].abs().max() < 0.5 and (back - grid)[~visible].abs().amax(-1).min() >= 0.5

@@ -23,6 +23,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from datetime import timedelta
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -32,6 +33,7 @@ import torch
 import torch.distributed as dist
 import torch.multiprocessing
 from torch import Tensor
+from tqdm import tqdm
 
 from benchmarks import machine
 from benchmarks.cases import ALL
@@ -40,6 +42,7 @@ from benchmarks.measure import tensors_of
 EXAMPLE = Path(__file__).parents[1] / "examples" / "train_distributed.py"
 TOGETHER = 64  # images of the batch that is the same on any number of ranks
 STEPS = 20  # of the training whose losses are compared
+HANGS = 120  # seconds after which a rank that waits for the others ends with an error that names what it waited for
 SMALL = (2, 3, 96, 128)  # images of the cases on several devices
 # Bars: efficiency of augmentation alone; of training, over that without augmentation; share of time in augmentation.
 ALONE, TRAINING, SHARE = 0.98, 0.95, 0.03
@@ -95,16 +98,30 @@ def work(rank: int, ranks: int, options: Options, folder: str) -> None:
         torch.set_num_threads(1)
     backend, own = ("nccl", device) if device.type == "cuda" else ("gloo", None)
     store = dist.FileStore(f"{folder}/store{ranks}", ranks)
-    dist.init_process_group(backend, store=store, rank=rank, world_size=ranks, device_id=own)
+    dist.init_process_group(
+        backend, store=store, rank=rank, world_size=ranks, device_id=own, timeout=timedelta(seconds=HANGS)
+    )
     train = example()
     pictures = train.Textures(options.count, options.size, device)
     setup = train.Setup(device, options.model, options.batch, size=options.size, crop=options.crop)
-    alone, slowest = augmentation(train, setup, pictures, options.seconds)
-    without, _ = training(train, replace(setup, augment=False), pictures, options.seconds)
-    augmented, share = training(train, setup, pictures, options.seconds)
+    progress = tqdm(desc=f"{ranks} rank{'s' * (ranks > 1)}", total=5, unit="figure", disable=rank > 0)
+
+    def figure(name: str, measure: Callable[[], Any]) -> Any:
+        """What `measure` gives; the bar says meanwhile what that is, so that a rank that hangs is seen where it does."""
+        progress.set_postfix_str(name)
+        found = measure()
+        progress.update()
+        return found
+
+    alone, slowest = figure("augmentation alone", partial(augmentation, train, setup, pictures, options.seconds))
+    plain = replace(setup, augment=False)
+    without, _ = figure("training without augmentation", partial(training, train, plain, pictures, options.seconds))
+    augmented, share = figure("training", partial(training, train, setup, pictures, options.seconds))
+    digested = figure("augmented bits", partial(digest, train, setup, pictures))
     row = Row(
-        ranks, alone, slowest, without, augmented, share, digest(train, setup, pictures), losses(train, setup, pictures)
+        ranks, alone, slowest, without, augmented, share, digested, figure("losses", partial(losses, train, setup, pictures))
     )
+    progress.close()
     if rank == 0:
         Path(folder, f"{ranks}.json").write_text(json.dumps(asdict(row)))
     dist.destroy_process_group()
@@ -237,7 +254,6 @@ def measure(options: Options, numbers: Sequence[int]) -> list[Row]:
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for ranks in numbers:
-            print(f"{ranks} ranks ...", file=sys.stderr, flush=True)
             torch.multiprocessing.spawn(work, (ranks, options, folder), ranks)
             rows.append(Row(**json.loads(Path(folder, f"{ranks}.json").read_text())))
             alone, augmented = round(rows[-1].alone), round(rows[-1].augmented)

@@ -7,6 +7,9 @@ PYTHON ?= python3
 TESTS ?=
 ARGS ?=
 
+# Each of the processes of the tests would compile all modules again.
+unexport PYTHONDONTWRITEBYTECODE
+
 BIN := .venv/bin
 # Bytecode is made when a module is first imported, which few of the thousands here ever are.
 PIP := $(BIN)/python -m pip install --no-compile --constraint constraints.txt

@@ -122,10 +122,13 @@ def recording(cls: type, method: str, calls: list[Call]) -> Callable[..., Any]:
 
 
 @lru_cache
-def example_calls() -> dict[str, list[Call]]:
-    """The recorded calls, by the name of the function or class."""
+def example_calls(home: str) -> dict[str, list[Call]]:
+    """The recorded calls of the public objects that a file of kvision defines, by their names. Running the examples of
+    all files takes a quarter of a minute, so tests ask for one when they run, not when they are collected."""
     result = {}
     for name, value in public_objects().items():
+        if home_of(name) != home:
+            continue
         calls: list[Call] = []
         examples: Sequence[doctest.DocTest] = doctest.DocTestFinder(recurse=False).find(value, name, globs={})
         with recorded(value, calls):
@@ -133,3 +136,11 @@ def example_calls() -> dict[str, list[Call]]:
                 doctest.DocTestRunner(verbose=False).run(example, out=lambda _: None)
         result[name] = calls
     return result
+
+
+def home_of(name: str) -> str:
+    """The file that defines a public object: `filters.sobel` of `filters.sobel.Sobel`."""
+    return name.rpartition(".")[0]
+
+
+HOMES = sorted(set(map(home_of, public_objects())))

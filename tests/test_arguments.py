@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import doctest
 import inspect
 from collections.abc import Iterator
 from typing import Any
@@ -18,8 +19,9 @@ from PIL import Image
 from torch import Tensor, nn
 
 import kvision as K
-from example_calls import Call, example_calls
+from example_calls import HOMES, Call, example_calls
 from kvision.core.exceptions import DeviceError, TypeCheckError
+from test_docstrings import public_objects
 
 # --- what is no tensor ------------------------------------------------------------------------------------------------
 
@@ -47,8 +49,8 @@ OTHER_KINDS = {
 WRITERS = {"write_image", "save_pointcloud_ply", "save_pointcloud_ply_binary"}
 
 
-def with_tensor_first() -> Iterator[Call]:
-    for calls in example_calls().values():
+def with_tensor_first(home: str) -> Iterator[Call]:
+    for calls in example_calls(home).values():
         names = set()
         for call in calls:
             first = next(iter(call.arguments().values()), None)
@@ -57,19 +59,22 @@ def with_tensor_first() -> Iterator[Call]:
                 yield call
 
 
-@pytest.mark.parametrize("call", list(with_tensor_first()), ids=lambda call: call.name)
-def test_what_is_no_tensor_is_named(call):
-    key = next(iter(call.arguments()))
-    for kind, value in NO_TENSORS.items():
-        with pytest.raises(TypeCheckError, match=rf"expected [\w\[\]]+ to be .*Tensor.*, got {type(value).__name__}"):
-            call.replaced(key, value)
-            pytest.fail(f"{call.name} accepts a {kind}")
+@pytest.mark.parametrize("home", HOMES)
+def test_what_is_no_tensor_is_named(home):
+    for call in with_tensor_first(home):
+        key = next(iter(call.arguments()))
+        for kind, value in NO_TENSORS.items():
+            said = rf"expected [\w\[\]]+ to be .*Tensor.*, got {type(value).__name__}"
+            with pytest.raises(TypeCheckError, match=said):
+                call.replaced(key, value)
+                pytest.fail(f"{call.name} accepts a {kind}")
 
 
 def test_nearly_all_public_names_have_examples():
     """All but base classes, features that want weights, and the function that replaces those of Kornia."""
-    calls = example_calls()
-    assert sum(not calls[name] for name in calls) < 0.05 * len(calls)
+    examples = {name: doctest.DocTestFinder(recurse=False).find(x, name) for name, x in public_objects().items()}
+    without = [name for name, found in examples.items() if not any(example.examples for example in found)]
+    assert len(without) < 0.05 * len(examples), without
 
 
 # --- numbers ----------------------------------------------------------------------------------------------------------
@@ -95,11 +100,9 @@ NOT_PARAMETERS = {
 }
 
 
-def numeric_arguments() -> Iterator[tuple[Call, str | int, Any]]:
+def numeric_arguments(home: str) -> Iterator[tuple[Call, str | int, Any]]:
     """The arguments of examples that are numbers, and the defaults that are."""
-    for home, calls in example_calls().items():
-        if home.startswith("augmentation."):
-            continue  # whose generators check their numbers themselves, and take Python's
+    for calls in example_calls(home).values():
         seen = set()
         for call in calls[:4]:
             if call.name in NOT_PARAMETERS | WRITERS:
@@ -110,18 +113,23 @@ def numeric_arguments() -> Iterator[tuple[Call, str | int, Any]]:
                     yield call, key, value
 
 
-@pytest.mark.parametrize("call, key, value", list(numeric_arguments()), ids=lambda x: getattr(x, "name", str(x))[:40])
-def test_scalars_of_numpy_and_torch_are_numbers(call, key, value):
-    def result(x: Any) -> Any:
+# The generators of augmentations check their numbers themselves, and take Python's.
+@pytest.mark.parametrize("home", [home for home in HOMES if not home.startswith("augmentation.")])
+def test_scalars_of_numpy_and_torch_are_numbers(home):
+    def result(call: Call, key: str | int, x: Any) -> Any:
         torch.manual_seed(0)
         return call.replaced(key, x)
 
-    expected = result(value)
-    for x in scalars_like(value):
-        found = result(x)
-        if isinstance(expected, Tensor):
-            assert found.dtype == expected.dtype and found.shape == expected.shape
-            torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-5, equal_nan=True)
+    for call, key, value in numeric_arguments(home):
+        expected = result(call, key, value)
+        for x in scalars_like(value):
+            found = result(call, key, x)
+            if isinstance(expected, Tensor):
+                said = f"{call.name}, {key}: {x!r}"
+                assert found.dtype == expected.dtype and found.shape == expected.shape, said
+                torch.testing.assert_close(
+                    found, expected, rtol=1e-5, atol=1e-5, equal_nan=True, msg=lambda m, said=said: f"{said}: {m}"
+                )
 
 
 def test_a_number_that_requires_a_gradient_is_refused():
@@ -163,9 +171,9 @@ READ |= {"linear_transform"}  # uses torch.autocast, which has no answer for met
 SECOND_IMAGES = {("guided_blur", "input"), ("GuidedBlur", "input")}
 
 
-def tensor_parameters() -> Iterator[tuple[Call, str]]:
+def tensor_parameters(home: str) -> Iterator[tuple[Call, str]]:
     """The tensors besides the first one in examples of functions on images."""
-    for calls in example_calls().values():
+    for calls in example_calls(home).values():
         seen = set()
         for call in calls:
             given = call.by_name()
@@ -184,19 +192,22 @@ def elsewhere(device: torch.device) -> torch.device:
     return device if device.type != "cpu" else torch.device("meta")
 
 
-@pytest.mark.parametrize("call, name", list(tensor_parameters()), ids=lambda x: getattr(x, "name", str(x)))
-def test_parameters_follow_the_images_and_data_does_not(call, name, elsewhere):
-    function = call.function.to(elsewhere) if isinstance(call.function, nn.Module) else call.function
-    given = {
-        key: value.to(elsewhere) if isinstance(value, Tensor) and key != name else value
-        for key, value in call.by_name().items()
-    }
-    if name in DATA:
-        with pytest.raises(DeviceError, match=r"expected all tensors on one device, got .*\bon cpu\b"):
-            function(**given)
-    elif elsewhere.type == "cuda" or call.name not in READ:
-        result = function(**given)
-        assert next(iter(result if isinstance(result, tuple) else (result,))).device.type == elsewhere.type
+@pytest.mark.parametrize("home", HOMES)
+def test_parameters_follow_the_images_and_data_does_not(home, elsewhere):
+    for call, name in tensor_parameters(home):
+        function = call.function.to(elsewhere) if isinstance(call.function, nn.Module) else call.function
+        given = {
+            key: value.to(elsewhere) if isinstance(value, Tensor) and key != name else value
+            for key, value in call.by_name().items()
+        }
+        if name in DATA:
+            with pytest.raises(DeviceError, match=r"expected all tensors on one device, got .*\bon cpu\b"):
+                function(**given)
+                pytest.fail(f"{call.name} accepts {name} on another device")
+        elif elsewhere.type == "cuda" or call.name not in READ:
+            result = function(**given)
+            first = next(iter(result if isinstance(result, tuple) else (result,)))
+            assert first.device.type == elsewhere.type, f"{call.name}, {name}"
 
 
 x = torch.rand(2, 3, 6, 7)

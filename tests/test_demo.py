@@ -21,6 +21,8 @@ from kvision.demo import augmentation, contact_sheet
 from kvision.demo.restore import restore
 from kvision.io import load_image, write_image
 
+pytestmark = pytest.mark.programs
+
 OPERATORS = ["gaussian blur", "motion blur", "sobel", "laplacian", "canny", "median", "bilateral", "unsharp mask"]
 OPERATORS += ["hue", "lab", "plasma", "sepia", "saturation", "contrast", "gamma", "equalize", "clahe"]
 OPERATORS += ["rotation", "perspective", "elastic", "pixels", "pyramid detail"]

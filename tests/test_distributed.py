@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 import torch
 import torch.distributed as dist
 from torch import Tensor, nn
@@ -15,6 +16,8 @@ from torch.nn.parallel import DistributedDataParallel
 import kvision as K
 from kvision import _ops
 from op_tests import assert_close
+
+pytestmark = pytest.mark.programs
 
 PROCESSES = 2
 STEPS = 3

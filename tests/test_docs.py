@@ -20,6 +20,8 @@ import torch
 import kvision as K
 from test_public_api import arguments, public_modules, public_names, surface
 
+pytestmark = pytest.mark.programs
+
 ROOT = Path(__file__).parents[1]
 FOLDERS = (
     "",

@@ -13,6 +13,8 @@ import torch
 
 import kvision as K
 
+pytestmark = pytest.mark.programs
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 

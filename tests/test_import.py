@@ -16,6 +16,8 @@ import torch
 import kvision as K
 from kvision import _ops
 
+pytestmark = pytest.mark.programs
+
 MODULES = [name for name in K.__all__ if name not in K._HOMES and name not in ("__version__", "backend")]
 
 

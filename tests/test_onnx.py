@@ -16,6 +16,8 @@ from torch.export import Dim
 import kvision as K
 from op_tests import assert_close
 
+pytestmark = pytest.mark.programs
+
 OPSET = 20
 # The number of pixels that an antialiased resize averages depends on both sizes, so that these are part of the program.
 FIXED_SIZE = ("resize",)

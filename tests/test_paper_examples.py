@@ -17,6 +17,8 @@ from torch import Tensor, nn
 import kvision as K
 from op_tests import assert_close
 
+pytestmark = pytest.mark.programs
+
 
 @pytest.fixture
 def array(tmp_path: Path) -> np.ndarray:

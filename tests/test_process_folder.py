@@ -20,6 +20,8 @@ import kvision as K
 from kvision import _ops
 from test_examples import EXAMPLES, example
 
+pytestmark = pytest.mark.programs
+
 COUNT = 500
 BROKEN = {
     "empty.png": "the file is empty",

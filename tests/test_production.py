@@ -14,6 +14,8 @@ import kvision as K
 from kvision import _ops
 from op_tests import assert_close
 
+pytestmark = pytest.mark.programs
+
 ROOT = Path(__file__).parents[1]
 
 

@@ -17,6 +17,8 @@ from torch import Tensor
 import kvision as K
 from benchmarks.sample_calls import SampleCall, Size, sample_calls
 
+pytestmark = pytest.mark.programs
+
 SIZE = Size(1, 3, 17, 18)
 WARM_UP, CALLS = 2_000, 20_000
 QUICK = 5e-4  # seconds: the functions that are called take less, forward and backward

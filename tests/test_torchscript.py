@@ -18,6 +18,8 @@ from op_tests import assert_close
 from test_dynamic_sweep import CALLS, SIZES, flat
 from test_public_api import public_modules, public_names
 
+pytestmark = pytest.mark.programs
+
 ROOT = "takes a root of a matrix in a torch.autograd.Function, which torch.jit.trace does not save"
 LEFT_OUT = {
     "enhance.zca_mean": ROOT,

@@ -17,6 +17,8 @@ import kvision as K
 from kvision import _ops
 from test_examples import EXAMPLES, example
 
+pytestmark = pytest.mark.programs
+
 SMALL = ("--batch", "4", "--count", "32", "--size", "40", "--crop", "32", "--device", "cpu")
 STEPS, EVERY = 60, 3
 

@@ -124,6 +124,7 @@ def check(pictures: Path, out: Path) -> None:
         assert (K.io.load_image(out / f"{name}.png") - expected).abs().max() < 0.6 / 255
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds processes in /proc")
 @pytest.mark.parametrize(
     "engine",

@@ -81,7 +81,8 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds processes in /proc")
-@pytest.mark.parametrize("by", ["torchrun", pytest.param("hand", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("by", ["torchrun", "hand"])
 def test_a_killed_rank_changes_no_loss(by: str, undisturbed: list[str], tmp_path: Path) -> None:
     options = ("--steps", str(STEPS), "--every", str(EVERY), "--checkpoint", str(tmp_path / "checkpoint"))
     launcher = torchrun(tmp_path, *options, restarts=1 if by == "torchrun" else 0)
@@ -99,6 +100,7 @@ def test_a_killed_rank_changes_no_loss(by: str, undisturbed: list[str], tmp_path
     assert losses(tmp_path) == undisturbed
 
 
+@pytest.mark.slow
 def test_the_loss_falls(undisturbed: list[str]) -> None:
     numbers = [float(loss) for loss in undisturbed]
     assert sum(numbers[-10:]) < 0.8 * sum(numbers[:10])

@@ -316,6 +316,7 @@ def test_kernels_reads_what_ncu_writes():
 # -- scaling
 
 
+@pytest.mark.slow
 def test_scaling_on_two_processes(tmp_path, monkeypatch, capsys):
     """Two CPU processes and one give the same augmented bits and nearly the same losses; the rest are figures."""
     monkeypatch.setattr(scaling, "ALL", {name: ALL[name] for name in ("sobel", "warp_affine")})

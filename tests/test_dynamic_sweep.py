@@ -25,30 +25,22 @@ EVEN = ("rgb_to_yuv420", "rgb_to_yuv422", "yuv420_to_rgb", "yuv422_to_rgb")  # h
 
 # What depends on more than the sizes, and why; at most 5% of the public names.
 SIZE_OF_DATA = "the size of the result depends on the values"
-ON_HOST = "reads values on the host: to draw, print or count them in Python"
+NUMBERS = "gives Python's numbers, or none but an error, for the values"
 LEFT_OUT = {
     **dict.fromkeys(("geometry.crop_by_boxes", "geometry.crop_by_boxes3d", "geometry.crop_by_indices"), SIZE_OF_DATA),
     "geometry.nms": SIZE_OF_DATA,
-    **dict.fromkeys(("geometry.validate_bbox", "geometry.validate_bbox3d"), "raises an error for some values"),
+    **dict.fromkeys(("image.draw_line", "image.draw_rectangle"), "the number of drawn pixels depends on the values"),
     **dict.fromkeys(
         (
-            "image.draw_convex_polygon",
-            "image.draw_line",
-            "image.draw_point2d",
-            "image.draw_rectangle",
+            "geometry.validate_bbox",
+            "geometry.validate_bbox3d",
             "metrics.auc_from_errors",
             "metrics.mean_average_precision",
         ),
-        ON_HOST,
+        NUMBERS,
     ),
     "contrib.distance_transform": "the number of its passes depends on the size",
-    "filters.guided_blur": "solves a system as large as the channels, step by step",
     "geometry.build_laplacian_pyramid": "pads to the next power of two",
-    "image.make_grid": "the number of columns is the root of the batch",
-    **dict.fromkeys(
-        ("geometry.center_crop3d", "geometry.crop_and_resize", "geometry.crop_and_resize3d"),
-        "the corners of the result are constants of the program",
-    ),
 }
 CALLS = {call.name: call for call in sample_calls() if call.makers}
 

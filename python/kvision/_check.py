@@ -127,6 +127,11 @@ def sizes_as_numbers(x: Tensor) -> Sequence[int]:
     return tuple(map(int, x.shape)) if torch.jit.is_tracing() else x.shape
 
 
+def is_symbolic(*sizes: int) -> bool:
+    """Whether sizes may be symbols of a graph that serves several of them. Dynamo's types do not show it."""
+    return torch.compiler.is_compiling() or not all(type(n) is int for n in sizes)
+
+
 def values_are_readable(x: Tensor) -> bool:
     """Whether values of `x` can be read without waiting for a device, and without breaking a trace or a transform."""
     return x.device.type == "cpu" and not (torch.compiler.is_compiling() or in_function_transform())

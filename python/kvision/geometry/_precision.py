@@ -24,16 +24,21 @@ def in_full_precision(function: F) -> F:
 
     @functools.wraps(function)
     def wrapped(*args: Any, **kwargs: Any) -> Any:
-        tensors = [a for a in (*args, *kwargs.values()) if isinstance(a, Tensor)]
-        if not tensors:
+        first = None
+        fits = True
+        for a in (*args, *kwargs.values()) if kwargs else args:
+            if isinstance(a, Tensor):
+                if first is None:
+                    first = a
+                    computed = torch.float32 if a.dtype in _HALVES else a.dtype
+                fits = fits and (a.dtype is computed or not a.is_floating_point())
+        if first is None:
             return function(*args, **kwargs)  # raises the error for a missing tensor
-        first = tensors[0]
         device = first.device.type
         if device != "meta" and torch.is_autocast_enabled(device):
             with torch.autocast(device, enabled=False):
                 return wrapped(*args, **kwargs)
-        computed = torch.float32 if first.dtype in _HALVES else first.dtype
-        if not first.is_floating_point() or all(t.dtype == computed or not t.is_floating_point() for t in tensors):
+        if fits or not first.is_floating_point():
             return function(*args, **kwargs)
         output = function(*_map(lambda x: x.to(computed), args), **_map(lambda x: x.to(computed), kwargs))
         return _map(lambda y: y.to(first.dtype), output)

@@ -210,7 +210,7 @@ def _vertices(op: str, polygons: Any, images: Tensor) -> Tensor:
         none = torch.full((1, 2), torch.nan, device=images.device)
         padded = [torch.cat((p, (p[-1:] if len(p) else none).expand(k - len(p), 2))) for p in polygons]
         polygons = torch.stack(padded) if padded else images.new_empty(0, 0, 2)
-    _check.shape(op, "polygons", polygons, len(images), "K", 2)
+    _check.shape(op, "polygons", polygons, images.shape[0], "K", 2)
     vertices: Tensor = polygons.to(images.device, torch.promote_types(polygons.dtype, torch.float32))
     return vertices
 
@@ -230,6 +230,8 @@ def _points(op: str, name: str, points: Any, image: Tensor) -> Tensor:
         )
     pixels = _nearest_pixels(op, name, points).reshape(-1, 2)
     height, width = image.shape[-2:]
+    if not _check.values_are_readable(pixels):
+        return pixels
     outside = ((pixels < 0) | (pixels >= torch.tensor([width, height]))).any(1)
     if outside.any():
         x, y = pixels[outside][0].tolist()
@@ -246,7 +248,7 @@ def _nearest_pixels(op: str, name: str, coordinates: Tensor) -> Tensor:
     coordinates = coordinates.detach().cpu()
     if not coordinates.is_floating_point():
         return coordinates.long()
-    if coordinates.isnan().any():
+    if _check.values_are_readable(coordinates) and coordinates.isnan().any():
         raise ValueCheckError(f"{op}: expected {name} without NaN")
     coordinates = coordinates.to(torch.promote_types(coordinates.dtype, torch.float32))  # halves cannot hold x + 0.5
     return (coordinates + 0.5).floor().clamp(-(2**31), 2**31).long()  # the clamp keeps infinities in range
@@ -260,10 +262,8 @@ def _colors(op: str, name: str, color: Any, image: Tensor, items: Sequence[int] 
         raise TypeCheckError(
             f"{op}: expected {name} to be a Tensor or numbers, got {color!r}", actual_type=type(color)
         ) from error
-    shapes = list(dict.fromkeys([(), (1,), (image.shape[-3],), (*items, 1), (*items, image.shape[-3])]))
-    if color.shape not in shapes:
-        raise ShapeError(
-            f"{op}: expected {name} of shape {' or '.join(map(str, shapes))}, got {tuple(color.shape)}",
-            actual_shape=color.shape,
-        )
+    shapes = [(), (1,), (image.shape[-3],), (*items, 1), (*items, image.shape[-3])]
+    if not any(len(color.shape) == len(shape) and color.shape == shape for shape in shapes):
+        listed = " or ".join(dict.fromkeys(map(str, shapes)))
+        raise ShapeError(f"{op}: expected {name} of shape {listed}, got {tuple(color.shape)}", actual_shape=color.shape)
     return color.to(image).expand(*items, image.shape[-3])

@@ -41,7 +41,7 @@ def make_grid(tensor: Tensor, n_row: int | None = None, padding: int = 2) -> Ten
         )
     b, c, h, w = tensor.shape
     if n_row is None:
-        columns = max(math.ceil(math.sqrt(b)), 1)
+        columns = max(math.ceil(b**0.5), 1)  # of a symbolic batch, too, which math.sqrt would fix
     else:
         (columns,) = _check.ints("make_grid", "n_row", n_row, 1)
     (padding,) = _check.ints("make_grid", "padding", padding, 1, minimum=0)

@@ -130,6 +130,10 @@ def _solve(a: Tensor, y: Tensor) -> Tensor:
     Gauss-Jordan elimination, which needs no pivots then: plain arithmetic on planes, where a call to a solver would
     gather a matrix for each pixel and wait for the device.
     """
+    channels = a.shape[1]
+    if channels > 4 and _check.is_symbolic(channels):  # a graph for any number of them
+        planes = torch.linalg.solve_ex(a.movedim((1, 2), (-2, -1)), y.movedim((1, 2), (-2, -1)))[0]
+        return planes.movedim((-2, -1), (1, 2))
     rows = list(torch.cat((a, y), 2).unbind(1))
     if not rows:
         return y

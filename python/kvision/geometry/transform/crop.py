@@ -7,7 +7,6 @@ import math
 import torch
 import torch.nn.functional as F
 from torch import Tensor
-from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import pixels
@@ -17,6 +16,7 @@ from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry._formula import batch_of, register_formula
 from kvision.geometry.transform import sampling
+from kvision.geometry.transform.matrices import crop_matrix
 from kvision.geometry.transform.resize import resize
 from kvision.geometry.transform.warp import warp_affine, warp_perspective
 
@@ -184,8 +184,12 @@ def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corner
         first = sampling.cast_to_image(op, images, "dst_box", first, samples)
     h, w = size
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
-    numbers = [float(max(w - 1, 1)), float(max(h - 1, 1))]
+    across, down = max(w - 1, 1), max(h - 1, 1)
     options = (list(size), INTERPOLATION[mode], padding, align_corners, False, False)
+    if _check.is_symbolic(h, w):
+        matrix = crop_matrix.definition(boxes, first, across, down)
+        return sampling.warp(images, matrix, None, box_indices, *options)
+    numbers = [float(across), float(down)]
     tensors = (boxes, first, *[None] * 4, box_indices)
     return sampling.warp_by_formula(images, *tensors, WARP_FORMULA["crop_matrix"], numbers, *options)
 
@@ -289,8 +293,7 @@ def center_crop(
     images = pixels(input_tensor)
     _, _, height, width = images.shape
     y, x = height - h, width - w
-    # Their parity is unknown. Dynamo's types do not show it.
-    symbolic = is_compiling() or type(y) is not int or type(x) is not int
+    symbolic = _check.is_symbolic(y, x)  # their parity is unknown
     if not symbolic and y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
         return _crop_pixels(images, [y // 2, x // 2], [h, w])
     padding, _ = sampling.padding_and_fill("center_crop", images, padding_mode, None)

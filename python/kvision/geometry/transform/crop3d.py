@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
 from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.geometry.bbox import corners
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.warp3d import by_formula, warp_affine3d, warp_perspective3d
 
@@ -164,7 +166,11 @@ def center_crop3d(
     _check.volumes(op, "tensor", tensor)
     size = _check.ints(op, "size", size, 3)  # type: ignore[assignment]  # three entries by construction
     first = [(n - k) / 2 for n, k in zip(reversed(tensor.shape[2:]), reversed(size))]
-    return by_formula(op, tensor, size, interpolation, "zeros", align_corners, False, "translation_matrix3d", first)
+    shift = []
+    if _check.is_symbolic(*tensor.shape[2:], *size):
+        shift, first = [sampling.symbolic_point(tensor, *first)], [0.0, 0.0, 0.0]
+    options = (interpolation, "zeros", align_corners, False, "translation_matrix3d", first)
+    return by_formula(op, tensor, size, *options, *shift)
 
 
 def _crop(op, tensor, src_box, dst_box, size, interpolation, align_corners):
@@ -174,7 +180,11 @@ def _crop(op, tensor, src_box, dst_box, size, interpolation, align_corners):
     boxes = [sampling.cast_to_image(op, volumes, "src_box", src_box)]
     if dst_box is not None:
         boxes.append(sampling.cast_to_image(op, volumes, "dst_box", dst_box))
-    extent = [float(max(n - 1, 1)) for n in reversed(size)]
+    extent = [max(n - 1, 1) for n in reversed(size)]
+    if dst_box is None and _check.is_symbolic(*size):
+        last = sampling.symbolic_point(volumes, *extent)
+        boxes.append(corners(torch.zeros_like(last), last))
+    extent = [0.0] * 3 if len(boxes) > 1 else [float(n) for n in extent]
     return by_formula(
         op, volumes, size, interpolation, "zeros", align_corners, True, "perspective_matrix3d", extent, *boxes
     )

@@ -153,7 +153,7 @@ def _crop_matrix_reference(quads, first, across, down):
         x, y = promoted(first)[..., None, None].unbind(1)
         origin = origin - right * x - downwards * y
     linear = torch.cat([right, downwards], -1)
-    return torch.cat([linear.expand(len(origin), -1, -1), origin], -1).to(quads.dtype)
+    return torch.cat([linear.expand(origin.shape[0], -1, -1), origin], -1).to(quads.dtype)
 
 
 def _perspective3d_reference(points_src, points_dst, *extent):

@@ -542,9 +542,9 @@ def padding_and_fill(
     return PADDING["fill"], as_dtype(fill_value, dtype)
 
 
-def symbolic_point(image: Tensor, x: float, y: float) -> Tensor:
-    """(1, 2), symbolic coordinates for the images: a plain argument of an operator would fix their value in the graph."""
-    return torch.stack([image.new_full((), value, dtype=compute_dtype(image)) for value in (x, y)])[None]
+def symbolic_point(image: Tensor, *coordinates: float) -> Tensor:
+    """(1, D), symbolic coordinates for the images: a plain argument of an operator would fix their value in the graph."""
+    return torch.stack([image.new_full((), value, dtype=compute_dtype(image)) for value in coordinates])[None]
 
 
 def cast_to_image(op: str, image: Tensor, name: str, x: Tensor, samples: int | None = None) -> Tensor:

@@ -95,11 +95,11 @@ def does_not_wait(device: torch.device, calls: Sequence[Callable[[], Any]]) -> N
 
 @contextlib.contextmanager
 def instruction_set(name: str) -> Iterator[None]:
-    """Use this instruction set for CPU kernels inside the block. Skips the test if the processor lacks it."""
+    """Use this instruction set for CPU kernels inside the block. Skips the test where the library or the processor lacks it."""
     from kvision import _C
 
     if not _C.isa_supported(name):
-        pytest.skip(f"this processor has no {name}")
+        pytest.skip(f"the library or this processor has no {name}")
     active = _C.active_isa()
     assert _C.set_isa(name)
     try:

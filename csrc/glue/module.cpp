@@ -9,10 +9,18 @@
 namespace kv {
 namespace {
 
+#if defined(__aarch64__)
+constexpr char const* kNames[] = {"neon"};  // every processor has it: what the compiler makes of vectors by itself
+#else
 constexpr char const* kNames[] = {"baseline", "avx2", "avx512"};
+#endif
+constexpr int kIsas = sizeof kNames / sizeof *kNames;
 
+// Whether this library has kernels for it and this processor runs them.
 bool supported(Isa isa) {
-#if defined(__x86_64__)
+#if defined(KV_ONLY_ISA)
+  return isa == Isa::KV_ONLY_ISA;  // no other kernels are here
+#else
   __builtin_cpu_init();
   switch (isa) {
     case Isa::avx512:
@@ -20,20 +28,21 @@ bool supported(Isa isa) {
              __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") && supported(Isa::avx2);
     case Isa::avx2:
       return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("f16c");
-    case Isa::baseline:
-      break;
+    default:
+      return isa == Isa::baseline;
   }
 #endif
-  return isa == Isa::baseline;
 }
 
-// The named instruction set if the processor has it, else the best one there is.
+// The named instruction set if it is supported, else the best one that is.
 Isa choose(char const* name) {
-  for (int i = 2; i >= 0; --i)
-    if (name && std::strcmp(name, kNames[i]) == 0 && supported(Isa(i))) return Isa(i);
-  for (int i = 2; i > 0; --i)
-    if (supported(Isa(i))) return Isa(i);
-  return Isa::baseline;
+  Isa best = Isa::baseline;
+  for (int i = 0; i < kIsas; ++i)
+    if (supported(Isa(i))) {
+      if (name && std::strcmp(name, kNames[i]) == 0) return Isa(i);
+      best = Isa(i);
+    }
+  return best;
 }
 
 std::atomic<Isa> active{choose(std::getenv("KVISION_ISA"))};
@@ -50,7 +59,7 @@ KV_EXPORT char const* kvision_version() { return KV_VERSION; }
 KV_EXPORT char const* kvision_compiler() { return __VERSION__; }
 KV_EXPORT char const* kvision_active_isa() { return kv::kNames[int(kv::active_isa())]; }
 KV_EXPORT bool kvision_isa_supported(char const* name) {
-  for (int i = 0; i < 3; ++i)
+  for (int i = 0; i < kIsas; ++i)
     if (std::strcmp(name, kv::kNames[i]) == 0) return kv::supported(kv::Isa(i));
   return false;
 }

@@ -72,7 +72,7 @@ def _cpu_library() -> str:
         return "libkvision.so; no details, as kvision._C was not built for this Python"
     sets = ", ".join(
         name + (" (in use)" if name == _C.active_isa() else "")
-        for name in ("baseline", "avx2", "avx512")
+        for name in ("baseline", "avx2", "avx512", "neon")
         if _C.isa_supported(name)
     )
     return f"libkvision.so {_C.version()}, compiler {_C.compiler()}; instruction sets here: {sets}; KVISION_ISA chooses"

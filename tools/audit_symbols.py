@@ -21,9 +21,10 @@ ROOT = Path(__file__).parents[1]
 LIBRARIES = ROOT / "python/kvision/lib"
 ISAS = ("baseline", "avx2", "avx512")
 
-# Versioned symbols of the C, C++ and compiler runtimes, torch's C interface, and hooks that GCC leaves optional.
+# Versioned symbols of the C, C++ and compiler runtimes, torch's C interface, and hooks that GCC leaves optional: those of
+# transactional memory (_ITM, _ZGT) come with a static libstdc++.
 ALLOWED = re.compile(
-    r".+@(GLIBC|GLIBCXX|CXXABI|GCC)_[\w.]+|(aoti_)?torch_\w+|_ITM_(de)?registerTMCloneTable|__gmon_start__|__cxa_finalize"
+    r".+@(GLIBC|GLIBCXX|CXXABI|GCC)_[\w.]+|(aoti_)?torch_\w+|_ITM_\w+|_ZGT\w+|__gmon_start__|__cxa_(finalize|pure_virtual)"
 )
 RUNTIMES = re.compile(r"(libc|libm|libstdc\+\+|libgcc_s|libpthread|libdl|librt|ld-linux[\w-]*)\.so\.\d+")
 

@@ -3,12 +3,12 @@
     python tools/build_wheels.py                                the CPU wheel
     KVISION_CUDA=ON python tools/build_wheels.py                CPU and CUDA: architectures 75, 80, 90, 100, 120 and PTX
     python tools/build_wheels.py --python python3.10 ...        kvision._C for these Pythons as well; default: all on the PATH
+    python tools/build_wheels.py --glibc native                 for this machine's glibc or newer
 
 The wheel is made of the sdist, so that a file missing there is found out. Its libraries do not depend on Python; kvision._C, which
-only kvision.info uses, is there once for each CPython. auditwheel gives it the tag of the oldest glibc that it runs on:
-manylinux_2_28 when it was linked against glibc 2.28, as in the container of .github/workflows/wheels.yml, otherwise that of this
-machine's toolchain. torch's libraries and the driver's are not packed. CUDAARCHS and CMAKE_ARGS choose
-other architectures and flags.
+only kvision.info uses, is there once for each CPython. They are linked against glibc 2.28 (tools/older_glibc.py), and auditwheel, which checks
+it, tags the wheel manylinux_2_28, as torch's are. torch's libraries and the driver's are not packed. CUDAARCHS and CMAKE_ARGS
+choose other architectures and flags.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import argparse
 import glob
 import hashlib
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -24,6 +25,10 @@ import tarfile
 import tempfile
 import zipfile
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+import audit_symbols
+import older_glibc
 
 ROOT = Path(__file__).parents[1]
 VERSIONS = range(10, 15)  # of CPython 3
@@ -49,12 +54,18 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument(
         "--folder", type=Path, help="an empty folder to build in, which is kept; default: a temporary one"
     )
+    parser.add_argument(
+        "--glibc", default=older_glibc.GLIBC, help="the oldest glibc to run on (%(default)s); native: this machine's"
+    )
     options = parser.parse_args(arguments)
     options.dist.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.folder or Path(temporary)
         sdist = make_sdist(folder)
-        wheel = tagged(make_wheel(sdist, folder, other_pythons(options.python)), folder / "tagged")
+        flags, platform = older_system(options.glibc, folder / "glibc")
+        built = make_wheel(sdist, folder, other_pythons(options.python), flags)
+        wheel = tagged(built, folder / "tagged", platform)
+        check(wheel, folder / "checked")
         for path in (sdist, wheel):
             print(shutil.copy(path, options.dist))
     report(options.dist / wheel.name)
@@ -108,7 +119,18 @@ def make_sdist(folder: Path) -> Path:
     return next(folder.glob("*.tar.gz"))
 
 
-def make_wheel(sdist: Path, folder: Path, pythons: list[str]) -> Path:
+def older_system(glibc: str, folder: Path) -> tuple[list[str], str]:
+    """The flags of CMake that link for `glibc` and newer, and the platform of the wheel."""
+    if glibc == "native":
+        return [], "auto"
+    platform = f"manylinux_{glibc.replace('.', '_')}_{os.uname().machine}"
+    if older_glibc.this_glibc() <= tuple(map(int, glibc.split("."))):  # as in the containers of manylinux
+        return [], platform
+    older_glibc.make_stubs(folder, glibc)
+    return older_glibc.cmake_arguments(folder), platform
+
+
+def make_wheel(sdist: Path, folder: Path, pythons: list[str], flags: list[str]) -> Path:
     with tarfile.open(sdist) as archive:
         archive.extractall(folder, filter="data")
     source = folder / sdist.name.removesuffix(".tar.gz")
@@ -117,6 +139,7 @@ def make_wheel(sdist: Path, folder: Path, pythons: list[str]) -> Path:
         "KVISION_CUDA": "OFF",
         **os.environ,
         "KVISION_PYTHONS": os.pathsep.join(pythons),
+        "CMAKE_ARGS": f"{os.environ.get('CMAKE_ARGS', '')} {shlex.join(flags)}",
     }
     if environment["KVISION_CUDA"] == "ON":
         environment.setdefault("CUDAARCHS", ARCHITECTURES)
@@ -137,11 +160,21 @@ def make_wheel(sdist: Path, folder: Path, pythons: list[str]) -> Path:
     return next(folder.glob("*.whl"))
 
 
-def tagged(wheel: Path, folder: Path) -> Path:
-    """The wheel with the tag of the oldest system that it runs on."""
+def tagged(wheel: Path, folder: Path, platform: str) -> Path:
+    """The wheel with the tag of the oldest system that it runs on; an error where it needs a newer one than `platform`."""
     excluded = [word for name in NOT_PACKED for word in ("--exclude", name)]
-    run(sys.executable, "-m", "auditwheel", "repair", "--wheel-dir", folder, *excluded, "--strip", wheel)
+    only = [] if platform == "auto" else ["--only-plat"]
+    auditwheel = (sys.executable, "-m", "auditwheel", "repair", "--plat", platform, *only)
+    run(*auditwheel, "--wheel-dir", folder, *excluded, "--strip", wheel)
     return next(folder.glob("*.whl"))
+
+
+def check(wheel: Path, folder: Path) -> None:
+    """Symbols without a version, which auditwheel does not see: they must be torch's."""
+    zipfile.ZipFile(wheel).extractall(folder)
+    problems = [line for path in folder.glob("kvision/lib/*.so") for line in audit_symbols.undefined_symbols(path)]
+    if problems:
+        sys.exit("\n".join(problems))
 
 
 def report(wheel: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import shlex
 import subprocess
 import sys
 import zipfile
@@ -50,10 +51,13 @@ def unpack(wheel: Path, folder: Path) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def wheel(cmake: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    # One instruction set, not optimised: this is about what is in it.
-    quick = "-DKVISION_CUDA=OFF -DKVISION_ISA=baseline -DCMAKE_BUILD_TYPE=None"
-    pythons = os.pathsep.join(tool("build_wheels").other_pythons(None))
+    # One instruction set, not optimised: this is about what is in it. Linked as a release is, where that can be done.
     folder = tmp_path_factory.mktemp("native")
+    quick = "-DKVISION_CUDA=OFF -DKVISION_ISA=baseline -DCMAKE_BUILD_TYPE=None"
+    if importlib.util.find_spec("ziglang"):
+        flags, _ = tool("build_wheels").older_system("2.28", folder / "glibc")
+        quick += " " + shlex.join(flags)
+    pythons = os.pathsep.join(tool("build_wheels").other_pythons(None))
     return build_wheel(folder, KVISION_BUILD="native", CMAKE_ARGS=quick, KVISION_PYTHONS=pythons)
 
 
@@ -78,6 +82,41 @@ def test_wheel_has_a_module_for_each_python(wheel: Path) -> None:
     assert len(modules) == len(pythons)
     for python in pythons:
         assert tool("test_wheel").import_module(wheel, python).split()[1] == wheel.name.split("-")[1]
+
+
+def test_wheel_runs_on_glibc_2_28(wheel: Path, tmp_path: Path) -> None:
+    """Its libraries need no later glibc, and nothing of the system's libstdc++; auditwheel finds the same."""
+    pytest.importorskip("ziglang", reason="stubs of older versions of glibc")
+    zipfile.ZipFile(wheel).extractall(tmp_path / "unpacked")
+    libraries = sorted(tmp_path.glob("unpacked/kvision/**/*.so"))
+    assert "libkvision.so" in [path.name for path in libraries] and len(libraries) > 1
+    for library in libraries:
+        needed = set(tool("older_glibc").needed_versions(library))
+        assert {name for name, _ in needed} == {"GLIBC", "GCC"}
+        assert max(version for name, version in needed if name == "GLIBC") <= (2, 28)
+    pytest.importorskip("auditwheel")
+    release = tool("build_wheels").tagged(wheel, tmp_path / "tagged", "manylinux_2_28_x86_64")
+    assert release.name.endswith("-py3-none-manylinux_2_28_x86_64.whl")
+    tool("build_wheels").check(release, tmp_path / "checked")
+
+
+def test_says_what_runs(installed: dict[str, str]) -> None:
+    """The wheel was compiled for the baseline alone, so that is in use whatever the processor has."""
+    program = (
+        "from kvision import _C; print(_C.active_isa(), _C.isa_supported('avx2'), _C.set_isa('avx2'), _C.active_isa())"
+    )
+    for chosen in ("", "avx2", "avx512"):
+        output = run(sys.executable, "-c", program, KVISION_ISA=chosen, **installed)
+        assert output.split()[-4:] == ["baseline", "False", "False", "baseline"]
+
+
+def test_errors_cross_the_library(installed: dict[str, str]) -> None:
+    """An exception of kvision's C++, with its own libstdc++, is Python's RuntimeError with the whole sentence."""
+    program = (
+        "import torch, kvision\ntry: torch.ops.kvision.sobel(torch.zeros(3), True, 1e-6)\n"
+        "except RuntimeError as error: print('caught', error)"
+    )
+    assert "caught sobel: " in run(sys.executable, "-c", program, KVISION_BACKEND="native", **installed)
 
 
 def test_wheel_works(installed: dict[str, str]) -> None:

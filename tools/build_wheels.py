@@ -6,9 +6,9 @@
     python tools/build_wheels.py --glibc native                 for this machine's glibc or newer
 
 The wheel is made of the sdist, so that a file missing there is found out. Its libraries do not depend on Python; kvision._C, which
-only kvision.info uses, is there once for each CPython. They are linked against glibc 2.28 (tools/older_glibc.py), and auditwheel, which checks
-it, tags the wheel manylinux_2_28, as torch's are. torch's libraries and the driver's are not packed. CUDAARCHS and CMAKE_ARGS
-choose other architectures and flags.
+only kvision.info uses, is there once for each CPython. They are linked against glibc 2.28 (tools/older_glibc.py), and auditwheel,
+which checks it, tags the wheel manylinux_2_28, as torch's are. torch's libraries and the driver's are not packed. CUDAARCHS and
+CMAKE_ARGS choose other architectures and flags.
 """
 
 from __future__ import annotations

@@ -4,9 +4,9 @@
 
 glibc gives a program the newest version of each function that was there when it was linked. A library linked here would need
 this machine's glibc. So the linker gets other libraries to link with: stubs, which have the names and versions of glibc 2.28
-and no code. The package ziglang makes them for every version of glibc; its compiler is not used. libstdc++ is linked statically and hidden,
-since the one of an old system lacks what this compiler uses of it, and tools/older_glibc.c has the three functions of later
-versions that it needs.
+and no code. The package ziglang makes them for every version of glibc; its compiler is not used. libstdc++ is linked statically
+and hidden, since the one of an old system lacks what this compiler uses of it, and tools/older_glibc.c has what it takes of
+later versions.
 """
 
 from __future__ import annotations

@@ -4,11 +4,11 @@
     python tools/release.py 0.2.0 --do              does it, here
     python tools/release.py 0.2.0 --do --variants cpu    without the CUDA wheel, which needs nvcc
 
-The version goes into python/kvision/_version.py, where pip and CMake read it. What is under "Unreleased" in CHANGELOG.md gets the
-version as its heading. Both are committed in a work tree of their own. The sdist and the wheels are built there, so that they hold what is
-committed and nothing else. Only when all of it is built does the branch move to that commit, and the commit gets the tag. A failure leaves branch
-and tags as they were. Results are in dist/VERSION: cpu/ and cuda/ with a wheel each, the sdist, SHA256SUMS. Nothing leaves this machine; the last
-lines say which commands publish it.
+The version goes into python/kvision/_version.py, where pip and CMake read it. What is under "Unreleased" in CHANGELOG.md gets
+the version as its heading. Both are committed in a work tree of their own. The sdist and the wheels are built there, so that they
+hold what is committed and nothing else. Only when all of it is built does the branch move to that commit, which gets the tag. A
+failure leaves branch and tags as they were. Results are in dist/VERSION: cpu/ and cuda/ with a wheel each, the sdist, SHA256SUMS.
+Nothing leaves this machine; the last lines say which commands publish it.
 """
 
 from __future__ import annotations
@@ -78,6 +78,8 @@ def refusals(version: str, variants: list[str]) -> list[str]:
         problems.append(f"the tag v{version} exists")
     if changed := git("status", "--porcelain", "--untracked-files=no"):
         problems.append(f"there are changes that are not committed:\n{changed}")
+    if re.search(rf"^## {re.escape(version)}\b", (ROOT / CHANGELOG).read_text(), re.MULTILINE):
+        problems.append(f"{CHANGELOG} has a heading {version} already")
     if not unreleased():
         problems.append(f"{CHANGELOG} has nothing under {UNRELEASED.strip()!r}")
     if "cuda" in variants and shutil.which(os.environ.get("CUDACXX", "nvcc")) is None:

@@ -105,6 +105,10 @@ def test_a_release(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_first_release_keeps_the_version(repository: Path) -> None:
     status, output = release(repository, "0.1.0", "--variants", "cpu", "--do")
+    assert status == 1 and "CHANGELOG.md has a heading 0.1.0 already" in output
+    (repository / "CHANGELOG.md").write_text(CHANGES.partition("## 0.1.0")[0])
+    commit(repository, "Describe the first release")
+    status, output = release(repository, "0.1.0", "--variants", "cpu", "--do")
     assert status == 0, output
     assert git(repository, "tag") == "v0.1.0"
     assert [path.name for path in (repository / "dist/0.1.0/cpu").iterdir()] == ["kvision-0.1.0-py3-none-any.whl"]

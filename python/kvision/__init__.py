@@ -46,7 +46,7 @@ if TYPE_CHECKING:
         extract_patches_from_pyramid,
         match_smnn,
     )
-    from kvision.filters import gaussian_blur2d, sobel  # type: ignore[no-redef]
+    from kvision.filters import gaussian_blur2d, sobel
     from kvision.geometry import (
         ConvQuadInterp3d,
         DepthWarper,

@@ -83,6 +83,14 @@ def test_replay_and_seeds(make: Any, device: torch.device) -> None:
         assert torch.equal(other(x, seed=9), y)
 
 
+def test_a_child_that_runs_twice_is_replayed_with_both_draws(device: torch.device) -> None:
+    x, container = images(device), A.ImageSequential(A.RandomAffine(90.0, p=1.0), A.RandomHue(p=1.0), random_apply=5)
+    y = container(x, seed=3)
+    names = [item.name for item in container._params]
+    assert len(names) > len(set(names))
+    assert torch.equal(container(x, params=container._params), y)
+
+
 @pytest.mark.parametrize(("name", "warps"), [("flips and a warp", 1), ("a warp and a crop", 1), ("two warps", 0)])
 def test_what_is_joined(name: str, warps: int) -> None:
     container = A.ImageSequential(*CHAINS[name]())

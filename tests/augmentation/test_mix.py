@@ -111,6 +111,9 @@ def test_mosaic_boxes_are_on_their_objects() -> None:
             drawn[b, :, top:bottom, left:right] = True
     assert torch.equal(drawn, y > 0)
     assert A.RandomMosaic((20, 24), p=0.5)(x).shape == (4, 1, 20, 24)
+    whole = torch.tensor([[[1, 2, 9, 8]]]).repeat(4, 1, 1)
+    mosaic = A.RandomMosaic(p=1.0, data_keys=["input", "bbox_xyxy"])
+    assert torch.equal(mosaic(x, whole, seed=2)[1], mosaic(x, whole.float(), seed=2)[1])
 
 
 def test_what_cannot_be_mixed_is_refused() -> None:

@@ -9,6 +9,7 @@ import torch
 from torch import Generator, Tensor
 
 from kvision import geometry
+from kvision._dtype import floats
 from kvision.augmentation.base import AugmentationBase2D, Execution, Params
 from kvision.augmentation.geometric_base import Resampling, warp, warp_labels
 from kvision.augmentation.keys import Seed
@@ -530,6 +531,7 @@ class RandomMosaic(MixAugmentationBaseV2):
     def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         if flags.get("mode", DataKey.BBOX_XYXY) != DataKey.BBOX_XYXY:
             raise self._refuse("boxes other than bbox_xyxy")
+        input = floats(input)
         b, n = input.shape[:2]
         height, width = (int(k) for k in params["forward_input_shape"][-2:])
         h, w = self._size(params)

@@ -299,9 +299,7 @@ class ImageSequential(ImageSequentialBase):
     def _params(self) -> list[ParamItem]:
         """The names and parameters of the children of the last call, in its order."""
         if self._given_params is None:
-            self._given_params = [
-                ParamItem(child.name, getattr(child.module, "_params", None)) for child in self._executed
-            ]
+            self._given_params = [ParamItem(child.name, child.read_params()) for child in self._executed]
         return self._given_params
 
     @_params.setter

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import torch
@@ -202,7 +203,7 @@ class PatchSequential(ImageSequential):
             x, self._position = y, self._position + 1
             module = child.module
             execution = module._execution if isinstance(module, AugmentationBase) else None
-            self._of_cells.append((indices, child._replace(params=execution)))
+            self._of_cells.append((indices, replace(child, params=execution)))
         return x
 
     @property

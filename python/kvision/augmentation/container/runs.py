@@ -15,6 +15,7 @@ the images, so that it is decided once for them.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
@@ -40,12 +41,20 @@ from kvision.augmentation.warp_and_color import (
 )
 
 
-class Child(NamedTuple):
+@dataclass
+class Child:
     """A child of a container that is executed, with the parameters that it replays, if any."""
 
     name: str
     module: nn.Module
     params: Any = None
+    execution: Any = None  # of an augmentation; a module that a call has twice keeps the last one only
+
+    def read_params(self) -> Any:
+        """The parameters that it was executed with."""
+        if self.execution is not None:
+            return self.module._read_params(self.execution)  # type: ignore[operator]  # of AugmentationBase
+        return getattr(self.module, "_params", None)
 
 
 class Warp(NamedTuple):
@@ -187,8 +196,8 @@ def _execute_run(x: Tensor, run: Sequence[Child], source: Randomness, position: 
         steps: Sequence[_Joined | int] = _plan_steps(modules, executions, source)
     else:
         executions, columns, steps = _draw(x, modules, source, position)
-    for module, execution in zip(modules, executions):
-        module._execution = execution
+    for child, module, execution in zip(run, modules, executions):
+        child.execution = module._execution = execution
     stages: list[Stage] = []
     for step in steps:
         if isinstance(step, int):

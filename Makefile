@@ -3,6 +3,9 @@
 #
 #   make demo ARGS="photo.jpg --device cuda"        make test TESTS=tests/filters ARGS="-k sobel -x"
 #   make bench ARGS="sobel box_blur"                make clean, make distclean (with .venv)
+#
+# make test leaves out what takes minutes and asks mostly torch: the markers slow and tracing (pyproject.toml), which .ci/run has.
+# ARGS="-m tracing" runs those of the chosen TESTS.
 PYTHON ?= python3
 TESTS ?=
 ARGS ?=
@@ -21,7 +24,7 @@ demo: build
 	$(BIN)/python -m kvision.demo $(ARGS)
 
 test: build
-	$(BIN)/python -m pytest --quiet --numprocesses auto --maxprocesses 8 -m "not slow" $(TESTS) $(ARGS)
+	$(BIN)/python -m pytest --quiet --numprocesses auto --maxprocesses 8 -m "not slow and not tracing" $(TESTS) $(ARGS)
 
 bench: build
 	$(BIN)/python -m benchmarks $(ARGS)

@@ -59,7 +59,7 @@ KV_EXPORT char const* kvision_version() { return KV_VERSION; }
 KV_EXPORT char const* kvision_compiler() { return __VERSION__; }
 KV_EXPORT char const* kvision_active_isa() { return kv::kNames[int(kv::active_isa())]; }
 KV_EXPORT bool kvision_isa_supported(char const* name) {
-  for (int i = 0; i < kIsas; ++i)
+  for (int i = 0; i < kv::kIsas; ++i)
     if (std::strcmp(name, kv::kNames[i]) == 0) return kv::supported(kv::Isa(i));
   return false;
 }

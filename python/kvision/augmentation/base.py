@@ -24,7 +24,7 @@ from torch.compiler import is_compiling
 from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, identity_values, plan_draws
 from kvision.augmentation.configuration import Flags, Plans, settings_changed
 from kvision.augmentation.draws import Draw, Request, is_chosen_batch
-from kvision.augmentation.keys import Keys, Seed, draw_keys
+from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -76,6 +76,7 @@ class AugmentationBase(nn.Module):
     whole_batch: ClassVar[bool] = False  # the size of the result changes, so that all samples are chosen or none
     accepts_bytes: ClassVar[bool] = True  # otherwise uint8 images are computed in float32, in [0, 1]
     keeps_lines: ClassVar[bool] = True  # straight lines stay straight, so that the corners of a box say where it is
+    _execution: Execution | None = None  # of the last call
     fuses_noise: ClassVar[bool] = False  # `apply_transform` takes "_noise" in place of the parameters of pixels
 
     def __init__(
@@ -101,7 +102,6 @@ class AugmentationBase(nn.Module):
         self._plans = Plans()
         self.flags: dict[str, Any] = {}
         self._param_generator: RandomGeneratorBase | None = None
-        self._execution: Execution | None = None
         self._rng: tuple[torch.device, torch.dtype] = (torch.device("cpu"), torch.float32)
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -111,6 +111,10 @@ class AugmentationBase(nn.Module):
         settings_changed()
         given: Any = Flags(value) if name == "flags" else value
         super().__setattr__(name, given)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Copies and pickles have the settings, not the last call.
+        return {name: value for name, value in self.__dict__.items() if name != "_execution"}
 
     def extra_repr(self) -> str:
         shown = {"p": self.p, "p_batch": self.p_batch, "same_on_batch": self.same_on_batch, **self.flags}
@@ -226,6 +230,7 @@ class AugmentationBase(nn.Module):
             return Execution(shape, applied=self._applies(None, 0))
         plan = plans[0]
         keys = draw_keys(type(self).__name__, 1, x.device, seed, generator or self.generator)
+        check_seeds(type(self).__name__, keys, shape[0])
         columns = Columns(plan.draw(x, keys), plan.spans[0])
         return Execution(shape, columns, applied=self._applies(keys, 0), redraw=(keys, 0))
 
@@ -233,6 +238,10 @@ class AugmentationBase(nn.Module):
         """An execution that replays given parameters."""
         shape = tuple(x.shape)
         chosen = params.get("batch_prob")
+        if chosen is not None and len(chosen) != shape[0]:
+            raise ShapeError(
+                f"{type(self).__name__}: expected params of a batch of {shape[0]}, got those of {len(chosen)} images"
+            )
         applied = True
         if chosen is None:
             params = {**params, "batch_prob": torch.ones(shape[0])}

@@ -48,7 +48,8 @@ class _MapAugmentation(AugmentationBase2D):
         if not execution.applied or masks.shape[0] == 0:
             return masks
         coordinates, corners = self._map(masks, execution, flags), flags.get("align_corners", True)
-        return _chosen_of(execution, _read_labels(masks, coordinates, _mode(flags), _padding(flags), corners), masks)
+        moved = _read_labels(masks, coordinates, _mode(flags), _padding(flags), corners, flags.get("mask_fill", 0))
+        return _chosen_of(execution, moved, masks)
 
     def transform_points(self, points: Tensor, execution: Execution) -> Tensor:
         if not execution.applied or 0 in points.shape:
@@ -99,9 +100,13 @@ def _read(x: Tensor, coordinates: Tensor, mode: str, padding: str, align_corners
     return remap(x, map_x, map_y, mode, padding, align_corners)
 
 
-def _read_labels(masks: Tensor, coordinates: Tensor, mode: str, padding: str, align_corners: bool) -> Tensor:
+def _read_labels(
+    masks: Tensor, coordinates: Tensor, mode: str, padding: str, align_corners: bool, fill: float = 0
+) -> Tensor:
     """Masks of any type."""
     exact = masks if masks.is_floating_point() else masks.double()  # holds all integers up to 2^53
+    if padding == "zeros" and fill:
+        return (_read(exact - fill, coordinates, mode, padding, align_corners) + fill).to(masks.dtype)
     return _read(exact, coordinates, mode, padding, align_corners).to(masks.dtype)
 
 

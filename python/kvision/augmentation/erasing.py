@@ -66,4 +66,4 @@ class RandomErasing(IntensityAugmentationBase2D):
         erased = is_erased(masks, self._param_generator.to_columns(params, execution.shape))
         if execution.chosen is not None:
             erased = erased & execution.chosen.to(masks.device)[:, None, None, None]
-        return masks.masked_fill(erased, 0)
+        return masks.masked_fill(erased, flags.get("mask_fill", 0))

@@ -13,7 +13,7 @@ from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION
 from kvision.augmentation.base import AugmentationBase, Execution, Params, RigidAffineAugmentationBase2D, Shape
 from kvision.augmentation.transforms import Transform, transform_matrix
-from kvision.augmentation.warp_and_color import Pass, Resampling, make_pass
+from kvision.augmentation.warp_and_color import Pass, Resampling, fill_of_images, make_pass
 from kvision.constants import Resample, SamplePadding
 from kvision.geometry.linalg import transform_points
 from kvision.geometry.transform import sampling
@@ -191,7 +191,8 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         if not execution.applied:
             return masks
         size = self.output_size(execution.shape, flags)
-        return warp_labels(masks, self._matrix(execution), size, self.resampling(flags).for_labels())
+        resampling = self.resampling(flags).for_labels(fill=flags.get("mask_fill"))
+        return warp_labels(masks, self._matrix(execution), size, resampling)
 
     def inverse_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:
@@ -205,8 +206,20 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
 
 def warp(x: Tensor, matrix: Tensor, size: Sequence[int], resampling: Resampling, inverse: bool = True) -> Tensor:
     """Resample images by matrices from their pixels to those of the result, or the other way for `inverse` = False."""
-    mode, padding_mode, align_corners, fill_value = resampling
-    padding, fill = sampling.padding_and_fill("augmentation", x, padding_mode, fill_value)
+    padding, fill = sampling.padding_and_fill("augmentation", x, resampling.padding, fill_of_images(x, resampling.fill))
+    return _warp(x, matrix, size, resampling, padding, fill, inverse)
+
+
+def _warp(
+    x: Tensor,
+    matrix: Tensor,
+    size: Sequence[int],
+    resampling: Resampling,
+    padding: int,
+    fill: Tensor | None,
+    inverse: bool,
+) -> Tensor:
+    mode, _, align_corners, _ = resampling
     matrix = matrix.to(compute_dtype(x))
     options = (INTERPOLATION[mode], padding, align_corners, inverse, False)
     y: Tensor = sampling.warp(x, matrix, fill, None, list(size), *options)
@@ -218,7 +231,8 @@ def warp_labels(
 ) -> Tensor:
     """The same for masks of any type, whose values pass unchanged: float64 holds all integers up to 2^53."""
     dtype = masks.dtype
+    exact = masks
     if not dtype.is_floating_point and dtype != torch.uint8:
-        exact = torch.float32 if dtype in (torch.bool, torch.int8, torch.int16) else torch.float64
-        return warp(masks.to(exact), matrix, size, resampling, inverse).to(dtype)
-    return warp(masks, matrix, size, resampling, inverse)
+        exact = masks.to(torch.float32 if dtype in (torch.bool, torch.int8, torch.int16) else torch.float64)
+    padding, fill = sampling.padding_and_fill("augmentation", exact, resampling.padding, resampling.fill)
+    return _warp(exact, matrix, size, resampling, padding, fill, inverse).to(dtype)

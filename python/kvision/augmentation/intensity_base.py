@@ -19,6 +19,8 @@ from kvision.augmentation.base import (
 from kvision.augmentation.columns import Span
 from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Pass, make_pass
+from kvision.color.steps import STEPS
+from kvision.core.exceptions import ShapeError
 
 __all__ = ["IntensityAugmentationBase2D", "IntensityAugmentationBase3D"]
 
@@ -142,6 +144,8 @@ def color_part(
     steps = module.color_steps(shape, flags)
     if steps is None:
         return None
+    if shape[1] != 3 and any(STEPS[step.name].domain == "rgb" for step in steps.steps):
+        raise ShapeError(f"{type(module).__name__}: expected images of 3 channels, got {tuple(shape)}")
     if span is None:
         return ColorPart(steps.steps)
     order = None

@@ -61,6 +61,12 @@ _LOWEST = -(2**63)
 _STEP = -0x61C8864680B583EB  # of the seeds of frames: the golden ratio times 2^64
 
 
+def check_seeds(op: str, keys: Keys, samples: int) -> None:
+    """Raise unless there is a seed of each sample, if there are seeds of samples."""
+    if keys.seeds is not None and keys.seeds.shape[0] != samples:
+        raise ShapeError(f"{op}: expected seeds of {samples} samples, got {keys.seeds.shape[0]}")
+
+
 def frame_seeds(seeds: Tensor, frames: int) -> Tensor:
     """Seeds (B T,) of the frames of videos with seeds (B,): the first frame has that of its video."""
     return (seeds[:, None] + _STEP * torch.arange(frames, device=seeds.device)).flatten()

@@ -27,7 +27,7 @@ def move_points(points: Any, move: Mover) -> Any:
     if isinstance(points, (list, tuple)):
         if not points:
             return points
-        padded, sizes = _pad(points)
+        padded, sizes = pad(points)
         moved = move_points(padded, move)
         return type(points)(m[:n] for m, n in zip(moved, sizes))
     if hasattr(points, "transform_keypoints"):  # kvision.geometry.keypoints.Keypoints
@@ -49,7 +49,7 @@ def visible_points(before: Any, after: Any, back: Mover, size: tuple[int, int]) 
     if isinstance(after, (list, tuple)):
         if not after:
             return after
-        (padded, sizes), (given, _) = _pad(after), _pad(before)
+        (padded, sizes), (given, _) = pad(after), pad(before)
         return type(after)(row[:n] for row, n in zip(visible_points(given, padded, back, size), sizes))
     if hasattr(after, "transform_keypoints"):
         return visible_points(before._data, after._data, back, size)
@@ -68,7 +68,7 @@ def move_boxes(boxes: Any, mode: str, move: Mover, points_of_side: int = 1) -> A
     if isinstance(boxes, (list, tuple)):
         if not boxes:
             return boxes
-        padded, sizes = _pad(boxes)
+        padded, sizes = pad(boxes)
         moved = move_boxes(padded, mode, move, points_of_side)
         return type(boxes)(m[:n] for m, n in zip(moved, sizes))
     if hasattr(boxes, "transform_boxes"):  # kvision.geometry.boxes.Boxes
@@ -207,8 +207,8 @@ def _upright(vertices: Tensor) -> Tensor:
     return vertices.gather(-2, index[..., None].expand(*index.shape, 2))
 
 
-def _pad(parts: Sequence[Tensor]) -> tuple[Tensor, list[int]]:
-    """Boxes or points of each image, padded to the same number."""
+def pad(parts: Sequence[Tensor]) -> tuple[Tensor, list[int]]:
+    """Boxes, points or instances of each image, padded to the same number."""
     sizes = [len(part) for part in parts]
     padded = parts[0].new_zeros(len(parts), max(sizes, default=0), *parts[0].shape[1:])
     for row, part in zip(padded, parts):

@@ -21,7 +21,7 @@ from kvision.augmentation.random_generator.mix import (
     PatchMixGenerator,
 )
 from kvision.constants import DataKey, Resample
-from kvision.core.exceptions import BaseError, ShapeError, ValueCheckError
+from kvision.core.exceptions import BaseError, ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = ["MixAugmentationBaseV2", "PatchMix", "RandomCutMixV2", "RandomJigsaw", "RandomMixUpV2", "RandomMosaic"]
 
@@ -132,6 +132,15 @@ class MixAugmentationBaseV2(AugmentationBase2D):
             params["chosen"] = torch.zeros(x.shape[0], dtype=torch.bool, device=x.device)
         return self.apply_transform_class(value, params, self.flags)
 
+    def _mixed_labels(self, key: DataKey, labels: Any, execution: Execution) -> Any:
+        """Labels of the images of an execution, in containers."""
+        op, name = type(self).__name__, key.name.lower()
+        if not isinstance(labels, Tensor):
+            raise TypeCheckError(f"{op}: expected {name} to be a Tensor, got {type(labels).__name__}")
+        if labels.shape[:1] != execution.shape[:1]:
+            raise ShapeError(f"{op}: expected {name} of {execution.shape[0]} images, got {tuple(labels.shape)}")
+        return self._mixed(key, labels, labels.new_empty(execution.shape[0]), execution)
+
     @staticmethod
     def _chosen(mixed: Tensor, value: Tensor, execution: Execution) -> Tensor:
         if not execution.applied:
@@ -166,6 +175,28 @@ class MixAugmentationBaseV2(AugmentationBase2D):
     def _refuse(self, what: str) -> _UnsupportedKeyError:
         return _UnsupportedKeyError(f"{type(self).__name__}: {what} cannot be mixed")
 
+    def _pasted_boxes(self, boxes: Tensor, windows: Sequence[tuple[Tensor, Tensor]], flags: dict[str, Any]) -> Tensor:
+        """Boxes (B, N, 4), 0 if a window hides them, followed by what the windows show of those of the partners."""
+        self._check_xyxy(flags)
+        chosen = flags.get("chosen")
+        parts = [boxes]
+        for partners, window in windows:
+            w = window.to(boxes)[:, None]
+            inside = torch.cat(
+                [boxes[partners][..., :2].maximum(w[..., :2]), boxes[partners][..., 2:].minimum(w[..., 2:])], -1
+            )
+            if chosen is not None:
+                inside = torch.where(chosen[:, None, None], inside, 0)
+                w = torch.where(chosen[:, None, None], w, 0)
+            hidden = [(old[..., :2] >= w[..., :2]).all(-1) & (old[..., 2:] <= w[..., 2:]).all(-1) for old in parts]
+            parts = [old.masked_fill(gone[..., None], 0) for old, gone in zip(parts, hidden)]
+            parts.append(torch.where((_area(inside) > 0)[..., None], inside, 0).to(boxes.dtype))
+        return torch.cat(parts, 1)
+
+    def _check_xyxy(self, flags: dict[str, Any]) -> None:
+        if flags.get("mode", DataKey.BBOX_XYXY) != DataKey.BBOX_XYXY:
+            raise self._refuse("boxes other than bbox_xyxy")
+
     def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         """Mix masks (B, C, H, W)."""
         raise self._refuse("masks")
@@ -185,6 +216,16 @@ class MixAugmentationBaseV2(AugmentationBase2D):
     def inverse(self, *args: Any, **kwargs: Any) -> Any:
         """Mixing has no inverse."""
         raise _NoMatrixError(f"{type(self).__name__}: mixed samples cannot be taken apart")
+
+
+def _of_boxes(labels: Tensor, partners: Sequence[Tensor], params: Params) -> Tensor:
+    """Labels of boxes (B, N), followed by those of the partners' boxes; -1 for samples that are not chosen."""
+    chosen = params.get("chosen")
+    added = [labels[index.to(labels.device)] for index in partners]
+    if chosen is not None:
+        kept = chosen.to(labels.device).reshape(-1, *[1] * (labels.dim() - 1))
+        added = [torch.where(kept, theirs, -1).to(labels.dtype) for theirs in added]
+    return torch.cat([labels, *added], 1)
 
 
 def _labels(labels: Tensor, partners: Tensor, weights: Tensor, params: Params) -> Tensor:
@@ -262,7 +303,8 @@ class RandomCutMixV2(MixAugmentationBaseV2):
     """Paste a window of another image of the batch into each image.
 
     Labels become (num_mix, B, 3): the label, that of the partner, and the share of the image that is kept. Masks are pasted
-    as images. Source: Yun, Han, Oh, Chun, Choe and Yoo, CutMix, ICCV 2019.
+    as images. Boxes (B, N, 4) and their labels (B, N) are followed by those of the partners, clipped to the window.
+    Source: Yun, Han, Oh, Chun, Choe and Yoo, CutMix, ICCV 2019.
 
     Args:
         num_mix: how many windows each sample gets.
@@ -271,7 +313,7 @@ class RandomCutMixV2(MixAugmentationBaseV2):
         same_on_batch: all samples get the same window.
         p: probability that a sample is mixed.
         keepdim: accepted for the other classes' sake.
-        data_keys: what the arguments of a call are: "input", "class", "mask"; default: images alone.
+        data_keys: what the arguments of a call are: "input", "class", "mask", "bbox_xyxy"; default: images alone.
         use_correct_lambda: accepted for code written for Kornia: the weight is the share kept either way.
 
     Raises:
@@ -321,7 +363,12 @@ class RandomCutMixV2(MixAugmentationBaseV2):
     def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         return self._paste(input, params)
 
+    def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        return self._pasted_boxes(input, self._windows(params), flags)
+
     def apply_transform_class(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        if input.dim() > 1:
+            return _of_boxes(input, [partners for partners, _ in self._windows(params)], params)
         height, width = params["image_shape"].tolist()
         rounds = []
         for partners, windows in self._windows(params):
@@ -334,7 +381,7 @@ class PatchMix(MixAugmentationBaseV2):
     """Paste a square window of another image of the batch into each image, of the same size in all.
 
     Labels become (B, 3): the label, that of the partner, and the share of the image that is kept. Masks are pasted as
-    images.
+    images. Boxes (B, N, 4) and their labels (B, N) are followed by those of the partners, clipped to the window.
 
     Args:
         alpha: accepted for code written for Kornia: the window has one size.
@@ -375,16 +422,21 @@ class PatchMix(MixAugmentationBaseV2):
     def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         return self.apply_transform(input, params, flags)
 
+    def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        return self._pasted_boxes(input, [(params["mix_pairs"], params["patch_coords"])], flags)
+
     def apply_transform_class(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        if input.dim() > 1:
+            return _of_boxes(input, [params["mix_pairs"]], params)
         return _labels(input, params["mix_pairs"], params["lam"], params)
 
 
 class RandomJigsaw(MixAugmentationBaseV2):
-    """Put the cells of a grid over each image in a random order; masks and key points move with them.
+    """Put the cells of a grid over each image in a random order; masks, key points and parts of boxes move with them.
 
     Args:
         grid: rows and columns of cells, which divide the sides of the images.
-        data_keys: what the arguments of a call are: "input", "mask", "keypoints"; default: images alone.
+        data_keys: what the arguments of a call are: "input", "mask", "bbox_xyxy", "keypoints", "class"; default: images alone.
         p: probability that a sample is augmented.
         same_on_batch: all samples get the same order.
         keepdim: accepted for the other classes' sake.
@@ -431,6 +483,27 @@ class RandomJigsaw(MixAugmentationBaseV2):
 
     def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         return self.apply_transform(input, params, flags)
+
+    def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        """The parts of boxes in each cell, (B, rows * columns * N, 4), at the new places of the cells; 0 where there is none."""
+        self._check_xyxy(flags)
+        order, grid = params["permutation"], torch.arange(self.grid[0] * self.grid[1], device=input.device)
+        chosen = flags.get("chosen")
+        if chosen is not None:
+            order = torch.where(chosen[:, None], order, grid)
+        height, width = (int(n) for n in params["forward_input_shape"][-2:])
+        size = torch.tensor([width // self.grid[1], height // self.grid[0]], device=input.device)
+        corners = torch.stack([grid % self.grid[1], grid // self.grid[1]], -1) * size
+        first = corners[order][:, :, None].to(input)  # where each cell of the result was
+        parts = torch.cat([input[:, None, :, :2].maximum(first), input[:, None, :, 2:].minimum(first + size)], -1)
+        shift = (corners[:, None] - first).to(input)
+        parts = torch.where((_area(parts) > 0)[..., None], parts + torch.cat([shift, shift], -1), 0)
+        return parts.flatten(1, 2).to(input.dtype)
+
+    def apply_transform_class(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        if input.dim() < 2:
+            return input  # of images, which keep their content
+        return input.repeat(1, self.grid[0] * self.grid[1], *[1] * (input.dim() - 2))
 
     def apply_transform_keypoint(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         height, width = (int(n) for n in params["forward_input_shape"][-2:])
@@ -529,8 +602,7 @@ class RandomMosaic(MixAugmentationBaseV2):
         return self._window(input, params)
 
     def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
-        if flags.get("mode", DataKey.BBOX_XYXY) != DataKey.BBOX_XYXY:
-            raise self._refuse("boxes other than bbox_xyxy")
+        self._check_xyxy(flags)
         input = floats(input)
         b, n = input.shape[:2]
         height, width = (int(k) for k in params["forward_input_shape"][-2:])
@@ -551,6 +623,17 @@ class RandomMosaic(MixAugmentationBaseV2):
         scale = torch.tensor([w / width, h / height] * 2, dtype=input.dtype, device=input.device)
         alone = torch.cat([input * scale, input.new_zeros(b, inside.shape[1] - n, 4)], 1)
         return torch.where(chosen[:, None, None], inside, alone)
+
+    def apply_transform_class(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        if input.dim() < 2:
+            raise self._refuse("labels of images")
+        mixed = input[params["permutation"].to(input.device)].flatten(1, 2)  # of boxes (B, N)
+        chosen = params.get("chosen")
+        if chosen is None:
+            return mixed
+        gone = input.new_full((len(input), mixed.shape[1] - input.shape[1], *input.shape[2:]), -1)
+        chosen = chosen.to(input.device).reshape(-1, *[1] * (input.dim() - 1))
+        return torch.where(chosen, mixed, torch.cat([input, gone], 1))
 
 
 def _area(boxes: Tensor) -> Tensor:

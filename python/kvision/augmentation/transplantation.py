@@ -125,6 +125,11 @@ class RandomTransplantation(MixAugmentationBaseV2):
             outputs.append(x.index_copy(0, acceptors, pasted) if acceptors.numel() else x)
         return outputs[0] if len(outputs) == 1 else outputs
 
+    def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        raise NotImplementedError(
+            f"{type(self).__name__}: expected to be called by itself, on images and masks: containers augment images first"
+        )
+
     def _transplants(self, masks: Tensor, params: Params | None, seed: Seed, generator: Generator | None) -> Execution:
         """An execution whose parameters say which pixels of which donors go where."""
         shape = tuple(masks.shape)

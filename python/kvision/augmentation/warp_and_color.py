@@ -262,14 +262,23 @@ class Resampling(NamedTuple):
     align_corners: bool = True
     fill: Any = None
 
-    def for_labels(self, mode: str | None = None) -> Resampling:
-        """How masks are read: pixels from outside are 0 where those of images have the fill value."""
-        padding = "zeros" if self.padding == "fill" else self.padding
-        return self._replace(mode=mode or self.mode, padding=padding, fill=None)
+    def for_labels(self, mode: str | None = None, fill: Any = None) -> Resampling:
+        """How masks are read: pixels from outside are `fill`, or else 0, where those of images are 0 or the fill value."""
+        padding = self.padding
+        if padding in ("zeros", "fill"):
+            padding = "zeros" if fill is None else "fill"
+        return self._replace(mode=mode or self.mode, padding=padding, fill=fill if padding == "fill" else None)
 
     def for_inverse(self, mode: str | None = None) -> Resampling:
         """How results are read to undo a call, which know nothing of the pixels that left them."""
         return self._replace(mode=mode or self.mode, padding="zeros", fill=None)
+
+
+def fill_of_images(x: Tensor, fill: Any) -> Any:
+    """The fill value of images in [0, 1] as one of images x: bytes are 255ths."""
+    if fill is None or x.dtype != torch.uint8:
+        return fill
+    return 255 * (fill if isinstance(fill, (int, float)) else torch.as_tensor(fill))
 
 
 class ColorStep(NamedTuple):
@@ -317,7 +326,8 @@ class Pass(NamedTuple):
         """The result, and the matrices (B, 3, 3) of the warp, which do not carry gradients."""
         fill = None
         if self.resampling is not None:
-            fill = sampling.padding_and_fill("augmentation", x, self.resampling.padding, self.resampling.fill)[1]
+            value = fill_of_images(x, self.resampling.fill)
+            fill = sampling.padding_and_fill("augmentation", x, self.resampling.padding, value)[1]
         dtype = torch.float64 if x.dtype == torch.float64 else torch.float32
         if columns is not None and columns.dtype != dtype:
             columns = columns.to(dtype)

@@ -61,6 +61,8 @@ class PolicyAugmentBase(ImageSequential):
         tensor([0., 1.])
     """
 
+    _steps: Sequence[tuple[Tensor, Tensor]] = ()  # of the last call
+
     def __init__(
         self,
         policy: Sequence[Sequence[Sequence[Any]]],
@@ -129,7 +131,7 @@ class PolicyAugmentBase(ImageSequential):
     def _params(self) -> list[ParamItem]:
         """What each step of the last call did: numbers of operations, -1 for none, and their magnitudes, on the CPU."""
         if self._given_params is None:
-            shape = torch.tensor(self._shape)
+            shape = torch.tensor(self._shape or ())
             self._given_params = []
             for i, (operation, value) in enumerate(self._steps):
                 operation, value = operation.cpu(), value.detach().cpu()

@@ -15,7 +15,7 @@ from kvision.augmentation.container.runs import Applied, Randomness, Stage, Warp
 from kvision.augmentation.container.video import VideoLayout, VideoSequential
 from kvision.augmentation.geometric_base import warp_labels
 from kvision.augmentation.keys import Seed
-from kvision.constants import DataKey
+from kvision.constants import DataKey, Resample
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry.linalg import transform_points
 
@@ -48,8 +48,8 @@ class AugmentationSequential(ImageSequential):
             least n and fewer than m.
         random_apply_weights: relative probabilities of the children with `random_apply`.
         transformation_matrix_mode: accepted for code written for Kornia.
-        extra_args: flags of some keys, such as {"mask": {"resample": "bilinear"}}; default: masks are read at the nearest
-            pixel. {} reads them as the images.
+        extra_args: flags of masks: {"mask": {"resample": "nearest", "fill_value": 255}} gives pixels that enter, or are erased,
+            the value that a loss ignores; default: 0. {} interpolates masks as the images.
         resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones and
             interpolates once.
         clip_boxes: cut moved boxes off at the edges of the image.
@@ -75,6 +75,12 @@ class AugmentationSequential(ImageSequential):
         >>> box, point
         (tensor([[[5., 0., 7., 2.]]]), tensor([[[7., 2.]]]))
     """
+
+    # Of the last call.
+    _kept_boxes: Sequence[Any] = ()
+    _points: Sequence[tuple[Any, Any]] = ()  # before and after
+    _videos: VideoLayout | None = None
+    _result_size = (0, 0)
 
     def __init__(
         self,
@@ -122,10 +128,6 @@ class AugmentationSequential(ImageSequential):
                 f"AugmentationSequential: expected min_box_visibility within 0 and 1, got {min_box_visibility}"
             )
         self.box_filter = labels.BoxFilter(clip_boxes, min_box_area, min_box_visibility)
-        self._kept_boxes: list[Any] = []
-        self._points: list[tuple[Any, Any]] = []  # those of the last call, before and after
-        self._videos: VideoLayout | None = None  # of the last call
-        self._result_size = (0, 0)
         self.transformation_matrix_mode = transformation_matrix_mode
         self.extra_args = {DataKey.MASK: {"resample": "nearest"}} if extra_args is None else extra_args
 
@@ -263,9 +265,8 @@ class AugmentationSequential(ImageSequential):
     @property
     def kept_boxes(self) -> list[Any]:
         """Which boxes of the last call stayed: for each input of boxes bool (B, N), or a list of (N,); empty without a filter."""
-        return (
-            self._kept_boxes if self._videos is None else [self._videos.labels_of_videos(k) for k in self._kept_boxes]
-        )
+        kept, videos = list(self._kept_boxes), self._videos
+        return kept if videos is None else [videos.labels_of_videos(of_frames) for of_frames in kept]
 
     @property
     def visible_points(self) -> list[Any]:
@@ -298,17 +299,41 @@ class AugmentationSequential(ImageSequential):
     def _moved(self, key: DataKey, value: Any, stages: Sequence[Stage]) -> Any:
         if key == DataKey.MASK:
             return self._moved_masks(value, stages)
+        for i, stage in enumerate(stages):
+            if not isinstance(stage, Applied):
+                continue
+            module: Any = stage.module
+            if getattr(module, "mixes_samples", False):
+                before = self._moved(key, value, stages[:i])
+                return self._moved(key, module._mixed_labels(key, before, stage.execution), stages[i + 1 :])
+            if _mixes(stage.flags.get("stages", ())):
+                nested = self._moved(key, self._moved(key, value, stages[:i]), stage.flags["stages"])
+                return self._moved(key, nested, stages[i + 1 :])
         if key == DataKey.KEYPOINTS:
+            self._check_batch("keypoints", value, 3)
             return labels.move_points(value, lambda points: _move(points, stages))
         if key in labels.BOX_FORMATS:
+            self._check_batch(key.name.lower(), value, 4 if key == DataKey.BBOX else 3)
             count = 1 if _keeps_lines(stages) else labels.CURVED
             return labels.move_boxes(value, labels.BOX_FORMATS[key], lambda points: _move(points, stages), count)
         return value
 
+    def _check_batch(self, name: str, value: Any, axes: int) -> None:
+        """Raise unless labels are those of as many images as the last call had."""
+        if self._shape is None or not isinstance(value, (Tensor, list, tuple)):
+            return
+        count = len(value) if not isinstance(value, Tensor) or value.dim() == axes else 1
+        if count != self._shape[0] and (isinstance(value, Tensor) or count):
+            raise ShapeError(
+                f"AugmentationSequential: expected {name} of {self._shape[0]} images, got those of {count}"
+            )
+
     def _moved_masks(self, masks: Any, stages: Sequence[Stage]) -> Any:
         if isinstance(masks, (list, tuple)):
-            stacked = torch.stack(list(masks))
-            return type(masks)(self._moved_masks(stacked, stages).unbind(0))
+            if len({mask.shape for mask in masks}) <= 1:
+                return type(masks)(self._moved_masks(torch.stack(list(masks)), stages).unbind(0)) if masks else masks
+            padded, sizes = labels.pad(masks)  # as many instances for each image
+            return type(masks)(row[:n] for row, n in zip(self._moved_masks(padded, stages), sizes))
         if not isinstance(masks, Tensor):
             raise TypeCheckError(f"AugmentationSequential: expected mask to be a Tensor, got {type(masks).__name__}")
         shape = masks.shape
@@ -319,17 +344,24 @@ class AugmentationSequential(ImageSequential):
             batched = masks[None, None] if masks.dim() == 2 else masks
         if batched.dim() != 4:
             raise ShapeError(f"AugmentationSequential: expected mask of shape (B, C, H, W), got {tuple(shape)}")
-        mode = self._mask_mode()
-        moved = move_masks(batched, stages, mode)
+        images = self._shape
+        if images is not None and (len(batched), *batched.shape[2:]) != (images[0], *images[2:]):
+            raise ShapeError(
+                f"AugmentationSequential: expected mask of {images[0]} images of {tuple(images[2:])}, got {tuple(shape)}"
+            )
+        moved = move_masks(batched, stages, self._mask_mode(), self._mask_flag("fill_value"))
         if moved.shape[:2] == batched.shape[:2] and masks.dim() < 4:
             return moved.reshape(*shape[:-2], *moved.shape[-2:])
         return moved
 
     def _mask_mode(self) -> str | None:
+        mode = self._mask_flag("resample")
+        return None if mode is None else Resample.get(mode).name.lower()
+
+    def _mask_flag(self, name: str) -> Any:
         for key, flags in self.extra_args.items():
-            if DataKey.get(key) == DataKey.MASK and "resample" in flags:
-                mode = flags["resample"]
-                return getattr(mode, "name", str(mode)).lower()
+            if DataKey.get(key) == DataKey.MASK and name in flags:
+                return flags[name]
         return None
 
     def inverse(
@@ -418,6 +450,12 @@ def _move_back(points: Tensor, stages: Sequence[Stage]) -> Tensor:
         elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
             points = stage.module.inverse_points(points, stage.execution)
     return points
+
+
+def _mixes(stages: Sequence[Stage]) -> bool:
+    """Whether samples of the batch are mixed."""
+    applied = [stage for stage in stages if isinstance(stage, Applied)]
+    return any(getattr(s.module, "mixes_samples", False) or _mixes(s.flags.get("stages", ())) for s in applied)
 
 
 def _keeps_lines(stages: Sequence[Stage]) -> bool:

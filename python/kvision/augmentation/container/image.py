@@ -33,9 +33,12 @@ class ParamItem(NamedTuple):
     data: Any
 
 
+torch.serialization.add_safe_globals([ParamItem])  # torch.load reads `_params`
+
 # What a call leaves behind.
 _STATE = frozenset(
-    ("_stages", "_shape", "_executed", "_given_params", "_result_size", "_kept_boxes", "_points", "_videos", "_restore")
+    "_stages _shape _executed _given_params _result_size _kept_boxes _points _videos _restore "
+    "_steps _of_cells _position".split()
 )
 
 
@@ -56,6 +59,12 @@ class ImageSequentialBase(nn.Sequential):
         1
     """
 
+    # Of the last call.
+    _stages: Sequence[Stage] = ()
+    _shape: tuple[int, ...] | None = None
+    _executed: Sequence[Child] = ()
+    _given_params: list[Any] | None = None  # ParamItems
+
     def __init__(self, *args: nn.Module, same_on_batch: bool | None = None, keepdim: bool | None = None) -> None:
         op = type(self).__name__
         for module in args:
@@ -69,10 +78,6 @@ class ImageSequentialBase(nn.Sequential):
             self.add_module(name, copy.deepcopy(module) if known else module)
         self._same_on_batch, self._keepdim = same_on_batch, keepdim
         self._plans = Plans()
-        self._stages: list[Stage] = []
-        self._shape: tuple[int, ...] | None = None
-        self._executed: list[Child] = []
-        self._given_params: list[Any] | None = []  # ParamItems
         self._share()
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -80,6 +85,10 @@ class ImageSequentialBase(nn.Sequential):
             object.__setattr__(self, name, value)  # torch looks for parameters in what it sets
         else:
             super().__setattr__(name, value)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Copies and pickles have the settings, not the last call.
+        return {name: value for name, value in self.__dict__.items() if name not in _STATE}
 
     def _share(self) -> None:
         for child in self.children():
@@ -110,8 +119,8 @@ class ImageSequentialBase(nn.Sequential):
 
     def clear_state(self) -> None:
         """Forget the last call."""
-        self._stages, self._shape = [], None
-        self._executed, self._given_params = [], []
+        for name in _STATE & self.__dict__.keys():
+            delattr(self, name)
 
     def identity_matrix(self, input: Tensor) -> Tensor:
         """An identity matrix (3, 3) for each sample."""
@@ -263,6 +272,10 @@ class ImageSequential(ImageSequentialBase):
         if not axes - 1 <= input.dim() <= axes + 1:
             raise ShapeError(
                 f"{type(self).__name__}: expected input with {axes - 1} to {axes + 1} axes, got {tuple(input.shape)}"
+            )
+        if not input.is_floating_point() and input.dtype != torch.uint8:
+            raise TypeCheckError(
+                f"{type(self).__name__}: expected input of a floating-point type or uint8, got {input.dtype}"
             )
         while input.dim() < axes + 1:
             input = input[None]
@@ -472,15 +485,17 @@ def _product(shape: tuple[int, ...], stages: Sequence[Stage]) -> Tensor:
     return matrix
 
 
-def move_masks(masks: Tensor, stages: Sequence[Stage], mode: str | None) -> Tensor:
-    """Masks (B, C, H, W) after all stages, read in a mode; None for that of the images."""
+def move_masks(masks: Tensor, stages: Sequence[Stage], mode: str | None, fill: float | None = None) -> Tensor:
+    """Masks (B, C, H, W) after all stages, read in a mode, None for that of the images; `fill` is what enters."""
     for stage in stages:
         if isinstance(stage, Warp):
-            masks = warp_labels(masks, stage.matrix, stage.size, stage.resampling.for_labels(mode))
+            masks = warp_labels(masks, stage.matrix, stage.size, stage.resampling.for_labels(mode, fill))
         elif "stages" in stage.flags:
-            masks = move_masks(masks, stage.flags["stages"], mode)
+            masks = move_masks(masks, stage.flags["stages"], mode, fill)
         elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
             flags = stage.flags if mode is None else {**stage.flags, "resample": mode}
+            if fill is not None:
+                flags = {**flags, "mask_fill": fill}
             masks = stage.module.transform_masks(masks, stage.execution, flags)
     return masks
 

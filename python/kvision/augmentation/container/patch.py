@@ -29,6 +29,9 @@ class PatchParamItem(NamedTuple):
     param: ParamItem
 
 
+torch.serialization.add_safe_globals([PatchParamItem])
+
+
 class PatchSequential(ImageSequential):
     """Cut images into the cells of a grid, augment the cells, and put them together again.
 
@@ -60,6 +63,8 @@ class PatchSequential(ImageSequential):
         >>> halves(torch.zeros(1, 1, 1, 4))
         tensor([[[[1., 1., 0., 0.]]]])
     """
+
+    _of_cells: list[tuple[list[int] | None, Child]]  # of the last call
 
     def __init__(
         self,
@@ -159,7 +164,7 @@ class PatchSequential(ImageSequential):
         patches = self.extract_patches(x, pad=pad)
         source = self._source(seed, generator)
         given = None if params is None else list(params)
-        self._of_cells: list[tuple[list[int] | None, Child]] = []
+        self._of_cells = []
         self._position = 0
         if not self.patchwise_apply:
             chosen = None if given is None else [item.param for item in given]
@@ -209,7 +214,7 @@ class PatchSequential(ImageSequential):
     @property
     def _params(self) -> list[Any]:
         """The parameters of the last call, in the order of execution."""
-        if self._given_params is None:
+        if self._given_params is None and self._shape is not None:
             self._given_params = [
                 PatchParamItem(indices, ParamItem(child.name, _read(child))) for indices, child in self._of_cells
             ]

@@ -28,7 +28,7 @@ from kvision.augmentation.configuration import Plans
 from kvision.augmentation.draws import Request
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, color_part
-from kvision.augmentation.keys import Keys, Seed, draw_keys, frame_seeds
+from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys, frame_seeds
 from kvision.augmentation.transforms import MAX_TRANSFORMS, Transform, transform_matrix
 from kvision.augmentation.warp_and_color import (
     SAME,
@@ -262,6 +262,7 @@ def _draw(
             keys = draw_keys(
                 source.op, plan.draws[-1].end - plan.draws[0].begin, x.device, source.seed_of_samples, source.generator
             )
+        check_seeds(source.op, keys, samples.shape[0])
         if len(plan.draws) == 1:
             columns = plan.draws[0].draw(samples, keys)
         else:

@@ -110,6 +110,10 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         """The chain of formulas of the drawn columns; None if `compute_transformation` is overridden instead."""
         return None
 
+    def matrix_transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform] | None:
+        """The chain that the matrix is made of, also where images are not read by that matrix."""
+        return self.transforms(shape, flags)
+
     def resampling(self, flags: dict[str, Any]) -> Resampling:
         """How images are read."""
         if self.moves_whole_pixels:
@@ -157,7 +161,7 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
 
     def _chain(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> tuple[Tensor, list[Transform]]:
         """The chain of an execution whose columns were drawn, with the tensor that they are in."""
-        chain, columns = self.transforms(execution.shape, flags) or (), execution.columns
+        chain, columns = self.matrix_transforms(execution.shape, flags) or (), execution.columns
         if columns is None:
             return torch.empty(execution.shape[0], 0, device=x.device), list(chain)
         return columns.drawn, [t.moved(columns.span.first_value) for t in chain]
@@ -168,7 +172,7 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         return super()._matrix(execution)
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
-        chain = self.transforms(tuple(input.shape), flags)
+        chain = self.matrix_transforms(tuple(input.shape), flags)
         if chain is None:
             raise NotImplementedError(f"{type(self).__name__}.compute_transformation")
         if self._param_generator is None:

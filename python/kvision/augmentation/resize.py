@@ -9,11 +9,11 @@ from torch import Tensor
 
 from kvision import geometry
 from kvision.augmentation import transforms
-from kvision.augmentation.base import Params, Shape
+from kvision.augmentation.base import Shape
 from kvision.augmentation.crop import padding_resampling
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Resampling
 from kvision.augmentation.random_generator.crop import ResizeGenerator, parse_size
-from kvision.augmentation.transforms import Transform, transform_matrix
+from kvision.augmentation.transforms import Transform
 from kvision.constants import Resample
 
 __all__ = ["LongestMaxSize", "PadTo", "Resize", "SmallestMaxSize"]
@@ -67,17 +67,14 @@ class Resize(GeometricAugmentationBase2D):
     def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:
         return self._param_generator.size_for(shape)
 
-    def _chain_of(self, shape: Shape, flags: dict[str, Any]) -> list[Transform]:
+    def matrix_transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
         h, w = self.output_size(shape, flags)
         corners = float(flags["align_corners"] is not False)
         inputs = (0.0, 0.0, float(shape[-1]), float(shape[-2]), float(w), float(h), corners)
         return [Transform("crop", inputs, [-1] * 7)]
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform] | None:
-        return None if flags["antialias"] else self._chain_of(shape, flags)
-
-    def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
-        return transform_matrix(input.new_empty(input.shape[0], 0).float(), self._chain_of(tuple(input.shape), flags))
+        return None if flags["antialias"] else self.matrix_transforms(shape, flags)
 
     def resampling(self, flags: dict[str, Any]) -> Resampling:
         return super().resampling(flags)._replace(padding="border")

@@ -9,6 +9,7 @@ An operation is a number of the sample, and so is its value. What a step of a po
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from kvision.augmentation import transforms
 from kvision.augmentation.container.runs import Stage, Warp
 from kvision.augmentation.geometric_base import warp
 from kvision.augmentation.transforms import transform_matrix
-from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Resampling, make_pass
+from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Pass, Resampling, make_pass
 from kvision.enhance.posterize import SPLIT
 
 
@@ -92,17 +93,11 @@ def execute_step(x: Tensor, names: Sequence[str], operation: Tensor, value: Tens
         matrix = _matrix(operation, value, *size)
         x = warp(x, matrix, size, _BILINEAR)
         stages.append(Warp(matrix, size, size, _BILINEAR))
-    color = [name for name in _COLOR if name in names]
+    color = tuple(name for name in _COLOR if name in names)
     if color:
         values = torch.where(operation == OPERATIONS["posterize"].number, value.round(), value)
-        order = [torch.where(is_one(operation, name), float(i), -1.0) for i, name in enumerate(color)]
-        columns = torch.stack([values, *order], 1)
-        steps = [_COLOR[name] for name in color]
-        if x.dtype in SPLIT:
-            steps = [
-                step._replace(parameters=(0.0, SPLIT[x.dtype])) if step.name == "posterize" else step for step in steps
-            ]
-        x, _ = make_pass(None, parts=[ColorPart(steps, 0, range(1, 1 + len(steps)))]).run(x, columns)
+        columns = torch.cat([values[:, None], _orders(color, value.device, value.dtype)[operation]], 1)
+        x, _ = _color_pass(color, x.dtype).run(x, columns)
     for name, function in _ALONE.items():
         if name in names:
             chosen = is_one(operation, name)
@@ -117,19 +112,43 @@ def is_one(operation: Tensor, name: str) -> Tensor:
 
 def _matrix(operation: Tensor, value: Tensor, height: int, width: int) -> Tensor:
     """The matrices (B, 3, 3) of the samples' operations, about the centers of images."""
-
-    def of(name: str) -> Tensor:
-        return torch.where(is_one(operation, name), value, 0.0)
-
-    columns = [
-        of("rotate"),
-        of("translate_x") * width + of("translate_x_pixels"),
-        of("translate_y") * height + of("translate_y_pixels"),
-        of("shear_x").atan().rad2deg(),
-        of("shear_y").atan().rad2deg(),
-    ]
+    columns = value[:, None] * _factors(height, width, value.device, value.dtype)[operation]
+    columns = torch.cat([columns[:, :3], columns[:, 3:].atan().rad2deg()], 1)
     chain = transforms.affine(transforms.center_of((height, width)), angle=0, translation=(1, 2), shear=(3, 4))
-    return transform_matrix(torch.stack(columns, 1), [chain])
+    return transform_matrix(columns, [chain])
+
+
+# Tables by the number of an operation, which -1 for none reads from the end. They are made once for a device.
+
+
+@functools.lru_cache(maxsize=32)
+def _factors(height: int, width: int, device: torch.device, dtype: torch.dtype) -> Tensor:
+    """What a value is multiplied by: angle, translation along x and y, shear along x and y."""
+    rows = {
+        "rotate": [1.0, 0, 0, 0, 0],
+        "translate_x": [0.0, width, 0, 0, 0],
+        "translate_x_pixels": [0.0, 1, 0, 0, 0],
+        "translate_y": [0.0, 0, height, 0, 0],
+        "translate_y_pixels": [0.0, 0, 1, 0, 0],
+        "shear_x": [0.0, 0, 0, 1, 0],
+        "shear_y": [0.0, 0, 0, 0, 1],
+    }
+    return torch.tensor([rows.get(name, [0.0] * 5) for name in (*OPERATIONS, "none")], dtype=dtype).to(device)
+
+
+@functools.lru_cache(maxsize=32)
+def _orders(color: tuple[str, ...], device: torch.device, dtype: torch.dtype) -> Tensor:
+    """The order of the steps of a color program: the one of the operation alone."""
+    rows = [[float(i) if name == own else -1.0 for i, own in enumerate(color)] for name in (*OPERATIONS, "none")]
+    return torch.tensor(rows, dtype=dtype).to(device)
+
+
+@functools.lru_cache(maxsize=32)
+def _color_pass(color: tuple[str, ...], dtype: torch.dtype) -> Pass:
+    steps = [_COLOR[name] for name in color]
+    if dtype in SPLIT:
+        steps = [step._replace(parameters=(0.0, SPLIT[dtype])) if step.name == "posterize" else step for step in steps]
+    return make_pass(None, parts=[ColorPart(steps, 0, range(1, 1 + len(steps)))])
 
 
 def _on_floats(function: Callable[..., Tensor], x: Tensor, chosen: Tensor, value: Tensor) -> Tensor:

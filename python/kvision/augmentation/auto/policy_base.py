@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Generator, Tensor
+from torch.compiler import is_compiling
 
 from kvision.augmentation.auto.operation_table import OPERATIONS, execute_step
-from kvision.augmentation.columns import draw_columns
+from kvision.augmentation.columns import DrawPlan, plan_draws
 from kvision.augmentation.container.image import ImageSequential, ParamItem, _product, invert
 from kvision.augmentation.container.runs import Applied, Randomness, Stage
 from kvision.augmentation.draws import Draw, Request
-from kvision.augmentation.keys import draw_keys
+from kvision.augmentation.keys import check_seeds, draw_keys
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = ["PolicyAugmentBase"]
@@ -103,21 +104,29 @@ class PolicyAugmentBase(ImageSequential):
     def _draw(self, x: Tensor, source: Randomness) -> list[tuple[Tensor, Tensor]]:
         """The operation and the value (B,) of each sample in each step."""
         keys = draw_keys(source.op, 1, x.device, source.seed_of_samples, source.generator)
-        drawn = draw_columns(x[:: source.frames], keys, [self._request()])[0].drawn
+        (plan,) = self._plan(keys.one_key)
+        check_seeds(source.op, keys, len(range(0, len(x), source.frames)))
+        drawn = plan.draw(x[:: source.frames], keys)
         if source.frames > 1:
             drawn = drawn.repeat_interleave(source.frames, 0)
         if self._table.device != x.device:
             self._table = self._table.to(x.device)
-        steps = []
-        for columns in drawn.split(1 + 3 * self._length, 1):
-            entries = self._table[columns[:, 0].long()]
-            number, probability, low, high, neutral = entries.unbind(-1)
-            chance, level, mirrored = columns[:, 1:].reshape(-1, self._length, 3).unbind(-1)
-            value = low + (high - low) * level / LEVELS
-            value = torch.where((mirrored > 0.5) & ~neutral.isnan(), 2 * neutral - value, value)
-            operation = torch.where(chance < probability, number, -1.0).long()
-            steps += list(zip(operation.unbind(1), value.unbind(1)))
-        return steps
+        columns = drawn.unflatten(1, (self.count, 1 + 3 * self._length))
+        number, probability, low, high, neutral = self._table[columns[..., 0].long()].unbind(-1)
+        chance, level, mirrored = columns[..., 1:].unflatten(-1, (self._length, 3)).unbind(-1)
+        value = low + (high - low) * level / LEVELS
+        value = torch.where((mirrored > 0.5) & ~neutral.isnan(), 2 * neutral - value, value)
+        operation = torch.where(chance < probability, number, -1.0).long()
+        return list(zip(operation.flatten(1).unbind(1), value.flatten(1).unbind(1)))
+
+    def _plan(self, one_key: bool) -> Sequence[DrawPlan]:
+        key = ("draw", one_key, bool(self.same_on_batch))
+        plan: list[DrawPlan] | None = None if is_compiling() else self._plans.get(key)
+        if plan is None:
+            plan = plan_draws([self._request()], one_key)
+            if not is_compiling():
+                self._plans.keep(key, plan)
+        return plan
 
     def _given(self, params: Sequence[ParamItem], x: Tensor) -> list[tuple[Tensor, Tensor]]:
         """The same from the parameters of an earlier call."""

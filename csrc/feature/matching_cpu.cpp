@@ -1,6 +1,6 @@
 // The two nearest descriptors on the CPU: chunks [begin, end) of rows of all samples. A block of the other set is
 // transposed, so that the lanes of a vector are its descriptors; 4 rows and 2 vectors of distances are in registers.
-#include "core/lanes.h"
+#include "core/any_lane.h"
 #include "core/scratch.h"
 #include "feature/matching.h"
 
@@ -9,22 +9,6 @@ namespace kv::feature::KV_ISA {
 namespace {
 
 constexpr int kRows = 4, kVectors = 2;
-
-template <int N, class M>
-KV_HD bool any_lane(M mask) {
-#if defined(__AVX512F__)
-  if constexpr (sizeof(M) == 64) return _mm512_movepi32_mask((__m512i)mask) != 0;
-#endif
-#if defined(__AVX2__)
-  if constexpr (sizeof(M) == 32) return _mm256_movemask_epi8((__m256i)mask) != 0;
-#endif
-#if defined(__x86_64__)
-  if constexpr (sizeof(M) == 16) return _mm_movemask_epi8((__m128i)mask) != 0;
-#endif
-  bool any = false;
-  for (int i = 0; i < N; ++i) any = any || mask[i] != 0;
-  return any;
-}
 
 // The squared distances of kRows rows and kVectors vectors of columns. block: (width, columns), the columns adjacent.
 template <class T, int N>
@@ -83,8 +67,8 @@ void two_nearest(TwoNearest<T> const& p, int64_t begin, int64_t end) {
               int const column = start + c + v * N;
               Lanes<T, N> const candidates = square[r][v];
               Neighbors<T>& of_row = of_rows[i + r];
-              bool const near_row = any_lane<N>(candidates <= broadcast<N>(of_row.square[1]));
-              bool const near_column = both && any_lane<N>(candidates <= load<N>(farthest.data + column));
+              bool const near_row = any_lane(candidates <= broadcast<N>(of_row.square[1]));
+              bool const near_column = both && any_lane(candidates <= load<N>(farthest.data + column));
               if (!near_row && !near_column) continue;
               for (int k = 0; k < N; ++k) {
                 T const candidate = candidates[k];

@@ -12,12 +12,14 @@ struct OrientationPatch {
   F* weights;  // of the Gaussian along an axis
   PaddedPatch<F> patch;
   F *magnitudes, *angles;  // of a row
+  VotesOfRow<F> votes;
   F *histogram, *smoothed;
 
-  static KV_HD int64_t size(int n, int bins) { return 3 * n + PaddedPatch<F>::size(n) + 2 * bins; }
+  static KV_HD int64_t size(int n, int bins) { return 6 * n + PaddedPatch<F>::size(n) + 2 * bins; }
   KV_HD OrientationPatch(int n, int bins, F* memory) : n(n), bins(bins), weights(memory), patch{memory + n, n} {
     magnitudes = patch.data + PaddedPatch<F>::size(n), angles = magnitudes + n;
-    histogram = angles + n, smoothed = histogram + bins;
+    votes = {angles + n, angles + 2 * n, angles + 3 * n};
+    histogram = angles + 4 * n, smoothed = histogram + bins;
     for (int i = 0; i < n; ++i) weights[i] = centered_gaussian(i, n, F(n) / 6);
   }
 
@@ -36,12 +38,16 @@ struct OrientationPatch {
     patch.read(from);
     for (int b = 0; b < bins; ++b) histogram[b] = 0;
     for (int y = 0; y < n; ++y) {
-      fill_row<T>(y, p.eps);
+      for_each_gradient<T>(patch, y, sobel_stencil<F>(), [&](auto width, int64_t x, auto g) KV_INLINE {
+        constexpr int N = decltype(width)::value;
+        auto polar = to_polar<F, N>(g, p.eps);
+        polar.magnitude *= load<N>(weights + x) * weights[y];
+        votes.template set<N>(x, polar, bins, F(bins) / 2);
+      });
       for (int x = 0; x < n; ++x) {
-        auto const vote = angular_vote(angles[x], bins, F(bins) / 2);
-        F const m = magnitudes[x] * (weights[y] * weights[x]);
-        histogram[vote.first] += m * (1 - vote.t);
-        histogram[vote.second] += m * vote.t;
+        int const first = int(votes.first[x]), second = first + 1 == bins ? 0 : first + 1;
+        histogram[first] += votes.earlier[x];
+        histogram[second] += votes.later[x];
       }
     }
     int peak = 0;

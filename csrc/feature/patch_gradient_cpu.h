@@ -45,6 +45,24 @@ KV_HD void for_each_gradient(PaddedPatch<F> const& p, int y, Stencil<F> stencil,
   });
 }
 
+// The votes of a row of pixels, of which each has two bins: its magnitude is the sum of both.
+template <class F>
+struct VotesOfRow {
+  F *first, *earlier, *later;  // the first bin, the magnitudes of both
+
+  // angular_vote of N pixels.
+  template <int N>
+  KV_HD void set(int64_t x, Polar<Lanes<F, N>> const& polar, int bins, F offset) const {
+    using V = Lanes<F, N>;
+    V position = polar.angle * (F(bins) / F(2 * kPi)) + offset;
+    position = position < 0 ? V(position + F(bins)) : position;
+    V const whole = vfloor(position), share = polar.magnitude * (position - whole);
+    store<N>(first + x, V(whole >= F(bins) ? V(whole - F(bins)) : whole));
+    store<N>(earlier + x, V(polar.magnitude - share));
+    store<N>(later + x, share);
+  }
+};
+
 // Writes the gradient of a patch from u and v, which are overwritten out of bounds.
 template <class T, class F>
 KV_HD void write_patch_gradient(T* to, Stencil<F> stencil, PaddedPatch<F> const& u, PaddedPatch<F> const& v) {

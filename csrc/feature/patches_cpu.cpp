@@ -32,6 +32,13 @@ KV_HD Lanes<Compute<T>, N> gather(T const* p, I const& indices) {
   if constexpr (N == 1) {
     return load<1>(p + indices);
   } else {
+#if defined(__AVX512F__)
+    if constexpr (__is_same(T, float) && N == 16)
+      return (Lanes<float, N>)_mm512_i32gather_ps((__m512i)indices, p, sizeof(T));
+#elif defined(__AVX2__)
+    if constexpr (__is_same(T, float) && N == 8)
+      return (Lanes<float, N>)_mm256_i32gather_ps(p, (__m256i)indices, sizeof(T));
+#endif
     Lanes<Compute<T>, N> v;
     for (int i = 0; i < N; ++i) v[i] = load<1>(p + indices[i]);
     return v;

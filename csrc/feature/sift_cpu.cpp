@@ -6,6 +6,11 @@ namespace kv::feature::KV_ISA {
 namespace {
 
 // Vectors of four: there are as many cells along an axis.
+constexpr int kUsualCells = 4;
+
+// Histograms of a row, for pixels that take turns: adding to a sum waits for the sum before.
+constexpr int kTurns = 4;
+
 template <class F>
 KV_HD void add_scaled(F* to, F const* from, F scale, int size) {
   int i = 0;
@@ -29,20 +34,22 @@ struct SiftPatch {
   F* pooling;  // (cells, n)
   PaddedPatch<F> patch;
   F *magnitudes, *angles;  // of a row
-  F* row;                  // (bins, cells): the votes of a row, or what their gradients are
-  F* h;                    // (cells, bins, cells)
-  int planes;              // bins * cells
+  VotesOfRow<F> votes;
+  F* row;      // kTurns x (bins, cells): the votes of a row, or what their gradients are
+  F* h;        // (cells, bins, cells)
+  int planes;  // bins * cells
 
   static KV_HD int64_t size(SiftGrid const& g) {
-    return int64_t(g.cells) * g.n + PaddedPatch<F>::size(g.n) + 2 * g.n + g.bins * g.cells + g.size();
+    return int64_t(g.cells) * g.n + PaddedPatch<F>::size(g.n) + 5 * g.n + kTurns * g.bins * g.cells + g.size();
   }
   KV_HD SiftPatch(SiftGrid const& g, F* memory) : grid(g), planes(g.bins * g.cells) {
     pooling = memory;
     patch = {pooling + int64_t(g.cells) * g.n, g.n};
     magnitudes = patch.data + PaddedPatch<F>::size(g.n);
     angles = magnitudes + g.n;
-    row = angles + g.n;
-    h = row + planes;
+    votes = {angles + g.n, angles + 2 * g.n, angles + 3 * g.n};
+    row = angles + 4 * g.n;
+    h = row + kTurns * planes;
     for (int x = 0; x < g.n; ++x)
       for (int c = 0; c < g.cells; ++c) pooling[x * g.cells + c] = g.template pooling<F>(c, x);
   }
@@ -57,19 +64,33 @@ struct SiftPatch {
     });
   }
 
+  // Adds the votes of a row to its histograms. `Cells` is the number of cells, or 0 for any.
+  template <int Cells>
+  KV_HD void count_votes() {
+    int const cells = Cells ? Cells : grid.cells;
+    for (int x = 0; x < grid.n; ++x) {
+      F* const to = row + (x % kTurns) * planes;
+      int const first = int(votes.first[x]), second = first + 1 == grid.bins ? 0 : first + 1;
+      add_scaled(to + first * cells, pooling + x * cells, votes.earlier[x], cells);
+      add_scaled(to + second * cells, pooling + x * cells, votes.later[x], cells);
+    }
+  }
+
   template <class T>
   KV_HD void fill_histogram(T const* from) {
     patch.read(from);
     for (int i = 0; i < grid.size(); ++i) h[i] = 0;
     for (int y = 0; y < grid.n; ++y) {
-      fill_row<T>(y);
-      for (int i = 0; i < planes; ++i) row[i] = 0;
-      for (int x = 0; x < grid.n; ++x) {
-        auto const vote = angular_vote(angles[x], grid.bins, F(0));
-        F const later = magnitudes[x] * vote.t;
-        add_scaled(row + vote.first * grid.cells, pooling + x * grid.cells, magnitudes[x] - later, grid.cells);
-        add_scaled(row + vote.second * grid.cells, pooling + x * grid.cells, later, grid.cells);
-      }
+      for_each_gradient<T>(patch, y, central_differences<F>(), [&](auto width, int64_t x, auto g) KV_INLINE {
+        constexpr int N = decltype(width)::value;
+        votes.template set<N>(x, to_polar<F, N>(g, F(kSiftEpsilon)), grid.bins, F(0));
+      });
+      for (int i = 0; i < kTurns * planes; ++i) row[i] = 0;
+      if (grid.cells == kUsualCells)
+        count_votes<kUsualCells>();
+      else
+        count_votes<0>();
+      for (int i = 1; i < kTurns; ++i) add_scaled(row, row + i * planes, F(1), planes);
       for (int c = 0; c < grid.cells; ++c) {
         F const weight = pooling[y * grid.cells + c];
         if (weight == 0) continue;
@@ -103,10 +124,12 @@ void sift(Sift<T> const& p, int64_t begin, int64_t end) {
   int const size = p.grid.size();
   Scratch<F> scratch(SiftPatch<F>::size(p.grid));
   SiftPatch<F> s(p.grid, scratch.data);
+  Scratch<int> positions(size);
+  for (int i = 0; i < size; ++i) positions.data[i] = p.grid.position(i);
   for (int64_t k = begin; k < end; ++k) {
     s.fill_histogram(p.patches + k * p.grid.n * p.grid.n);
     normalize_sift(s.h, p.clip, p.root, Entries<F>{size});
-    for (int i = 0; i < size; ++i) store<1>(p.descriptors + k * size + p.grid.position(i), s.h[i]);
+    for (int i = 0; i < size; ++i) store<1>(p.descriptors + k * size + positions.data[i], s.h[i]);
   }
 }
 

@@ -60,4 +60,14 @@ inline constexpr Operator<"orientation", Tensor(Tensor patches, int64_t bins, do
 inline constexpr Operator<"affine_shape", Tensor(Tensor patches, double eps)> affine_shape{
     from<"affine_shape_backward">};
 
+// --- detection -----------------------------------------------------------------------------------------------------
+
+// Levels (B, L, H, W), weights (B, H, W) and scales (B,) to peaks (B, N, 4), which are level, x, y and value, and
+// voxels (B, N). On the CPU only.
+inline constexpr Operator<"scale_space_peaks",
+                          Two(Tensor levels, OptionalTensor weights, Tensor scales, bool differences, bool minima,
+                              int64_t count, double levels_of_octave, double margin, double edge_ratio,
+                              double threshold, int64_t steps, double largest_shift, int64_t radius, bool along_scale)>
+    scale_space_peaks{from<"scale_space_peaks_backward", 1>};
+
 }  // namespace kvision::ops

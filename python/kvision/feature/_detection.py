@@ -65,13 +65,12 @@ def resized_mask(mask: Tensor, size: tuple[int, int]) -> Tensor:
     return -F.adaptive_max_pool2d(-weights, size)
 
 
-def weighted(scores: Tensor, weights: Tensor, mask: Tensor) -> Tensor:
+def weighted(scores: Tensor, weights: Tensor) -> Tensor:
     """Scores moved towards the worst by weights in (0, 1]; no candidates where a weight is not above 0."""
-    if mask.is_floating_point():
-        weights = weights.to(scores.dtype)
-        positive = torch.where(weights > 0, weights, 1)
-        least = torch.finfo(scores.dtype).min  # still ahead of empty slots
-        scores = torch.where(scores >= 0, scores * positive, (scores / positive).clamp(min=least))
+    weights = weights.to(scores.dtype)
+    positive = torch.where(weights > 0, weights, 1)
+    least = torch.finfo(scores.dtype).min  # still ahead of empty slots
+    scores = torch.where(scores >= 0, scores * positive, (scores / positive).clamp(min=least))
     return torch.where(weights > 0, scores, EMPTY)
 
 

@@ -205,7 +205,7 @@ class MultiResolutionDetector(nn.Module):
         found = self.remove_borders(self.nms(response), _BORDER)
         if mask is not None:
             weights = detection.resized_mask(mask, (height, width))
-            found = detection.weighted(found, weights, mask)
+            found = detection.weighted(found, weights)
         ranked = torch.where(found > self.score_threshold, found, detection.EMPTY).flatten(1)
         scores, index = detection.strongest(ranked, num_kp)
         filled = scores > detection.EMPTY

@@ -9,13 +9,14 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision.core.exceptions import ShapeError
 from kvision.feature import _detection as detection
 from kvision.feature.laf import laf_is_filled
-from kvision.feature.responses import BlobHessian
-from kvision.filters.edges.spatial_gradient import spatial_gradient
-from kvision.geometry.subpix import AdaptiveQuadInterp3d, ConvQuadInterp3d, IterativeQuadInterp3d, nms3d_minmax
+from kvision.feature.responses import BlobDoG, BlobHessian
+from kvision.feature.scale_space_peaks import scale_space_peaks, strongest_peaks
+from kvision.geometry.subpix import AdaptiveQuadInterp3d, ConvQuadInterp3d, IterativeQuadInterp3d
+from kvision.geometry.subpix.quad_interp3d import ANYWHERE
 from kvision.geometry.transform.pyramid import ScalePyramid
 
 __all__ = ["PassLAF", "ScaleSpaceDetector"]
@@ -151,24 +152,28 @@ class ScaleSpaceDetector(nn.Module):
         for octave, sigma in zip(octaves, sigmas):
             if min(octave.shape[3:]) < _SMALLEST:
                 continue
-            response = self._response(op, detection.with_finite_gradient(octave), sigma)
-            response = detection.with_finite_gradient(response)
-            lafs_and_scores = self._strongest_of_octave(response, sigma, image.shape[2:], num_feats, mask)
-            lafs.append(lafs_and_scores[0])
-            scores.append(lafs_and_scores[1])
+            levels, are_levels = self._response(op, detection.with_finite_gradient(octave), sigma)
+            levels = detection.with_finite_gradient(levels)
+            octave_lafs, octave_scores = self._strongest_of_octave(
+                levels, are_levels, sigma, image.shape[2:], num_feats, mask
+            )
+            lafs.append(octave_lafs)
+            scores.append(octave_scores)
         return detection.filled_slots(image, scores, lafs, num_feats)
 
-    def _response(self, op: str, octave: Tensor, sigmas: Tensor) -> Tensor:
-        """The response (B, 1, L, H, W) of the levels 0 to n_levels + 1 of an octave."""
+    def _response(self, op: str, octave: Tensor, sigmas: Tensor) -> tuple[Tensor, bool]:
+        """The response (B, L, H, W) of the levels 0 to n_levels + 1 of an octave, or levels whose differences it is."""
         count = int(self.scale_pyr.n_levels) + 2
         batch, channels, _, height, width = octave.shape
         if self.scale_space_response:
+            if type(self.resp) is BlobDoG and channels == 1:
+                return octave[:, 0, : count + 1], True
             response = self.resp(octave, sigmas.reshape(-1))
             if response.dim() != 5 or response.shape[:2] != (batch, 1) or response.shape[3:] != (height, width):
                 raise ShapeError(
                     f"{op}: expected resp_module to give ({batch}, 1, L, {height}, {width}), got {tuple(response.shape)}"
                 )
-            return response[:, :, :count].contiguous()
+            return response[:, 0, :count], False
         levels = octave[:, :, :count].transpose(1, 2)
         response = self.resp(levels.flatten(0, 1), sigmas[:, :count].reshape(-1))
         if response.shape != (levels.shape[0] * levels.shape[1], 1, height, width):
@@ -176,75 +181,57 @@ class ScaleSpaceDetector(nn.Module):
                 f"{op}: expected resp_module to give one response for each image, (*, 1, {height}, {width}), got "
                 f"{tuple(response.shape)} for {channels} channels"
             )
-        return response.reshape(batch, 1, levels.shape[1], height, width)
+        return response.reshape(batch, levels.shape[1], height, width), False
 
     def _strongest_of_octave(
-        self, response: Tensor, sigmas: Tensor, image_size: torch.Size, count: int, mask: Tensor | None
+        self,
+        levels: Tensor,
+        are_differences: bool,
+        sigmas: Tensor,
+        image_size: torch.Size,
+        count: int,
+        mask: Tensor | None,
     ) -> tuple[Tensor, Tensor]:
-        """Frames (B, N, 2, 3) in pixels of the image and scores (B, N), -inf for those that are none."""
-        stored = response.dtype
-        if stored in (torch.float16, torch.bfloat16):
-            response = response.float()
-        coords, values, found = self._refined(response)
-        level, x, y = coords[:, 0].unbind(1)
-        height, width = response.shape[3:]
-        n_levels = int(self.scale_pyr.n_levels)
-        scale = self.mr_size * sigmas[:, :1, None, None].to(response.dtype) * torch.exp2(level / n_levels)
-        with torch.no_grad():
-            room = _BORDER + scale / 2
-            if self.edge_threshold is not None:
-                found = found & _is_off_edges(response, self.edge_threshold)
-            found = found[:, 0] & (x >= room) & (y >= room) & (x + room <= width - 1) & (y + room <= height - 1)
-        scores = values[:, 0]
-        if mask is not None:
-            weights = detection.resized_mask(mask, (height, width)).expand(len(response), -1, -1, -1)
-            scores = detection.weighted(scores, weights, mask)
-            with torch.no_grad():
-                found = found & _is_allowed(weights, x, y)
-        if self.score_threshold is not None:
-            found = found & (scores > self.score_threshold)
-        scores, index = detection.strongest(torch.where(found, scores, detection.EMPTY).flatten(1), count)
-        scale, x, y = (v.flatten(1).gather(1, index) for v in (scale, x, y))
+        """Frames (B, N, 2, 3) in pixels of the image and scores (B, N), -inf for those that are none.
+
+        `levels` (B, L, H, W) are the response, or it is their differences.
+        """
+        height, width = levels.shape[2:]
+        wide = compute_dtype(levels)
+        weights = None if mask is None else as_dtype(detection.resized_mask(mask, (height, width))[:, 0], wide)
+        first = self.mr_size * as_dtype(sigmas[:, 0], wide)
+        n_levels = float(self.scale_pyr.n_levels)
+        ratio = 0.0 if self.edge_threshold is None else self.edge_threshold
+        threshold = detection.EMPTY if self.score_threshold is None else self.score_threshold
+        filters = (self.minima_are_also_good, count, n_levels, float(_BORDER), ratio, threshold)
+        refinement = _refinement_of(self.subpix)
+        if refinement is not None:
+            peaks, voxels = scale_space_peaks(levels, weights, first, are_differences, *filters, *refinement)
+        else:
+            response = as_dtype(levels, wide)
+            response = response[:, 1:] - response[:, :-1] if are_differences else response
+            peaks, voxels = strongest_peaks(response[:, None], weights, first, *filters, self._refine)
+        level, x, y, scores = peaks.unbind(2)
+        if weights is not None:
+            at = voxels.clamp(min=0) % (height * width)
+            scores = detection.weighted(scores, weights.flatten(1).expand(len(voxels), -1).gather(1, at))
+        scale = first[:, None] * torch.exp2(level / n_levels)
         to_x, to_y = (image_size[1] - 1) / (width - 1), (image_size[0] - 1) / (height - 1)
         none = torch.zeros_like(x)
         rows = [scale * to_x, none, x * to_x, none, scale * to_y, y * to_y]
-        return torch.stack(rows, -1).unflatten(-1, (2, 3)), scores.to(stored)
+        scores = as_dtype(torch.where(voxels >= 0, scores, detection.EMPTY), levels.dtype)
+        return torch.stack(rows, -1).unflatten(-1, (2, 3)), scores
 
-    def _refined(self, response: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Coordinates (B, 1, 3, L, H, W) in the order level, x, y, values and whether there is a candidate."""
-        maxima, minima = nms3d_minmax(response)
-        if not self.minima_are_also_good:
-            return *self._subpixel(response, maxima), maxima
-        coords, values = self._subpixel(torch.cat([response, -response]), torch.cat([maxima, minima]))
-        (upper, lower), (high, low) = coords.chunk(2), values.chunk(2)
-        # A minimum counts where its negative value is above the response, which the refinement may move across 0.
-        is_minimum = minima & (low > high)
-        coords = torch.where(is_minimum[:, :, None], lower, upper)
-        return coords, torch.where(is_minimum, low, high), maxima | is_minimum
-
-    def _subpixel(self, response: Tensor, candidates: Tensor) -> tuple[Tensor, Tensor]:
+    def _refine(self, response: Tensor, candidates: Tensor) -> tuple[Tensor, Tensor]:
         if self._takes_candidates:
             return self.subpix(response, precomputed_nms_mask=candidates)
         return self.subpix(response)
 
 
-def _is_off_edges(response: Tensor, threshold: float) -> Tensor:
-    """Whether the principal curvatures of a response (B, 1, L, H, W) over a level have a ratio below the threshold."""
-    levels = response.detach().transpose(1, 2).flatten(0, 1)
-    xx, xy, yy = spatial_gradient(levels, "diff", 2)[:, 0].unbind(1)
-    trace, det = xx + yy, xx * yy - xy * xy
-    off_edges = (det > 0) & (trace * trace * threshold < (threshold + 1) ** 2 * det)
-    return off_edges.view(response.shape)
-
-
-def _is_allowed(weights: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Whether the weights (B, 1, H, W) of the four pixels around points are above 0."""
-    height, width = weights.shape[2:]
-    flat = (weights > 0).flatten(1)
-    columns = [v.long().clamp(0, width - 1) for v in (x.floor(), x.ceil())]
-    rows = [v.long().clamp(0, height - 1) for v in (y.floor(), y.ceil())]
-    allowed = torch.ones_like(x, dtype=torch.bool)
-    for row in rows:
-        for column in columns:
-            allowed = allowed & flat.gather(1, (row * width + column).flatten(1)).view(x.shape)
-    return allowed
+def _refinement_of(module: Any) -> tuple[int, float, int, bool] | None:
+    """The arguments of the operator for a module that fits quadratics; None for any other module."""
+    if type(module) not in _MASKED_REFINEMENTS or getattr(module, "max_candidates", None) is not None:
+        return None
+    is_local = type(module) is ConvQuadInterp3d or getattr(module, "mode", None) == "conv"
+    radius = module.dilation_radius if is_local else ANYWHERE
+    return module.n_iters, float(module.max_subpixel_shift), radius, module.allow_scale_steps

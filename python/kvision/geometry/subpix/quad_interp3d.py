@@ -23,7 +23,7 @@ __all__ = [
     "iterative_quad_interp3d",
 ]
 
-_ANYWHERE = 2**31 - 1  # an unlimited search radius
+ANYWHERE = 2**31 - 1  # an unlimited search radius
 _MODES = ("patch", "conv", "auto")
 
 # --- the definition -------------------------------------------------------------------------------------------------
@@ -235,7 +235,7 @@ def iterative_quad_interp3d(
     if max_candidates is not None:
         (count,) = _check.ints(op, "max_candidates", max_candidates, 1, minimum=0)
         chosen = _largest(x.detach(), chosen, count)
-    return _peaks(x, chosen, n_iters, float(max_subpixel_shift), _ANYWHERE, allow_scale_steps)
+    return _peaks(x, chosen, n_iters, float(max_subpixel_shift), ANYWHERE, allow_scale_steps)
 
 
 def _arguments(op, input, n_iters, bonus, max_subpixel_shift, mask, allow_scale_steps):

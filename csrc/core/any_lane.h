@@ -1,0 +1,24 @@
+// Whether a comparison of lanes holds for any of them. Included by *_cpu.cpp files.
+#pragma once
+
+#include "lanes.h"
+
+namespace kv {
+
+template <class M>
+KV_HD bool any_lane(M mask) {
+#if defined(__AVX512F__)
+  if constexpr (sizeof(M) == 64) return _mm512_movepi32_mask((__m512i)mask) != 0;
+#endif
+#if defined(__AVX2__)
+  if constexpr (sizeof(M) == 32) return _mm256_movemask_epi8((__m256i)mask) != 0;
+#endif
+#if defined(__x86_64__)
+  if constexpr (sizeof(M) == 16) return _mm_movemask_epi8((__m128i)mask) != 0;
+#endif
+  bool any = false;
+  for (int i = 0; i < int(sizeof(M) / sizeof(mask[0])); ++i) any = any || mask[i] != 0;
+  return any;
+}
+
+}  // namespace kv

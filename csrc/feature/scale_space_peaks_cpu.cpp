@@ -1,0 +1,215 @@
+// Peaks of scale spaces on the CPU: bands of rows of all samples, then samples, [begin, end). Compiled once per
+// instruction set.
+#include "core/any_lane.h"
+#include "core/scratch.h"
+#include "scale_space_peaks.h"
+
+namespace kv::feature::KV_ISA {
+namespace {
+
+template <class T>
+KV_HD auto response_of(bool differences, int64_t plane) {
+  auto const load_one = [](T const* p) KV_INLINE { return load<1>(p); };
+  return ResponseAt<T, decltype(load_one)>{differences ? plane : 0, load_one};
+}
+
+// Three rows of the response of all levels, around row y.
+template <class T>
+struct ResponseRows {
+  using F = Compute<T>;
+  T const* levels;  // of the sample
+  int depth, height, width;
+  bool differences;
+  Scratch<F> memory;
+
+  KV_HD ResponseRows(ScaleSpacePeaks<T> const& p)
+      : depth(p.search.size[0]),
+        height(p.search.size[1]),
+        width(p.search.size[2]),
+        differences(p.differences),
+        memory(3 * int64_t(depth) * width) {}
+  KV_HD F* row(int z, int y) const { return memory.data + (int64_t(y % 3) * depth + z) * width; }
+  KV_HD void fill(int y) const {
+    int64_t const plane = int64_t(height) * width;
+    for (int z = 0; z < depth; ++z) {
+      T const* const from = levels + z * plane + int64_t(y) * width;
+      F* const to = row(z, y);
+      if (differences)
+        for_each_vector<T>(0, width, [&](auto n, int64_t x) KV_INLINE {
+          constexpr int N = decltype(n)::value;
+          store<N>(to + x, Lanes<F, N>(load<N>(from + plane + x) - load<N>(from + x)));
+        });
+      else
+        for_each_vector<T>(0, width, [&](auto n, int64_t x) KV_INLINE {
+          constexpr int N = decltype(n)::value;
+          store<N>(to + x, load<N>(from + x));
+        });
+    }
+  }
+
+  // Calls found(x, is_maximum) for the extrema of row y of level z.
+  template <class Found>
+  KV_HD void extrema(int z, int y, bool minima, Found found) const {
+    F const* rows[3][3];
+    for (int k = 0; k < 3; ++k)
+      for (int j = 0; j < 3; ++j) rows[k][j] = row(z + k - 1, y + j - 1);
+    auto const search = [&](auto n, int64_t x) KV_INLINE {
+      constexpr int N = decltype(n)::value;
+      Lanes<F, N> const v = load<N>(rows[1][1] + x);
+      auto above = v == v, below = v == v;
+      auto const compare = [&](F const* other) KV_INLINE {
+        Lanes<F, N> const o = load<N>(other + x);
+        above &= v > o;
+        below &= v < o;
+      };
+      auto const remain = [&]() KV_INLINE {
+        if constexpr (N == 1)
+          return above || (minima && below);
+        else
+          return any_lane(minima ? above | below : above);
+      };
+      // Few pixels are extrema of their level, so most vectors end here.
+      compare(rows[1][1] - 1), compare(rows[1][1] + 1);
+      for (int j = 0; j < 3; j += 2)
+        for (int i = -1; i <= 1; ++i) compare(rows[1][j] + i);
+      if (!remain()) return;
+      for (int k = 0; k < 3; k += 2)
+        for (int j = 0; j < 3; ++j)
+          for (int i = -1; i <= 1; ++i) compare(rows[k][j] + i);
+      if (!remain()) return;
+      if constexpr (N == 1) {
+        found(int(x), bool(above));
+      } else {
+        for (int i = 0; i < N; ++i)
+          if (above[i] || (minima && below[i])) found(int(x) + i, above[i] != 0);
+      }
+    };
+    constexpr int N = kLanes<T>;
+    int64_t x = 1;
+    for (; x + N < width; x += N) search(Width<N>{}, x);
+    for (; x + 1 < width; ++x) search(Width<1>{}, x);
+  }
+};
+
+// Whether the weights of the four pixels around a point are above 0.
+template <class F>
+KV_HD bool is_allowed(F const* weights, int width, F x, F y) {
+  int const left = int(x), top = int(y), right = left + (x > F(left)), bottom = top + (y > F(top));
+  F const *const upper = weights + int64_t(top) * width, *const lower = weights + int64_t(bottom) * width;
+  return upper[left] > 0 && upper[right] > 0 && lower[left] > 0 && lower[right] > 0;
+}
+
+// The peak that an extremum is refined to, if it is one.
+template <class T>
+KV_HD void add_peak(ScaleSpacePeaks<T> const& p, int64_t sample, ResponseRows<T> const& rows, int z, int y, int x,
+                    bool is_maximum, StrongestPeaks<Compute<T>>& strongest) {
+  using F = Compute<T>;
+  int const height = rows.height, width = rows.width;
+  int64_t const plane = int64_t(height) * width;
+  F const* const weights = p.weights ? p.weights + sample * plane : nullptr;
+  F const weight = weights ? weights[int64_t(y) * width + x] : F(1);
+  if (!(weight > 0)) return;
+  auto const around = [&](int dy, int dx) KV_INLINE { return rows.row(z, y + dy)[x + dx]; };
+  if (p.edge_ratio > 0 && !is_off_edges(p.edge_ratio, around)) return;
+  auto const read = response_of<T>(p.differences, plane);
+  F const response = around(0, 0);
+  ScaleSpacePeak<F> peak{0, is_maximum ? response : -response, F(z), F(x), F(y), z * plane + int64_t(y) * width + x};
+  find_peak(p.search, rows.levels, z, y, x, read, [&](int const(&c)[3], geometry::Quadratic<F> const& q) KV_INLINE {
+    F const value = read(rows.levels[c[2] * plane + int64_t(c[1]) * width + c[0]]) + q.rise();
+    peak.value = is_maximum ? value : -value;
+    peak.x = F(c[0]) + q.shift[0], peak.y = F(c[1]) + q.shift[1], peak.level = F(c[2]) + q.shift[2];
+  });
+  // The refinement may move the value of a minimum across 0.
+  if (!is_maximum && !(peak.value > response)) return;
+  F const room = p.margin + p.scales[sample] * vexp2<F, 1>(peak.level / p.levels_of_octave) / 2;
+  if (!(peak.x >= room && peak.y >= room && peak.x + room <= F(width - 1) && peak.y + room <= F(height - 1))) return;
+  if (weights && !is_allowed(weights, width, peak.x, peak.y)) return;
+  constexpr F lowest = sizeof(F) == 4 ? F(-__FLT_MAX__) : F(-__DBL_MAX__);
+  peak.score = weights ? weighted_score(peak.value, weight, lowest) : peak.value;
+  if (peak.score > p.threshold) strongest.add(peak);
+}
+
+}  // namespace
+
+template <class T>
+void find_scale_space_peaks(ScaleSpacePeaks<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  ResponseRows<T> rows(p);
+  int64_t const size = (p.search.size[0] + p.differences) * int64_t(rows.height) * rows.width;
+  for (int64_t band = begin; band < end; ++band) {
+    int64_t const sample = band / p.bands_of_sample, first = band % p.bands_of_sample * kPeakRows;
+    int const from = int(max(first, int64_t(1))), to = int(min(first + kPeakRows, int64_t(rows.height - 1)));
+    StrongestPeaks<F> strongest{p.bands + band * p.count, p.count, 0};
+    rows.levels = p.levels + sample * size;
+    if (from < to) rows.fill(from - 1), rows.fill(from);
+    for (int y = from; y < to; ++y) {
+      rows.fill(y + 1);
+      for (int z = 1; z + 1 < rows.depth; ++z)
+        rows.extrema(z, y, p.minima, [&](int x, bool is_maximum) KV_INLINE {
+          add_peak(p, sample, rows, z, y, x, is_maximum, strongest);
+        });
+    }
+    p.sizes[band] = strongest.size;
+  }
+}
+
+template <class T>
+void sort_scale_space_peaks(ScaleSpacePeaks<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  Scratch<ScaleSpacePeak<F>> memory(p.count);
+  for (int64_t sample = begin; sample < end; ++sample) {
+    StrongestPeaks<F> strongest{memory.data, p.count, 0};
+    for (int64_t band = sample * p.bands_of_sample; band < (sample + 1) * p.bands_of_sample; ++band)
+      for (int64_t i = 0; i < p.sizes[band]; ++i) strongest.add(p.bands[band * p.count + i]);
+    int64_t const found = strongest.size;
+    strongest.sort();
+    for (int64_t i = 0; i < p.count; ++i) {
+      ScaleSpacePeak<F> const peak = i < found ? memory.data[i] : ScaleSpacePeak<F>{0, 0, 0, 0, 0, -1};
+      int64_t const at = sample * p.count + i;
+      F* const numbers = p.peaks + 4 * at;
+      numbers[0] = peak.level, numbers[1] = peak.x, numbers[2] = peak.y, numbers[3] = peak.value;
+      p.voxels[at] = peak.voxel;
+    }
+  }
+}
+
+template <class T>
+void scale_space_peaks_backward(ScaleSpacePeaksBackward<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int const depth = p.search.size[0], height = p.search.size[1], width = p.search.size[2];
+  int64_t const plane = int64_t(height) * width, size = (depth + p.differences) * plane;
+  auto const read = response_of<T>(p.differences, plane);
+  for (int64_t sample = begin; sample < end; ++sample) {
+    T const* const levels = p.levels + sample * size;
+    F* const grad = p.grad_levels + sample * size;
+    auto const add = [&](int64_t voxel, F number) KV_INLINE {
+      if (p.differences)
+        grad[voxel + plane] += number, grad[voxel] -= number;
+      else
+        grad[voxel] += number;
+    };
+    for (int64_t i = 0; i < size; ++i) grad[i] = 0;
+    for (int64_t k = sample * p.count; k < (sample + 1) * p.count; ++k) {
+      int64_t const voxel = p.voxels[k];
+      if (voxel < 0 || voxel >= depth * plane) continue;
+      int const z = int(voxel / plane), y = int(voxel / width % height), x = int(voxel % width);
+      if (z < 1 || z > depth - 2 || y < 1 || y > height - 2 || x < 1 || x > width - 2) continue;
+      F const to_shift[] = {p.grad[4 * k + 1], p.grad[4 * k + 2], p.grad[4 * k]};
+      F const to_value = read(levels[voxel]) > read(levels[voxel + 1]) ? p.grad[4 * k + 3] : -p.grad[4 * k + 3];
+      bool moves = false;
+      find_peak(p.search, levels, z, y, x, read, [&](int const(&c)[3], geometry::Quadratic<F> const& q) KV_INLINE {
+        int64_t const center = c[2] * plane + int64_t(c[1]) * width + c[0];
+        q.vjp(to_shift, to_value,
+              [&](int dx, int dy, int dz, F number) KV_INLINE { add(center + dz * plane + dy * width + dx, number); });
+        moves = true;
+      });
+      if (!moves) add(voxel, to_value);
+    }
+  }
+}
+
+KV_INSTANTIATE(find_scale_space_peaks, ScaleSpacePeaks)
+KV_INSTANTIATE(sort_scale_space_peaks, ScaleSpacePeaks)
+KV_INSTANTIATE(scale_space_peaks_backward, ScaleSpacePeaksBackward)
+
+}  // namespace kv::feature::KV_ISA

@@ -21,6 +21,7 @@ from kvision.feature.keynet import KeyNetDetector
 from kvision.feature.laf import check_lafs, get_laf_center, laf_is_filled, rotate_laf, scale_laf
 from kvision.feature.matching import GeometryAwareDescriptorMatcher
 from kvision.feature.multi_resolution_detector import Detector_config, MultiResolutionDetector
+from kvision.feature.opencv_sift import OpenCVSIFT, root_sift
 from kvision.feature.orientation import LAFOrienter, dominant_orientations
 from kvision.feature.orinet import OriNet
 from kvision.feature.patches import extract_patches_from_pyramid
@@ -278,6 +279,11 @@ class SIFTFeature(_SIFT):
     With a `config` the features are those of Kornia's SIFTFeature instead: maxima on copies of the image in several
     sizes, with one orientation.
 
+    With `opencv` they are those of cv2.SIFT_create(num_features): its way to double the image, which moves key points by
+    a quarter of a pixel, its threshold of contrast, its windows in pixels of the scale space, and descriptors rounded to
+    integers up to 255 where `rootsift` is off. Images are in [0, 1] or of uint8. A key point has up to four orientations.
+    The scale of a frame is three times the size of cv2.KeyPoint, and its orientation is the angle there, negated.
+
     Args:
         num_features: slots of each image.
         upright: leave out the dominant gradients.
@@ -288,9 +294,10 @@ class SIFTFeature(_SIFT):
         score_threshold: responses of features are above it.
         descriptor_backend: 'patch', or 'pyramid' for :class:`SIFTDescriptorFromPyramid`.
         descriptor_layout: 'kornia' or 'opencv', as in :func:`convert_sift_descriptor_layout`.
+        opencv: find the features of cv2.SIFT; without a `config`, and with the backend 'patch'.
 
     Raises:
-        ValueCheckError: an unknown backend or layout.
+        ValueCheckError: an unknown backend or layout, or options that `opencv` does not have.
 
     Example:
         >>> import torch, kvision as K
@@ -310,9 +317,17 @@ class SIFTFeature(_SIFT):
         score_threshold: float = 0.0,
         descriptor_backend: str = "patch",
         descriptor_layout: str = "kornia",
+        opencv: bool = False,
     ) -> None:
         detector: nn.Module
-        if config is None:
+        _check.flag("SIFTFeature", "opencv", opencv)
+        if opencv:
+            if config is not None or descriptor_backend != "patch":
+                raise _check.ValueCheckError(
+                    "SIFTFeature: opencv takes no config, and no descriptor_backend but 'patch'"
+                )
+            detector, scale = OpenCVSIFT(num_features, upright, score_threshold), 1.0
+        elif config is None:
             options = {"edge_threshold": 10.0, "score_threshold": score_threshold}
             detector = _dog_detector(num_features, ("resp",) if compile_model else False, **options)
             detector, scale = detector if upright else _SeveralOrientations(detector), 1.5
@@ -329,6 +344,19 @@ class SIFTFeature(_SIFT):
                 1.0,
             )
         super().__init__(detector, rootsift, device, descriptor_backend, descriptor_layout, scale)
+        self.rootsift = rootsift
+
+    def forward(self, img: Tensor, mask: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        if not isinstance(self.detector, OpenCVSIFT):
+            return super().forward(img, mask)
+        _check.images("SIFTFeature", "img", img)
+        gray = rgb_to_grayscale(floats(img) / 255 if img.dtype == torch.uint8 else img) if img.shape[1] == 3 else img
+        lafs, responses, descriptors = self.detector(gray, mask)
+        if self.rootsift:
+            descriptors = root_sift(descriptors)
+        if self.descriptor_layout == "kornia":
+            descriptors = convert_sift_descriptor_layout(descriptors, "opencv", "kornia")
+        return lafs, responses, descriptors
 
 
 def _dog_detector(num_features: int, compile_modules: bool | Collection[str], **modules: Any) -> nn.Module:

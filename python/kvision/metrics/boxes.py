@@ -49,7 +49,8 @@ def mean_iou_bbox(boxes_1: Tensor, boxes_2: Tensor, box_format: str = "xyxy") ->
 def _reference(a: Tensor, b: Tensor, box_format: int) -> Tensor:
     """The intersections over union (B, N, M) of boxes (B, N, 4) and (B, M, 4)."""
     (low_a, high_a), (low_b, high_b) = _corners(a[:, :, None], box_format), _corners(b[:, None], box_format)
-    both = _area(torch.minimum(high_a, high_b) - torch.maximum(low_a, low_b), 0)
+    width, height = (torch.minimum(high_a, high_b) - torch.maximum(low_a, low_b)).clamp(min=0).unbind(-1)
+    both = width * height
     return both / (_area(high_a - low_a) + _area(high_b - low_b) - both)
 
 
@@ -60,8 +61,8 @@ def _corners(boxes: Tensor, box_format: int) -> tuple[Tensor, Tensor]:
     return (first - second / 2, first + second / 2) if BOX_FORMATS[box_format] == "cxcywh" else (first, second)
 
 
-def _area(size: Tensor, otherwise: float = torch.nan) -> Tensor:
-    return torch.where((size > 0).all(-1), size[..., 0] * size[..., 1], otherwise)
+def _area(size: Tensor) -> Tensor:
+    return torch.where((size > 0).all(-1), size[..., 0] * size[..., 1], torch.nan)
 
 
 def _fake(a: Tensor, b: Tensor, box_format: int) -> tuple[int, int, int]:

@@ -6,9 +6,10 @@ import torch
 
 import kvision as K
 from composition_tests import Case
+from kvision.geometry.solvers._minimal import eliminated
 from op_tests import assert_close
 from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests, near, vector
-from view_tests import CAMERA, Scene, ViewTests, camera, finite_gradients, on_planes, points, rand, rays
+from view_tests import CAMERA, NoSolvers, Scene, ViewTests, camera, finite_gradients, on_planes, points, rand, rays
 
 G = K.geometry
 # Values of the tests are random in [0.1, 1); these are what they are added to.
@@ -34,6 +35,20 @@ class TestEssential(ViewTests):
         ),
     }  # fmt: skip
     compiled = ()
+
+    def test_no_solver_is_called(self, case, device, backend):
+        if case is self.cases["essential"] and device.type == "cpu":
+            pytest.skip("the CPU has a solver in place of `eliminated`")
+        super().test_no_solver_is_called(case, device, backend)
+
+
+def test_elimination_solves_without_a_library(device):
+    """What GPUs run in place of the solver of the CPU."""
+    left, right = torch.rand(5, 10, 10, dtype=torch.float64), torch.rand(5, 10, 10, dtype=torch.float64)
+    with NoSolvers():
+        found = eliminated(left.to(device), right.to(device))
+    assert_close(found.cpu(), torch.linalg.solve(left, right), 1e-9, 1e-9)
+    assert not eliminated(torch.zeros(1, 3, 3, device=device), torch.ones(1, 3, 1, device=device)).isfinite().any()
 
 
 def test_exact_essential_matrices_have_gradients(device):

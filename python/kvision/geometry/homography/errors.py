@@ -179,8 +179,8 @@ def sample_is_valid_for_homography(points1: Tensor, points2: Tensor) -> Tensor:
 
 def _turns(points: Tensor) -> Tensor:
     """The orientation, -1, 0 or 1, of the four triangles of points (B, 4, 2): (B, 4)."""
-    first = points[:, :4]
-    p, q, r = (torch.stack([first[:, i] for i in of], 1) for of in ((0, 0, 0, 1), (1, 1, 2, 2), (2, 3, 3, 3)))
+    a, b, c, d = points[:, :4].unbind(1)
+    p, q, r = torch.stack((a, a, a, b), 1), torch.stack((b, b, c, c), 1), torch.stack((c, d, d, d), 1)
     (x, y), (u, v) = (q - p).unbind(-1), (r - p).unbind(-1)
     return (x * v - y * u).sign()
 

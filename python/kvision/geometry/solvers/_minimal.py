@@ -165,10 +165,12 @@ def five_points(points1: Tensor, points2: Tensor) -> Tensor:
 
 
 def _solved(left: Tensor, right: Tensor) -> Tensor:
-    """Solve linear equations (B, n, n) for (B, n, m) by Gaussian elimination. Not finite if singular.
+    """Solve linear equations (B, n, n) for (B, n, m). Not finite if singular."""
+    return torch.linalg.solve_ex(left, right)[0] if left.is_cpu else eliminated(left, right)
 
-    It uses pointwise operators only, since CUDA graphs cannot capture library solvers.
-    """
+
+def eliminated(left: Tensor, right: Tensor) -> Tensor:
+    """`_solved` by Gaussian elimination of pointwise operators only, since CUDA graphs cannot capture library solvers."""
     system = torch.cat([left, right], -1)
     order = torch.arange(left.shape[1], device=left.device)
     for k in range(left.shape[1]):

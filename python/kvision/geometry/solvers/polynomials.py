@@ -44,8 +44,8 @@ def _powers(count: int) -> list[str]:
 
 _TO_QUADRATIC = Terms(_LINEAR, _LINEAR, _QUADRATIC)
 _TO_CUBIC = Terms(_QUADRATIC, _LINEAR, _CUBIC)
-_TO_SIXTH_POWER = Terms(_powers(4), _powers(4), _powers(7))
-_TO_TENTH_POWER = Terms(_powers(7), _powers(5), _powers(11))
+_TO_SIXTH_POWER = Terms(_powers(4)[::-1], _powers(4)[::-1], _powers(7))
+_TO_TENTH_POWER = Terms(_powers(7), _powers(5)[::-1], _powers(11))
 
 
 def product(a: Tensor, b: Tensor, terms: Terms) -> Tensor:
@@ -135,7 +135,8 @@ def determinant_to_polynomial(A: Tensor) -> Tensor:
         tensor([[0., 1., 0., 0., 0., 0., 0., 0., 0., 0., 0.]])
     """
     _check.floating_trailing_shape("determinant_to_polynomial", "A", A, 3, 13)
-    third, second, first = A.flip(-1).split([5, 4, 4], -1)
+    first, second, third = A.split([4, 4, 5], -1)
+    next_first, next_second, _ = A.roll(-1, -2).split([4, 4, 5], -1)
     # Of rows i and i + 1 each, to be multiplied by row i + 2.
-    minors = product(first, second.roll(-1, -2), _TO_SIXTH_POWER) - product(first.roll(-1, -2), second, _TO_SIXTH_POWER)
+    minors = product(first, next_second, _TO_SIXTH_POWER) - product(next_first, second, _TO_SIXTH_POWER)
     return product(minors, third.roll(1, -2), _TO_TENTH_POWER).sum(-2)

@@ -27,6 +27,7 @@ OPERATORS = ["gaussian blur", "motion blur", "sobel", "laplacian", "canny", "med
 OPERATORS += ["hue", "lab", "plasma", "sepia", "saturation", "contrast", "gamma", "equalize", "clahe"]
 OPERATORS += ["rotation", "perspective", "elastic", "pixels", "pyramid detail"]
 OPERATORS += ["dilation", "erosion", "opening", "outline", "mosaic"]
+OPERATORS += ["key points", "matches"]
 
 
 @pytest.fixture(autouse=True)
@@ -60,6 +61,7 @@ def test_makes_a_gallery_a_file_per_result_and_a_table(photos, tmp_path, device,
     assert [row[0] for row in rows] == OPERATORS
     assert all(float(ms) >= 0 for _, _, ms, _ in rows) and any(float(ms) > 0 for _, _, ms, _ in rows)
     without_opencv = {"plasma", "sepia", "saturation", "contrast", "elastic", "pixels", "pyramid detail", "mosaic"}
+    without_opencv |= {"matches"}
     assert {row[0] for row in rows if row[3] == "-"} == without_opencv
     before, after = map(float, re.search(r"loss (\S+) -> (\S+),", printed).groups())
     assert after < before

@@ -21,7 +21,7 @@ from kvision.io import get_sample_images, load_image, write_image
 try:
     from tqdm import tqdm
 
-    from kvision.demo import augmentation, color, filters, gallery, geometry, morphology
+    from kvision.demo import augmentation, color, features, filters, gallery, geometry, morphology
     from kvision.demo.restore import Restoration, blur, restore
     from kvision.demo.sheet import Column, Sheet, run
 except ModuleNotFoundError as error:
@@ -29,7 +29,7 @@ except ModuleNotFoundError as error:
         raise
     sys.exit(f'kvision.demo needs {error.name}: pip install "kvision[demo]"')
 
-SHEETS = [filters.SHEET, color.SHEET, geometry.SHEET, morphology.SHEET]
+SHEETS = [filters.SHEET, color.SHEET, geometry.SHEET, morphology.SHEET, features.SHEET]
 SAMPLES = ("astronaut", "chelsea", "coffee", "rocket")
 SIDE = 320  # pixels; photos are cropped to a square and brought to this size
 STEPS = 150  # of the restoration

@@ -32,9 +32,9 @@ class Step:
     """
 
     title: str
-    call: Callable[[Tensor], Tensor]
+    call: Callable[[Tensor], Any]
     opencv: Callable[[Image], Any] | None = None
-    show: Callable[[Tensor], Tensor] = lambda result: result
+    show: Callable[[Any], Tensor] = lambda result: result
     input: StepInput | None = None
 
 

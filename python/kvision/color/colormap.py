@@ -70,7 +70,7 @@ class ColorMap:
         colors: the table, (3, num_colors).
 
     Raises:
-        TypeCheckError: a base of another kind, num_colors no int, dtype not floating point.
+        TypeCheckError: a base of the wrong type, num_colors no int, dtype not floating point.
         ValueCheckError: an unknown name, colors that are not three numbers, num_colors less than 1.
 
     Example:

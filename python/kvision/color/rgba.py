@@ -99,7 +99,7 @@ def rgba_to_rgb(image: Tensor, background_color: tuple[float, float, float] | Te
         RGB images (*, 3, H, W).
 
     Raises:
-        TypeCheckError: image is no tensor; background_color of another kind.
+        TypeCheckError: image is no tensor; background_color of the wrong type.
         ShapeError: image is not (*, 4, H, W); a tensor background_color that does not fit it.
         ValueCheckError: a background_color that is not of three numbers.
         DeviceError: background_color on another device; a color in CPU memory is moved.

@@ -41,7 +41,7 @@ def diamond_square(
         (B, C, H, W).
 
     Raises:
-        TypeCheckError: output_size not of ints; roughness or random_scale of another kind.
+        TypeCheckError: output_size not of ints; roughness or random_scale of the wrong type.
         ShapeError: roughness or random_scale neither a number nor one for each sample.
         ValueCheckError: output_size not of four numbers of at least 1.
 

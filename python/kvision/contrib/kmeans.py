@@ -20,7 +20,7 @@ class KMeans:
         seed: of torch's random numbers, which first centers and centers without points are drawn with; None leaves them.
 
     Raises:
-        TypeCheckError: arguments of other kinds.
+        TypeCheckError: arguments of the wrong type.
         ShapeError: cluster_centers of another shape.
         ValueCheckError: num_clusters below 1, a negative tolerance or max_iterations, neither of both limits.
 

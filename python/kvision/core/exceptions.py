@@ -32,7 +32,7 @@ class ShapeError(BaseError, ValueError):
 
 
 class TypeCheckError(BaseError, TypeError):
-    """An argument is of the wrong kind: a list instead of a tensor, an integer image where floats are needed.
+    """An argument is of the wrong type: a list instead of a tensor, an integer image where floats are needed.
 
     Example:
         >>> TypeCheckError("sobel: expected input to be a Tensor, got list", actual_type=list).actual_type

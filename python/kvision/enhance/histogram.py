@@ -260,7 +260,7 @@ def image_histogram2d(
         or in float64 for float64 images. Densities are zeros unless asked for.
 
     Raises:
-        TypeCheckError: image is no real tensor; a number, bool or int of another kind.
+        TypeCheckError: image is no real tensor; an argument is of the wrong type.
         ShapeError: image has another rank or no pixels; centers is not (n_bins,).
         ValueCheckError: max not above min, n_bins below 1, bandwidth not positive, an unknown kernel.
         DeviceError: tensors on different devices; parameters in CPU memory are moved.

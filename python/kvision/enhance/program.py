@@ -154,7 +154,7 @@ class ColorProgram(nn.Module):
             The images, differentiable in image and parameters.
 
         Raises:
-            TypeCheckError, ValueCheckError: arguments of other kinds.
+            TypeCheckError, ValueCheckError: arguments of the wrong type.
             ImageError: image is not (*, 3, H, W).
             ShapeError: no pixels; parameters, order or enabled that do not fit the image or the steps.
             DeviceError: tensors on different devices; parameters in CPU memory are moved.

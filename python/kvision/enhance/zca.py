@@ -93,7 +93,7 @@ def zca_mean(
         also where eigenvalues are equal. Half types give float32.
 
     Raises:
-        TypeCheckError: inp is no real tensor; another argument of another kind.
+        TypeCheckError: inp is no real tensor; another argument of the wrong type.
         IndexError: inp has no axis dim.
         ShapeError: no sample, or with unbiased only one.
 

@@ -86,7 +86,7 @@ class PatchAffineShapeEstimator(nn.Module):
         Of patches (B, 1, patch_size, patch_size), ellipses (B, 1, 3).
 
     Raises:
-        TypeError: an argument is of another kind; the patches are no tensor of real numbers.
+        TypeError: an argument is of the wrong type; the patches are no tensor of real numbers.
         ValueError: patches of another shape; a number is out of range.
 
     Source: A. Baumberg, "Reliable feature matching across widely separated views" (2000).
@@ -129,7 +129,7 @@ class LAFAffineShapeEstimator(nn.Module):
         Of frames `laf` (B, N, 2, 3) and images `img` (B, 1, H, W), frames (B, N, 2, 3).
 
     Raises:
-        TypeError: an argument is of another kind.
+        TypeError: an argument is of the wrong type.
         ValueError: tensors of another shape.
 
     Source: A. Baumberg, "Reliable feature matching across widely separated views" (2000).

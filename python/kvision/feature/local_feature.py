@@ -71,7 +71,7 @@ def get_laf_descriptors(
         (B, N, D); 0, with a gradient of 0, for empty slots.
 
     Raises:
-        TypeCheckError: an argument is of another kind.
+        TypeCheckError: an argument is of the wrong type.
         ShapeError: other shapes.
         DeviceError: tensors on different devices.
 

@@ -131,7 +131,7 @@ class PatchDominantGradientOrientation(nn.Module):
         pi + pi / num_angular_bins.
 
     Raises:
-        TypeError: an argument is of another kind; the patches are no tensor of real numbers.
+        TypeError: an argument is of the wrong type; the patches are no tensor of real numbers.
         ValueError: patches of another shape; a number is out of range.
 
     Example:
@@ -174,7 +174,7 @@ class LAFOrienter(nn.Module):
         Of frames `laf` (B, N, 2, 3) and images `img` (B, 1, H, W), frames (B, N, 2, 3).
 
     Raises:
-        TypeError: an argument is of another kind.
+        TypeError: an argument is of the wrong type.
         ValueError: tensors of another shape.
 
     Example:

@@ -133,7 +133,7 @@ class SIFTDescriptor(nn.Module):
         Of patches (B, 1, patch_size, patch_size), descriptors (B, A S^2) of length 1, of the same dtype.
 
     Raises:
-        TypeError: an argument is of another kind; the patches are no tensor of real numbers.
+        TypeError: an argument is of the wrong type; the patches are no tensor of real numbers.
         ValueError: patches of another shape; `patch_size` is too small for the spatial bins; a number is out of range.
 
     Source: D. Lowe, "Distinctive image features from scale-invariant keypoints" (2004); R. Arandjelovic and A. Zisserman,
@@ -230,7 +230,7 @@ class DenseSIFTDescriptor(nn.Module):
         h = floor((H + e + 2 padding - (S - 1) spatial_bin_size - 1) / stride) + 1, of the same dtype.
 
     Raises:
-        TypeError: an argument is of another kind; the images are no tensor of real numbers.
+        TypeError: an argument is of the wrong type; the images are no tensor of real numbers.
         ValueError: images of another shape, or too small for a descriptor; a number is out of range.
 
     Example:
@@ -322,7 +322,7 @@ class SIFTDescriptorFromPyramid(nn.Module):
         :class:`SIFTDescriptor`, of the dtype of the images. Frames that are not finite or have no area give zeros.
 
     Raises:
-        TypeError: an argument is of another kind.
+        TypeError: an argument is of the wrong type.
         ValueError: tensors of another shape; a number is out of range.
 
     Example:

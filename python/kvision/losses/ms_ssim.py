@@ -81,7 +81,7 @@ class MS_SSIMLoss(FunctionModule):
     in float32. It returns a number, or for 'none' (B, H, W).
 
     Raises:
-        TypeCheckError: arguments of other kinds; not two real tensors.
+        TypeCheckError: arguments of the wrong type; not two real tensors.
         ShapeError: not (B, C, H, W), or different shapes.
         ValueCheckError: sigmas or data_range not above 0; an unknown reduction, which is a NotImplementedError, too.
         DeviceError: tensors on different devices.

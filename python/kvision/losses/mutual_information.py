@@ -253,7 +253,7 @@ def mutual_information_loss(
         (*), in the type of target; differentiable in both signals, except with the rectangular kernel.
 
     Raises:
-        TypeCheckError: no floating-point tensors; masks of another type; num_bins or window_radius of a wrong kind.
+        TypeCheckError: no floating-point tensors; masks of another type; num_bins or window_radius of the wrong type.
         ShapeError: different shapes, or no samples.
         ValueCheckError: num_bins or window_radius too small; kernel_function no MIKernel.
         DeviceError: tensors on different devices.

@@ -100,7 +100,7 @@ def mean_average_precision(
         from 1 on, -1 for those without a true box. The dict waits for the device.
 
     Raises:
-        TypeCheckError: other kinds of arguments.
+        TypeCheckError: an argument is of the wrong type.
         ShapeError: boxes, labels and scores that do not fit together.
         ValueCheckError: lists of different lengths or without images; a label outside [0, n_classes).
 

@@ -33,7 +33,7 @@ def get_motion_kernel2d(
         direction and, unless mode is 'nearest', in angle.
 
     Raises:
-        TypeCheckError: an argument of a wrong kind.
+        TypeCheckError: an argument of the wrong type.
         ShapeError: tensors of different lengths.
         ValueCheckError: an even kernel_size or one below 3, a number that is not finite, an unknown mode.
         DeviceError: tensors on different devices; parameters in CPU memory are moved.

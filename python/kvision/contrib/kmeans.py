@@ -109,7 +109,7 @@ class KMeans:
         # With a tolerance every round waits for the device, so this look at the points costs nothing more.
         if (self.tolerance is not None or X.is_cpu) and not X.isfinite().all():
             raise ValueCheckError("KMeans: expected X of finite points, got NaN or infinite ones")
-        points, rounds = _wide(X), 0
+        points, rounds = _promoted(X), 0
         while True:
             nearest = _nearest(X, centers)
             members = torch.zeros(n, X.shape[0], dtype=points.dtype, device=X.device)
@@ -119,7 +119,7 @@ class KMeans:
             spare = points[torch.randint(X.shape[0], (n,), device=X.device)]
             previous, centers = centers, torch.where(counts == 0, spare, means).to(X.dtype)
             rounds += 1
-            moved = (_wide(centers) - _wide(previous)).norm(dim=1).sum()
+            moved = (_promoted(centers) - _promoted(previous)).norm(dim=1).sum()
             if rounds == self.max_iterations or (self.tolerance is not None and bool(moved**2 <= self.tolerance)):
                 break
         self._centers = centers
@@ -142,7 +142,7 @@ class KMeans:
         _check.same_device("KMeans", X=x, cluster_centers=centers)
 
 
-def _wide(x: Tensor) -> Tensor:
+def _promoted(x: Tensor) -> Tensor:
     """Convert to the compute dtype: float32 for half types, float64 for integers."""
     if x.is_floating_point():
         return x.to(torch.promote_types(x.dtype, torch.float32))
@@ -150,6 +150,6 @@ def _wide(x: Tensor) -> Tensor:
 
 
 def _nearest(x: Tensor, centers: Tensor) -> Tensor:
-    dtype = torch.promote_types(_wide(x).dtype, _wide(centers).dtype)
+    dtype = torch.promote_types(_promoted(x).dtype, _promoted(centers).dtype)
     exact = "donot_use_mm_for_euclid_dist"  # the expanded form cancels for points far from 0
     return torch.cdist(x.to(dtype), centers.to(dtype), compute_mode=exact).argmin(1)

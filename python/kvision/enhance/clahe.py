@@ -19,7 +19,7 @@ def _reference(x: Tensor, clip_limit: float, rows: int, columns: int, opencv: bo
     """Equalize every plane of (B, C, H, W) separately."""
     tile = _tile(x, rows, columns, opencv)
     tiles = _split(x.flatten(0, 1), rows, columns, tile)
-    counts = level_counts(levels(tiles), ~tiles.isnan()).to(_wide(x))
+    counts = level_counts(levels(tiles), ~tiles.isnan()).to(_compute_type(x))
     return _mapped(x, _tables(counts, clip_limit, tile[0] * tile[1]).round(), rows, columns, tile, opencv)
 
 
@@ -70,7 +70,7 @@ def _mapped(x: Tensor, tables: Tensor, rows: int, columns: int, tile: tuple[int,
     return torch.where(x.isnan(), x, y)
 
 
-def _wide(x: Tensor) -> torch.dtype:
+def _compute_type(x: Tensor) -> torch.dtype:
     return torch.float64 if x.dtype == torch.float64 else torch.float32
 
 
@@ -111,7 +111,7 @@ def _tables(counts: Tensor, clip_limit: float, pixels: int) -> Tensor:
 
 
 def _smooth_counts(tiles: Tensor) -> Tensor:
-    bins = torch.linspace(0, 1, LEVELS, device=tiles.device, dtype=_wide(tiles))
+    bins = torch.linspace(0, 1, LEVELS, device=tiles.device, dtype=_compute_type(tiles))
     counts = (
         kernel_counts(tiles.to(bins.dtype), bins, torch.full_like(bins[0], _BANDWIDTH), "gaussian") / tiles.shape[1]
     )

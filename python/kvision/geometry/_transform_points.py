@@ -107,7 +107,7 @@ def transformed(points: Tensor, matrix: Tensor) -> Tensor:
     return y.reshape(*points.shape[:-1], y.shape[-1])
 
 
-def seen(points: Tensor, depth: Tensor | None, camera_matrix: Tensor, kind: str) -> Tensor:
+def map_points(points: Tensor, depth: Tensor | None, camera_matrix: Tensor, kind: str) -> Tensor:
     """Points (*, D) by cameras (*, 3, 3). Leading axes broadcast; with fewer, a camera applies to the last axis."""
     camera_matrix = as_dtype(camera_matrix, compute_dtype(points))
     depth = None if depth is None else as_dtype(depth, points.dtype)

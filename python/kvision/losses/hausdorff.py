@@ -38,8 +38,8 @@ def _cross_mean(x: Tensor, axes: tuple[int, ...]) -> Tensor:
     """The mean of every pixel and its direct neighbors, zeros out of bounds."""
     total = x
     for axis in axes:
-        beside = [0, 0] * (x.dim() - 1 - axis) + [1, 1]
-        padded = F.pad(x, beside)
+        border = [0, 0] * (x.dim() - 1 - axis) + [1, 1]
+        padded = F.pad(x, border)
         n = x.shape[axis]
         total = total + padded.narrow(axis, 0, n) + padded.narrow(axis, 2, n)
     return total / (1 + 2 * len(axes))

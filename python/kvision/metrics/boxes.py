@@ -140,8 +140,8 @@ def mean_average_precision(
         threshold,
     )
     precisions = torch.stack([_average(right, label == c, (true_label == c).sum()) for c in range(1, n_classes)])
-    there = precisions >= 0
-    mean = torch.where(there.any(), precisions.where(there, 0).sum() / there.sum().clamp_min(1), -1)
+    valid = precisions >= 0
+    mean = torch.where(valid.any(), precisions.where(valid, 0).sum() / valid.sum().clamp_min(1), -1)
     *averages, is_wrong = torch.cat([precisions, wrong[None]]).tolist()  # the only synchronization with the device
     if is_wrong:
         raise ValueCheckError(f"{op}: expected labels in [0, {n_classes})")

@@ -297,10 +297,10 @@ def _arguments(
     max_val = _check.number(op, "max_val", max_val)
     eps = _check.number(op, "eps", eps, minimum=0)
     _check.choice(op, "padding", padding, ("same", "valid"))
-    least = min(img1.shape[2:])
-    if padding == "same" and least <= size // 2 and img1.dim() == 4:
+    smallest = min(img1.shape[2:])
+    if padding == "same" and smallest <= size // 2 and img1.dim() == 4:
         _check.reflectable(op, img1, (size // 2,) * 2, "reflect", "use a smaller window_size")
-    elif padding == "valid" and least < size:
+    elif padding == "valid" and smallest < size:
         raise ShapeError(
             f"{op}: expected images no smaller than the window of {size}, got {tuple(img1.shape)}",
             actual_shape=img1.shape,

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision.geometry._transform_points import seen
+from kvision.geometry._transform_points import map_points
 from kvision.geometry.conversions.pixels import check_camera
 
 __all__ = ["project_points", "unproject_points"]
@@ -37,7 +37,7 @@ def project_points(point_3d: Tensor, camera_matrix: Tensor) -> Tensor:
     """
     _check.trailing_shape("project_points", "point_3d", point_3d, 3)
     check_camera("project_points", "point_3d", point_3d, camera_matrix)
-    return seen(floats(point_3d), None, camera_matrix, "project")
+    return map_points(floats(point_3d), None, camera_matrix, "project")
 
 
 def unproject_points(point_2d: Tensor, depth: Tensor, camera_matrix: Tensor, normalize: bool = False) -> Tensor:
@@ -69,4 +69,4 @@ def unproject_points(point_2d: Tensor, depth: Tensor, camera_matrix: Tensor, nor
     check_camera(op, "point_2d", point_2d, camera_matrix)
     _check.same_device(op, point_2d=point_2d, depth=depth)
     _check.broadcastable(op, point_2d=point_2d.shape[:-1], depth=depth.shape[:-1])
-    return seen(floats(point_2d), depth, camera_matrix, "unproject_distance" if normalize else "unproject")
+    return map_points(floats(point_2d), depth, camera_matrix, "unproject_distance" if normalize else "unproject")

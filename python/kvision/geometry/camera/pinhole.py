@@ -204,8 +204,8 @@ class PinholeCamera:
         """Points of the world (B, *, 3) at pixels (B, *, 2) and a depth (B, *, 1), which is z in the camera's frame."""
         self._check_points("unproject", "point_2d", point_2d, 2)
         _check.shape("PinholeCamera.unproject", "depth", depth, *point_2d.shape[:-1], 1)
-        seen = torch.cat([floats(point_2d) * depth, depth.expand_as(point_2d[..., :1])], -1)
-        return transformed(seen, _unprojection(self._intrinsics, self._extrinsics))
+        scaled = torch.cat([floats(point_2d) * depth, depth.expand_as(point_2d[..., :1])], -1)
+        return transformed(scaled, _unprojection(self._intrinsics, self._extrinsics))
 
     def _check_points(self, method: str, name: str, points: Tensor, axes: int) -> None:
         op = f"{type(self).__name__}.{method}"

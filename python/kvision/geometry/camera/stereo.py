@@ -144,9 +144,9 @@ def _reprojected(disparity: Tensor, left: Tensor, right: Tensor) -> tuple[Tensor
     Q = _reprojection(left, right).to(disparity.dtype)[:, None, None]
     _, height, width, _ = disparity.shape
     pixels = create_meshgrid(height, width, False, disparity.device, disparity.dtype)
-    seen = torch.cat([pixels.expand(disparity.shape[0], -1, -1, -1), disparity], -1)
+    image_points = torch.cat([pixels.expand(disparity.shape[0], -1, -1, -1), disparity], -1)
     moved = Q[..., 3]
-    for i, x in enumerate(seen.split(1, -1)):
+    for i, x in enumerate(image_points.split(1, -1)):
         moved = moved + x * Q[..., i]
     w = moved[..., 3:]
     return moved[..., :3] / divisor(w), (w.abs() > 1e-8).to(disparity.dtype)

@@ -36,8 +36,8 @@ def rays(camera: Tensor, height: int, width: int, distance: bool) -> Tensor:
     fx, fy, cx, cy = (camera[..., i, j, None, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
     across = ((x - cx) / fx).expand(*camera.shape[:-2], height, width)
     down = ((y - cy) / fy).expand(*camera.shape[:-2], height, width)
-    seen = torch.stack([across, down, torch.ones_like(across)], -3)
-    return seen / (seen * seen).sum(-3, keepdim=True).sqrt() if distance else seen
+    ray = torch.stack([across, down, torch.ones_like(across)], -3)
+    return ray / (ray * ray).sum(-3, keepdim=True).sqrt() if distance else ray
 
 
 def _points(depth, camera, distance, last=False):

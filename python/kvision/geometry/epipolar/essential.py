@@ -392,10 +392,10 @@ def motion_from_essential_choose_solution(
         >>> import torch, kvision as K
         >>> X = torch.rand(9, 3) + torch.tensor([0.0, 0.0, 2.0])
         >>> t = torch.tensor([1.0, 0.0, 0.0])
-        >>> pictures = [Y[:, :2] / Y[:, 2:] for Y in (X, X + t)]
+        >>> projections = [Y[:, :2] / Y[:, 2:] for Y in (X, X + t)]
         >>> E = K.geometry.cross_product_matrix(t)
         >>> R, t, points, count = K.geometry.motion_from_essential_choose_solution(
-        ...     E, torch.eye(3), torch.eye(3), *pictures)
+        ...     E, torch.eye(3), torch.eye(3), *projections)
         >>> t.flatten() + 0, count
         (tensor([1., 0., 0.]), tensor(9))
     """

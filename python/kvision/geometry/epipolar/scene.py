@@ -22,7 +22,7 @@ def generate_scene(num_views: int, num_points: int) -> dict[str, Tensor]:
 
     Returns:
         "K", the camera matrix (1, 3, 3) of all views; "R", rotations (V, 3, 3), and "t", translations (V, 3, 1), from
-        the world to the cameras; "P", projections (V, 3, 4); "points3d", (1, N, 3); "points2d", their pictures
+        the world to the cameras; "P", projections (V, 3, 4); "points3d", (1, N, 3); "points2d", their projections
         (V, N, 2).
 
     Raises:

@@ -78,16 +78,16 @@ def _reference(x1: Tensor, x2: Tensor, P1: Tensor, P2: Tensor) -> Tensor:
     return torch.where(infinite, torch.nan, X[..., :3] / torch.where(infinite, 1, w)).to(x1.dtype)
 
 
-def _gradient(needs: Sequence[bool], grad: Tensor, *pictures: Tensor) -> tuple[Tensor, ...]:
-    grads: tuple[Tensor, ...] = triangulated_backward(grad, *pictures)
+def _gradient(needs: Sequence[bool], grad: Tensor, *arguments: Tensor) -> tuple[Tensor, ...]:
+    grads: tuple[Tensor, ...] = triangulated_backward(grad, *arguments)
     return grads
 
 
-def _backward_reference(grad: Tensor, *pictures: Tensor) -> tuple[Tensor, ...]:
-    return torch.func.vjp(_reference, *pictures)[1](grad)
+def _backward_reference(grad: Tensor, *arguments: Tensor) -> tuple[Tensor, ...]:
+    return torch.func.vjp(_reference, *arguments)[1](grad)
 
 
 triangulated = register("triangulate", _reference, fake=lambda x1, x2, P1, P2: (*x1.shape[:2], 3), backward=_gradient)
 triangulated_backward = register(
-    "triangulate_backward", _backward_reference, fake=lambda grad, *pictures: [x.shape for x in pictures]
+    "triangulate_backward", _backward_reference, fake=lambda grad, *arguments: [x.shape for x in arguments]
 )

@@ -155,9 +155,9 @@ _STEPS = 40
 
 def _isolated(p: Tensor) -> Tensor:
     """`real_roots`, to the last bits where roots are simple. Outside of [-1, 1] they are inverse roots of the reversed one."""
-    inside, outside = _in_unit(p), 1 / _in_unit(p.flip(-1))
-    beyond = torch.where((outside.abs() > 1) & outside.isfinite(), outside, torch.nan)
-    return torch.cat([inside, beyond], -1).sort(-1).values[..., : p.shape[-1] - 1]  # NaN at the end
+    small, inverted = _in_unit(p), 1 / _in_unit(p.flip(-1))
+    large = torch.where((inverted.abs() > 1) & inverted.isfinite(), inverted, torch.nan)
+    return torch.cat([small, large], -1).sort(-1).values[..., : p.shape[-1] - 1]  # NaN at the end
 
 
 def _in_unit(p: Tensor) -> Tensor:

@@ -90,9 +90,9 @@ def rotate(
     images = _images("rotate", tensor)
     angle = _vector("rotate", images, "angle", angle)
     middle, x, y = _center("rotate", images, center)
-    given = (angle, None, None, None, None, middle)
+    inputs = (angle, None, None, None, None, middle)
     return _by_formula(
-        "rotate", tensor, images, mode, padding_mode, align_corners, "affine_matrix2d", [1.0, x, y], *given
+        "rotate", tensor, images, mode, padding_mode, align_corners, "affine_matrix2d", [1.0, x, y], *inputs
     )
 
 
@@ -221,10 +221,10 @@ def _images(op: str, tensor: Any) -> Tensor:
     return pixels(tensor[None] if tensor.dim() == 3 else tensor)
 
 
-def _by_formula(op, tensor, images, mode, padding_mode, align_corners, formula, numbers, *given):
+def _by_formula(op, tensor, images, mode, padding_mode, align_corners, formula, numbers, *inputs):
     sampling.check_options(op, mode, padding_mode, align_corners)
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
-    six = given + (None,) * (6 - len(given))
+    six = inputs + (None,) * (6 - len(inputs))
     size = list(images.shape[2:])
     options = (size, INTERPOLATION[mode], padding, align_corners, True, False)
     result = sampling.warp_by_formula(images, *six, None, WARP_FORMULA[formula], numbers, *options)

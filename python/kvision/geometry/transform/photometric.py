@@ -32,12 +32,12 @@ def _loss(source, target, matrix, distance, eps, align_corners, normalized):
         error = residual * residual
     else:
         error = (residual * residual + eps * eps).sqrt()
-    seen = _seen(coords, source)
-    total = torch.where(seen, error, 0).sum((1, 2, 3))
-    return total / (seen.sum((1, 2, 3)) * source.shape[1])
+    valid = _is_between_pixels(coords, source)
+    total = torch.where(valid, error, 0).sum((1, 2, 3))
+    return total / (valid.sum((1, 2, 3)) * source.shape[1])
 
 
-def _seen(coords, source):
+def _is_between_pixels(coords, source):
     """The mask (B, 1, h, w) of sampling coordinates that lie between four pixels of the source."""
     height, width = source.shape[2:]
     u, v = (x.detach() for x in coords)
@@ -67,7 +67,7 @@ def _image_gradients(grad, source, target, matrix, distance, eps, align_corners,
     x, y = source.to(matrix.dtype), target.to(matrix.dtype)
     (*size,), matrices = y.shape[2:], matrix.expand(x.shape[0], -1, -1)
     sampled = INTERPOLATION["bilinear"], PADDING["fill"], align_corners, False, normalized
-    seen = _seen(sampling.source_coords(matrices, size, x.shape[2:], *sampled[2:]), x)
+    valid = _is_between_pixels(sampling.source_coords(matrices, size, x.shape[2:], *sampled[2:]), x)
     residual = sampling.warp(x, matrices, None, None, size, *sampled) - y
     if distance == PHOTOMETRIC_DISTANCE["l1"]:
         grad_residual = residual.sign()
@@ -75,8 +75,8 @@ def _image_gradients(grad, source, target, matrix, distance, eps, align_corners,
         grad_residual = 2 * residual
     else:
         grad_residual = residual / (residual * residual + eps * eps).sqrt()
-    weights = grad / (seen.sum((1, 2, 3)) * x.shape[1])
-    grad_residual = torch.where(seen, grad_residual * weights[:, None, None, None], 0)
+    weights = grad / (valid.sum((1, 2, 3)) * x.shape[1])
+    grad_residual = torch.where(valid, grad_residual * weights[:, None, None, None], 0)
     grad_source = sampling.warp_image_backward(grad_residual, matrices, None, [len(x), *x.shape[2:]], *sampled)
     return grad_source.to(source.dtype), -grad_residual.to(target.dtype)
 
@@ -117,17 +117,17 @@ def _normal_reference(source, target, matrix, distance, eps, align_corners, norm
     def residuals(m: Tensor) -> Any:
         coords = sampling.source_coords(m, size, source_size, align_corners, False, normalized)
         residual = sampling.sample(source, coords, "bilinear", "fill", align_corners) - target
-        return residual.flatten(1), (residual, _seen(coords, source))
+        return residual.flatten(1), (residual, _is_between_pixels(coords, source))
 
     # The derivatives by all entries of the matrix but the last.
     columns = []
     for i in range(8):
         direction = torch.zeros_like(matrices)
         direction[:, i // 3, i % 3] = 1
-        (_, (residual, seen)), (column, _) = torch.func.jvp(residuals, (matrices,), (direction,))
+        (_, (residual, valid)), (column, _) = torch.func.jvp(residuals, (matrices,), (direction,))
         columns.append(column)
     jacobian = torch.stack(columns, 1)
-    r, seen = residual.flatten(1), seen.expand_as(residual).flatten(1).to(matrix.dtype)
+    r, valid = residual.flatten(1), valid.expand_as(residual).flatten(1).to(matrix.dtype)
     if distance == PHOTOMETRIC_DISTANCE["l1"]:
         value, weight = r.abs(), 1 / r.abs().clamp_min(eps)
     elif distance == PHOTOMETRIC_DISTANCE["l2"]:
@@ -135,11 +135,11 @@ def _normal_reference(source, target, matrix, distance, eps, align_corners, norm
     else:
         value = (r * r + eps * eps).sqrt()
         weight = 1 / value
-    terms = seen.sum(1)
+    terms = valid.sum(1)
     divisor = terms.clamp_min(1)
-    weighted = jacobian * (weight * seen)[:, None]
+    weighted = jacobian * (weight * valid)[:, None]
     normal = weighted @ jacobian.mT / divisor[:, None, None]
-    return normal, (weighted @ r[..., None])[..., 0] / divisor[:, None], (value * seen).sum(1) / terms
+    return normal, (weighted @ r[..., None])[..., 0] / divisor[:, None], (value * valid).sum(1) / terms
 
 
 _normal = register(

@@ -207,8 +207,8 @@ class ImageRegistrator(nn.Module):
         warper = self.warper(*img_dst.shape[-2:])
         loss = self.loss_fn(warper(img_src, transform_model), img_dst, reduction="none")
         with torch.no_grad():
-            seen = (warper(torch.ones_like(img_src[:, :1]), transform_model) > 0.9).to(loss.dtype).expand_as(loss)
-        return (loss * seen).sum() / seen.sum().clamp_min(1)
+            inside = (warper(torch.ones_like(img_src[:, :1]), transform_model) > 0.9).to(loss.dtype).expand_as(loss)
+        return (loss * inside).sum() / inside.sum().clamp_min(1)
 
     def register(
         self, src_img: Tensor, dst_img: Tensor, verbose: bool = False, output_intermediate_models: bool = False

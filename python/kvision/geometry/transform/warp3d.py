@@ -293,7 +293,7 @@ def by_matrix(
     normalized: bool = False,
 ) -> Tensor:
     """Warp volumes by matrices (B, 3, 4) or (B, 4, 4)."""
-    options = _how(op, dsize, mode, padding_mode, align_corners)
+    options = _volume_options(op, dsize, mode, padding_mode, align_corners)
     volumes = floats(volumes)
     matrix = sampling.cast_to_image(op, volumes, "matrix", matrix)
     return _warp3d(volumes, matrix, *options, inverse, normalized)
@@ -312,12 +312,14 @@ def by_formula(
     *args: Tensor | None,
 ) -> Tensor:
     """Warp volumes by the matrix that a formula computes from numbers and up to six tensors in the dtype of the computation."""
-    options = _how(op, dsize, mode, padding_mode, align_corners)
+    options = _volume_options(op, dsize, mode, padding_mode, align_corners)
     six = args + (None,) * (6 - len(args))
     return _warp3d_by_formula(floats(volumes), *six, WARP_FORMULA[formula], numbers, *options, inverse, False)
 
 
-def _how(op: str, dsize: tuple[int, ...], mode: str, padding_mode: str, align_corners: bool) -> tuple[Any, ...]:
+def _volume_options(
+    op: str, dsize: tuple[int, ...], mode: str, padding_mode: str, align_corners: bool
+) -> tuple[Any, ...]:
     size = _check.ints(op, "dsize", dsize, 3)
     _check.choice(op, "mode", mode, sampling.INTERPOLATIONS[:2])
     _check.choice(op, "padding_mode", padding_mode, sampling.PADDINGS[:3])

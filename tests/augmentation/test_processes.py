@@ -137,6 +137,16 @@ def sample(i: int) -> tuple[Tensor, Tensor, Tensor]:
     return image, (image[:, :1] > 0.5).long(), 16 * torch.rand(1, 4, 2, generator=generator)
 
 
+@pytest.mark.slow
+def test_workers_that_are_spawned() -> None:
+    """A data set whose pipeline has run before travels to new interpreters, which draw what this one draws."""
+    samples = Samples(True)
+    expected = [samples[i] for i in range(len(samples))]
+    loaded = DataLoader(samples, 5, num_workers=1, multiprocessing_context="spawn")
+    for found, wanted in zip(zip(*loaded), zip(*expected)):
+        assert torch.equal(torch.cat(found), torch.stack(wanted))
+
+
 @pytest.mark.parametrize("workers", [0, 1, 2])
 def test_seeds_of_samples_are_invariant_under_workers(workers: int) -> None:
     expected = Samples(True).augment(*(torch.cat(x) for x in zip(*map(sample, range(10)))), seed=torch.arange(100, 110))

@@ -205,3 +205,36 @@ def test_gradients_of_learned_ranges(device):
         grads.append(torch.autograd.grad((y**2).sum(), [angle, bright]))
     for together, alone in zip(*grads):
         assert_close(together, alone, 1e-4, 1e-4)
+
+
+BYTE_STEPS = {
+    "solarize": lambda: A.RandomSolarize((0.3, 0.7), (-0.4, 0.4), p=0.7),
+    "brightness": lambda: A.RandomBrightness((0.2, 1.8)),
+    "contrast": lambda: A.RandomContrast((0.2, 3.0)),
+    "gamma": lambda: A.RandomGamma((0.3, 3.0), p=0.7),
+    "invert": lambda: A.RandomInvert(p=0.5),
+    "chain": lambda: A.ImageSequential(
+        A.RandomSolarize(p=0.7), A.RandomBrightness((0.7, 1.3)), A.RandomGamma((0.5, 2.0))
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BYTE_STEPS)
+@pytest.mark.parametrize("channels", [1, 3, 4])
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=str)
+def test_tables_of_bytes(name: str, channels: int, layout: torch.memory_format, device: torch.device) -> None:
+    """Steps that treat every value alike are tables on large images of bytes; they give what small images get."""
+    augment = BYTE_STEPS[name]()
+    for batch, height, width in ((5, 64, 67), (1, 130, 257), (0, 64, 64)):
+        x = torch.randint(0, 256, (batch, channels, height, width), generator=torch.Generator().manual_seed(height))
+        x = x.byte().to(device, memory_format=layout)
+        y = augment(x, seed=3)
+        assert y.dtype == torch.uint8 and y.is_contiguous(memory_format=layout)
+        expected = (255 * augment(x.float() / 255, seed=3)).round().clamp(0, 255)
+        assert (y - expected).abs().max() <= 1 if batch else y.shape == x.shape
+        if batch:
+            assert (y != expected).float().mean() < 0.02  # ties
+            small = augment(x[..., :4, :4].contiguous(), seed=3)  # without a table
+            assert torch.equal(y[..., :4, :4], small)
+    rows = x.new_tensor(range(256)).expand(3, channels, 256, 256)  # all values, strides of 0
+    assert torch.equal(augment(rows, seed=5), augment(rows.clone(), seed=5))

@@ -208,3 +208,16 @@ def test_what_is_refused() -> None:
     container(images())
     with pytest.raises(ValueError, match="ColorJitter: expected params of a batch of 2, got those of 4 images"):
         container(images()[:2], params=container._params)
+
+
+def test_classes_of_a_program_without_a_name() -> None:
+    """Code that exec runs, as notebooks and tools do, may have no module."""
+    scope: dict[str, Any] = {"A": A}
+    exec(
+        "class Double(A.IntensityAugmentationBase2D):\n"
+        "    def apply_transform(self, input, params, flags, transform=None):\n"
+        "        return 2 * input\n",
+        scope,
+    )
+    x = images()
+    assert torch.equal(A.ImageSequential(A.RandomHorizontalFlip(p=1.0), scope["Double"](p=1.0))(x), 2 * x.flip(-1))

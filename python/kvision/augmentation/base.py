@@ -307,7 +307,7 @@ class AugmentationBase(nn.Module):
         if name in self.__dict__:
             return True
         method = getattr(type(self), name, None)
-        return not getattr(method, "__module__", "").startswith("kvision.")
+        return not (getattr(method, "__module__", None) or "").startswith("kvision.")
 
     def _is_customized(self) -> bool:
         """Whether a user's class or instance overrides what containers join."""

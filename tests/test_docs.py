@@ -9,6 +9,7 @@ import importlib
 import inspect
 import os
 import re
+import shutil
 import subprocess
 import sys
 from enum import Enum
@@ -18,6 +19,7 @@ import pytest
 import torch
 
 import kvision as K
+from kvision import _ops
 from test_public_api import arguments, public_modules, public_names, surface
 
 pytestmark = pytest.mark.programs
@@ -58,21 +60,68 @@ def test_readme_example_runs(photo: None) -> None:
     assert K.io.load_image("edges.png").shape == (3, 512, 512)
 
 
-GUIDES = (
-    "quickstart",
-    "augmentation",
-    "custom_operators",
-    "deployment",
-    "depth",
-    "distributed",
-    "features",
-    "registration",
-)
+GUIDES = [str(path.relative_to(ROOT)) for path in sorted(ROOT.glob("docs/*.md")) if "```python" in path.read_text()]
 
 
-@pytest.mark.parametrize("page", [f"docs/{name}.md" for name in GUIDES])
+@pytest.mark.parametrize("page", GUIDES)
 def test_guides_run(page: str, photo: None) -> None:
-    exec("\n".join(examples(page)), {"__name__": "guide"})
+    """Every block of Python, in the order of the page."""
+    program = "\n".join(examples(page))
+    if "patch_kornia" in program:  # changes Kornia for the whole process
+        pytest.importorskip("kornia")
+        subprocess.run([sys.executable, "-c", program], check=True)
+    else:
+        exec(program, {"__name__": "guide"})
+
+
+# Blocks that take a minute or packages of their own are marked py: they run after those of the page that are marked python.
+@pytest.mark.slow
+@pytest.mark.tracing
+@pytest.mark.parametrize("package", ["pipeline.pt2", "pipeline.onnx"])
+def test_blocks_that_take_longer_run(package: str, photo: None) -> None:
+    page = (ROOT / "docs/deployment.md").read_text()
+    (block,) = (block for block in re.findall(r"```py\n(.*?)```", page, re.DOTALL) if package in block)
+    if package == "pipeline.onnx":
+        for library in ("onnx", "onnxscript", "onnxruntime"):
+            pytest.importorskip(library)
+    elif shutil.which("c++") is None:
+        pytest.skip("AOTInductor needs a C++ compiler")
+    names: dict[str, object] = {"__name__": "guide"}
+    exec("\n".join([*examples("docs/deployment.md"), block]), names)
+    assert Path(package).stat().st_size > 0
+    if package == "pipeline.pt2":
+        torch.testing.assert_close(names["run"](names["image"]), names["pipeline"](names["image"]))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("cpu" in _ops.unserved, reason="libkvision.so was not built")
+def test_blocks_of_cpp_compile(cmake: str, tmp_path: Path) -> None:
+    """The CMake and C++ of the guides, as one program; that of cpp.md runs, the other one needs files of Python."""
+    programs, projects = [], []
+    for page in ("docs/cpp.md", "docs/deployment.md"):
+        text = (ROOT / page).read_text()
+        programs += re.findall(r"```cpp\n(.*?)```", text, re.DOTALL)
+        projects += re.findall(r"```cmake\n(.*?)```", text, re.DOTALL)
+    assert len(programs) == len(projects) == 2
+    includes = [line for program in programs for line in program.splitlines() if line.startswith("#include")]
+    direct, saved = ("\n".join(x for x in program.splitlines() if not x.startswith("#")) for program in programs)
+    functions = f"int main() {{\n{direct}\n}}\nvoid run_saved(torch::Tensor image) {{\n{saved}\n}}\n"
+    (tmp_path / "app.cpp").write_text("\n".join([*includes, functions]))
+    head = "cmake_minimum_required(VERSION 3.20)\nproject(app LANGUAGES CXX)\nadd_executable(app app.cpp)\n"
+    (tmp_path / "CMakeLists.txt").write_text(head + "\n".join(projects))
+    command = [sys.executable, "-m", "kvision.info", "--cmake-prefix-path"]
+    prefixes = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+    subprocess.run([cmake, "-S", tmp_path, "-B", tmp_path, f"-DCMAKE_PREFIX_PATH={prefixes}"], check=True)
+    subprocess.run([cmake, "--build", tmp_path], check=True)
+    subprocess.run([tmp_path / "app"], check=True)
+
+
+def test_every_block_says_its_language() -> None:
+    """The tests above read these; other blocks, of the shell, are indented."""
+    for path in sorted(ROOT.glob("docs/*.md")):
+        fences = re.findall(r"^```(.*)$", path.read_text(), re.MULTILINE)
+        assert set(fences[0::2]) <= {"python", "py", "cpp", "cmake"} and not any(fences[1::2]), path.name
+        assert "py" not in fences or path.name == "deployment.md"
 
 
 def test_coverage_of_kornia_is_as_written() -> None:

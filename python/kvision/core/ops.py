@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from kvision import _check
@@ -32,9 +33,8 @@ def eye_like(n: int, input: Tensor, shared_memory: bool = False) -> Tensor:
         torch.Size([3, 2, 2])
     """
     n = _check_batch("eye_like", n, "input", input)
-    matrices = input.new_zeros(1 if shared_memory else input.shape[0], n, n)
-    matrices.diagonal(dim1=1, dim2=2).fill_(1)
-    return matrices.expand(input.shape[0], n, n)
+    matrices = torch.eye(n, dtype=input.dtype, device=input.device).expand(input.shape[0], n, n)
+    return matrices if shared_memory else matrices.clone(memory_format=torch.contiguous_format)
 
 
 def vec_like(n: int, tensor: Tensor, shared_memory: bool = False) -> Tensor:

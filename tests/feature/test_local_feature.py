@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import pytest
 import torch
 from torch import nn
@@ -289,3 +292,27 @@ BAD = [
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+PEAK = """
+import resource, torch, kvision as K
+sift, image = K.feature.SIFTFeature(500, opencv={opencv}), torch.rand(1, 1, 480, 640)
+def peak():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+with torch.no_grad():
+    sift(image[..., :64, :64])
+    before = peak()
+    sift(image)
+print((peak() - before) * 1024 / (4 * 6 * 960 * 1280 * 4 / 3))
+"""
+
+
+@pytest.mark.native
+@pytest.mark.parametrize("opencv", [False, True])
+def test_memory_is_a_few_times_the_pyramid(opencv, device):
+    """Octaves of six levels, of which the first has twice the size of the image."""
+    pytest.importorskip("resource")
+    if device.type != "cpu":
+        pytest.skip("the peak is that of the process")
+    run = subprocess.run([sys.executable, "-c", PEAK.format(opencv=opencv)], capture_output=True, text=True, check=True)
+    assert float(run.stdout) < 6

@@ -17,19 +17,20 @@ BIN := .venv/bin
 # Bytecode is made when a module is first imported, which few of the thousands here ever are.
 PIP := $(BIN)/python -m pip install --no-compile --constraint constraints.txt
 READY := .venv/.ready
+DEV := .venv/.dev
 
 .PHONY: demo test bench lint docs wheel build clean distclean
 
 demo: build
 	$(BIN)/python -m kvision.demo $(ARGS)
 
-test: build
+test: build $(DEV)
 	$(BIN)/python -m pytest --quiet --numprocesses auto --maxprocesses 8 -m "not slow and not tracing" $(TESTS) $(ARGS)
 
-bench: build
+bench: build $(DEV)
 	$(BIN)/python -m benchmarks $(ARGS)
 
-lint: $(READY)
+lint: $(DEV)
 	$(BIN)/ruff check
 	$(BIN)/mypy
 	git ls-files '*.h' '*.cuh' '*.cpp' '*.cu' | xargs $(BIN)/clang-format --dry-run --Werror
@@ -48,18 +49,24 @@ wheel: $(READY)
 build: $(READY)
 	@if [ -f build/cmake/build.ninja ]; then $(BIN)/ninja -C build/cmake --quiet; fi
 
-$(READY): constraints.txt pyproject.toml setup.py
+$(READY): constraints.txt pyproject.toml setup.py python/kvision/_version.py
+	@echo "kvision: the first time takes about four minutes on two cores, and as long as the downloads take"
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(f"kvision needs Python 3.10 or newer; $(PYTHON) is {v.major}.{v.minor}: set PYTHON=" if v < (3, 10) else 0)'
 	$(PYTHON) -m venv .venv
 	$(PIP) setuptools cmake ninja pybind11 torch
 	@# Before pip, which would hide how far the compiler is, and which then finds everything built.
 	$(BIN)/python setup.py --quiet build_native --editable-mode
-	$(PIP) --no-build-isolation --editable '.[dev]'
+	$(PIP) --no-build-isolation --editable '.[demo]'
 	$(BIN)/python -m kvision.info
 	@touch $@
 
+# What tests, benchmarks and linters need besides.
+$(DEV): $(READY)
+	$(PIP) --no-build-isolation --editable '.[dev]'
+	@touch $@
+
 clean:
-	rm -rf build python/kvision/lib python/kvision/include python/kvision/_C.* .venv/.ready
+	rm -rf build python/kvision/lib python/kvision/include python/kvision/_C.* $(READY) $(DEV)
 
 distclean: clean
 	rm -rf .venv

@@ -39,14 +39,23 @@ Isa active_isa();  // module.cpp
         avx512::name(params, begin, end);                              \
         break;                                                         \
       }                                                                \
-    if (::kv::active_isa() == ::kv::Isa::baseline)                     \
-      baseline::name(params, begin, end);                              \
-    else                                                               \
-      avx2::name(params, begin, end);                                  \
+    if constexpr (::kv::kHasBaseline)                                  \
+      if (::kv::active_isa() == ::kv::Isa::baseline) {                 \
+        baseline::name(params, begin, end);                            \
+        break;                                                         \
+      }                                                                \
+    avx2::name(params, begin, end);                                    \
   } while (0)
 #else
 #define KV_DECLARE_ALL_CPU(name, Params) KV_DECLARE_CPU(KV_ONLY_ISA, name, Params)
 #define KV_FOR_ISA(name, ...) KV_ONLY_ISA::name(__VA_ARGS__)
+#endif
+
+// CMakeLists.txt leaves it out of libraries for the machine that they are built on, where that has AVX2.
+#if defined(KV_WITHOUT_BASELINE)
+constexpr bool kHasBaseline = false;
+#else
+constexpr bool kHasBaseline = true;
 #endif
 
 // AVX-512 serves the types that most images have; compiled for all of them it would take a sixth of the whole build.

@@ -29,7 +29,7 @@ bool supported(Isa isa) {
     case Isa::avx2:
       return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("f16c");
     default:
-      return isa == Isa::baseline;
+      return isa == Isa::baseline && kHasBaseline;
   }
 #endif
 }

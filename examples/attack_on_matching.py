@@ -34,6 +34,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 import kvision as K
+from kvision.demo.arguments import device_of, images_of
 
 PATCH = 32
 SCALE = 6.0  # of a frame, over the blur of its level
@@ -75,11 +76,10 @@ class Outcome(NamedTuple):
 # --- pictures and homographies --------------------------------------------------------------------------------------
 
 
-def pictures(folder: Path | None, height: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Two gray photographs (1, 1, height, 4 / 3 height)."""
-    if folder:
-        both = [K.io.load_image(folder / name)[None] for name in ("a.png", "b.png")]
-    else:
+def pictures(given: list[Tensor], height: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Two photographs, those of scikit-image unless some are given, in gray: (1, 1, height, 4 / 3 height)."""
+    both = given
+    if not both:
         from skimage import data
 
         both = [K.image_to_tensor(x, keepdim=False).float() / 255 for x in (data.coffee(), data.rocket())]
@@ -316,6 +316,7 @@ def draw(originals: tuple[Tensor, Tensor], outcome: Outcome, path: Path) -> None
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--image", type=Path, nargs=2, metavar=("FIRST", "SECOND"), help="two photographs")
     parser.add_argument("--data", type=Path, help="folder with a.png and b.png")
     parser.add_argument("--height", type=int, default=240, help="of the images; their width is 4 / 3 of it")
     parser.add_argument("--features", type=int, default=500, help="of each image")
@@ -328,9 +329,10 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     for name in ("a.png", "b.png"):
         if options.data and not (options.data / name).is_file():
-            parser.error(f"--data {options.data}: there is no {name}")
-    device = torch.device(options.device)
-    originals = pictures(options.data, options.height, device)
+            parser.error(f"--data {options.data}: expected a folder with a.png and b.png")
+    device = device_of(parser, options.device)
+    paths = options.image or ([options.data / name for name in ("a.png", "b.png")] if options.data else [])
+    originals = pictures(images_of(parser, paths), options.height, device)
     extractor = Extractor(options.features).to(device)
     options.out.mkdir(parents=True, exist_ok=True)
     outcomes = []

@@ -212,6 +212,7 @@ NAMES = (
     "feature_matching",
     "augmentation",
     "autoencoder",
+    "attack_on_matching",
 )
 WITHOUT_IMAGE = ("train_distributed",)
 
@@ -225,7 +226,9 @@ def test_a_missing_device_is_said(name: str, capsys: pytest.CaptureFixture[str])
     assert capsys.readouterr().err.endswith("error: --device cuda: torch finds no CUDA device\n")
 
 
-@pytest.mark.parametrize("name", ("image_registration", "depth_estimation", "feature_matching", "autoencoder"))
+@pytest.mark.parametrize(
+    "name", ("image_registration", "depth_estimation", "feature_matching", "autoencoder", "attack_on_matching")
+)
 def test_a_wrong_folder_is_an_error(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
         example(name).main(["--data", str(tmp_path / "wrong"), "--device", "cpu"])
@@ -254,7 +257,7 @@ def test_a_picture_that_cannot_be_read_is_said(name: str, content, tmp_path: Pat
                 "cpu",
                 "--image",
                 str(path),
-                *([str(path)] if name in ("depth_estimation", "feature_matching") else []),
+                *([str(path)] if name in ("depth_estimation", "feature_matching", "attack_on_matching") else []),
             ]
         )
     assert stopped.value.code == 2

@@ -63,10 +63,11 @@ def otsu_threshold(
 def _thresholds(planes: Tensor, nbins: int) -> Tensor:
     exact = torch.float64 if planes.dtype in (torch.float64, torch.int32, torch.int64) else torch.float32
     values = planes.to(exact)
-    low, high = values.aminmax(dim=1, keepdim=True)
+    low, high = values.amin(1, keepdim=True), values.amax(1, keepdim=True)  # aminmax is slow on the CPU
     span = high - low
     # By way of int32: float to int64 is not vectorized on the CPU. The second clamp is for NaN.
-    bins = ((values - low) * nbins / torch.where(span > 0, span, 1)).clamp(0, nbins - 1).int().clamp(min=0).long()
+    scaled = (values - low).mul_(nbins).div_(torch.where(span > 0, span, 1))  # in place: new memory costs more than arithmetic
+    bins = scaled.clamp_(0, nbins - 1).int().clamp_(min=0).long()
     one = torch.ones_like(bins[:, :1])
     histogram = (0 * one).repeat(1, nbins).scatter_add_(1, bins, one.expand_as(bins))
     variance = _variance_between(histogram.double())
@@ -74,8 +75,8 @@ def _thresholds(planes: Tensor, nbins: int) -> Tensor:
     best = variance.argmax(1, keepdim=True)
 
     bright = bins > best
-    largest_dark = torch.where(bright, -torch.inf, values).amax(1, keepdim=True)
-    smallest_bright = torch.where(bright, values, torch.inf).amin(1, keepdim=True)
+    largest_dark = values.masked_fill(bright, -torch.inf).amax(1, keepdim=True)
+    smallest_bright = values.masked_fill(~bright, torch.inf).amin(1, keepdim=True)
     edge = low + (best + 1) * span / nbins
     edge = edge.to(planes.dtype).to(exact) if planes.is_floating_point() else edge.ceil() - 1
     edge = torch.where(edge < smallest_bright, torch.maximum(edge, largest_dark), largest_dark)

@@ -359,3 +359,33 @@ def test_compiles_with_labels() -> None:
     first = compiled(inputs[0])
     torch.manual_seed(1)
     assert torch.equal(compiled(inputs[0]), first)
+
+
+def test_nested_containers_have_draws_of_their_own_under_a_seed(device: torch.device) -> None:
+    """Neighbors with the same draws would always act together."""
+    x, seeds = torch.rand(400, 3, 4, 4, device=device), torch.arange(400, device=device)
+    flip, other = A.RandomHorizontalFlip(), A.RandomVerticalFlip()
+    for children in (
+        [flip, A.ImageSequential(other)],
+        [A.ImageSequential(flip), A.ImageSequential(other)],
+        [A.ImageSequential(flip, A.ImageSequential(other))],
+        [A.ImageSequential(A.ImageSequential(flip)), A.ImageSequential(A.ImageSequential(other))],
+    ):
+        container = A.ImageSequential(*children)
+        y = container(x, seed=seeds)
+        flips = [m for m in container.modules() if isinstance(m, type(flip)) or isinstance(m, type(other))]
+        a, b = (m._params["batch_prob"] > 0.5 for m in flips)
+        assert 0.35 < (a == b).float().mean() < 0.65
+        assert torch.equal(container(x, params=container._params), y)
+        assert torch.equal(container(x[7:9], seed=seeds[7:9]), y[7:9])
+    policies = A.ImageSequential(A.auto.TrivialAugment(), A.auto.TrivialAugment())
+    policies(x, seed=seeds)
+    a, b = (item.data[0].data["operation"] for item in policies._params)
+    assert (a == b).float().mean() < 0.3
+    ones = [A.ImageSequential(A.RandomInvert(p=1.0), A.RandomHorizontalFlip(p=1.0), random_apply=1) for _ in range(2)]
+    both = A.ImageSequential(*ones)
+    names = []
+    for seed in range(40):
+        both(x[:1], seed=seed)
+        names.append([item.data[0].name for item in both._params])
+    assert 5 < sum(first == second for first, second in names) < 35

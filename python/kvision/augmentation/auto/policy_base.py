@@ -104,7 +104,7 @@ class PolicyAugmentBase(ImageSequential):
     def _draw(self, x: Tensor, source: Randomness) -> list[tuple[Tensor, Tensor]]:
         """The operation and the value (B,) of each sample in each step."""
         keys = draw_keys(source.op, 1, x.device, source.seed_of_samples, source.generator)
-        (plan,) = self._plan(keys.one_key)
+        (plan,) = self._plan(keys.one_key, source.position if keys.one_key else 0)
         check_seeds(source.op, keys, len(range(0, len(x), source.frames)))
         drawn = plan.draw(x[:: source.frames], keys)
         if source.frames > 1:
@@ -119,11 +119,11 @@ class PolicyAugmentBase(ImageSequential):
         operation = torch.where(chance < probability, number, -1.0).long()
         return list(zip(operation.flatten(1).unbind(1), value.flatten(1).unbind(1)))
 
-    def _plan(self, one_key: bool) -> Sequence[DrawPlan]:
-        key = ("draw", one_key, bool(self.same_on_batch))
+    def _plan(self, one_key: bool, position: int) -> Sequence[DrawPlan]:
+        key = ("draw", one_key, position, bool(self.same_on_batch))
         plan: list[DrawPlan] | None = None if is_compiling() else self._plans.get(key)
         if plan is None:
-            plan = plan_draws([self._request()], one_key)
+            plan = plan_draws([self._request()], one_key, position)
             if not is_compiling():
                 self._plans.keep(key, plan)
         return plan

@@ -288,7 +288,10 @@ class ImageSequential(ImageSequentialBase):
         if self.random_apply is None:
             sequence = self.get_forward_sequence()
         else:
-            sequence = self.get_random_forward_sequence(seed=source.seed, generator=source.generator)
+            seed = source.seed
+            if seed is not None and source.position:
+                seed = seed + (source.position << 32)  # other children for other containers
+            sequence = self.get_random_forward_sequence(seed=seed, generator=source.generator)
         return [Child(name, module) for name, module in sequence]
 
     def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> Tensor:

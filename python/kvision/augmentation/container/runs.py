@@ -87,6 +87,7 @@ class Randomness(NamedTuple):
     plans: Plans  # of the container
     output: Output = SAME  # the type and layout of the results
     frames: int = 1  # how many neighboring samples share their parameters: the frames of a video
+    position: int = 0  # of the first child in the chain, under a seed
     time: int = 0  # how many neighboring samples are the frames of a video; 0 for images
 
     @property
@@ -97,9 +98,12 @@ class Randomness(NamedTuple):
         return self.seed
 
 
-def execute(x: Tensor, children: Sequence[Child], source: Randomness, position: int = 0) -> tuple[Tensor, list[Stage]]:
+def execute(
+    x: Tensor, children: Sequence[Child], source: Randomness, position: int | None = None
+) -> tuple[Tensor, list[Stage]]:
     """Run children on images (B, C, H, W); gives the result and what labels have to follow."""
     stages: list[Stage] = []
+    position = source.position if position is None else position
     runs = _runs(children, source.plans)
     for run in runs:
         output = source.output if run is runs[-1] else SAME
@@ -107,7 +111,7 @@ def execute(x: Tensor, children: Sequence[Child], source: Randomness, position: 
             x, more = _execute_run(x, run, source._replace(output=output), position)
             stages += more
         else:
-            x, stage = _execute_module(x, run[0], source)
+            x, stage = _execute_module(x, run[0], source._replace(position=_position_inside(position)))
             if output != SAME:
                 x, _ = make_pass(None, output=output).run(x, None)
             stages.append(stage)
@@ -115,6 +119,11 @@ def execute(x: Tensor, children: Sequence[Child], source: Randomness, position: 
     if not runs and source.output != SAME:
         x, _ = make_pass(None, output=source.output).run(x, None)
     return x, stages
+
+
+def _position_inside(position: int) -> int:
+    """Where the chain of a container begins that is a child at a position, so that its draws are not those of others."""
+    return (position + 1) * 256 % (1 << 20)
 
 
 def _runs(children: Sequence[Child], plans: Plans) -> list[list[Child]]:

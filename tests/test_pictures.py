@@ -60,7 +60,7 @@ def canny_of_opencv(p: Any) -> Any:
     return cv2.Canny(dx, dy, 0.2 * scale, 0.5 * scale, L2gradient=True) / np.float32(255)
 
 
-def grey(x: Tensor) -> Tensor:
+def gray(x: Tensor) -> Tensor:
     return x[:, :1]
 
 
@@ -165,10 +165,10 @@ PARITY = {
         lambda x: F.motion_blur(x, 7, 30.0, 0.5), lambda x: kornia.filters.motion_blur(x, 7, 30.0, 0.5)
     ),
     "guided 5, Kornia": Parity(
-        lambda x: F.guided_blur(grey(x), x, 5, 0.01),
-        lambda x: kornia.filters.guided_blur(grey(x), x, 5, 0.01),
+        lambda x: F.guided_blur(gray(x), x, 5, 0.01),
+        lambda x: kornia.filters.guided_blur(gray(x), x, 5, 0.01),
     ),
-    "canny, OpenCV": Parity(lambda x: F.canny(grey(x), 0.2, 0.5)[1], canny_of_opencv, tolerance=EXACT, outliers=5e-4),
+    "canny, OpenCV": Parity(lambda x: F.canny(gray(x), 0.2, 0.5)[1], canny_of_opencv, tolerance=EXACT, outliers=5e-4),
     "canny, Kornia": Parity(  # rounding decides a few ridges, and hysteresis follows them
         lambda x: F.canny(x)[1], lambda x: kornia.filters.canny(x)[1], tolerance=EXACT, outliers=5e-4
     ),

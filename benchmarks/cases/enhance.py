@@ -54,10 +54,10 @@ def contrast_opencv(x, out=None):
     return cv2.min(out, (1,) * 4, out)
 
 
-def contrast_mean_opencv(x, out=None, grey=None):
-    grey = cv2.cvtColor(x, cv2.COLOR_RGB2GRAY, grey)
-    out = cv2.addWeighted(x, 1.3, x, 0, -0.3 * cv2.mean(grey)[0], out)
-    return cv2.max(cv2.min(out, (1,) * 4, out), (0,) * 4, out), grey
+def contrast_mean_opencv(x, out=None, gray=None):
+    gray = cv2.cvtColor(x, cv2.COLOR_RGB2GRAY, gray)
+    out = cv2.addWeighted(x, 1.3, x, 0, -0.3 * cv2.mean(gray)[0], out)
+    return cv2.max(cv2.min(out, (1,) * 4, out), (0,) * 4, out), gray
 
 
 # -- chains of steps: augmentation in front of a network

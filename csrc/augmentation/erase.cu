@@ -1,4 +1,4 @@
-// Erased rectangles on CUDA: a block for a piece of a row, 16 bytes a thread.
+// Erased rectangles on CUDA: each thread has 16 bytes of a row.
 #include "augmentation/erase.h"
 #include "core/launch.cuh"
 
@@ -10,8 +10,8 @@ constexpr int kEraseThreads = 128;
 // P elements of a row for each thread. A row of a channels-last image has all channels of its pixels.
 template <class T, int P>
 __global__ void __launch_bounds__(kEraseThreads)
-    erase_rows(__grid_constant__ EraseRectangles<T> const p, unsigned pieces) {
-  int64_t const i = blockIdx.x * int64_t(kEraseThreads) + threadIdx.x, r = i / pieces, first = (i - r * pieces) * P;
+    erase_rows(__grid_constant__ EraseRectangles<T> const p, unsigned vectors) {
+  int64_t const i = blockIdx.x * int64_t(kEraseThreads) + threadIdx.x, r = i / vectors, first = (i - r * vectors) * P;
   if (r >= p.x.rows()) return;
   int64_t const plane = r / p.x.height, y = r - plane * p.x.height, b = p.sample(plane);
   Vector<T, P> v = *reinterpret_cast<Vector<T, P> const*>(p.x.row(plane, y) + first);
@@ -29,8 +29,8 @@ __global__ void __launch_bounds__(kEraseThreads)
 
 template <class T, int P>
 int launch_erase(EraseRectangles<T> const& p, CUstream_st* stream) {
-  unsigned const pieces = unsigned(p.x.row_size() / P);
-  erase_rows<T, P><<<unsigned(ceil_div(p.x.rows() * pieces, kEraseThreads)), kEraseThreads, 0, stream>>>(p, pieces);
+  unsigned const vectors = unsigned(p.x.row_size() / P);
+  erase_rows<T, P><<<unsigned(ceil_div(p.x.rows() * vectors, kEraseThreads)), kEraseThreads, 0, stream>>>(p, vectors);
   return cudaGetLastError();
 }
 

@@ -42,11 +42,11 @@ template <class V>
 KV_HD void crop_matrix(V const* x, V* m) {
   for (int i = 0; i < 9; ++i) m[i] = constant<V>(i == 8);
   auto const centers = x[6] > 0.;
-  V const least = constant<V>(kLeastSide), half = select(centers, constant<V>(0), constant<V>(.5));
+  V const min_side = constant<V>(kLeastSide), half = select(centers, constant<V>(0), constant<V>(.5));
   for (int i = 0; i < 2; ++i) {
     V const &first = x[i], &size = x[2 + i], &result = x[4 + i];
-    V const to = select(result - 1. < kLeastSide, least, result - 1.),
-            from = select(size - 1. < kLeastSide, least, size - 1.);
+    V const to = select(result - 1. < kLeastSide, min_side, result - 1.),
+            from = select(size - 1. < kLeastSide, min_side, size - 1.);
     V const scale = select(centers, to / from, result / size);
     m[4 * i] = scale;
     m[3 * i + 2] = (half - first) * scale - half;

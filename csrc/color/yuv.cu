@@ -34,8 +34,8 @@ template <class T>
 __global__ void __launch_bounds__(32 * kRows) split(__grid_constant__ SplitChroma<T> const p, bool vectorized) {
   using F = Compute<T>;
   int const x = int(blockIdx.x * 32 + threadIdx.x) * kPixelsPerThread, y = int(blockIdx.y * kRows + threadIdx.y);
-  int const width = int(p.colors.width), there = min(width - x, kPixelsPerThread);
-  if (there <= 0 || y >= p.chroma.height) return;
+  int const width = int(p.colors.width), num_pixels = min(width - x, kPixelsPerThread);
+  if (num_pixels <= 0 || y >= p.chroma.height) return;
   for (int64_t b = blockIdx.z; b < p.luma.count(); b += gridDim.z) {
     F c[2][3][kPixelsPerThread];
 #pragma unroll
@@ -43,7 +43,7 @@ __global__ void __launch_bounds__(32 * kRows) split(__grid_constant__ SplitChrom
 #pragma unroll
       for (int k = 0; k < 3; ++k)
         if (r < p.rows)
-          load_elements(p.colors.row(3 * b + k, int64_t(y) * p.rows + r) + x, vectorized, there, c[r][k]);
+          load_elements(p.colors.row(3 * b + k, int64_t(y) * p.rows + r) + x, vectorized, num_pixels, c[r][k]);
         else
 #pragma unroll
           for (int j = 0; j < kPixelsPerThread; ++j) c[r][k][j] = 0;
@@ -53,7 +53,7 @@ __global__ void __launch_bounds__(32 * kRows) split(__grid_constant__ SplitChrom
       F luma[kPixelsPerThread];
 #pragma unroll
       for (int j = 0; j < kPixelsPerThread; ++j) luma[j] = dot3(p.m, c[r][0][j], c[r][1][j], c[r][2][j]);
-      store_elements(p.luma.row(b, int64_t(y) * p.rows + r) + x, vectorized, there, luma);
+      store_elements(p.luma.row(b, int64_t(y) * p.rows + r) + x, vectorized, num_pixels, luma);
     }
     F sums[3][kPixelsPerThread / 2];
 #pragma unroll
@@ -67,7 +67,7 @@ __global__ void __launch_bounds__(32 * kRows) split(__grid_constant__ SplitChrom
 #pragma unroll
       for (int j = 0; j < kPixelsPerThread / 2; ++j)
         chroma[j] = dot3(p.m + 3 + 3 * k, sums[0][j], sums[1][j], sums[2][j]);
-      store_elements(p.chroma.row(2 * b + k, y) + x / 2, vectorized, there / 2, chroma);
+      store_elements(p.chroma.row(2 * b + k, y) + x / 2, vectorized, num_pixels / 2, chroma);
     }
   }
 }
@@ -76,14 +76,14 @@ template <class T>
 __global__ void __launch_bounds__(32 * kRows) join(__grid_constant__ JoinChroma<T> const p, bool vectorized) {
   using F = Compute<T>;
   int const x = int(blockIdx.x * 32 + threadIdx.x) * kPixelsPerThread, y = int(blockIdx.y * kRows + threadIdx.y);
-  int const width = int(p.colors.width), there = min(width - x, kPixelsPerThread);
-  if (there <= 0 || y >= p.chroma.height) return;
+  int const width = int(p.colors.width), num_pixels = min(width - x, kPixelsPerThread);
+  if (num_pixels <= 0 || y >= p.chroma.height) return;
   for (int64_t b = blockIdx.z; b < p.luma.count(); b += gridDim.z) {
     F luma[2][kPixelsPerThread], chroma[2][kPixelsPerThread / 2];
 #pragma unroll
     for (int k = 0; k < 2; ++k) {
-      load_elements(p.chroma.row(2 * b + k, y) + x / 2, vectorized, there / 2, chroma[k]);
-      if (k < p.rows) load_elements(p.luma.row(b, int64_t(y) * p.rows + k) + x, vectorized, there, luma[k]);
+      load_elements(p.chroma.row(2 * b + k, y) + x / 2, vectorized, num_pixels / 2, chroma[k]);
+      if (k < p.rows) load_elements(p.luma.row(b, int64_t(y) * p.rows + k) + x, vectorized, num_pixels, luma[k]);
     }
 #pragma unroll
     for (int r = 0; r < 2; ++r) {
@@ -94,7 +94,7 @@ __global__ void __launch_bounds__(32 * kRows) join(__grid_constant__ JoinChroma<
 #pragma unroll
         for (int j = 0; j < kPixelsPerThread; ++j)
           c[j] = dot3(p.m + 3 * k, luma[r][j], chroma[0][j / 2], chroma[1][j / 2]);
-        store_elements(p.colors.row(3 * b + k, int64_t(y) * p.rows + r) + x, vectorized, there, c);
+        store_elements(p.colors.row(3 * b + k, int64_t(y) * p.rows + r) + x, vectorized, num_pixels, c);
       }
     }
   }

@@ -1,6 +1,5 @@
 // Shared by all CUDA kernels: conversion of storage types, vector accesses, warp reductions, grid arithmetic. Included
-// by
-// *.cu files.
+// by *.cu files.
 #pragma once
 
 #include <cuda_runtime.h>

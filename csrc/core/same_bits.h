@@ -25,9 +25,9 @@ KV_HD double nearest(double x) {
 #endif
 }
 
-// e^x within an ulp, for x in [-700, 700], to which x is clamped: e^x is out of float32's range long before. x = n log
-// 2
-// + r, and the series of e^r for |r| <= log(2) / 2, whose first missing term is below 1e-17.
+// e^x within an ulp, for x in [-700, 700], to which x is clamped: e^x is out of float32's range long before.
+// With x = n log(2) + r, it is 2^n times the series of e^r for |r| <= log(2) / 2, whose first missing term is below
+// 1e-17.
 KV_HD double exponential(double x) {
   constexpr double series[] = {
       1 / 6227020800.0, 1 / 479001600.0, 1 / 39916800.0, 1 / 3628800.0, 1 / 362880.0, 1 / 40320.0, 1 / 5040.0,

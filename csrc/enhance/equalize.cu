@@ -183,7 +183,7 @@ __global__ void __launch_bounds__(kThreads) equalize_gradients(EqualizeBackward<
   }
   bool const stays = change == Change::none;
   Planes<T const> const& source = stays ? p.grad : p.output;
-  auto const pull = [&](auto const& vector, int i) {
+  auto const store_gradients = [&](auto const& vector, int i) {
     constexpr int N = sizeof(vector) / sizeof(T);
     F v[N];
 #pragma unroll
@@ -194,7 +194,7 @@ __global__ void __launch_bounds__(kThreads) equalize_gradients(EqualizeBackward<
     }
     store_vector(grad_x + i * p.grad_x.step, v);
   };
-  for_each_vector<kThreads, P>(source.plane(plane), source.step, int(begin), end, pull);
+  for_each_vector<kThreads, P>(source.plane(plane), source.step, int(begin), end, store_gradients);
 }
 
 template <int P, class T>

@@ -61,12 +61,12 @@ struct Moments {
   // Called by all threads of a warp; a thread without a sample passes a negative cell. Equal samples have equal cells,
   // and atomic additions to one cell are serialized: then one thread adds for the whole warp.
   __device__ __forceinline__ void add(int cell, float t) const {
-    bool const alike = __all_sync(kAll, cell == __shfl_sync(kAll, cell, 0));
+    bool const uniform = __all_sync(kAll, cell == __shfl_sync(kAll, cell, 0));
     if (cell < 0) return;
     float const square = t * t;
     int m0 = 1, m1 = __float2int_rn(t * kScale1), m2 = __float2int_rn(square * kScale2),
         m3 = __float2int_rn(square * t * kScale3);
-    if (alike) {
+    if (uniform) {
       m0 = 32, m1 = __reduce_add_sync(kAll, m1), m2 = __reduce_add_sync(kAll, m2), m3 = __reduce_add_sync(kAll, m3);
       if (threadIdx.x % 32 != 0) return;
     }

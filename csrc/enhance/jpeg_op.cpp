@@ -108,9 +108,9 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> jpeg_backward(Tensor const& grad, Ten
     Tensor const gradients = make({of * b * chunks, 128});
     JpegBlocks<T> const blocks{images<T const>(x, b), levels, numbers.tables<F>()};
     KV_RUN(jpeg_blocks, x, blocks, units, cost);
-    JpegBlocksBackward<T> const pull{blocks, images<T const>(g, b), grad_levels,
-                                     of_steps ? data_ptr<F>(gradients) : nullptr, chunks};
-    KV_RUN(jpeg_blocks_backward, x, pull, units, 2 * cost);
+    JpegBlocksBackward<T> const backward{blocks, images<T const>(g, b), grad_levels,
+                                         of_steps ? data_ptr<F>(gradients) : nullptr, chunks};
+    KV_RUN(jpeg_blocks_backward, x, backward, units, 2 * cost);
     if (of_image) {
       JpegPixelsBackward<T> const pixels{grad_levels, images<T>(grad_x, b)};
       KV_RUN(jpeg_pixels_backward, x, pixels, b * x.size(2), 4 * levels.width);

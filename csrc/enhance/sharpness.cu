@@ -65,7 +65,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8   ? 1
 
 // The contributions of a row of gradients: to the pixels themselves, and to their neighbors, summed along the row.
 template <class F>
-struct GivenRow {
+struct ContributedRow {
   F own[4], sums[4];
 };
 
@@ -103,13 +103,13 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
     below[4] = more_left ? far + v[0] + v[1] : v[4] + v[5] + far;
     next[4] = more_left ? v[0] : v[5];
   };
-  auto const give = [&](int y, bool of_strip) {
+  auto const contribute = [&](int y, bool of_strip) {
     T const* const row_g = rows_g.next();
     strip_g.load(g, row_g);
     if (more_left || more_right) g_more = read(row_g[more]);
     down_x();
     bool const inner = y > 0 && y + 1 < height;
-    auto const pull = [&](int i, int at, F grad) {
+    auto const pixel_vjp = [&](int i, int at, F grad) {
       F const smooth = smoothed(above[i] + adjacent[i] + below[i], own[i], F(0));
       SharpenedVjp<F> of = sharpened_vjp(own[i], smooth, grad, factor);
       bool const never_last = Aligned && i < 3;
@@ -117,16 +117,16 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
         of = {clipped_vjp(own[i], grad, F(0)), 0, 0};
       return of;
     };
-    GivenRow<F> row;
+    ContributedRow<F> row;
     F around[4];
 #pragma unroll
     for (int i = 0; i < 4; ++i) {
-      auto const of = pull(i, x + i, g[i]);
+      auto const of = pixel_vjp(i, x + i, g[i]);
       row.own[i] = of.own + smoothed(F(0), of.around, F(0));
       around[i] = of.around;
       if (of_strip) derivative += of.factor;
     }
-    F const end = more_left || more_right ? pull(4, more, g_more).around : F(0);
+    F const end = more_left || more_right ? pixel_vjp(4, more, g_more).around : F(0);
     F left = __shfl_up_sync(0xffffffffu, around[3], 1), right = __shfl_down_sync(0xffffffffu, around[0], 1);
     if (strip.left_end) left = more_left ? end : F(0);
     if (strip.right_end) right = more_right ? end : F(0);
@@ -139,12 +139,12 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
 
   down_x();
   down_x();
-  GivenRow<F> before{}, here, after;
-  if (y0 > 0) before = give(y0 - 1, false);
-  here = give(y0, true);
+  ContributedRow<F> before{}, here, after;
+  if (y0 > 0) before = contribute(y0 - 1, false);
+  here = contribute(y0, true);
   for (int y = y0; y < y1; ++y) {
     after = {};
-    if (y + 1 < height) after = give(y + 1, y + 1 < y1);
+    if (y + 1 < height) after = contribute(y + 1, y + 1 < y1);
     F result[4];
 #pragma unroll
     for (int i = 0; i < 4; ++i)

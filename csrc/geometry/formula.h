@@ -45,10 +45,10 @@ struct FormulaOptions {
 
 // The matrix of a warp, computed by the kernel of the warp from the first inputs of a formula. Only CUDA kernels do so.
 // formulas.h lists the formulas that they support; transform/matrix_formula.cuh has the code.
-enum class MatrixBy : int;  // 0 for a matrix that is a tensor
+enum class WarpFormula : int;  // 0 for a matrix that is a tensor
 struct MatrixFormula {
   static constexpr int kInputs = 6;
-  MatrixBy by{};
+  WarpFormula id{};
   TypedPointer inputs[kInputs];  // of the compute type
   int64_t strides[kInputs];
   FormulaOptions options;

@@ -24,7 +24,7 @@ namespace kv::geometry {
     "float turn, float x, float y, int rows")                                                                \
   _(translation_matrix2d, TranslationMatrix2d, "Tensor translation, float x, float y, int rows")             \
   _(scale_matrix2d, ScaleMatrix2d, "Tensor scale, Tensor? center, float x, float y")                         \
-  _(slant_matrix2d, SlantMatrix2d, "Tensor slant")                                                           \
+  _(shear_factor_matrix2d, ShearFactorMatrix2d, "Tensor factors")                                            \
   _(crop_matrix, CropMatrix, "Tensor quads, Tensor? first, float across, float down")
 
 #define KV_SPACE_FORMULAS(_)                                                                                       \
@@ -61,7 +61,7 @@ namespace kv::geometry {
   _(shear_matrix3d, ShearMatrix3d,                                                                               \
     "Tensor center, Tensor? xy, Tensor? xz, Tensor? yx, Tensor? yz, Tensor? zx, Tensor? zy")                     \
   _(perspective_matrix, PerspectiveMatrix, "Tensor points_src, Tensor points_dst")                               \
-  _(quad_shapes, QuadShapes, "Tensor quads, Tensor others")                                                      \
+  _(crop_box_checks, CropBoxChecks, "Tensor quads, Tensor others")                                               \
   _(essential_from_fundamental, EssentialFromFundamental, "Tensor fundamental, Tensor camera1, Tensor camera2")  \
   _(fundamental_from_essential, FundamentalFromEssential, "Tensor essential, Tensor camera1, Tensor camera2")    \
   _(fundamental_from_projections, FundamentalFromProjections, "Tensor projection1, Tensor projection2")          \
@@ -98,7 +98,7 @@ namespace kv::geometry {
   KV_MATRIX_FORMULAS(_) KV_LIE_GROUP_FORMULAS(_) KV_FEATURE_FORMULAS(_) KV_PLANE_FORMULAS(_) KV_SPACE_FORMULAS(_)
 
 #define KV_NAME_FORMULA(name, Formula, inputs) name,
-enum class MatrixBy : int { given, KV_PLANE_FORMULAS(KV_NAME_FORMULA) KV_SPACE_FORMULAS(KV_NAME_FORMULA) };
+enum class WarpFormula : int { none, KV_PLANE_FORMULAS(KV_NAME_FORMULA) KV_SPACE_FORMULAS(KV_NAME_FORMULA) };
 #undef KV_NAME_FORMULA
 
 #define KV_INSTANTIATE_FORMULA(name, Formula, inputs) \

@@ -45,19 +45,19 @@ struct LovaszErrors {
 };
 
 // An element of a segment; a segment is the pixels of one class in one image. The key is ascending for descending
-// errors. `place` is 2 pixel + [in the region].
+// errors. `code` is 2 pixel + [in the region].
 template <class F>
 struct Ranked {
   using Bits = std::conditional_t<sizeof(F) == 4, uint32_t, uint64_t>;
   Bits key;
-  uint32_t place;
+  uint32_t code;
 
   KV_HD static Ranked of(F error, int64_t pixel, bool inside) {
     return {Bits(~(__builtin_bit_cast(Bits, error) & (Bits(-1) >> 1))), uint32_t(2 * pixel + inside)};
   }
   KV_HD F error() const { return __builtin_bit_cast(F, Bits(~key & (Bits(-1) >> 1))); }
-  KV_HD bool inside() const { return place & 1; }
-  KV_HD int64_t pixel() const { return place >> 1; }
+  KV_HD bool inside() const { return code & 1; }
+  KV_HD int64_t pixel() const { return code >> 1; }
 };
 
 template <class F>
@@ -102,19 +102,19 @@ KV_HD F jaccard_derivative(bool is_inside, uint32_t all, uint32_t inside, uint32
 // The softmax of pixels V; load(c) returns their logits of class c.
 template <class Math, class V>
 struct LovaszSoftmax {
-  V most, scale;
+  V maximum, scale;
 
   template <class Load>
-  KV_HD LovaszSoftmax(int64_t classes, Load load) : most(load(0)) {
+  KV_HD LovaszSoftmax(int64_t classes, Load load) : maximum(load(0)) {
     for (int64_t c = 1; c < classes; ++c) {
       V const x = load(c);
-      most = x > most ? x : most;
+      maximum = x > maximum ? x : maximum;
     }
     V sum{};
-    for (int64_t c = 0; c < classes; ++c) sum += Math::exp(V(load(c) - most));
+    for (int64_t c = 0; c < classes; ++c) sum += Math::exp(V(load(c) - maximum));
     scale = Math::one() / sum;
   }
-  KV_HD V operator()(V x) const { return Math::exp(V(x - most)) * scale; }
+  KV_HD V operator()(V x) const { return Math::exp(V(x - maximum)) * scale; }
 };
 
 // Passes the errors of pixels V to store(c, errors). `label` has their labels, or NaN.

@@ -95,7 +95,7 @@ __global__ void __launch_bounds__(kFinalizeThreads) find_information(__grid_cons
   F const scale = p.binning.top * p.binning.top / F(1ll << p.bits);
   auto const count_of = [&](int i) {
     F const result = F(counts[i]) * scale;
-    return result < p.least ? p.least : result;
+    return result < p.min_count ? p.min_count : result;
   };
   double of_all[1] = {};
   for (int k = threadIdx.x / 32; k < bins; k += kFinalizeThreads / 32) {
@@ -137,7 +137,7 @@ __global__ void __launch_bounds__(kFinalizeThreads) find_information(__grid_cons
   for (int i = threadIdx.x; i < cells; i += kFinalizeThreads) {
     int const k = i / bins, m = i - k * bins;
     F const log_x = ::log(of_x[k] * inverse), log_y = ::log(of_y[m] * inverse), log_p = ::log(count_of(i) * inverse);
-    bool const too_few = sound && F(counts[i]) * scale < p.least;
+    bool const too_few = sound && F(counts[i]) * scale < p.min_count;
     gradients[i] = too_few ? F(0) : h.derivative(p.normalized, loss, log_x, log_y, log_p) * inverse;
   }
 }

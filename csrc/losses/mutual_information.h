@@ -1,7 +1,7 @@
 // Mutual information of two signals, by a joint histogram that is differentiable in both. A sample x adds w(|(x - low)
 // / (high - low) * (bins - 1) - k| / radius) to bin k of its signal; low and high are the minimum and maximum within
 // its mask, and w is 0 for arguments above 1. The product of both signals' weights is added to bin J_ij. With p = J /
-// S, where S is the sum of J and p is at least `least`, and with the entropies H of p and of its two marginals:
+// S, where S is the sum of J and p is at least `min_count`, and with the entropies H of p and of its two marginals:
 //
 //   loss = H(p) - H(px) - H(py), with the gradients dloss/dJ_ij = (log px_i + log py_j - log p_ij - loss) / S
 //   or, normalized, -(H(px) + H(py)) / H(p), with (log px_i + log py_j + loss log p_ij) / (H(p) S)
@@ -89,7 +89,7 @@ struct MutualInformation {
   Signal<F> x, y;
   int64_t rows, samples;
   Binning<F> binning;
-  F least;
+  F min_count;
   bool normalized;
   F *loss, *gradients, *ranges;  // (rows), (rows, bins of x, bins of y), (rows, 4): low and high of x, then of y
   // CUDA: chunks of a row, ranges of all chunks, joint histograms in fixed point, their marginals.

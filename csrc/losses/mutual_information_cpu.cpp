@@ -46,7 +46,7 @@ void mutual_information(MutualInformation<F> const& p, int64_t begin, int64_t en
     double all = 0;
     for (int64_t k = 0; k < bins; ++k)
       for (int64_t m = 0; m < bins; ++m) {
-        double const count = max(joint[k * bins + m] * scale, double(p.least));
+        double const count = max(joint[k * bins + m] * scale, double(p.min_count));
         sums[k] += count, sums[bins + m] += count, all += count;
       }
     Entropies<F> h{0, 0, 0};
@@ -57,7 +57,7 @@ void mutual_information(MutualInformation<F> const& p, int64_t begin, int64_t en
     }
     F* const gradients = p.gradients + row * cells;
     for (int64_t i = 0; i < cells; ++i) {
-      double const fraction = max(joint[i] * scale, double(p.least)) / all, log_of = ::log(fraction);
+      double const fraction = max(joint[i] * scale, double(p.min_count)) / all, log_of = ::log(fraction);
       h.joint -= fraction * log_of;
       gradients[i] = F(log_of);
     }
@@ -67,7 +67,7 @@ void mutual_information(MutualInformation<F> const& p, int64_t begin, int64_t en
       for (int64_t m = 0; m < bins; ++m) {
         F& derivative = gradients[k * bins + m];
         F const result = h.derivative(p.normalized, loss, F(sums[k]), F(sums[bins + m]), derivative) / F(all);
-        derivative = sound && joint[k * bins + m] * scale < p.least ? F(0) : result;
+        derivative = sound && joint[k * bins + m] * scale < p.min_count ? F(0) : result;
       }
   }
 }

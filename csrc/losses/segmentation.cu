@@ -32,7 +32,7 @@ struct Pixels {
   F* const column;
   int const stride;
   int label[P];
-  F counts[P], most[P], sum[P];
+  F counts[P], maximum[P], sum[P];
 
   __device__ __forceinline__ Pixels(Logits<T> const& logits, void* shared)
       : logits(logits), column(static_cast<F*>(shared) + P * threadIdx.x), stride(P * int(blockDim.x)) {}
@@ -46,13 +46,13 @@ struct Pixels {
   // The value of pixel i in class c, as a scalar.
   __device__ __forceinline__ F& at(int c, int i) const { return column[c * stride + i]; }
 
-  // Loads the logits of the pixels from `place` on into the column; 0 where the label is ignored.
-  __device__ __forceinline__ void read_logits(int64_t sample, int64_t place) {
+  // Loads the logits of the pixels from `pixel` on into the column; 0 where the label is ignored.
+  __device__ __forceinline__ void read_logits(int64_t sample, int64_t pixel) {
     int const classes = int(logits.classes);
-    auto const labels = *reinterpret_cast<Vector<int64_t, P> const*>(logits.labels(sample) + place);
-    T const* from = logits.sample(sample) + place;
+    auto const labels = *reinterpret_cast<Vector<int64_t, P> const*>(logits.labels(sample) + pixel);
+    T const* from = logits.sample(sample) + pixel;
 #pragma unroll
-    for (int i = 0; i < P; ++i) most[i] = -F(INFINITY);
+    for (int i = 0; i < P; ++i) maximum[i] = -F(INFINITY);
 #pragma unroll 1
     for (int c = 0; c < classes; c += kAtOnce, from += kAtOnce * logits.pixels) {
       Vector<T, P> vectors[kAtOnce];
@@ -63,7 +63,7 @@ struct Pixels {
       for (int k = 0; k < kAtOnce; ++k) {
         Vector<F, P> x;
 #pragma unroll
-        for (int i = 0; i < P; ++i) x.v[i] = read(vectors[k].v[i]), most[i] = largest(x.v[i], most[i]);
+        for (int i = 0; i < P; ++i) x.v[i] = read(vectors[k].v[i]), maximum[i] = largest(x.v[i], maximum[i]);
         set(min(c + k, classes - 1), x);  // clamped to the last class instead of a branch
       }
     }
@@ -71,7 +71,7 @@ struct Pixels {
     for (int i = 0; i < P; ++i) {
       label[i] = logits.class_of(labels.v[i]), counts[i] = logits.counts(labels.v[i]);
       if (counts[i] == 0) {
-        most[i] = 0;
+        maximum[i] = 0;
 #pragma unroll 1
         for (int c = 0; c < classes; ++c) at(c, i) = 0;
       }
@@ -105,7 +105,8 @@ struct Pixels {
 #pragma unroll
       for (int k = 0; k < N; ++k)
 #pragma unroll
-        for (int i = 0; i < P; ++i) vectors[k].v[i] = Math{}.exp(vectors[k].v[i] - most[i]), sum[i] += vectors[k].v[i];
+        for (int i = 0; i < P; ++i)
+          vectors[k].v[i] = Math{}.exp(vectors[k].v[i] - maximum[i]), sum[i] += vectors[k].v[i];
 #pragma unroll
       for (int k = 0; k < N; ++k) set(c + k, vectors[k]), f(c + k, vectors[k]);
     });
@@ -117,8 +118,8 @@ template <int P, class T, class Call>
 __device__ __forceinline__ void for_each_vector(Logits<T> const& logits, int64_t sample, int64_t chunk, Call f) {
   int64_t const end = min((chunk + 1) * logits.chunk, logits.pixels);
 #pragma unroll 1
-  for (int64_t place = chunk * logits.chunk + P * int64_t(threadIdx.x); place < end; place += P * int64_t(blockDim.x))
-    f(sample, place);
+  for (int64_t pixel = chunk * logits.chunk + P * int64_t(threadIdx.x); pixel < end; pixel += P * int64_t(blockDim.x))
+    f(sample, pixel);
 }
 
 // --- overlap of regions ----------------------------------------------------------------------------------------------
@@ -135,8 +136,8 @@ __global__ void __launch_bounds__(kThreads) sum_classes(__grid_constant__ Overla
 #pragma unroll 1
   for (int i = 0; i < 3 * classes; ++i) sums[i * threads + threadIdx.x] = 0;
 
-  for_each_vector<P>(p.logits, sample, chunk, [&](int64_t sample, int64_t place) {
-    pixels.read_logits(sample, place);
+  for_each_vector<P>(p.logits, sample, chunk, [&](int64_t sample, int64_t pixel) {
+    pixels.read_logits(sample, pixel);
     pixels.exponentiate([](int, Vector<F, P> const&) {});
     F scale[P];
 #pragma unroll
@@ -224,8 +225,8 @@ __global__ void __launch_bounds__(kThreads) find_overlap_backward(__grid_constan
   }
   __syncthreads();
 
-  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.chunks, [&](int64_t sample, int64_t place) {
-    pixels.read_logits(sample, place);
+  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.chunks, [&](int64_t sample, int64_t pixel) {
+    pixels.read_logits(sample, pixel);
     F dot[P] = {}, scale[P];
     pixels.exponentiate([&](int c, Vector<F, P> const& e) {
 #pragma unroll
@@ -236,7 +237,7 @@ __global__ void __launch_bounds__(kThreads) find_overlap_backward(__grid_constan
       dot[i] = (dot[i] + pixels.at(pixels.label[i], i) * of_both[pixels.label[i]]) / pixels.sum[i];
       scale[i] = pixels.counts[i] / pixels.sum[i];
     }
-    T* to = p.grad_logits + sample * classes * p.logits.pixels + place;
+    T* to = p.grad_logits + sample * classes * p.logits.pixels + pixel;
 #pragma unroll 4
     for (int c = 0; c < classes; ++c, to += p.logits.pixels) {
       Vector<F, P> const e = pixels.get(c);
@@ -254,13 +255,13 @@ __global__ void __launch_bounds__(kThreads) find_overlap_backward(__grid_constan
 
 // --- the focal loss --------------------------------------------------------------------------------------------------
 
-// For the pixels from `place` on: their losses, the gradients by log p, and the reciprocal sums of exponentials.
+// For the pixels from `pixel` on: their losses, the gradients by log p, and the reciprocal sums of exponentials.
 template <class T, int P>
 __device__ __forceinline__ void evaluate(Pixels<T, P>& pixels, FocalTerms<Compute<T>> const& terms, int64_t sample,
-                                         int64_t place, Compute<T> (&loss)[P], Compute<T> (&derivative)[P],
+                                         int64_t pixel, Compute<T> (&loss)[P], Compute<T> (&derivative)[P],
                                          Compute<T> (&scale)[P]) {
   using F = Compute<T>;
-  pixels.read_logits(sample, place);
+  pixels.read_logits(sample, pixel);
   F label[P], rest[P] = {};  // rest: the sum over the other classes
 #pragma unroll
   for (int i = 0; i < P; ++i) label[i] = pixels.at(pixels.label[i], i);
@@ -271,7 +272,8 @@ __device__ __forceinline__ void evaluate(Pixels<T, P>& pixels, FocalTerms<Comput
 #pragma unroll
   for (int i = 0; i < P; ++i) {
     F const factor = pixels.counts[i] * terms.factor(sample / pixels.logits.batch, pixels.label[i]);
-    focal_of_pixels(factor, terms.gamma, label[i], pixels.most[i], rest[i], Math{}, loss[i], derivative[i], scale[i]);
+    focal_of_pixels(factor, terms.gamma, label[i], pixels.maximum[i], rest[i], Math{}, loss[i], derivative[i],
+                    scale[i]);
     if (pixels.counts[i] == 0) loss[i] = derivative[i] = 0;
   }
 }
@@ -283,10 +285,10 @@ __global__ void __launch_bounds__(kThreads) find_focal(__grid_constant__ Focal<T
   int64_t const sample = blockIdx.x / p.logits.chunks;
   Pixels<T, P> pixels(p.logits, shared);
   F sum = 0;
-  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.chunks, [&](int64_t sample, int64_t place) {
+  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.chunks, [&](int64_t sample, int64_t pixel) {
     F loss[P], derivative[P], scale[P];
-    evaluate(pixels, p.terms, sample, place, loss, derivative, scale);
-    if (p.map) store_vector(p.map + sample * p.logits.pixels + place, loss);
+    evaluate(pixels, p.terms, sample, pixel, loss, derivative, scale);
+    if (p.map) store_vector(p.map + sample * p.logits.pixels + pixel, loss);
 #pragma unroll
     for (int i = 0; i < P; ++i) sum += loss[i];
   });
@@ -308,16 +310,16 @@ __global__ void __launch_bounds__(kThreads) find_focal_backward(__grid_constant_
   int64_t const sample = blockIdx.x / p.logits.chunks;
   F const of_sum = p.of_sums ? p.grad[sample / p.logits.batch] : F(0);
   Pixels<T, P> pixels(p.logits, shared);
-  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.chunks, [&](int64_t sample, int64_t place) {
+  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.chunks, [&](int64_t sample, int64_t pixel) {
     F loss[P], derivative[P], scale[P];
-    evaluate(pixels, p.terms, sample, place, loss, derivative, scale);
-    F const* const grad = p.grad + sample * p.logits.pixels + place;
+    evaluate(pixels, p.terms, sample, pixel, loss, derivative, scale);
+    F const* const grad = p.grad + sample * p.logits.pixels + pixel;
 #pragma unroll
     for (int i = 0; i < P; ++i) {
       derivative[i] = pixels.counts[i] == 0 ? F(0) : derivative[i] * (p.of_sums ? of_sum : grad[i]);
       scale[i] *= derivative[i];
     }
-    T* to = p.grad_logits + sample * classes * p.logits.pixels + place;
+    T* to = p.grad_logits + sample * classes * p.logits.pixels + pixel;
 #pragma unroll 4
     for (int c = 0; c < classes; ++c, to += p.logits.pixels) {
       Vector<F, P> const e = pixels.get(c);

@@ -163,16 +163,16 @@ constexpr F kLog2E = F(1.44269504088896340736);
 template <class F>
 constexpr F kMinNormal = sizeof(F) == 4 ? F(1.17549435e-38) : F(2.2250738585072014e-308);
 
-// The focal loss of pixels and its derivative by log p. `label` is the logit of the label, `most` the maximum logit,
+// The focal loss of pixels and its derivative by log p. `label` is the logit of the label, `maximum` the maximum logit,
 // and `rest` the sum of exp(logit - most) over the other classes. Math has exp and log of V. 1 - p and log p stay
 // accurate where p is nearly 1.
 template <class V, class F, class Math>
-KV_HD void focal_of_pixels(V factor, F gamma, V label, V most, V rest, Math math, V& loss, V& derivative, V& scale) {
+KV_HD void focal_of_pixels(V factor, F gamma, V label, V maximum, V rest, Math math, V& loss, V& derivative, V& scale) {
   V const one = V{} + F(1), min_normal = V{} + kMinNormal<F>;
-  V const own = math.exp(V(label - most)), sum = own + rest, log_sum = math.log(sum);
+  V const own = math.exp(V(label - maximum)), sum = own + rest, log_sum = math.log(sum);
   scale = one / sum;
   V const wrong = rest * scale, small = sum == one ? rest : V(log_sum * rest / (sum - one));
-  V const log_p = (label - most) - (own == one ? small : log_sum);
+  V const log_p = (label - maximum) - (own == one ? small : log_sum);
   V power = one;
   if (gamma != 0) power = math.exp(V(math.log(wrong > min_normal ? wrong : min_normal) * gamma));
   loss = -factor * power * log_p;

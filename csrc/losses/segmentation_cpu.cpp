@@ -16,12 +16,12 @@ struct Block {
   using F = Compute<T>;
   Logits<T> const& logits;
   Scratch<F> exponentials;
-  F most[kBlock], sum[kBlock], rest[kBlock];  // rest: the sum over all classes but the label
+  F maximum[kBlock], sum[kBlock], rest[kBlock];  // rest: the sum over all classes but the label
   F counts[kBlock], label[kBlock];
   int size = 0;
 
   explicit Block(Logits<T> const& logits) : logits(logits), exponentials(logits.classes * kBlock) {
-    for (int i = 0; i < kBlock; ++i) most[i] = sum[i] = rest[i] = counts[i] = label[i] = 0;
+    for (int i = 0; i < kBlock; ++i) maximum[i] = sum[i] = rest[i] = counts[i] = label[i] = 0;
     for (int64_t i = 0; i < logits.classes * kBlock; ++i) exponentials.data[i] = 0;
   }
   KV_HD F* of_class(int64_t c) { return exponentials.data + c * kBlock; }
@@ -48,8 +48,8 @@ struct Block {
       });
       for_each([&](auto width, int i) {
         constexpr int N = decltype(width)::value;
-        Lanes<F, N> const x = load<N>(to + i), before = load<N>(most + i);
-        store<N>(most + i, Lanes<F, N>(c == 0 ? x : x > before ? x : before));
+        Lanes<F, N> const x = load<N>(to + i), before = load<N>(maximum + i);
+        store<N>(maximum + i, Lanes<F, N>(c == 0 ? x : x > before ? x : before));
       });
     }
   }
@@ -62,7 +62,7 @@ struct Block {
       for_each([&](auto width, int i) {
         constexpr int N = decltype(width)::value;
         using V = Lanes<F, N>;
-        V const e = vexp2<F, N>(V((load<N>(row + i) - load<N>(most + i)) * kLog2E<F>));
+        V const e = vexp2<F, N>(V((load<N>(row + i) - load<N>(maximum + i)) * kLog2E<F>));
         store<N>(row + i, e);
         store<N>(sum + i, V(load<N>(sum + i) + e));
         store<N>(rest + i, V(load<N>(rest + i) + (load<N>(label + i) == F(c) ? V{} : e)));
@@ -106,7 +106,7 @@ struct FocalPixels {
       constexpr int N = decltype(width)::value;
       using V = Lanes<F, N>;
       V result, by_log, inverse;
-      focal_of_pixels(load<N>(factor + i), terms.gamma, load<N>(label + i), load<N>(block.most + i),
+      focal_of_pixels(load<N>(factor + i), terms.gamma, load<N>(label + i), load<N>(block.maximum + i),
                       load<N>(block.rest + i), Math<F, N>{}, result, by_log, inverse);
       V const counts = load<N>(block.counts + i);
       store<N>(loss + i, V(counts == 0 ? V{} : result));

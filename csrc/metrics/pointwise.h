@@ -79,7 +79,7 @@ KV_HD V not_far(V d) {
 // against the same error in log u or u - 1. Math has functions of V; its divide requires divisors of at least 1.
 template <class F, class Math, class V>
 KV_HD V one_minus_exp(V t) {
-  V const one = V{} + F(1), most = V{} + F(80), bounded = t > most ? most : t, u = Math::exp(V(-bounded));
+  V const one = V{} + F(1), bound = V{} + F(80), bounded = t > bound ? bound : t, u = Math::exp(V(-bounded));
   return u == one ? bounded : V((u - one) * bounded / Math::log(u));
 }
 template <class F, class Math, class V>

@@ -136,9 +136,9 @@ struct Pixels {
     y = work.y.plane(position.plane) + offset + first * y_stride;
   }
   __device__ __forceinline__ Pixels from(int row) const {
-    Pixels there = *this;
-    there.x += (row - next) * x_stride, there.y += (row - next) * y_stride, there.next = row;
-    return there;
+    Pixels moved = *this;
+    moved.x += (row - next) * x_stride, moved.y += (row - next) * y_stride, moved.next = row;
+    return moved;
   }
   __device__ __forceinline__ void fetch(float (&a)[kRows], float (&b)[kRows]) {
     if (next >= 0 && next + kRows <= height) {
@@ -352,9 +352,9 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
         for (int j = 0; j < kRows; ++j) {
           int const x = position.x + j;
           float const scale = mirrored && at_end(x, width) ? 2.f : 1.f;
-          bool const there = x >= work.offset && x < width - work.offset;
+          bool const in_bounds = x >= work.offset && x < width - work.offset;
 #pragma unroll
-          for (int m = 0; m < M; ++m) result[m][j] = there ? scale * result[m][j] : 0.f;
+          for (int m = 0; m < M; ++m) result[m][j] = in_bounds ? scale * result[m][j] : 0.f;
         }
     }
 #pragma unroll
@@ -459,13 +459,13 @@ struct Grid {
     threads = int(min(ceil_div(width, 32) * 32, int64_t(kThreads)));
     int64_t const rest = max(width - threads, int64_t(0));
     across = unsigned(1 + ceil_div(rest, threads - 2 * reach));
-    double least = INFINITY;
+    double min_work = INFINITY;
     int64_t const machine = multiprocessors();
     for (int64_t parts = 1; parts <= height / 8 + 1; ++parts) {
       int64_t const each = ceil_div(height, parts);
       int64_t const count = ceil_div(planes * across * ceil_div(height, each), machine);
       double const work = double(ceil_div(count, resident) * resident) * double(each + more);
-      if (work < least) least = work, rows = int(each);
+      if (work < min_work) min_work = work, rows = int(each);
     }
     down = unsigned(ceil_div(height, rows));
     blocks = unsigned(planes * across * down);

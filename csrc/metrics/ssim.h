@@ -178,14 +178,15 @@ struct SsimTiles {
   int64_t across, down;
 
   SsimTiles(int64_t height, int64_t width, int size) {
-    int64_t least = INT64_MAX;
+    int64_t min_work = INT64_MAX;
     int64_t const fewest = (width + kMaxThreads - 1) / kMaxThreads;
     for (int64_t parts = fewest; parts <= 3 * fewest; ++parts) {
       int64_t const each = (width + kRows * parts - 1) / (kRows * parts) * kRows, line = each + size - 1;
       int64_t const rounds = (line + kMaxThreads - 1) / kMaxThreads;
       int64_t const busy = max((line + 32 * rounds - 1) / (32 * rounds), (each + 31) / 32) * 32;
       int64_t const work = parts * busy * (rounds + 1);
-      if (work < least) least = work, columns = int(each), threads = int(busy), across = (width + each - 1) / each;
+      if (work < min_work)
+        min_work = work, columns = int(each), threads = int(busy), across = (width + each - 1) / each;
     }
     stride = (columns + size - 1 + kRows - 1) / kRows * kRows + 1;
     down = (height + kRows - 1) / kRows;

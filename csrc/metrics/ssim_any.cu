@@ -246,9 +246,9 @@ int ssim_any_backward(SsimBackward<T> const& p, CUstream_st* stream) {
   int64_t const volumes = volumes_of(work);
   int64_t const results =
       int64_t(work.depth - 2 * work.offset_z) * (work.height - 2 * work.offset) * (work.width - 2 * work.offset);
-  int64_t const together = p.room / (4 * results);
-  for (; work.first < volumes; work.first += together) {
-    int64_t const count = min(together, volumes - work.first);
+  int64_t const per_launch = p.room / (4 * results);
+  for (; work.first < volumes; work.first += per_launch) {
+    int64_t const count = min(per_launch, volumes - work.first);
     if (int const error = launch<false>(work, count, stream)) return error;
     if (int const error = launch<true>(work, count, stream)) return error;
   }

@@ -170,10 +170,10 @@ template <class T>
   constexpr int64_t little = 1 << 25, number = sizeof(Compute<T>);
   auto const sizes = window.sizes(x);
   int64_t const rows = sizes[sizes.size() - 2];
-  int64_t all = each, least = each * sizes.back() * (has_ssim_tiles(images) ? min(rows, window.size + 64) : rows);
-  if (x.dim() == 5) least *= sizes[2];
+  int64_t all = each, minimum = each * sizes.back() * (has_ssim_tiles(images) ? min(rows, window.size + 64) : rows);
+  if (x.dim() == 5) minimum *= sizes[2];
   for (int64_t const n : sizes) all *= n;
-  return min(max(max(little, x.numel() * int64_t(sizeof(T))) / number, least), max(all, int64_t(1)));
+  return min(max(max(little, x.numel() * int64_t(sizeof(T))) / number, minimum), max(all, int64_t(1)));
 }
 
 // The gradient of the first image, and with `grad_other` also of the second one: from the gradient of the similarity,

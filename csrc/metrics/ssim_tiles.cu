@@ -33,7 +33,7 @@ struct Work {
   int64_t first, band;                         // first plane and number of planes of a launch
   int top, bottom;                             // first and last row of the launch
   int stored_top, stored_bottom, stored_rows;  // rows with derivatives, and their maximum number
-  int together;                                // planes that a block processes one after the other
+  int planes_per_block;                        // planes that a block processes one after the other
   unsigned across, down;
   int columns, stride;  // of a tile: its pixels, and the stride of rows in shared memory
   int scales, sizes[kMaxSsimScales];
@@ -76,7 +76,7 @@ struct BlockPosition {
   __device__ __forceinline__ explicit BlockPosition(Work<F> const& p) {
     unsigned const tile = blockIdx.x / p.across, group = tile / p.down;
     int const thread = int(threadIdx.x), row = thread % kSide, column = thread / kSide * kSide;
-    plane = p.first + int64_t(group) * p.together;
+    plane = p.first + int64_t(group) * p.planes_per_block;
     x0 = int(blockIdx.x - tile * p.across) * p.columns, y0 = p.top + int(tile - group * p.down) * kSide;
     x = x0 + column, y = y0 + row, line = row * p.stride + column;
     within = column < p.columns && x < p.width && y < p.bottom;
@@ -93,9 +93,9 @@ __device__ __forceinline__ void list_rows(Work<F> const& p, BlockPosition const&
   int const first = derivatives ? p.stored_top : 0, end = derivatives ? p.stored_bottom : p.height;
   for (int i = int(threadIdx.x); i < kSide + taps - 1; i += int(blockDim.x)) {
     int const row = border_index(p.border, above + i, p.height);
-    bool const there = row >= first && row < end;
+    bool const in_bounds = row >= first && row < end;
     int64_t const of_x = derivatives ? (row - first) * (p.width - 2 * p.offset) : row * p.x.row_stride;
-    rows[i] = {there ? unsigned(of_x) : 0, there ? unsigned(row * p.y.row_stride) : 0, there};
+    rows[i] = {in_bounds ? unsigned(of_x) : 0, in_bounds ? unsigned(row * p.y.row_stride) : 0, in_bounds};
   }
 }
 
@@ -148,7 +148,7 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles(__grid_c
   bool const several = p.map || p.of_map;
   F result[kSide] = {};
 #pragma unroll 1
-  for (int c = 0; c < p.together; ++c) {
+  for (int c = 0; c < p.planes_per_block; ++c) {
     int64_t const plane = position.plane + c;
     T const *const xs = channel<T const>(p.x, plane), *const ys = channel<T const>(p.y, plane);
     auto const pixels = [&](int column) {
@@ -156,7 +156,7 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles(__grid_c
                         *const y = reinterpret_cast<uint8_t const*>(ys + column * p.y.step);
       return [=](Row const& row) {
         F const a = read(*reinterpret_cast<T const*>(x + row.x)), b = read(*reinterpret_cast<T const*>(y + row.y));
-        return Vector<F, 2>{row.there ? a : F(0), row.there ? b : F(0)};
+        return Vector<F, 2>{row.in_bounds ? a : F(0), row.in_bounds ? b : F(0)};
       };
     };
     F similar[kSide];
@@ -259,7 +259,7 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles(__grid_c
     }
   }
   if (p.map && position.within) {
-    F* const to = p.map + (position.plane / p.together * p.height + position.y) * p.width + position.x;
+    F* const to = p.map + (position.plane / p.planes_per_block * p.height + position.y) * p.width + position.x;
 #pragma unroll
     for (int j = 0; j < kSide; ++j)
       if (position.x + j < p.width) to[j] = result[j];
@@ -295,7 +295,7 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles_back(__g
           for (int m = 0; m < 4; ++m) of_pixel.v[m] *= factor;
         }
 #pragma unroll
-        for (int m = 0; m < 4; ++m) of_pixel.v[m] = row.there ? of_pixel.v[m] : F(0);
+        for (int m = 0; m < 4; ++m) of_pixel.v[m] = row.in_bounds ? of_pixel.v[m] : F(0);
         return of_pixel;
       };
     };
@@ -306,7 +306,7 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles_back(__g
     auto const gradient = [&](int column) {
       return [at = g + column](Row const& row) {
         F const of_pixel = at[row.x];
-        return Vector<F, 1>{row.there ? of_pixel : F(0)};
+        return Vector<F, 1>{row.in_bounds ? of_pixel : F(0)};
       };
     };
     sum_tile<1>(p, position, p.scales - 1, start - p.sizes[p.scales - 1], 0, rows, shared, gradient, apart);
@@ -367,7 +367,7 @@ int launch(Kernel kernel, Work<F>& work, int size, int64_t planes, int factors, 
   work.columns = tiles.columns, work.stride = tiles.stride;
   int const bytes = int(sizeof(F)) * kSide * (4 * tiles.stride + factors * tiles.threads);
   if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes)) return error;
-  kernel<<<unsigned(planes / work.together * tiles.count()), tiles.threads, bytes, stream>>>(work);
+  kernel<<<unsigned(planes / work.planes_per_block * tiles.count()), tiles.threads, bytes, stream>>>(work);
   return cudaGetLastError();
 }
 
@@ -396,7 +396,7 @@ int launch_gradients(Work<Compute<T>>& work, int size, int64_t room, Compute<T>*
   int64_t const most_rows = room / (row * (several ? 5 : 4));
   int const all = work.height - 2 * work.offset, reach = size / 2;
   int64_t const blocks = SsimTiles(work.height, work.width, size).count();
-  work.together = 1, work.band = busiest(max(most_rows / all, int64_t(1)), planes, blocks);
+  work.planes_per_block = 1, work.band = busiest(max(most_rows / all, int64_t(1)), planes, blocks);
   work.stored_rows = int(min(most_rows, int64_t(all)));
   work.derivatives = reinterpret_cast<Double4<F>*>(derivatives);
   work.scale_factors = several ? derivatives + 4 * work.band * work.stored_rows * row : nullptr;
@@ -422,7 +422,7 @@ int ssim_in_tiles(Ssim<T> const& p, CUstream_st* stream) {
   Work<F> work = work_of(p.images);
   work.result = stored_planes(p.similarity);
   work.loss = p.loss, work.partial = p.similarity.data ? nullptr : p.partial;
-  work.together = 1;
+  work.planes_per_block = 1;
   int const error = launch(ssim_tiles<T>, work, p.images.size, planes_of(work), 0, stream);
   if (error || p.similarity.data) return error;
   SsimTiles const tiles(p.images.x.height, p.images.x.width, p.images.size);
@@ -443,7 +443,7 @@ template <class T>
 int ms_ssim(MsSsim<T> const& p, CUstream_st* stream) {
   Work<Compute<T>> work = work_of(p.images, p.scales);
   work.loss = p.loss, work.map = p.map;
-  work.together = int(p.loss.planes);
+  work.planes_per_block = int(p.loss.planes);
   return launch(ssim_tiles<T>, work, p.images.size, planes_of(work), 0, stream);
 }
 

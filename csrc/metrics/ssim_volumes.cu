@@ -77,8 +77,8 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Wo
   if (thread < kSide + taps - 1) {
     int const z = border_index(p.border, z0 - R + thread, p.depth);
     Row& slice = slices[thread];
-    slice.there = z >= offset && z < p.depth - offset;
-    unsigned const at = slice.there ? unsigned(z - offset) : 0;
+    slice.in_bounds = z >= offset && z < p.depth - offset;
+    unsigned const at = slice.in_bounds ? unsigned(z - offset) : 0;
     if constexpr (Back)
       slice.x = at * unsigned((p.height - 2 * offset) * (p.width - 2 * offset));
     else
@@ -98,7 +98,7 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Wo
           Row const slice = slices[i];
           Double4<F> result = from[slice.x];
 #pragma unroll
-          for (int m = 0; m < 4; ++m) result.v[m] = slice.there ? result.v[m] : F(0);
+          for (int m = 0; m < 4; ++m) result.v[m] = slice.in_bounds ? result.v[m] : F(0);
           return result;
         };
         sum_window<4>(taps, weight, read_slice, across);
@@ -108,7 +108,7 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Wo
         auto const read_slice = [&](int i) {
           Row const slice = slices[i];
           F a = read(*reinterpret_cast<T const*>(xs + slice.x)), b = read(*reinterpret_cast<T const*>(ys + slice.y));
-          a = slice.there ? a : F(0), b = slice.there ? b : F(0);
+          a = slice.in_bounds ? a : F(0), b = slice.in_bounds ? b : F(0);
           F const d = a - b;
           return Double4<F>{a, b, a * a + b * b, d * d};
         };
@@ -240,9 +240,9 @@ int ssim_of_volumes_backward(SsimBackward<T> const& p, CUstream_st* stream) {
   int64_t const volumes = work.x.count() / work.depth;
   int64_t const results =
       int64_t(work.depth - 2 * work.offset) * (work.height - 2 * work.offset) * (work.width - 2 * work.offset);
-  int64_t const together = p.room / (4 * results);
-  for (; work.first < volumes; work.first += together) {
-    int64_t const count = min(together, volumes - work.first);
+  int64_t const per_launch = p.room / (4 * results);
+  for (; work.first < volumes; work.first += per_launch) {
+    int64_t const count = min(per_launch, volumes - work.first);
     if (int const error = launch<T, false>(work, count, stream)) return error;
     if (int const error = launch<F, true>(work, count, stream)) return error;
   }

@@ -15,7 +15,7 @@ using Double4 = Vector<F, 4>;
 // The offset of a row or slice, in bytes in the images and in elements in the result, and whether it exists.
 struct __align__(16) Row {
   unsigned x, y;
-  int there;
+  int in_bounds;
 };
 
 // sums[m][j] += weight(t) * read(j + t).v[m] over all t < taps, for eight adjacent j.

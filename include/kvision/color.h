@@ -8,9 +8,9 @@
 namespace kvision {
 
 // The steps and all their parameters as `numbers`. Those that are tensors stand in `parameters`, at most six, (B or 1,
-// C or 1, P) of floating-point numbers; `columns` has their places, counted along the last axes of all tensors, and -1
-// for numbers. `order` (B or 1, S) of int64 has the step of each position, or -1 for none. The result has the dtype and
-// the layout, "NCHW" or "NHWC", that are asked for; bytes are 255ths.
+// C or 1, P) of floating-point numbers; `columns` has their positions, counted along the last axes of all tensors, and
+// -1 for numbers. `order` (B or 1, S) of int64 has the step of each position, or -1 for none. The result has the dtype
+// and the layout, "NCHW" or "NHWC", that are asked for; bytes are 255ths.
 struct ColorProgram {
   // With their parameters, as csrc/color/step_list.h explains them.
   enum Step : int64_t {

@@ -16,8 +16,14 @@ INTERPOLATION = {  # ResizeFilter in csrc/geometry/transform/resize.h; warps tak
 INTERPOLATION_NAMES = tuple(INTERPOLATION)
 PADDING = {"fill": 0, "border": 1, "reflection": 2}  # Padding in csrc/geometry/transform/sampling.h
 PADDING_NAMES = tuple(PADDING)
-WARP_FORMULA = {  # MatrixBy in csrc/geometry/formulas.h
-    **{"affine_matrix2d": 1, "translation_matrix2d": 2, "scale_matrix2d": 3, "slant_matrix2d": 4, "crop_matrix": 5},
+WARP_FORMULA = {  # WarpFormula in csrc/geometry/formulas.h
+    **{
+        "affine_matrix2d": 1,
+        "translation_matrix2d": 2,
+        "scale_matrix2d": 3,
+        "shear_factor_matrix2d": 4,
+        "crop_matrix": 5,
+    },
     **{"affine_matrix3d": 6, "translation_matrix3d": 7, "perspective_matrix3d": 8},
 }
 PHOTOMETRIC_DISTANCE = {"l1": 0, "l2": 1, "charbonnier": 2}  # Distance in csrc/geometry/transform/photometric.h

@@ -368,7 +368,7 @@ int main() {
   check(
       "translation_matrix3d", [](auto const& t) { return ops::translation_matrix3d(t[0], 1, 2, 3, 3); },
       {torch::rand({2, 3})}, false);
-  check("quad_shapes", [](auto const& t) { return ops::quad_shapes(t[0], t[1]); }, {quads, quads + 1}, false);
+  check("crop_box_checks", [](auto const& t) { return ops::crop_box_checks(t[0], t[1]); }, {quads, quads + 1}, false);
   check(
       "shear_matrix3d", [](auto const& t) { return ops::shear_matrix3d(t[0], t[1], none, none, t[2], none, none); },
       {torch::rand({2, 3}), tangent, torch::rand({1})}, false);

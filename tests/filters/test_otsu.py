@@ -18,7 +18,7 @@ otsu = K.filters.otsu_threshold
 @pytest.mark.parametrize("name", ["camera", "coins", "page", "moon"])
 def test_photographs_against_opencv_and_skimage(name, device):
     image = getattr(skimage.data, name)()
-    image[0, :2] = 0, 255  # 256 bins are then the 256 grey levels, as OpenCV counts
+    image[0, :2] = 0, 255  # 256 bins are then the 256 gray levels, as OpenCV counts
     by_opencv, _ = cv2.threshold(image, 0, 255, cv2.THRESH_OTSU)
     mask, threshold = otsu(torch.from_numpy(image).to(device), return_mask=True)
     assert threshold.tolist() == [by_opencv] == [skimage.filters.threshold_otsu(image)]

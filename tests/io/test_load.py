@@ -315,8 +315,8 @@ def test_sample_images(monkeypatch, tmp_path):
 
 
 def test_jpeg_without_metadata_and_pillow_buffers(tmp_path):
-    """A file from memory, grey JPEG, as another library wrote it."""
+    """A file from memory, gray JPEG, as another library wrote it."""
     buffer = io.BytesIO()
     PIL.Image.fromarray(picture(1, height=32, width=32)).save(buffer, "JPEG", quality=100)
-    (tmp_path / "grey.jpg").write_bytes(buffer.getvalue())
-    assert K.io.load_image(tmp_path / "grey.jpg", ImageLoadType.UNCHANGED).shape == (1, 32, 32)
+    (tmp_path / "gray.jpg").write_bytes(buffer.getvalue())
+    assert K.io.load_image(tmp_path / "gray.jpg", ImageLoadType.UNCHANGED).shape == (1, 32, 32)

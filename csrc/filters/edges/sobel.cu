@@ -87,8 +87,7 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
   int const outer = clamp(extra_left ? extra - 1 : extra + 1, 0, width - 1);
 
   // A row of u and v needs the rows of x above, at and below it. The row above the image repeats the first one, so it
-  // has
-  // the first row's window: there the loop starts one row later, and it repeats the last row at the end.
+  // has the first row's window: there the loop starts one row later, and it repeats the last row at the end.
   int const first = max(y0 - 1, 0);
   RowCursor<T> rows_x(p.x, plane, first - 1), rows_g(p.grad, plane, first);
   T* out = p.grad_x.row(plane, y0);

@@ -113,16 +113,16 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
 
   int const x = x0 + threadIdx.x % kColumns, y = y0 + threadIdx.x / kColumns * kRun;
   if (x >= width || y >= height) return;
-  float center[kRun][C], centre_ab[kRun][C + 1], grad[kRun][C];
+  float center[kRun][C], center_ab[kRun][C + 1], grad[kRun][C];
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
 #pragma unroll
     for (int c = 0; c < C; ++c) {
       center[i][c] = s.at(y + i, x)[c * s.size()];
-      centre_ab[i][c] = ab.at(y + i, x)[c * ab.size()];
+      center_ab[i][c] = ab.at(y + i, x)[c * ab.size()];
       grad[i][c] = 0;
     }
-    centre_ab[i][C] = ab.at(y + i, x)[C * ab.size()];
+    center_ab[i][C] = ab.at(y + i, x)[C * ab.size()];
   }
   auto const load = [&](int row, int column, float(&pixel)[C], float(&pixel_ab)[C + 1]) {
 #pragma unroll
@@ -141,7 +141,7 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
         int const dy = row - i;
         if (dy < -ry || dy > ry) continue;
         float const space = falloff.space_y * float(dy * dy) + falloff.space_x * float(dx * dx);
-        accumulate_gradient<C, L1>(space, pixel, pixel_ab, center[i], centre_ab[i], true, grad[i]);
+        accumulate_gradient<C, L1>(space, pixel, pixel_ab, center[i], center_ab[i], true, grad[i]);
       }
     };
     if constexpr (R > 0) {
@@ -163,7 +163,7 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
           load(row, column, pixel, pixel_ab);
           int const dy = row - at_y, dx = column - at_x;
           float const space = falloff.space_y * float(dy * dy) + falloff.space_x * float(dx * dx);
-          accumulate_gradient<C, L1>(space, pixel, pixel_ab, center[i], centre_ab[i], false, grad[i]);
+          accumulate_gradient<C, L1>(space, pixel, pixel_ab, center[i], center_ab[i], false, grad[i]);
         }
     });
     T* const out = p.grad_x.row(b, 0, y + i) + x * p.grad_x.step;
@@ -226,7 +226,7 @@ __global__ void __launch_bounds__(kThreads)
       Window const window(p, at_y, at_x, is_own);
       for (int row = window.top; row <= window.bottom; ++row)
         for (int column = window.left; column <= window.right; ++column) {
-          int const dy = row - at_y, dx = column - at_x, there = (row - y0) * columns + column - x0;
+          int const dy = row - at_y, dx = column - at_x, neighbor = (row - y0) * columns + column - x0;
           auto const* const from = pixel(p.x, b, p.border, row, column);
           auto const* const from_guide = pixel(guide, b, p.border, row, column);
           T const* const from_grad = grad_at(row, column);
@@ -235,15 +235,15 @@ __global__ void __launch_bounds__(kThreads)
           F const weight = fast_exp2(space - (p.l1 ? d * d : d) * falloff.color);
           F weight_grad = 0;
           if (needs_guide) {
-            weight_grad = -products[there] - (is_own ? products[here] : F(0));
+            weight_grad = -products[neighbor] - (is_own ? products[here] : F(0));
             for (int k = 0; k < p.x.channels; ++k) {
-              weight_grad += value(p.grad, from_grad, k) * inverses[there] * value(p.x, q, k);
+              weight_grad += value(p.grad, from_grad, k) * inverses[neighbor] * value(p.x, q, k);
               if (is_own) weight_grad += value(p.grad, q_grad, k) * inverses[here] * value(p.x, from, k);
             }
             weight_grad *= weight * rate * (p.l1 ? d : F(1));
           }
           for (int k = 0; k < kChunk; ++k) {
-            if (c + k < p.x.channels) image_grads[k] += weight * value(p.grad, from_grad, c + k) * inverses[there];
+            if (c + k < p.x.channels) image_grads[k] += weight * value(p.grad, from_grad, c + k) * inverses[neighbor];
             if (c + k < guide.channels) {
               F const difference = value(guide, q_guide, c + k) - value(guide, from_guide, c + k);
               guide_grads[k] += !p.l1            ? weight_grad * difference

@@ -272,19 +272,19 @@ void multiply_weight_gradients(Window<F> const& w, Rows<F> const& x, Rows<F> con
   constexpr int N = kLanes<F>;
   int const channels = C ? C : x.channels;
   int64_t const stride_x = x.stride, stride_ab = ab.stride;
-  F const* const x_centre = x.row(position.y) + position.x;
-  F const* const ab_centre = ab.row(position.y) + position.x;
+  F const* const x_center = x.row(position.y) + position.x;
+  F const* const ab_center = ab.row(position.y) + position.x;
   for (int64_t row = position.first; row <= position.last; ++row) {
     F const* const x_pixel = x.row(row) + position.x;
     F const* const ab_pixel = ab.row(row) + position.x;
     w.for_each_tap(position, row, [&](int64_t tap, int64_t dx) {
       Vector<F> sum = -load<N>(ab_pixel + channels * stride_ab + dx);
       for (int c = 0; c < channels; ++c)
-        sum += load<N>(ab_pixel + c * stride_ab + dx) * load<N>(x_centre + c * stride_x);
+        sum += load<N>(ab_pixel + c * stride_ab + dx) * load<N>(x_center + c * stride_x);
       if (own) {
-        sum -= load<N>(ab_centre + channels * stride_ab);
+        sum -= load<N>(ab_center + channels * stride_ab);
         for (int c = 0; c < channels; ++c)
-          sum += load<N>(ab_centre + c * stride_ab) * load<N>(x_pixel + c * stride_x + dx);
+          sum += load<N>(ab_center + c * stride_ab) * load<N>(x_pixel + c * stride_x + dx);
       }
       store<N>(w.extras.data + tap * N, load<N>(w.extras.data + tap * N) * sum);
     });

@@ -13,13 +13,13 @@ __global__ void __launch_bounds__(kThreads)
   int64_t b;
   int y, x;
   tiles.locate(b, y, x);
-  bool const there = x < p.target.width && y < p.target.height;
+  bool const in_bounds = x < p.target.width && y < p.target.height;
   int64_t const row = p.x.row_stride, step = p.x.step;
   F to_depth = 0;
 #pragma unroll 1
   for (int i = 0; i < p.views; ++i) {
     F sums[kProjectionSums] = {};
-    if (there) {
+    if (in_bounds) {
       Reprojection<F> const projection(p.projections + b * p.projection_stride + i * p.projection_view_stride);
       DepthCoords<T> const coords(p, projection, b, y, x);
       TapWindow<2, F> const window(p, coords.u, coords.v);
@@ -48,7 +48,7 @@ __global__ void __launch_bounds__(kThreads)
     }
     store_block_sums<kThreads>(sums, p.sums + (int64_t(blockIdx.x) * p.views + i) * kProjectionSums);
   }
-  if (there) p.to_depth[(b * p.target.height + y) * p.target.width + x] = to_depth;
+  if (in_bounds) p.to_depth[(b * p.target.height + y) * p.target.width + x] = to_depth;
 }
 
 }  // namespace

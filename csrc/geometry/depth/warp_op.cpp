@@ -98,14 +98,14 @@ std::tuple<Tensor, Tensor> depth_warp_coords_backward(Tensor const& grad, Tensor
 
 }  // namespace
 
-#define KV_HOW "int interpolation, int padding, bool align_corners"
+#define KV_SAMPLING_OPTIONS "int interpolation, int padding, bool align_corners"
 
-KV_OPERATOR(depth_warp, "(Tensor image, Tensor depth, Tensor projection, " KV_HOW ") -> Tensor")
+KV_OPERATOR(depth_warp, "(Tensor image, Tensor depth, Tensor projection, " KV_SAMPLING_OPTIONS ") -> Tensor")
 KV_OPERATOR(depth_warp_image_backward,
-            "(Tensor grad, Tensor depth, Tensor projection, int[] size, " KV_HOW ") -> Tensor")
+            "(Tensor grad, Tensor depth, Tensor projection, int[] size, " KV_SAMPLING_OPTIONS ") -> Tensor")
 KV_OPERATOR(depth_warp_coords_backward,
-            "(Tensor grad, Tensor image, Tensor depth, Tensor projection, " KV_HOW ") -> (Tensor, Tensor)")
+            "(Tensor grad, Tensor image, Tensor depth, Tensor projection, " KV_SAMPLING_OPTIONS ") -> (Tensor, Tensor)")
 
-#undef KV_HOW
+#undef KV_SAMPLING_OPTIONS
 
 }  // namespace kv::geometry

@@ -312,7 +312,7 @@ KV_CALLED int essential(Points const& x, Points const& y, double (*models)[9]) {
   int const num_roots = small::real_roots(determinant, 10, roots);
   int count = 0;
   for (int n = 0; n < num_roots; ++n) {
-    double rows[3][3], best[3] = {}, most = 0, derivative;
+    double rows[3][3], best[3] = {}, largest = 0, derivative;
     for (int r = 0; r < 3; ++r)
       for (int c = 0; c < 3; ++c)
         rows[r][c] = small::evaluate_polynomial(system[r][c], c < 2 ? 3 : 4, roots[n], derivative);
@@ -320,7 +320,7 @@ KV_CALLED int essential(Points const& x, Points const& y, double (*models)[9]) {
       double v[3];
       cross3(rows[r], rows[(r + 1) % 3], v);
       double const size = dot3(v, v);
-      if (size > most) most = size, best[0] = v[0], best[1] = v[1], best[2] = v[2];
+      if (size > largest) largest = size, best[0] = v[0], best[1] = v[1], best[2] = v[2];
     }
     if (best[2] == 0) continue;
     double const factors[] = {best[0] / best[2], best[1] / best[2], roots[n], 1};
@@ -341,7 +341,7 @@ KV_CALLED int essential(Points const& x, Points const& y, double (*models)[9]) {
 template <class T>
 KV_HD void solve_minimal_sample(Minimal<T> const& p, int64_t sample) {
   using namespace minimal_solvers;
-  int const size = sample_size(p.model), numbers = p.model == Model::lines ? 4 : 2, most = candidates(p.model);
+  int const size = sample_size(p.model), numbers = p.model == Model::lines ? 4 : 2, max_models = candidates(p.model);
   int64_t indices[kMaxPoints];
   if (p.draws.data)
     choose_distinct(p, sample, size, indices);
@@ -371,13 +371,13 @@ KV_HD void solve_minimal_sample(Minimal<T> const& p, int64_t sample) {
     default:
       count = fundamental(x, y, size, models);
   }
-  for (int c = 0; c < most; ++c) {
+  for (int c = 0; c < max_models; ++c) {
     double scale = 0;
     if (c < count)
       for (int k = 0; k < 9; ++k) scale += models[c][k] * models[c][k];
     scale = p.model == Model::affine ? 1 : 1 / sqrt(scale);
     for (int k = 0; k < 9; ++k)
-      p.models.set((sample * most + c) * 9 + k, c < count ? models[c][k] * scale : small::nan());
+      p.models.set((sample * max_models + c) * 9 + k, c < count ? models[c][k] * scale : small::nan());
   }
 }
 

@@ -25,11 +25,11 @@ __global__ void __launch_bounds__(kThreads)
   p.fitting(plane, y, first, last);
   int const column = step == 1 ? at : at / step;
   bool above = column >= first && column < last, below = above;
-  T const* const centre = p.x.row(plane, y) + at;
-  F const v = read(*centre);
+  T const* const center = p.x.row(plane, y) + at;
+  F const v = read(*center);
   for (int k = -p.before[0]; k <= p.after[0]; ++k)
     for (int j = -p.before[1]; j <= p.after[1] && (above || below); ++j) {
-      T const* const row = centre + k * p.x.outer_stride + j * p.x.row_stride;
+      T const* const row = center + k * p.x.outer_stride + j * p.x.row_stride;
       for (int i = -p.before[2]; i <= p.after[2]; ++i) {
         if (i == 0 && j == 0 && k == 0) continue;
         F const other = read(row[i * step]);
@@ -37,7 +37,7 @@ __global__ void __launch_bounds__(kThreads)
         below = below && v < other;
       }
     }
-  if (p.y.data) p.y.row(plane, y)[at] = above ? *centre : T{};
+  if (p.y.data) p.y.row(plane, y)[at] = above ? *center : T{};
   if (p.maxima.data) p.maxima.row(plane, y)[at] = above;
   if (p.minima.data) p.minima.row(plane, y)[at] = below;
 }
@@ -103,10 +103,10 @@ struct Row {
     for (int i = 0; i < R; ++i) left.v[i] = right.v[i] = none();
   }
   __device__ __forceinline__ static T none() { return round_to<T>(__uint_as_float(0x7fc00000)); }
-  __device__ __forceinline__ void fetch(T const* at, bool there, int x, int width) {
+  __device__ __forceinline__ void fetch(T const* at, bool in_bounds, int x, int width) {
 #pragma unroll
     for (int i = 0; i < P; ++i) own.v[i] = none();
-    if (!there) return;
+    if (!in_bounds) return;
     if (x < width) own = *reinterpret_cast<Vector<T, P> const*>(at);
     if (threadIdx.x % 32 == 0 && x > 0) left = *reinterpret_cast<Vector<T, R> const*>(at - R);
     if (threadIdx.x % 32 == 31 && x + P < width) right = *reinterpret_cast<Vector<T, R> const*>(at + P);

@@ -37,7 +37,7 @@ void nms(Nms<T> const& p, int64_t begin, int64_t end) {
   int64_t const step = p.x.step, size = p.x.row_size();
   for (int64_t r = begin; r < end; ++r) {
     int64_t const plane = r / p.x.height, y = r % p.x.height;
-    T const* const centre = p.x.row(plane, y);
+    T const* const center = p.x.row(plane, y);
     T* const values = row_of(p.y, plane, y);
     uint8_t *const maxima = row_of(p.maxima, plane, y), *const minima = row_of(p.minima, plane, y);
     int64_t first, last;
@@ -52,11 +52,11 @@ void nms(Nms<T> const& p, int64_t begin, int64_t end) {
     for_each_vector<T>(first * step, last * step, [&](auto lanes, int64_t e) {
       constexpr int N = decltype(lanes)::value;
       using V = Lanes<F, N>;
-      V const v = load<N>(centre + e);
+      V const v = load<N>(center + e);
       auto above = (v == v) | (v != v), below = above;
       for (int k = -p.before[0]; k <= p.after[0]; ++k)
         for (int j = -p.before[1]; j <= p.after[1]; ++j) {
-          T const* const row = centre + k * p.x.outer_stride + j * p.x.row_stride + e;
+          T const* const row = center + k * p.x.outer_stride + j * p.x.row_stride + e;
           for (int i = -p.before[2]; i <= p.after[2]; ++i) {
             if (i == 0 && j == 0 && k == 0) continue;
             V const other = load<N>(row + i * step);

@@ -70,9 +70,9 @@ __global__ void __launch_bounds__(kThreads)
       refined = true;
       auto const coord = [&](int a) { return F(read(p.grad_coords[(3 * volume + a) * size + at])); };
       F const to_shift[] = {coord(1), coord(2), coord(0)};
-      F* const centre = grad_x + c[2] * plane + c[1] * width + c[0];
+      F* const center = grad_x + c[2] * plane + c[1] * width + c[0];
       q.vjp(to_shift, to_value,
-            [&](int dx, int dy, int dz, F number) { atomicAdd(centre + dz * plane + dy * width + dx, number); });
+            [&](int dx, int dy, int dz, F number) { atomicAdd(center + dz * plane + dy * width + dx, number); });
     });
     if (!refined) atomicAdd(grad_x + at, to_value);
   });

@@ -47,11 +47,11 @@ struct Quadratic {
   // at(dx, dy, dz) reads the voxel at this offset from the center.
   template <class At>
   KV_HD explicit Quadratic(At at) {
-    F const centre = at(0, 0, 0);
+    F const center = at(0, 0, 0);
     for (int a = 0; a < 3; ++a) {
       F const before = at(-(a == 0), -(a == 1), -(a == 2)), after = at(a == 0, a == 1, a == 2);
       g[a] = (after - before) * F(0.5);
-      diagonal[a] = after - 2 * centre + before;
+      diagonal[a] = after - 2 * center + before;
     }
     auto const twist = [&](int left_out) {
       auto const corner = [&](int first, int second) {
@@ -94,15 +94,15 @@ struct Quadratic {
     solve(grad_shift, u, done);
     F to_g[3];
     for (int a = 0; a < 3; ++a) to_g[a] = grad_value * shift[a] - u[a];
-    F to_centre = grad_value;
+    F to_center = grad_value;
     for (int a = 0; a < 3; ++a) {
       F const to_h = (grad_value * shift[a] * F(0.5) - u[a]) * shift[a];
       int const x = a == 0, y = a == 1, z = a == 2;
       add(x, y, z, to_h + to_g[a] * F(0.5));
       add(-x, -y, -z, to_h - to_g[a] * F(0.5));
-      to_centre -= 2 * to_h;
+      to_center -= 2 * to_h;
     }
-    add(0, 0, 0, to_centre);
+    add(0, 0, 0, to_center);
     for (int a = 0; a < 3; ++a) {
       int const i = (a + 1) % 3, j = (a + 2) % 3;
       F const to_h = (grad_value * shift[i] * shift[j] - u[i] * shift[j] - u[j] * shift[i]) * F(0.25);
@@ -126,8 +126,8 @@ KV_HD void find_peak(ConvQuadInterp3d<T> const& p, T const* volume, int z, int y
   for (int step = 0; step < p.steps; ++step) {
     for (int a = 0; a < 3; ++a)
       if (c[a] < 1 || c[a] > ends[a] - 2 || c[a] - start[a] > p.radius || start[a] - c[a] > p.radius) return;
-    T const* const centre = volume + int64_t(c[2]) * plane + c[1] * row + c[0];
-    Quadratic<F> const q([&](int dx, int dy, int dz) { return F(read(centre[dz * plane + dy * row + dx])); });
+    T const* const center = volume + int64_t(c[2]) * plane + c[1] * row + c[0];
+    Quadratic<F> const q([&](int dx, int dy, int dz) { return F(read(center[dz * plane + dy * row + dx])); });
     if (!q.solved) return;
     bool moved = false;
     int next[3];

@@ -60,10 +60,10 @@ void conv_quad_interp3d_backward(ConvQuadInterp3dBackward<T> const& p, int64_t b
           int64_t const at = z * plane + y * width + i;
           auto const coord = [&](int number) { return load<1>(p.grad_coords + (3 * volume + number) * size + at); };
           F const to_shift[] = {coord(1), coord(2), coord(0)}, to_value = load<1>(p.grad_values + volume * size + at);
-          F* const centre = grad_x + c[2] * plane + c[1] * width + c[0];
+          F* const center = grad_x + c[2] * plane + c[1] * width + c[0];
           grad_x[at] -= to_value;
           q.vjp(to_shift, to_value,
-                [&](int dx, int dy, int dz, F number) { centre[dz * plane + dy * width + dx] += number; });
+                [&](int dx, int dy, int dz, F number) { center[dz * plane + dy * width + dx] += number; });
         });
   }
 }

@@ -63,19 +63,19 @@ Tensor conv_quad_interp3d_backward(Tensor const& grad_coords, Tensor const& grad
                                    std::optional<Tensor> const& chosen, int64_t steps, double largest_shift,
                                    int64_t radius, bool along_scale) {
   char const* const op = "conv_quad_interp3d_backward";
-  KV_CHECK(grad_coords.dim() == 6, op, ": expected grad_places of 6 axes, got ", grad_coords.dim());
+  KV_CHECK(grad_coords.dim() == 6, op, ": expected grad_coords of 6 axes, got ", grad_coords.dim());
   int64_t const batch = grad_coords.size(0);
   Peaks const peaks(op, input, batch, chosen, steps, largest_shift, radius, along_scale);
   Tensor const& x = peaks.x;
-  check_sizes(op, "grad_places", grad_coords, x, {batch, x.size(1), 3, x.size(2), x.size(3), x.size(4)});
+  check_sizes(op, "grad_coords", grad_coords, x, {batch, x.size(1), 3, x.size(2), x.size(3), x.size(4)});
   check_sizes(op, "grad_values", grad_values, x, {batch, x.size(1), x.size(2), x.size(3), x.size(4)});
-  Tensor const to_places = expand_batch(grad_coords, batch), to_values = expand_batch(grad_values, batch);
+  Tensor const to_coords = expand_batch(grad_coords, batch), to_values = expand_batch(grad_values, batch);
   bool const wide = x.scalar_type() == ScalarType::Double;
   Tensor const grad_x = empty({x.size(0), x.size(1), x.size(2), x.size(3), x.size(4)}, x, Layout::planar,
                               wide ? ScalarType::Double : ScalarType::Float);
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    ConvQuadInterp3dBackward<T> const params{peaks.of<T>(nullptr, nullptr), data_ptr<T const>(to_places),
+    ConvQuadInterp3dBackward<T> const params{peaks.of<T>(nullptr, nullptr), data_ptr<T const>(to_coords),
                                              data_ptr<T const>(to_values), data_ptr<Compute<T>>(grad_x)};
     KV_RUN(conv_quad_interp3d_backward, x, params, params.forward.volumes, 16 * x.size(2) * x.size(3) * x.size(4));
   });
@@ -84,11 +84,12 @@ Tensor conv_quad_interp3d_backward(Tensor const& grad_coords, Tensor const& grad
 
 }  // namespace
 
-#define KV_HOW "Tensor? chosen, int steps, float largest_shift, int radius, bool along_scale"
+#define KV_PEAK_OPTIONS "Tensor? chosen, int steps, float largest_shift, int radius, bool along_scale"
 
-KV_OPERATOR(conv_quad_interp3d, "(Tensor input, " KV_HOW ") -> (Tensor, Tensor)")
-KV_OPERATOR(conv_quad_interp3d_backward, "(Tensor grad_places, Tensor grad_values, Tensor input, " KV_HOW ") -> Tensor")
+KV_OPERATOR(conv_quad_interp3d, "(Tensor input, " KV_PEAK_OPTIONS ") -> (Tensor, Tensor)")
+KV_OPERATOR(conv_quad_interp3d_backward,
+            "(Tensor grad_coords, Tensor grad_values, Tensor input, " KV_PEAK_OPTIONS ") -> Tensor")
 
-#undef KV_HOW
+#undef KV_PEAK_OPTIONS
 
 }  // namespace kv::geometry

@@ -106,7 +106,7 @@ template <int Help>
 struct ImageStrip {
   int height, width, x, y0, y1;
   unsigned plane;
-  bool there, writes;  // whether the thread's columns are in the image, and whether it writes them
+  bool in_bounds, writes;  // whether the thread's columns are in the image, and whether it writes them
   int64_t size;
   float const* image;
   float sharpness, from;
@@ -127,8 +127,8 @@ struct ImageStrip {
     x = int(warp - line * across) * kColumns + (int(lane) - Help) * kRun;
     y0 = int(line - plane * down) * kRows;
     y1 = min(y0 + kRows, height);
-    there = x >= 0 && x < width;
-    writes = there && lane >= Help && lane < 32 - Help;
+    in_bounds = x >= 0 && x < width;
+    writes = in_bounds && lane >= Help && lane < 32 - Help;
     size = int64_t(height) * width;
     image = data + plane * size + x;
     sharpness = float(kLog2E) / temperature;
@@ -137,27 +137,27 @@ struct ImageStrip {
   // Finds the largest number of the strip and of `reach` rows above and below. False if the range is too large for
   // shared exponentials, or if numbers are so large that rounding their exponents loses precision.
   __device__ __forceinline__ bool find_largest(int reach) {
-    float most = -INFINITY, least = INFINITY;
+    float maximum = -INFINITY, minimum = INFINITY;
 #pragma unroll 4
     for (int y = max(y0 - reach, 0); y < min(y1 + reach, height); ++y) {
-      if (!there) break;
+      if (!in_bounds) break;
       Vector<float, kRun> const v = load(image, y);
 #pragma unroll
       for (int i = 0; i < kRun; ++i)
-        most = ::fmax(most, v.v[i]), least = ::fmin(least, v.v[i]);  // fmax and fmin ignore NaN
+        maximum = ::fmax(maximum, v.v[i]), minimum = ::fmin(minimum, v.v[i]);  // fmax and fmin ignore NaN
     }
 #pragma unroll
     for (int step = 16; step > 0; step /= 2) {
-      most = ::fmax(most, __shfl_xor_sync(0xffffffffu, most, step));
-      least = ::fmin(least, __shfl_xor_sync(0xffffffffu, least, step));
+      maximum = ::fmax(maximum, __shfl_xor_sync(0xffffffffu, maximum, step));
+      minimum = ::fmin(minimum, __shfl_xor_sync(0xffffffffu, minimum, step));
     }
-    from = most * sharpness;
-    return (most - least) * sharpness <= kMaxExponent && ::fabs(from) <= 0x1p24f;
+    from = maximum * sharpness;
+    return (maximum - minimum) * sharpness <= kMaxExponent && ::fabs(from) <= 0x1p24f;
   }
   __device__ __forceinline__ Vector<float, kRun> load(float const* plane, int y) const {
     return *reinterpret_cast<Vector<float, kRun> const*>(plane + int64_t(y) * width);
   }
-  __device__ __forceinline__ bool has(int y) const { return there && y >= 0 && y < height; }
+  __device__ __forceinline__ bool has(int y) const { return in_bounds && y >= 0 && y < height; }
   __device__ __forceinline__ Vector<float, kRun> row(int y) const {
     return has(y) ? load(image, y) : Vector<float, kRun>{};
   }
@@ -225,13 +225,13 @@ __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ S
       }
     }
     Across<R> const total(totals), moment(moments);
-    Vector<float, kRun> places_x, places_y, means;
+    Vector<float, kRun> coords_x, coords_y, means;
     float scales[kRun];
 #pragma unroll
     for (int n = 0; n < kRun; ++n) {
       scales[n] = __fdividef(1.f, total.sum(n));
-      places_x.v[n] = (float(x + n - R) + total.moment(n) * scales[n]) * p.scale[2] + p.offset[2];
-      places_y.v[n] = (float(y - R) + moment.sum(n) * scales[n]) * p.scale[1] + p.offset[1];
+      coords_x.v[n] = (float(x + n - R) + total.moment(n) * scales[n]) * p.scale[2] + p.offset[2];
+      coords_y.v[n] = (float(y - R) + moment.sum(n) * scales[n]) * p.scale[1] + p.offset[1];
     }
     if constexpr (Values) {
       Across<R> const value(values);
@@ -239,8 +239,8 @@ __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ S
       for (int n = 0; n < kRun; ++n) means.v[n] = value.sum(n) * scales[n];
     }
     if (strip.writes) {
-      *reinterpret_cast<Vector<float, kRun>*>(to_x) = places_x;
-      *reinterpret_cast<Vector<float, kRun>*>(to_x + size) = places_y;
+      *reinterpret_cast<Vector<float, kRun>*>(to_x) = coords_x;
+      *reinterpret_cast<Vector<float, kRun>*>(to_x + size) = coords_y;
       if constexpr (Values) *reinterpret_cast<Vector<float, kRun>*>(to_value) = means;
     }
     to_x += width;
@@ -265,7 +265,7 @@ __global__ void __launch_bounds__(kThreads) records_of(__grid_constant__ SoftArg
   F const grad[] = {w.axes == 3 ? grad_of(0, 0) : F(0), grad_of(w.axes - 1, 1), grad_of(w.axes - 2, 2)};
   auto const record = record_of<F, F>(sums, grad, p.grad_values ? F(read(p.grad_values[coord])) : F(0));
   int64_t const count = w.volumes * w.coords();
-  F const numbers[] = {record.most, record.coord[0], record.coord[1], record.coord[2], record.value, record.rest};
+  F const numbers[] = {record.maximum, record.coord[0], record.coord[1], record.coord[2], record.value, record.rest};
 #pragma unroll
   for (int i = 0; i < kRecord; ++i) p.records[i * count + coord] = numbers[i];
 }
@@ -290,7 +290,7 @@ __global__ void __launch_bounds__(kThreads) voxels_of(__grid_constant__ SoftArgm
         F const* const from = p.records + volume * w.coords() + (int64_t(z) * w.out[1] + y) * w.out[2] + x;
         WindowRecord<F> const record{
             from[0], {from[count], from[2 * count], from[3 * count]}, from[4 * count], from[5 * count]};
-        sum += share_of<F, F>(record, v, fast_exp2((v - record.most) * sharpness),
+        sum += share_of<F, F>(record, v, fast_exp2((v - record.maximum) * sharpness),
                               F(vz + w.before[0] - z * w.stride[0]), F(vy + w.before[1] - y * w.stride[1]),
                               F(vx + w.before[2] - x * w.stride[2]), per_temperature);
       }
@@ -309,8 +309,8 @@ __device__ __forceinline__ float one_pixel(SoftArgmaxBackward<float> const& p, i
       float const* const grads = p.grad_coords + 2 * plane * w.coords() + int64_t(y) * w.out[2] + x;
       float const grad[] = {0, grads[w.coords()] * p.scale[1], grads[0] * p.scale[2]};
       auto const record = record_of<float, float>(sums_at(w, image, p.temperature, 0, y, x), grad, 0.f);
-      sum += share_of<float, float>(record, v, fast_exp2((v - record.most) * sharpness), 0, float(vy + w.before[1] - y),
-                                    float(vx + w.before[2] - x), 1 / p.temperature);
+      sum += share_of<float, float>(record, v, fast_exp2((v - record.maximum) * sharpness), 0,
+                                    float(vy + w.before[1] - y), float(vx + w.before[2] - x), 1 / p.temperature);
     }
   return sum;
 }

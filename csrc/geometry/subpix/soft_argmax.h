@@ -40,10 +40,10 @@ struct SoftArgmax {
   T *coords, *values;  // (n, axes, D', H', W'), (n, D', H', W') or null
 };
 
-// What the gradients of a window's voxels depend on. `most` is the largest x, which exponents are relative to.
+// What the gradients of a window's voxels depend on. `maximum` is the largest x, which exponents are relative to.
 template <class V>
 struct WindowRecord {
-  V most, coord[3], value, rest;  // all but `most` are divided by the sum of exponentials
+  V maximum, coord[3], value, rest;  // all but `maximum` are divided by the sum of exponentials
 };
 constexpr int kRecord = 6;
 
@@ -89,21 +89,21 @@ struct Readers {
 // The sums of a window. `at(k, j, i)` reads x at an index of the window; exp2 depends on the device.
 template <class V>
 struct WindowSums {
-  V most, total, index[3], value;
+  V maximum, total, index[3], value;
 
   template <class F, class At, class Exp2>
   KV_HD WindowSums(Span const& z, Span const& y, Span const& x, F sharpness, At at, Exp2 exp2) {
-    most = at(z.first, y.first, x.first);
+    maximum = at(z.first, y.first, x.first);
     for (int k = z.first; k < z.last; ++k)
       for (int j = y.first; j < y.last; ++j)
-        for (int i = x.first; i < x.last; ++i) most = max(most, V(at(k, j, i)));
+        for (int i = x.first; i < x.last; ++i) maximum = max(maximum, V(at(k, j, i)));
     total = value = index[0] = index[1] = index[2] = V{};
     for (int k = z.first; k < z.last; ++k) {
       V plane{};
       for (int j = y.first; j < y.last; ++j) {
         V row{};
         for (int i = x.first; i < x.last; ++i) {
-          V const v = at(k, j, i), e = exp2(V((v - most) * sharpness));
+          V const v = at(k, j, i), e = exp2(V((v - maximum) * sharpness));
           row += e;
           index[2] += e * F(i);
           value += e * v;
@@ -122,7 +122,7 @@ template <class V, class F>
 KV_HD WindowRecord<V> record_of(WindowSums<V> const& sums, V const (&grad)[3], V grad_value) {
   V const scale = F(1) / sums.total;
   WindowRecord<V> r;
-  r.most = sums.most;
+  r.maximum = sums.maximum;
   r.rest = grad_value * sums.value;
   for (int axis = 0; axis < 3; ++axis) {
     r.coord[axis] = grad[axis] * scale;

@@ -99,7 +99,8 @@ void soft_argmax_records(SoftArgmaxBackward<T> const& p, int64_t begin, int64_t 
       int64_t const coord = row.volume * w.coords() + at + x;
       V const grad_value = p.grad_values ? load<N>(p.grad_values + coord) : V{};
       auto const record = record_of<V, F>(sums, grad, grad_value);
-      V const numbers[] = {record.most, record.coord[0], record.coord[1], record.coord[2], record.value, record.rest};
+      V const numbers[] = {record.maximum,  record.coord[0], record.coord[1],
+                           record.coord[2], record.value,    record.rest};
       for (int i = 0; i < kRecord; ++i) store<N>(p.records + i * count + coord, numbers[i]);
     });
   }
@@ -131,7 +132,7 @@ void soft_argmax_backward(SoftArgmaxBackward<T> const& p, int64_t begin, int64_t
                                          {load<N>(at + count), load<N>(at + 2 * count), load<N>(at + 3 * count)},
                                          load<N>(at + 4 * count),
                                          load<N>(at + 5 * count)};
-            V const e = vexp2<F, N>(V((v - record.most) * sharpness));
+            V const e = vexp2<F, N>(V((v - record.maximum) * sharpness));
             sum += share_of<V, F>(record, v, e, F(row.z + w.before[0] - z * w.stride[0]),
                                   F(row.y + w.before[1] - y * w.stride[1]), F(x + w.before[2] - o * w.stride[2]),
                                   per_temperature);

@@ -66,11 +66,11 @@ Tensor soft_argmax_backward(Tensor const& grad_coords, Tensor const& grad_values
   char const* const op = "soft_argmax_backward";
   Windows w = windows_of(op, input, window, stride, padding, scale_too);
   KV_CHECK(temperature > 0, op, ": temperature must be positive, got ", temperature);
-  KV_CHECK(grad_coords.dim() == 6, op, ": expected grad_places of 6 axes, got ", grad_coords.dim());
+  KV_CHECK(grad_coords.dim() == 6, op, ": expected grad_coords of 6 axes, got ", grad_coords.dim());
   int64_t const b = grad_coords.size(0), c = input.size(1);
   w.volumes = b * c;
   check_sizes(op, "input", input, grad_coords, {b, c, w.size[0], w.size[1], w.size[2]});
-  check_sizes(op, "grad_places", grad_coords, input, {b, c, w.axes, w.out[0], w.out[1], w.out[2]});
+  check_sizes(op, "grad_coords", grad_coords, input, {b, c, w.axes, w.out[0], w.out[1], w.out[2]});
   check_sizes(op, "grad_values", grad_values, input, {b, c, with_values ? w.out[0] : 0, w.out[1], w.out[2]});
   Tensor const x = expand_batch(input, b), g = expand_batch(grad_coords, b), v = expand_batch(grad_values, b);
   Tensor const grad_x = empty({b, c, w.size[0], w.size[1], w.size[2]}, x);
@@ -103,12 +103,13 @@ Tensor soft_argmax_backward(Tensor const& grad_coords, Tensor const& grad_values
 
 }  // namespace
 
-#define KV_HOW \
+#define KV_WINDOW_OPTIONS \
   "int[] window, int[] stride, int[] padding, float temperature, bool normalized, bool scale_too, bool with_values"
 
-KV_OPERATOR(soft_argmax, "(Tensor input, " KV_HOW ") -> (Tensor, Tensor)")
-KV_OPERATOR(soft_argmax_backward, "(Tensor grad_places, Tensor grad_values, Tensor input, " KV_HOW ") -> Tensor")
+KV_OPERATOR(soft_argmax, "(Tensor input, " KV_WINDOW_OPTIONS ") -> (Tensor, Tensor)")
+KV_OPERATOR(soft_argmax_backward,
+            "(Tensor grad_coords, Tensor grad_values, Tensor input, " KV_WINDOW_OPTIONS ") -> Tensor")
 
-#undef KV_HOW
+#undef KV_WINDOW_OPTIONS
 
 }  // namespace kv::geometry

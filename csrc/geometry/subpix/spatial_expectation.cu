@@ -25,7 +25,7 @@ __device__ __forceinline__ ExpectationSums<F> over_block(ExpectationSums<F> sums
 #pragma unroll
   for (int lane = 16; lane > 0; lane /= 2) {
     ExpectationSums<F> other;
-    other.most = __shfl_xor_sync(0xffffffffu, sums.most, lane),
+    other.maximum = __shfl_xor_sync(0xffffffffu, sums.maximum, lane),
     other.sum = __shfl_xor_sync(0xffffffffu, sums.sum, lane);
     other.x = __shfl_xor_sync(0xffffffffu, sums.x, lane), other.y = __shfl_xor_sync(0xffffffffu, sums.y, lane);
     sums.add(other, softmax, exp);
@@ -50,13 +50,13 @@ __global__ void __launch_bounds__(kThreads)
                      [&](auto count, unsigned i, unsigned x, unsigned row) {
                        constexpr int P = decltype(count)::value;
                        Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(from + i);
-                       F v[P], most = sums.most;
+                       F v[P], maximum = sums.maximum;
 #pragma unroll
-                       for (int k = 0; k < P; ++k) v[k] = read(vector.v[k]), most = v[k] > most ? v[k] : most;
+                       for (int k = 0; k < P; ++k) v[k] = read(vector.v[k]), maximum = v[k] > maximum ? v[k] : maximum;
                        if (maps.softmax) {
-                         sums.rescale(most, exp);
+                         sums.rescale(maximum, exp);
 #pragma unroll
-                         for (int k = 0; k < P; ++k) v[k] = exp(v[k] - most);
+                         for (int k = 0; k < P; ++k) v[k] = exp(v[k] - maximum);
                        }
                        F const y = maps.along_y.at(F(row));
 #pragma unroll

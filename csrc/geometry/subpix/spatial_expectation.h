@@ -37,10 +37,10 @@ struct HeatMaps {
 };
 
 // Sums over pixels: of their weights, and of the weights times the coordinates. The weights of a softmax are
-// exponentials relative to that of `most`.
+// exponentials relative to that of `maximum`.
 template <class F>
 struct ExpectationSums {
-  F most, sum, x, y;
+  F maximum, sum, x, y;
 
   KV_HD static ExpectationSums nothing(bool softmax) {
     return {softmax ? (sizeof(F) == 4 ? F(-3.4e38) : F(-1.7e308)) : F(0), F(0), F(0), F(0)};
@@ -48,21 +48,21 @@ struct ExpectationSums {
   // Makes the sums relative to `largest`. exp(d) is the exponential of the softmax scale times d.
   template <class Exp>
   KV_HD void rescale(F largest, Exp exp) {
-    F const factor = exp(most - largest);
-    most = largest, sum *= factor, x *= factor, y *= factor;
+    F const factor = exp(maximum - largest);
+    maximum = largest, sum *= factor, x *= factor, y *= factor;
   }
   template <class Exp>
   KV_HD void add(ExpectationSums other, bool softmax, Exp exp) {
     if (softmax) {
-      F const largest = other.most > most ? other.most : most;
+      F const largest = other.maximum > maximum ? other.maximum : maximum;
       rescale(largest, exp), other.rescale(largest, exp);
     }
     sum += other.sum, x += other.x, y += other.y;
   }
   // Stores a plane's coordinates, and the largest number and the sum of its softmax.
-  KV_HD void store(F* place, F* parts, bool softmax) const {
-    place[0] = softmax ? x / sum : x, place[1] = softmax ? y / sum : y;
-    parts[0] = most, parts[1] = sum;
+  KV_HD void store(F* coords, F* parts, bool softmax) const {
+    coords[0] = softmax ? x / sum : x, coords[1] = softmax ? y / sum : y;
+    parts[0] = maximum, parts[1] = sum;
   }
 };
 
@@ -88,18 +88,23 @@ template <class T>
 struct ExpectationGradient {
   using F = Compute<T>;
   bool softmax;
-  F of_x, of_y, of_mean, most, factor;
+  F of_x, of_y, of_mean, maximum, factor;
 
   KV_HD ExpectationGradient(SpatialExpectationBackward<T> const& p, int64_t plane)
-      : softmax(p.maps.softmax), of_x(p.grad[2 * plane]), of_y(p.grad[2 * plane + 1]), of_mean(0), most(0), factor(1) {
+      : softmax(p.maps.softmax),
+        of_x(p.grad[2 * plane]),
+        of_y(p.grad[2 * plane + 1]),
+        of_mean(0),
+        maximum(0),
+        factor(1) {
     if (!softmax) return;
     of_mean = of_x * p.coords[2 * plane] + of_y * p.coords[2 * plane + 1];
-    most = p.parts[2 * plane], factor = p.maps.scale / p.parts[2 * plane + 1];
+    maximum = p.parts[2 * plane], factor = p.maps.scale / p.parts[2 * plane + 1];
   }
   template <class V, class Exp>
   KV_HD V at(V value, V x, V y, Exp exp) const {
     V const gradient = of_x * x + of_y * y - of_mean;
-    return softmax ? V(gradient * factor * exp(V(value - most))) : gradient;
+    return softmax ? V(gradient * factor * exp(V(value - maximum))) : gradient;
   }
 };
 

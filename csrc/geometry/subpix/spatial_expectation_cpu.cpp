@@ -36,15 +36,15 @@ void spatial_expectation(SpatialExpectation<T> const& p, int64_t begin, int64_t 
     auto sums = ExpectationSums<F>::nothing(maps.softmax);
     if (maps.softmax) {
       T const* const from = maps.data + (plane * maps.height + first) * maps.width;
-      Lanes<F, N> most = broadcast<N>(sums.most);
+      Lanes<F, N> maximum = broadcast<N>(sums.maximum);
       for_each_vector<T>(0, (last - first) * maps.width, [&](auto width, int64_t e) {
         constexpr int M = decltype(width)::value;
         if constexpr (M == 1)
-          sums.most = max(sums.most, F(load<1>(from + e)));
+          sums.maximum = max(sums.maximum, F(load<1>(from + e)));
         else
-          most = max(most, load<M>(from + e));
+          maximum = max(maximum, load<M>(from + e));
       });
-      for (int k = 0; k < N; ++k) sums.most = max(sums.most, F(most[k]));
+      for (int k = 0; k < N; ++k) sums.maximum = max(sums.maximum, F(maximum[k]));
     }
     for (int64_t y = first; y < last; ++y) {
       T const* const row = maps.data + (plane * maps.height + y) * maps.width;
@@ -52,7 +52,7 @@ void spatial_expectation(SpatialExpectation<T> const& p, int64_t begin, int64_t 
         constexpr int M = decltype(width)::value;
         using V = Lanes<F, M>;
         V const v = load<M>(row + x);
-        return maps.softmax ? exp.template of<M>(V(v - sums.most)) : v;
+        return maps.softmax ? exp.template of<M>(V(v - sums.maximum)) : v;
       };
       Lanes<F, N> all{}, along{};
       int64_t x = 0;

@@ -64,10 +64,10 @@ Tensor spatial_expectation_backward(Tensor const& grad, Tensor const& coords, Te
   auto const checked = [&](char const* name, Tensor const& t) {
     KV_CHECK(t.dim() == 3 && t.size(0) == x.size(0) && t.size(1) == x.size(1) && t.size(2) == 2 &&
                  t.scalar_type() == compute_dtype(x) && t.device() == x.device(),
-             op, ": expected ", name, " to be that of the places");
+             op, ": expected ", name, " to be that of the coords");
     return dense(t);
   };
-  Tensor const g = checked("grad", grad), means = checked("places", coords), of_sum = checked("parts", parts);
+  Tensor const g = checked("grad", grad), means = checked("coords", coords), of_sum = checked("parts", parts);
   Tensor const grad_x = empty({x.size(0), x.size(1), x.size(2), x.size(3)}, x);
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
@@ -85,7 +85,7 @@ Tensor spatial_expectation_backward(Tensor const& grad, Tensor const& coords, Te
 
 KV_OPERATOR(spatial_expectation, "(Tensor input, bool softmax, float scale, bool normalized) -> (Tensor, Tensor)")
 KV_OPERATOR(spatial_expectation_backward,
-            "(Tensor grad, Tensor places, Tensor parts, Tensor input, bool softmax, float scale, bool normalized) -> "
+            "(Tensor grad, Tensor coords, Tensor parts, Tensor input, bool softmax, float scale, bool normalized) -> "
             "Tensor")
 
 }  // namespace kv::geometry

@@ -88,7 +88,7 @@ struct ShearMatrix2d {
   }
 };
 
-struct SlantMatrix2d : VectorInput<2, 2, 3> {
+struct ShearFactorMatrix2d : VectorInput<2, 2, 3> {
   template <class V>
   static KV_HD void evaluate(V const* x, V* m, FormulaOptions const&) {
     for (int i = 0; i < 6; ++i) m[i] = constant<V>(i % 4 == 0);
@@ -260,7 +260,7 @@ struct PerspectiveMatrix3d {
 
 // Of two quadrangles: the differences of opposite sides, x and y of each, and the diagonal of the second one from its
 // first corner to its third.
-struct QuadShapes {
+struct CropBoxChecks {
   static constexpr int kInputs = 2, kRequired = 2, kInputSize = 16, kOutputSize = 6, kScalars = 0, kOptionalLastRow = 0;
   static constexpr Extent extent(int) { return {4, 2}; }
   static constexpr Extent result = {6};

@@ -29,12 +29,12 @@ __device__ __forceinline__ void make_matrix(MatrixFormula const& p, int64_t b, F
 
 // Not inlined: one thread of a block calls it once, and inlining would raise the register count of all threads.
 #define KV_CASE(name, Formula, inputs) \
-  case MatrixBy::name:                 \
+  case WarpFormula::name:              \
     return make_matrix<Formula>(p, b, m);
 
 template <class F>
 __device__ __noinline__ void make_plane_matrix(MatrixFormula const& p, int64_t b, F* m) {
-  switch (p.by) {
+  switch (p.id) {
     KV_PLANE_FORMULAS(KV_CASE)
     default:
       return;
@@ -43,7 +43,7 @@ __device__ __noinline__ void make_plane_matrix(MatrixFormula const& p, int64_t b
 
 template <class F>
 __device__ __noinline__ void make_space_matrix(MatrixFormula const& p, int64_t b, F* m) {
-  switch (p.by) {
+  switch (p.id) {
     KV_SPACE_FORMULAS(KV_CASE)
     default:
       return;

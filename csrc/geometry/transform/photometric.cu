@@ -7,15 +7,15 @@ namespace {
 
 // Calls pixel(y, x, window, coordinates) for the thread's pixels whose sampling coordinates lie between four pixels.
 template <class T, class Pixel>
-__device__ __forceinline__ void for_each_seen(Photometric<T> const& p, TileCoords<Compute<T>> const& places,
-                                              Pixel pixel) {
+__device__ __forceinline__ void for_each_in_bounds(Photometric<T> const& p, TileCoords<Compute<T>> const& coords,
+                                                   Pixel pixel) {
   using F = Compute<T>;
-  int const x = places.tile.x + column_in_tile();
+  int const x = coords.tile.x + column_in_tile();
 #pragma unroll 1
-  for (int y = places.tile.y + row_in_tile();
-       x < p.target.width && y < min(places.tile.y + kTile, int(p.target.height)); y += kRowStep) {
+  for (int y = coords.tile.y + row_in_tile();
+       x < p.target.width && y < min(coords.tile.y + kTile, int(p.target.height)); y += kRowStep) {
     F u, v;
-    places.at(y, x, u, v);
+    coords.at(y, x, u, v);
     TapWindow<2, F> const window(p, u, v);
     if (window.inside) pixel(y, x, window, u, v);
   }
@@ -48,17 +48,17 @@ __global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, 
   __shared__ Tile<F> tile;
   if (threadIdx.x == 0) tile.init(tiles, p.coords);
   __syncthreads();
-  TileCoords<F> const places(p.coords, tile);
+  TileCoords<F> const coords(p.coords, tile);
   F sums[kPhotometricSums] = {};
-  for_each_seen(p, places, [&](int y, int x, TapWindow<2, F> const& window, F u, F v) {
+  for_each_in_bounds(p, coords, [&](int y, int x, TapWindow<2, F> const& window, F u, F v) {
     F to_u = 0, to_v = 0;
-    for_each_channel(p, places.tile.b, y, x, window, [&](F r, F along_x, F along_y) {
+    for_each_channel(p, coords.tile.b, y, x, window, [&](F r, F along_x, F along_y) {
       F derivative;
       sums[9] += distance_of(p.distance, r, p.eps, derivative);
       to_u += derivative * along_x;
       to_v += derivative * along_y;
     });
-    F const scale = reciprocal(places.weight(y, x));
+    F const scale = reciprocal(coords.weight(y, x));
     F const g[] = {to_u * scale, to_v * scale, -(to_u * u + to_v * v) * scale};
 #pragma unroll
     for (int i = 0; i < 3; ++i) {
@@ -76,12 +76,12 @@ __global__ void __launch_bounds__(kThreads) normal_tiles(PhotometricNormalEquati
   __shared__ Tile<F> tile;
   if (threadIdx.x == 0) tile.init(tiles, p.coords);
   __syncthreads();
-  TileCoords<F> const places(p.coords, tile);
-  F const* const last_line = p.coords.matrices + places.tile.b * p.coords.matrix_stride + 6;
+  TileCoords<F> const coords(p.coords, tile);
+  F const* const last_line = p.coords.matrices + coords.tile.b * p.coords.matrix_stride + 6;
   F sums[kNormalSums] = {};
-  for_each_seen(p, places, [&](int row, int column, TapWindow<2, F> const& window, F to_x, F to_y) {
+  for_each_in_bounds(p, coords, [&](int row, int column, TapWindow<2, F> const& window, F to_x, F to_y) {
     F xx = 0, xy = 0, yy = 0, by_x = 0, by_y = 0;
-    for_each_channel(p, places.tile.b, row, column, window, [&](F r, F along_x, F along_y) {
+    for_each_channel(p, coords.tile.b, row, column, window, [&](F r, F along_x, F along_y) {
       F derivative;
       sums[45] += distance_of(p.distance, r, p.eps, derivative);
       F const weight = weight_of(p.distance, r, p.eps), wx = weight * along_x, wy = weight * along_y;

@@ -89,11 +89,11 @@ template <class V, class F>
 KV_HD V weight_of(Distance distance, V r, F eps) {
   V const zero{}, one = zero + 1;
   if (distance == Distance::l2) return one + 1;
-  V const size = r < 0 ? V(-r) : r, least = zero + eps;
+  V const size = r < 0 ? V(-r) : r, min_size = zero + eps;
 #if defined(__CUDACC__)
-  return one / (distance == Distance::l1 ? (size > least ? size : least) : ::sqrt(r * r + eps * eps));
+  return one / (distance == Distance::l1 ? (size > min_size ? size : min_size) : ::sqrt(r * r + eps * eps));
 #else
-  return one / (distance == Distance::l1 ? (size > least ? size : least) : vsqrt(V(r * r + eps * eps)));
+  return one / (distance == Distance::l1 ? (size > min_size ? size : min_size) : vsqrt(V(r * r + eps * eps)));
 #endif
 }
 

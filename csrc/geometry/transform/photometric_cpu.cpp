@@ -23,11 +23,11 @@ KV_HD void add_to(V& total, Some some) {
 
 // Calls channel(residual, derivatives along both axes) for N sampling coordinates that lie between pixels.
 template <int N, class T, class Channel>
-KV_HD bool look(Photometric<T> const& p, CoordRow<Compute<T>> const& places, int64_t b, int64_t y, int64_t first,
-                int64_t e, Channel channel) {
+KV_HD bool sample_channels(Photometric<T> const& p, CoordRow<Compute<T>> const& coords, int64_t b, int64_t y,
+                           int64_t first, int64_t e, Channel channel) {
   using V = Lanes<Compute<T>, N>;
   TapWindow<2, N, T> window;
-  window.set(p, load<N>(places.u + e), load<N>(places.v + e), p.source.row_stride, p.source.step);
+  window.set(p, load<N>(coords.u + e), load<N>(coords.v + e), p.source.row_stride, p.source.step);
   if (!window.inside) return false;
   V wx[2], wy[2];
   tap_weights(window.tx, wx);
@@ -51,12 +51,12 @@ KV_HD bool look(Photometric<T> const& p, CoordRow<Compute<T>> const& places, int
 }
 
 template <int N, class T>
-KV_HD void add_places(Photometric<T> const& p, Homography<Compute<T>> const& map, CoordRow<Compute<T>> const& places,
-                      int64_t b, int64_t y, int64_t first, int64_t e, Totals<Compute<T>>& totals) {
+KV_HD void add_gradients(Photometric<T> const& p, Homography<Compute<T>> const& map, CoordRow<Compute<T>> const& coords,
+                         int64_t b, int64_t y, int64_t first, int64_t e, Totals<Compute<T>>& totals) {
   using F = Compute<T>;
   using V = Lanes<F, N>;
   V to_u{}, to_v{}, sum{};
-  bool const inside = look<N>(p, places, b, y, first, e, [&](V r, V along_x, V along_y) {
+  bool const inside = sample_channels<N>(p, coords, b, y, first, e, [&](V r, V along_x, V along_y) {
     V derivative;
     sum += distance_of(p.distance, r, p.eps, derivative);
     to_u += derivative * along_x;
@@ -64,10 +64,10 @@ KV_HD void add_places(Photometric<T> const& p, Homography<Compute<T>> const& map
   });
   if (!inside) {
     if constexpr (N > 1)
-      for (int64_t n = 0; n < N; ++n) add_places<1>(p, map, places, b, y, first, e + n, totals);
+      for (int64_t n = 0; n < N; ++n) add_gradients<1>(p, map, coords, b, y, first, e + n, totals);
     return;
   }
-  V const u = load<N>(places.u + e), v = load<N>(places.v + e);
+  V const u = load<N>(coords.u + e), v = load<N>(coords.v + e);
   V const x = iota<N, F>(first + e), scale = 1 / map.weight(x, F(y));
   V const g[] = {to_u * scale, to_v * scale, -(to_u * u + to_v * v) * scale};
   for (int k = 0; k < 3; ++k) {
@@ -86,11 +86,11 @@ struct NormalTotals {
 };
 
 template <int N, class F>
-KV_HD void add_normals(PhotometricNormalEquations<F> const& p, F const* last_line, CoordRow<F> const& places, int64_t b,
+KV_HD void add_normals(PhotometricNormalEquations<F> const& p, F const* last_line, CoordRow<F> const& coords, int64_t b,
                        int64_t y, int64_t first, int64_t e, NormalTotals<F>& totals) {
   using V = Lanes<F, N>;
   V xx{}, xy{}, yy{}, by_x{}, by_y{}, sum{};
-  bool const inside = look<N>(p, places, b, y, first, e, [&](V r, V along_x, V along_y) {
+  bool const inside = sample_channels<N>(p, coords, b, y, first, e, [&](V r, V along_x, V along_y) {
     V derivative;
     sum += distance_of(p.distance, r, p.eps, derivative);
     V const weight = weight_of(p.distance, r, p.eps), wx = weight * along_x, wy = weight * along_y;
@@ -102,11 +102,11 @@ KV_HD void add_normals(PhotometricNormalEquations<F> const& p, F const* last_lin
   });
   if (!inside) {
     if constexpr (N > 1)
-      for (int64_t n = 0; n < N; ++n) add_normals<1>(p, last_line, places, b, y, first, e + n, totals);
+      for (int64_t n = 0; n < N; ++n) add_normals<1>(p, last_line, coords, b, y, first, e + n, totals);
     return;
   }
   V const x = iota<N, F>(first + e) * p.x_scale + p.x_offset;
-  V const u = load<N>(places.u + e) * p.u_scale + p.u_offset, v = load<N>(places.v + e) * p.v_scale + p.v_offset;
+  V const u = load<N>(coords.u + e) * p.u_scale + p.u_offset, v = load<N>(coords.v + e) * p.v_scale + p.v_offset;
   V const weight = x * last_line[0] + ((F(y) * p.y_scale + p.y_offset) * last_line[1] + last_line[2]);
   V line[6], gradient[3];
   to_lines(V(xx / (p.u_scale * p.u_scale)), V(xy / (p.u_scale * p.v_scale)), V(yy / (p.v_scale * p.v_scale)),
@@ -138,18 +138,18 @@ void photometric(Photometric<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   for (double *sum = p.sums + kPhotometricSums * begin, *last = p.sums + kPhotometricSums * end; sum < last; ++sum)
     *sum = 0;
-  CoordRow<F> places;
+  CoordRow<F> coords;
   for_each_row_chunk(
       begin, end, p.target.height, p.target.width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
-        places.fill(p.coords, b, y, first, count);
+        coords.fill(p.coords, b, y, first, count);
         auto const map =
             bind_to_tile<F>(homography(p.coords.matrices + b * p.coords.matrix_stride, p.coords.use), 0, 0, 0, 0);
         Totals<F> totals{};
         dispatch_lanes(p.source, count, [&](auto lanes) {
           constexpr int N = decltype(lanes)::value;
           int64_t e = 0;
-          for (; e + N <= count; e += N) add_places<N>(p, map, places, b, y, first, e, totals);
-          for (; e < count; ++e) add_places<1>(p, map, places, b, y, first, e, totals);
+          for (; e + N <= count; e += N) add_gradients<N>(p, map, coords, b, y, first, e, totals);
+          for (; e < count; ++e) add_gradients<1>(p, map, coords, b, y, first, e, totals);
         });
         double* const sums = p.sums + kPhotometricSums * (b * p.target.height + y);
         for (int k = 0; k < 3; ++k) {
@@ -176,17 +176,17 @@ void photometric_total(PhotometricTotal<T> const& p, int64_t begin, int64_t end)
 template <class T>
 void photometric_normal_equations(PhotometricNormalEquations<T> const& p, int64_t begin, int64_t end) {
   for (double *sum = p.sums + kNormalSums * begin, *last = p.sums + kNormalSums * end; sum < last; ++sum) *sum = 0;
-  CoordRow<T> places;
+  CoordRow<T> coords;
   for_each_row_chunk(
       begin, end, p.target.height, p.target.width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
-        places.fill(p.coords, b, y, first, count);
+        coords.fill(p.coords, b, y, first, count);
         T const* const last_line = p.coords.matrices + b * p.coords.matrix_stride + 6;
         NormalTotals<T> totals{};
         dispatch_lanes(p.source, count, [&](auto lanes) {
           constexpr int N = decltype(lanes)::value;
           int64_t e = 0;
-          for (; e + N <= count; e += N) add_normals<N>(p, last_line, places, b, y, first, e, totals);
-          for (; e < count; ++e) add_normals<1>(p, last_line, places, b, y, first, e, totals);
+          for (; e + N <= count; e += N) add_normals<N>(p, last_line, coords, b, y, first, e, totals);
+          for (; e < count; ++e) add_normals<1>(p, last_line, coords, b, y, first, e, totals);
         });
         double* const sums = p.sums + kNormalSums * (b * p.target.height + y);
         double const at = double(y) * p.y_scale + p.y_offset;

@@ -17,10 +17,10 @@ namespace {
 constexpr int kWarps = 4;
 template <class T>
 constexpr int kVectorSize = sizeof(T) < 4 ? 8 : 4;  // a thread's pixels of the larger image
-constexpr int kLeast = 16;                          // pixels along an axis: both borders are disjoint
+constexpr int kMinSize = 16;                        // pixels along an axis: both borders are disjoint
 
 // Pixels at a border, whose windows differ, and kinds of pixels in the interior.
-constexpr int rim_of(bool doubles) { return doubles ? 4 : 2; }
+constexpr int border_of(bool doubles) { return doubles ? 4 : 2; }
 constexpr int kinds_of(bool doubles) { return doubles ? 2 : 1; }
 
 // Where the window of pixel i of the result begins.
@@ -31,25 +31,25 @@ KV_HD int window_start(bool doubles, int i, int taps) {
 // The weights of both axes: of the first pixels, of one of each kind, of the last pixels.
 template <bool Doubles, int Taps>
 struct OctaveWeights {
-  static constexpr int kRim = rim_of(Doubles), kRows = 2 * kRim + kinds_of(Doubles);
+  static constexpr int kBorderRows = border_of(Doubles), kRows = 2 * kBorderRows + kinds_of(Doubles);
   float at[kRows][Taps];
   // The weights of pixel i of n. Those of a pixel out of bounds are never used.
   __device__ __forceinline__ float const* of(int i, int n) const {
-    int const inner = Doubles ? kRim + i % 2 : kRim;
-    return at[i < kRim ? max(i, 0) : i < n - kRim ? inner : min(i - n + kRows, kRows - 1)];
+    int const inner = Doubles ? kBorderRows + i % 2 : kBorderRows;
+    return at[i < kBorderRows ? max(i, 0) : i < n - kBorderRows ? inner : min(i - n + kRows, kRows - 1)];
   }
 };
 
 // Writes rows of them. Once for all kinds of kernels, for the sake of the time to compile.
 [[gnu::noinline]] void write_weights(float* at, bool doubles, int taps, ResizeAxis const& axis) {
-  int const rim = rim_of(doubles), inner = rim + kinds_of(doubles), rows = rim + inner;
+  int const border_rows = border_of(doubles), inner = border_rows + kinds_of(doubles), rows = border_rows + inner;
   for (int i = 0; i < rows * taps; ++i) at[i] = 0;
   for (int i = 0; i < inner; ++i) {
     Contributors<float> const reads = contributors<float>(axis, i);
     float* const from = at + i * taps + reads.first - window_start(doubles, i, taps);
     for (int k = 0; k < reads.count; ++k) from[k] = weight_at(axis, reads, i, k);
   }
-  for (int i = 0; i < rim * taps; ++i) at[rows * taps - 1 - i] = at[i];
+  for (int i = 0; i < border_rows * taps; ++i) at[rows * taps - 1 - i] = at[i];
 }
 
 template <class T, int P>
@@ -59,7 +59,8 @@ template <class T, int K>
 __global__ void __launch_bounds__(32 * kWarps)
     halve(__grid_constant__ Planes<T const> const x, __grid_constant__ Planes<T> const y,
           __grid_constant__ OctaveWeights<false, K> const weights, Strips<kVectorSize<T> / 2> strips) {
-  constexpr int P = kVectorSize<T>, C = P / 2, R = K / 2 - 1, kFirst = kBefore<2 * R + 1, P> - R, kEnd = rim_of(false);
+  constexpr int P = kVectorSize<T>, C = P / 2, R = K / 2 - 1, kFirst = kBefore<2 * R + 1, P> - R,
+                kEnd = border_of(false);
   __shared__ Ring<T, P> rings[kWarps];
   int64_t plane;
   int column, top;
@@ -120,7 +121,7 @@ __global__ void __launch_bounds__(32 * kWarps)
     doubled(__grid_constant__ Planes<T const> const x, __grid_constant__ Planes<T> const y,
             __grid_constant__ OctaveWeights<true, M> const weights, Strips<kVectorSize<T> / 2> strips,
             T const* minuend) {
-  constexpr int P = kVectorSize<T>, C = P / 2, R = M / 2, kMiddle = kBefore<2 * R + 1, C>, kEnd = rim_of(true);
+  constexpr int P = kVectorSize<T>, C = P / 2, R = M / 2, kMiddle = kBefore<2 * R + 1, C>, kEnd = border_of(true);
   __shared__ Ring<T, C> rings[kWarps];
   int64_t plane;
   int column, top;
@@ -185,9 +186,9 @@ __global__ void __launch_bounds__(32 * kWarps)
 // Whether an axis is halved or doubled by windows with a border that is narrow enough.
 inline bool is_octave(ResizeAxis const& a) {
   bool const twice = a.source == 2 * a.result || 2 * a.source == a.result,
-             wide_rim = a.filter == ResizeFilter::bicubic && a.antialias && a.backward;
-  return twice && a.num == 2 * a.source && a.filter >= ResizeFilter::bilinear && !wide_rim &&
-         min(a.source, a.result) >= kLeast;
+             wide_border = a.filter == ResizeFilter::bicubic && a.antialias && a.backward;
+  return twice && a.num == 2 * a.source && a.filter >= ResizeFilter::bilinear && !wide_border &&
+         min(a.source, a.result) >= kMinSize;
 }
 
 template <class T, bool Doubles, int Taps>

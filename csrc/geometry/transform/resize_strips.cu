@@ -410,11 +410,11 @@ int launch(Resize<T> const& p, CUstream_st* stream) {
   // A strip that does not begin with a whole vector or word copies some elements before its first one.
   int64_t const before = aligned ? S::kVector - 1 : 4 / int(sizeof(T)) - 1;
   bool const whole = p.x.row_size() <= S::kSpan - (aligned ? 0 : before);
-  int64_t const most = min(whole ? p.y.width : pixels_of_span(p.columns, (S::kSpan - before) / step),
-                           max(kMaxElements / step, int64_t(1)));
-  if (most == 0 || step > kMaxElements) return kUnsupported;
+  int64_t const max_columns = min(whole ? p.y.width : pixels_of_span(p.columns, (S::kSpan - before) / step),
+                                  max(kMaxElements / step, int64_t(1)));
+  if (max_columns == 0 || step > kMaxElements) return kUnsupported;
   ResizeStrips strips;
-  strips.across = unsigned(ceil_div(p.y.width, most));
+  strips.across = unsigned(ceil_div(p.y.width, max_columns));
   strips.elements = int(ceil_div(p.y.width, strips.across) * step);
   // Planes side by side in a block share its weights, unless too many warps had none.
   strips.warps_down = 1;
@@ -456,10 +456,10 @@ template <class T>
 int resize_strips(Resize<T> const& p, CUstream_st* stream) {
   if (p.x.row_stride * int64_t(sizeof(T)) > INT32_MAX) return kUnsupported;
   bool const shrinks = p.rows.max_readers <= p.rows.max_taps;
-  int const most = shrinks ? p.rows.max_readers : p.rows.max_taps;
-  if (most <= 2) return shrinks ? launch<T, 2, true>(p, stream) : launch<T, 2, false>(p, stream);
-  if (most <= 4) return shrinks ? launch<T, 4, true>(p, stream) : launch<T, 4, false>(p, stream);
-  if (most <= 6) return shrinks ? launch<T, 6, true>(p, stream) : launch<T, 6, false>(p, stream);
+  int const taps = shrinks ? p.rows.max_readers : p.rows.max_taps;
+  if (taps <= 2) return shrinks ? launch<T, 2, true>(p, stream) : launch<T, 2, false>(p, stream);
+  if (taps <= 4) return shrinks ? launch<T, 4, true>(p, stream) : launch<T, 4, false>(p, stream);
+  if (taps <= 6) return shrinks ? launch<T, 6, true>(p, stream) : launch<T, 6, false>(p, stream);
   return kUnsupported;
 }
 

@@ -148,8 +148,8 @@ int sample(Sample<T> const& p, CUstream_st* stream) {
     };
     dispatch_taps(p.interpolation, [&](auto taps) {
       constexpr int K = taps.value;
-      p.formula.by == MatrixBy::given ? run(sample_tiles<T, K, false, aligned.value>)
-                                      : run(sample_tiles<T, K, true, aligned.value>);
+      p.formula.id == WarpFormula::none ? run(sample_tiles<T, K, false, aligned.value>)
+                                        : run(sample_tiles<T, K, true, aligned.value>);
     });
   });
   return cudaGetLastError();

@@ -161,36 +161,36 @@ struct WarpMatrix {
   int64_t stride;  // from a sample to the next, 0 where one serves all
 
   // For samples of images or volumes x, with this number of axes.
-  WarpMatrix(char const* op, Tensor const& given, Tensor const& x, int axes, int64_t samples)
-      : tensor(given), rows(int(given.dim() > 1 ? given.size(1) : 0)) {
-    KV_CHECK(matches_samples(given, x, 3, samples) && (rows == axes || rows == axes + 1) && given.size(2) == axes + 1,
+  WarpMatrix(char const* op, Tensor const& matrix, Tensor const& x, int axes, int64_t samples)
+      : tensor(matrix), rows(int(matrix.dim() > 1 ? matrix.size(1) : 0)) {
+    KV_CHECK(matches_samples(matrix, x, 3, samples) && (rows == axes || rows == axes + 1) && matrix.size(2) == axes + 1,
              op, ": matrix does not fit what is warped");
-    tensor = dense(given);
-    stride = given.size(0) == 1 ? 0 : rows * (axes + 1);
+    tensor = dense(matrix);
+    stride = matrix.size(0) == 1 ? 0 : rows * (axes + 1);
   }
-  // By formula F, number `by` of the kernels, which make it themselves with `within`. On the CPU it is made before.
+  // By formula F, whose number is `id`: computed by the warp's own CUDA kernel if `within`, otherwise here.
   template <class F>
-  WarpMatrix(char const* op, FormulaArguments<F>& given, [[maybe_unused]] MatrixBy by, Tensor const& x, int64_t samples,
-             [[maybe_unused]] bool within)
-      : rows(given.extent().rows), stride(given.params.batch == 1 ? 0 : rows * given.extent().columns) {
-    KV_CHECK(given.params.batch == 1 || given.params.batch == samples, op, ": expected tensors with 1 or ", samples,
-             " rows, got ", given.params.batch);
+  WarpMatrix(char const* op, FormulaArguments<F>& arguments, [[maybe_unused]] WarpFormula id, Tensor const& x,
+             int64_t samples, [[maybe_unused]] bool within)
+      : rows(arguments.extent().rows), stride(arguments.params.batch == 1 ? 0 : rows * arguments.extent().columns) {
+    KV_CHECK(arguments.params.batch == 1 || arguments.params.batch == samples, op, ": expected tensors with 1 or ",
+             samples, " rows, got ", arguments.params.batch);
 #if defined(KV_CUDA)
     if (within) {
-      formula.by = by;
-      formula.options = given.params.options;
+      formula.id = id;
+      formula.options = arguments.params.options;
       for (int i = 0; i < std::min(F::kInputs, MatrixFormula::kInputs); ++i) {
-        formula.inputs[i] = given.params.inputs[i];
-        formula.strides[i] = given.params.strides[i];
+        formula.inputs[i] = arguments.params.inputs[i];
+        formula.strides[i] = arguments.params.strides[i];
       }
       return;
     }
 #endif
-    tensor = given.result(op, x);
+    tensor = arguments.result(op, x);
   }
   template <class F>
   F const* data() const {
-    return formula.by == MatrixBy::given ? data_ptr<F const>(tensor) : nullptr;
+    return formula.id == WarpFormula::none ? data_ptr<F const>(tensor) : nullptr;
   }
 };
 
@@ -208,11 +208,11 @@ using FormulaInputs = std::optional<Tensor>[MatrixFormula::kInputs];
 
 // A case of a chain of ifs over formulas: run(the matrix) where `formula` is that one, of the kernels' formulas as it
 // is of the operators'. Matrices that may have fewer rows have one less than columns.
-#define KV_WARP_BY(name, Formula, signature)                                                   \
-  if (formula == int64_t(MatrixBy::name)) {                                                    \
-    FormulaArguments<Formula> given(op, x, compute_dtype(x), inputs, numbers,                  \
-                                    Formula::kOptionalLastRow ? Formula::result.rows - 1 : 0); \
-    return run(WarpMatrix(op, given, MatrixBy::name, x, samples, within));                     \
+#define KV_WARP_BY(name, Formula, signature)                                                       \
+  if (formula == int64_t(WarpFormula::name)) {                                                     \
+    FormulaArguments<Formula> arguments(op, x, compute_dtype(x), inputs, numbers,                  \
+                                        Formula::kOptionalLastRow ? Formula::result.rows - 1 : 0); \
+    return run(WarpMatrix(op, arguments, WarpFormula::name, x, samples, within));                  \
   }
 
 // The options of warps by a matrix in operator schemas.
@@ -224,9 +224,9 @@ struct Matrix : WarpMatrix {
 
   Matrix(WarpMatrix const& matrix, bool inverse, bool normalized, bool align_corners, Size source, Size output)
       : WarpMatrix(matrix), use{rows, inverse, normalized, align_corners, source, output} {}
-  Matrix(char const* op, Tensor const& given, Tensor const& x, int64_t samples, bool inverse, bool normalized,
+  Matrix(char const* op, Tensor const& matrix, Tensor const& x, int64_t samples, bool inverse, bool normalized,
          bool align_corners, Size source, Size output)
-      : Matrix(WarpMatrix(op, given, x, 2, samples), inverse, normalized, align_corners, source, output) {}
+      : Matrix(WarpMatrix(op, matrix, x, 2, samples), inverse, normalized, align_corners, source, output) {}
   template <class F>
   SampleCoords<F> coords() const {
     SampleCoords<F> p{};

@@ -73,8 +73,8 @@ struct GatherTile {
     }
     // A distance that goes from p to p + d is a linear function of p over the weights at both: so much it may be more
     // between the corners.
-    F const least = min(vabs(low), vabs(high)), most = max(vabs(low), vabs(high));
-    F const more = back.affine ? F(1) : most / least * (most / least);
+    F const min_weight = min(vabs(low), vabs(high)), max_weight = max(vabs(low), vabs(high));
+    F const more = back.affine ? F(1) : max_weight / min_weight * (max_weight / min_weight);
     reach_x = reach_x * more + F(kCoordRounding);
     reach_y = reach_y * more + F(kCoordRounding);
     coords = TapBounds::empty();
@@ -206,8 +206,8 @@ __device__ __forceinline__ void gather_tile(SampleImageBackward<T> const& p, Gat
         T const* row = origin + (v * pitch + u);
         F const(&m)[9] = tile.map.m;
         F from_x = first_u * m[0] + (first_v * m[1] + m[2]), from_y = first_u * m[3] + (first_v * m[4] + m[5]);
-        // Of an affine map places count from the pixel: one addition less for each. Not those of the nearest pixel,
-        // where halves go to even ones.
+        // Of an affine map coordinates count from the pixel: one addition less for each. Not those of the nearest
+        // pixel, where halves go to even ones.
         int const pixel_x = K > 1 && affine.value ? 0 : x, pixel_y = K > 1 && affine.value ? 0 : y;
         from_x -= F(x - pixel_x);
         from_y -= F(y - pixel_y);
@@ -478,9 +478,9 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
   F const first_u = reflects ? -INFINITY : F(-4 - tile.u), last_u = reflects ? INFINITY : F(p.x_axis.size + 3 - tile.u);
   F const first_v = reflects ? -INFINITY : F(-4 - tile.v), last_v = reflects ? INFINITY : F(p.y_axis.size + 3 - tile.v);
 #pragma unroll 1
-  for (int piece = warp; piece < kTile * kTile / (kBlockletWidth * kBlockletHeight); piece += kScatterWarps) {
-    int const x0 = tile.x + piece % (kTile / kBlockletWidth) * kBlockletWidth + 2 * lane_x;
-    int const y0 = tile.y + piece / (kTile / kBlockletWidth) * kBlockletHeight + 2 * lane_y;
+  for (int blocklet = warp; blocklet < kTile * kTile / (kBlockletWidth * kBlockletHeight); blocklet += kScatterWarps) {
+    int const x0 = tile.x + blocklet % (kTile / kBlockletWidth) * kBlockletWidth + 2 * lane_x;
+    int const y0 = tile.y + blocklet / (kTile / kBlockletWidth) * kBlockletHeight + 2 * lane_y;
     auto const x_of = [&](int run) { return x0 + ((lane_y + run) & 1); };
     auto const y_of = [&](int run) { return y0 + run / 2; };
 

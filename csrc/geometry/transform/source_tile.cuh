@@ -74,12 +74,12 @@ constexpr int kFarCoord = 4096;
 template <class F>
 struct ThreadCoords {
   F u, v, weight, u_step, v_step, weight_step;  // of the first one, and steps between two
-  F const* found;                               // coordinates u and v from a map, or null
+  F const* map_coords;                          // coordinates u and v from a map, or null
   bool affine;
 
   __device__ __forceinline__ ThreadCoords(Tile<F> const& tile, SampleCoords<F> const& coords, void const* kept,
                                           int column, int row)
-      : found(coords.has_map() ? static_cast<F const*>(kept) + threadIdx.x : nullptr), affine(tile.map.affine) {
+      : map_coords(coords.has_map() ? static_cast<F const*>(kept) + threadIdx.x : nullptr), affine(tile.map.affine) {
     F const x = F(column), y = F(row);
     F const(&m)[9] = tile.map.m;
     u = x * m[0] + (y * m[1] + m[2]);
@@ -90,9 +90,9 @@ struct ThreadCoords {
     weight_step = m[7] * kRowStep;
   }
   __device__ __forceinline__ void at(int run, F& x, F& y) const {
-    if (found) {
-      x = found[2 * run * kThreads];
-      y = found[(2 * run + 1) * kThreads];
+    if (map_coords) {
+      x = map_coords[2 * run * kThreads];
+      y = map_coords[(2 * run + 1) * kThreads];
       return;
     }
     x = u_step * F(run) + u;
@@ -115,8 +115,8 @@ struct BlockTiles {
   template <int K, class T>
   __device__ __forceinline__ void prepare(TileGrid const& count, Sampling<T> const& p, int64_t samples, int width,
                                           int height) {
-    auto const given = [&](int64_t b) { return p.coords.matrices + b * p.coords.matrix_stride; };
-    prepare<K>(count, p, samples, width, height, given);
+    auto const matrix_of = [&](int64_t b) { return p.coords.matrices + b * p.coords.matrix_stride; };
+    prepare<K>(count, p, samples, width, height, matrix_of);
   }
   // By the matrices that `matrix(sample)` returns.
   template <int K, class T, class Matrix>
@@ -155,7 +155,7 @@ struct BlockTiles {
     if (!p.coords.has_map()) return;
     Tile<F> const& tile = tiles[number];
     TileCoords<F> const coords(p.coords, tile);
-    F* const found = static_cast<F*>(kept) + threadIdx.x;
+    F* const map_coords = static_cast<F*>(kept) + threadIdx.x;
     int const x = tile.x + column_in_tile(across);
     TapBounds box = TapBounds::empty();
 #pragma unroll
@@ -168,8 +168,8 @@ struct BlockTiles {
         v = clamped(p.y_axis, v);
         box.add<K>(u, v, F(0), F(1 << 20));
       }
-      found[2 * run * kThreads] = u;
-      found[(2 * run + 1) * kThreads] = v;
+      map_coords[2 * run * kThreads] = u;
+      map_coords[(2 * run + 1) * kThreads] = v;
     }
     box.merge_lanes<32>();
     if (threadIdx.x % 32 == 0) {

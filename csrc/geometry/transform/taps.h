@@ -158,12 +158,12 @@ KV_TAPS void tap_derivatives(V t, V (&d)[K]) {
 #if defined(__CUDACC__)
 // The weight of one pixel at a coordinate, equal to that of tap_weights; 0 where it is no tap of the coordinate.
 template <int K, class F>
-KV_TAPS F weight_at(F place, int pixel) {
+KV_TAPS F weight_at(F coord, int pixel) {
   if constexpr (K == 1) {
     F t;
-    return first_tap<1, F>(vclamp(place, F(pixel - 1), F(pixel + 1)), t) == pixel;
+    return first_tap<1, F>(vclamp(coord, F(pixel - 1), F(pixel + 1)), t) == pixel;
   } else {
-    F const distance = vabs(place - F(pixel));
+    F const distance = vabs(coord - F(pixel));
     if constexpr (K == 2) return vsaturate(1 - distance);
     F const s = 2 - distance;
     F const inner = cubic_inner(kCubic, distance), outer = cubic_outer(kCubic, distance - 1, s);

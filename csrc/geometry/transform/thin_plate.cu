@@ -8,7 +8,7 @@ namespace {
 
 constexpr int kThreads = 256, kWarps = kThreads / 32;
 constexpr int kEach = kThinPlateChunk / kThreads;  // points of a thread
-constexpr int kCentres = 32;                       // whose sums are in shared memory at once
+constexpr int kCenters = 32;                       // whose sums are in shared memory at once
 
 __device__ __forceinline__ double log_of(double x) { return ::log2(x); }
 // Of numbers that are at least kMinSquare; of others it is not used.
@@ -81,7 +81,7 @@ __global__ void __launch_bounds__(kThreads) thin_plate_points(__grid_constant__ 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
     thin_plate_points_backward(__grid_constant__ ThinPlate<T> const p, unsigned parts) {
-  __shared__ T shared_sums[kWarps][4 * kCentres];
+  __shared__ T shared_sums[kWarps][4 * kCenters];
   Points<T> const points(p, parts);
   T const* const a = points.affine;
   T* const sums = p.sums + blockIdx.x * (4 * p.center_count + 6);
@@ -90,9 +90,9 @@ __global__ void __launch_bounds__(kThreads)
 #pragma unroll
   for (int k = 0; k < kEach; ++k) {
     int64_t const i = points.first + k * kThreads;
-    bool const there = i < p.count;
-    u[k] = there ? p.grad[p.at(points.b, i, 0)] : T(0);
-    v[k] = there ? p.grad[p.at(points.b, i, 1)] : T(0);
+    bool const in_bounds = i < p.count;
+    u[k] = in_bounds ? p.grad[p.at(points.b, i, 0)] : T(0);
+    v[k] = in_bounds ? p.grad[p.at(points.b, i, 1)] : T(0);
     to_x[k] = u[k] * a[2] + v[k] * a[3];
     to_y[k] = u[k] * a[4] + v[k] * a[5];
     affine[0] += u[k];
@@ -121,14 +121,14 @@ __global__ void __launch_bounds__(kThreads)
   for (int i = 0; i < 6; ++i) put(i, affine[i]);
   add(6, [&](int i) { return 4 * p.center_count + i; });
 #pragma unroll 1
-  for (int64_t first = 0; first < p.center_count; first += kCentres) {
-    int const count = int(min(p.center_count - first, int64_t(kCentres)));
+  for (int64_t first = 0; first < p.center_count; first += kCenters) {
+    int const count = int(min(p.center_count - first, int64_t(kCenters)));
 #pragma unroll 1
     for (int n = 0; n < count; ++n) {
       int64_t const at = 2 * (first + n);
       T const at_x = points.centers[at], at_y = points.centers[at + 1];
       T const weight_x = points.weights[at], weight_y = points.weights[at + 1];
-      T found[4] = {};
+      T terms[4] = {};
 #pragma unroll
       for (int k = 0; k < kEach; ++k) {
         T const dx = points.x[k] - at_x, dy = points.y[k] - at_y, square = dx * dx + dy * dy, log = log_of(square);
@@ -136,13 +136,13 @@ __global__ void __launch_bounds__(kThreads)
         T const along = (u[k] * weight_x + v[k] * weight_y) * radial_basis_derivative<T>(square, log);
         to_x[k] += along * dx;
         to_y[k] += along * dy;
-        found[0] -= along * dx;
-        found[1] -= along * dy;
-        found[2] += value * u[k];
-        found[3] += value * v[k];
+        terms[0] -= along * dx;
+        terms[1] -= along * dy;
+        terms[2] += value * u[k];
+        terms[3] += value * v[k];
       }
 #pragma unroll
-      for (int i = 0; i < 4; ++i) put(4 * n + i, found[i]);
+      for (int i = 0; i < 4; ++i) put(4 * n + i, terms[i]);
     }
     add(4 * count, [&](int i) {
       int const part = i % 4;

@@ -107,13 +107,13 @@ int64_t count_of(char const* op, Tensor const& points) {
 
 Tensor thin_plate_points(Tensor const& points, Tensor const& centers, Tensor const& weights, Tensor const& affine) {
   char const* const op = "thin_plate_points";
-  ThinPlateInputs given(op, centers, weights, affine);
+  ThinPlateInputs inputs(op, centers, weights, affine);
   int64_t const count = count_of(op, points);
-  given.take("points", points, count);
-  Tensor const from = ThinPlateInputs::rows(points), result = empty({given.batch, count, 2}, points);
+  inputs.take("points", points, count);
+  Tensor const from = ThinPlateInputs::rows(points), result = empty({inputs.batch, count, 2}, points);
   dispatch_compute_dtype(op, points, [&](auto type) {
     using T = typename decltype(type)::type;
-    given.run(given.at_points<T>(from), result);
+    inputs.run(inputs.at_points<T>(from), result);
   });
   return result;
 }
@@ -122,18 +122,18 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> thin_plate_points_backward(Tensor con
                                                                       Tensor const& centers, Tensor const& weights,
                                                                       Tensor const& affine) {
   char const* const op = "thin_plate_points_backward";
-  ThinPlateInputs given(op, centers, weights, affine);
+  ThinPlateInputs inputs(op, centers, weights, affine);
   int64_t const count = count_of(op, points);
-  given.take("points", points, count);
-  check_grad(op, grad, {given.batch, count, 2}, points);
+  inputs.take("points", points, count);
+  check_grad(op, grad, {inputs.batch, count, 2}, points);
   Tensor const from = ThinPlateInputs::rows(points), g = dense(grad),
-               grad_points = empty({given.batch, count, 2}, points);
+               grad_points = empty({inputs.batch, count, 2}, points);
   std::tuple<Tensor, Tensor, Tensor> to;
   dispatch_compute_dtype(op, points, [&](auto type) {
     using T = typename decltype(type)::type;
-    ThinPlate<T> p = given.at_points<T>(from);
+    ThinPlate<T> p = inputs.at_points<T>(from);
     p.grad_points = data_ptr<T>(grad_points);
-    to = given.run_backward(p, g);
+    to = inputs.run_backward(p, g);
   });
   return {grad_points, std::get<0>(to), std::get<1>(to), std::get<2>(to)};
 }
@@ -141,12 +141,12 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> thin_plate_points_backward(Tensor con
 Tensor thin_plate_map(Tensor const& centers, Tensor const& weights, Tensor const& affine, std::vector<int64_t> sides,
                       bool align_corners) {
   char const* const op = "thin_plate_map";
-  ThinPlateInputs const given(op, centers, weights, affine);
+  ThinPlateInputs const inputs(op, centers, weights, affine);
   Size const size = map_size(op, sides);
-  Tensor const result = empty({given.batch, 2, size.height, size.width}, centers);
+  Tensor const result = empty({inputs.batch, 2, size.height, size.width}, centers);
   dispatch_compute_dtype(op, centers, [&](auto type) {
     using T = typename decltype(type)::type;
-    given.run(given.at_pixels<T>(size, align_corners), result);
+    inputs.run(inputs.at_pixels<T>(size, align_corners), result);
   });
   return result;
 }
@@ -155,15 +155,15 @@ std::tuple<Tensor, Tensor, Tensor> thin_plate_map_backward(Tensor const& grad, T
                                                            Tensor const& weights, Tensor const& affine,
                                                            bool align_corners) {
   char const* const op = "thin_plate_map_backward";
-  ThinPlateInputs const given(op, centers, weights, affine);
+  ThinPlateInputs const inputs(op, centers, weights, affine);
   KV_CHECK(grad.dim() == 4, op, ": expected grad of shape (B, 2, H, W)");
   Size const size = map_size(op, {grad.size(2), grad.size(3)});
-  check_grad(op, grad, {given.batch, 2, size.height, size.width}, centers);
+  check_grad(op, grad, {inputs.batch, 2, size.height, size.width}, centers);
   Tensor const g = dense(grad);
   std::tuple<Tensor, Tensor, Tensor> to;
   dispatch_compute_dtype(op, centers, [&](auto type) {
     using T = typename decltype(type)::type;
-    to = given.run_backward(given.at_pixels<T>(size, align_corners), g);
+    to = inputs.run_backward(inputs.at_pixels<T>(size, align_corners), g);
   });
   return to;
 }

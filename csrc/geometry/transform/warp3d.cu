@@ -15,7 +15,7 @@ template <class T>
 __device__ __forceinline__ Homography3<Compute<T>> map_of(Warp3dForward<T> const& p, int64_t b) {
   Compute<T> made[16];
   Compute<T> const* matrix = p.matrices + b * p.matrix_stride;
-  if (p.formula.by != MatrixBy::given) {
+  if (p.formula.id != WarpFormula::none) {
     make_space_matrix(p.formula, b, made);
     matrix = made;
   }

@@ -156,17 +156,17 @@ struct Homography3 {
 namespace matrix {
 
 template <class F>
-KV_HD void load4(F const* given, int rows, double* m) {
-  for (int i = 0; i < 16; ++i) m[i] = i < 4 * rows ? double(given[i]) : i == 15;
+KV_HD void load4(F const* entries, int rows, double* m) {
+  for (int i = 0; i < 16; ++i) m[i] = i < 4 * rows ? double(entries[i]) : i == 15;
 }
 
 }  // namespace matrix
 
 // From voxels of the output to voxels of the source.
 template <class F>
-KV_HD Homography3<F> homography3(F const* given, MatrixUse3 const& use) {
+KV_HD Homography3<F> homography3(F const* entries, MatrixUse3 const& use) {
   double m[16], inverse[16];
-  matrix::load4(given, use.rows, m);
+  matrix::load4(entries, use.rows, m);
   if (use.inverse) {
     matrix::invert4(m, inverse);
     for (int i = 0; i < 16; ++i) m[i] = inverse[i];
@@ -178,9 +178,9 @@ KV_HD Homography3<F> homography3(F const* given, MatrixUse3 const& use) {
 }
 
 template <class F>
-KV_HD void homography3_vjp(F const* given, MatrixUse3 const& use, double* g, F* grad) {
+KV_HD void homography3_vjp(F const* entries, MatrixUse3 const& use, double* g, F* grad) {
   double m[16], inverse[16], to_given[16];
-  matrix::load4(given, use.rows, m);
+  matrix::load4(entries, use.rows, m);
   if (use.normalized) matrix::to_voxels_vjp(g, use);
   if (use.inverse) {
     matrix::invert4(m, inverse);

@@ -94,8 +94,8 @@ KV_HD void to_pixels_vjp(double* g, MatrixUse const& use) {
 }
 
 template <class F>
-KV_HD void load(F const* given, int rows, double* m) {
-  for (int i = 0; i < 9; ++i) m[i] = i < 3 * rows ? double(given[i]) : i == 8;
+KV_HD void load(F const* entries, int rows, double* m) {
+  for (int i = 0; i < 9; ++i) m[i] = i < 3 * rows ? double(entries[i]) : i == 8;
 }
 
 // A factor that keeps coordinates in the range of float; neither the map nor its gradient depends on it. The last entry
@@ -112,9 +112,9 @@ KV_HD double scale_of(double const* m) {
 
 // From pixels of the output to pixels of the source.
 template <class F>
-KV_HD Homography<double> homography(F const* given, MatrixUse const& use) {
+KV_HD Homography<double> homography(F const* entries, MatrixUse const& use) {
   double m[9], a[9];
-  matrix::load(given, use.rows, m);
+  matrix::load(entries, use.rows, m);
   if (use.inverse) {
     adjugate3(m, a);  // the inverse up to a factor, which does not matter for a homography
     for (int i = 0; i < 9; ++i) m[i] = a[i];
@@ -159,13 +159,13 @@ KV_HD Homography<F> bind_to_tile(Homography<double> const& h, double x, double y
 
 // The origin of relative coordinates on an axis of that size, near a coordinate. It is even, so that halves are rounded
 // to the same even pixel.
-KV_HD int origin_near(double place, int64_t size) { return 2 * int((place > 0 ? min(place, double(size)) : 0) / 2); }
+KV_HD int origin_near(double coord, int64_t size) { return 2 * int((coord > 0 ? min(coord, double(size)) : 0) / 2); }
 
 // The gradient of the caller's matrix, from that of the entries of homography(given, use).
 template <class F>
-KV_HD void homography_vjp(F const* given, MatrixUse const& use, double* g, F* grad) {
+KV_HD void homography_vjp(F const* entries, MatrixUse const& use, double* g, F* grad) {
   double m[9], a[9], to_given[9];
-  matrix::load(given, use.rows, m);
+  matrix::load(entries, use.rows, m);
   if (use.inverse)
     adjugate3(m, a);
   else

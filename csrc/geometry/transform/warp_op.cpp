@@ -28,10 +28,10 @@ Tensor warp_by_formula(Tensor const& x, std::optional<Tensor> const& a, std::opt
   for (auto const& input : inputs)
     if (rows == 1 && input) rows = rows_of(*input);
   SampledImages const sampled(op, image_index, x.size(0), rows, x);
-  SamplingOptions const how(op, interpolation, padding, align_corners, x, {}, sampled);
+  SamplingOptions const options(op, interpolation, padding, align_corners, x, {}, sampled);
   int64_t const samples = sampled.samples;
   auto const run = [&](WarpMatrix const& m) {
-    return warped(x, how, {m, inverse, normalized, align_corners, source, output});
+    return warped(x, options, {m, inverse, normalized, align_corners, source, output});
   };
   bool const within = is_computed_in_kernel(samples, output);
   KV_PLANE_FORMULAS(KV_WARP_BY)

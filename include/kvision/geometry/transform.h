@@ -123,7 +123,7 @@ inline Tensor scale(Tensor const& tensor, Tensor const& scale_factor, std::optio
 }
 inline Tensor shear(Tensor const& tensor, Tensor const& shear,
                     TransformOptions const& options = TransformOptions().align_corners(false)) {
-  return detail::warp_by_formula("shear", tensor, ops::WarpFormula::slant_matrix2d, {}, {shear},
+  return detail::warp_by_formula("shear", tensor, ops::WarpFormula::shear_factor_matrix2d, {}, {shear},
                                  detail::image_size(tensor), options);
 }
 // The quadrangles (N, 4, 2) of images, from the upper left corner clockwise, as images of a size: one of each image,

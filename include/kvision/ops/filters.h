@@ -8,8 +8,7 @@
 
 namespace kvision::ops {
 
-// --- edges
-// ------------------------------------------------------------------------------------------------------------
+// --- edges -----------------------------------------------------------------------------------------------------------
 
 inline constexpr Operator<"sobel", Tensor(Tensor input, bool normalized, double eps)> sobel{from<"sobel_backward">};
 inline constexpr Operator<"spatial_gradient", Tensor(Tensor input, int64_t mode, int64_t order, bool normalized)>
@@ -24,8 +23,7 @@ inline constexpr Operator<"canny_suppress", Two(Tensor input, double low, double
     2};
 inline constexpr Operator<"canny_hysteresis", Tensor(Tensor edges)> canny_hysteresis{non_differentiable};
 
-// --- windows
-// ----------------------------------------------------------------------------------------------------------
+// --- windows ---------------------------------------------------------------------------------------------------------
 
 inline constexpr Operator<"box_blur", Tensor(Tensor input, int64_t ky, int64_t kx, int64_t border)> box_blur{linear};
 inline constexpr Operator<"gaussian_blur2d", Tensor(Tensor input, OptionalTensor sigma, int64_t ky, int64_t kx,
@@ -57,8 +55,7 @@ inline constexpr Operator<"bilateral_blur", Tensor(Tensor input, OptionalTensor 
       return gradients;
     }};
 
-// --- kernels
-// ----------------------------------------------------------------------------------------------------------
+// --- kernels ---------------------------------------------------------------------------------------------------------
 
 namespace detail {
 

@@ -25,7 +25,7 @@ enum class WarpFormula : int64_t {
   affine_matrix2d = 1,
   translation_matrix2d,
   scale_matrix2d,
-  slant_matrix2d,
+  shear_factor_matrix2d,
   crop_matrix,
   affine_matrix3d,
   translation_matrix3d,
@@ -33,8 +33,7 @@ enum class WarpFormula : int64_t {
 };
 inline constexpr int64_t kPyrDown = 6, kPyrUp = 7;  // filters of resize; the others have the numbers of Interpolation
 
-// --- warps
-// ------------------------------------------------------------------------------------------------------------
+// --- warps -----------------------------------------------------------------------------------------------------------
 
 namespace detail {
 
@@ -92,7 +91,7 @@ inline constexpr char const* kWarpFormulas[] = {"",
                                                 "affine_matrix2d",
                                                 "translation_matrix2d",
                                                 "scale_matrix2d",
-                                                "slant_matrix2d",
+                                                "shear_factor_matrix2d",
                                                 "crop_matrix",
                                                 "affine_matrix3d",
                                                 "translation_matrix3d",
@@ -154,8 +153,7 @@ inline constexpr Operator<"warp3d_by_formula",
                                  bool normalized)>
     warp3d_by_formula{detail::by_formula<"warp3d_volume_backward", "warp3d_matrix_backward", 3>};
 
-// --- resizing
-// ---------------------------------------------------------------------------------------------------------
+// --- resizing --------------------------------------------------------------------------------------------------------
 
 namespace detail {
 
@@ -190,8 +188,7 @@ inline constexpr Operator<"crop", Tensor(Tensor input, Ints corner, Ints size)> 
     },
     0, false};
 
-// --- splines
-// ----------------------------------------------------------------------------------------------------------
+// --- splines ---------------------------------------------------------------------------------------------------------
 
 inline constexpr Operator<"thin_plate_points", Tensor(Tensor points, Tensor centers, Tensor weights, Tensor affine)>
     thin_plate_points{from<"thin_plate_points_backward">};
@@ -212,8 +209,7 @@ inline constexpr Operator<"thin_plate_weights", Tensor(Tensor centers, Tensor rh
       return {-(to[0] + to[1] + weights.matmul(to_right.narrow(1, n + 1, 2).mT())), to_right};
     }};
 
-// --- registration
-// -----------------------------------------------------------------------------------------------------
+// --- registration ----------------------------------------------------------------------------------------------------
 
 // Their gradients are saved with the loss.
 inline constexpr Operator<"photometric", Two(Tensor source, Tensor target, Tensor matrix, int64_t distance, double eps,
@@ -239,8 +235,7 @@ inline constexpr Operator<"photometric_depth", Four(Tensor views, Tensor target,
                       },
                       3};
 
-// --- peaks
-// ------------------------------------------------------------------------------------------------------------
+// --- peaks -----------------------------------------------------------------------------------------------------------
 
 inline constexpr Operator<"apply_nms_mask", Tensor(Tensor input, Tensor flags)> apply_nms_mask{
     [](Backward const& b) { return b.call(apply_nms_mask, {{"input", b.grad()}}); }, 0, false};
@@ -265,8 +260,7 @@ inline constexpr Operator<"conv_quad_interp3d", Two(Tensor input, OptionalTensor
                                                     double largest_shift, int64_t radius, bool along_scale)>
     conv_quad_interp3d{from<"conv_quad_interp3d_backward">};
 
-// --- depth
-// ------------------------------------------------------------------------------------------------------------
+// --- depth -----------------------------------------------------------------------------------------------------------
 
 namespace detail {
 
@@ -301,8 +295,7 @@ inline constexpr Operator<"depth_warp", Tensor(Tensor image, Tensor depth, Tenso
               maps[0], maps[1]};
     }};
 
-// --- points
-// -----------------------------------------------------------------------------------------------------------
+// --- points ----------------------------------------------------------------------------------------------------------
 
 inline constexpr Operator<"transform_points", Tensor(Tensor points, OptionalTensor depth, Tensor matrix, int64_t kind)>
     transform_points{
@@ -318,8 +311,7 @@ inline constexpr Operator<"undistort_points", Tensor(Tensor points, Tensor camer
                                                      Tensor coefficients, OptionalTensor tilt, int64_t steps)>
     undistort_points;
 
-// --- least squares
-// ----------------------------------------------------------------------------------------------------
+// --- least squares ---------------------------------------------------------------------------------------------------
 
 inline constexpr Operator<"null_vector", Tensor(Tensor rows, OptionalTensor weights)> null_vector{
     from<"null_vector_backward", 1>};
@@ -340,8 +332,7 @@ inline constexpr Operator<"triangulate",
                           Tensor(Tensor points1, Tensor points2, Tensor projections1, Tensor projections2)>
     triangulate{from<"triangulate_backward">};
 
-// --- two views
-// --------------------------------------------------------------------------------------------------------
+// --- two views -------------------------------------------------------------------------------------------------------
 
 inline constexpr Operator<"nearest_essential", Tensor(Tensor matrix)> nearest_essential{
     from<"nearest_essential_backward">};
@@ -354,8 +345,7 @@ inline constexpr Operator<"correspondence_errors",
                           Tensor(Tensor points1, Tensor points2, Tensor matrix, int64_t kind, bool squared)>
     correspondence_errors{from<"correspondence_errors_backward">};
 
-// --- RANSAC: models and their inliers
-// -----------------------------------------------------------------------------
+// --- RANSAC: models and their inliers --------------------------------------------------------------------------------
 
 inline constexpr Operator<"minimal_solver", Tensor(Tensor points1, Tensor points2, OptionalTensor draws, int64_t model)>
     minimal_solver;
@@ -373,8 +363,7 @@ inline constexpr Operator<"merge_top_k", Three(Tensor models, Tensor scores, Ten
 inline constexpr Operator<"eigenvectors", Two(Tensor matrix)> eigenvectors{non_differentiable};
 inline constexpr Operator<"real_roots", Tensor(Tensor coefficients)> real_roots;
 
-// --- formulas of rotations, poses and matrices
-// ------------------------------------------------------------------------
+// --- formulas of rotations, poses and matrices -----------------------------------------------------------------------
 
 inline constexpr Operator<"axis_angle_to_rotation_matrix", Tensor(Tensor axis_angle)> axis_angle_to_rotation_matrix{
     side_by_side};
@@ -414,7 +403,7 @@ inline constexpr Operator<"scale_matrix2d", Tensor(Tensor scale, OptionalTensor 
     scale_matrix2d{side_by_side};
 inline constexpr Operator<"shear_matrix2d", Tensor(Tensor center, OptionalTensor shear_x, OptionalTensor shear_y)>
     shear_matrix2d{side_by_side};
-inline constexpr Operator<"slant_matrix2d", Tensor(Tensor slant)> slant_matrix2d{side_by_side};
+inline constexpr Operator<"shear_factor_matrix2d", Tensor(Tensor factors)> shear_factor_matrix2d{side_by_side};
 inline constexpr Operator<"invert_affine2d", Tensor(Tensor matrix)> invert_affine2d{side_by_side};
 inline constexpr Operator<"affine_matrix3d",
                           Tensor(Tensor x, Tensor y, Tensor z, OptionalTensor translation, OptionalTensor scale,
@@ -433,7 +422,7 @@ inline constexpr Operator<"perspective_matrix3d",
     perspective_matrix3d{side_by_side};
 inline constexpr Operator<"crop_matrix", Tensor(Tensor quads, OptionalTensor first, double across, double down)>
     crop_matrix{side_by_side};
-inline constexpr Operator<"quad_shapes", Tensor(Tensor quads, Tensor others)> quad_shapes{side_by_side};
+inline constexpr Operator<"crop_box_checks", Tensor(Tensor quads, Tensor others)> crop_box_checks{side_by_side};
 inline constexpr Operator<"essential_from_fundamental", Tensor(Tensor fundamental, Tensor camera1, Tensor camera2)>
     essential_from_fundamental{side_by_side};
 inline constexpr Operator<"fundamental_from_essential", Tensor(Tensor essential, Tensor camera1, Tensor camera2)>

@@ -62,7 +62,7 @@ def distance_transform(image: Tensor, kernel_size: int = 3, h: float = 0.35, exa
     if exact:
         return _exact(image.detach())
     axes = image.dim() - 2
-    distances = [math.hypot(*place) for place in product(range(-(size // 2), size // 2 + 1), repeat=axes)]
+    distances = [math.hypot(*offset) for offset in product(range(-(size // 2), size // 2 + 1), repeat=axes)]
     if not h > 0 or math.exp(-max(distances) / h) < torch.finfo(torch.float32).tiny:
         raise ValueCheckError(f"{op}: expected a larger h for a kernel_size of {size}, got {h!r}", actual_value=h)
     if sum(math.exp(-d / h) for d in distances) - 1 > 0.999:  # else sources all around would give distance 0
@@ -74,8 +74,8 @@ def distance_transform(image: Tensor, kernel_size: int = 3, h: float = 0.35, exa
 def _approximate(x: Tensor, size: int, h: float) -> Tensor:
     blur = filter2d if x.dim() == 4 else filter3d
     squares = (torch.arange(size, dtype=x.dtype, device=x.device) - size // 2) ** 2
-    places = torch.meshgrid(*[squares] * (x.dim() - 2), indexing="ij")
-    kernel = (sum(places[1:], places[0]).sqrt() / -h).exp()[None]
+    coords = torch.meshgrid(*[squares] * (x.dim() - 2), indexing="ij")
+    kernel = (sum(coords[1:], coords[0]).sqrt() / -h).exp()[None]
     grown, total = x.clamp(0, 1), torch.zeros_like(x)
     for step in range(math.ceil(max(x.shape[2:]) / (size // 2))):
         near = blur(grown, kernel, "replicate")

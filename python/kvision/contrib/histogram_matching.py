@@ -82,9 +82,9 @@ def histogram_matching(source: Tensor, template: Tensor) -> Tensor:
         raise ShapeError("histogram_matching: expected a template with values, got none", actual_shape=template.shape)
     computes = compute_dtype(source)
     values = template.flatten().to(computes).sort().values
-    places = torch.cat([values.new_zeros(1), _ranks(values.detach())])
+    source_ranks = torch.cat([values.new_zeros(1), _ranks(values.detach())])
     ordered, order = source.detach().flatten().to(computes).sort()
-    matched = interp(_ranks(ordered), places, torch.cat([values[:1], values]))
+    matched = interp(_ranks(ordered), source_ranks, torch.cat([values[:1], values]))
     return torch.empty_like(matched).scatter(0, order, matched).view(source.shape).to(stored)
 
 

@@ -53,9 +53,9 @@ def _mapped(x: Tensor, tables: Tensor, rows: int, columns: int, tile: tuple[int,
     planes = x.flatten(0, 1)
     n, h, w = planes.shape
     tables = tables.reshape(n, rows * columns * LEVELS)
-    place = 0.0 if opencv else 0.5
-    y0, y1, wy = _neighbours(h, rows, tile[0], place, tables)
-    x0, x1, wx = _neighbours(w, columns, tile[1], place, tables)
+    pixel_center = 0.0 if opencv else 0.5
+    y0, y1, wy = _neighbors(h, rows, tile[0], pixel_center, tables)
+    x0, x1, wx = _neighbors(w, columns, tile[1], pixel_center, tables)
     level = levels(planes)
 
     def mapped(ty: Tensor, tx: Tensor) -> Tensor:
@@ -88,9 +88,9 @@ def _reflected(size: int, padded: int, x: Tensor) -> Tensor:
     return torch.minimum(i, period - i) if size > 1 else torch.zeros_like(i)
 
 
-def _neighbours(size: int, count: int, tile: int, place: float, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _neighbors(size: int, count: int, tile: int, pixel_center: float, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """For every pixel of an axis: the tile before it, the tile after it, and the weight of the latter."""
-    center = (torch.arange(size, device=like.device, dtype=like.dtype) + place) * (1 / tile) - 0.5
+    center = (torch.arange(size, device=like.device, dtype=like.dtype) + pixel_center) * (1 / tile) - 0.5
     before = center.floor()
     first, second = before.long().clamp(min=0), (before.long() + 1).clamp(max=count - 1)
     return first, second, center - before

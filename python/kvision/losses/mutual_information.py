@@ -53,9 +53,9 @@ def _bins(
     low, high = low.amin(-1, keepdim=True), high.amax(-1, keepdim=True)
     flat = ~(high - low > torch.finfo(signal.dtype).eps)
     last = (count - 1) / radius
-    place = torch.where(flat, 0, (signal - low) / torch.where(flat, 1, high - low) * last)
+    coord = torch.where(flat, 0, (signal - low) / torch.where(flat, 1, high - low) * last)
     centers = torch.arange(count, device=signal.device, dtype=signal.dtype) / radius
-    weights = _weights(kernel, (centers[:, None] - place[..., None, :]).abs(), radius)
+    weights = _weights(kernel, (centers[:, None] - coord[..., None, :]).abs(), radius)
     return weights if mask is None else torch.where(mask[:, None], weights, 0), low, high, (high - low).isfinite()
 
 

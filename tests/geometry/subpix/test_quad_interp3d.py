@@ -99,9 +99,9 @@ def test_few_candidates_and_masks(device):
 def test_a_peak_between_voxels_is_found(device):
     z, y, x = torch.meshgrid(*[torch.arange(7, dtype=torch.float64, device=device)] * 3, indexing="ij")
     volume = -((x - 3.3) ** 2 + 2 * (y - 2.8) ** 2 + (z - 3.1) ** 2 + (x - 3.3) * (y - 2.8))
-    places, values = K.ConvQuadInterp3d(10)(volume[None, None])
+    coords, values = K.ConvQuadInterp3d(10)(volume[None, None])
     expected = torch.tensor([3.1, 3.3, 2.8], dtype=torch.float64, device=device)
-    assert_close(places[0, 0, :, 3, 3, 3], expected, 1e-9, 1e-9)
+    assert_close(coords[0, 0, :, 3, 3, 3], expected, 1e-9, 1e-9)
     assert_close(values[0, 0, 3, 3, 3], torch.zeros_like(values[0, 0, 0, 0, 0]), 1e-9, 1e-9)
 
 
@@ -119,6 +119,6 @@ def test_the_old_bonus_warns():
 def test_flat_volumes_and_thin_ones_have_finite_gradients(device):
     for shape in [(1, 1, 5, 6, 7), (1, 1, 2, 6, 7), (1, 1, 5, 1, 1)]:
         x = torch.ones(shape, device=device, requires_grad=True)
-        places, values = G.conv_quad_interp3d(x, precomputed_nms_mask=torch.ones_like(x, dtype=torch.bool))
-        (places.sum() + values.sum()).backward()
+        coords, values = G.conv_quad_interp3d(x, precomputed_nms_mask=torch.ones_like(x, dtype=torch.bool))
+        (coords.sum() + values.sum()).backward()
         assert_close(x.grad, torch.ones_like(x))

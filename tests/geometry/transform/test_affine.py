@@ -46,7 +46,7 @@ CALLS = {
     "affine_matrix2d": ([30 * numbers(2), numbers(1, 2), numbers(2, 2), None, numbers(2), None], [1.0, 3.5, 2.0]),
     "translation_matrix2d": ([numbers(2, 2)], [0.25, -0.5]),
     "scale_matrix2d": ([numbers(1, 2), None], [3.5, 2.0]),
-    "slant_matrix2d": ([numbers(2, 2)], []),
+    "shear_factor_matrix2d": ([numbers(2, 2)], []),
     "crop_matrix": ([QUADS, numbers(2, 2)], [4.0, 3.0]),
     "affine_matrix3d": ([30 * numbers(2), 30 * numbers(1), 30 * numbers(2), None, numbers(1, 3), None], [1.0, 3.0, 2.0, 2.0]),
     "translation_matrix3d": ([numbers(2, 3)], [0.25, -0.5, 1.0]),

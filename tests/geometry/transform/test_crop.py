@@ -55,7 +55,7 @@ def test_few_operators_a_call(call, device, backend):
     operators = [name for name in names if "::" in name and not name.startswith(free)]
     expected = ["kvision::warp_by_formula"]
     if call is G.crop_by_boxes:
-        expected.insert(0, "kvision::quad_shapes")
+        expected.insert(0, "kvision::crop_box_checks")
     assert [name for name in operators if name.startswith("kvision::")] == expected, operators
     assert device.type == "cpu" or names.count("cudaLaunchKernel") == len(expected), names
     assert device.type == "cpu" or names.count("cudaStreamSynchronize") == len(expected) - 1, names
@@ -193,5 +193,5 @@ def test_errors(call, error, message):
 
 class TestCropOperators(PointOpTests):
     calls = {
-        "quad_shapes": [Call((near(SQUARE), near(SQUARE)))],
+        "crop_box_checks": [Call((near(SQUARE), near(SQUARE)))],
     }

@@ -70,7 +70,7 @@ class TestMatricesOperators(PointOpTests):
         ],
         "translation_matrix2d": [Call((vector(2),), (0.0, 0.0, 2)), Call((vector(2),), (0.5, -1.5, 3))],
         "scale_matrix2d": [Call((vector(2), vector(2)), (0.0, 0.0)), Call((vector(2), None), (3.5, 2.0))],
-        "slant_matrix2d": [Call((vector(2),))],
+        "shear_factor_matrix2d": [Call((vector(2),))],
         "translation_matrix3d": [Call((vector(3),), (0.5, 0.0, -1.5, 3)), Call((vector(3),), (0.0, 0.0, 0.0, 4))],
         "affine_matrix3d": [
             Call((*[DEGREES] * 3, *[vector(3)] * 3, *[SMALL] * 6), (-1.0, 0.0, 0.0, 0.0, 4)),

@@ -74,10 +74,10 @@ class TestRemap(WarpTests):
     operators = ("remap", "remap_image_backward", "remap_map_backward")
     max_size = 7
     variants = [
-        {"map_x": lambda x: places(x, 3), "map_y": lambda x: places(x, 2)},
+        {"map_x": lambda x: coords(x, 3), "map_y": lambda x: coords(x, 2)},
         {
-            "map_x": one(lambda x: places(x, 3) / 9),
-            "map_y": one(lambda x: places(x, 2) / 7),
+            "map_x": one(lambda x: coords(x, 3) / 9),
+            "map_y": one(lambda x: coords(x, 2) / 7),
             "normalized_coordinates": True,
             "mode": "bicubic",
             "padding_mode": "border",
@@ -89,7 +89,7 @@ class TestRemap(WarpTests):
     ]
 
 
-def places(x: Tensor, axis: int) -> Tensor:
+def coords(x: Tensor, axis: int) -> Tensor:
     """In, around and between the pixels along an axis of x, (B, 5, 7); no place is close to where taps change."""
     n = x.shape[axis]
     whole = torch.randint(-2, n + 2, (len(x), 5, 7), generator=torch.Generator().manual_seed(axis))
@@ -133,7 +133,7 @@ def test_a_warp_is_the_map_of_its_places(mode, padding, align_corners, device):
 @pytest.mark.parametrize("isa", ["avx512", "avx2", "baseline"])
 @pytest.mark.parametrize("align_corners", [True, False])
 @pytest.mark.parametrize("mode", MODES)
-def test_moves_are_places_beside_the_pixels(mode, align_corners, isa, device):
+def test_moves_are_coords_beside_the_pixels(mode, align_corners, isa, device):
     like = {"dtype": torch.float64, "device": device}
     x = torch.rand(2, 3, 17, 133, **like, requires_grad=True)
     moves = (torch.rand(2, 2, 17, 133, **like) * 0.2 - 0.1).requires_grad_()
@@ -150,7 +150,7 @@ def test_moves_are_places_beside_the_pixels(mode, align_corners, isa, device):
 
 
 OPENCV = {"bilinear": (cv2.INTER_LINEAR, 5e-6), "nearest": (cv2.INTER_NEAREST, 0), "bicubic": (cv2.INTER_CUBIC, 7e-6)}
-# From pixels of the result to places that are multiples of 1/32: OpenCV's older code has tables of so many.
+# From pixels of the result to coords that are multiples of 1/32: OpenCV's older code has tables of so many.
 TO_SOURCE = np.float64([[0.75, 0.125, 5 / 32], [-0.25, 0.875, 3 / 32 + 9]])
 
 
@@ -180,7 +180,7 @@ def test_values_of_opencv(mode, device):
 
 
 def test_values_of_opencv_anywhere(device):
-    """The picture is smooth enough for a rounding of places to 1/32 pixel not to show."""
+    """The picture is smooth enough for a rounding of coords to 1/32 pixel not to show."""
     y, x = np.mgrid[:60, :80].astype(np.float32)
     picture = np.sin(0.02 * x + 0.03 * y)[..., None] * np.float32([1, 0.5, 0.2]) + 1
     h = homography(torch.zeros(1))[0].numpy()
@@ -249,12 +249,12 @@ def test_identities(mode, align_corners, device):
     assert torch.equal(G.warp_perspective(x, -3 * eye, (16, 32), **how), x)  # a homography has no scale
 
 
-# --- places and pixels that are no numbers --------------------------------------------------------------------------
+# --- coords and pixels that are no numbers --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("padding", PADDINGS)
 @pytest.mark.parametrize("mode", MODES)
-def test_places_at_infinity(mode, padding, device):
+def test_coords_at_infinity(mode, padding, device):
     x = torch.rand(1, 2, 5, 6, device=device).requires_grad_()
     far = torch.tensor(
         [[[float("nan"), float("inf"), -float("inf"), 1e30, -1e30, 3e9]]], device=device
@@ -282,7 +282,7 @@ def test_taps_of_weight_zero_are_harmless(mode, bad, device):
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("padding", PADDINGS)
 @pytest.mark.parametrize("map", ["near", "constant", "anywhere", "magnified"])
-def test_image_gradients_of_maps(map, padding, mode, device):  # places that share taps, and places that are far apart
+def test_image_gradients_of_maps(map, padding, mode, device):  # coords that share taps, and coords that are far apart
     h, w = 70, 44
     y, x = torch.meshgrid(torch.arange(0.0, h), torch.arange(0.0, w), indexing="ij")
     noise = torch.rand(2, 2, h, w)
@@ -315,7 +315,7 @@ def test_singular_matrices(device):
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_half_images_have_places_in_float(mode, device):
+def test_half_images_have_coords_in_float(mode, device):
     """The bits of a float32 image's result, rounded."""
     x = torch.rand(1, 2, 6, 2048, device=device).half()
     M = torch.tensor([[[0.9, 0.013, 100.3], [0.002, 1, -0.37]]], device=device)
@@ -323,7 +323,7 @@ def test_half_images_have_places_in_float(mode, device):
     assert torch.equal(half, G.warp_affine(x.float(), M, (6, 1900), mode, "border").half())
 
 
-def test_places_in_wide_images(device):
+def test_coords_in_wide_images(device):
     """A ramp shows them."""
     ramp = torch.arange(2048, device=device) % 64
     M = torch.tensor([[[0.9, 0.0, 100.3], [0, 1, 0]]], device=device)
@@ -400,7 +400,7 @@ def test_large_images_of_odd_rows(mode, padding, device):
         (grad,) = torch.autograd.grad((found * weight.to(found.dtype)).sum(), image)
         results.append((found.detach().double(), grad.double()))
     differs = (results[0][0] - results[1][0]).abs() > 1e-4
-    assert differs.double().mean() < (1e-3 if mode == "nearest" else 1e-9)  # places between two pixels
+    assert differs.double().mean() < (1e-3 if mode == "nearest" else 1e-9)  # coords between two pixels
     differs = (results[0][1] - results[1][1]).abs() > 1e-3
     assert differs.double().mean() < (1e-2 if mode == "nearest" else 1e-9)
 
@@ -437,9 +437,9 @@ def many(kind: str, x: Tensor, index: Tensor | None, count: int, mode: str, padd
     if kind == "warp":
         M = M.double() if x.dtype == torch.float64 else M.float()
         return lambda x, M, index: sampling.warp(x, M, None, index, list(size), *options, True, False), (M,)
-    places = sampling.source_coords(M, size, x.shape[2:], True, True, False)
-    places = [p.double() if x.dtype == torch.float64 else p.float() for p in places]
-    return lambda x, u, v, index: sampling.remap(x, u, v, None, index, *options, False, False), places
+    coords = sampling.source_coords(M, size, x.shape[2:], True, True, False)
+    coords = [p.double() if x.dtype == torch.float64 else p.float() for p in coords]
+    return lambda x, u, v, index: sampling.remap(x, u, v, None, index, *options, False, False), coords
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.float16], ids=str)
@@ -513,7 +513,7 @@ def test_derivatives_of_many_samples(images, device):
 
     assert torch.autograd.gradcheck(f, (x, M, fill), nondet_tol=1e-9)
     assert torch.autograd.gradgradcheck(f, (x, M, fill), fast_mode=True, nondet_tol=1e-9)
-    u, v = (places(torch.zeros(3, 1, 5, 6), axis)[:, :2, :3].to(device).requires_grad_() for axis in (3, 2))
+    u, v = (coords(torch.zeros(3, 1, 5, 6), axis)[:, :2, :3].to(device).requires_grad_() for axis in (3, 2))
 
     def g(x: Tensor, u: Tensor, v: Tensor) -> Tensor:
         return sampling.remap(x, u, v, None, index, INTERPOLATION["bilinear"], PADDING["border"], True, False, False)

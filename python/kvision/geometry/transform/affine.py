@@ -207,7 +207,7 @@ def shear(
     """
     images = _images("shear", tensor)
     shear = _vector("shear", images, "shear", shear, 2)
-    return _by_formula("shear", tensor, images, mode, padding_mode, align_corners, "slant_matrix2d", [], shear)
+    return _by_formula("shear", tensor, images, mode, padding_mode, align_corners, "shear_factor_matrix2d", [], shear)
 
 
 # --- shared by the functions ------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 
-def _quad_shapes_reference(quads, others):
+def _crop_box_checks_reference(quads, others):
     uneven = [q[:, 1] - q[:, 0] - q[:, 2] + q[:, 3] for q in (quads, others)]
     each = [*uneven, others[:, 2] - others[:, 0]]
     batch = batch_of(quads, others)
@@ -39,7 +39,7 @@ def _quad_shapes_reference(quads, others):
 
 # For quadrangles `quads` and `others` (B, 4, 2): the differences (x, y) of opposite sides of both, and width and height of
 # `others`, (B, 6). crop_by_boxes reads these on the host, with a single wait for the device.
-_quad_shapes = register_formula("quad_shapes", _quad_shapes_reference, lambda *args: (6,))
+_crop_box_checks = register_formula("crop_box_checks", _crop_box_checks_reference, lambda *args: (6,))
 
 
 def _crop_pixels_reference(input, corner, size):
@@ -157,7 +157,7 @@ def crop_by_boxes(
         sampling.cast_to_image(op, input_tensor, name, box)
         for name, box in (("src_box", src_box), ("dst_box", dst_box))
     )
-    shapes = _quad_shapes(src_box.detach(), dst_box.detach()).tolist()
+    shapes = _crop_box_checks(src_box.detach(), dst_box.detach()).tolist()
     for name, box, of in (("src_box", src_box, slice(0, 2)), ("dst_box", dst_box, slice(2, 4))):
         if validate_boxes and not all(abs(side) <= 1e-4 for shape in shapes for side in shape[of]):
             raise ValueCheckError(f"{op}: expected {name} of rectangles, got {box.tolist()}")

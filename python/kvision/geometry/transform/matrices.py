@@ -127,9 +127,9 @@ def _shear2d_reference(center, shear_x, shear_y):
     return _placed(_shears(shear_x, shear_y, center[:1, 0]), None, center, (), 3)
 
 
-def _slant2d_reference(slant):
-    x, y = slant.unbind(-1)
-    return matrix_of([[1, x, 0], [y, 1, 0]], slant)
+def _shear_factor2d_reference(factors):
+    x, y = factors.unbind(-1)
+    return matrix_of([[1, x, 0], [y, 1, 0]], factors)
 
 
 def _inverse2d_reference(matrix):
@@ -204,7 +204,7 @@ def _shear3d_reference(center, *angles):
 affine_matrix2d = register_formula("affine_matrix2d", _affine2d_reference, lambda *args: (args[-1], 3))
 translation_matrix2d = register_formula("translation_matrix2d", _translation_reference, lambda *args: (args[-1], 3))
 scale_matrix2d = register_formula("scale_matrix2d", _scale2d_reference, lambda *args: (2, 3))
-slant_matrix2d = register_formula("slant_matrix2d", _slant2d_reference, lambda *args: (2, 3))
+shear_factor_matrix2d = register_formula("shear_factor_matrix2d", _shear_factor2d_reference, lambda *args: (2, 3))
 translation_matrix3d = register_formula("translation_matrix3d", _translation_reference, lambda *args: (args[-1], 4))
 affine_matrix3d = register_formula("affine_matrix3d", _affine3d_reference, lambda *args: (args[-1], 4))
 _shear_matrix2d = register_formula("shear_matrix2d", _shear2d_reference, lambda *args: (3, 3))

@@ -399,7 +399,7 @@ warp_by_formula = register_warp_by_formula(
         "affine_matrix2d": Formula(matrices.affine_matrix2d, 6, (2,)),
         "translation_matrix2d": Formula(matrices.translation_matrix2d, 1, (2,)),
         "scale_matrix2d": Formula(matrices.scale_matrix2d, 2),
-        "slant_matrix2d": Formula(matrices.slant_matrix2d, 1),
+        "shear_factor_matrix2d": Formula(matrices.shear_factor_matrix2d, 1),
         "crop_matrix": Formula(matrices.crop_matrix, 2),
     },
     is_indexed=True,

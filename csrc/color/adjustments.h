@@ -1,0 +1,216 @@
+// Adjustments of brightness, contrast, saturation, hue and tone, and the luma and HSV of bytes: formulas of color
+// steps. Included by steps.h, which says how they are written.
+#pragma once
+
+#include "hue.h"
+
+namespace kv::color {
+
+// The parameter as a V.
+template <class V, class U>
+KV_HD V promote(U const& p) {
+  if constexpr (__is_same(U, V))
+    return p;
+  else
+    return constant<V>(p);
+}
+
+// The floor, without derivatives: bytes have none.
+template <class V>
+KV_HD V floor_value(V const& x) {
+  return subtract_constant(V{}, -floor_of(x));
+}
+// OpenCV's luma of bytes in fixed point of 15 bits. Sums stay below 2^24, so that float represents them exactly.
+template <class V>
+KV_HD void luma_u8_fixed_point(V (&c)[3], Scalar<V> const* weights) {
+  using F = Scalar<V>;
+  V sum = constant<V>(F(16384));
+  for (int i = 0; i < 3; ++i) sum = sum + floor_value(c[i] * F(255) + F(0.5)) * weights[i];
+  c[0] = floor_value(sum * F(1. / 32768)) * F(1. / 255);
+}
+// OpenCV's HSV of bytes: the hue in 180ths of a turn, and quotients by rounded reciprocals in 4096ths. All numbers are
+// integers below 2^24, and no reciprocal ends in a half.
+template <class V>
+KV_HD void hsv_u8(V (&c)[3]) {
+  using F = Scalar<V>;
+  for (int i = 0; i < 3; ++i) c[i] = floor_value(c[i] * F(255) + F(0.5));
+  V const v = nan_max(nan_max(c[0], c[1]), c[2]), range = v - nan_min(nan_min(c[0], c[1]), c[2]);
+  V const inverse_v = floor_value(reciprocal(clamp_min(v, F(1))) * F(255 * 4096) + F(0.5));
+  V const inverse_range = floor_value(reciprocal(clamp_min(range, F(1))) * F(30 * 4096) + F(0.5));
+  V const high = floor_value(inverse_v * F(1. / 4096)),
+          low = inverse_v - high * F(4096);  // their product would have 28 bits
+  V const difference =
+      select(v == c[0], c[1] - c[2], select(v == c[1], c[2] - c[0] + range * F(2), c[0] - c[1] + range * F(4)));
+  V const hue = floor_value(difference * inverse_range * F(1. / 4096) + F(0.5));
+  c[0] = select(hue < F(0), hue + F(180), hue) * F(1. / 255);
+  c[1] = (range * high + floor_value(range * low * F(1. / 4096) + F(0.5))) * F(1. / 255);
+  c[2] = v * F(1. / 255);
+}
+template <class V>
+KV_HD void luma_u8(V (&c)[3], Scalar<V> const* weights) {
+  using F = Scalar<V>;
+  V sum{};
+  for (int i = 0; i < 3; ++i) sum = sum + floor_value(c[i] * F(255) + F(0.5)) * weights[i];
+  V const up = floor_value(sum + F(0.5)), even = floor_value(up * F(0.5)) * F(2);
+  c[0] = select(up - sum == F(0.5), even, up) * F(1. / 255);  // rounds half to even
+}
+
+template <class V>
+KV_HD V luma(V const (&c)[3]) {
+  using F = Scalar<V>;
+  return c[0] * F(0.299) + c[1] * F(0.587) + c[2] * F(0.114);
+}
+template <class V>
+KV_HD V luma(V const (&c)[1]) {
+  return c[0];
+}
+
+// HSV keeps the largest channel v; the smallest one is at a distance of s v from it. Scaling s scales all distances
+// from v, until the smallest channel reaches 0.
+template <class V>
+KV_HD V saturation_limit(ChannelRange<V> const& s) {
+  using F = Scalar<V>;
+  auto const gray = s.range == F(0);
+  V const one = constant<V>(F(1));
+  return select(gray, one, clamp_min(s.maximum, F(0)) / select(gray, one, s.range));
+}
+template <class V, class U>
+KV_HD void adjust_saturation(V (&c)[3], U const& factor) {
+  using F = Scalar<V>;
+  ChannelRange<V> const s(c);
+  V const requested = clamp_min(promote<V>(factor), F(0)), limit = saturation_limit(s);
+  V const scale = select(limit > requested, requested, limit);
+  for (int i = 0; i < 3; ++i) c[i] = s.maximum - (s.maximum - c[i]) * scale;
+}
+template <class V>
+KV_HD void adjust_saturation_vjp(V const (&c)[3], V (&g)[3], Scalar<V> factor) {
+  using F = Scalar<V>;
+  ChannelRange<V> const s(c);
+  V const requested = constant<V>(factor > F(0) ? factor : F(0)), limit = saturation_limit(s), zero = constant<V>(F(0));
+  V const scale = select(limit > requested, requested, limit), total = g[0] + g[1] + g[2];
+  V grad_limit = zero, grad_colors[3];
+  for (int i = 0; i < 3; ++i) grad_limit = grad_limit - g[i] * (s.maximum - c[i]);
+  auto const gray = s.range == F(0);
+  V const inverse_range = reciprocal(select(gray, constant<V>(F(1)), s.range));
+  grad_limit = select(limit > requested, zero, select(gray, zero, grad_limit * inverse_range));
+  V const grad_maximum = total - total * scale + select(s.maximum < F(0), zero, grad_limit);
+  channel_range_vjp(c, grad_colors, s, F(0), grad_maximum, V(-grad_limit * limit), zero);
+  for (int i = 0; i < 3; ++i) g[i] = g[i] * scale + grad_colors[i];
+}
+
+template <class V, class G, class U>
+KV_HD V blend(V const& x, G const& gray, U const& factor) {
+  return clip((x - gray) * factor + gray, true);
+}
+
+// The gradient of `gray` in blend.
+template <class V>
+KV_HD V blend_vjp_gray(V const& x, V const& g, Scalar<V> gray, Scalar<V> factor) {
+  return clip_vjp((x - gray) * factor + gray, g, true) * (Scalar<V>(1) - factor);
+}
+
+template <class V, class U>
+KV_HD void saturation_gray(V (&c)[3], U const& factor) {
+  V const gray = luma(c);
+  for (auto& x : c) x = blend(x, gray, factor);
+}
+template <class V>
+KV_HD void saturation_gray_vjp(V const (&c)[3], V (&g)[3], Scalar<V> factor) {
+  using F = Scalar<V>;
+  V const gray = luma(c);
+  for (int i = 0; i < 3; ++i) g[i] = clip_vjp(V((c[i] - gray) * factor + gray), g[i], true);
+  V const of_gray = (g[0] + g[1] + g[2]) * (F(1) - factor);
+  constexpr F weights[] = {F(0.299), F(0.587), F(0.114)};
+  for (int i = 0; i < 3; ++i) g[i] = g[i] * factor + of_gray * weights[i];
+}
+
+template <class V, class U>
+KV_HD void adjust_hue(V (&c)[3], U const& angle) {
+  using F = Scalar<V>;
+  ChannelRange<V> const s(c);
+  V const sixths = hue_sixths(c, s, F(0)) + angle * F(6 / kTwoPi);
+  hue_to_rgb(c, sixths, s.maximum, s.range);
+}
+template <class V>
+KV_HD void adjust_hue_vjp(V const (&c)[3], V (&g)[3], Scalar<V> angle) {
+  using F = Scalar<V>;
+  ChannelRange<V> const s(c);
+  HueToRgbVjp<V> const vjp(g, V(hue_sixths(c, s, F(0)) + angle * F(6 / kTwoPi)), s.range);
+  channel_range_vjp(c, g, s, F(0), vjp.v, vjp.chroma, vjp.sixths);
+}
+
+// In [0, 2 pi), also after rounding.
+template <class V, class U>
+KV_HD V rotate_hue(V const& hue, U const& angle) {
+  using F = Scalar<V>;
+  V const rest = modulo(hue + angle, F(kTwoPi)), positive = select(rest < F(0), rest + F(kTwoPi), rest);
+  return select(positive >= F(kTwoPi), positive - F(kTwoPi), positive);
+}
+
+template <class V, class U>
+KV_HD V scale_saturation(V const& saturation, U const& factor) {
+  using F = Scalar<V>;
+  return clamp_max(clamp_min(saturation * factor, F(0)), F(1));
+}
+
+// The reciprocal is the same for all pixels, so it is hoisted out of their loop.
+template <class V, class U>
+KV_HD V standardize(V const& x, U const& mean, U const& deviation) {
+  return (x - mean) * reciprocal(deviation);
+}
+
+// gain x^exponent. Black has no finite derivative for exponents below 1, so its derivative is 0. It stays black unless
+// the exponent is 0.
+template <class V, class U>
+KV_HD V gamma(V const& x, U const& exponent, U const& gain) {
+  using F = Scalar<V>;
+  V const e = promote<V>(exponent), one = constant<V>(F(1));
+  auto const dark = x <= F(0);  // false for NaN, which stays
+  V const black = select(e > F(0), constant<V>(F(0)), select(e < F(0), constant<V>(F(2)), one));
+  return select(dark, black, exp2_of(log2_of(select(dark, one, x)) * e)) * gain;
+}
+
+template <class V, class U>
+KV_HD V logarithm(V const& x, U const& gain, bool inverse) {
+  using F = Scalar<V>;
+  if (inverse) return (exp2_of(x) - F(1)) * gain;
+  V const t = x + F(1);
+  V const zero = select(t == F(0), constant<V>(-F(__builtin_inf())), constant<V>(F(__builtin_nan(""))));
+  return select(t > F(0), log2_of(select(t > F(0), t, constant<V>(F(1)))), zero) * gain;
+}
+
+// Constant beyond 2^100, so that the square in its derivative stays finite.
+template <class V, class U>
+KV_HD V sigmoid(V const& x, U const& cutoff, U const& gain, bool inverse) {
+  using F = Scalar<V>;
+  V const bits = (x - cutoff) * gain * F(inverse ? 1.44269504088896340736 : -1.44269504088896340736);
+  return reciprocal(exp2_of(clamp_max(clamp_min(bits, F(-100)), F(100))) + F(1));
+}
+
+template <class V, class U>
+KV_HD V solarize(V x, U const& threshold, U const& addition, bool adds) {
+  using F = Scalar<V>;
+  if (adds) x = clamp_max(clamp_min(x + addition, F(0)), F(1));
+  return select(x < threshold, x, F(1) - x);
+}
+
+// The high `bits` bits of the level 255 x, over 255. The product is rounded to the digits of the stored type, so that a
+// level over 255 gives that level again: `split` is 2^n + 1 for a type with n digits less than F (T. J. Dekker, "A
+// floating-point technique for extending the available precision", 1971).
+template <class V>
+KV_HD V posterize(V const& x, Scalar<V> bits, Scalar<V> split) {
+  using F = Scalar<V>;
+  if (bits >= F(8)) return x;
+  F const step = exp2_of(F(8) - (bits > F(0) ? bits : F(0)));
+  V const level = clamp_max(clamp_min(x, F(0)), F(1)) * F(255);
+  V const high = clamp_min(level * split, F(0)), rounded = high - (high - level);  // clamp_min: no fused multiply-add
+  return select(x == x, subtract_constant(V{}, -(floor_of(rounded * (F(1) / step)) * (step / F(255)))), x);
+}
+
+template <class V, class U>
+KV_HD V threshold(V const& x, U const& threshold, U const& above, U const& below, bool keeps_above, bool keeps_below) {
+  V const high = keeps_above ? x : promote<V>(above), low = keeps_below ? x : promote<V>(below);
+  return select(x > promote<V>(threshold), high, low);
+}
+
+}  // namespace kv::color

@@ -1,0 +1,132 @@
+// What formulas of color steps are made of: functions of Duals, clipping, powers, affine maps. Included by steps.h and
+// the files of formulas, after log2_of, exp2_of, floor_of, absolute, reciprocal, nan_max and nan_min of numbers and
+// Lanes.
+#pragma once
+
+#include "core/dual.h"
+#include "program.h"
+
+namespace kv::color {
+
+template <class V, int N>
+KV_HD Dual<V, N> log2_of(Dual<V, N> a) {
+  V const derivative = reciprocal(a.value) * Scalar<V>(1.44269504088896340736);
+  a.value = log2_of(a.value);
+  for (int i = 0; i < N; ++i) a.d[i] = a.d[i] * derivative;
+  return a;
+}
+template <class V, int N>
+KV_HD Dual<V, N> exp2_of(Dual<V, N> a) {
+  a.value = exp2_of(a.value);
+  V const derivative = a.value * Scalar<V>(0.69314718055994530942);
+  for (int i = 0; i < N; ++i) a.d[i] = a.d[i] * derivative;
+  return a;
+}
+template <class V, int N>
+KV_HD Dual<V, N> reciprocal(Dual<V, N> a) {
+  a.value = reciprocal(a.value);
+  V const derivative = -a.value * a.value;
+  for (int i = 0; i < N; ++i) a.d[i] = a.d[i] * derivative;
+  return a;
+}
+template <class V, int N>
+KV_HD Dual<V, N> absolute(Dual<V, N> const& a) {
+  return select(a.value < Scalar<V>(0), -a, a);
+}
+// The floor as a plain value, because its derivative is 0.
+template <class V, int N>
+KV_HD V floor_of(Dual<V, N> const& a) {
+  return floor_of(a.value);
+}
+
+template <class V, int N>
+KV_HD Dual<V, N> nan_max(Dual<V, N> const& a, Dual<V, N> const& b) {
+  Dual<V, N> c = select(b.value <= a.value, a, b);
+  c.value = nan_max(a.value, b.value);
+  return c;
+}
+template <class V, int N>
+KV_HD Dual<V, N> nan_min(Dual<V, N> const& a, Dual<V, N> const& b) {
+  Dual<V, N> c = select(b.value >= a.value, a, b);
+  c.value = nan_min(a.value, b.value);
+  return c;
+}
+// Clamps a; NaN stays NaN.
+template <class V, class F = Scalar<V>>
+KV_HD V clamp_min(V const& a, F low) {
+  if constexpr (kIsDual<V>)
+    return select(a < low, constant<V>(low), a);
+  else
+    return nan_max(a, constant<V>(low));
+}
+template <class V, class F = Scalar<V>>
+KV_HD V clamp_max(V const& a, F high) {
+  if constexpr (kIsDual<V>)
+    return select(a > high, constant<V>(high), a);
+  else
+    return nan_min(a, constant<V>(high));
+}
+
+// f(x) of one number. f is evaluated with one derivative, however many x has.
+template <class V, class Formula>
+KV_HD V map_scalar(V x, Formula f) {
+  if constexpr (kIsDual<V>) {
+    using Value = decltype(x.value);
+    Dual<Value, 1> const y = with_derivative(x.value, f);
+    x.value = y.value;
+    for (auto& d : x.d) d = d * y.d[0];
+    return x;
+  } else {
+    return f(x);
+  }
+}
+// f(x) and its derivative.
+template <class V, class Formula>
+KV_HD Dual<V, 1> with_derivative(V const& x, Formula f) {
+  return f(Dual<V, 1>{x, {constant<V>(Scalar<V>(1))}});
+}
+// x^exponent of positive numbers.
+template <class V>
+KV_HD V power(V const& x, Scalar<V> exponent) {
+  return exp2_of(log2_of(x) * exponent);
+}
+// x modulo n, in [0, n).
+template <class V>
+KV_HD V modulo(V const& x, Scalar<V> n) {
+  return subtract_constant(x, floor_of(x * (Scalar<V>(1) / n)) * n);
+}
+
+constexpr double kTwoPi = 6.283185307179586476925;
+
+template <class V>
+KV_HD V clip(V const& x, bool enabled) {
+  using F = Scalar<V>;
+  return enabled ? clamp_max(clamp_min(x, F(0)), F(1)) : x;
+}
+template <class V>
+KV_HD void affine(V (&c)[3], Scalar<V> const* m) {
+  V const a = c[0], b = c[1], d = c[2];
+  for (int i = 0; i < 3; ++i) c[i] = a * m[3 * i] + b * m[3 * i + 1] + d * m[3 * i + 2] + m[9 + i];
+}
+// The gradient of x from that of clip(x, enabled).
+template <class V>
+KV_HD V clip_vjp(V const& x, V const& g, bool enabled) {
+  using F = Scalar<V>;
+  V const zero = constant<V>(F(0));
+  return enabled ? select(x < F(0), zero, select(x > F(1), zero, g)) : g;
+}
+template <class V>
+KV_HD void linear_vjp(V (&g)[3], Scalar<V> const* m) {
+  V const a = g[0], b = g[1], d = g[2];
+  for (int i = 0; i < 3; ++i) g[i] = a * m[i] + b * m[3 + i] + d * m[6 + i];
+}
+// m[12] is whether the result is clipped.
+template <class V>
+KV_HD void affine_vjp(V const (&c)[3], V (&g)[3], Scalar<V> const* m) {
+  V y[3] = {c[0], c[1], c[2]};
+  affine(y, m);
+  for (int i = 0; i < 3; ++i) g[i] = clip_vjp(y[i], g[i], m[12] != 0);
+  linear_vjp(g, m);
+}
+
+}  // namespace kv::color

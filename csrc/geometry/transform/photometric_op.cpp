@@ -91,12 +91,12 @@ std::tuple<Tensor, Tensor, Tensor> photometric_normal_equations(Tensor const& so
 
 }  // namespace
 
-#define KV_HOW \
+#define KV_PHOTOMETRIC_ARGUMENTS \
   "(Tensor source, Tensor target, Tensor matrix, int distance, float eps, bool align_corners, bool normalized)"
 
-KV_OPERATOR(photometric, KV_HOW " -> (Tensor, Tensor)")
-KV_OPERATOR(photometric_normal_equations, KV_HOW " -> (Tensor, Tensor, Tensor)")
+KV_OPERATOR(photometric, KV_PHOTOMETRIC_ARGUMENTS " -> (Tensor, Tensor)")
+KV_OPERATOR(photometric_normal_equations, KV_PHOTOMETRIC_ARGUMENTS " -> (Tensor, Tensor, Tensor)")
 
-#undef KV_HOW
+#undef KV_PHOTOMETRIC_ARGUMENTS
 
 }  // namespace kv::geometry

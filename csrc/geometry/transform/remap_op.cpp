@@ -124,16 +124,18 @@ std::tuple<Tensor, Tensor> remap_map_backward(Tensor const& grad, Tensor const& 
 
 }  // namespace
 
-#define KV_HOW "int interpolation, int padding, bool align_corners, bool normalized, bool moves"
+#define KV_REMAP_OPTIONS "int interpolation, int padding, bool align_corners, bool normalized, bool moves"
 
-KV_OPERATOR(remap,
-            "(Tensor image, Tensor map_x, Tensor map_y, Tensor? fill, Tensor? image_index, " KV_HOW ") -> Tensor")
+KV_OPERATOR(remap, "(Tensor image, Tensor map_x, Tensor map_y, Tensor? fill, Tensor? image_index, " KV_REMAP_OPTIONS
+                   ") -> Tensor")
 KV_OPERATOR(remap_image_backward,
-            "(Tensor grad, Tensor map_x, Tensor map_y, Tensor? image_index, SymInt[] size, " KV_HOW ") -> Tensor")
-KV_OPERATOR(remap_map_backward,
-            "(Tensor grad, Tensor image, Tensor map_x, Tensor map_y, Tensor? fill, Tensor? image_index, " KV_HOW
-            ") -> (Tensor, Tensor)")
+            "(Tensor grad, Tensor map_x, Tensor map_y, Tensor? image_index, SymInt[] size, " KV_REMAP_OPTIONS
+            ") -> Tensor")
+KV_OPERATOR(
+    remap_map_backward,
+    "(Tensor grad, Tensor image, Tensor map_x, Tensor map_y, Tensor? fill, Tensor? image_index, " KV_REMAP_OPTIONS
+    ") -> (Tensor, Tensor)")
 
-#undef KV_HOW
+#undef KV_REMAP_OPTIONS
 
 }  // namespace kv::geometry

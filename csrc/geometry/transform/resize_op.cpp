@@ -80,10 +80,10 @@ Tensor pyramid_detail(Tensor const& smaller, Tensor const& image, bool align_cor
 
 }  // namespace
 
-#define KV_HOW "SymInt[] size, int filter, bool align_corners, bool antialias, int border"
-KV_OPERATOR(resize, "(Tensor input, " KV_HOW ") -> Tensor")
-KV_OPERATOR(resize_backward, "(Tensor grad, " KV_HOW ") -> Tensor")
+#define KV_RESIZE_OPTIONS "SymInt[] size, int filter, bool align_corners, bool antialias, int border"
+KV_OPERATOR(resize, "(Tensor input, " KV_RESIZE_OPTIONS ") -> Tensor")
+KV_OPERATOR(resize_backward, "(Tensor grad, " KV_RESIZE_OPTIONS ") -> Tensor")
 KV_OPERATOR(pyramid_detail, "(Tensor smaller, Tensor image, bool align_corners, int border) -> Tensor")
-#undef KV_HOW
+#undef KV_RESIZE_OPTIONS
 
 }  // namespace kv::geometry

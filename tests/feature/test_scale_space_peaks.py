@@ -79,6 +79,11 @@ class TestScaleSpacePeaks(OpTests):
             found, voxels = self.call(x.double(), wide)
         return tuple(y.to(compute_dtype(floats(x))) for y in (found, voxels))
 
+    @pytest.fixture(autouse=True)
+    def on_the_cpu(self, device):
+        if device.type == "cuda":
+            pytest.skip("on CUDA other operators find peaks step by step")
+
     def test_fuzz(self, device):
         pytest.skip("in float32 another voxel may be the largest")
 

@@ -178,10 +178,7 @@ _peaks_backward = register(
     fake=lambda grad, levels, *_: levels.new_empty((grad.shape[0], *levels.shape[1:]), dtype=compute_dtype(levels)),
     casts_outputs=True,
 )
-# Levels (B, L, H, W), weights (B, H, W) or None and scales (B,) of level 0 to peaks (B, N, 4), which are level, x, y and
-# value, and the voxels (B, N) that were refined; slots without a peak have 0 and -1. Of `differences` level i is that
-# between levels i + 1 and i. Weights select peaks and order them; values do not contain them.
-scale_space_peaks = register(
+_peaks = register(
     "scale_space_peaks",
     _reference,
     fake=_fake,
@@ -190,3 +187,13 @@ scale_space_peaks = register(
     non_differentiable=(1,),
     casts_outputs=True,
 )
+
+
+def scale_space_peaks(levels: Tensor, *args: Any) -> tuple[Tensor, Tensor]:
+    """The strongest peaks of levels (B, L, H, W): peaks (B, N, 4), which are level, x, y and value, and voxels (B, N).
+
+    Arguments are those of the operator: weights (B, H, W) or None, which select peaks and order them, scales (B,) of level
+    0, and whether level i is the difference of levels i + 1 and i. Voxels are those that were refined; slots without a peak
+    have 0 and -1. On CUDA there is no kernel for all steps together, but one for most of them.
+    """
+    return _reference(levels, *args) if levels.is_cuda else _peaks(levels, *args)

@@ -5,8 +5,9 @@
 // two beside it gives the peak. The angle is counter-clockwise as seen in the image, so it is that from x to y,
 // negated:
 //
-//   angle = pi - 2 pi (peak + 1/2 (l - r) / (l + r - 2 m)) / bins     l, m, r: the bin before, the largest, the next
-//   one
+//   angle = pi - 2 pi (peak + 1/2 (l - r) / (l + r - 2 m)) / bins
+//
+// where m is the largest bin, l the one before and r the one after.
 //
 // Further angles of a patch are those of the next largest local maxima of the histogram that have at least a share of
 // the largest bin. Where there are fewer of them, the first angle takes their place.

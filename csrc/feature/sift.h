@@ -2,10 +2,12 @@
 //
 // A pixel with gradient (m, angle) votes for two of A angular bins and for the cells around it, S along each axis:
 //
-//   h[cy][a][cx] = sum over pixels of m p[cy][y] p[cx][x] (1 - |angle A / 2 pi - a|)+     central differences
-//   p[c][x]      = g(x) (1 - |x - center_c| / (k / 2))+                                    g: Gaussian, sigma n / sqrt
-//   2 center_c     = (n - 1) / 2 + (c - (S - 1) / 2) floor(n / S) k            = 2 floor(n / (S + 1)), one more where a
-//   centered grid needs it
+//   h[cy][a][cx] = sum over pixels of m p[cy][y] p[cx][x] (1 - |angle A / 2 pi - a|)+
+//   p[c][x]      = g(x) (1 - |x - center_c| / (k / 2))+
+//   center_c     = (n - 1) / 2 + (c - (S - 1) / 2) floor(n / S)
+//   k            = 2 floor(n / (S + 1)), one more where a centered grid needs it
+//
+// Gradients are central differences; g is a Gaussian of sigma n / sqrt(2); ()+ is 0 for negative numbers.
 //
 // The descriptor is h over its length, clipped from above, over its length again; RootSIFT takes the square roots of
 // its shares of the sum (R. Arandjelovic and A. Zisserman, "Three things everyone should know to improve object

@@ -1,5 +1,6 @@
 // Points and normals of depth images on the CPU: rows [begin, end) of all images in order. Compiled once per
 // instruction set.
+#include "core/iota.h"
 #include "core/lanes.h"
 #include "core/scratch.h"
 // Included after core/lanes.h, whose vsqrt it uses.
@@ -7,17 +8,6 @@
 
 namespace kv::geometry::KV_ISA {
 namespace {
-
-template <int N, class F>
-KV_HD Lanes<F, N> columns_from(int64_t first) {
-  if constexpr (N == 1) {
-    return F(first);
-  } else {
-    Lanes<F, N> v;
-    for (int i = 0; i < N; ++i) v[i] = F(i);
-    return v + F(first);
-  }
-}
 
 // Calls f for vectors if pixels are adjacent in both images, else for single pixels.
 template <class T, class A, class B, class Call>
@@ -42,7 +32,7 @@ KV_HD void for_each_tangents(P const& p, Other const& other, int64_t b, int64_t 
     using V = Lanes<F, N>;
     V along_x[3], along_y[3];
     auto const column = [&](int64_t at) {
-      V const u = rays.across(columns_from<N, F>(at));
+      V const u = rays.across(iota<N, F>(at));
       V z[3];
       for (int j = 0; j < 3; ++j) z[j] = rays.z_of(u, down[j], load<N>(p.depth.row(b, 0, rows[j]) + at * p.depth.step));
       return PointColumn<V>(u, down, z);
@@ -67,7 +57,7 @@ void depth_points(DepthPoints<T> const& p, int64_t begin, int64_t end) {
     for_each_pixel<T>(p.depth, p.y, 0, p.y.width, [&](auto lanes, int64_t x) {
       constexpr int N = decltype(lanes)::value;
       Lanes<F, N> ray[3], d = load<N>(depth + x * p.depth.step);
-      rays.at(columns_from<N, F>(x), F(y), ray);
+      rays.at(iota<N, F>(x), F(y), ray);
       for (int k = 0; k < 3; ++k) store<N>(p.y.row(b, k, y) + x * p.y.step, Lanes<F, N>(ray[k] * d));
     });
   }
@@ -82,7 +72,7 @@ void depth_points_backward(DepthPointsBackward<T> const& p, int64_t begin, int64
     for_each_pixel<T>(p.grad, p.to_depth, 0, p.grad.width, [&](auto lanes, int64_t x) {
       constexpr int N = decltype(lanes)::value;
       Lanes<F, N> ray[3], sum{};
-      rays.at(columns_from<N, F>(x), F(y), ray);
+      rays.at(iota<N, F>(x), F(y), ray);
       for (int k = 0; k < 3; ++k) sum += ray[k] * load<N>(p.grad.row(b, k, y) + x * p.grad.step);
       store<N>(p.to_depth.row(b, 0, y) + x, sum);
     });
@@ -141,7 +131,7 @@ void depth_normals_backward(DepthNormalsBackward<T> const& p, int64_t begin, int
       if (p.to_points) {
         for (int k = 0; k < 3; ++k) store<N>(p.to.row(b, k, y) + x * p.to.step, to_point[k]);
       } else {
-        rays.at(columns_from<N, F>(x), F(y), ray);
+        rays.at(iota<N, F>(x), F(y), ray);
         store<N>(p.to.row(b, 0, y) + x * p.to.step, dot_of(ray, to_point));
       }
     };
@@ -165,7 +155,7 @@ void depth_points_camera_backward(DepthPointsCameraBackward<T> const& p, int64_t
       constexpr int M = decltype(width)::value;
       Lanes<F, M> g[3], d = load<M>(p.depth.row(b, 0, y) + x * depth_step);
       for (int k = 0; k < 3; ++k) g[k] = load<M>(p.grad.row(b, k, y) + x * step);
-      rays.add_gradients(columns_from<M, F>(x), F(y), d, g, sums);
+      rays.add_gradients(iota<M, F>(x), F(y), d, g, sums);
     };
     int64_t x = 0;
     if (step == 1 && depth_step == 1)

@@ -2,6 +2,7 @@
 // namespace.
 #pragma once
 
+#include "core/iota.h"
 #include "core/lanes.h"
 #include "geometry/transform/taps.h"
 
@@ -9,17 +10,6 @@ namespace kv::geometry::KV_ISA {
 namespace {
 
 // --- sampling coordinates --------------------------------------------------------------------------------------------
-
-template <int N, class F>
-KV_HD Lanes<F, N> iota(int64_t first) {
-  if constexpr (N == 1) {
-    return F(first);
-  } else {
-    Lanes<F, N> v;
-    for (int i = 0; i < N; ++i) v[i] = F(i);
-    return v + F(first);
-  }
-}
 
 // Calls piece(sample, y, first column, columns) for rows [begin, end) of a batch, in tiles. A row of a rotated
 // image reads from many rows of its source, and the next row reads them again. Without tiles, long rows would read more

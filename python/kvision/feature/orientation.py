@@ -23,7 +23,7 @@ from kvision.feature.patches import check_frames, extract_patches_from_pyramid
 
 __all__ = ["LAFOrienter", "PatchDominantGradientOrientation"]
 
-_MOST_BINS = 64  # kMostOrientationBins in csrc/feature/orientation.h
+_MAX_BINS = 64  # kMaxOrientationBins in csrc/feature/orientation.h
 _SMOOTHING = (0.29962780949740747, 0.2311235920177775, 0.11906250323351877)  # of bins 0, 1 and 2 away: exp(-s) I_k(s)
 
 # --- the operator ---------------------------------------------------------------------------------------------------
@@ -67,7 +67,7 @@ def _peaks(histogram: Tensor, count: int, share: float) -> Tensor:
 
 def _supports(patches: Tensor, bins: int, *_: Any) -> str | None:
     """Patches have at most 88 pixels a side on CUDA, histograms at most 64 bins."""
-    return f"no kernel has {bins} bins" if bins > _MOST_BINS else too_large(patches)
+    return f"no kernel has {bins} bins" if bins > _MAX_BINS else too_large(patches)
 
 
 def _supports_backward(grad: Tensor, *args: Any) -> str | None:

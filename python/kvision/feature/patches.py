@@ -18,7 +18,7 @@ from kvision.geometry.transform.sampling import sample
 
 __all__ = ["extract_patches_from_pyramid", "extract_patches_simple"]
 
-_MOST_LEVELS = 16  # kMostLevels in csrc/feature/patches.h
+_MAX_LEVELS = 16  # kMaxLevels in csrc/feature/patches.h
 
 # --- the operator ---------------------------------------------------------------------------------------------------
 
@@ -120,7 +120,7 @@ def sample_levels(levels: Sequence[Tensor], laf: Tensor, patch_size: int, window
 def build_levels(image: Tensor, smallest: int) -> list[Tensor]:
     """The image and its halves, as long as the shorter side has `smallest` pixels."""
     levels = [image]
-    while len(levels) < _MOST_LEVELS:
+    while len(levels) < _MAX_LEVELS:
         shorter = min(levels[-1].shape[2:])
         if shorter <= 2 or shorter // 2 < smallest:  # pyrdown reflects two pixels
             break

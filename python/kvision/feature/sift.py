@@ -30,7 +30,7 @@ from kvision.filters import filter2d_separable, gaussian_blur2d
 __all__ = ["DenseSIFTDescriptor", "SIFTDescriptor", "SIFTDescriptorFromPyramid", "convert_sift_descriptor_layout"]
 
 _EPSILON = 1e-10  # kSiftEpsilon in csrc/feature/sift.h
-_MOST_BINS, _MOST_CELLS, _LARGEST = 64, 32, 1024  # those of csrc/feature/sift_op.cpp
+_MAX_BINS, _MAX_CELLS, _LARGEST = 64, 32, 1024  # those of csrc/feature/sift_op.cpp
 
 # --- the operator ---------------------------------------------------------------------------------------------------
 
@@ -72,7 +72,7 @@ def _reference(patches: Tensor, bins: int, cells: int, clip: float, root: bool) 
 
 def _supports(patches: Tensor, bins: int, cells: int, *_: Any) -> str | None:
     """Patches have at most 88 pixels a side on CUDA, descriptors at most 1024 numbers."""
-    if bins > _MOST_BINS or cells > _MOST_CELLS or bins * cells * cells > _LARGEST:
+    if bins > _MAX_BINS or cells > _MAX_CELLS or bins * cells * cells > _LARGEST:
         return f"no kernel has {bins} angular and {cells} spatial bins"
     return too_large(patches)
 

@@ -168,6 +168,27 @@ print(megabytes() - before, y.data_ptr() % 64)
         assert float(grown) < 30 and int(misaligned) == 0  # a result is 12 MB
 
 
+@pytest.mark.parametrize("shape", [(12, 3, 250, 318), (1, 3, 480, 640), (1, 1, 200, 200)], ids=str)
+def test_memory_of_results_does_not_fault_anew(shape, backend):
+    if backend == "reference":
+        pytest.skip("the memory of the reference is torch's")
+    code = f"""
+import resource, torch, kvision as K
+def faults():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+x = torch.rand({shape})
+for _ in range(5):
+    y = K.filters.box_blur(x, 3)
+before = faults()
+for _ in range(20):
+    y = K.filters.box_blur(x, 3)
+print(faults() - before, y.numel() * y.element_size() // 4096)
+"""
+    for _ in range(2):  # whether glibc gives memory back depends on addresses
+        faults, pages = map(int, run(code).stdout.split())
+        assert faults < 2 * pages  # of 20 results
+
+
 def test_graphs_that_torch_keeps_on_disk_are_of_this_version():
     assert f"kvision {K.__version__}" in torch.compiler.config.cache_key_tag
 

@@ -21,12 +21,14 @@ bool is_channels_last(Tensor const& x) {
 #if defined(KV_CUDA)
 constexpr int64_t kLargeResult = INT64_MAX;
 #else
-constexpr int64_t kLargeResult = 1 << 22;  // bytes
+constexpr int64_t kLargeResult = 1 << 16;  // bytes
 #endif
+constexpr int64_t kManyPages = 1 << 22;  // bytes
 
 // Memory of a large result on the CPU. Not from torch's allocator, because that asks glibc for an address of a certain
 // alignment, and glibc before 2.38 may never use such a block again: small blocks that it cuts off at both ends stay in
-// use, and the process grows by a result a call. An ordinary block is used again by the next result of its size.
+// use, and the process grows by a result a call; or it gives the block back to the system, and the next result faults
+// at each of its pages. An ordinary block is used again by the next result of its size.
 void* large_block(int64_t bytes, void*& data) {
   constexpr int64_t alignment = 64;
   char* const block = static_cast<char*>(malloc(size_t(bytes + alignment)));
@@ -37,7 +39,7 @@ void* large_block(int64_t bytes, void*& data) {
   // first written, and with pages of 4 KB that takes longer than most filters. Only a hint.
   constexpr int64_t page = 4096;
   char* const first = block + (page - reinterpret_cast<uintptr_t>(block) % page) % page;
-  madvise(first, size_t(block + bytes - first), MADV_HUGEPAGE);
+  if (bytes >= kManyPages) madvise(first, size_t(block + bytes - first), MADV_HUGEPAGE);
 #endif
   return block;
 }

@@ -367,6 +367,49 @@ KV_HD void for_each_chunk(Program<F> const& p, bool backward, bool at_once, int6
   }
 }
 
+// OpenCV's conversions of bytes stay in registers from image to result: they take few instructions, of which chunks in
+// memory would be half.
+KV_HD bool converts_bytes(Program<float> const& p) {
+  auto const has_rows_of_bytes = [](Pixels const& x) {
+    return x.type == DType::uint8 && (x.step == 1 || is_interleaved(x));
+  };
+  return p.steps == 1 && !p.has_order() && (p.step[0] == Step::luma_u8_fixed_point || p.step[0] == Step::hsv_u8) &&
+         p.x.channels == 3 && has_rows_of_bytes(p.x) && has_rows_of_bytes(p.y);
+}
+
+template <class Formula>
+KV_HD void convert_bytes(Pixels const& x, Pixels const& y, int64_t b, int64_t first, int64_t count, Formula formula) {
+  auto const* const from = static_cast<uint8_t const*>(x.data) + x.offset(b) + first * x.step;
+  auto* const to = static_cast<uint8_t*>(y.data) + y.offset(b) + first * y.step;
+  bool const reads_interleaved = is_interleaved(x), writes_interleaved = is_interleaved(y);
+  constexpr int N = kLanes<uint8_t>;
+  auto const convert = [&](int64_t i) {
+    Vector<float> c[3];
+    if (reads_interleaved)
+      load_interleaved<N>(from + 3 * i, c);
+    else
+      for (int k = 0; k < 3; ++k) c[k] = load<N>(from + k * x.channel_stride + i);
+    for (auto& v : c) v *= 1.f / 255;
+    formula(c);
+    for (auto& v : c) v *= 255;
+    if (writes_interleaved)
+      store_interleaved<N>(to + 3 * i, c);
+    else
+      for (int k = 0; k < y.channels; ++k) store<N>(to + k * y.channel_stride + i, c[k]);
+  };
+  for (int64_t i = 0; i + N <= count; i += N) convert(i);
+  convert(count - N);
+}
+
+// At least a vector of pixels.
+__attribute__((noinline)) void convert_bytes(Program<float> const& p, Sample<float> const& s, int64_t b, int64_t first,
+                                             int64_t count) {
+  if (p.step[0] == Step::hsv_u8)
+    convert_bytes(p.x, p.y, b, first, count, [](auto& c) { hsv_u8(c); });
+  else
+    convert_bytes(p.x, p.y, b, first, count, [&](auto& c) { luma_u8_fixed_point(c, s.p + p.first[0]); });
+}
+
 template <class F, int C>
 void run(Program<F> const& p, int64_t begin, int64_t end) {
   constexpr int N = kLanes<F>;
@@ -376,7 +419,11 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
   bool const one_channel = p.steps > 0 && gives_one_channel(p.step[p.steps - 1]);
   bool const direct = !p.measures_mean && !p.has_order() && p.steps == 1 && (p.y.channels == C || one_channel) &&
                       is_plain_chunk<F>(p.x, p.pixels) && is_plain_chunk<F>(p.y, p.pixels);
+  bool in_registers = false;
+  if constexpr (sizeof(F) == 4 && C == 3) in_registers = converts_bytes(p);
   auto const work = [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
+    if constexpr (sizeof(F) == 4 && C == 3)
+      if (in_registers && count >= N) return convert_bytes(p, s, b, first, count);
     bool const reads = is_plain_chunk<F>(p.x, count) && s.length > 0 && !p.measures_mean;
     bool const writes =
         is_plain_chunk<F>(p.y, count) && s.length > 0 && !p.measures_mean && (p.y.channels == C || one_channel);
@@ -400,7 +447,7 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
       for (int k = 0; k < C; ++k) p.parts[part] += c[k * kChunk<F> + i] * p.gray_weights[k];
     p.parts[part] += sum_of(sum);
   };
-  for_each_chunk(p, false, direct, begin, end, work);
+  for_each_chunk(p, false, direct || in_registers, begin, end, work);
 }
 
 template <class F, int C>

@@ -1,7 +1,8 @@
-// Window sums on the CPU: rows [begin, end) of all planes in order, first along columns, then along the row. Compiled
+// Window sums on the CPU: rows [begin, end) of all planes in order, first along columns, then along the row. F is the
+// type of sums: 16-bit integers for bytes under small windows, otherwise that which images are computed in. Compiled
 // once per instruction set.
 #include "box.h"
-#include "core/lanes.h"
+#include "core/bytes.h"
 #include "core/scratch.h"
 
 namespace kv::filters::KV_ISA {
@@ -9,9 +10,8 @@ namespace {
 
 // Calls f(width, e) for vectors and then single elements of [0, size), each element once, so that results may be
 // written in place.
-template <class T, class F>
-KV_HD void for_each_once(int64_t size, F f) {
-  constexpr int N = kLanes<T>;
+template <int N, class Call>
+KV_HD void for_each_once(int64_t size, Call f) {
   int64_t e = 0;
   for (; e + N <= size; e += N) f(Width<N>{}, e);
   for (; e < size; ++e) f(Width<1>{}, e);
@@ -19,23 +19,22 @@ KV_HD void for_each_once(int64_t size, F f) {
 
 // Calls emit(width, e, terms[0][e] + terms[1][e] + ...) for e in [0, size), as for_each_vector does. It sums a few
 // vectors at a time, which shares the loads of the pointers.
-template <class T, class Emit>
+template <class F, class T, class Emit>
 KV_HD void add_up(T const* const* terms, int count, int64_t size, Emit emit) {
-  using F = Compute<T>;
-  constexpr int N = kLanes<T>, kBlock = 4;
+  constexpr int N = kLanesAs<F, T>, kBlock = 4;
   int64_t e = 0;
   for (; e + kBlock * N <= size; e += kBlock * N) {
     Lanes<F, N> sums[kBlock];
-    for (int i = 0; i < kBlock; ++i) sums[i] = load<N>(terms[0] + e + i * N);
+    for (int i = 0; i < kBlock; ++i) sums[i] = load_as<N, F>(terms[0] + e + i * N);
     for (int t = 1; t < count; ++t)
-      for (int i = 0; i < kBlock; ++i) sums[i] += load<N>(terms[t] + e + i * N);
+      for (int i = 0; i < kBlock; ++i) sums[i] += load_as<N, F>(terms[t] + e + i * N);
     for (int i = 0; i < kBlock; ++i) emit(Width<N>{}, e + i * N, sums[i]);
   }
   if (e == size) return;
-  for_each_vector<T>(size < N ? 0 : min(e, size - N), size, [=](auto width, int64_t e) {
+  for_each_vector<T, N>(size < N ? 0 : min(e, size - N), size, [=](auto width, int64_t e) {
     constexpr int M = decltype(width)::value;
-    Lanes<F, M> sum = load<M>(terms[0] + e);
-    for (int t = 1; t < count; ++t) sum += load<M>(terms[t] + e);
+    Lanes<F, M> sum = load_as<M, F>(terms[0] + e);
+    for (int t = 1; t < count; ++t) sum += load_as<M, F>(terms[t] + e);
     emit(width, e, sum);
   });
 }
@@ -46,10 +45,9 @@ KV_HD void add_up(T const* const* terms, int count, int64_t size, Emit emit) {
 // of the next. The suffix sums of a block are computed when the window reaches it; the prefix sum grows row by row.
 // That costs two additions an element and row, and one that adds the two. Windows of up to three rows are summed
 // directly.
-template <class T>
+template <class T, class F>
 class ColumnSums {
-  using F = Compute<T>;
-  static constexpr int kDirect = 3;
+  static constexpr int kDirect = 3, kN = kLanesAs<F, T>;
 
   Planes<T const> const& x_;
   BoxAxis const axis_;
@@ -72,9 +70,9 @@ class ColumnSums {
   }
   // sum = a + weight * row
   KV_HD void add(F* sum, F const* a, F weight, T const* row) const {
-    for_each_once<T>(size_, [=](auto width, int64_t e) {
+    for_each_once<kN>(size_, [=](auto width, int64_t e) {
       constexpr int N = decltype(width)::value;
-      store<N>(sum + e, Lanes<F, N>(load<N>(a + e) + load<N>(row + e) * weight));
+      store_as<N, F>(sum + e, load_as<N, F>(a + e) + load_as<N, F>(row + e) * weight);
     });
   }
 
@@ -91,11 +89,11 @@ class ColumnSums {
     F const* const rest = end(m);
     T const* const next = row(plane, block + k_ + m - 1);
     F const times = weight(block + k_ + m - 1);
-    for_each_once<T>(size_, [=](auto width, int64_t e) {
+    for_each_once<kN>(size_, [=](auto width, int64_t e) {
       constexpr int N = decltype(width)::value;
-      Lanes<F, N> const b = load<N>(beginning + e) + load<N>(next + e) * times;
-      store<N>(beginning + e, b);
-      store<N>(sum + e, Lanes<F, N>(load<N>(rest + e) + b));
+      Lanes<F, N> const b = load_as<N, F>(beginning + e) + load_as<N, F>(next + e) * times;
+      store_as<N, F>(beginning + e, b);
+      store_as<N, F>(sum + e, load_as<N, F>(rest + e) + b);
     });
   }
 
@@ -119,7 +117,8 @@ class ColumnSums {
     int count = 0;
     for (int64_t i = y - axis_.before; i <= y + axis_.after; ++i)
       for (int times = weight(i); times > 0; --times) terms[count++] = row(plane, i);
-    add_up(terms, count, size_, [=](auto width, int64_t e, auto s) { store<decltype(width)::value>(sum + e, s); });
+    add_up<F>(terms, count, size_,
+              [=](auto width, int64_t e, auto s) { store_as<decltype(width)::value, F>(sum + e, s); });
   }
 
   // The sum of the rows that read row j, an edge row of a transposed axis.
@@ -175,10 +174,10 @@ class RowSums {
       F const* four[4];
       for (int i = 0; i < 4; ++i) four[i] = level + i * power * step_;
       F* const above = level + room_;
-      add_up(four, 4, size_ + (k_ - 4 * power) * step_,
-             [=](auto width, int64_t e, auto s) { store<decltype(width)::value>(above + e, s); });
+      add_up<F>(four, 4, size_ + (k_ - 4 * power) * step_,
+                [=](auto width, int64_t e, auto s) { store_as<decltype(width)::value, F>(above + e, s); });
     }
-    add_up(terms, count, size_, emit);
+    add_up<F>(terms, count, size_, emit);
   }
 };
 
@@ -238,15 +237,36 @@ class RowEdges {
   }
 };
 
-template <class T>
+// The mean of n bytes in 16 bits, (sum + n / 2) / n rounded down; n is odd, so that no mean ends in a half. The division
+// is a product with (2^k + e) / n, the reciprocal rounded up, where e < n < 128 and 2^k > 2^15 n. The result is too large
+// by (sum + n / 2) e / (2^k n) < 255.5 n / (2^15 n) < 1 / n, which reaches no next integer.
+struct MeanOfBytes {
+  uint16_t half, reciprocal;
+  int shift = 0;
+
+  KV_HD static bool serves(int64_t n) { return n % 2 == 1 && n > 1 && n < 128; }
+  KV_HD explicit MeanOfBytes(int n) : half(uint16_t(n / 2)) {
+    while (2 << shift < n) ++shift;
+    reciprocal = uint16_t(((1 << (16 + shift)) + n - 1) / n);
+  }
+  template <int N>
+  KV_HD Lanes<uint16_t, N> of(Lanes<uint16_t, N> sum) const {
+    using V = Lanes<uint16_t, N>;
+    return V(high_product<N>(V(sum + half), reciprocal) >> shift);
+  }
+};
+
+template <class F, class T>
 KV_HD void box_rows(Box<T> const& p, bool transposed, int64_t begin, int64_t end) {
-  using F = Compute<T>;
   int64_t const height = p.x.height, size = p.x.row_size();
   BoxAxis const down(p.ky, height, p.border, transposed), along(p.kx, p.x.width, p.border, transposed);
-  ColumnSums<T> columns(p.x, down);
+  ColumnSums<T, F> columns(p.x, down);
   RowSums<F> const row(size, p.kx, p.x.step);
   RowEdges<F> const edges(along, p.border, p.x.step);
   F* const s = row.elements() + along.before * p.x.step;
+  Compute<T> const center = p.center, divisor = p.divisor, reciprocal = 1 / divisor;
+  bool const has_center = center != 0;  // 0 times an infinite pixel is not 0
+  MeanOfBytes const mean(sizeof(F) == 2 ? int(divisor) : 3);
 
   for (int64_t r = begin; r < end; ++r) {
     int64_t const plane = r / height, y = r % height;
@@ -257,14 +277,15 @@ KV_HD void box_rows(Box<T> const& p, bool transposed, int64_t begin, int64_t end
 
     T const* const x = p.x.row(plane, y);
     T* const out = p.y.row(plane, y);
-    F const center = p.center, divisor = p.divisor, reciprocal = 1 / divisor;
-    F const row_scale = down.doubled && down.is_edge(y) ? F(0.5) : F(1);
-    bool const has_centre = center != 0;  // 0 times an infinite pixel is not 0
-    auto const emit = [=](auto width, int64_t e, auto sum) {
+    auto const emit = [&, row_scale = down.doubled && down.is_edge(y) ? 0.5f : 1.f](auto width, int64_t e, auto sum) {
       constexpr int N = decltype(width)::value;
-      sum *= row_scale;
-      if (has_centre) sum += load<N>(x + e) * center;
-      store<N>(out + e, quotient<T>(sum, divisor, reciprocal));
+      if constexpr (sizeof(F) == 2) {
+        store_as<N, F>(out + e, mean.template of<N>(sum));
+      } else {
+        Lanes<F, N> all = sum * F(row_scale);
+        if (has_center) all += load<N>(x + e) * center;
+        store<N>(out + e, quotient<T>(all, divisor, reciprocal));
+      }
     };
     row.sums(emit);
     edges.sums(emit);
@@ -275,11 +296,15 @@ KV_HD void box_rows(Box<T> const& p, bool transposed, int64_t begin, int64_t end
 
 template <class T>
 void box(Box<T> const& p, int64_t begin, int64_t end) {
-  box_rows(p, false, begin, end);
+  if constexpr (sizeof(T) == 1) {
+    int64_t const n = p.kx * p.ky;
+    if (p.center == 0 && p.divisor == n && MeanOfBytes::serves(n)) return box_rows<uint16_t>(p, false, begin, end);
+  }
+  box_rows<Compute<T>>(p, false, begin, end);
 }
 template <class T>
 void box_backward(Box<T> const& p, int64_t begin, int64_t end) {
-  box_rows(p, true, begin, end);
+  box_rows<Compute<T>>(p, true, begin, end);
 }
 
 KV_INSTANTIATE_WITH_BYTES(box, Box)

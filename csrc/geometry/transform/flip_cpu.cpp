@@ -1,6 +1,7 @@
 // Flips and crops on the CPU: copies of whole vectors, regardless of the element type.
 #include <cstring>
 
+#include "core/bytes.h"
 #include "core/scratch.h"
 #include "geometry/transform/flip.h"
 #include "geometry/transform/reverse_row.h"
@@ -55,6 +56,18 @@ void reverse_pixels(T const* from, T* to, int64_t size, int64_t step, T* line) {
   memcpy(to, reversed, size_t(size) * sizeof(T));
 }
 
+// Pixels of three bytes: five of them in a vector of 16 bytes, behind one byte that is overwritten next.
+KV_HD void reverse_rgb(uint8_t const* from, uint8_t* to, int64_t size) {
+  using V = Lanes<uint8_t, 16>;
+  int64_t e = 0;
+  for (; e + 16 <= size; e += 15) {
+    V const v = load_bytes<16>(from + size - 16 - e);
+    store_bytes<16>(to + e, __builtin_shufflevector(v, v, 13, 14, 15, 10, 11, 12, 7, 8, 9, 4, 5, 6, 1, 2, 3, 0));
+  }
+  for (; e < size; e += 3)
+    for (int c = 0; c < 3; ++c) to[e + c] = from[size - 3 - e + c];
+}
+
 // The elements from `left` on of a row of `in_size`; zeros out of bounds.
 template <class T>
 void copy_window(T const* from, int64_t in_size, int64_t left, T* to, int64_t size) {
@@ -84,10 +97,12 @@ void flip(Flip<T> const& p, int64_t begin, int64_t end) {
       copy_window(from, p.x.row_size(), p.left * step, to, size);
     else if (step == 1)
       large ? reverse_row_past_caches(from, to, size) : reverse_row(from, to, size);
-    else if (step == 3)
-      reverse_pixels<3>(from, to, size, step, line.data);
-    else
+    else if (step != 3)
       reverse_pixels<0>(from, to, size, step, line.data);
+    else if constexpr (sizeof(T) == 1)
+      reverse_rgb(from, to, size);
+    else
+      reverse_pixels<3>(from, to, size, step, line.data);
   }
 #if defined(__x86_64__)
   if (large) __builtin_ia32_sfence();  // before another thread reads the result

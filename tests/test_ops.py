@@ -54,6 +54,36 @@ def test_serves(device, backend):
     assert _ops.serves("sobel", x.to("meta")) == "reference"
 
 
+BYTES_ON_CPU = {
+    "dilation": lambda x: K.morphology.dilation(x, torch.ones(3, 5)),
+    "equalize": lambda x: K.enhance.equalize(x, opencv=True),
+    "equalize_clahe": lambda x: K.enhance.equalize_clahe(x, 2.0, (2, 3)),
+    "sharpness": lambda x: K.enhance.sharpness(x, 1.5),
+}
+
+
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=str)
+@pytest.mark.parametrize("name", BYTES_ON_CPU)
+def test_bytes_go_through_kernels_of_floats(name, layout, backend, monkeypatch):
+    """As on CUDA, whose kernels of these operators take no bytes: here the CPU's are kept from taking them."""
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    operator, call = _ops.operators[name], BYTES_ON_CPU[name]
+    x = torch.randint(0, 256, (2, 3, 19, 23), dtype=torch.uint8).contiguous(memory_format=layout)
+    expected = call(x)
+    monkeypatch.setattr(operator, "_on_cpu", operator._on_cpu - {torch.uint8})
+    for chosen in ("auto", "native"):
+        with K.backend(chosen):
+            y = call(x)
+        assert y.dtype == torch.uint8 and y.stride() == expected.stride()
+        assert (y.short() - expected.short()).abs().max() <= (name in ("equalize_clahe", "sharpness"))
+    assert torch.equal(torch.compile(call, fullgraph=True)(x), y)
+
+
+def test_every_operator_of_bytes_on_the_cpu_is_tested_through_floats():
+    assert {o.name for o in _ops.operators.values() if o._converts_bytes} == set(BYTES_ON_CPU)
+
+
 def test_environment_chooses_the_backend():
     code = "import torch, kvision as K; print(K._ops.serves('sobel', torch.zeros(1, 1, 2, 2)))"
     assert run(code, KVISION_BACKEND="reference").stdout.strip() == "reference"

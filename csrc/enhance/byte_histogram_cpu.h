@@ -8,10 +8,18 @@ namespace kv::enhance::KV_ISA {
 namespace {
 
 constexpr int64_t kChunk = 512;  // pixels
+template <class T>
+constexpr int kWhite = __is_same(T, uint8_t) ? 1 : 255;  // levels are divided by it
 
 template <class T, int N>
 KV_HD Lanes<int32_t, N> levels_of(Lanes<Compute<T>, N> x) {
   using F = Compute<T>;
+  if constexpr (__is_same(T, uint8_t)) {
+    if constexpr (N == 1)
+      return int32_t(x);
+    else
+      return __builtin_convertvector(x, Lanes<int32_t, N>);
+  }
   auto const is_nan = x != x;
   x = (x > 0 ? x : broadcast<N>(F(0))) * 255;
   if constexpr (sizeof(T) == 2) {

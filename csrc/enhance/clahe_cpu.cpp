@@ -131,7 +131,7 @@ KV_HD void map_row(Clahe<T> const& p, int64_t plane, int y, int cy, uint16_t con
       V v = mixed(byte_of<F, N>(at, 0), byte_of<F, N>(at, 1), byte_of<F, N>(at, 2), byte_of<F, N>(at, 3),
                   load<N>(memory.weight.data + x + i), broadcast<N>(wy));
       if (p.to_levels) v = round_even(v, F());
-      store<N>(results + i, V(v / 255));
+      store<N>(results + i, V(v / kWhite<T>));
     });
     if (nan)
       for (int64_t i = 0; i < n; ++i)
@@ -164,6 +164,6 @@ void clahe(Clahe<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
-KV_INSTANTIATE(clahe, Clahe)
+KV_INSTANTIATE_WITH_BYTES(clahe, Clahe)
 
 }  // namespace kv::enhance::KV_ISA

@@ -34,7 +34,7 @@ Tensor equalize_clahe(Tensor const& input, double clip_limit, int64_t rows, int6
 #else
   uint8_t* const tables = nullptr;
 #endif
-  dispatch_floating(op, x, [&](auto type) {
+  dispatch_floating_and_cpu_uint8(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     Clahe<T> const params{
         channel_planes<T const>(x, layout), channel_planes<T>(y, layout), down, across, limit, opencv, tables};

@@ -23,7 +23,7 @@ KV_HD bool make_table(LevelCounts const& counts, bool opencv, T (&table)[kLevels
   int32_t up_to = 0;
   for (int i = 0; i < kLevels; ++i) {
     up_to += count[i];
-    store<1>(table + i, F(curve(up_to, count[i])) / 255);
+    store<1>(table + i, F(curve(up_to, count[i])) / kWhite<T>);
   }
   store<1>(table + kNanLevel, F(__builtin_nanf("")));
   return true;
@@ -89,7 +89,7 @@ void equalize_backward(EqualizeBackward<T> const& p, int64_t begin, int64_t end)
   }
 }
 
-KV_INSTANTIATE(equalize, Equalize)
+KV_INSTANTIATE_WITH_BYTES(equalize, Equalize)
 KV_INSTANTIATE(equalize_backward, EqualizeBackward)
 
 }  // namespace kv::enhance::KV_ISA

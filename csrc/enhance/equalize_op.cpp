@@ -15,7 +15,7 @@ std::tuple<Tensor, Tensor> equalize(Tensor const& input, bool opencv) {
 #else
   int32_t* const counts = nullptr;
 #endif
-  dispatch_floating("equalize", x, [&](auto type) {
+  dispatch_floating_and_cpu_uint8("equalize", x, [&](auto type) {
     using T = typename decltype(type)::type;
     Equalize<T> const params{flat_planes<T const>(x, layout), flat_planes<T>(y, layout),
                              static_cast<T*>(changed.mutable_data_ptr()), opencv, counts};

@@ -33,17 +33,20 @@ void sharpness(Sharpness<T> const& p, int64_t begin, int64_t end) {
     T const* const x = p.x.row(plane, y);
     T* const to = p.y.row(plane, y);
     F const factor = p.factor.of(plane);
-    auto const border = [&](int64_t i) { store<1>(to + i * step, clipped(load<1>(x + i * step), F(0))); };
+    constexpr F white = __is_same(T, uint8_t) ? 255 : 1;  // bytes are 255ths
+    auto const border = [&](int64_t i) {
+      store<1>(to + i * step, clipped(load<1>(x + i * step) * (1 / white), F(0)) * white);
+    };
     border(0);
     border(width - 1);
     for_each_inner<T>(width, step, [&](auto n, int64_t i) {
       constexpr int N = decltype(n)::value;
       using V = Lanes<F, N>;
       int64_t const e = i * step;
-      V const v = load<N>(x + e);
-      if (!inner) return store<N>(to + e, clipped(v, F(0)));
-      V const sum = sum_of_nine<N>(x - p.x.row_stride, x, x + p.x.row_stride, e, step);
-      store<N>(to + e, sharpened(v, V(smoothed(sum, v, F(0))), factor));
+      V const v = load<N>(x + e) * (1 / white);
+      if (!inner) return store<N>(to + e, V(clipped(v, F(0)) * white));
+      V const sum = sum_of_nine<N>(x - p.x.row_stride, x, x + p.x.row_stride, e, step) * (1 / white);
+      store<N>(to + e, V(sharpened(v, V(smoothed(sum, v, F(0))), factor) * white));
     });
   }
 }
@@ -108,7 +111,7 @@ void sharpness_backward(SharpnessBackward<T> const& p, int64_t begin, int64_t en
   });
 }
 
-KV_INSTANTIATE(sharpness, Sharpness)
+KV_INSTANTIATE_WITH_BYTES(sharpness, Sharpness)
 KV_INSTANTIATE(sharpness_backward, SharpnessBackward)
 
 }  // namespace kv::enhance::KV_ISA

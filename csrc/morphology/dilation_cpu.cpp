@@ -1,6 +1,7 @@
-// Dilation and erosion on the CPU. Flat windows cost three maxima a pixel along y, whatever their height, and the
-// logarithm of their width along x. Other windows cost one maximum for each tap. Compiled once per instruction set.
-#include "core/lanes.h"
+// Dilation and erosion on the CPU. Full windows, rectangles without heights, cost three maxima a pixel along y,
+// whatever their height, and the logarithm of their width along x. Other windows cost one maximum for each tap. Bytes
+// are compared as bytes, unless heights are added to them. Compiled once per instruction set.
+#include "core/bytes.h"
 #include "core/scratch.h"
 #include "dilation.h"
 
@@ -8,6 +9,27 @@ namespace kv::morphology::KV_ISA {
 namespace {
 
 constexpr float kInfinity = __builtin_inff();
+
+// The number that no extreme is but that of no members.
+template <class F>
+KV_HD F worst(bool erode) {
+  if constexpr (__is_same(F, uint8_t))
+    return erode ? 255 : 0;
+  else
+    return erode ? F(kInfinity) : -F(kInfinity);
+}
+
+// What windows compare: without heights bytes as they are, otherwise numbers of the type that computes.
+template <class T, bool Heights = false>
+struct ComparedOf {
+  using type = Compute<T>;
+};
+template <>
+struct ComparedOf<uint8_t, false> {
+  using type = uint8_t;
+};
+template <class T, bool Heights = false>
+using Compared = typename ComparedOf<T, Heights>::type;
 
 // A ring of rows of numbers, each extended by as many pixels out of bounds as a window reads.
 template <class F>
@@ -31,7 +53,7 @@ struct Taps {
   Scratch<F> offset;
   Scratch<int> row, column;
   int count = 0;
-  bool flat = true;
+  bool full = true;  // a rectangle without heights
 
   explicit Taps(StructuringElement<F> const& window)
       : window(window),
@@ -40,11 +62,11 @@ struct Taps {
         column(window.height * window.width) {}
 
   void read(int64_t sample) {
-    count = 0, flat = true;
+    count = 0, full = true;
     for (int i = 0; i < window.height; ++i)
       for (int j = 0; j < window.width; ++j) {
         F const value = window.offset(sample, i * window.width + j);
-        flat = flat && value == 0;
+        full = full && value == 0;
         if (value == -F(kInfinity)) continue;
         offset.data[count] = value, row.data[count] = i, column.data[count] = j;
         ++count;
@@ -52,7 +74,7 @@ struct Taps {
   }
 };
 
-// Rows of x as a window compares them: negated for an erosion.
+// Rows of x and of what lies out of bounds. Windows with heights compare them multiplied by `sign`.
 template <class T>
 struct Source {
   using F = Compute<T>;
@@ -61,83 +83,113 @@ struct Source {
   Scratch<T> outside;
 
   Source(Planes<T const> const& x, StructuringElement<F> const& window)
-      : x(x), sign(window.sign()), value(window.value * sign), outside(x.row_size()) {
-    for (int64_t e = 0; e < x.row_size(); ++e) store<1>(outside.data + e, window.value);
+      : x(x), sign(window.sign()), value(window.value), outside(x.row_size()) {
+    for (int64_t e = 0; e < x.row_size(); ++e) store<1>(outside.data + e, value);
   }
-  KV_HD T const* row(int64_t plane, int64_t y) const { return y < 0 || y >= x.height ? outside.data : x.row(plane, y); }
+  KV_HD bool holds(int64_t y) const { return y >= 0 && y < x.height; }
+  KV_HD T const* row(int64_t plane, int64_t y) const { return holds(y) ? x.row(plane, y) : outside.data; }
 
-  // Copies row y to `to` and extends it by the value of pixels out of bounds.
-  void copy(int64_t plane, int64_t y, F* to, int64_t before, int64_t after) const {
-    T const* const from = row(plane, y);
+  // The value out of bounds among numbers G: bytes are rounded, which changes no maximum of bytes that is rounded.
+  template <class G>
+  KV_HD G value_as() const {
+    if constexpr (__is_same(G, uint8_t)) {
+      uint8_t stored;
+      store<1>(&stored, value);
+      return stored;
+    } else {
+      return value;
+    }
+  }
+
+  // Copies row y to `to` and extends it by the value of pixels out of bounds; times `sign` for windows with heights.
+  template <bool Heights, class G>
+  void copy(int64_t plane, int64_t y, G* to, int64_t before, int64_t after) const {
+    auto const compared = [&](auto v) {
+      if constexpr (Heights)
+        return decltype(v)(v * sign);
+      else
+        return v;
+    };
     int64_t const size = x.row_size();
-    for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+    G const out = compared(value_as<G>());
+    if (!holds(y)) {
+      for (int64_t e = -before; e < size + after; ++e) to[e] = out;
+      return;
+    }
+    T const* const from = x.row(plane, y);
+    for_each_vector<T, kLanesAs<G, T>>(0, size, [&](auto width, int64_t e) {
       constexpr int N = decltype(width)::value;
-      store<N>(to + e, Lanes<F, N>(load<N>(from + e) * sign));
+      store_as<N, G>(to + e, compared(load_as<N, G>(from + e)));
     });
-    for (int64_t e = -before; e < 0; ++e) to[e] = value;
-    for (int64_t e = size; e < size + after; ++e) to[e] = value;
+    for (int64_t e = -before; e < 0; ++e) to[e] = out;
+    for (int64_t e = size; e < size + after; ++e) to[e] = out;
   }
 };
 
 // The maximum, or the minimum for an erosion; NaN propagates.
 template <bool Erode, class V>
 KV_HD V extreme(V a, V b) {
-  V most;  // b where one is NaN
+  if constexpr (__is_same(V, uint8_t) || __is_same(V, Lanes<uint8_t, kByteLanes>)) {
+    return Erode ? min_bytes(a, b) : max_bytes(a, b);
+  } else {
+    V most;  // b where one is NaN
 #if defined(__AVX512F__)
-  if constexpr (__is_same(V, Lanes<float, 16>))
-    most = V(Erode ? _mm512_min_ps(__m512(a), __m512(b)) : _mm512_max_ps(__m512(a), __m512(b)));
-  else
+    if constexpr (__is_same(V, Lanes<float, 16>))
+      most = V(Erode ? _mm512_min_ps(__m512(a), __m512(b)) : _mm512_max_ps(__m512(a), __m512(b)));
+    else
 #elif defined(__AVX2__)
-  if constexpr (__is_same(V, Lanes<float, 8>))
-    most = V(Erode ? _mm256_min_ps(__m256(a), __m256(b)) : _mm256_max_ps(__m256(a), __m256(b)));
-  else
+    if constexpr (__is_same(V, Lanes<float, 8>))
+      most = V(Erode ? _mm256_min_ps(__m256(a), __m256(b)) : _mm256_max_ps(__m256(a), __m256(b)));
+    else
 #endif
-    most = (Erode ? a < b : a > b) ? a : b;
-  return a != a ? a : most;
+      most = (Erode ? a < b : a > b) ? a : b;
+    return a != a ? a : most;
+  }
 }
 
-// --- flat windows ----------------------------------------------------------------------------------------------------
+// --- full windows ----------------------------------------------------------------------------------------------------
 
 constexpr int kSmall = 4;  // windows of up to so many rows are computed row by row
 
 // Output rows y0 ... y1 - 1 of a plane. Along y, unless the window is low, `height` adjacent windows share a common
 // row: each combines the suffix maxima up to that row (`above`) with the prefix maximum of the rows below it (`below`).
 template <bool Erode, class T>
-void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int64_t y0, int64_t y1) {
-  using F = Compute<T>;
-  constexpr int N = kLanes<T>;
-  StructuringElement<F> const& window = p.window;
+void full_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int64_t y0, int64_t y1) {
+  using F = Compared<T>;
+  constexpr int N = kLanesAs<F, T>;
+  auto const& window = p.window;
+  F const outside = source.template value_as<F>();
   int64_t const size = p.x.row_size(), step = p.x.step, before = window.left * step;
   int64_t const after = (window.width - 1) * step - before, height = window.height;
   Rows<F> const above(int(height), size, 0, 0), below(1, size, 0, 0), across(1, size, before, after);
   F* const row = across[0];
   auto const combine = [&](F* to, F const* with, T const* pixels) {
-    for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+    for_each_vector<T, N>(0, size, [&](auto width, int64_t e) {
       constexpr int M = decltype(width)::value;
-      Lanes<F, M> const v = load<M>(pixels + e);
-      store<M>(to + e, with ? extreme<Erode>(load<M>(with + e), v) : v);
+      Lanes<F, M> const v = load_as<M, F>(pixels + e);
+      store_as<M, F>(to + e, with ? extreme<Erode>(load_as<M, F>(with + e), v) : v);
     });
   };
 
   // From the maxima along y, in `row`, to output row y.
   auto const along_x = [&](int64_t y) {
-    for (int64_t e = -before; e < 0; ++e) row[e] = window.value;
-    for (int64_t e = size; e < size + after; ++e) row[e] = window.value;
+    for (int64_t e = -before; e < 0; ++e) row[e] = outside;
+    for (int64_t e = size; e < size + after; ++e) row[e] = outside;
     F* const first = row - before;
     T* const out = p.y.row(plane, y);
     // Maxima of 4, 16, 64 ... pixels, and of up to four of these, which overlap.
     int64_t reach = 1;
     for (; 4 * reach < window.width; reach *= 4)
       for (int64_t e = 0; e < size + (window.width - 4 * reach) * step; e += N) {
-        auto const at = [&](int64_t j) { return load<N>(first + e + j * reach * step); };
-        store<N>(first + e, extreme<Erode>(extreme<Erode>(at(0), at(1)), extreme<Erode>(at(2), at(3))));
+        auto const at = [&](int64_t j) { return load_as<N, F>(first + e + j * reach * step); };
+        store_as<N, F>(first + e, extreme<Erode>(extreme<Erode>(at(0), at(1)), extreme<Erode>(at(2), at(3))));
       }
     int64_t const last = (window.width - reach) * step;
-    for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+    for_each_vector<T, N>(0, size, [&](auto width, int64_t e) {
       constexpr int M = decltype(width)::value;
-      Lanes<F, M> most = load<M>(first + e + last);
-      for (int64_t at = 0; at < last; at += reach * step) most = extreme<Erode>(load<M>(first + e + at), most);
-      store<M>(out + e, most);
+      Lanes<F, M> most = load_as<M, F>(first + e + last);
+      for (int64_t at = 0; at < last; at += reach * step) most = extreme<Erode>(load_as<M, F>(first + e + at), most);
+      store_as<M, F>(out + e, most);
     });
   };
 
@@ -145,11 +197,11 @@ void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int
     for (int64_t y = y0; y < y1; ++y) {
       T const* rows[kSmall];
       for (int i = 0; i < height; ++i) rows[i] = source.row(plane, y - window.top + i);
-      for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+      for_each_vector<T, N>(0, size, [&](auto width, int64_t e) {
         constexpr int M = decltype(width)::value;
-        Lanes<F, M> most = load<M>(rows[0] + e);
-        for (int i = 1; i < height; ++i) most = extreme<Erode>(load<M>(rows[i] + e), most);
-        store<M>(row + e, most);
+        Lanes<F, M> most = load_as<M, F>(rows[0] + e);
+        for (int i = 1; i < height; ++i) most = extreme<Erode>(load_as<M, F>(rows[i] + e), most);
+        store_as<M, F>(row + e, most);
       });
       along_x(y);
     }
@@ -168,15 +220,15 @@ void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int
         else  // in place, so vectors must not overlap
           for (int64_t e = 0; e < size; e += N)
             if (e + N <= size)
-              store<N>(below[0] + e, extreme<Erode>(load<N>(below[0] + e), load<N>(next + e)));
+              store_as<N, F>(below[0] + e, extreme<Erode>(load_as<N, F>(below[0] + e), load_as<N, F>(next + e)));
             else
               for (int64_t rest = e; rest < size; ++rest)
-                below[0][rest] = extreme<Erode>(below[0][rest], load<1>(next + rest));
+                below[0][rest] = extreme<Erode>(below[0][rest], load_as<1, F>(next + rest));
       }
-      for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+      for_each_vector<T, N>(0, size, [&](auto width, int64_t e) {
         constexpr int M = decltype(width)::value;
-        Lanes<F, M> const v = load<M>(above[i] + e);
-        store<M>(row + e, i == 0 ? v : extreme<Erode>(v, load<M>(below[0] + e)));
+        Lanes<F, M> const v = load_as<M, F>(above[i] + e);
+        store_as<M, F>(row + e, i == 0 ? v : extreme<Erode>(v, load_as<M, F>(below[0] + e)));
       });
       along_x(block + i);
     }
@@ -186,33 +238,43 @@ void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int
 // --- any window ------------------------------------------------------------------------------------------------------
 
 // The address from which each tap reads for row y of the images.
-template <class F>
-KV_HD void locate_taps(Taps<F> const& taps, Rows<F> const& rows, int64_t y, int64_t step, F const** pointers) {
+template <class F, class G>
+KV_HD void locate_taps(Taps<F> const& taps, Rows<G> const& rows, int64_t y, int64_t step, G const** pointers) {
   for (int t = 0; t < taps.count; ++t)
     pointers[t] = rows[y - taps.window.top + taps.row.data[t]] + (taps.column.data[t] - taps.window.left) * step;
 }
 
-template <class T>
+// With heights windows are maxima of numbers times `sign`; without them they need neither.
+template <bool Erode, bool Heights, class T>
 void tap_rows(Dilation<T> const& p, Source<T> const& source, Taps<Compute<T>> const& taps, int64_t plane, int64_t y0,
               int64_t y1) {
   using F = Compute<T>;
+  using G = Compared<T, Heights>;
   StructuringElement<F> const& window = p.window;
   int64_t const size = p.x.row_size(), step = p.x.step, before = window.left * step;
   int64_t const after = (window.width - 1) * step - before;
-  Rows<F> const rows(window.height, size, before, after);
-  Scratch<F const*> pointers(taps.count);
+  Rows<G> const rows(window.height, size, before, after);
+  Scratch<G const*> pointers(taps.count);
+  G const none = worst<G>(Erode && !Heights);
   for (int64_t y = y0; y < y1; ++y) {
     int64_t const last = y - window.top + window.height - 1;
     for (int64_t i = y == y0 ? last - window.height + 1 : last; i <= last; ++i)
-      source.copy(plane, i, rows[i], before, after);
+      source.template copy<Heights>(plane, i, rows[i], before, after);
     locate_taps(taps, rows, y, step, pointers.data);
     T* const out = p.y.row(plane, y);
-    for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+    for_each_vector<T, kLanesAs<G, T>>(0, size, [&](auto width, int64_t e) {
       constexpr int N = decltype(width)::value;
-      Lanes<F, N> most = broadcast<N>(-F(kInfinity));
-      for (int t = 0; t < taps.count; ++t)
-        most = extreme<false>(Lanes<F, N>(load<N>(pointers.data[t] + e) + taps.offset.data[t]), most);
-      store<N>(out + e, Lanes<F, N>(most * source.sign));
+      using V = Lanes<G, N>;
+      V most = broadcast<N>(none);
+      for (int t = 0; t < taps.count; ++t) {
+        V const x = load_as<N, G>(pointers.data[t] + e);
+        if constexpr (Heights)
+          most = extreme<false>(V(x + taps.offset.data[t]), most);
+        else
+          most = extreme<Erode>(x, most);
+      }
+      if constexpr (Heights) most = most * source.sign;
+      store_as<N, G>(out + e, most);
     });
   }
 }
@@ -230,20 +292,25 @@ KV_HD void for_each_plane(Taps<F>& taps, int64_t height, int64_t planes, int64_t
   }
 }
 
+template <bool Erode, class T>
+void dilate(Dilation<T> const& p, int64_t begin, int64_t end) {
+  Source<T> const source(p.x, p.window);
+  Taps<Compute<T>> taps(p.window);
+  for_each_plane(taps, p.y.height, p.planes, begin, end, [&](int64_t plane, int64_t y0, int64_t y1) {
+    if (taps.full)
+      full_rows<Erode>(p, source, plane, y0, y1);
+    else if (p.window.heights)
+      tap_rows<Erode, true>(p, source, taps, plane, y0, y1);
+    else
+      tap_rows<Erode, false>(p, source, taps, plane, y0, y1);
+  });
+}
+
 }  // namespace
 
 template <class T>
 void dilation(Dilation<T> const& p, int64_t begin, int64_t end) {
-  Source<T> const source(p.x, p.window);
-  Taps<Compute<T>> taps(p.window);
-  for_each_plane(taps, p.y.height, p.planes, begin, end, [&](int64_t plane, int64_t y0, int64_t y1) {
-    if (taps.flat && p.window.erode)
-      flat_rows<true>(p, source, plane, y0, y1);
-    else if (taps.flat)
-      flat_rows<false>(p, source, plane, y0, y1);
-    else
-      tap_rows(p, source, taps, plane, y0, y1);
-  });
+  p.window.erode ? dilate<true>(p, begin, end) : dilate<false>(p, begin, end);
 }
 
 template <class T>
@@ -264,7 +331,7 @@ void dilation_backward(DilationBackward<T> const& p, int64_t begin, int64_t end)
     int64_t copied = first - window.top - 1;
     for (int64_t q = first; q < y1 + window.top; ++q) {
       while (copied < q - window.top + window.height - 1)
-        ++copied, source.copy(plane, copied, rows[copied], before, after);
+        ++copied, source.template copy<true>(plane, copied, rows[copied], before, after);
       if (q < 0 || q >= height) {
         for (int64_t e = 0; e < size; ++e) part[q][e] = most[q][e] = 0;
       } else {
@@ -302,7 +369,7 @@ void dilation_backward(DilationBackward<T> const& p, int64_t begin, int64_t end)
   });
 }
 
-KV_INSTANTIATE(dilation, Dilation)
+KV_INSTANTIATE_WITH_BYTES(dilation, Dilation)
 KV_INSTANTIATE(dilation_backward, DilationBackward)
 
 }  // namespace kv::morphology::KV_ISA

@@ -26,6 +26,11 @@ inline Tensor dilated(char const* op, Tensor const& x, Tensor const& kernel, Mor
                        options.border_value().value_or(erode ? INFINITY : -INFINITY), erode);
 }
 
+// Bytes saturate, they do not wrap.
+inline Tensor difference(Tensor const& x, Tensor const& y) {
+  return x.scalar_type() == at::kByte ? at::maximum(x, y) - y : x - y;
+}
+
 }  // namespace detail
 
 inline Tensor dilation(Tensor const& tensor, Tensor const& kernel, MorphologyOptions const& options = {}) {
@@ -41,13 +46,13 @@ inline Tensor closing(Tensor const& tensor, Tensor const& kernel, MorphologyOpti
   return erosion(dilation(tensor, kernel, options), kernel, options);
 }
 inline Tensor gradient(Tensor const& tensor, Tensor const& kernel, MorphologyOptions const& options = {}) {
-  return dilation(tensor, kernel, options) - erosion(tensor, kernel, options);
+  return detail::difference(dilation(tensor, kernel, options), erosion(tensor, kernel, options));
 }
 inline Tensor top_hat(Tensor const& tensor, Tensor const& kernel, MorphologyOptions const& options = {}) {
-  return tensor - opening(tensor, kernel, options);
+  return detail::difference(tensor, opening(tensor, kernel, options));
 }
 inline Tensor bottom_hat(Tensor const& tensor, Tensor const& kernel, MorphologyOptions const& options = {}) {
-  return closing(tensor, kernel, options) - tensor;
+  return detail::difference(closing(tensor, kernel, options), tensor);
 }
 
 }  // namespace kvision

@@ -143,6 +143,12 @@ def floating(op: str, name: str, x: Tensor) -> None:
         raise TypeCheckError(f"{op}: expected {name} to be floating point, got {x.dtype}", actual_type=x.dtype)
 
 
+def floating_or_bytes(op: str, name: str, x: Tensor) -> None:
+    """Raise TypeCheckError unless `x` holds floating-point numbers or uint8."""
+    if not x.is_floating_point() and x.dtype != torch.uint8:
+        raise TypeCheckError(f"{op}: expected {name} to be floating point or uint8, got {x.dtype}", actual_type=x.dtype)
+
+
 def floating_trailing_shape(op: str, name: str, x: Any, *expected: str | int) -> None:
     """Raise unless `x` is a floating-point tensor that ends in the axes `expected`."""
     trailing_shape(op, name, x, *expected)

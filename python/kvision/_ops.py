@@ -20,10 +20,10 @@ import importlib
 import os
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 import torch.compiler.config
@@ -273,7 +273,9 @@ class Operator:
         non_differentiable: the results, by index, that carry no gradient.
         linear: linear in its first tensor. Then jvp is the operator itself, and where it has no other tensor nothing
             is saved for backward (`args[0]` is None there).
-        bytes: the kernels take uint8, too.
+        bytes: the kernels take uint8, too; "cpu": those of the CPU do, and elsewhere bytes become float32 before the
+            kernel and are rounded after it.
+        levels: the result for bytes is that for images of floats times this number, 1 or 255.
         labels: the first tensor holds int64 or uint8, and the kernels take no other types.
         native_half: the reference takes half types as they are, because how they round is part of the result.
         casts_outputs: the reference itself casts its results as the kernels do, say to another type than the first
@@ -299,7 +301,8 @@ class Operator:
         saves_results: bool = False,
         non_differentiable: Sequence[int] = (),
         linear: bool = False,
-        bytes: bool = False,
+        bytes: bool | Literal["cpu"] = False,
+        levels: int = 1,
         labels: bool = False,
         native_half: bool = False,
         casts_outputs: bool = False,
@@ -312,8 +315,9 @@ class Operator:
         self.reference = (
             without_autocast_and_tf32(reference)
             if casts_outputs
-            else with_kernel_casts(reference, native_half, layout_of)
+            else with_kernel_casts(reference, native_half, layout_of, levels, non_differentiable)
         )
+        self._through_floats = through_floats(self, levels, non_differentiable)
         self.backward = backward or self.differentiate_reference
         self.saves_results = saves_results
         self.non_differentiable = non_differentiable
@@ -334,13 +338,19 @@ class Operator:
         self._on_cpu, self._on_cuda = (
             frozenset(() if device in self.unserved else self.dtypes) for device in ("cpu", "cuda")
         )
+        self._converts_bytes = bytes == "cpu"
+        if self._converts_bytes:
+            self._on_cuda -= {torch.uint8}
 
     # In one frame, of names that are looked up at once: with less of both this was a sixth of the time of a small call.
     def __call__(self, *args: Any) -> Any:
         x = args[0]
         served = self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()
-        if (_ask_backend or x.dtype not in served) and not self.is_native(x):
-            return self.reference(*args)
+        if _ask_backend or x.dtype not in served:
+            if not self.is_native(x):
+                return self.reference(*args)
+            if x.dtype not in served:
+                return self._through_floats(*args)
         if self.supports is not None and (reason := self.supports(*args)) is not None:
             return self._call_reference(reason, args)
         if self.nondeterministic and torch.are_deterministic_algorithms_enabled():
@@ -372,7 +382,8 @@ class Operator:
         chosen = current_backend()
         if chosen == "reference":
             return False
-        if x.dtype in (self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()):
+        served: Collection[torch.dtype] = self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()
+        if x.dtype in served or (self._converts_bytes and x.dtype == torch.uint8 and torch.float32 in served):
             return True
         if chosen == "native":
             device = x.device.type
@@ -627,19 +638,45 @@ def without_autocast_and_tf32(reference: Callable[..., Any]) -> Callable[..., An
     return wrapped
 
 
+def through_floats(f: Callable[..., Any], levels: int = 1, plain: Sequence[int] = ()) -> Callable[..., Any]:
+    """`f` of float32 images as a function of bytes: divides these by `levels`, multiplies the results and rounds them.
+
+    The results `plain`, by index, are numbers that are neither multiplied nor rounded.
+    """
+
+    def stored(i: int, y: Tensor) -> Tensor:
+        return y.to(torch.uint8) if i in plain else saturate_to_byte(y if levels == 1 else y * levels)
+
+    def wrapped(*args: Any) -> Any:
+        x, *rest = _promoted(args, torch.uint8)
+        output = f(x if levels == 1 else x / levels, *rest)
+        if isinstance(output, (tuple, list)):
+            return tuple(stored(i, y) for i, y in enumerate(output))
+        return stored(0, output)
+
+    return wrapped
+
+
 def with_kernel_casts(
-    reference: Callable[..., Any], native_half: bool = False, layout_of: int = 0
+    reference: Callable[..., Any],
+    native_half: bool = False,
+    layout_of: int = 0,
+    levels: int = 1,
+    plain: Sequence[int] = (),
 ) -> Callable[..., Any]:
     """The reference with the kernels' rules: half types and bytes compute in float32, no autocast or TF32, their layout.
 
-    With `native_half` the reference takes half types as they are.
+    With `native_half` the reference takes half types as they are; `levels` and `plain` are those of `through_floats`.
     """
+    of_bytes = through_floats(reference, levels, plain)
 
     @without_autocast_and_tf32
     @functools.wraps(reference)
     def wrapped(*args: Any) -> Any:
         x = args[0]
         dtype = x.dtype
+        if dtype == torch.uint8:
+            return _map(lambda y: match_layout(y, args[layout_of]), of_bytes(*args))
         if not (native_half and dtype in _HALVES):
             args = _promoted(args, dtype)
         output, like = reference(*args), args[layout_of]
@@ -664,9 +701,9 @@ def _promoted(args: tuple[Any, ...], dtype: torch.dtype) -> tuple[Any, ...]:
 
 
 def _stored(y: Tensor, dtype: torch.dtype, like: Tensor) -> Tensor:
-    """A result as the kernels store it, for images of `dtype` and the layout of `like`."""
+    """A result as the kernels store it, for images of floating-point type `dtype` and the layout of `like`."""
     if y.dtype is not dtype:
-        y = saturate_to_byte(y) if dtype == torch.uint8 else y.to(dtype)
+        y = y.to(dtype)
     return match_layout(y, like)
 
 

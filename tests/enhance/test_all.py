@@ -204,11 +204,25 @@ ADJUST = [
 
 @pytest.mark.parametrize("function, arguments", ADJUST, ids=[f.__name__ for f, _ in ADJUST])
 def test_refuses_what_is_no_image(function, arguments):
-    for wrong in ([1.0], (X * 255).byte(), X.cfloat()):
+    for wrong in ([1.0], (X * 255).int(), X.cfloat()):
         with pytest.raises(TypeCheckError, match=f"^{function.__name__}: expected (image|input) to be"):
             function(wrong, *arguments)
     with pytest.raises((ShapeError, K.core.exceptions.ImageError), match=f"^{function.__name__}: expected"):
         function(torch.tensor(0.5), *arguments)
+
+
+OF_BYTES = [case for case in ADJUST if not case[0].__name__.endswith(("_raw", "_differentiable"))]
+
+
+@pytest.mark.parametrize("function, arguments", OF_BYTES, ids=[f.__name__ for f, _ in OF_BYTES])
+def test_bytes_are_255ths(function, arguments, device):
+    """uint8 gives what the same image in [0, 1] gives, rounded; either way at halves of levels, which float32 may miss."""
+    x = torch.randint(0, 256, (2, 3, 9, 40), dtype=torch.uint8, device=device)
+    y = function(x, *arguments)
+    assert y.dtype == torch.uint8 and y.shape == x.shape
+    assert (y - 255 * function(x.double() / 255, *arguments)).abs().max() < 0.501
+    slices = function(x.contiguous(memory_format=torch.channels_last)[..., 1:], *arguments)
+    assert torch.equal(slices, function(x[..., 1:].clone(), *arguments))
 
 
 ONE_FACTOR = [case for case in ADJUST if case[1] == (0.1,)]

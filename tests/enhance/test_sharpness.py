@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
 import kvision as K
@@ -20,11 +21,16 @@ class TestSharpness(OpTests):
     ]
     shape = (2, 3, 19, 70)
     max_size = 12
+    bytes = True
+    tolerances = {torch.uint8: (0, 1)}  # a sum just above or below a half of a level
 
     def input(self, shape, dtype, device):
-        return super().input(shape, dtype, device) * 1.2 - 0.1
+        x = super().input(shape, dtype, device)
+        return x if dtype == torch.uint8 else x * 1.2 - 0.1
 
-    test_other_integers_become_float32 = None  # they are refused
+    def test_other_integers_become_float32(self, variant, device):
+        with pytest.raises(K.core.exceptions.TypeCheckError, match="floating point or uint8"):
+            K.enhance.sharpness(torch.zeros(1, 3, 4, 4, dtype=torch.int32, device=device), 0.5)
 
     def test_wrong_kinds(self, variant, device):
         """test_all.py; any number of leading axes is right."""

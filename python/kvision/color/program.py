@@ -324,10 +324,10 @@ def step(
     last one is `measure(x)` if that is given.
     """
     _references[name] = reference
-    composed = with_kernel_casts(reference)
+    composed = with_kernel_casts(reference, levels=255)
     if measure is not None:
         _measurements[name] = measure
-        composed = with_kernel_casts(lambda x, *parameters: reference(x, *parameters, measure(x)))
+        composed = with_kernel_casts(lambda x, *parameters: reference(x, *parameters, measure(x)), levels=255)
     steps, per_value, rest = [STEPS[name].number], name in _PER_VALUE, [0.0] * (name in _measurements)
     plan = _plan(None, _SAME, steps, _NO_COLUMNS)
 

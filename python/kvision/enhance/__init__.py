@@ -2,6 +2,7 @@
 
 Values are in [0, 1] unless said otherwise. Other values follow the formula of the function as well, and are clamped to
 [0, 1] where it says so; functions of 8-bit levels or of powers use the nearest value with a level or a power.
+uint8 images hold 255ths: parameters are those of [0, 1], and results are uint8, rounded half to even and saturated.
 Parameters are numbers, or tensors with the leading axes of the images: (B,) has one value per sample.
 Computation is in float32, or in float64 for float64 images.
 """

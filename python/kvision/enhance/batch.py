@@ -78,17 +78,17 @@ def per_pixel(op: str, name: str, value: float | Tensor, x: Tensor) -> float | T
 
 
 def floats(op: str, name: str, x: Tensor) -> None:
-    """Raise unless `x` is a tensor of floating-point numbers with at least one axis."""
+    """Raise unless `x` is a tensor of floating-point numbers or uint8 with at least one axis."""
     _check.numbers(op, name, x)
-    _check.floating(op, name, x)
+    _check.floating_or_bytes(op, name, x)
     if x.dim() == 0:
         raise ShapeError(f"{op}: expected {name} of shape (*, C, H, W), got ()", actual_shape=x.shape)
 
 
 def images(op: str, name: str, x: Tensor, spatial: int = 2) -> None:
-    """Raise unless `x` holds floating-point images, at least (H, W); or (D, H, W), where `spatial` is 3."""
+    """Raise unless `x` holds images, floating point or uint8, at least (H, W); or (D, H, W), where `spatial` is 3."""
     _check.numbers(op, name, x)
-    _check.floating(op, name, x)
+    _check.floating_or_bytes(op, name, x)
     if x.dim() < spatial or 0 in x.shape[-spatial:]:
         axes = ", ".join(("D", "H", "W")[-spatial:])
         raise ShapeError(
@@ -98,6 +98,6 @@ def images(op: str, name: str, x: Tensor, spatial: int = 2) -> None:
 
 
 def colors(op: str, name: str, x: Tensor) -> None:
-    """Raise unless `x` holds floating-point images of three channels, (*, 3, H, W)."""
+    """Raise unless `x` holds images of three channels, floating point or uint8, (*, 3, H, W)."""
     _check.channels(op, name, x, 3, ImageError)
-    _check.floating(op, name, x)
+    _check.floating_or_bytes(op, name, x)

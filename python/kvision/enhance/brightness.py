@@ -29,7 +29,7 @@ def adjust_brightness(image: Tensor, factor: float | Tensor, clip_output: bool =
     """Adjust the brightness of images by adding a number to their values.
 
     Args:
-        image: (*, C, H, W), floating point, in [0, 1].
+        image: (*, C, H, W), floating point, in [0, 1], or uint8.
         factor: what is added, 0 for no change: a number, or a tensor with the first axes of the image, (B,) or (B, C).
         clip_output: clamp the result to [0, 1].
 
@@ -37,7 +37,7 @@ def adjust_brightness(image: Tensor, factor: float | Tensor, clip_output: bool =
         The image, brighter or darker, differentiable in image and factor.
 
     Raises:
-        TypeCheckError: image is no floating-point tensor; factor is neither number nor tensor.
+        TypeCheckError: image is no tensor of floats or uint8; factor is neither number nor tensor.
         ShapeError: factor has axes that the image has not.
         DeviceError: tensors on different devices; parameters in CPU memory are moved.
 
@@ -56,7 +56,7 @@ def adjust_brightness_accumulative(image: Tensor, factor: float | Tensor, clip_o
     """Adjust the brightness of images by multiplying their values, as PIL and torchvision do.
 
     Args:
-        image: (*, C, H, W), floating point, in [0, 1].
+        image: (*, C, H, W), floating point, in [0, 1], or uint8.
         factor: 1 for no change, 0 for black: a number, or a tensor with the first axes of the image, (B,) or (B, C).
         clip_output: clamp the result to [0, 1].
 

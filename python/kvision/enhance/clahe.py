@@ -27,7 +27,15 @@ def _backward(needs, grad, output, *_):
     return [equalize_backward(grad, output, None)]
 
 
-_equalize_clahe = register("equalize_clahe", _reference, backward=_backward, saves_results=True, native_half=True)
+_equalize_clahe = register(
+    "equalize_clahe",
+    _reference,
+    backward=_backward,
+    saves_results=True,
+    native_half=True,
+    bytes="cpu",
+    levels=255,
+)
 
 
 def _reference_smooth(x: Tensor, clip_limit: float, rows: int, columns: int) -> Tensor:
@@ -37,7 +45,7 @@ def _reference_smooth(x: Tensor, clip_limit: float, rows: int, columns: int) -> 
     return _mapped(x, _tables(counts, clip_limit, tile[0] * tile[1]), rows, columns, tile, False)
 
 
-_equalize_clahe_smooth = with_kernel_casts(_reference_smooth, native_half=True)
+_equalize_clahe_smooth = with_kernel_casts(_reference_smooth, native_half=True, levels=255)
 
 
 def _tile(x: Tensor, rows: int, columns: int, opencv: bool) -> tuple[int, int]:
@@ -131,8 +139,8 @@ def equalize_clahe(
     the four nearest tiles, mixed by its distance from their centers.
 
     Args:
-        input: (*, C, H, W), floating point, in [0, 1]. A value x has the level floor(255 x); values outside count as 0
-            or 1, and NaN does not count.
+        input: (*, C, H, W), floating point, in [0, 1], or uint8. A value x has the level floor(255 x); values outside
+            count as 0 or 1, and NaN does not count.
         clip_limit: maximum count of a level in a tile, as a multiple of the mean count; 0 for no limit.
         grid_size: tiles along (y, x). Any grid fits any image.
         slow_and_differentiable: count with a smooth kernel, so that the tables have a gradient.
@@ -141,10 +149,10 @@ def equalize_clahe(
             to a level. Not with slow_and_differentiable.
 
     Returns:
-        The equalized image, in [0, 1].
+        The equalized image, in [0, 1]; in [0, 255], rounded half to even, of uint8.
 
     Raises:
-        TypeCheckError: input is no floating-point tensor; clip_limit no number; grid_size is not of ints.
+        TypeCheckError: input is no tensor of floats or uint8; clip_limit no number; grid_size is not of ints.
         ShapeError: input is not (*, C, H, W), or has no pixels.
         ValueCheckError: clip_limit below 0; grid_size below 1; opencv with slow_and_differentiable.
 

@@ -34,7 +34,7 @@ def adjust_contrast(image: Tensor, factor: float | Tensor, clip_output: bool = T
     """Adjust the contrast of images by multiplying their values.
 
     Args:
-        image: (*, C, H, W), floating point, in [0, 1].
+        image: (*, C, H, W), floating point, in [0, 1], or uint8.
         factor: 1 for no change, 0 for black: a number, or a tensor with the first axes of the image, (B,) or (B, C).
         clip_output: clamp the result to [0, 1].
 
@@ -42,7 +42,7 @@ def adjust_contrast(image: Tensor, factor: float | Tensor, clip_output: bool = T
         The image with more or less contrast, differentiable in image and factor.
 
     Raises:
-        TypeCheckError: image is no floating-point tensor; factor is neither number nor tensor.
+        TypeCheckError: image is no tensor of floats or uint8; factor is neither number nor tensor.
         ShapeError: factor has axes that the image has not.
         ValueCheckError: a number below 0. Tensors are not checked by value.
         DeviceError: tensors on different devices; parameters in CPU memory are moved.
@@ -64,8 +64,8 @@ def adjust_contrast_with_mean_subtraction(image: Tensor, factor: float | Tensor)
     """Adjust the contrast of images by scaling their difference from the mean gray, as PIL and torchvision do.
 
     Args:
-        image: (*, C, H, W), floating point, in [0, 1]. The gray of three channels is 0.299 R + 0.587 G + 0.114 B, that
-            of any other number their mean.
+        image: (*, C, H, W), floating point, in [0, 1], or uint8. The gray of three channels is 0.299 R + 0.587 G +
+            0.114 B, that of any other number their mean.
         factor: 1 for no change, 0 for plain gray: a number, or a tensor with the first axes of the image.
 
     Returns:

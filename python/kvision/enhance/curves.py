@@ -38,7 +38,7 @@ def adjust_gamma(input: Tensor, gamma: float | Tensor, gain: float | Tensor = 1.
     """Raise an image to a power: gain * input ** gamma, clamped to [0, 1].
 
     Args:
-        input: (*, C, H, W), floating point, in [0, 1]; values below 0 count as 0.
+        input: (*, C, H, W), floating point, in [0, 1], or uint8; values below 0 count as 0.
         gamma: the power, above 1 to darken, below 1 to brighten: a number of at least 0, or a tensor with the first axes
             of the image, (B,) or (B, C).
         gain: a factor, of the same kinds.
@@ -47,7 +47,7 @@ def adjust_gamma(input: Tensor, gamma: float | Tensor, gain: float | Tensor = 1.
         The image, differentiable in image, gamma and gain. The gradient at black pixels is 0.
 
     Raises:
-        TypeCheckError: input is no floating-point tensor; gamma or gain is neither number nor tensor.
+        TypeCheckError: input is no tensor of floats or uint8; gamma or gain is neither number nor tensor.
         ShapeError: a tensor has axes that the image has not.
         ValueCheckError: a number below 0. Tensors are not checked by value.
         DeviceError: tensors on different devices; parameters in CPU memory are moved.
@@ -67,7 +67,7 @@ def adjust_log(image: Tensor, gain: float | Tensor = 1, inv: bool = False, clip_
     """Take the logarithm of an image: gain * log2(1 + image), or with inv its inverse, gain * (2 ** image - 1).
 
     Args:
-        image: (*, C, H, W), floating point, in [0, 1]. Values below -1 have no logarithm and give NaN.
+        image: (*, C, H, W), floating point, in [0, 1], or uint8. Values below -1 have no logarithm and give NaN.
         gain: a factor: a number, or a tensor with the first axes of the image, (B,) or (B, C).
         inv: the inverse curve, which darkens.
         clip_output: clamp the result to [0, 1].
@@ -94,7 +94,7 @@ def adjust_sigmoid(image: Tensor, cutoff: float | Tensor = 0.5, gain: float | Te
     """Adjust the contrast of images by a sigmoid: 1 / (1 + exp(gain * (cutoff - image))), or with inv one minus it.
 
     Args:
-        image: (*, C, H, W), floating point, in [0, 1].
+        image: (*, C, H, W), floating point, in [0, 1], or uint8.
         cutoff: the value that becomes 0.5: a number, or a tensor with the first axes of the image, (B,) or (B, C).
         gain: four times the slope there, of the same kinds.
         inv: a falling curve.

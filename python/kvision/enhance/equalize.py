@@ -79,6 +79,8 @@ _equalize = register(
     saves_results=True,
     non_differentiable=(1,),
     native_half=True,
+    bytes="cpu",
+    levels=255,
 )
 
 
@@ -86,17 +88,17 @@ def equalize(input: Tensor, opencv: bool = False) -> Tensor:
     """Spread the values of every image plane evenly over [0, 1]; PIL's equalize.
 
     Args:
-        input: (*, H, W), floating point, in [0, 1]. A value x has the level floor(255 x); values outside count as 0 or
-            1, and NaN does not count.
-        opencv: return the result of `cv2.equalizeHist` for the bytes 255 x, divided by 255, instead of PIL's.
+        input: (*, H, W), floating point, in [0, 1], or uint8. A value x has the level floor(255 x); values outside
+            count as 0 or 1, and NaN does not count.
+        opencv: return the result of `cv2.equalizeHist` for the bytes 255 x, divided by 255 as above, instead of PIL's.
 
     Returns:
-        The image with equalized levels, divided by 255. A plane that has no 255 pixels below its brightest level, or
-        with opencv all pixels in one level, comes back as it is. There is no gradient, except that of the pixels that
-        come back as they are.
+        The image with equalized levels, divided by 255 unless it is uint8. A plane that has no 255 pixels below its
+        brightest level, or with opencv all pixels in one level, comes back as it is. There is no gradient, except that
+        of the pixels that come back as they are.
 
     Raises:
-        TypeCheckError: input is no floating-point tensor, opencv no bool.
+        TypeCheckError: input is no tensor of floats or uint8, opencv no bool.
         ShapeError: input is not (*, H, W), or has no pixels.
 
     Example:
@@ -115,13 +117,14 @@ def equalize3d(input: Tensor) -> Tensor:
     """Spread the values of every volume evenly over [0, 1]: `equalize` over depth, height and width.
 
     Args:
-        input: (*, D, H, W), floating point, in [0, 1]; values outside count as 0 or 1, and NaN does not count.
+        input: (*, D, H, W), floating point, in [0, 1], or uint8; values outside count as 0 or 1, and NaN does
+            not count.
 
     Returns:
         The volumes with equalized levels, as :func:`equalize` gives them.
 
     Raises:
-        TypeCheckError: input is no floating-point tensor.
+        TypeCheckError: input is no tensor of floats or uint8.
         ShapeError: input is not (*, D, H, W), or has no voxels.
 
     Example:

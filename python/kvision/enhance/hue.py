@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision._modules import FunctionModule
 from kvision.color.hue import hue, lack
 from kvision.color.program import step
@@ -37,7 +38,7 @@ def adjust_hue(image: Tensor, factor: float | Tensor) -> Tensor:
     """Rotate the hue of an RGB image by an angle.
 
     Args:
-        image: (*, 3, H, W), floating point, in [0, 1].
+        image: (*, 3, H, W), floating point, in [0, 1], or uint8.
         factor: angle in radians, 0 for no change, 2 pi / 3 from red to green: a number, or a tensor with the first axes
             of the image, such as (B,).
 
@@ -45,7 +46,7 @@ def adjust_hue(image: Tensor, factor: float | Tensor) -> Tensor:
         The image with other hues and the same saturation and value, differentiable in image and factor.
 
     Raises:
-        TypeCheckError: image is no floating-point tensor; factor is neither number nor tensor.
+        TypeCheckError: image is no tensor of floats or uint8; factor is neither number nor tensor.
         ImageError: image is not (*, 3, H, W).
         ShapeError: factor has axes that the image has not, or differs between channels.
         DeviceError: tensors on different devices; parameters in CPU memory are moved.
@@ -80,6 +81,7 @@ def adjust_hue_raw(image: Tensor, factor: float | Tensor) -> Tensor:
         tensor([0.7168, 0.4000, 0.6000])
     """
     colors("adjust_hue_raw", "image", image)
+    _check.floating("adjust_hue_raw", "image", image)
     amount = per_pixel("adjust_hue_raw", "factor", factor, image)
     return shaped(_adjust_hue_raw(as_batch(image), amount), image)
 

@@ -30,8 +30,8 @@ def posterize(input: Tensor, bits: int | Tensor) -> Tensor:
     """Keep the high bits of the 8-bit levels of an image.
 
     Args:
-        input: (*, C, H, W), floating point, in [0, 1]. A value x has the level floor(255 x); values outside count as 0
-            or 1.
+        input: (*, C, H, W), floating point, in [0, 1], or uint8. A value x has the level floor(255 x); values outside
+            count as 0 or 1.
         bits: how many bits stay, 0 (black) to 8 (the image as it is): an int, or a tensor of whole numbers with the
             first axes of the image, (B,) or (B, C).
 
@@ -39,7 +39,7 @@ def posterize(input: Tensor, bits: int | Tensor) -> Tensor:
         The image with levels that are multiples of 2 ** (8 - bits), divided by 255. Its gradient is 0 below 8 bits.
 
     Raises:
-        TypeCheckError: input is no floating-point tensor; bits is neither int nor tensor.
+        TypeCheckError: input is no tensor of floats or uint8; bits is neither int nor tensor.
         ShapeError: input is not (*, C, H, W); bits has axes that the image has not.
         ValueCheckError: an int outside 0 to 8. Tensors are not checked by value; they are clamped.
         DeviceError: tensors on different devices; parameters in CPU memory are moved.

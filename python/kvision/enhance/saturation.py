@@ -43,7 +43,7 @@ def adjust_saturation(image: Tensor, factor: float | Tensor) -> Tensor:
     """Adjust the saturation of RGB images: multiply it in HSV and clamp it to [0, 1].
 
     Args:
-        image: (*, 3, H, W), floating point, in [0, 1].
+        image: (*, 3, H, W), floating point, in [0, 1], or uint8.
         factor: 1 for no change, 0 or less for a gray of the largest channel: a number, or a tensor with the first axes
             of the image, such as (B,).
 
@@ -51,7 +51,7 @@ def adjust_saturation(image: Tensor, factor: float | Tensor) -> Tensor:
         The image with other saturation and the same hue and largest channel, differentiable in image and factor.
 
     Raises:
-        TypeCheckError: image is no floating-point tensor; factor is neither number nor tensor.
+        TypeCheckError: image is no tensor of floats or uint8; factor is neither number nor tensor.
         ImageError: image is not (*, 3, H, W).
         ShapeError: factor has axes that the image has not, or differs between channels.
         DeviceError: tensors on different devices; parameters in CPU memory are moved.
@@ -85,6 +85,7 @@ def adjust_saturation_raw(image: Tensor, factor: float | Tensor) -> Tensor:
         tensor([3.0000, 0.2000, 0.6000])
     """
     colors("adjust_saturation_raw", "image", image)
+    _check.floating("adjust_saturation_raw", "image", image)
     amount = per_pixel("adjust_saturation_raw", "factor", factor, image)
     return shaped(_adjust_saturation_raw(as_batch(image), amount), image)
 
@@ -93,7 +94,7 @@ def adjust_saturation_with_gray_subtraction(image: Tensor, factor: float | Tenso
     """Adjust the saturation of RGB images by scaling their difference from their gray, as PIL and torchvision do.
 
     Args:
-        image: (*, 3, H, W), floating point, in [0, 1]; gray images (*, 1, H, W) come back as they are.
+        image: (*, 3, H, W), floating point, in [0, 1], or uint8; gray images (*, 1, H, W) come back as they are.
         factor: 1 for no change, 0 for gray: a number, or a tensor with the first axes of the image, such as (B,).
 
     Returns:
@@ -112,7 +113,7 @@ def adjust_saturation_with_gray_subtraction(image: Tensor, factor: float | Tenso
     """
     op = "adjust_saturation_with_gray_subtraction"
     _check.numbers(op, "image", image)
-    _check.floating(op, "image", image)
+    _check.floating_or_bytes(op, "image", image)
     if image.dim() < 3 or image.shape[-3] not in (1, 3):
         raise ImageError(f"{op}: expected image of shape (*, 3, H, W) or (*, 1, H, W), got {tuple(image.shape)}")
     amount = per_pixel(op, "factor", factor, image)

@@ -52,9 +52,9 @@ def _backward(needs, grad, x, factor, number):
     return [of_x if needs[0] else None, of_planes.sum_to_size(factor.shape) if needs[1] else None]
 
 
-_sharpness = register("sharpness", _reference, backward=_backward)
+_sharpness = register("sharpness", _reference, backward=_backward, bytes="cpu", levels=255)
 _sharpness_backward = register("sharpness_backward", _reference_backward, fake=_fake_backward)
-_composed = with_kernel_casts(_sharpened)  # factors of single pixels
+_composed = with_kernel_casts(_sharpened, levels=255)  # factors of single pixels
 
 
 def sharpness(input: Tensor, factor: float | Tensor) -> Tensor:
@@ -64,7 +64,7 @@ def sharpness(input: Tensor, factor: float | Tensor) -> Tensor:
     is unchanged.
 
     Args:
-        input: (*, C, H, W), floating point, in [0, 1].
+        input: (*, C, H, W), floating point, in [0, 1], or uint8.
         factor: 0 for the smoothed image, 1 for no change, above 1 to sharpen: a number, or a tensor with the first axes
             of the image, (B,) or (B, C).
 
@@ -72,7 +72,7 @@ def sharpness(input: Tensor, factor: float | Tensor) -> Tensor:
         smooth + (input - smooth) * factor, clamped to [0, 1], differentiable in image and factor.
 
     Raises:
-        TypeCheckError: input is no floating-point tensor; factor is neither number nor tensor.
+        TypeCheckError: input is no tensor of floats or uint8; factor is neither number nor tensor.
         ShapeError: input is not (*, C, H, W); factor has axes that the image has not.
         DeviceError: tensors on different devices; parameters in CPU memory are moved.
 

@@ -14,7 +14,7 @@ def shift_rgb(image: Tensor, r_shift: float | Tensor, g_shift: float | Tensor, b
     """Add a number to each channel of an RGB image and clamp to [0, 1].
 
     Args:
-        image: (B, 3, H, W), floating point, in [0, 1].
+        image: (B, 3, H, W), floating point, in [0, 1], or uint8.
         r_shift: what is added to red: a number, or a tensor (B,) or (1,).
         g_shift: what is added to green.
         b_shift: what is added to blue.
@@ -23,7 +23,7 @@ def shift_rgb(image: Tensor, r_shift: float | Tensor, g_shift: float | Tensor, b
         The image with other colors, differentiable in image and shifts.
 
     Raises:
-        TypeCheckError: image is no floating-point tensor; a shift is neither number nor tensor.
+        TypeCheckError: image is no tensor of floats or uint8; a shift is neither number nor tensor.
         ImageError: image is not (B, 3, H, W).
         ShapeError: a shift that is not (B,) or (1,).
         DeviceError: tensors on different devices; parameters in CPU memory are moved.
@@ -34,7 +34,7 @@ def shift_rgb(image: Tensor, r_shift: float | Tensor, g_shift: float | Tensor, b
         tensor([0.6000, 0.5000, 0.0000])
     """
     _check.numbers("shift_rgb", "image", image)
-    _check.floating("shift_rgb", "image", image)
+    _check.floating_or_bytes("shift_rgb", "image", image)
     if image.dim() != 4 or image.shape[1] != 3:
         raise ImageError(f"shift_rgb: expected image of shape (B, 3, H, W), got {tuple(image.shape)}")
     shifts = [_shift(n, s, image) for n, s in (("r_shift", r_shift), ("g_shift", g_shift), ("b_shift", b_shift))]

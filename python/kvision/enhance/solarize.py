@@ -23,7 +23,7 @@ def solarize(input: Tensor, thresholds: float | Tensor = 0.5, additions: float |
     """Invert the pixels that reach a threshold.
 
     Args:
-        input: (*, C, H, W), floating point, in [0, 1].
+        input: (*, C, H, W), floating point, in [0, 1], or uint8.
         thresholds: pixels of at least this value become one minus it: a number, or a tensor with the first axes of the
             image, (B,) or (B, C).
         additions: added first, and the sum clamped to [0, 1]: a number in [-0.5, 0.5], or a tensor as for thresholds.
@@ -32,7 +32,7 @@ def solarize(input: Tensor, thresholds: float | Tensor = 0.5, additions: float |
         The image, differentiable in image and additions.
 
     Raises:
-        TypeCheckError: input is no floating-point tensor; a parameter is neither number nor tensor.
+        TypeCheckError: input is no tensor of floats or uint8; a parameter is neither number nor tensor.
         ShapeError: a tensor has axes that the image has not.
         ValueCheckError: additions is a number outside [-0.5, 0.5]. Tensors are not checked by value.
         DeviceError: tensors on different devices; parameters in CPU memory are moved.

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import torch
 from torch import Tensor
 
+from kvision._dtype import pixels
 from kvision.morphology.dilation import checked, dilated, eroded
+
+
+def _difference(x: Tensor, y: Tensor) -> Tensor:
+    return torch.maximum(x, y) - y if x.dtype == torch.uint8 else x - y  # bytes saturate, they do not wrap
 
 
 def opening(
@@ -22,7 +28,7 @@ def opening(
     """Erode, then dilate: what is smaller than the structuring element goes, the rest keeps its size.
 
     Args:
-        tensor: images (B, C, H, W), floating point.
+        tensor: images (B, C, H, W). uint8 gives uint8 (saturated), other integers give float32.
         kernel: the element's members are where this (kH, kW) is not 0.
         structuring_element: its heights (kH, kW), None for a flat element.
         origin: (y, x) of its center; None for (kH // 2, kW // 2).
@@ -62,7 +68,7 @@ def closing(
     """Dilate, then erode: gaps that are smaller than the structuring element are filled.
 
     Args:
-        tensor: images (B, C, H, W), floating point.
+        tensor: images (B, C, H, W). uint8 gives uint8 (saturated), other integers give float32.
         kernel: the element's members are where this (kH, kW) is not 0.
         structuring_element: its heights (kH, kW), None for a flat element.
         origin: (y, x) of its center; None for (kH // 2, kW // 2).
@@ -102,7 +108,7 @@ def gradient(
     """Subtract the erosion from the dilation: the height of edges.
 
     Args:
-        tensor: images (B, C, H, W), floating point.
+        tensor: images (B, C, H, W). uint8 gives uint8 (saturated), other integers give float32.
         kernel: the element's members are where this (kH, kW) is not 0.
         structuring_element: its heights (kH, kW), None for a flat element.
         origin: (y, x) of its center; None for (kH // 2, kW // 2).
@@ -126,7 +132,7 @@ def gradient(
     element = checked(
         "gradient", tensor, kernel, structuring_element, origin, border_type, border_value, max_val, engine
     )
-    return dilated(tensor, *element) - eroded(tensor, *element)
+    return _difference(dilated(tensor, *element), eroded(tensor, *element))
 
 
 def top_hat(
@@ -142,7 +148,7 @@ def top_hat(
     """Subtract the opening from the image: what is bright and smaller than the structuring element.
 
     Args:
-        tensor: images (B, C, H, W), floating point.
+        tensor: images (B, C, H, W). uint8 gives uint8 (saturated), other integers give float32.
         kernel: the element's members are where this (kH, kW) is not 0.
         structuring_element: its heights (kH, kW), None for a flat element.
         origin: (y, x) of its center; None for (kH // 2, kW // 2).
@@ -166,7 +172,7 @@ def top_hat(
     element = checked(
         "top_hat", tensor, kernel, structuring_element, origin, border_type, border_value, max_val, engine
     )
-    return tensor - dilated(eroded(tensor, *element), *element)
+    return _difference(pixels(tensor), dilated(eroded(tensor, *element), *element))
 
 
 def bottom_hat(
@@ -182,7 +188,7 @@ def bottom_hat(
     """Subtract the image from the closing: what is dark and smaller than the structuring element.
 
     Args:
-        tensor: images (B, C, H, W), floating point.
+        tensor: images (B, C, H, W). uint8 gives uint8 (saturated), other integers give float32.
         kernel: the element's members are where this (kH, kW) is not 0.
         structuring_element: its heights (kH, kW), None for a flat element.
         origin: (y, x) of its center; None for (kH // 2, kW // 2).
@@ -206,4 +212,4 @@ def bottom_hat(
     element = checked(
         "bottom_hat", tensor, kernel, structuring_element, origin, border_type, border_value, max_val, engine
     )
-    return eroded(dilated(tensor, *element), *element) - tensor
+    return _difference(eroded(dilated(tensor, *element), *element), pixels(tensor))

@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype
+from kvision._dtype import compute_dtype, pixels
 from kvision._ops import register, vjp
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
@@ -52,7 +52,7 @@ def _backward(needs, grad, x, kernel, heights, *plain):
 
 
 _dilation_backward = register("dilation_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape, layout_of=1)
-_dilation = register("dilation", _reference, backward=_backward)
+_dilation = register("dilation", _reference, backward=_backward, bytes="cpu")
 
 
 def dilation(
@@ -68,7 +68,7 @@ def dilation(
     """Take the largest pixel under a structuring element turned round, as SciPy and OpenCV do.
 
     Args:
-        tensor: images (B, C, H, W), floating point.
+        tensor: images (B, C, H, W). uint8 gives uint8 (saturated), other integers give float32.
         kernel: the element's members are where this (kH, kW) is not 0.
         structuring_element: heights (kH, kW) that are added to the pixels; it may carry a gradient. None for a flat element.
         origin: (y, x) of the element's center; None for (kH // 2, kW // 2).
@@ -78,11 +78,11 @@ def dilation(
         engine: for compatibility, one of 'auto', 'unfold', 'convolution', 'shift'; the result is the same.
 
     Returns:
-        (B, C, H, W); minus infinity where no pixel is under the element. Pixels that share the maximum share its
+        (B, C, H, W); minus infinity, or 0 of uint8, where no pixel is under the element. Pixels that share the maximum share its
         gradient evenly. NaN spreads to every window it is in.
 
     Raises:
-        TypeCheckError: tensor is no floating-point tensor, kernel or structuring_element none at all.
+        TypeCheckError: tensor, kernel or structuring_element is no real tensor.
         ShapeError: tensor is not (B, C, H, W); kernel has no two axes, structuring_element others.
         ValueCheckError: an origin outside of the kernel; an unknown border_type or engine, which is a
             NotImplementedError, too.
@@ -115,7 +115,7 @@ def erosion(
     """Take the smallest pixel under a structuring element.
 
     Args:
-        tensor: images (B, C, H, W), floating point.
+        tensor: images (B, C, H, W). uint8 gives uint8 (saturated), other integers give float32.
         kernel: the element's members are where this (kH, kW) is not 0.
         structuring_element: heights (kH, kW) that are subtracted from the pixels; it may carry a gradient.
         origin: (y, x) of the element's center; None for (kH // 2, kW // 2).
@@ -125,7 +125,7 @@ def erosion(
         engine: for compatibility, one of 'auto', 'unfold', 'convolution', 'shift'; the result is the same.
 
     Returns:
-        (B, C, H, W); infinity where no pixel is under the element.
+        (B, C, H, W); infinity, or 255 of uint8, where no pixel is under the element.
 
     Raises:
         TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`dilation`.
@@ -158,7 +158,6 @@ def checked(
     engine: str,
 ) -> Element:
     _check.images(op, "tensor", tensor)
-    _check.floating(op, "tensor", tensor)
     _check.shape(op, "kernel", kernel, "kH", "kW")
     ky, kx = kernel.shape
     if kernel.numel() == 0:
@@ -187,8 +186,8 @@ def checked(
 def dilated(
     x: Tensor, kernel: Tensor, heights: Tensor | None, origin: tuple[int, int], outside: float | None
 ) -> Tensor:
-    return _dilation(x, kernel, heights, *origin, -torch.inf if outside is None else outside, False)
+    return _dilation(pixels(x), kernel, heights, *origin, -torch.inf if outside is None else outside, False)
 
 
 def eroded(x: Tensor, kernel: Tensor, heights: Tensor | None, origin: tuple[int, int], outside: float | None) -> Tensor:
-    return _dilation(x, kernel, heights, *origin, torch.inf if outside is None else outside, True)
+    return _dilation(pixels(x), kernel, heights, *origin, torch.inf if outside is None else outside, True)

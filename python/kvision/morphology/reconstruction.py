@@ -24,8 +24,8 @@ def reconstruction(
     """Reconstruct morphologically: dilate a seed and take the minimum with the mask, until nothing changes.
 
     Args:
-        seed: images (B, C, H, W), floating point; values above the mask are clamped to it first.
-        mask: images in the same shape.
+        seed: images (B, C, H, W), floating point or uint8; values above the mask are clamped to it first.
+        mask: images of the same shape and type.
         kernel: the mask of the flat structuring element, of odd size and with its center set; None for 3 x 3.
         method: 'dilation', or 'erosion' for a seed that shrinks above the mask.
         num_iters: the number of steps; None iterates until nothing changes, which waits for the device.
@@ -52,7 +52,8 @@ def reconstruction(
     op = "reconstruction"
     for name, x in (("seed", seed), ("mask", mask)):
         _check.images(op, name, x)
-        _check.floating(op, name, x)
+        if x.dtype != torch.uint8:
+            _check.floating(op, name, x)
     _check.same_shape(op, seed=seed, mask=mask)
     _check.same_device(op, seed=seed, mask=mask)
     if kernel is None:
@@ -69,8 +70,13 @@ def reconstruction(
     origin = (kernel.shape[0] // 2, kernel.shape[1] // 2)
     members = (kernel != 0).to(compute_dtype(seed))[None]
     if method == "erosion":
-        return -_grown(-seed, -mask, members, origin, num_iters, check_every)
+        return _reversed(_grown(_reversed(seed), _reversed(mask), members, origin, num_iters, check_every))
     return _grown(seed, mask, members, origin, num_iters, check_every)
+
+
+def _reversed(x: Tensor) -> Tensor:
+    """Values in the opposite order."""
+    return ~x if x.dtype == torch.uint8 else -x
 
 
 def _grown(

@@ -1,5 +1,6 @@
 // Color programs on the CPU: a step at a time over a chunk of pixels, which stays in the L1 cache. Compiled once per
 // instruction set.
+#include "core/bytes.h"
 #include "core/interleave.h"
 #include "core/lanes.h"
 #include "core/scratch.h"
@@ -377,25 +378,26 @@ KV_HD bool converts_bytes(Program<float> const& p) {
          p.x.channels == 3 && has_rows_of_bytes(p.x) && has_rows_of_bytes(p.y);
 }
 
-template <class Formula>
+// `formula` gives levels of the result from those of a pixel.
+template <bool Interleaved, class Formula>
 KV_HD void convert_bytes(Pixels const& x, Pixels const& y, int64_t b, int64_t first, int64_t count, Formula formula) {
   auto const* const from = static_cast<uint8_t const*>(x.data) + x.offset(b) + first * x.step;
   auto* const to = static_cast<uint8_t*>(y.data) + y.offset(b) + first * y.step;
-  bool const reads_interleaved = is_interleaved(x), writes_interleaved = is_interleaved(y);
+  bool const writes_interleaved = is_interleaved(y);
   constexpr int N = kLanes<uint8_t>;
   auto const convert = [&](int64_t i) {
     Vector<float> c[3];
-    if (reads_interleaved)
+    if constexpr (Interleaved)
       load_interleaved<N>(from + 3 * i, c);
     else
       for (int k = 0; k < 3; ++k) c[k] = load<N>(from + k * x.channel_stride + i);
-    for (auto& v : c) v *= 1.f / 255;
     formula(c);
-    for (auto& v : c) v *= 255;
-    if (writes_interleaved)
+    if (y.channels == 1)
+      store<N>(to + i, c[0]);
+    else if (writes_interleaved)
       store_interleaved<N>(to + 3 * i, c);
     else
-      for (int k = 0; k < y.channels; ++k) store<N>(to + k * y.channel_stride + i, c[k]);
+      for (int k = 0; k < 3; ++k) store<N>(to + k * y.channel_stride + i, c[k]);
   };
   for (int64_t i = 0; i + N <= count; i += N) convert(i);
   convert(count - N);
@@ -404,10 +406,48 @@ KV_HD void convert_bytes(Pixels const& x, Pixels const& y, int64_t b, int64_t fi
 // At least a vector of pixels.
 __attribute__((noinline)) void convert_bytes(Program<float> const& p, Sample<float> const& s, int64_t b, int64_t first,
                                              int64_t count) {
+  auto const convert = [&](auto formula) {
+    is_interleaved(p.x) ? convert_bytes<true>(p.x, p.y, b, first, count, formula)
+                        : convert_bytes<false>(p.x, p.y, b, first, count, formula);
+  };
   if (p.step[0] == Step::hsv_u8)
-    convert_bytes(p.x, p.y, b, first, count, [](auto& c) { hsv_u8(c); });
-  else
-    convert_bytes(p.x, p.y, b, first, count, [&](auto& c) { luma_u8_fixed_point(c, s.p + p.first[0]); });
+    convert([](auto& c) {
+      for (auto& v : c) v *= 1.f / 255;
+      hsv_u8(c);
+      for (auto& v : c) v *= 255;
+    });
+  else  // luma_u8_fixed_point, without the way to 255ths and back
+    convert([w = s.p + p.first[0]](auto& c) {
+      c[0] = vfloor(Vector<float>((c[0] * w[0] + c[1] * w[1] + c[2] * w[2] + 16384) * (1.f / 32768)));
+    });
+}
+
+// Whether a program is a function of one byte: of bytes to bytes, without a mean, of steps that treat every value
+// alike. Its 256 values then take less time than the pixels.
+KV_HD bool is_function_of_bytes(Program<float> const& p) {
+  bool by_value = !p.measures_mean && p.contrast < 0;
+  for (int k = 0; k < p.steps; ++k) by_value = by_value && is_per_value(p.step[k]);
+  bool const by_channel = p.x.step == 1 && p.y.step == 1, interleaved = is_interleaved(p.x) && is_interleaved(p.y);
+  return by_value && p.pixels >= 1024 && p.x.type == DType::uint8 && p.y.type == DType::uint8 &&
+         (by_channel || interleaved);
+}
+
+__attribute__((noinline)) void map_bytes(Program<float> const& p, int64_t begin, int64_t end) {
+  for_each_chunk(p, false, true, begin, end, [&](auto const& s, int64_t b, int64_t first, int64_t count, int64_t) {
+    float c[kChunk<float>];
+    for (int i = 0; i < 256; ++i) c[i] = float(i) / 255;
+    for (int i = 0; i < s.length; ++i) {
+      int const k = s.order[i];
+      EvaluateStep<float, 1> values{{c}, {c}, 256, s.p + p.first[k]};
+      run_step_on_chunk(p.step[k], values);
+    }
+    ByteTable table;
+    for (int i = 0; i < 256; ++i) store<1>(table.values + i, c[i] * 255);
+    auto const* const from = static_cast<uint8_t const*>(p.x.data) + p.x.offset(b) + first * p.x.step;
+    auto* const to = static_cast<uint8_t*>(p.y.data) + p.y.offset(b) + first * p.y.step;
+    if (p.x.step == 3) return table.map(from, to, 3 * count);
+    for (int k = 0; k < p.x.channels; ++k) table.map(from + k * p.x.channel_stride, to + k * p.y.channel_stride, count);
+  });
 }
 
 template <class F, int C>
@@ -419,6 +459,8 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
   bool const one_channel = p.steps > 0 && gives_one_channel(p.step[p.steps - 1]);
   bool const direct = !p.measures_mean && !p.has_order() && p.steps == 1 && (p.y.channels == C || one_channel) &&
                       is_plain_chunk<F>(p.x, p.pixels) && is_plain_chunk<F>(p.y, p.pixels);
+  if constexpr (sizeof(F) == 4)
+    if (is_function_of_bytes(p)) return map_bytes(p, begin, end);
   bool in_registers = false;
   if constexpr (sizeof(F) == 4 && C == 3) in_registers = converts_bytes(p);
   auto const work = [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {

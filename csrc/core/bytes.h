@@ -64,6 +64,35 @@ KV_HD Lanes<uint16_t, N> high_product(Lanes<uint16_t, N> a, uint16_t b) {
     return __builtin_convertvector(__builtin_convertvector(a, Lanes<uint32_t, N>) * uint32_t(b) >> 16, V);
 }
 
+// A function of bytes by its 256 values, which are looked up 16 at a time.
+struct ByteTable {
+  alignas(64) uint8_t values[256];
+
+  KV_HD void map(uint8_t const* from, uint8_t* to, int64_t count) const {
+    int64_t i = 0;
+#if defined(__AVX2__)
+    using V = Lanes<uint8_t, kByteLanes>;
+    V rows[16];
+    for (int k = 0; k < 16; ++k)
+      for (int lane = 0; lane < kByteLanes; lane += 16) __builtin_memcpy((char*)&rows[k] + lane, values + 16 * k, 16);
+    for (; i + kByteLanes <= count; i += kByteLanes) {
+      V const x = load_bytes<kByteLanes>(from + i), low = x & 15, high = x >> 4;
+      V y{};
+#pragma GCC unroll 16
+      for (int k = 0; k < 16; ++k)
+#if defined(__AVX512BW__)
+        y = (V)_mm512_mask_shuffle_epi8((__m512i)y, _mm512_cmpeq_epi8_mask((__m512i)high, _mm512_set1_epi8(char(k))),
+                                        (__m512i)rows[k], (__m512i)low);
+#else
+        y |= (V)_mm256_shuffle_epi8((__m256i)rows[k], (__m256i)low) & (V)(high == uint8_t(k));
+#endif
+      store_bytes<kByteLanes>(to + i, y);
+    }
+#endif
+    for (; i < count; ++i) to[i] = values[from[i]];
+  }
+};
+
 // Pixels stored as T in kernels that compute in numbers F: uint8_t or uint16_t for bytes, otherwise Compute<T>.
 template <class F, class T>
 constexpr int kLanesAs = sizeof(F) < 4 ? kVectorBytes / int(sizeof(F)) : kLanes<T>;

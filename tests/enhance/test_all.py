@@ -214,10 +214,11 @@ def test_refuses_what_is_no_image(function, arguments):
 OF_BYTES = [case for case in ADJUST if not case[0].__name__.endswith(("_raw", "_differentiable"))]
 
 
+@pytest.mark.parametrize("size", [(9, 40), (35, 61)], ids=str)  # large enough for a table of all bytes, and not
 @pytest.mark.parametrize("function, arguments", OF_BYTES, ids=[f.__name__ for f, _ in OF_BYTES])
-def test_bytes_are_255ths(function, arguments, device):
+def test_bytes_are_255ths(function, arguments, size, device):
     """uint8 gives what the same image in [0, 1] gives, rounded; either way at halves of levels, which float32 may miss."""
-    x = torch.randint(0, 256, (2, 3, 9, 40), dtype=torch.uint8, device=device)
+    x = torch.randint(0, 256, (2, 3, *size), dtype=torch.uint8, device=device)
     y = function(x, *arguments)
     assert y.dtype == torch.uint8 and y.shape == x.shape
     assert (y - 255 * function(x.double() / 255, *arguments)).abs().max() < 0.501

@@ -237,9 +237,9 @@ class RowEdges {
   }
 };
 
-// The mean of n bytes in 16 bits, (sum + n / 2) / n rounded down; n is odd, so that no mean ends in a half. The division
-// is a product with (2^k + e) / n, the reciprocal rounded up, where e < n < 128 and 2^k > 2^15 n. The result is too large
-// by (sum + n / 2) e / (2^k n) < 255.5 n / (2^15 n) < 1 / n, which reaches no next integer.
+// The mean of n bytes in 16 bits, (sum + n / 2) / n rounded down; n is odd, so that no mean ends in a half. The
+// division is a product with (2^k + e) / n, the reciprocal rounded up, where e < n < 128 and 2^k > 2^15 n. The result
+// is too large by (sum + n / 2) e / (2^k n) < 255.5 n / (2^15 n) < 1 / n, which reaches no next integer.
 struct MeanOfBytes {
   uint16_t half, reciprocal;
   int shift = 0;

@@ -53,8 +53,11 @@ def in_range(
         inside = _between_numbers(channels, lower, upper)
     elif isinstance(lower, Tensor) and isinstance(upper, Tensor):
         lower, upper = (_bound(name, b, channels) for name, b in (("lower", lower), ("upper", upper)))
-        fits = ((channels >= lower) & (channels <= upper)).split(1, -3)  # torch's `all` of an inner axis is slow
-        inside = functools.reduce(torch.logical_and, fits)
+        fits = (channels >= lower) & (channels <= upper)
+        if _check.is_symbolic(fits.shape[-3]):
+            inside = fits.all(-3, keepdim=True)
+        else:  # torch's `all` of an inner axis is slow
+            inside = functools.reduce(torch.logical_and, fits.split(1, -3))
     else:
         raise TypeCheckError(
             f"in_range: expected lower and upper to be both tuples or both tensors, got {type(lower).__name__} and "

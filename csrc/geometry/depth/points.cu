@@ -214,7 +214,7 @@ __global__ void __launch_bounds__(kThreads)
       for (int k = 0; k < 3; ++k) p.to.row(b, k, y)[x * p.to.step] = round_to<T>(to_point[k]);
     } else {
       rays.at(F(x), F(y), ray);
-      p.to.row(b, 0, y)[x * p.to.step] = round_to<T>(dot_of(ray, to_point));
+      p.to.row(b, 0, y)[x * p.to.step] = round_to<T>(dot3(ray, to_point));
     }
   }
 }

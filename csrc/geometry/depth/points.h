@@ -12,6 +12,7 @@
 
 #include "core/images.h"
 #include "core/isa.h"
+#include "core/matrix3.h"
 #if !defined(__CUDACC__)
 #include "core/lanes.h"
 #endif
@@ -141,23 +142,14 @@ KV_HD void tangents_of(PointColumn<V> const& left, PointColumn<V> const& middle,
   }
 }
 
-template <class V>
-KV_HD void cross_of(V const (&a)[3], V const (&b)[3], V (&c)[3]) {
-  for (int k = 0; k < 3; ++k) c[k] = a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3];
-}
-template <class V>
-KV_HD V dot_of(V const (&a)[3], V const (&b)[3]) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
 // The largest factor that normal_of multiplies by. It returns the factor.
 constexpr float kSteepest = 1e12f;
 
 template <class V>
 KV_HD V normal_of(V const (&along_x)[3], V const (&along_y)[3], V (&normal)[3]) {
-  cross_of(along_x, along_y, normal);
+  cross3(along_x, along_y, normal);
   for (int k = 0; k < 3; ++k) normal[k] = normal[k] * (1.f / 64);
-  V const scale = min(inverse_root(dot_of(normal, normal)), V(V{} + kSteepest));
+  V const scale = min(inverse_root(dot3(normal, normal)), V(V{} + kSteepest));
   for (int k = 0; k < 3; ++k) normal[k] = normal[k] * scale;
   return scale;
 }
@@ -165,10 +157,10 @@ template <class V>
 KV_HD void normal_vjp(V const (&along_x)[3], V const (&along_y)[3], V const (&grad)[3], V (&to_x)[3], V (&to_y)[3]) {
   V normal[3], g[3];
   V const scale = normal_of(along_x, along_y, normal);
-  V const along = scale < V(V{} + kSteepest) ? dot_of(normal, grad) : V{};
+  V const along = scale < V(V{} + kSteepest) ? dot3(normal, grad) : V{};
   for (int k = 0; k < 3; ++k) g[k] = (grad[k] - normal[k] * along) * (scale * (1.f / 64));
-  cross_of(along_y, g, to_x);
-  cross_of(g, along_x, to_y);
+  cross3(along_y, g, to_x);
+  cross3(g, along_x, to_y);
 }
 
 // The coefficients of the point at i in the derivatives at i - 1, i, i + 1 along an axis: in their differences and in

@@ -132,7 +132,7 @@ void depth_normals_backward(DepthNormalsBackward<T> const& p, int64_t begin, int
         for (int k = 0; k < 3; ++k) store<N>(p.to.row(b, k, y) + x * p.to.step, to_point[k]);
       } else {
         rays.at(iota<N, F>(x), F(y), ray);
-        store<N>(p.to.row(b, 0, y) + x * p.to.step, dot_of(ray, to_point));
+        store<N>(p.to.row(b, 0, y) + x * p.to.step, dot3(ray, to_point));
       }
     };
     pixel(Width<1>{}, 0, Taken<F>(0, width));

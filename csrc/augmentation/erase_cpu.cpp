@@ -1,4 +1,6 @@
 // Erased rectangles on the CPU: rows [begin, end) of all planes. Compiled once per instruction set.
+#include <cstddef>
+
 #include "augmentation/erase.h"
 #include "core/lanes.h"
 

@@ -1,4 +1,6 @@
 // Noise on the CPU: chunks [begin, end) of the planes of samples. Compiled once per instruction set.
+#include <cstddef>
+
 #include "core/lanes.h"
 // Included after core/lanes.h, whose vectors it uses.
 #include "augmentation/noise.h"

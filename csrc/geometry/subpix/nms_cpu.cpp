@@ -1,4 +1,6 @@
 // Local maxima on the CPU: rows [begin, end) of all planes in order. Compiled once per instruction set.
+#include <cstddef>
+
 #include "core/lanes.h"
 #include "geometry/subpix/nms.h"
 

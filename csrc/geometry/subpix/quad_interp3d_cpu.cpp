@@ -1,5 +1,7 @@
 // Subvoxel peaks on the CPU: rows [begin, end) of all volumes; whole volumes in the backward pass. Compiled once per
 // instruction set.
+#include <cstddef>
+
 #include "core/lanes.h"
 #include "geometry/subpix/quad_interp3d.h"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,7 @@ from torch import Tensor, nn
 from torch.export import Dim
 
 import kvision as K
+from benchmarks.sample_calls import public_functions
 from op_tests import assert_close
 
 pytestmark = pytest.mark.programs
@@ -139,3 +141,17 @@ def test_a_model_with_layers_and_a_chosen_backend(tmp_path: Path) -> None:
         K.backend("native"),
     ):  # as asked: no references
         exported(layers, [image], tmp_path / "program.onnx")
+
+
+def test_the_page_names_public_functions() -> None:
+    """docs/onnx.md has functions that are there, once each, and the numbers of its first sentence."""
+    page = (Path(__file__).parents[1] / "docs/onnx.md").read_text()
+    failing = re.findall(r"^\| `([\w.]+)` \|", page, re.MULTILINE)
+    agreeing = [
+        f"{module}.{name}"
+        for module, names in re.findall(r"^\*\*(\w+):\*\* (.*)$", page, re.MULTILINE)
+        for name in re.findall(r"`(\w+)`", names)
+    ]
+    every = [*failing, *agreeing]
+    assert len(set(every)) == len(every) and set(every) <= set(public_functions())
+    assert f"takes {len(agreeing)} of {len(every)} public functions" in page

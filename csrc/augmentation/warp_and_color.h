@@ -26,19 +26,4 @@ KV_HD int64_t bands_of(int64_t height, int64_t width) {
 
 KV_KERNEL(warp_and_color, WarpAndColor)
 
-// Bytes through a table of 256, one of each sample: what a program without a warp is on bytes if it treats every value
-// alike. `size` is that of a sample, of which parts are processed at a time.
-template <class T>
-struct MapBytes {
-  T const* x;
-  T* y;
-  T const* tables;
-  int64_t size;
-};
-
-constexpr int64_t kPartBytes = 16384;
-KV_HD int64_t parts_of(int64_t size) { return (size + kPartBytes - 1) / kPartBytes; }
-
-KV_KERNEL(map_bytes, MapBytes)
-
 }  // namespace kv::augmentation

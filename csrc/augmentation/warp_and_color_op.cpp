@@ -177,34 +177,6 @@ std::tuple<Tensor, Tensor> run_joined(WarpAndColorArguments const& a, Tensor con
 }
 #endif
 
-#if !defined(KV_CUDA)
-// Whether a program is a table of bytes, of which fewer than those of a sample are computed.
-bool is_table(Tensor const& image, color::ProgramArguments const& a, color::PlanArgument const& plan) {
-  constexpr int64_t kFewBytes = 2048;
-  return image.scalar_type() == ScalarType::Byte && color::result_type(plan, image) == ScalarType::Byte &&
-         a.per_value && a.sequence.contrast < 0 && !a.sequence.one_channel && plan.layout < 0 && image.size(0) > 0 &&
-         image.numel() >= kFewBytes * image.size(0);
-}
-
-Tensor mapped_bytes(WarpAndColorArguments const& a, Tensor const& image) {
-  int64_t const batch = image.size(0);
-  Tensor const levels = empty({batch, 1, 16, 16}, image, Layout::planar, ScalarType::Byte);
-  auto* const level = data_ptr<uint8_t>(levels);
-  for (int64_t i = 0; i < 256 * batch; ++i) level[i] = uint8_t(i);
-  auto const arguments = a.program(levels, ScalarType::Byte);
-  Tensor const tables = std::get<0>(color::run_program(a.op, levels, arguments, a.plan.program, a.plan.numbers));
-  Layout const layout = layout_of(image);
-  Tensor const x = layout == Layout::channels_last
-                       ? torch::stable::contiguous(image, torch::headeronly::MemoryFormat::ChannelsLast)
-                       : dense(image);
-  Tensor const y = empty_like(x, layout);
-  MapBytes<uint8_t> const p{data_ptr<uint8_t const>(x), data_ptr<uint8_t>(y), data_ptr<uint8_t const>(tables),
-                            x.numel() / batch};
-  KV_RUN(map_bytes, x, p, batch * parts_of(p.size), kPartBytes / 4);
-  return y;
-}
-#endif
-
 // The result, the matrices of the warp (B, 3, 3), and the means of contrast (B, 1); without a warp (B, 0, 3), and
 // without contrast (B, 0).
 std::tuple<Tensor, Tensor, Tensor> warp_and_color(Tensor const& image, OptionalTensor const& columns,
@@ -222,10 +194,6 @@ std::tuple<Tensor, Tensor, Tensor> warp_and_color(Tensor const& image, OptionalT
     auto const [y, means] = run_joined(a, image, arguments);
     return {y, matrix, means};
   }
-#endif
-#if !defined(KV_CUDA)
-  if (!a.matrix && is_table(image, arguments, program))
-    return {mapped_bytes(a, image), matrix, empty({image.size(0), 0}, a.columns)};
 #endif
   Tensor const x = a.matrix ? geometry::warped(image, *a.sampling, *a.matrix) : image;
   auto const [y, means] = color::run_program(a.op, x, arguments, program, a.plan.numbers);

@@ -4,8 +4,8 @@
 #   make demo ARGS="photo.jpg --device cuda"        make test TESTS=tests/filters ARGS="-k sobel -x"
 #   make bench ARGS="sobel box_blur"                make clean, make distclean (with .venv)
 #
-# make test leaves out what takes minutes and asks mostly torch: the markers slow and tracing (pyproject.toml), which .ci/run has.
-# ARGS="-m tracing" runs those of the chosen TESTS.
+# make test sweeps few of the small sizes and leaves out what takes minutes and asks mostly torch: the markers slow and tracing
+# (pyproject.toml). .ci/run has all of that. ARGS="-m tracing" or ARGS="--sizes all" runs it for the chosen TESTS.
 PYTHON ?= python3
 TESTS ?=
 ARGS ?=
@@ -25,7 +25,7 @@ demo: build
 	$(BIN)/python -m kvision.demo $(ARGS)
 
 test: build $(DEV)
-	$(BIN)/python -m pytest --quiet --numprocesses auto --maxprocesses 8 -m "not slow and not tracing" $(TESTS) $(ARGS)
+	$(BIN)/python -m pytest --quiet --numprocesses auto --maxprocesses 8 --sizes few -m "not slow and not tracing" $(TESTS) $(ARGS)
 
 bench: build $(DEV)
 	$(BIN)/python -m benchmarks $(ARGS)

@@ -97,6 +97,7 @@ def run(folder: Path, again: bool) -> list[dict[str, Any]]:
     return [torch.load(folder / f"found{rank}{int(again)}.pt") for rank in range(PROCESSES)]
 
 
+@pytest.mark.slow
 def test_ranks_draw_other_numbers_and_resume_exactly(tmp_path: Path) -> None:
     first, second = run(tmp_path, again=False)
     for a, b in zip(first["crops"], second["crops"]):

@@ -200,6 +200,7 @@ def test_the_worst_ratio_of_a_case_is_listed():
     assert [(r.dtype, r.size, r.factor) for r in worst] == [("float16", "2x3x8x15", 3.0), ("float32", "2x3x9x17", 1.4)]
 
 
+@pytest.mark.slow
 def test_command_line_measures_awkward_sizes_and_their_neighbors(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(awkward, "SHAPES", ((17, 15),))
     monkeypatch.setattr(awkward, "RANDOM_SHAPES", 0)
@@ -232,6 +233,7 @@ def test_table_lines_fit_the_header(cuda):
     assert lines[1].split()[0] == "opencv" and lines[1].split()[6:8] == ["0.5", "="]
 
 
+@pytest.mark.slow
 def test_command_line(tmp_path, capsys):
     out = tmp_path / "deep" / "result.json"
     options = [

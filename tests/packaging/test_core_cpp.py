@@ -5,9 +5,12 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.slow
 def test_core(cmake: str) -> None:
     folder = ROOT / "build/tests"
     subprocess.run([cmake, "-S", ROOT / "csrc/tests", "-B", folder, "--log-level=ERROR"], check=True)

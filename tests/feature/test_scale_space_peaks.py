@@ -119,6 +119,7 @@ def test_a_blob_is_found_between_voxels(device):
         assert (found[0, 1] == 0).all()
 
 
+@pytest.mark.native  # torch.topk, by which the reference chooses, gives equal ones in any order
 def test_equal_peaks_are_in_the_order_of_their_voxels(device):
     levels = torch.zeros(1, 3, 200, 30, device=device)
     rows = torch.tensor([3, 64, 130, 190], device=device)

@@ -50,7 +50,7 @@ build: $(READY)
 	@if [ -f build/cmake/build.ninja ]; then $(BIN)/ninja -C build/cmake --quiet; fi
 
 $(READY): constraints.txt pyproject.toml setup.py python/kvision/_version.py
-	@echo "kvision: the first time takes about four minutes on two cores, and as long as the downloads take"
+	@echo "kvision: the first time takes about three minutes on two cores, and as long as the downloads take"
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(f"kvision needs Python 3.10 or newer; $(PYTHON) is {v.major}.{v.minor}: set PYTHON=" if v < (3, 10) else 0)'
 	$(PYTHON) -m venv .venv
 	$(PIP) setuptools cmake ninja pybind11 torch

@@ -649,7 +649,9 @@ def through_floats(f: Callable[..., Any], levels: int = 1, plain: Sequence[int] 
 
     def wrapped(*args: Any) -> Any:
         x, *rest = _promoted(args, torch.uint8)
-        output = f(x if levels == 1 else x / levels, *rest)
+        if levels != 1:  # by a tensor: CUDA multiplies by the reciprocal of a number, and 255ths would miss their level
+            x = x / x.new_full((), levels)
+        output = f(x, *rest)
         if isinstance(output, (tuple, list)):
             return tuple(stored(i, y) for i, y in enumerate(output))
         return stored(0, output)

@@ -223,7 +223,9 @@ def test_bytes_are_255ths(function, arguments, size, device):
     assert y.dtype == torch.uint8 and y.shape == x.shape
     assert (y - 255 * function(x.double() / 255, *arguments)).abs().max() < 0.501
     slices = function(x.contiguous(memory_format=torch.channels_last)[..., 1:], *arguments)
-    assert torch.equal(slices, function(x[..., 1:].clone(), *arguments))
+    # CUDA computes bytes in float32, where kernels for another layout may round halves of levels the other way.
+    apart = (slices.int() - function(x[..., 1:].clone(), *arguments).int()).abs().max()
+    assert apart <= (1 if device.type == "cuda" else 0)
 
 
 ONE_FACTOR = [case for case in ADJUST if case[1] == (0.1,)]

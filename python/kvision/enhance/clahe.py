@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import compute_dtype
 from kvision._ops import register, with_kernel_casts
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.enhance.batch import as_batch, images, shaped
@@ -19,7 +20,7 @@ def _reference(x: Tensor, clip_limit: float, rows: int, columns: int, opencv: bo
     """Equalize every plane of (B, C, H, W) separately."""
     tile = _tile(x, rows, columns, opencv)
     tiles = _split(x.flatten(0, 1), rows, columns, tile)
-    counts = level_counts(levels(tiles), ~tiles.isnan()).to(_compute_type(x))
+    counts = level_counts(levels(tiles), ~tiles.isnan()).to(compute_dtype(x))
     return _mapped(x, _tables(counts, clip_limit, tile[0] * tile[1]).round(), rows, columns, tile, opencv)
 
 
@@ -78,10 +79,6 @@ def _mapped(x: Tensor, tables: Tensor, rows: int, columns: int, tile: tuple[int,
     return torch.where(x.isnan(), x, y)
 
 
-def _compute_type(x: Tensor) -> torch.dtype:
-    return torch.float64 if x.dtype == torch.float64 else torch.float32
-
-
 def _split(x: Tensor, rows: int, columns: int, tile: tuple[int, int]) -> Tensor:
     """Pad (N, H, W) by reflection and split it into (N * rows * columns, pixels of a tile)."""
     n, h, w = x.shape
@@ -119,7 +116,7 @@ def _tables(counts: Tensor, clip_limit: float, pixels: int) -> Tensor:
 
 
 def _smooth_counts(tiles: Tensor) -> Tensor:
-    bins = torch.linspace(0, 1, LEVELS, device=tiles.device, dtype=_compute_type(tiles))
+    bins = torch.linspace(0, 1, LEVELS, device=tiles.device, dtype=compute_dtype(tiles))
     counts = (
         kernel_counts(tiles.to(bins.dtype), bins, torch.full_like(bins[0], _BANDWIDTH), "gaussian") / tiles.shape[1]
     )

@@ -52,8 +52,7 @@ def reconstruction(
     op = "reconstruction"
     for name, x in (("seed", seed), ("mask", mask)):
         _check.images(op, name, x)
-        if x.dtype != torch.uint8:
-            _check.floating(op, name, x)
+        _check.floating_or_bytes(op, name, x)
     _check.same_shape(op, seed=seed, mask=mask)
     _check.same_device(op, seed=seed, mask=mask)
     if kernel is None:

@@ -19,7 +19,6 @@ from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor, nn
-from torch.compiler import is_compiling
 
 from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, identity_values, plan_draws
 from kvision.augmentation.configuration import Flags, Plans, settings_changed
@@ -220,11 +219,11 @@ class AugmentationBase(nn.Module):
 
     def _draw(self, x: Tensor, seed: Seed, generator: Generator | None) -> Execution:
         shape, key = tuple(x.shape), ("draw", x.shape, seed is None)
-        plans: list[DrawPlan] | None = None if is_compiling() else self._plans.get(key)  # one, or none
+        plans: list[DrawPlan] | None = self._plans.get(key)  # one, or none
         if plans is None:
             request = self._request(shape) if self.p > 0 and self.p_batch > 0 else None
             plans = [] if request is None else plan_draws([request], seed is not None)
-            if not is_compiling() and all(plan.learned is None for plan in plans):
+            if all(plan.learned is None for plan in plans):
                 self._plans.keep(key, plans)
         if not plans:
             return Execution(shape, applied=self._applies(None, 0))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any
 
+from torch.compiler import is_compiling
+
 _MOST = 64  # plans of an object: images of many sizes are rarer than plans are large
 
 
@@ -18,7 +20,10 @@ def settings_changed() -> None:
 
 
 class Plans:
-    """Plans of one object by what they depend on besides its settings. Copies and pickles have none."""
+    """Plans of one object by what they depend on besides its settings. Copies and pickles have none.
+
+    While torch.compile traces there are none, and none are kept: a graph holds what was planned for it.
+    """
 
     def __init__(self) -> None:
         self._plans: dict[Hashable, Any] = {}
@@ -26,9 +31,12 @@ class Plans:
 
     def get(self, key: Hashable) -> Any:
         """The plan of a key; None if there is none, or if a setting has changed since."""
-        return self._plans.get(key) if self._count == _Changes.count else None
+        return None if is_compiling() or self._count != _Changes.count else self._plans.get(key)
 
     def keep(self, key: Hashable, plan: Any) -> None:
+        """Let `get` return a plan from now on."""
+        if is_compiling():
+            return
         if self._count != _Changes.count or len(self._plans) >= _MOST:
             self._plans, self._count = {}, _Changes.count
         self._plans[key] = plan

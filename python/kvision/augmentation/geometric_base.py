@@ -7,7 +7,6 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.compiler import is_compiling
 
 from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION
@@ -135,7 +134,7 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
             return self._warp(x, execution.matrix, flags)
         first = 0 if execution.columns is None else execution.columns.span.first_value
         key = (execution.shape, first)
-        keeps = flags is self.flags and not is_compiling()
+        keeps = flags is self.flags
         own: Pass | None = self._plans.get(key) if keeps else None
         if own is None:
             own = self._pass(execution.shape, first, flags)

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
-from torch.compiler import is_compiling
 
 from kvision.augmentation.base import (
     Execution,
@@ -95,7 +94,7 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
             return None
         span = None if execution.columns is None else execution.columns.span
         key = (execution.shape, span)
-        keeps = flags is self.flags and not is_compiling()
+        keeps = flags is self.flags
         own: Pass | None = self._plans.get(key) if keeps else None
         if own is None:
             part = color_part(self, execution.shape, span, flags)

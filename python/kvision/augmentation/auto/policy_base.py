@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Generator, Tensor
-from torch.compiler import is_compiling
 
 from kvision.augmentation.auto.operation_table import OPERATIONS, execute_step
 from kvision.augmentation.columns import DrawPlan, plan_draws
@@ -121,11 +120,10 @@ class PolicyAugmentBase(ImageSequential):
 
     def _plan(self, one_key: bool, position: int) -> Sequence[DrawPlan]:
         key = ("draw", one_key, position, bool(self.same_on_batch))
-        plan: list[DrawPlan] | None = None if is_compiling() else self._plans.get(key)
+        plan: list[DrawPlan] | None = self._plans.get(key)
         if plan is None:
             plan = plan_draws([self._request()], one_key, position)
-            if not is_compiling():
-                self._plans.keep(key, plan)
+            self._plans.keep(key, plan)
         return plan
 
     def _given(self, params: Sequence[ParamItem], x: Tensor) -> list[tuple[Tensor, Tensor]]:

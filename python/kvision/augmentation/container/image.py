@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Generator, Tensor, nn
-from torch.compiler import is_compiling
 
 from kvision._ops import FLOATS
 from kvision.augmentation.base import AugmentationBase, is_known, known_everywhere
@@ -264,11 +263,10 @@ class ImageSequential(ImageSequentialBase):
         """The input as a batch: (H, W) and (C, H, W) become (1, C, H, W)."""
         if not isinstance(input, Tensor):
             raise TypeCheckError(f"{type(self).__name__}: expected input to be a Tensor, got {type(input).__name__}")
-        axes: int | None = None if is_compiling() else self._plans.get("axes")
+        axes: int | None = self._plans.get("axes")
         if axes is None:
             axes = max([3, *(m.axes for m in self.modules() if isinstance(m, AugmentationBase))])
-            if not is_compiling():
-                self._plans.keep("axes", axes)
+            self._plans.keep("axes", axes)
         if not axes - 1 <= input.dim() <= axes + 1:
             raise ShapeError(
                 f"{type(self).__name__}: expected input with {axes - 1} to {axes + 1} axes, got {tuple(input.shape)}"

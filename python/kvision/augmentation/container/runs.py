@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Generator, Tensor, nn
-from torch.compiler import is_compiling
 
 from kvision.augmentation.base import AugmentationBase, Execution, Shape
 from kvision.augmentation.columns import Columns, DrawPlan, Span, plan_draws
@@ -129,11 +128,10 @@ def _position_inside(position: int) -> int:
 def _runs(children: Sequence[Child], plans: Plans) -> list[list[Child]]:
     """Split children into augmentations that draw together, and modules that run by themselves."""
     key = ("runs", *((id(child.module), child.params is None) for child in children))
-    lengths: list[int] | None = None if is_compiling() else plans.get(key)
+    lengths: list[int] | None = plans.get(key)
     if lengths is None:
         lengths = _lengths_of_runs(children)
-        if not is_compiling():
-            plans.keep(key, lengths)
+        plans.keep(key, lengths)
     runs, first = [], 0
     for length in lengths:
         runs.append(list(children[first : first + length]))
@@ -257,12 +255,12 @@ def _draw(
 ) -> tuple[list[Execution], Tensor | None, Sequence[_Joined | int]]:
     """The executions of augmentations whose parameters are drawn by one launch, the columns of all, and what to execute."""
     key = (x.shape, *(id(module) for module in modules), position, source.seed is None, *source[3:4], *source[5:])
-    plan: _RunPlan | None = None if is_compiling() else source.plans.get(key)
+    plan: _RunPlan | None = source.plans.get(key)
     keys: Keys | None = None
     if plan is None:
         plan, keys = _plan_run(x, modules, source, position)
         decides = any(m.whole_batch and 0 < m.p_batch < 1 for m in modules)  # on the host, in each call
-        if not decides and not is_compiling() and all(own.learned is None for own in plan.draws):
+        if not decides and all(own.learned is None for own in plan.draws):
             source.plans.keep(key, plan)
     samples = x[:: source.frames] if source.frames > 1 else x
     columns = None

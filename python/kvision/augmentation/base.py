@@ -340,10 +340,8 @@ class AugmentationBase(nn.Module):
         elif y.dtype != stored and stored.is_floating_point:
             y = y.to(stored)
         if execution.chosen is not None and y.shape == x.shape:
-            chosen = execution.chosen.reshape(-1, *[1] * self.axes)
-            y = torch.where(chosen, y, x)
-            eye = self.identity_matrix(x).to(transform)
-            transform = torch.where(execution.chosen.reshape(-1, 1, 1), transform, eye)
+            y = where_chosen(execution.chosen, y, x)
+            transform = torch.where(execution.chosen[:, None, None], transform, self.identity_matrix(x).to(transform))
         execution.matrix = transform
         return y
 
@@ -437,8 +435,7 @@ class AugmentationBase(nn.Module):
         execution = self._draw(x, seed, generator) if params is None else self._from_params(params, x)
         y = self._run(x, execution, self._flags_of(kwargs))
         self._execution = execution
-        if self.keepdim and y.dim() > image.dim():
-            y = y.reshape(y.shape[y.dim() - image.dim() :])
+        y = self._restored(y, image)
         returns = self.return_transform if return_transform is None else return_transform
         if not returns:
             return y if matrix is None else (y, matrix)
@@ -494,11 +491,38 @@ class AugmentationBase(nn.Module):
         moved = self.transform_masks(ones, execution, {**self.flags, "resample": "bilinear"})
         return is_known(self.inverse(moved, params).reshape(ones.shape))
 
+    def _restored(self, y: Tensor, input: Tensor) -> Tensor:
+        """A result with as many axes as the input, where `keepdim` asks for it."""
+        return without_added_axes(y, input) if self.keepdim else y
+
+    def _call_to_invert(self, output: Tensor, params: Params | None, flags: dict[str, Any]) -> tuple[Tensor, Execution]:
+        """Results as a batch, and the call that they came from: the last one, or that of given parameters."""
+        x = self.transform_tensor(output)
+        execution = self._execution_of(params, x, flags)
+        if execution is None:
+            raise RuntimeError(f"{type(self).__name__}.inverse: there was no call yet; pass its params")
+        return x, execution
+
     def _execution_of(self, params: Params | None, x: Tensor, flags: dict[str, Any]) -> Execution | None:
         """The last execution, or that of given parameters, for an inverse on the device of results x."""
         if params is None:
             return self._execution
         return self._from_params(params, x.new_empty(1).expand(tuple(int(n) for n in params["forward_input_shape"])))
+
+
+def without_added_axes(y: Tensor, input: Tensor) -> Tensor:
+    """The result of a batch of one with as many axes as the input had."""
+    return y.reshape(y.shape[y.dim() - input.dim() :]) if y.dim() > input.dim() else y
+
+
+def per_sample(values: Tensor, like: Tensor) -> Tensor:
+    """Values (B,) that broadcast with the samples of `like`, (B, 1, ...) on its device."""
+    return values.to(like.device).reshape(-1, *[1] * (like.dim() - 1))
+
+
+def where_chosen(chosen: Tensor | None, y: Tensor, x: Tensor | float) -> Tensor:
+    """`y` of the samples that are chosen, None for all, and `x` of the others."""
+    return y if chosen is None else torch.where(per_sample(chosen, y), y, x)
 
 
 def known_everywhere(shape: Shape, device: torch.device) -> Tensor:

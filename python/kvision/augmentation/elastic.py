@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision._dtype import compute_dtype
-from kvision.augmentation.base import AugmentationBase2D, Execution, Params
+from kvision.augmentation.base import AugmentationBase2D, Execution, Params, where_chosen
 from kvision.augmentation.random_generator.elastic import ElasticGenerator, FisheyeGenerator, ThinPlateSplineGenerator
 from kvision.constants import Resample, SamplePadding
 from kvision.filters import gaussian_blur2d
@@ -49,50 +49,39 @@ class _MapAugmentation(AugmentationBase2D):
             return masks
         coordinates, corners = self._map(masks, execution, flags), flags.get("align_corners", True)
         moved = _read_labels(masks, coordinates, _mode(flags), _padding(flags), corners, flags.get("mask_fill", 0))
-        return _chosen_of(execution, moved, masks)
+        return where_chosen(execution.chosen, moved, masks)
 
     def transform_points(self, points: Tensor, execution: Execution) -> Tensor:
         if not execution.applied or 0 in points.shape:
             return points
-        return _chosen_of(execution, invert_map(self._map(points, execution, self.flags), points), points)
+        return where_chosen(execution.chosen, invert_map(self._map(points, execution, self.flags), points), points)
 
     # --- inverse ---
 
     def inverse(self, output: Tensor, params: Params | None = None, **kwargs: Any) -> Tensor:
         flags = self._flags_of(kwargs)
-        x = self.transform_tensor(output)
-        execution = self._execution_of(params, x, flags)
-        if execution is None:
-            raise RuntimeError(f"{type(self).__name__}.inverse: there was no call yet; pass its params")
+        x, execution = self._call_to_invert(output, params, flags)
         if not execution.applied or 0 in x.shape:
             return output
         back, is_found = invert_map_everywhere(self._map(x, execution, flags))
         y = torch.where(is_found, _read(x, back, _mode(flags), "zeros", True), 0).to(x.dtype)
-        y = _chosen_of(execution, y, x)
-        return y.reshape(y.shape[y.dim() - output.dim() :]) if self.keepdim and y.dim() > output.dim() else y
+        return self._restored(where_chosen(execution.chosen, y, x), output)
 
     def inverse_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or 0 in masks.shape:
             return masks
         back, is_found = invert_map_everywhere(self._map(masks, execution, flags))
         moved = torch.where(is_found, _read_labels(masks, back, "nearest", "zeros", True), 0).to(masks.dtype)
-        return _chosen_of(execution, moved, masks)
+        return where_chosen(execution.chosen, moved, masks)
 
     def inverse_points(self, points: Tensor, execution: Execution) -> Tensor:
         if not execution.applied or 0 in points.shape:
             return points
-        return _chosen_of(execution, _at(self._map(points, execution, self.flags), points), points)
+        return where_chosen(execution.chosen, _at(self._map(points, execution, self.flags), points), points)
 
 
 def _mode(flags: dict[str, Any]) -> str:
     return Resample.get(flags.get("resample", Resample.BILINEAR)).name.lower()
-
-
-def _chosen_of(execution: Execution, moved: Tensor, given: Tensor) -> Tensor:
-    """What moved of the samples that are chosen, and what was given of the others."""
-    if execution.chosen is None:
-        return moved
-    return torch.where(execution.chosen.to(moved.device).reshape(-1, *[1] * (moved.dim() - 1)), moved, given)
 
 
 def _read(x: Tensor, coordinates: Tensor, mode: str, padding: str, align_corners: bool) -> Tensor:

@@ -59,16 +59,11 @@ class GeometricAugmentation(AugmentationBase):
 
     def inverse(self, output: Tensor, params: Params | None = None, **kwargs: Any) -> Tensor:
         flags = self._flags_of(kwargs)
-        x = self.transform_tensor(output)
-        execution = self._execution_of(params, x, flags)
-        if execution is None:
-            raise RuntimeError(f"{type(self).__name__}.inverse: there was no call yet; pass its params")
+        x, execution = self._call_to_invert(output, params, flags)
         if not execution.applied:
             return output
         y = self.inverse_transform(x, flags, self._matrix(execution), execution.shape[2:])
-        if self.keepdim and y.dim() > output.dim():
-            y = y.reshape(y.shape[y.dim() - output.dim() :])
-        return y
+        return self._restored(y, output)
 
 
 class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentationBase2D):

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 
 from kvision import geometry
 from kvision._dtype import floats
-from kvision.augmentation.base import AugmentationBase2D, Execution, Params
+from kvision.augmentation.base import AugmentationBase2D, Execution, Params, where_chosen
 from kvision.augmentation.geometric_base import Resampling, warp, warp_labels
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.random_generator.mix import (
@@ -145,9 +145,7 @@ class MixAugmentationBaseV2(AugmentationBase2D):
     def _chosen(mixed: Tensor, value: Tensor, execution: Execution) -> Tensor:
         if not execution.applied:
             return value
-        if execution.chosen is None or mixed.shape != value.shape:
-            return mixed
-        return torch.where(execution.chosen.reshape(-1, *[1] * (value.dim() - 1)), mixed, value)
+        return where_chosen(execution.chosen, mixed, value) if mixed.shape == value.shape else mixed
 
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or x.shape[0] == 0:
@@ -220,11 +218,8 @@ class MixAugmentationBaseV2(AugmentationBase2D):
 
 def _of_boxes(labels: Tensor, partners: Sequence[Tensor], params: Params) -> Tensor:
     """Labels of boxes (B, N), followed by those of the partners' boxes; -1 for samples that are not chosen."""
-    chosen = params.get("chosen")
     added = [labels[index.to(labels.device)] for index in partners]
-    if chosen is not None:
-        kept = chosen.to(labels.device).reshape(-1, *[1] * (labels.dim() - 1))
-        added = [torch.where(kept, theirs, -1).to(labels.dtype) for theirs in added]
+    added = [where_chosen(params.get("chosen"), theirs, -1).to(labels.dtype) for theirs in added]
     return torch.cat([labels, *added], 1)
 
 
@@ -632,8 +627,7 @@ class RandomMosaic(MixAugmentationBaseV2):
         if chosen is None:
             return mixed
         gone = input.new_full((len(input), mixed.shape[1] - input.shape[1], *input.shape[2:]), -1)
-        chosen = chosen.to(input.device).reshape(-1, *[1] * (input.dim() - 1))
-        return torch.where(chosen, mixed, torch.cat([input, gone], 1))
+        return where_chosen(chosen, mixed, torch.cat([input, gone], 1))
 
 
 def _area(boxes: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
-from kvision.augmentation.base import Execution, Params
+from kvision.augmentation.base import Execution, Params, per_sample
 from kvision.augmentation.draws import integer, philox
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.mix import MixAugmentationBaseV2
@@ -138,7 +138,7 @@ class RandomTransplantation(MixAugmentationBaseV2):
             if "selection" not in params:
                 labels = params["selected_labels"].to(masks.device)
                 donors = masks[params["donor_indices"].to(masks.device)]
-                params["selection"] = donors == labels.reshape(-1, *[1] * (masks.dim() - 1))
+                params["selection"] = donors == per_sample(labels, masks)
             return Execution(shape, None, None, True, params)
         execution = self._draw(masks, seed, generator)
         columns = execution.columns
@@ -153,12 +153,12 @@ class RandomTransplantation(MixAugmentationBaseV2):
             chosen = torch.zeros(shape[0])
         else:
             labels, has_label = self._labels(masks.roll(1, 0), columns.values[:, 0].long())
-            selection = (masks.roll(1, 0) == labels.reshape(-1, *[1] * (masks.dim() - 1))) & has_label
+            selection = (masks.roll(1, 0) == per_sample(labels, masks)) & has_label
             everyone = torch.arange(shape[0], device=masks.device)
             chosen = torch.ones(shape[0], device=masks.device)
             if columns.chosen is not None:
                 chosen = columns.chosen
-                selection = selection & (chosen > 0.5).reshape(-1, *[1] * (masks.dim() - 1))
+                selection = selection & per_sample(chosen > 0.5, masks)
             drawn = {
                 "acceptor_indices": everyone,
                 "donor_indices": everyone.roll(1),
@@ -180,7 +180,7 @@ class RandomTransplantation(MixAugmentationBaseV2):
         if flat.shape[1] == 0:
             return flat.new_zeros(flat.shape[0]), flat.new_zeros(flat.shape[0], *[1] * (donors.dim() - 1)).bool()
         best, at = rank.max(1, keepdim=True)
-        return flat.gather(1, at)[:, 0].to(donors.dtype), (best >= 0).reshape(-1, *[1] * (donors.dim() - 1))
+        return flat.gather(1, at)[:, 0].to(donors.dtype), per_sample(best >= 0, donors)
 
 
 class RandomTransplantation3D(RandomTransplantation):

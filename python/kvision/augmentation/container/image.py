@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision._ops import FLOATS
-from kvision.augmentation.base import AugmentationBase, is_known, known_everywhere
+from kvision.augmentation.base import AugmentationBase, is_known, known_everywhere, without_added_axes
 from kvision.augmentation.configuration import Plans
 from kvision.augmentation.container.runs import Applied, Child, Randomness, Stage, Warp, execute
 from kvision.augmentation.draws import philox, unit
@@ -356,7 +356,7 @@ class ImageSequential(ImageSequentialBase):
         if keeps is None:
             augmentations = [m for m in self.children() if isinstance(m, AugmentationBase)]
             keeps = bool(augmentations) and all(m.keepdim for m in augmentations)
-        return y.reshape(y.shape[y.dim() - input.dim() :]) if keeps else y
+        return without_added_axes(y, input) if keeps else y
 
     # --- matrices and the inverse ---
 

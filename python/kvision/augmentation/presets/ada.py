@@ -9,6 +9,7 @@ import torch
 from torch import Generator, Tensor, nn
 
 import kvision.augmentation as A
+from kvision.augmentation.base import where_chosen
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.container.augmentation import AugmentationSequential
 from kvision.augmentation.container.image import ParamItem
@@ -174,4 +175,4 @@ def _where(chosen: Tensor, new: Any, old: Any) -> Any:
             f"AdaptiveDiscriminatorAugmentation: expected augmentations that keep sizes, got {tuple(new.shape)} "
             f"from {tuple(old.shape)}"
         )
-    return torch.where(chosen.to(new.device).reshape(-1, *[1] * (new.dim() - 1)), new, old)
+    return where_chosen(chosen, new, old)

@@ -12,8 +12,9 @@ from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision.feature import _detection as detection
 from kvision.feature.laf import get_laf_center, get_laf_orientation, get_laf_scale, laf_from_center_scale_ori
-from kvision.feature.scale_space_peaks import scale_space_peaks
+from kvision.feature.scale_space_peaks import is_off_edges, scale_space_peaks
 from kvision.filters import gaussian_blur2d
+from kvision.geometry.subpix.quad_interp3d import ANYWHERE
 from kvision.geometry.transform.resize import resize
 
 # The defaults of cv2.SIFT_create, and its constants.
@@ -22,7 +23,6 @@ _BORDER = 5  # pixels of an octave without key points
 _FITS, _LARGEST_SHIFT = 5, 0.5
 _BINS, _PEAKS, _SHARE = 36, 4, 0.8  # of the histogram of directions; OpenCV has no limit to the number of its peaks
 _CELLS, _ANGLES, _CLIP, _UNIT = 4, 8, 0.2, 512.0  # of descriptors, whose length is about _UNIT
-_ANYWHERE = 2**31 - 1
 _OF_FRAME = 6.0  # scale of a frame over the blur of its level: the side of the 4 x 4 cells is twice that
 _SAMPLES = 2**18  # that are held at a time
 
@@ -95,7 +95,7 @@ def _find(octaves: _Octaves, count: int, threshold: float, mask: Tensor | None) 
         # leaves the coordinates of the voxel.
         filters = (float(_LEVELS), _BORDER - 0.5, 0.0, threshold)
         peaks, voxels = scale_space_peaks(
-            levels, weights, nowhere, True, True, 4 * count, *filters, _FITS, _LARGEST_SHIFT, _ANYWHERE, True
+            levels, weights, nowhere, True, True, 4 * count, *filters, _FITS, _LARGEST_SHIFT, ANYWHERE, True
         )
         level, x, y, contrast = peaks.unbind(2)
         layer, column, row = (v.detach().round().long() for v in (level, x, y))
@@ -112,7 +112,7 @@ def _find(octaves: _Octaves, count: int, threshold: float, mask: Tensor | None) 
             **{name: torch.full_like(voxels, value) for name, value in constant.items()},
         }
         inside = (layer >= 1) & (layer <= _LEVELS) & (voxels >= 0) & is_refined
-        off_edges = _is_off_edges(levels.detach(), layer.clamp(0, depth - 2), row, column)
+        off_edges = _are_off_edges(levels.detach(), layer.clamp(0, depth - 2), row, column)
         found = inside & off_edges & ~_is_repeated((layer * height + row) * width + column, inside)
         point["score"] = torch.where(found, contrast.detach(), detection.EMPTY)
         parts.append(point)
@@ -121,8 +121,8 @@ def _find(octaves: _Octaves, count: int, threshold: float, mask: Tensor | None) 
     return points.take(points.score.sort(dim=1, descending=True, stable=True)[1][:, :count])
 
 
-def _is_off_edges(levels: Tensor, layer: Tensor, row: Tensor, column: Tensor) -> Tensor:
-    """Whether the differences of levels bend alike in all directions at voxels (B, N)."""
+def _are_off_edges(levels: Tensor, layer: Tensor, row: Tensor, column: Tensor) -> Tensor:
+    """`is_off_edges` for the differences of levels at voxels (B, N)."""
     flat, (height, width) = levels.flatten(1), levels.shape[2:]
     middle = (layer * height + row.clamp(1, height - 2)) * width + column.clamp(1, width - 2)
 
@@ -133,8 +133,7 @@ def _is_off_edges(levels: Tensor, layer: Tensor, row: Tensor, column: Tensor) ->
     v = at(0, 0)
     xx, yy = at(0, 1) + at(0, -1) - 2 * v, at(1, 0) + at(-1, 0) - 2 * v
     xy = (at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)) / 4
-    trace, det = xx + yy, xx * yy - xy * xy
-    return (det > 0) & (trace * trace * _EDGE_RATIO < (_EDGE_RATIO + 1) ** 2 * det)
+    return is_off_edges(xx, xy, yy, _EDGE_RATIO)
 
 
 def _is_repeated(voxels: Tensor, counts: Tensor) -> Tensor:

@@ -62,7 +62,7 @@ def strongest_peaks(
     with torch.no_grad():
         room = margin + scales[:, None, None, None] * torch.exp2(level / levels_of_octave) / 2
         if edge_ratio > 0:
-            found = found & _is_off_edges(response, edge_ratio)
+            found = found & _are_off_edges(response, edge_ratio)
         found = found[:, 0] & (x >= room) & (y >= room) & (x + room <= width - 1) & (y + room <= height - 1)
         scores = values.detach()[:, 0]
         if weights is not None:
@@ -102,13 +102,17 @@ def _refined(response: Tensor, minima: bool, refine: Refine) -> tuple[Tensor, Te
     return coords, torch.where(is_minimum, low, high), is_maximum | is_minimum
 
 
-def _is_off_edges(response: Tensor, ratio: float) -> Tensor:
-    """Whether the principal curvatures of a response (B, 1, D, H, W) over a level have a ratio below the threshold."""
+def is_off_edges(xx: Tensor, xy: Tensor, yy: Tensor, ratio: float) -> Tensor:
+    """Whether both principal curvatures have the same sign, and the larger is less than `ratio` times the smaller."""
+    trace, det = xx + yy, xx * yy - xy * xy
+    return (det > 0) & (trace * trace * ratio < (ratio + 1) ** 2 * det)
+
+
+def _are_off_edges(response: Tensor, ratio: float) -> Tensor:
+    """`is_off_edges` for each level of a response (B, 1, D, H, W)."""
     levels = response.detach().transpose(1, 2).flatten(0, 1)
     xx, xy, yy = spatial_gradient(levels, "diff", 2)[:, 0].unbind(1)
-    trace, det = xx + yy, xx * yy - xy * xy
-    off_edges = (det > 0) & (trace * trace * ratio < (ratio + 1) ** 2 * det)
-    return off_edges.view(response.shape)
+    return is_off_edges(xx, xy, yy, ratio).view(response.shape)
 
 
 def _is_allowed(weights: Tensor, x: Tensor, y: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import compute_dtype, floats
 from kvision._modules import FunctionModule
 from kvision._ops import on_cuda, register
 from kvision.core.exceptions import ShapeError, TypeCheckError
@@ -114,7 +114,7 @@ def _backward(needs, grad_coords, grad_values, x, chosen, *options):
 
 
 def _gradient(grad_coords, grad_values, x, chosen, *options):
-    computes = torch.float64 if x.dtype == torch.float64 else torch.float32
+    computes = compute_dtype(x)
     x, grads = x.to(computes), (grad_coords.to(computes), grad_values.to(computes))
     _, vjp_fn = torch.func.vjp(lambda x: _reference(x, chosen, *options), x)
     return vjp_fn(grads)[0]
@@ -129,9 +129,7 @@ _peaks = register(
 _peaks_backward = register(
     "conv_quad_interp3d_backward",
     _gradient,
-    fake=lambda coords, values, x, *options: x.new_empty(
-        x.shape, dtype=torch.float64 if x.dtype == torch.float64 else torch.float32
-    ),
+    fake=lambda coords, values, x, *options: x.new_empty(x.shape, dtype=compute_dtype(x)),
     casts_outputs=True,
     nondeterministic=on_cuda,
 )

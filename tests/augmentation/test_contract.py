@@ -217,6 +217,7 @@ def test_pickles_and_copies(case: Case) -> None:
         assert torch.equal(other(x, seed=1), augment(x, seed=1))
 
 
+@pytest.mark.derivatives
 @names
 def test_gradient_of_images(case: Case) -> None:
     if not case.gradient:

@@ -442,6 +442,7 @@ def many(kind: str, x: Tensor, index: Tensor | None, count: int, mode: str, padd
     return lambda x, u, v, index: sampling.remap(x, u, v, None, index, *options, False, False), coords
 
 
+@pytest.mark.native
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.float16], ids=str)
 @pytest.mark.parametrize("padding", ["fill", "border", "reflection"])
 @pytest.mark.parametrize("mode", MODES)

@@ -124,7 +124,7 @@ KV_HD DrawnBox rectangle(DrawSource const& source, uint32_t index, double const*
   return {{offset_of(words.w[2], width, w), offset_of(words.w[3], height, h), w, h}};
 }
 
-// The shuffle of Durstenfeld, in the result itself: entry i trades places with one of entries i to n - 1.
+// The shuffle of Durstenfeld, in the result itself: entry i is swapped with one of entries i to n - 1.
 template <class T>
 KV_HD void permute(DrawSource const& source, uint32_t index, int n, T* entries) {
   for (int i = 0; i < n; ++i) entries[i] = T(i);

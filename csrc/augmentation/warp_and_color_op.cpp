@@ -68,7 +68,7 @@ struct WarpAndColorArguments {
   char const* op;
   WarpAndColorPlan plan;
   Tensor columns;
-  std::optional<geometry::Matrix> matrix;  // none: pixels stay in their places
+  std::optional<geometry::Matrix> matrix;  // none: pixels keep their positions
   std::optional<geometry::SamplingOptions> sampling;
   OptionalTensor given_matrix;
 

@@ -10,7 +10,7 @@
 // where m is the largest bin, l the one before and r the one after.
 //
 // Further angles of a patch are those of the next largest local maxima of the histogram that have at least a share of
-// the largest bin. Where there are fewer of them, the first angle takes their place.
+// the largest bin. Where there are fewer of them, the first angle is repeated.
 //
 // Included by orientation_cpu.cpp, orientation.cu and orientation_op.cpp.
 #pragma once

@@ -76,7 +76,7 @@ class AugmentationBase(nn.Module):
     accepts_bytes: ClassVar[bool] = True  # otherwise uint8 images are computed in float32, in [0, 1]
     keeps_lines: ClassVar[bool] = True  # straight lines stay straight, so that the corners of a box say where it is
     _execution: Execution | None = None  # of the last call
-    fuses_noise: ClassVar[bool] = False  # `apply_transform` takes "_noise" in place of the parameters of pixels
+    fuses_noise: ClassVar[bool] = False  # `apply_transform` takes "_noise" instead of the parameters of pixels
 
     def __init__(
         self,

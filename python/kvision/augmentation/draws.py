@@ -228,7 +228,7 @@ def _exponential_of_uniform(words: _Words, numbers: Sequence[float]) -> _Columns
 
 
 def _permutation(words: _Words, numbers: Sequence[float]) -> _Columns:
-    """The shuffle of Durstenfeld: entry i trades places with one of entries i to n - 1."""
+    """The shuffle of Durstenfeld: entry i is swapped with one of entries i to n - 1."""
     count, first, step = numbers
     n = int(count)
     entries = torch.arange(n, device=words()[0].device).expand(len(words()[0]), n).clone()

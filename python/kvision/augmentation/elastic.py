@@ -102,8 +102,8 @@ def _read_labels(
 def invert_map(coordinates: Tensor, points: Tensor) -> Tensor:
     """Where the pixels of a result are that read an image at `points` (B, N, 2), by Newton's method.
 
-    `coordinates` (B, 2, H, W) is the map. Where it folds, one of several places is found; for points that no pixel reads,
-    the nearest that the method comes to.
+    `coordinates` (B, 2, H, W) is the map. Where it folds, one of several solutions is found; for points that no pixel
+    reads, the nearest that the method comes to.
     """
     h, w = coordinates.shape[-2:]
     rows, columns = (torch.linspace(0, n - 1, min(n, _GUESSES), device=points.device).round().long() for n in (h, w))
@@ -133,7 +133,7 @@ def invert_map_everywhere(coordinates: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _newton(coordinates: Tensor, points: Tensor, at: Tensor) -> Tensor:
-    """Where the map reads points (B, N, 2), from a place `at` near each on."""
+    """Where the map reads points (B, N, 2), by steps that begin at positions `at` near them."""
     h, w = coordinates.shape[-2:]
     for _ in range(_STEPS):
         here = _at(coordinates, at)

@@ -1,4 +1,4 @@
-"""Intensity augmentations: pixels keep their places, so masks, boxes and points stay as they are."""
+"""Intensity augmentations: pixels keep their positions, so masks, boxes and points stay as they are."""
 
 from __future__ import annotations
 

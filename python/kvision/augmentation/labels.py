@@ -44,7 +44,7 @@ def move_points(points: Any, move: Mover) -> Any:
 def visible_points(before: Any, after: Any, back: Mover, size: tuple[int, int]) -> Any:
     """Which moved points are inside images of a size (H, W), and come from where they were: bool (B, N), or a list of (N,).
 
-    A map that folds may show what was at a point in no place; the point found for it is moved back to another place.
+    A map that folds may show what was at a point nowhere; the point found for it is moved back to another position.
     """
     if isinstance(after, (list, tuple)):
         if not after:
@@ -164,7 +164,7 @@ def _filtered(boxes: Tensor, mode: str, size: tuple[int, int], rule: BoxFilter) 
 
 
 def _inside(points: Tensor, size: tuple[int, int]) -> Tensor:
-    """Points moved to the nearest place inside an image, in coordinates of pixel centers."""
+    """Points moved to the nearest position inside an image, in coordinates of pixel centers."""
     x, y = points.unbind(-1)
     return torch.stack([x.clamp(-0.5, size[1] - 0.5), y.clamp(-0.5, size[0] - 0.5)], -1)
 

@@ -435,7 +435,7 @@ class RandomJigsaw(MixAugmentationBaseV2):
         p: probability that a sample is augmented.
         same_on_batch: all samples get the same order.
         keepdim: accepted for the other classes' sake.
-        ensure_perm: no sample keeps all cells in their places.
+        ensure_perm: no sample keeps all cells at their positions.
 
     Raises:
         TypeError, ValueError: `grid` is not two ints of at least 1.
@@ -480,7 +480,7 @@ class RandomJigsaw(MixAugmentationBaseV2):
         return self.apply_transform(input, params, flags)
 
     def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
-        """The parts of boxes in each cell, (B, rows * columns * N, 4), at the new places of the cells; 0 where there is none."""
+        """The parts of boxes in each cell, (B, rows * columns * N, 4), at the new positions of the cells; 0 where there is none."""
         self._check_xyxy(flags)
         order, grid = params["permutation"], torch.arange(self.grid[0] * self.grid[1], device=input.device)
         chosen = flags.get("chosen")
@@ -504,10 +504,10 @@ class RandomJigsaw(MixAugmentationBaseV2):
         height, width = (int(n) for n in params["forward_input_shape"][-2:])
         rows, columns = self.grid
         h, w = height // rows, width // columns
-        place = params["permutation"].argsort(1)  # where each cell goes
+        position = params["permutation"].argsort(1)  # where each cell goes
         column = (input[..., 0] + 0.5).div(w).floor().clamp(0, columns - 1).long()
         row = (input[..., 1] + 0.5).div(h).floor().clamp(0, rows - 1).long()
-        to = place.gather(1, row * columns + column)
+        to = position.gather(1, row * columns + column)
         shift = torch.stack([(to % columns - column) * w, (to // columns - row) * h], -1)
         return input + shift.to(input)
 

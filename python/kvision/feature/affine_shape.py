@@ -168,7 +168,7 @@ class LAFAffineShapeEstimator(nn.Module):
 
 
 def replace_invalid(laf: Tensor, valid: Tensor) -> Tensor:
-    """`laf` with unit frames at 0 in place of those that are not valid (B, N)."""
+    """`laf` with unit frames at 0 instead of those that are not valid (B, N)."""
     unit = torch.eye(2, 3, dtype=laf.dtype, device=laf.device)
     return torch.where(valid[..., None, None], laf, unit)
 

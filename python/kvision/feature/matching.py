@@ -431,7 +431,7 @@ def match_fginn(
 ) -> tuple[Tensor, Tensor]:
     """Match descriptors by a ratio test whose second neighbor is elsewhere in the image: first geometrically inconsistent.
 
-    Where several features of one place have similar descriptors, the second nearest one is no wrong match, and the test of
+    Where several features at one position have similar descriptors, the second nearest one is no wrong match, and the test of
     `match_snn` fails. Here the second neighbor is the nearest one whose center is at least `spatial_th` pixels from the
     center of the nearest. If there is none, the ratio is 0.
 

@@ -45,7 +45,7 @@ def peak_of(histogram: Tensor) -> Tensor:
 def _peaks(histogram: Tensor, count: int, share: float) -> Tensor:
     """The positions (B, count) of the largest bin and of the next local maxima of at least its share.
 
-    Where there are fewer, the first takes their place.
+    Where there are fewer, the first is repeated.
     """
     bins = histogram.shape[1]
     smoothed = _SMOOTHING[0] * histogram
@@ -99,7 +99,7 @@ def dominant_orientations(patches: Tensor, count: int, bins: int = 36, eps: floa
     """The angles (B, count) in radians of the largest peaks of the histograms of patches (B, 1, n, n).
 
     The first is that of :class:`PatchDominantGradientOrientation`. The others have at least `share` of its bin; where
-    there are fewer peaks, the first angle takes their place.
+    there are fewer peaks, the first angle is repeated.
     """
     op = "dominant_orientations"
     _check.images(op, "patches", patches)

@@ -31,7 +31,7 @@ class AugmentationSequential(ImageSequential):
     its outline became. "class" is returned as it was given. `visible_points` says which points the results show.
 
     With a VideoSequential among the children, images are videos (B, T, C, H, W) as its `data_format` says, masks likewise, and
-    labels have the axes (B, T) in place of B. Other children give each frame its own parameters.
+    labels have the axes (B, T) instead of B. Other children give each frame its own parameters.
 
     With `clip_boxes`, `min_box_area` or `min_box_visibility`, boxes without a part inside the image are removed as well. Lists
     of boxes and of their classes become shorter. Tensors keep their shape: removed boxes are 0, their classes -1. `kept_boxes`

@@ -72,7 +72,7 @@ class ImageSequentialBase(nn.Sequential):
         super().__init__()
         for i, module in enumerate(args):
             name = f"{type(module).__name__}_{i}"
-            # One object in two places has two states.
+            # A module that the chain has twice has two states.
             known = any(module is other for other in self.children())
             self.add_module(name, copy.deepcopy(module) if known else module)
         self._same_on_batch, self._keepdim = same_on_batch, keepdim
@@ -423,7 +423,7 @@ class ImageSequential(ImageSequentialBase):
         return execute(image, self._children_of_call(params, source), source)
 
     def is_intensity_only(self, strict: bool = True) -> bool:
-        """Whether all children leave pixels in their places; other modules count as moving them if `strict`."""
+        """Whether all children keep the positions of pixels; other modules count as moving them if `strict`."""
         for module in self.children():
             if isinstance(module, ImageSequential):
                 if not module.is_intensity_only(strict):

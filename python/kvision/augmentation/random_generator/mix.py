@@ -167,10 +167,10 @@ class JigsawGenerator(RandomGeneratorBase):
 
     Args:
         grid: rows and columns of cells.
-        ensure_perm: no sample keeps all cells in their places.
+        ensure_perm: no sample keeps all cells at their positions.
 
     Returns:
-        permutation (B, rows * columns), int64: which cell of the image comes at each place, by rows.
+        permutation (B, rows * columns), int64: which cell of the image comes at each position, by rows.
 
     Raises:
         TypeError, ValueError: `grid` is not two ints of at least 1.

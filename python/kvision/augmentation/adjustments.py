@@ -143,7 +143,7 @@ class RandomSaturation(IntensityAugmentationBase2D):
 
 
 class RandomHue(IntensityAugmentationBase2D):
-    """Turn the hue of RGB images by a random angle.
+    """Rotate the hue of RGB images by a random angle.
 
     Args:
         hue: a pair of turns within -0.5 and 0.5.

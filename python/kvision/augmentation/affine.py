@@ -229,7 +229,7 @@ class _TurnGenerator(RandomGeneratorBase):
 
 
 class RandomRotation90(GeometricAugmentationBase2D):
-    """Turn images by quarters about their center; square images exactly.
+    """Rotate images by multiples of 90 degrees about their center; square images exactly.
 
     Args:
         times: lowest and highest number of quarter turns counter-clockwise, within -3 and 3.

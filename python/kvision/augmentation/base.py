@@ -108,8 +108,8 @@ class AugmentationBase(nn.Module):
             object.__setattr__(self, name, value)
             return
         settings_changed()
-        given: Any = Flags(value) if name == "flags" else value
-        super().__setattr__(name, given)
+        setting: Any = Flags(value) if name == "flags" else value
+        super().__setattr__(name, setting)
 
     def __getstate__(self) -> dict[str, Any]:
         # Copies and pickles have the settings, not the last call.

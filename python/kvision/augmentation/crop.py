@@ -207,7 +207,7 @@ class RandomResizedCrop(GeometricAugmentationBase2D):
         if not input.is_cuda and not is_compiling() and len(input) > 0:
             # One window after the other reads few pixels of few rows; matrices have mostly zeros.
             boxes = torch.cat([start, last + 1], 1).long().tolist()
-            windows = [image[None, :, y:below, x:beyond] for image, (x, y, beyond, below) in zip(input.unbind(), boxes)]
+            windows = [image[None, :, y:bottom, x:right] for image, (x, y, right, bottom) in zip(input.unbind(), boxes)]
             return torch.cat([resize(w, self.size, mode, align_corners=align_corners, antialias=True) for w in windows])
         cubic = mode == "bicubic"
         # Rows and columns of all windows are weighted means, as two products of matrices.

@@ -122,8 +122,8 @@ def invert_map_everywhere(coordinates: Tensor) -> tuple[Tensor, Tensor]:
     h, w = coordinates.shape[-2:]
     rows, columns = (torch.linspace(0, n - 1, min(n, _GUESSES), device=coordinates.device) for n in (h, w))
     coarse = torch.stack([columns.expand(len(rows), -1), rows[:, None].expand(-1, len(columns))], -1).flatten(0, 1)
-    found = invert_map(coordinates, coarse.to(coordinates).expand(len(coordinates), -1, 2))
-    between = found.mT.unflatten(2, (len(rows), len(columns)))
+    inverted = invert_map(coordinates, coarse.to(coordinates).expand(len(coordinates), -1, 2))
+    between = inverted.mT.unflatten(2, (len(rows), len(columns)))
     start = F.interpolate(between, (h, w), mode="bilinear", align_corners=True).flatten(2).mT
     pixels = _pixels(_grid(h, w, coordinates), h, w, True)
     points = pixels.flatten(1).mT.expand_as(start)

@@ -162,7 +162,7 @@ class RandomMotionBlur(IntensityAugmentationBase2D):
         angle: degrees: a number a for -a to a, or a pair.
         direction: a number d for -d to d, or a pair, within -1 and 1: where along the line the weight is.
         border_type: 'constant', 'reflect', 'replicate' or 'circular'.
-        resample: 'nearest' or 'bilinear': how the line is turned.
+        resample: 'nearest' or 'bilinear': how the line is rotated.
         same_on_batch: all samples get the same parameters.
         p: probability that a sample is augmented.
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.

@@ -49,8 +49,8 @@ def visible_points(before: Any, after: Any, back: Mover, size: tuple[int, int]) 
     if isinstance(after, (list, tuple)):
         if not after:
             return after
-        (padded, sizes), (given, _) = pad(after), pad(before)
-        return type(after)(row[:n] for row, n in zip(visible_points(given, padded, back, size), sizes))
+        (padded, sizes), (start, _) = pad(after), pad(before)
+        return type(after)(row[:n] for row, n in zip(visible_points(start, padded, back, size), sizes))
     if hasattr(after, "transform_keypoints"):
         return visible_points(before._data, after._data, back, size)
     points = after if after.dim() == 3 else after[None]
@@ -123,7 +123,7 @@ class BoxFilter(NamedTuple):
 
     clip: bool = False
     min_area: float = 0.0  # in pixels, of the part inside the image
-    min_visibility: float = 0.0  # the share of the area that is inside
+    min_visibility: float = 0.0  # the fraction of the area that is inside
 
     @property
     def does_nothing(self) -> bool:
@@ -148,15 +148,15 @@ def filter_boxes(boxes: Any, mode: str, size: tuple[int, int], rule: BoxFilter) 
 def _filtered(boxes: Tensor, mode: str, size: tuple[int, int], rule: BoxFilter) -> tuple[Tensor, Tensor]:
     values = boxes if boxes.dtype == torch.float64 else boxes.float() if boxes.is_floating_point() else boxes.double()
     corners = box_corners(values, mode)
-    beyond = 0.5 if mode == "vertices" else 0.0  # from the centers of the outermost pixels to their edges
-    first, last = corners.amin(-2) - beyond, corners.amax(-2) + beyond
+    margin = 0.5 if mode == "vertices" else 0.0  # from the centers of the outermost pixels to their edges
+    first, last = corners.amin(-2) - margin, corners.amax(-2) + margin
     first_inside, last_inside = _inside(first, size), _inside(last, size)
     area, whole = (last_inside - first_inside).prod(-1), (last - first).prod(-1)
     kept = (area > 0) & (area >= rule.min_area) & (area >= rule.min_visibility * whole)
     if rule.clip:
         center = (first_inside + last_inside) / 2
-        x, y = (first_inside + beyond).minimum(center).unbind(-1)
-        right, bottom = (last_inside - beyond).maximum(center).unbind(-1)
+        x, y = (first_inside + margin).minimum(center).unbind(-1)
+        right, bottom = (last_inside - margin).maximum(center).unbind(-1)
         inside = torch.stack([x, y, right, y, right, bottom, x, bottom], -1).reshape(corners.shape)
         values = inside if mode == "vertices" else _boxes_around(inside, mode)
     axes = (..., *[None] * (boxes.dim() - kept.dim()))
@@ -197,7 +197,7 @@ def _as_type(moved: Tensor, boxes: Tensor) -> Tensor:
 
 
 def _upright(vertices: Tensor) -> Tensor:
-    """The corners of boxes that a flip has turned over, beginning top left again and going clockwise."""
+    """The corners of boxes that a flip has mirrored, beginning top left again and going clockwise."""
     first, second, _, last = vertices.unbind(-2)
     along, down = second - first, last - first
     turned_over = along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0] < 0

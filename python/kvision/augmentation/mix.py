@@ -297,19 +297,19 @@ def _in_windows(windows: Tensor, height: int, width: int) -> Tensor:
 class RandomCutMixV2(MixAugmentationBaseV2):
     """Paste a window of another image of the batch into each image.
 
-    Labels become (num_mix, B, 3): the label, that of the partner, and the share of the image that is kept. Masks are pasted
+    Labels become (num_mix, B, 3): the label, that of the partner, and the fraction of the image that is kept. Masks are pasted
     as images. Boxes (B, N, 4) and their labels (B, N) are followed by those of the partners, clipped to the window.
     Source: Yun, Han, Oh, Chun, Choe and Yoo, CutMix, ICCV 2019.
 
     Args:
         num_mix: how many windows each sample gets.
         cut_size: range of the side of a window, as a fraction of the image's; None for 0 to 1.
-        beta: parameter of the symmetric beta distribution of the share kept; None for 1, the uniform one.
+        beta: parameter of the symmetric beta distribution of the fraction kept; None for 1, the uniform one.
         same_on_batch: all samples get the same window.
         p: probability that a sample is mixed.
         keepdim: accepted for the other classes' sake.
         data_keys: what the arguments of a call are: "input", "class", "mask", "bbox_xyxy"; default: images alone.
-        use_correct_lambda: accepted for code written for Kornia: the weight is the share kept either way.
+        use_correct_lambda: accepted for code written for Kornia: the weight is the fraction kept either way.
 
     Raises:
         TypeError, ValueError: a range of another form, or out of its bounds.
@@ -375,7 +375,7 @@ class RandomCutMixV2(MixAugmentationBaseV2):
 class PatchMix(MixAugmentationBaseV2):
     """Paste a square window of another image of the batch into each image, of the same size in all.
 
-    Labels become (B, 3): the label, that of the partner, and the share of the image that is kept. Masks are pasted as
+    Labels become (B, 3): the label, that of the partner, and the fraction of the image that is kept. Masks are pasted as
     images. Boxes (B, N, 4) and their labels (B, N) are followed by those of the partners, clipped to the window.
 
     Args:
@@ -513,17 +513,17 @@ class RandomJigsaw(MixAugmentationBaseV2):
 
 
 class RandomMosaic(MixAugmentationBaseV2):
-    """Put several images of the batch together and cut a window out of them; boxes and masks follow.
+    """Join several images of the batch in a grid and cut a window out of them; boxes and masks follow.
 
     Args:
         output_size: height and width of the result; None for those of the images.
         mosaic_grid: rows and columns of images.
         start_ratio_range: where the window begins, as a fraction of the size of an image.
-        min_bbox_size: boxes whose area in the window is below this share of theirs become (0, 0, 0, 0).
+        min_bbox_size: boxes whose area in the window is below this fraction of theirs become (0, 0, 0, 0).
         data_keys: what the arguments of a call are: "input", "mask", "bbox_xyxy"; default: images alone.
         p: probability that a sample is augmented; the others are resized.
         keepdim: accepted for the other classes' sake.
-        padding_mode: accepted for code written for Kornia: beyond the images there is 0.
+        padding_mode: accepted for code written for Kornia: outside of the images there is 0.
         resample: how samples that are not chosen are resized: 'nearest', 'bilinear' or 'bicubic'.
         align_corners: accepted for code written for Kornia.
         cropping_mode: accepted for code written for Kornia; windows begin at pixels.
@@ -610,8 +610,8 @@ class RandomMosaic(MixAugmentationBaseV2):
         limit = torch.tensor([w, h, w, h], dtype=input.dtype, device=input.device)
         inside = torch.minimum(boxes.clamp(min=0), limit).reshape(b, -1, 4)
         boxes = boxes.reshape(b, -1, 4)
-        share = _area(inside) / _area(boxes).clamp(min=torch.finfo(input.dtype).tiny)
-        inside = torch.where(((share > 0) & (share >= self.min_bbox_size))[..., None], inside, 0)
+        visible = _area(inside) / _area(boxes).clamp(min=torch.finfo(input.dtype).tiny)
+        inside = torch.where(((visible > 0) & (visible >= self.min_bbox_size))[..., None], inside, 0)
         chosen = flags.get("chosen")
         if chosen is None:
             return inside

@@ -105,10 +105,10 @@ def _gaussian_backward(
         return [grad, None]
     # The noise alone, which only ranges with gradients need.
     standard = torch.tensor([[0.0, 1.0]], dtype=parameters.dtype, device=parameters.device)
-    wide = _computed(grad)
-    noise = gaussian_noise(torch.zeros_like(wide), standard, keys, seeds, chosen, plan)
-    to_mean = torch.where(_is_chosen(chosen, images), wide, 0.0).sum((1, 2, 3))
-    return [grad, torch.stack([to_mean, (wide * noise).sum((1, 2, 3))], 1).sum_to_size(parameters.shape)]
+    grads = _computed(grad)
+    noise = gaussian_noise(torch.zeros_like(grads), standard, keys, seeds, chosen, plan)
+    to_mean = torch.where(_is_chosen(chosen, images), grads, 0.0).sum((1, 2, 3))
+    return [grad, torch.stack([to_mean, (grads * noise).sum((1, 2, 3))], 1).sum_to_size(parameters.shape)]
 
 
 gaussian_noise = register(
@@ -121,8 +121,8 @@ def _hits(
 ) -> tuple[Tensor, Tensor]:
     """Which pixels (B, 1, H, W) are hit, and which of them by salt."""
     words = unit(_by_pixel(_words(images, 1, keys, seeds, plan), images))
-    amount, share = parameters.double()[:, :, None, None, None].unbind(1)
-    return words < amount, words < amount * share
+    amount, salt = parameters.double()[:, :, None, None, None].unbind(1)
+    return words < amount, words < amount * salt
 
 
 def _salt_and_pepper_reference(
@@ -133,7 +133,7 @@ def _salt_and_pepper_reference(
     chosen: Tensor | None,
     plan: Sequence[int],
 ) -> Tensor:
-    """A pixel is hit with a probability of the amount, the first parameter, and by salt with the second one's share."""
+    """Pixels are hit with the probability of the first parameter; those hit are salt with the probability of the second."""
     hit, salt = _hits(images, parameters, keys, seeds, plan)
     x = _computed(images)
     return _stored(torch.where(hit, salt.to(x.dtype) * _full_range(images), x), images, chosen)

@@ -65,8 +65,8 @@ class RandomSaltAndPepperNoise(IntensityAugmentationBase2D):
     """Set random pixels to 1 and to 0, in all channels.
 
     Args:
-        amount: share of pixels that are hit: a number, or a pair within 0 and 1.
-        salt_vs_pepper: share of salt, 1, among them: a number, or a pair within 0 and 1.
+        amount: fraction of pixels that are hit: a number, or a pair within 0 and 1.
+        salt_vs_pepper: fraction of salt, 1, among them: a number, or a pair within 0 and 1.
         p: probability that a sample is augmented.
         same_on_batch: all samples get the same parameters.
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.

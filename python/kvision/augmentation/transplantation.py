@@ -110,9 +110,9 @@ class RandomTransplantation(MixAugmentationBaseV2):
         masks = input[keys.index(DataKey.MASK)]
         execution = self._transplants(masks, params, seed, generator)
         self._execution = execution
-        given = self._read_params(execution)
-        donors, selection = given["donor_indices"].to(masks.device), given["selection"].to(masks.device)
-        acceptors = given["acceptor_indices"].to(masks.device)
+        drawn = self._read_params(execution)
+        donors, selection = drawn["donor_indices"].to(masks.device), drawn["selection"].to(masks.device)
+        acceptors = drawn["acceptor_indices"].to(masks.device)
         outputs = []
         for key, x in zip(keys, input):
             extra = x.dim() - masks.dim()

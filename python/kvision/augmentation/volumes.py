@@ -50,8 +50,8 @@ __all__ = [
 class RandomAffine3D(GeometricAugmentationBase3D):
     """Shear, scale, rotate and shift volumes about their center; voxels outside of the volume are 0.
 
-    The three angles are one axis of rotation times the angle, not three turns one after another. A positive angle about z
-    turns a displayed slice counter-clockwise, opposite to :class:`RandomRotation3D`.
+    The three angles are one axis of rotation times the angle, not three rotations one after another. A positive angle about z
+    rotates a displayed slice counter-clockwise, opposite to :class:`RandomRotation3D`.
 
     Args:
         degrees: a number s for -s to s along x, y and z, a pair, or three of either.
@@ -100,8 +100,8 @@ class RandomAffine3D(GeometricAugmentationBase3D):
 class RandomRotation3D(GeometricAugmentationBase3D):
     """Rotate volumes about their center; voxels outside of the volume are 0.
 
-    Yaw, pitch and roll are the axis of rotation times the angle along x, y and z, not three turns one after another. A
-    positive roll turns a displayed slice clockwise, as `geometry.rotate3d` does.
+    Yaw, pitch and roll are the axis of rotation times the angle along x, y and z, not three rotations one after another. A
+    positive roll rotates a displayed slice clockwise, as `geometry.rotate3d` does.
 
     Args:
         degrees: a number s for -s to s along x, y and z, a pair, or three of either.
@@ -116,8 +116,8 @@ class RandomRotation3D(GeometricAugmentationBase3D):
 
     Example:
         >>> import torch, kvision as K
-        >>> turn = K.augmentation.RandomRotation3D(((0.0, 0.0), (0.0, 0.0), (90.0, 90.0)), resample="nearest", p=1.0)
-        >>> turn(torch.tensor([[[[[1.0, 2.0], [3.0, 4.0]]]]]))
+        >>> rotate = K.augmentation.RandomRotation3D(((0.0, 0.0), (0.0, 0.0), (90.0, 90.0)), resample="nearest", p=1.0)
+        >>> rotate(torch.tensor([[[[[1.0, 2.0], [3.0, 4.0]]]]]))
         tensor([[[[[3., 1.],
                    [4., 2.]]]]])
     """
@@ -497,7 +497,7 @@ class RandomMotionBlur3D(IntensityAugmentationBase3D):
             of either.
         direction: a number d for -d to d, or a pair, within -1 and 1: where along the line the weight is.
         border_type: 'constant', 'reflect', 'replicate' or 'circular'.
-        resample: 'nearest' or 'bilinear': how the line is turned.
+        resample: 'nearest' or 'bilinear': how the line is rotated.
         same_on_batch: all samples get the same parameters.
         p: probability that a sample is augmented.
         keepdim: a volume (C, D, H, W) gives a volume (C, D, H, W) instead of a batch of one.

@@ -33,7 +33,7 @@ class _Putative(NamedTuple):
 
     xy1: Tensor  # (N, 2)
     xy2: Tensor
-    turn: Tensor  # (N,) degrees from the frame in the first image to that in the second
+    rotation: Tensor  # (N,) degrees from the frame in the first image to that in the second
     growth: Tensor  # (N,) logarithm of the ratio of their scales
     ratio: Tensor  # (N,) of the two nearest distances
     is_mutual: Tensor
@@ -188,8 +188,8 @@ def _neighborhoods(
         seed = x.take(part)
         near = _near(seed.xy1, x.xy1, radius1) & _near(seed.xy2, x.xy2, radius2)
         if options["orientation_difference_threshold"] is not None:
-            turn = torch.remainder(seed.turn[:, None] - x.turn + 180, 360) - 180
-            near &= turn.abs() <= options["orientation_difference_threshold"]
+            rotation = torch.remainder(seed.rotation[:, None] - x.rotation + 180, 360) - 180
+            near &= rotation.abs() <= options["orientation_difference_threshold"]
         if options["scale_rate_threshold"] is not None:
             growth = seed.growth[:, None] - x.growth
             near &= growth.abs() <= math.log(options["scale_rate_threshold"])

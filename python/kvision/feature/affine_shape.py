@@ -182,11 +182,11 @@ def adapt_shape(laf: Tensor, valid: Tensor, frame: Tensor, ellipses: Tensor, pre
     shape = ellipse_to_laf(torch.cat([torch.zeros_like(ellipses[..., :2]), ellipses], -1))[..., :2]
     scale = get_laf_scale(frame)
     adapted = torch.cat([frame[..., :2] / scale @ shape, frame[..., 2:]], -1)
-    found = valid & is_ellipse & laf_is_valid(adapted)
-    adapted = torch.where(found[..., None, None], adapted, frame)
+    is_adapted = valid & is_ellipse & laf_is_valid(adapted)
+    adapted = torch.where(is_adapted[..., None, None], adapted, frame)
     adapted = scale_laf(adapted, scale / get_laf_scale(adapted))
     if preserve_orientation:
         adapted = set_laf_orientation(adapted, get_laf_orientation(replace_invalid(laf, valid)))
-        return torch.where(found[..., None, None], adapted, laf)
+        return torch.where(is_adapted[..., None, None], adapted, laf)
     empty = torch.cat([torch.zeros_like(laf[..., :2]), laf[..., 2:]], -1)
     return torch.where(valid[..., None, None], adapted, empty)

@@ -418,7 +418,7 @@ _upright = register_formula("make_upright", _upright_reference, lambda *args: (2
 
 
 def ellipse_to_laf(ells: Tensor) -> Tensor:
-    """Turn ellipses into frames.
+    """Convert ellipses to frames.
 
     Args:
         ells: (B, N, 5): x, y, a, b, c for a u^2 + 2 b u v + c v^2 = 1 around (x, y). Integers give float32.
@@ -513,7 +513,7 @@ def get_laf_pts_to_draw(LAF: Tensor, img_idx: int = 0) -> tuple[list[list[float]
 
 
 def laf_to_three_points(laf: Tensor) -> Tensor:
-    """Turn frames into three points each.
+    """Convert frames to three points each.
 
     Args:
         laf: (B, N, 2, 3). Integers give float32.
@@ -537,7 +537,7 @@ def laf_to_three_points(laf: Tensor) -> Tensor:
 
 
 def laf_from_three_points(threepts: Tensor) -> Tensor:
-    """Turn three points each into frames, the inverse of `laf_to_three_points`.
+    """Convert three points each to frames, the inverse of `laf_to_three_points`.
 
     Args:
         threepts: (B, N, 2, 3). Integers give float32.
@@ -568,7 +568,7 @@ def _extent(op: str, images: Tensor) -> tuple[float, float]:
 
 
 def normalize_laf(LAF: Tensor, images: Tensor) -> Tensor:
-    """Turn frames in pixels into frames in fractions of the image.
+    """Convert frames in pixels to frames in fractions of the image.
 
     Args:
         LAF: (B, N, 2, 3). Integers give float32.
@@ -593,7 +593,7 @@ def normalize_laf(LAF: Tensor, images: Tensor) -> Tensor:
 
 
 def denormalize_laf(LAF: Tensor, images: Tensor) -> Tensor:
-    """Turn frames in fractions of the image into frames in pixels, the inverse of `normalize_laf`.
+    """Convert frames in fractions of the image to frames in pixels, the inverse of `normalize_laf`.
 
     Args:
         LAF: (B, N, 2, 3). Integers give float32.

@@ -1,4 +1,4 @@
-"""Detectors and descriptors together, and matches of the features of two images."""
+"""Detectors with descriptors, and matches of the features of two images."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ class _Magnitude(nn.Module):
 
 
 class _SeveralOrientations(nn.Module):
-    """The frames of a detector turned onto each of the two largest peaks of their gradients' directions.
+    """The frames of a detector rotated to each of the two largest peaks of their gradients' directions.
 
     Of these it keeps the strongest, as many as the detector has slots. A second peak has 80% of the first one at least.
     """
@@ -229,13 +229,13 @@ class _SeveralOrientations(nn.Module):
         angles = dominant_orientations(patches, self._peaks).reshape(*lafs.shape[:2], self._peaks)
         is_other = angles != angles[..., :1]  # a missing peak repeats the first
         is_feature = laf_is_filled(lafs)[..., None] & torch.cat([~is_other[..., :1], is_other[..., 1:]], -1)
-        turned = rotate_laf(lafs.repeat_interleave(self._peaks, 1), torch.rad2deg(angles.flatten(1)))
+        rotated = rotate_laf(lafs.repeat_interleave(self._peaks, 1), torch.rad2deg(angles.flatten(1)))
         scores = torch.where(is_feature, responses[..., None], EMPTY).flatten(1)
         # A stable sort, so that frames of one position keep their order.
         scores, index = scores.sort(dim=1, descending=True, stable=True)
         scores, index = (x[:, : lafs.shape[1]] for x in (scores, index))
         filled = scores > EMPTY
-        frames = torch.where(filled[..., None, None], gather_frames(turned, index), 0)
+        frames = torch.where(filled[..., None, None], gather_frames(rotated, index), 0)
         return frames, torch.where(filled, scores, 0)
 
 
@@ -685,7 +685,7 @@ class LocalFeatureMatcher(nn.Module):
 
     def forward(self, data: dict[str, Tensor]) -> dict[str, Tensor]:
         lafs, descriptors = zip(*(self._features(data, i) for i in "01"))
-        found = []
+        matches = []
         filled = [laf_is_filled(x) for x in lafs]
         for i in range(lafs[0].shape[0]):
             frames = [x[i][used[i]] for x, used in zip(lafs, filled)]
@@ -695,10 +695,10 @@ class LocalFeatureMatcher(nn.Module):
             aware = isinstance(self.matcher, GeometryAwareDescriptorMatcher)
             distances, index = self.matcher(*vectors, *(x[None] for x in frames if aware))
             pair = [x[index[:, k]] for k, x in enumerate(frames)]
-            found.append((*pair, 1 - distances.reshape(-1), torch.full_like(index[:, 0], i)))
-        if not found:
+            matches.append((*pair, 1 - distances.reshape(-1), torch.full_like(index[:, 0], i)))
+        if not matches:
             return self.no_match_output(lafs[0].device, lafs[0].dtype)
-        lafs0, lafs1, confidence, batch = (torch.cat(x) for x in zip(*found))
+        lafs0, lafs1, confidence, batch = (torch.cat(x) for x in zip(*matches))
         return {
             "keypoints0": get_laf_center(lafs0[None])[0],
             "keypoints1": get_laf_center(lafs1[None])[0],

@@ -157,8 +157,8 @@ class MultiResolutionDetector(nn.Module):
         scores, lafs = ([x] for x in detection.no_candidates(image))
         for level in self._levels(image):
             factor = (width / level.shape[3], height / level.shape[2])
-            found, frames = self.detect_features_on_single_level(level, self.num_features, factor, mask=mask)
-            scores.append(torch.where(laf_is_filled(frames), found, detection.EMPTY))
+            strongest, frames = self.detect_features_on_single_level(level, self.num_features, factor, mask=mask)
+            scores.append(torch.where(laf_is_filled(frames), strongest, detection.EMPTY))
             lafs.append(frames)
         return detection.filled_slots(image, scores, lafs, self.num_features)
 
@@ -202,11 +202,11 @@ class MultiResolutionDetector(nn.Module):
                 f"MultiResolutionDetector: expected model to give one response for each image, "
                 f"({level_img.shape[0]}, 1, {height}, {width}), got {tuple(response.shape)}"
             )
-        found = self.remove_borders(self.nms(response), _BORDER)
+        peaks = self.remove_borders(self.nms(response), _BORDER)
         if mask is not None:
             weights = detection.resized_mask(mask, (height, width))
-            found = detection.weighted(found, weights)
-        ranked = torch.where(found > self.score_threshold, found, detection.EMPTY).flatten(1)
+            peaks = detection.weighted(peaks, weights)
+        ranked = torch.where(peaks > self.score_threshold, peaks, detection.EMPTY).flatten(1)
         scores, index = detection.strongest(ranked, num_kp)
         filled = scores > detection.EMPTY
         center = index.clamp(width + 1, height * width - width - 2)  # a feature is not at the edge

@@ -76,8 +76,8 @@ def _fake_backward(grad: Tensor, pyramid: Tensor, laf: Tensor, *args: Any) -> li
     return [pyramid.new_empty(s, dtype=compute_dtype(pyramid)) for s in sizes]
 
 
-def _backward(needs: Sequence[bool], grad: Tensor, pyramid: Tensor, laf: Tensor, *how: Any) -> list[Tensor | None]:
-    of_pyramid, of_laf = _sample_patches_backward(grad, pyramid, laf, *how, needs[0], needs[1])
+def _backward(needs: Sequence[bool], grad: Tensor, pyramid: Tensor, laf: Tensor, *options: Any) -> list[Tensor | None]:
+    of_pyramid, of_laf = _sample_patches_backward(grad, pyramid, laf, *options, needs[0], needs[1])
     return [
         as_dtype(of_pyramid, pyramid.dtype).sum_to_size(pyramid.shape) if needs[0] else None,
         of_laf.sum_to_size(laf.shape) if needs[1] else None,
@@ -118,7 +118,7 @@ def sample_levels(levels: Sequence[Tensor], laf: Tensor, patch_size: int, window
 
 
 def build_levels(image: Tensor, smallest: int) -> list[Tensor]:
-    """The image and its halves, as long as the shorter side has `smallest` pixels."""
+    """The image and its reductions by 2, 4, 8 and so on, as long as the shorter side has `smallest` pixels."""
     levels = [image]
     while len(levels) < _MAX_LEVELS:
         shorter = min(levels[-1].shape[2:])

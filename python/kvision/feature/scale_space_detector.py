@@ -197,9 +197,9 @@ class ScaleSpaceDetector(nn.Module):
         `levels` (B, L, H, W) are the response, or it is their differences.
         """
         height, width = levels.shape[2:]
-        wide = compute_dtype(levels)
-        weights = None if mask is None else as_dtype(detection.resized_mask(mask, (height, width))[:, 0], wide)
-        first = self.mr_size * as_dtype(sigmas[:, 0], wide)
+        dtype = compute_dtype(levels)
+        weights = None if mask is None else as_dtype(detection.resized_mask(mask, (height, width))[:, 0], dtype)
+        first = self.mr_size * as_dtype(sigmas[:, 0], dtype)
         n_levels = float(self.scale_pyr.n_levels)
         ratio = 0.0 if self.edge_threshold is None else self.edge_threshold
         threshold = detection.EMPTY if self.score_threshold is None else self.score_threshold
@@ -208,7 +208,7 @@ class ScaleSpaceDetector(nn.Module):
         if refinement is not None:
             peaks, voxels = scale_space_peaks(levels, weights, first, are_differences, *filters, *refinement)
         else:
-            response = as_dtype(levels, wide)
+            response = as_dtype(levels, dtype)
             response = response[:, 1:] - response[:, :-1] if are_differences else response
             peaks, voxels = strongest_peaks(response[:, None], weights, first, *filters, self._refine)
         level, x, y, scores = peaks.unbind(2)

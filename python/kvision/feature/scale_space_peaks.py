@@ -132,9 +132,9 @@ def _is_allowed(weights: Tensor, x: Tensor, y: Tensor) -> Tensor:
 
 
 def _fake(levels: Tensor, weights: Tensor | None, scales: Tensor, _1: bool, _2: bool, count: int, *_: Any) -> list[Any]:
-    wide = levels.new_empty(0, dtype=compute_dtype(levels))
+    like = levels.new_empty(0, dtype=compute_dtype(levels))
     sizes = (levels.shape[0], count)
-    return [wide.new_empty(*sizes, 4), wide.new_empty(sizes, dtype=torch.int64)]
+    return [like.new_empty(*sizes, 4), like.new_empty(sizes, dtype=torch.int64)]
 
 
 def _backward(
@@ -198,6 +198,6 @@ def scale_space_peaks(levels: Tensor, *args: Any) -> tuple[Tensor, Tensor]:
 
     Arguments are those of the operator: weights (B, H, W) or None, which select peaks and order them, scales (B,) of level
     0, and whether level i is the difference of levels i + 1 and i. Voxels are those that were refined; slots without a peak
-    have 0 and -1. On CUDA there is no kernel for all steps together, but one for most of them.
+    have 0 and -1. On CUDA there is no kernel for all steps, but one for most of them.
     """
     return _reference(levels, *args) if levels.is_cuda else _peaks(levels, *args)

@@ -379,12 +379,12 @@ class SIFTDescriptorFromPyramid(nn.Module):
         _check.channels(op, "image", image, 1)
         _check.flag(op, "upright", upright)
         image = floats(image)
-        wide = compute_dtype(image)
-        levels = build_levels(as_dtype(image, wide), _WINDOW)
-        frames = as_dtype(lafs, wide)
+        dtype = compute_dtype(image)
+        levels = build_levels(as_dtype(image, dtype), _WINDOW)
+        frames = as_dtype(lafs, dtype)
         valid = laf_is_valid(frames)
         frames = replace_invalid(frames, valid)
-        sizes = torch.tensor([level.shape[:1:-1] for level in levels], dtype=wide, device=image.device)
+        sizes = torch.tensor([level.shape[:1:-1] for level in levels], dtype=dtype, device=image.device)
         scale = (sizes / sizes[:1])[levels_of_frames(frames, len(levels), _WINDOW)][..., None]  # (B, N, 2, 1): x, y
         if not upright:
             frames = rotate_laf(frames, -torch.rad2deg(self._orientations(levels, frames, scale)))

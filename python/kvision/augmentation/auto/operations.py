@@ -400,7 +400,7 @@ class HorizontalFlip(OperationBase):
 
 
 class Hue(OperationBase):
-    """Turn the hue of images.
+    """Rotate the hue of images.
 
     Args:
         initial_magnitude: its first value; None for the middle of the range.

@@ -264,8 +264,8 @@ class TrivialAugment(PolicyAugmentBase):
         same_on_batch: bool | None = None,
         generator: Generator | None = None,
     ) -> None:
-        given = _single("TrivialAugment", _TRIVIAL if policy is None else policy)
-        entries = [[(name, 1.0, low, high)] for name, low, high in given]
+        operations = _single("TrivialAugment", _TRIVIAL if policy is None else policy)
+        entries = [[(name, 1.0, low, high)] for name, low, high in operations]
         super().__init__(entries, transformation_matrix_mode, same_on_batch=same_on_batch, generator=generator)
 
 

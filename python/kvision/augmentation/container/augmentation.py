@@ -54,7 +54,7 @@ class AugmentationSequential(ImageSequential):
             interpolates once.
         clip_boxes: cut moved boxes off at the edges of the image.
         min_box_area: moved boxes with fewer pixels inside the image are removed.
-        min_box_visibility: moved boxes with a smaller share of their area inside the image are removed, 0 to 1.
+        min_box_visibility: moved boxes with a smaller fraction of their area inside the image are removed, 0 to 1.
         generator: draws the keys of each call; default: torch's generator.
         output_dtype: type of the results; default: that of the images. Floating-point types have uint8 images in [0, 1].
         memory_format: `torch.channels_last` or `torch.contiguous_format` for the results; default: that of the images.
@@ -206,7 +206,7 @@ class AugmentationSequential(ImageSequential):
         self, keys: Sequence[DataKey], inputs: Sequence[Any], outputs: list[Any], size: tuple[int, int]
     ) -> list[Any]:
         """Filtered results, with what `visible_points` needs kept, and the frames of videos as videos."""
-        self._points = [(given, y) for key, given, y in zip(keys, inputs, outputs) if key == DataKey.KEYPOINTS]
+        self._points = [(x, y) for key, x, y in zip(keys, inputs, outputs) if key == DataKey.KEYPOINTS]
         return self._of_videos(self._filtered(keys, outputs, size))
 
     # --- videos ---

@@ -33,7 +33,7 @@ torch.serialization.add_safe_globals([PatchParamItem])
 
 
 class PatchSequential(ImageSequential):
-    """Cut images into the cells of a grid, augment the cells, and put them together again.
+    """Cut images into the cells of a grid, augment the cells, and join them again.
 
     Cells are views of the images; those that get the same child are one batch. Augmentations have to keep their size.
 
@@ -163,29 +163,29 @@ class PatchSequential(ImageSequential):
         pad = self.compute_padding(x, self.padding)
         patches = self.extract_patches(x, pad=pad)
         source = self._source(seed, generator)
-        given = None if params is None else list(params)
+        items = None if params is None else list(params)
         self._of_cells = []
         self._position = 0
         if not self.patchwise_apply:
-            chosen = None if given is None else [item.param for item in given]
+            chosen = None if items is None else [item.param for item in items]
             cells = self._run(patches.flatten(0, 1), self._children_of_call(chosen, source), None, source)
             patches = cells.unflatten(0, patches.shape[:2])
         else:
             cells_of_all = []
             for i in range(patches.shape[1]):
-                children = self._children_of_cell(i, given, source)
+                children = self._children_of_cell(i, items, source)
                 cells_of_all.append(self._run(patches[:, i], children, [i], source))
             patches = torch.stack(cells_of_all, 1)
         self._shape, self._stages = tuple(x.shape), []
-        self._given_params = None if given is None else given
+        self._given_params = items
         return self._restored(self.restore_from_patches(patches, pad=pad), input)
 
-    def _children_of_cell(self, cell: int, given: list[PatchParamItem] | None, source: Randomness) -> list[Child]:
+    def _children_of_cell(self, cell: int, items: list[PatchParamItem] | None, source: Randomness) -> list[Child]:
         modules = dict(self.named_children())
-        if given is not None:
+        if items is not None:
             return [
                 Child(item.param.name, modules[item.param.name], item.param.data)
-                for item in given
+                for item in items
                 if item.indices is not None and cell in item.indices
             ]
         if self.random_apply is None:

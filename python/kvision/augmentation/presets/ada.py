@@ -22,17 +22,17 @@ __all__ = ["AdaptiveDiscriminatorAugmentation"]
 
 
 class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
-    """Augment a share of the images that a discriminator sees; the share grows while it is too sure of real images.
+    """Augment a fraction of the images that a discriminator sees; the fraction grows while it is too sure of real images.
 
     Source: Karras, Aittala, Hellsten, Laine, Lehtinen and Aila, Training generative adversarial networks with limited data,
     NeurIPS 2020.
 
     Args:
         *args: augmentations; default: flips, quarter turns, erasing, an affine transform, color jitter and noise.
-        initial_p: first share of the samples that are augmented.
-        adjustment_speed: by how much the share changes at once.
-        max_p: highest share.
-        target_real_acc: accuracy on real images above which the share grows.
+        initial_p: first fraction of the samples that are augmented.
+        adjustment_speed: by how much the fraction changes at once.
+        max_p: highest fraction.
+        target_real_acc: accuracy on real images above which the fraction grows.
         ema_lambda: weight of the past in the moving average of accuracies.
         update_every: calls between two changes.
         erasing_scale, erasing_ratio, erasing_fill_value: of the default RandomErasing.
@@ -41,10 +41,10 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         **kwargs: further arguments of AugmentationSequential.
 
     Attributes:
-        p: the share; it may be set.
+        p: the fraction; it may be set.
 
     Raises:
-        ValueError: a share or an accuracy is not within 0 and 1.
+        ValueError: a fraction or an accuracy is not within 0 and 1.
 
     Example:
         >>> import torch, kvision as K
@@ -120,18 +120,18 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         seed: Seed = None,
         generator: Generator | None = None,
     ) -> Any:
-        """Augment a share of the samples.
+        """Augment a fraction of the samples.
 
         Args:
             *inputs: images and labels in the order of the data keys; or one dict.
             params: the `_params` of an earlier call, to repeat it.
             data_keys: keys of this call; default: those of the constructor.
-            real_acc: accuracy on real images, or the discriminator's logits of them, which adjust the share.
+            real_acc: accuracy on real images, or the discriminator's logits of them, which adjust the fraction.
             seed: an int from which all parameters follow.
             generator: draws the keys of this call; default: that of the constructor, or torch's.
 
         Returns:
-            What was given, with a share of the samples augmented.
+            What was given, with a fraction of the samples augmented.
 
         Raises:
             TypeError: no input is a tensor.
@@ -152,7 +152,7 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         else:
             keys = draw_keys(type(self).__name__, 1, torch.device("cpu"), seed, generator or self.generator)
             (columns,) = draw_columns(
-                torch.empty(batch), keys, [Request([uniform(0.0, 1.0)])], _SHARE if keys.one_key else 0
+                torch.empty(batch), keys, [Request([uniform(0.0, 1.0)])], _CHOICE if keys.one_key else 0
             )
             chosen = columns.values[:, 0] < self.p
             outputs = super().forward(*inputs, data_keys=data_keys, seed=seed, generator=generator)
@@ -164,7 +164,7 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         return mixed[0] if len(mixed) == 1 else mixed
 
 
-_SHARE = 1 << 16  # the position in the chain of the draw that chooses samples
+_CHOICE = 1 << 16  # the position in the chain of the draw that chooses samples
 
 
 def _where(chosen: Tensor, new: Any, old: Any) -> Any:

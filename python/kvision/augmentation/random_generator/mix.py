@@ -206,7 +206,7 @@ class MosaicGenerator(RandomGeneratorBase):
         start_ratio_range: where the crop begins, as a fraction of the size of an image.
 
     Returns:
-        permutation (B, rows * columns), int64, which samples are put together, the sample itself first; src and dst
+        permutation (B, rows * columns), int64, which samples are joined, the sample itself first; src and dst
         (B, 4, 2), corners of the crop with both ends inclusive; batch_shapes (B, 3).
 
     Raises:

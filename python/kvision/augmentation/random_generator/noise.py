@@ -59,8 +59,8 @@ class SaltAndPepperGenerator(RandomGeneratorBase):
     """Draws the parameters of :class:`RandomSaltAndPepperNoise`.
 
     Args:
-        amount: share of pixels that are hit: a number, or a pair within 0 and 1.
-        salt_and_pepper: share of salt among them: a number, or a pair within 0 and 1.
+        amount: fraction of pixels that are hit: a number, or a pair within 0 and 1.
+        salt_and_pepper: fraction of salt among them: a number, or a pair within 0 and 1.
 
     Returns:
         amount_factor and salt_and_pepper_factor (B,); mask_salt and mask_pepper (B, C, H, W), bool.

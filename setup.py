@@ -117,7 +117,6 @@ class BuildNative(Command):
                 subprocess.run([cmake, "--install", folder, "--prefix", package, *component], check=True)
         return None
 
-
     def minutes(self) -> str:
         """About how long the CPU library takes, from scratch and on idle cores."""
         cores = len(os.sched_getaffinity(0))

@@ -20,13 +20,21 @@ template <class V>
 KV_HD V floor_value(V const& x) {
   return subtract_constant(V{}, -floor_of(x));
 }
-// OpenCV's luma of bytes in fixed point of 15 bits. Sums stay below 2^24, so that float represents them exactly.
+// OpenCV's luma of levels, 0 to 255, in fixed point of 15 bits; its floor is a level. Sums stay below 2^24, so that
+// float represents them exactly.
+template <class V>
+KV_HD V luma_of_levels(V const (&levels)[3], Scalar<V> const* weights) {
+  using F = Scalar<V>;
+  V sum = constant<V>(F(16384));
+  for (int i = 0; i < 3; ++i) sum = sum + levels[i] * weights[i];
+  return sum * F(1. / 32768);
+}
 template <class V>
 KV_HD void luma_u8_fixed_point(V (&c)[3], Scalar<V> const* weights) {
   using F = Scalar<V>;
-  V sum = constant<V>(F(16384));
-  for (int i = 0; i < 3; ++i) sum = sum + floor_value(c[i] * F(255) + F(0.5)) * weights[i];
-  c[0] = floor_value(sum * F(1. / 32768)) * F(1. / 255);
+  V levels[3];
+  for (int i = 0; i < 3; ++i) levels[i] = floor_value(c[i] * F(255) + F(0.5));
+  c[0] = floor_value(luma_of_levels(levels, weights)) * F(1. / 255);
 }
 // OpenCV's HSV of bytes: the hue in 180ths of a turn, and quotients by rounded reciprocals in 4096ths. All numbers are
 // integers below 2^24, and no reciprocal ends in a half.

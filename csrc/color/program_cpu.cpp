@@ -417,9 +417,7 @@ __attribute__((noinline)) void convert_bytes(Program<float> const& p, Sample<flo
       for (auto& v : c) v *= 255;
     });
   else  // luma_u8_fixed_point, without the way to 255ths and back
-    convert([w = s.p + p.first[0]](auto& c) {
-      c[0] = vfloor(Vector<float>((c[0] * w[0] + c[1] * w[1] + c[2] * w[2] + 16384) * (1.f / 32768)));
-    });
+    convert([w = s.p + p.first[0]](auto& c) { c[0] = vfloor(luma_of_levels(c, w)); });
 }
 
 // Whether a program is a function of one byte: of bytes to bytes, without a mean, of steps that treat every value

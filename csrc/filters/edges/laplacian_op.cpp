@@ -11,13 +11,13 @@ double laplacian_divisor(int64_t ky, int64_t kx, bool normalized) {
 }
 
 Tensor laplacian(Tensor const& input, int64_t ky, int64_t kx, bool normalized, int64_t border) {
-  return box_forward("laplacian", input, ky, kx, border, -double(ky) * double(kx),
-                     laplacian_divisor(ky, kx, normalized));
+  return run_box<false>("laplacian", input, ky, kx, border, -double(ky) * double(kx),
+                        laplacian_divisor(ky, kx, normalized));
 }
 
 Tensor laplacian_backward(Tensor const& grad, int64_t ky, int64_t kx, bool normalized, int64_t border) {
-  return box_backward("laplacian_backward", grad, ky, kx, border, -double(ky) * double(kx),
-                      laplacian_divisor(ky, kx, normalized));
+  return run_box<true>("laplacian_backward", grad, ky, kx, border, -double(ky) * double(kx),
+                       laplacian_divisor(ky, kx, normalized));
 }
 
 }  // namespace

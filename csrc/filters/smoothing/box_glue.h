@@ -15,36 +15,29 @@ inline void check_box(char const* op, Tensor const& x, int64_t ky, int64_t kx, B
   check_border(op, border, kx / 2, x.size(3));
 }
 
-// (window sum + center * input) / divisor.
-inline Tensor box_forward(char const* op, Tensor const& input, int64_t ky, int64_t kx, int64_t border, double center,
-                          double divisor) {
+// (window sum + center * input) / divisor, or the transpose of that.
+template <bool kTranspose>
+Tensor run_box(char const* op, Tensor const& input, int64_t ky, int64_t kx, int64_t border, double center,
+               double divisor) {
   Border const rule = to_border(op, border);
   check_box(op, input, ky, kx, rule);
   Layout const layout = layout_of(input);
   Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
-  dispatch_floating_and_uint8(op, x, [&](auto type) {
+  auto const run = [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Box<T> const params{planes<T const>(x, layout), planes<T>(y, layout), ky, kx, rule, F(center), F(divisor)};
-    KV_RUN(box, x, params, params.y.rows(), params.y.row_size());
-  });
+    if constexpr (kTranspose) {
+      KV_RUN(box_backward, x, params, params.y.rows(), params.y.row_size());
+    } else {
+      KV_RUN(box, x, params, params.y.rows(), params.y.row_size());
+    }
+  };
+  if constexpr (kTranspose)
+    dispatch_floating(op, x, run);
+  else
+    dispatch_floating_and_uint8(op, x, run);
   return y;
-}
-
-// The transpose of box_forward.
-inline Tensor box_backward(char const* op, Tensor const& grad, int64_t ky, int64_t kx, int64_t border, double center,
-                           double divisor) {
-  Border const rule = to_border(op, border);
-  check_box(op, grad, ky, kx, rule);
-  Layout const layout = layout_of(grad);
-  Tensor const g = as_layout(grad, layout), grad_x = empty_like(g, layout);
-  dispatch_floating(op, g, [&](auto type) {
-    using T = typename decltype(type)::type;
-    using F = Compute<T>;
-    Box<T> const params{planes<T const>(g, layout), planes<T>(grad_x, layout), ky, kx, rule, F(center), F(divisor)};
-    KV_RUN(box_backward, g, params, params.y.rows(), params.y.row_size());
-  });
-  return grad_x;
 }
 
 }  // namespace kv::filters

@@ -5,11 +5,11 @@ namespace kv::filters {
 namespace {
 
 Tensor box_blur(Tensor const& input, int64_t ky, int64_t kx, int64_t border) {
-  return box_forward("box_blur", input, ky, kx, border, 0, double(ky) * double(kx));
+  return run_box<false>("box_blur", input, ky, kx, border, 0, double(ky) * double(kx));
 }
 
 Tensor box_blur_backward(Tensor const& grad, int64_t ky, int64_t kx, int64_t border) {
-  return box_backward("box_blur_backward", grad, ky, kx, border, 0, double(ky) * double(kx));
+  return run_box<true>("box_blur_backward", grad, ky, kx, border, 0, double(ky) * double(kx));
 }
 
 }  // namespace

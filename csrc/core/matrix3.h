@@ -2,7 +2,7 @@
 // kernels.
 #pragma once
 
-#include "hd.h"
+#include "dual.h"
 
 namespace kv {
 
@@ -51,6 +51,17 @@ template <class V>
 KV_HD void adjugate3(V const* m, V* a) {
   cofactors3(m, a);
   transpose3(a);
+}
+
+// The inverse, NaN where the matrix is singular; returns the determinant.
+template <class V>
+KV_HD V inverse3(V const* m, V* inverse) {
+  V cofactors[9];
+  cofactors3(m, cofactors);
+  V const determinant = dot3(m, cofactors);
+  V const factor = select(determinant == 0., constant<V>(__builtin_nan("")), 1. / determinant);
+  for (int i = 0; i < 9; ++i) inverse[i] = cofactors[i % 3 * 3 + i / 3] * factor;
+  return determinant;
 }
 
 // The gradient of m from that of its adjugate, which is transposed in place: row r0 is in r2 x r0 and r0 x r1, and so

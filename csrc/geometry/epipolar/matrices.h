@@ -4,6 +4,7 @@
 
 #include "core/matrix3.h"
 #include "geometry/formula.h"
+#include "geometry/relative_motion.h"
 
 namespace kv::geometry {
 
@@ -23,16 +24,6 @@ KV_HD void bilinear_product_vjp(V const* m, V const* left, V const* right, V con
   multiply3<false, false>(right, grad_y, product);
   multiply3<false, true>(product, left, grad_m);
   multiply3<true, false>(m, product, grad_left);
-}
-
-// NaN where the matrix is singular.
-template <class V>
-KV_HD void inverse3(V const* m, V* inverse) {
-  V rows[9];
-  cofactors3(m, rows);
-  V const volume = dot3(m, rows);
-  V const factor = select(volume == 0., constant<V>(__builtin_nan("")), 1. / volume);
-  for (int i = 0; i < 9; ++i) inverse[i] = rows[i % 3 * 3 + i / 3] * factor;
 }
 
 // Inputs: a matrix and two cameras.
@@ -81,22 +72,14 @@ struct MotionInputs {
   static constexpr int kInputs = 4, kRequired = 4, kInputSize = 24, kScalars = 0, kOptionalLastRow = 0;
   static constexpr Extent extent(int i) { return {3, i % 2 ? 1 : 3}; }
 
-  // R = R2 R1^T and t = t2 - R t1.
   template <class V>
   static KV_HD void motion(V const* x, V* R, V* t) {
-    multiply3<false, true>(x + 12, x, R);
-    for (int i = 0; i < 3; ++i) t[i] = x[21 + i] - (R[3 * i] * x[9] + R[3 * i + 1] * x[10] + R[3 * i + 2] * x[11]);
+    relative_motion(x, x + 9, x + 12, x + 21, R, t);
   }
   template <class V>
   static KV_HD void motion_vjp(V const* x, V const* R, V const* grad_R, V const* grad_t, V* grad_x) {
-    V grad_y[9];
-    for (int i = 0; i < 9; ++i) grad_y[i] = grad_R[i] - grad_t[i / 3] * x[9 + i % 3];
-    multiply3<true, false>(grad_y, x + 12, grad_x);
-    multiply3<false, false>(grad_y, x, grad_x + 12);
-    for (int i = 0; i < 3; ++i) {
-      grad_x[9 + i] = -(R[i] * grad_t[0] + R[3 + i] * grad_t[1] + R[6 + i] * grad_t[2]);
-      grad_x[21 + i] = grad_t[i];
-    }
+    relative_motion_vjp(x, x + 9, x + 12, R, grad_R, grad_t, grad_x, grad_x + 9, grad_x + 12);
+    for (int i = 0; i < 3; ++i) grad_x[21 + i] = grad_t[i];
   }
 };
 

@@ -45,6 +45,7 @@ class Execution:
         params: Params | None = None,
         redraw: tuple[Keys, int] | None = None,
         frames: int = 1,
+        is_certain: bool = False,
     ) -> None:
         self.shape = shape  # of the images, (B, C, H, W)
         self.columns = columns  # of the parameters, on their device
@@ -53,6 +54,7 @@ class Execution:
         self.params = params  # by name, where they were given or have been read
         self.redraw = redraw  # the keys, and the index of this augmentation's
         self.frames = frames  # neighboring samples that share what was drawn
+        self.is_certain = is_certain  # all samples are chosen, which is known without the columns
         self.matrix: Tensor | None = None
 
     def keep_matrix(self, matrix: Tensor) -> None:
@@ -63,6 +65,8 @@ class Execution:
     @property
     def chosen(self) -> Tensor | None:
         """(B,) bool, the samples that are augmented; None for all."""
+        if self.is_certain:
+            return None
         if self._chosen is None and self.columns is not None and self.columns.chosen is not None:
             self._chosen = self.columns.chosen > 0.5
         return self._chosen
@@ -231,7 +235,13 @@ class AugmentationBase(nn.Module):
         keys = draw_keys(type(self).__name__, 1, x.device, seed, generator or self.generator)
         check_seeds(type(self).__name__, keys, shape[0])
         columns = Columns(plan.draw(x, keys), plan.spans[0])
-        return Execution(shape, columns, applied=self._applies(keys, 0), redraw=(keys, 0))
+        applied = self._applies(keys, 0)
+        return Execution(shape, columns, applied=applied, redraw=(keys, 0), is_certain=self._is_certain)
+
+    @property
+    def _is_certain(self) -> bool:
+        """Whether all samples of all batches are augmented."""
+        return self.p == 1 and self.p_batch == 1
 
     def _from_params(self, params: Params, x: Tensor) -> Execution:
         """An execution that replays given parameters."""

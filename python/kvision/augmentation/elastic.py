@@ -5,56 +5,63 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from kvision._dtype import compute_dtype
+from kvision.augmentation import maps
 from kvision.augmentation.base import AugmentationBase2D, Execution, Params, where_chosen
+from kvision.augmentation.maps import vector
 from kvision.augmentation.random_generator.elastic import ElasticGenerator, FisheyeGenerator, ThinPlateSplineGenerator
+from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample, SamplePadding
 from kvision.filters import gaussian_blur2d
-from kvision.geometry import get_tps_transform, remap, warp_points_tps
+from kvision.geometry import get_tps_transform, warp_points_tps
 
 __all__ = ["RandomElasticTransform", "RandomFisheye", "RandomThinPlateSpline"]
 
-_STEPS, _GUESSES = 20, 32  # of Newton's method, which begins at the best of 32 x 32 pixels
 
-
-class _MapAugmentation(AugmentationBase2D):
+class MapAugmentation(AugmentationBase2D):
     """A deformation by a map: where each pixel of the result reads the image."""
 
     accepts_bytes = True
-    keeps_lines = False
+    keeps_lines = moves_whole_pixels = permutes_pixels = False
 
-    def coordinates(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
-        """The map (B, 2, H, W): x and y in pixels."""
+    def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
+        """The map (B, 2, H, W), as maps.py stores it."""
         raise NotImplementedError
+
+    def resampling(self, flags: dict[str, Any]) -> Resampling:
+        """How images are read."""
+        mode = Resample.get(flags.get("resample", Resample.BILINEAR)).name.lower()
+        padding = SamplePadding.get(flags.get("padding_mode", SamplePadding.ZEROS)).name.lower()
+        return Resampling(mode, padding, flags.get("align_corners", True))
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        coordinates = self.coordinates(
-            tuple(input.shape), params, flags, input.new_empty(0, dtype=compute_dtype(input))
-        )
-        return _read(input, coordinates, _mode(flags), _padding(flags), flags.get("align_corners", True))
+        like = input.new_empty(0, dtype=compute_dtype(input))
+        moved = self.displacements(tuple(input.shape), params, flags, like)
+        return maps.read_displaced(input, moved, self.resampling(flags))
 
-    def _map(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
-        """The map of an execution, for images, masks or points that follow it."""
-        params = self._params_on_device(x, execution)
-        like = x.new_empty(0, dtype=compute_dtype(x) if x.is_floating_point() else torch.float32)
-        return self.coordinates((x.shape[0], 1, *execution.shape[-2:]), params, flags, like)
+    def displacements_of(self, execution: Execution, flags: dict[str, Any], like: Tensor) -> Tensor:
+        """The map of an execution, 0 for samples that are not chosen, on the device of `like` and in the type it computes in."""
+        params = self._params_on_device(like, execution)
+        like = like.new_empty(0, dtype=compute_dtype(like) if like.is_floating_point() else torch.float32)
+        moved = self.displacements(execution.shape, params, flags, like)
+        return where_chosen(execution.chosen, moved, 0.0)
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or masks.shape[0] == 0:
             return masks
-        coordinates, corners = self._map(masks, execution, flags), flags.get("align_corners", True)
-        moved = _read_labels(masks, coordinates, _mode(flags), _padding(flags), corners, flags.get("mask_fill", 0))
+        resampling = self.resampling(flags).for_labels(fill=flags.get("mask_fill"))
+        moved = maps.read_labels_displaced(masks, self.displacements_of(execution, flags, masks), resampling)
         return where_chosen(execution.chosen, moved, masks)
 
     def transform_points(self, points: Tensor, execution: Execution) -> Tensor:
         if not execution.applied or 0 in points.shape:
             return points
-        return where_chosen(execution.chosen, invert_map(self._map(points, execution, self.flags), points), points)
+        moved = maps.find_positions(self.displacements_of(execution, self.flags, points), points)
+        return where_chosen(execution.chosen, moved, points)
 
     # --- inverse ---
 
@@ -63,117 +70,30 @@ class _MapAugmentation(AugmentationBase2D):
         x, execution = self._call_to_invert(output, params, flags)
         if not execution.applied or 0 in x.shape:
             return output
-        back, is_found = invert_map_everywhere(self._map(x, execution, flags))
-        y = torch.where(is_found, _read(x, back, _mode(flags), "zeros", True), 0).to(x.dtype)
+        back, is_found = self._inverse_map(x, execution, flags)
+        y = torch.where(is_found, maps.read(x, back, self.resampling(flags).for_inverse()), 0).to(x.dtype)
         return self._restored(where_chosen(execution.chosen, y, x), output)
 
     def inverse_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or 0 in masks.shape:
             return masks
-        back, is_found = invert_map_everywhere(self._map(masks, execution, flags))
-        moved = torch.where(is_found, _read_labels(masks, back, "nearest", "zeros", True), 0).to(masks.dtype)
-        return where_chosen(execution.chosen, moved, masks)
+        back, is_found = self._inverse_map(masks, execution, flags)
+        read = maps.read_labels(masks, back, self.resampling(flags).for_inverse("nearest"))
+        return where_chosen(execution.chosen, torch.where(is_found, read, 0).to(masks.dtype), masks)
+
+    def _inverse_map(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> tuple[Tensor, Tensor]:
+        """Where the pixels of the image are in the result, (B, H, W, 2), and whether they are there, (B, 1, H, W)."""
+        moved = self.displacements_of(execution, flags, x)
+        h, w = moved.shape[-2:]
+        pixels = maps.pixel_positions(h, w, moved).unflatten(1, (h, w)).expand(len(moved), -1, -1, -1)
+        back, is_found = maps.find_everywhere(moved, pixels)
+        return back, is_found[:, None]
 
     def inverse_points(self, points: Tensor, execution: Execution) -> Tensor:
         if not execution.applied or 0 in points.shape:
             return points
-        return where_chosen(execution.chosen, _at(self._map(points, execution, self.flags), points), points)
-
-
-def _mode(flags: dict[str, Any]) -> str:
-    return Resample.get(flags.get("resample", Resample.BILINEAR)).name.lower()
-
-
-def _read(x: Tensor, coordinates: Tensor, mode: str, padding: str, align_corners: bool) -> Tensor:
-    map_x, map_y = coordinates.to(compute_dtype(x)).unbind(1)
-    return remap(x, map_x, map_y, mode, padding, align_corners)
-
-
-def _read_labels(
-    masks: Tensor, coordinates: Tensor, mode: str, padding: str, align_corners: bool, fill: float = 0
-) -> Tensor:
-    """Masks of any type."""
-    exact = masks if masks.is_floating_point() else masks.double()  # holds all integers up to 2^53
-    if padding == "zeros" and fill:
-        return (_read(exact - fill, coordinates, mode, padding, align_corners) + fill).to(masks.dtype)
-    return _read(exact, coordinates, mode, padding, align_corners).to(masks.dtype)
-
-
-def invert_map(coordinates: Tensor, points: Tensor) -> Tensor:
-    """Where the pixels of a result are that read an image at `points` (B, N, 2), by Newton's method.
-
-    `coordinates` (B, 2, H, W) is the map. Where it folds, one of several solutions is found; for points that no pixel
-    reads, the nearest that the method comes to.
-    """
-    h, w = coordinates.shape[-2:]
-    rows, columns = (torch.linspace(0, n - 1, min(n, _GUESSES), device=points.device).round().long() for n in (h, w))
-    known = coordinates[:, :, rows][..., columns].flatten(2).mT  # (B, G, 2)
-    best = torch.cdist(points, known.to(points)).argmin(-1)
-    at = torch.stack([columns[best % len(columns)], rows[best // len(columns)]], -1).to(points)
-    return _newton(coordinates, points, at)
-
-
-def invert_map_everywhere(coordinates: Tensor) -> tuple[Tensor, Tensor]:
-    """The map (B, 2, H, W) from the pixels of an image to those of the result, and bool (B, 1, H, W), which are there.
-
-    `coordinates` (B, 2, H, W) is the map from the result to the image. The pixels of a coarse grid are searched for, and
-    the method begins between these for all.
-    """
-    h, w = coordinates.shape[-2:]
-    rows, columns = (torch.linspace(0, n - 1, min(n, _GUESSES), device=coordinates.device) for n in (h, w))
-    coarse = torch.stack([columns.expand(len(rows), -1), rows[:, None].expand(-1, len(columns))], -1).flatten(0, 1)
-    inverted = invert_map(coordinates, coarse.to(coordinates).expand(len(coordinates), -1, 2))
-    between = inverted.mT.unflatten(2, (len(rows), len(columns)))
-    start = F.interpolate(between, (h, w), mode="bilinear", align_corners=True).flatten(2).mT
-    pixels = _pixels(_grid(h, w, coordinates), h, w, True)
-    points = pixels.flatten(1).mT.expand_as(start)
-    at = _newton(coordinates, points, start)
-    is_found = (_at(coordinates, at) - points).abs().amax(-1) < 0.5
-    return at.mT.unflatten(2, (h, w)), is_found.unflatten(1, (1, h, w))
-
-
-def _newton(coordinates: Tensor, points: Tensor, at: Tensor) -> Tensor:
-    """Where the map reads points (B, N, 2), by steps that begin at positions `at` near them."""
-    h, w = coordinates.shape[-2:]
-    for _ in range(_STEPS):
-        here = _at(coordinates, at)
-        step_x, step_y = at.new_tensor([0.5, 0.0]), at.new_tensor([0.0, 0.5])
-        along = _at(coordinates, at + step_x) - _at(coordinates, at - step_x)
-        down = _at(coordinates, at + step_y) - _at(coordinates, at - step_y)
-        miss = points - here
-        determinant = along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0]
-        determinant = torch.where(determinant.abs() < 1e-3, 1e-3, determinant)
-        move = (
-            torch.stack(
-                [
-                    miss[..., 0] * down[..., 1] - miss[..., 1] * down[..., 0],
-                    miss[..., 1] * along[..., 0] - miss[..., 0] * along[..., 1],
-                ],
-                -1,
-            )
-            / determinant[..., None]
-        )
-        at = at + move.clamp(-max(h, w) / 8, max(h, w) / 8)
-        limit = at.new_tensor([w - 1.0, h - 1.0])
-        at = torch.minimum(at.clamp(min=0), limit)
-    return at
-
-
-def _at(coordinates: Tensor, points: Tensor) -> Tensor:
-    """The map (B, 2, H, W) between its pixels, at points (B, N, 2)."""
-    x, y = points.unbind(-1)
-    return remap(coordinates.to(points), x[:, None], y[:, None], "bilinear", "border", True)[:, :, 0].mT
-
-
-def _padding(flags: dict[str, Any]) -> str:
-    return SamplePadding.get(flags.get("padding_mode", SamplePadding.ZEROS)).name.lower()
-
-
-def _pixels(normalized: Tensor, height: int, width: int, align_corners: bool) -> Tensor:
-    """Coordinates (B, 2, H, W) from -1 to 1 as pixels."""
-    sizes = normalized.new_tensor([float(width), float(height)])[:, None, None]
-    half = (sizes - 1) / 2
-    return normalized * (half if align_corners else sizes / 2) + half
+        moved = maps.read_positions(self.displacements_of(execution, self.flags, points), points)
+        return where_chosen(execution.chosen, moved, points)
 
 
 def _grid(height: int, width: int, like: Tensor) -> Tensor:
@@ -182,7 +102,13 @@ def _grid(height: int, width: int, like: Tensor) -> Tensor:
     return torch.stack([x.expand(height, width), y[:, None].expand(height, width)])
 
 
-class RandomElasticTransform(_MapAugmentation):
+def _half_sizes(height: int, width: int, align_corners: bool, like: Tensor) -> Tensor:
+    """(2, 1, 1): half of what coordinates from -1 to 1 extend over, in pixels."""
+    less = 1 if align_corners else 0
+    return vector(like, (width - less) / 2, (height - less) / 2)[:, None, None]
+
+
+class RandomElasticTransform(MapAugmentation):
     """Deform images by smooth random displacements: noise after a Gaussian blur.
 
     Args:
@@ -230,15 +156,16 @@ class RandomElasticTransform(_MapAugmentation):
             "padding_mode": padding_mode,
         }
 
-    def coordinates(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
-        noise = params["noise"].to(like) * like.new_tensor(flags["alpha"])[:, None, None]
-        smooth = gaussian_blur2d(noise, flags["kernel_size"], flags["sigma"], "constant")
-        sizes = like.new_tensor([shape[-1], shape[-2]])[:, None, None]
-        half = (sizes - 1) / 2 if flags["align_corners"] else sizes / 2
-        return smooth * half + _pixels(_grid(shape[-2], shape[-1], like), shape[-2], shape[-1], True)
+    def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
+        smooth = gaussian_blur2d(params["noise"].to(like), flags["kernel_size"], flags["sigma"], "constant")
+        along_x, along_y = flags["alpha"]
+        less = 1 if flags["align_corners"] else 0
+        for axis, scale in enumerate((along_x * (shape[-1] - less) / 2, along_y * (shape[-2] - less) / 2)):
+            smooth.select(1, axis).mul_(scale)
+        return smooth
 
 
-class RandomThinPlateSpline(_MapAugmentation):
+class RandomThinPlateSpline(MapAugmentation):
     """Deform images by thin-plate splines through the corners and the center, which move at random.
 
     Args:
@@ -273,20 +200,20 @@ class RandomThinPlateSpline(_MapAugmentation):
         self._param_generator = ThinPlateSplineGenerator(scale)
         self.flags = {"align_corners": align_corners, "padding_mode": SamplePadding.get(padding_mode)}
 
-    def coordinates(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
+    def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
         source, destination = params["src"].to(like), params["dst"].to(like)
         weights, affine = get_tps_transform(destination, source)
         height, width = shape[-2:]
         align_corners = flags["align_corners"]
         grid = _grid(height, width, like)
         if not align_corners:  # the centers of the outermost pixels are half a pixel inside
-            grid = grid * ((like.new_tensor([width, height]) - 1) / like.new_tensor([width, height]))[:, None, None]
+            grid = grid * vector(like, (width - 1) / width, (height - 1) / height)[:, None, None]
         points = grid.flatten(1).mT.expand(shape[0], -1, 2)
-        moved = warp_points_tps(points, destination, weights, affine)
-        return _pixels(moved.mT.unflatten(2, (height, width)), height, width, align_corners)
+        moved = warp_points_tps(points, destination, weights, affine).mT.unflatten(2, (height, width))
+        return (moved - grid) * _half_sizes(height, width, align_corners, like)
 
 
-class RandomFisheye(_MapAugmentation):
+class RandomFisheye(MapAugmentation):
     """Deform images as a fisheye lens does: pixels read further outward, the more the further they are from a center.
 
     The pixel at g, in coordinates from -1 to 1, reads the image at g (1 + |g - center| ** gamma).
@@ -323,10 +250,10 @@ class RandomFisheye(_MapAugmentation):
         self._param_generator = FisheyeGenerator(center_x, center_y, gamma)
         self.flags = {"align_corners": True}
 
-    def coordinates(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
+    def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
         height, width = shape[-2:]
         grid = _grid(height, width, like)
         center = torch.cat([params["center_x"], params["center_y"]], 1).to(like)[:, :, None, None]
         radius = (grid - center).norm(dim=1, keepdim=True)
-        moved = grid * (1 + radius ** params["gamma"].to(like)[:, :, None, None])
-        return _pixels(moved, height, width, True)
+        displaced = grid * radius ** params["gamma"].to(like)[:, :, None, None]
+        return displaced * _half_sizes(height, width, True, like)

@@ -11,6 +11,7 @@ from torch import Tensor
 from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION
 from kvision.augmentation.base import AugmentationBase, Execution, Params, RigidAffineAugmentationBase2D, Shape
+from kvision.augmentation.maps import exact
 from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.augmentation.warp_and_color import Pass, Resampling, fill_of_images, make_pass
 from kvision.constants import Resample, SamplePadding
@@ -119,7 +120,7 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
     # --- execution ---
 
     def _executes_columns(self, shape: Shape) -> bool:
-        return self.transforms(shape, self.flags) is not None
+        return self.matrix_transforms(shape, self.flags) is not None
 
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or self._is_customized() or self.transforms(execution.shape, flags) is None:
@@ -228,9 +229,6 @@ def warp_labels(
     masks: Tensor, matrix: Tensor, size: Sequence[int], resampling: Resampling, inverse: bool = True
 ) -> Tensor:
     """The same for masks of any type, whose values pass unchanged: float64 holds all integers up to 2^53."""
-    dtype = masks.dtype
-    exact = masks
-    if not dtype.is_floating_point and dtype != torch.uint8:
-        exact = masks.to(torch.float32 if dtype in (torch.bool, torch.int8, torch.int16) else torch.float64)
-    padding, fill = sampling.padding_and_fill("augmentation", exact, resampling.padding, resampling.fill)
-    return _warp(exact, matrix, size, resampling, padding, fill, inverse).to(dtype)
+    values = exact(masks)
+    padding, fill = sampling.padding_and_fill("augmentation", values, resampling.padding, resampling.fill)
+    return _warp(values, matrix, size, resampling, padding, fill, inverse).to(masks.dtype)

@@ -185,7 +185,13 @@ class PixelNoise(NamedTuple):
         return self.keys.keys, seeds, None, (key, position, MAX_DRAWS + 1 + map, int(self.same_on_batch))
 
     def uniform(self, shape: Sequence[int], map: int = 0) -> Tensor:
-        """Uniform noise (B, C, H, W) in [0, 1], float64: normal noise through its distribution function."""
+        """Uniform noise (B, C, H, W) in [0, 1], float64."""
+        return self.symmetric(shape, map).add_(1).mul_(0.5)
+
+    def symmetric(self, shape: Sequence[int], map: int = 0) -> Tensor:
+        """Uniform noise (B, C, H, W) in [-1, 1], float64: normal noise through its distribution function."""
         zero = torch.zeros(tuple(shape), dtype=torch.float64, device=self.device)
-        standard = zero.new_tensor([[0.0, 1.0]]).expand(shape[0], 2)
-        return torch.special.ndtr(gaussian_noise(zero, standard, *self.arguments(map)))
+        parameters = zero.new_full((1, 2), 0.5**0.5)  # erf takes a variance of 1/2
+        parameters[:, 0].zero_()
+        noise: Tensor = gaussian_noise(zero, parameters, *self.arguments(map))
+        return noise.erf_()

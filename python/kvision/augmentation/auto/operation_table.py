@@ -18,7 +18,7 @@ from torch import Tensor
 
 from kvision import enhance
 from kvision.augmentation import transforms
-from kvision.augmentation.container.runs import Stage, Warp
+from kvision.augmentation.container.stages import Stage, Warp
 from kvision.augmentation.geometric_base import warp
 from kvision.augmentation.transforms import transform_matrix
 from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Pass, Resampling, make_pass

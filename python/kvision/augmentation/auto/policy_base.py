@@ -10,8 +10,9 @@ from torch import Generator, Tensor
 
 from kvision.augmentation.auto.operation_table import OPERATIONS, execute_step
 from kvision.augmentation.columns import DrawPlan, plan_draws
-from kvision.augmentation.container.image import ImageSequential, ParamItem, _product, invert
-from kvision.augmentation.container.runs import Applied, Randomness, Stage
+from kvision.augmentation.container.image import ImageSequential, ParamItem, identity_of
+from kvision.augmentation.container.runs import Randomness
+from kvision.augmentation.container.stages import Applied, Stage, invert, product
 from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.keys import check_seeds, draw_keys
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
@@ -173,7 +174,7 @@ class PolicyAugmentBase(ImageSequential):
         return x, stages
 
     def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:
-        return self._execute(x, params, source), Applied(self, None, {"stages": self._stages})
+        return self._execute(x, params, source), Applied(self, None, {}, self._stages)
 
     def get_transformation_matrix(
         self,
@@ -185,7 +186,7 @@ class PolicyAugmentBase(ImageSequential):
         if params is None and not recompute:
             return self.transform_matrix
         x = self.transform_tensor(input)
-        return _product(tuple(x.shape), self._run_steps(x, self._given(params or self._params, x))[1])
+        return product(identity_of(tuple(x.shape)), self._run_steps(x, self._given(params or self._params, x))[1])
 
     def inverse(
         self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None

@@ -9,15 +9,24 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision.augmentation import labels
-from kvision.augmentation.base import AugmentationBase
-from kvision.augmentation.container.image import ImageSequential, ParamItem, invert, move_masks
-from kvision.augmentation.container.runs import Applied, Randomness, Stage, Warp, execute
+from kvision.augmentation.container.image import ImageSequential, ParamItem
+from kvision.augmentation.container.runs import Randomness, execute
+from kvision.augmentation.container.stages import (
+    Applied,
+    Stage,
+    forget_coordinates,
+    invert,
+    keeps_lines,
+    mixes,
+    move_masks,
+    move_masks_back,
+    move_points,
+    move_points_back,
+)
 from kvision.augmentation.container.video import VideoLayout, VideoSequential
-from kvision.augmentation.geometric_base import warp_labels
 from kvision.augmentation.keys import Seed
 from kvision.constants import DataKey, Resample
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
-from kvision.geometry.linalg import transform_points
 
 __all__ = ["AugmentationSequential"]
 
@@ -50,8 +59,10 @@ class AugmentationSequential(ImageSequential):
         transformation_matrix_mode: accepted for code written for Kornia.
         extra_args: flags of masks: {"mask": {"resample": "nearest", "fill_value": 255}} gives pixels that enter, or are erased,
             the value that a loss ignores; default: 0. {} interpolates masks as the images.
-        resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones and
-            interpolates once.
+        resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones,
+            composes them with elastic, thin-plate and fisheye maps between them, and interpolates once. Pixels from outside
+            are those of the first one that interpolates. With antialiased resizing among them, a pixel is the mean of what it
+            covers where that is more than a pixel.
         clip_boxes: cut moved boxes off at the edges of the image.
         min_box_area: moved boxes with fewer pixels inside the image are removed.
         min_box_visibility: moved boxes with a smaller fraction of their area inside the image are removed, 0 to 1.
@@ -207,6 +218,7 @@ class AugmentationSequential(ImageSequential):
     ) -> list[Any]:
         """Filtered results, with what `visible_points` needs kept, and the frames of videos as videos."""
         self._points = [(x, y) for key, x, y in zip(keys, inputs, outputs) if key == DataKey.KEYPOINTS]
+        forget_coordinates(self._stages)
         return self._of_videos(self._filtered(keys, outputs, size))
 
     # --- videos ---
@@ -275,7 +287,9 @@ class AugmentationSequential(ImageSequential):
         Points outside of the result are not visible, nor are those that a map has folded away.
         """
         visible = [
-            labels.visible_points(before, after, lambda points: _move_back(points, self._stages), self._result_size)
+            labels.visible_points(
+                before, after, lambda points: move_points_back(points, self._stages), self._result_size
+            )
             for before, after in self._points
         ]
         return visible if self._videos is None else [self._videos.labels_of_videos(kept) for kept in visible]
@@ -306,16 +320,16 @@ class AugmentationSequential(ImageSequential):
             if getattr(module, "mixes_samples", False):
                 before = self._moved(key, value, stages[:i])
                 return self._moved(key, module._mixed_labels(key, before, stage.execution), stages[i + 1 :])
-            if _mixes(stage.flags.get("stages", ())):
-                nested = self._moved(key, self._moved(key, value, stages[:i]), stage.flags["stages"])
+            if stage.stages and mixes(stage.stages):
+                nested = self._moved(key, self._moved(key, value, stages[:i]), stage.stages)
                 return self._moved(key, nested, stages[i + 1 :])
         if key == DataKey.KEYPOINTS:
             self._check_batch("keypoints", value, 3)
-            return labels.move_points(value, lambda points: _move(points, stages))
+            return labels.move_points(value, lambda points: move_points(points, stages))
         if key in labels.BOX_FORMATS:
             self._check_batch(key.name.lower(), value, 4 if key == DataKey.BBOX else 3)
-            count = 1 if _keeps_lines(stages) else labels.CURVED
-            return labels.move_boxes(value, labels.BOX_FORMATS[key], lambda points: _move(points, stages), count)
+            count = 1 if keeps_lines(stages) else labels.CURVED
+            return labels.move_boxes(value, labels.BOX_FORMATS[key], lambda points: move_points(points, stages), count)
         return value
 
     def _check_batch(self, name: str, value: Any, axes: int) -> None:
@@ -395,18 +409,20 @@ class AugmentationSequential(ImageSequential):
         inputs = self._of_frames(keys, inputs)
         if params is not None:
             stages = self._stages_of(torch.zeros(1), params)
-        count = 1 if _keeps_lines(stages) else labels.CURVED
+        count = 1 if keeps_lines(stages) else labels.CURVED
         outputs = []
         for key, value in zip(keys, inputs):
             if key == DataKey.INPUT:
                 outputs.append(self._restored(invert(self.transform_tensor(value), stages), value))
             elif key == DataKey.MASK:
-                outputs.append(_invert_masks(value, stages))
+                outputs.append(move_masks_back(value, stages))
             elif key == DataKey.KEYPOINTS:
-                outputs.append(labels.move_points(value, lambda points: _move_back(points, stages)))
+                outputs.append(labels.move_points(value, lambda points: move_points_back(points, stages)))
             elif key in labels.BOX_FORMATS:
                 outputs.append(
-                    labels.move_boxes(value, labels.BOX_FORMATS[key], lambda points: _move_back(points, stages), count)
+                    labels.move_boxes(
+                        value, labels.BOX_FORMATS[key], lambda points: move_points_back(points, stages), count
+                    )
                 )
             else:
                 outputs.append(value)
@@ -427,55 +443,3 @@ def _without_suffix(name: str) -> str:
     raise ValueCheckError(
         f"AugmentationSequential: expected keys that begin with one of {', '.join(known)}, got {name!r}"
     )
-
-
-def _move(points: Tensor, stages: Sequence[Stage]) -> Tensor:
-    """Points (B, N, 2) after all stages."""
-    for stage in stages:
-        if isinstance(stage, Warp):
-            points = transform_points(stage.matrix.to(points), points)
-        elif "stages" in stage.flags:
-            points = _move(points, stage.flags["stages"])
-        elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
-            points = stage.module.transform_points(points, stage.execution)
-    return points
-
-
-def _move_back(points: Tensor, stages: Sequence[Stage]) -> Tensor:
-    for stage in reversed(stages):
-        if isinstance(stage, Applied) and "stages" in stage.flags:
-            points = _move_back(points, stage.flags["stages"])
-        elif isinstance(stage, Warp):
-            points = transform_points(torch.linalg.inv(stage.matrix).to(points), points)
-        elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
-            points = stage.module.inverse_points(points, stage.execution)
-    return points
-
-
-def _mixes(stages: Sequence[Stage]) -> bool:
-    """Whether samples of the batch are mixed."""
-    applied = [stage for stage in stages if isinstance(stage, Applied)]
-    return any(getattr(s.module, "mixes_samples", False) or _mixes(s.flags.get("stages", ())) for s in applied)
-
-
-def _keeps_lines(stages: Sequence[Stage]) -> bool:
-    """Whether straight lines stay straight."""
-    for stage in stages:
-        if isinstance(stage, Applied):
-            if not _keeps_lines(stage.flags.get("stages", ())):
-                return False
-            if isinstance(stage.module, AugmentationBase) and not stage.module.keeps_lines:
-                return False
-    return True
-
-
-def _invert_masks(masks: Tensor, stages: Sequence[Stage]) -> Tensor:
-    for stage in reversed(stages):
-        if isinstance(stage, Applied) and "stages" in stage.flags:
-            masks = _invert_masks(masks, stage.flags["stages"])
-        elif isinstance(stage, Warp):
-            resampling = stage.resampling.for_inverse("nearest")
-            masks = warp_labels(masks, stage.matrix, stage.source, resampling, inverse=False)
-        elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
-            masks = stage.module.inverse_masks(masks, stage.execution, stage.flags)
-    return masks

@@ -12,9 +12,9 @@ from torch import Generator, Tensor, nn
 from kvision._ops import FLOATS
 from kvision.augmentation.base import AugmentationBase, is_known, known_everywhere, without_added_axes
 from kvision.augmentation.configuration import Plans
-from kvision.augmentation.container.runs import Applied, Child, Randomness, Stage, Warp, execute
+from kvision.augmentation.container.runs import Child, Randomness, execute
+from kvision.augmentation.container.stages import Applied, Stage, forget_coordinates, invert, move_masks, product
 from kvision.augmentation.draws import philox, unit
-from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp, warp_labels
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
 from kvision.augmentation.keys import Seed, draw_keys
 from kvision.augmentation.warp_and_color import SAME, Output
@@ -138,8 +138,10 @@ class ImageSequential(ImageSequentialBase):
         random_apply_weights: relative probabilities of the children with `random_apply`.
         if_unsupported_ops: accepted for code written for Kornia; any module may be a child.
         disable_item_features, disable_sequential_features: accepted for code written for Kornia.
-        resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones and
-            interpolates once.
+        resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones,
+            composes them with elastic, thin-plate and fisheye maps between them, and interpolates once. Pixels from outside
+            are those of the first one that interpolates. With antialiased resizing among them, a pixel is the mean of what it
+            covers where that is more than a pixel.
         generator: draws the keys of each call; default: torch's generator.
         output_dtype: type of the results; default: that of the images. Floating-point types have uint8 images in [0, 1].
         memory_format: `torch.channels_last` or `torch.contiguous_format` for the results; default: that of the images.
@@ -303,7 +305,7 @@ class ImageSequential(ImageSequentialBase):
     def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:
         once = source.once or self.resample == "once"
         y = self._execute(x, params, source._replace(once=once, plans=self._plans, output=SAME))
-        return y, Applied(self, None, {"stages": self._stages})
+        return y, Applied(self, None, {}, self._stages)
 
     def _source(self, seed: Seed, generator: Generator | None) -> Randomness:
         once, output = self.resample == "once", Output(self.output_dtype, self.memory_format)
@@ -347,6 +349,7 @@ class ImageSequential(ImageSequentialBase):
         """
         x = self.transform_tensor(input)
         y = self._execute(x, params, self._source(seed, generator))
+        forget_coordinates(self._stages)
         return self._restored(y, input)
 
     def _restored(self, y: Tensor, input: Tensor) -> Tensor:
@@ -363,7 +366,7 @@ class ImageSequential(ImageSequentialBase):
     @property
     def transform_matrix(self) -> Tensor | None:
         """The product (B, 3, 3) of the matrices of the last call; None before the first one."""
-        return None if self._shape is None else _product(self._shape, self._stages)
+        return None if self._shape is None else product(identity_of(self._shape), self._stages)
 
     def get_transformation_matrix(
         self,
@@ -377,7 +380,7 @@ class ImageSequential(ImageSequentialBase):
             return self.transform_matrix
         x = self.transform_tensor(input)
         children = self._children_of_call(self._params if params is None else params, self._source(None, None))
-        return _product(tuple(x.shape), execute(x, children, self._source(None, None))[1])
+        return product(identity_of(tuple(x.shape)), execute(x, children, self._source(None, None))[1])
 
     def inverse(
         self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
@@ -469,49 +472,7 @@ def _input_shape(params: Sequence[ParamItem]) -> tuple[int, ...] | None:
     return None
 
 
-def _product(shape: tuple[int, ...], stages: Sequence[Stage]) -> Tensor:
-    """The product of the matrices of stages, of which the first one was executed first."""
+def identity_of(shape: tuple[int, ...]) -> Tensor:
+    """Identity matrices for the samples of images or volumes of a shape."""
     axes = len(shape) - 1
-    matrix = torch.eye(axes).expand(shape[0], axes, axes)
-    for stage in stages:
-        if isinstance(stage, Warp):
-            own = stage.matrix
-        elif stage.execution is not None and isinstance(stage.module, AugmentationBase):
-            own = stage.module._matrix(stage.execution)
-        elif "stages" in stage.flags:
-            own = _product(shape, stage.flags["stages"])
-        else:
-            continue
-        matrix = own @ matrix.to(own)
-    return matrix
-
-
-def move_masks(masks: Tensor, stages: Sequence[Stage], mode: str | None, fill: float | None = None) -> Tensor:
-    """Masks (B, C, H, W) after all stages, read in a mode, None for that of the images; `fill` is what enters."""
-    for stage in stages:
-        if isinstance(stage, Warp):
-            masks = warp_labels(masks, stage.matrix, stage.size, stage.resampling.for_labels(mode, fill))
-        elif "stages" in stage.flags:
-            masks = move_masks(masks, stage.flags["stages"], mode, fill)
-        elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
-            flags = stage.flags if mode is None else {**stage.flags, "resample": mode}
-            if fill is not None:
-                flags = {**flags, "mask_fill": fill}
-            masks = stage.module.transform_masks(masks, stage.execution, flags)
-    return masks
-
-
-def invert(x: Tensor, stages: Sequence[Stage]) -> Tensor:
-    """Undo what stages did to the positions of pixels, the last one first."""
-    for stage in reversed(stages):
-        if isinstance(stage, Warp):
-            x = warp(x, stage.matrix.to(x.device), stage.source, stage.resampling.for_inverse(), inverse=False)
-        elif "stages" in stage.flags:
-            x = invert(x, stage.flags["stages"])
-        elif isinstance(stage.module, GeometricAugmentationBase2D) and stage.execution is not None:
-            matrix, size = stage.module._matrix(stage.execution), tuple(stage.execution.shape[-2:])
-            x = stage.module.inverse_transform(x, stage.flags, matrix, size)
-        elif isinstance(stage.module, AugmentationBase) and stage.execution is not None:
-            stage.module._execution = stage.execution
-            x = stage.module.inverse(x)
-    return x
+    return torch.eye(axes).expand(shape[0], axes, axes)

@@ -8,8 +8,9 @@ A run of augmentations draws all its parameters in one launch. Then
     everything else                                       runs by itself
 
 What is computed is what the augmentations compute one after the other, up to rounding. With `resample="once"` all neighboring
-geometric augmentations become one warp, which interpolates once. Which passes there are follows from the settings and the sizes of
-the images, so that it is decided once for them.
+geometric augmentations are resampled once: as a warp by the product of their matrices, or, with maps or antialiasing among them, at
+the coordinates that they compose to. Which passes there are follows from the settings and the sizes of the images, so that it is
+decided once for them.
 """
 
 from __future__ import annotations
@@ -21,10 +22,13 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator, Tensor, nn
 
+from kvision._dtype import compute_dtype
 from kvision.augmentation.base import AugmentationBase, Execution, Shape
 from kvision.augmentation.columns import Columns, DrawPlan, Span, plan_draws
 from kvision.augmentation.configuration import Plans
+from kvision.augmentation.container.stages import Applied, Composed, MapLink, Stage, Warp
 from kvision.augmentation.draws import Request
+from kvision.augmentation.elastic import MapAugmentation
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, color_part
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys, frame_seeds
@@ -54,26 +58,6 @@ class Child:
         if self.execution is not None:
             return self.module._read_params(self.execution)  # type: ignore[operator]  # of AugmentationBase
         return getattr(self.module, "_params", None)
-
-
-class Warp(NamedTuple):
-    """Neighboring geometric augmentations that were executed as one warp."""
-
-    matrix: Tensor
-    source: Sequence[int]
-    size: Sequence[int]
-    resampling: Resampling
-
-
-class Applied(NamedTuple):
-    """A module that ran by itself; an augmentation with its execution."""
-
-    module: nn.Module
-    execution: Execution | None
-    flags: dict[str, Any]
-
-
-Stage = Warp | Applied  # what masks, boxes and points have to follow
 
 
 class Randomness(NamedTuple):
@@ -184,6 +168,19 @@ class _Joined(NamedTuple):
     resampling: Resampling | None
 
 
+class _Composition(NamedTuple):
+    """Augmentations that are executed by one resampling, some of which have no matrix or blur what becomes smaller."""
+
+    links: Sequence[Sequence[Transform] | int]  # chains of matrices, and the numbers of maps in the run
+    source: tuple[int, int]
+    size: tuple[int, int]
+    resampling: Resampling
+    samples: int  # along each axis of a pixel
+
+
+_Step = _Joined | _Composition | int  # passes, compositions, and the numbers of augmentations that run by themselves
+
+
 class _RunPlan(NamedTuple):
     """What a run of augmentations draws and executes, for images of one shape."""
 
@@ -192,7 +189,7 @@ class _RunPlan(NamedTuple):
     spans: Sequence[Span | None]  # its columns among all
     shapes: Sequence[Shape]  # of its images
     applied: Sequence[bool]
-    steps: Sequence[_Joined | int]  # passes, and the numbers of augmentations that run by themselves
+    steps: Sequence[_Step]
     first: int  # number of the first key, or position in the chain
 
 
@@ -200,7 +197,7 @@ def _execute_run(x: Tensor, run: Sequence[Child], source: Randomness, position: 
     modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
     if run[0].params is not None:
         executions, columns = _replay(x, run)
-        steps: Sequence[_Joined | int] = _plan_steps(modules, executions, source)
+        steps: Sequence[_Step] = _plan_steps(modules, executions, source)
     else:
         executions, columns, steps = _draw(x, modules, source, position)
     for child, module, execution in zip(run, modules, executions):
@@ -211,6 +208,11 @@ def _execute_run(x: Tensor, run: Sequence[Child], source: Randomness, position: 
             module, execution = modules[step], executions[step]
             x = module._run(x, execution, module.flags)
             stages.append(Applied(module, execution, module.flags))
+            continue
+        if isinstance(step, _Composition):
+            composed = _compose(x, step, modules, executions, columns)
+            x = composed.run(x)
+            stages.append(composed)
             continue
         x, matrix = step.own.run(x, columns)
         if len(step.geometric) == 1:
@@ -223,6 +225,27 @@ def _execute_run(x: Tensor, run: Sequence[Child], source: Randomness, position: 
             assert step.resampling is not None
             stages.append(Warp(matrix, step.source, step.size, step.resampling))
     return x, stages
+
+
+def _compose(
+    x: Tensor,
+    step: _Composition,
+    modules: Sequence[AugmentationBase],
+    executions: Sequence[Execution],
+    columns: Tensor | None,
+) -> Composed:
+    """What a composition does for drawn parameters."""
+    dtype = compute_dtype(x) if x.is_floating_point() else torch.float32
+    columns = x.new_empty(x.shape[0], 0, dtype=dtype) if columns is None else columns.to(dtype)
+    links: list[Tensor | MapLink] = []
+    for link in step.links:
+        if isinstance(link, int):
+            module = modules[link]
+            assert isinstance(module, MapAugmentation)
+            links.append(MapLink(module, executions[link], module.flags))
+        else:
+            links.append(transform_matrix(columns, link))
+    return Composed(links, step.source, step.size, step.resampling, step.samples)
 
 
 def _replay(x: Tensor, run: Sequence[Child]) -> tuple[list[Execution], Tensor | None]:
@@ -252,7 +275,7 @@ def _replay(x: Tensor, run: Sequence[Child]) -> tuple[list[Execution], Tensor | 
 
 def _draw(
     x: Tensor, modules: Sequence[AugmentationBase], source: Randomness, position: int
-) -> tuple[list[Execution], Tensor | None, Sequence[_Joined | int]]:
+) -> tuple[list[Execution], Tensor | None, Sequence[_Step]]:
     """The executions of augmentations whose parameters are drawn by one launch, the columns of all, and what to execute."""
     key = (x.shape, *(id(module) for module in modules), position, source.seed is None, *source[3:4], *source[5:])
     plan: _RunPlan | None = source.plans.get(key)
@@ -277,12 +300,15 @@ def _draw(
         if source.frames > 1:
             columns = columns.repeat_interleave(source.frames, 0)
     executions = []
-    for request, span, shape, applies in zip(plan.requests, plan.spans, plan.shapes, plan.applied):
+    for module, request, span, shape, applies in zip(modules, plan.requests, plan.spans, plan.shapes, plan.applied):
         if request is None or columns is None or span is None or keys is None:
             executions.append(Execution(shape, applied=applies))
         else:
             drawn, redraw = Columns(columns, span), (keys, plan.first + request)
-            executions.append(Execution(shape, drawn, applied=applies, redraw=redraw, frames=source.frames))
+            certain = module._is_certain
+            executions.append(
+                Execution(shape, drawn, applied=applies, redraw=redraw, frames=source.frames, is_certain=certain)
+            )
     return executions, columns, plan.steps
 
 
@@ -346,7 +372,7 @@ def _more_keys(keys: Keys | None, count: int, x: Tensor, source: Randomness) -> 
 
 def _plan_steps(
     modules: Sequence[AugmentationBase], executions: Sequence[Execution], source: Randomness
-) -> list[_Joined | int]:
+) -> list[_Step]:
     """What is executed for these executions, of whose columns only the spans count."""
     pending = _Pending(source.once)
     for number, (module, execution) in enumerate(zip(modules, executions)):
@@ -354,36 +380,60 @@ def _plan_steps(
     return pending.finish(source.output)
 
 
+class _Geometric(NamedTuple):
+    """A geometric augmentation that waits to be joined."""
+
+    number: int  # in the run
+    module: GeometricAugmentationBase2D | MapAugmentation
+    execution: Execution
+    chain: Sequence[Transform] | None  # of its matrix; None for a map
+    shrinks: int = 1  # how many pixels along an axis are blurred to one at most
+
+    @property
+    def interpolates(self) -> bool:
+        return self.chain is None or not self.module.moves_whole_pixels
+
+
 class _Pending:
     """Neighboring augmentations that wait to be joined in one pass."""
 
     def __init__(self, once: bool) -> None:
         self.once = once
-        self.steps: list[_Joined | int] = []
-        self.geometric: list[tuple[int, GeometricAugmentationBase2D, Execution]] = []
-        self.chain: list[Transform] = []
+        self.steps: list[_Step] = []
+        self.geometric: list[_Geometric] = []
         self.parts: list[ColorPart] = []
 
     def add(self, number: int, module: AugmentationBase, execution: Execution) -> None:
         if not execution.applied:
             return
         span = None if execution.columns is None else execution.columns.span
-        customized = (execution.params is not None and span is None) or module._is_customized()
+        customized = module._is_customized()
+        if isinstance(module, MapAugmentation) and self.once and not customized:
+            if self.parts:
+                self._flush()
+            self.geometric.append(_Geometric(number, module, execution, None))
+            return
+        customized = customized or (execution.params is not None and span is None)
         if not customized and isinstance(module, IntensityAugmentationBase2D):
             part = color_part(module, execution.shape, span, module.flags)
             if part is not None:
-                if not fits_one_program([*self.parts, part]) or len(self.chain) > MAX_TRANSFORMS:
+                if not fits_one_program([*self.parts, part]) or len(_chain(self.geometric)) > MAX_TRANSFORMS:
                     self._flush()
                 self.parts.append(part)
                 return
         if not customized and isinstance(module, GeometricAugmentationBase2D):
             chain = module.transforms(execution.shape, module.flags)
+            shrinks = 1
+            if chain is None and self.once:  # antialiased
+                chain = module.matrix_transforms(execution.shape, module.flags)
+                size = module.output_size(execution.shape, module.flags)
+                shrinks = max(-(-n // m) for n, m in zip(execution.shape[-2:], size))
             if chain is not None:
                 if self.parts or (self.geometric and not self._joins(module)):
                     self._flush()
                 first = 0 if span is None else span.first_value
-                self.geometric.append((number, module, execution))
-                self.chain += [t.moved(first) for t in chain]
+                moved = [t.moved(first) for t in chain]
+                self.geometric.append(_Geometric(number, module, execution, moved, shrinks))
                 return
         self._flush()
         self.steps.append(number)
@@ -392,27 +442,71 @@ class _Pending:
         """Whether one warp gives what the pending ones and then `module` give."""
         if self.once:
             return True
-        if all(m.permutes_pixels for _, m, _ in self.geometric):
+        if all(g.module.permutes_pixels for g in self.geometric):
             return True
         return module.moves_whole_pixels and module.stays_inside
 
     def _flush(self, output: Output = SAME) -> None:
-        geometric, chain, parts = self.geometric, self.chain, self.parts
-        self.geometric, self.chain, self.parts = [], [], []
+        geometric, parts = self.geometric, self.parts
+        self.geometric, self.parts = [], []
+        alone = [at for at, g in enumerate(geometric) if g.chain is None or _is_antialiased(g)]
+        if not alone:
+            self._join(geometric, parts, output)
+        elif sum(g.interpolates for g in geometric) == 1:  # which nothing else has to be composed with
+            (at,) = alone
+            self._join(geometric[:at])
+            self.steps.append(geometric[at].number)
+            self._join(geometric[at + 1 :], parts, output)
+        else:
+            self._compose(geometric)
+            self._join([], parts, output)
+
+    def _join(self, geometric: Sequence[_Geometric], parts: Sequence[ColorPart] = (), output: Output = SAME) -> None:
+        """One pass for geometric augmentations and color steps."""
         if not geometric:
             if parts or output != SAME:
                 self.steps.append(_Joined(make_pass(None, parts=parts, output=output), (), (), (0, 0), (0, 0), None))
             return
-        height, width = geometric[0][2].shape[-2:]
-        _, last, execution = geometric[-1]
-        size = last.output_size(execution.shape, last.flags)
-        interpolating = [m for _, m, _ in geometric if not m.moves_whole_pixels]
-        reading = (interpolating or [last])[0]
-        resampling = reading.resampling(reading.flags)
+        source, size, resampling = _ends(geometric)
+        chain = _chain(geometric)
         own = make_pass(chain, size, resampling, parts, output)
-        numbers = [number for number, _, _ in geometric]
-        self.steps.append(_Joined(own, numbers, chain, (height, width), (size[0], size[1]), resampling))
+        self.steps.append(_Joined(own, [g.number for g in geometric], chain, source, size, resampling))
 
-    def finish(self, output: Output) -> list[_Joined | int]:
+    def _compose(self, geometric: Sequence[_Geometric]) -> None:
+        links: list[Sequence[Transform] | int] = []
+        chain: list[Transform] = []
+        samples = 1
+        for g in geometric:
+            samples *= g.shrinks
+            if g.chain is not None:
+                chain += g.chain
+                continue
+            links += [chain, g.number] if chain else [g.number]
+            chain = []
+        links += [chain] if chain else []
+        self.steps.append(_Composition(links, *_ends(geometric), samples))
+
+    def finish(self, output: Output) -> list[_Step]:
         self._flush(output)
         return self.steps
+
+
+def _is_antialiased(g: _Geometric) -> bool:
+    if isinstance(g.module, MapAugmentation):
+        return False
+    return g.module.transforms(g.execution.shape, g.module.flags) is None
+
+
+def _chain(geometric: Sequence[_Geometric]) -> list[Transform]:
+    """The transforms of augmentations without maps."""
+    return [t for g in geometric for t in g.chain or ()]
+
+
+def _ends(geometric: Sequence[_Geometric]) -> tuple[tuple[int, int], tuple[int, int], Resampling]:
+    """The sizes before and behind neighbors, and how the images are read: as by the first one that interpolates."""
+    first, last = geometric[0], geometric[-1]
+    height, width = first.execution.shape[-2:]
+    shape = last.execution.shape
+    size = last.module.output_shape(shape, last.module.flags)[-2:]
+    reading = next((g.module for g in geometric if g.interpolates), last.module)
+    return (height, width), (size[0], size[1]), reading.resampling(reading.flags)

@@ -1,0 +1,279 @@
+"""What a call of a container did to the positions of pixels, which masks, boxes, points and the inverse follow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from kvision._dtype import compute_dtype
+from kvision.augmentation import maps
+from kvision.augmentation.base import AugmentationBase, Execution
+from kvision.augmentation.elastic import MapAugmentation
+from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp, warp_labels
+from kvision.augmentation.warp_and_color import Resampling
+from kvision.geometry.linalg import transform_points
+
+
+class Warp(NamedTuple):
+    """Neighboring geometric augmentations that were executed as one warp."""
+
+    matrix: Tensor
+    source: Sequence[int]
+    size: Sequence[int]
+    resampling: Resampling
+
+    def move_points(self, points: Tensor) -> Tensor:
+        return transform_points(self.matrix.to(points), points)
+
+    def move_points_back(self, points: Tensor) -> Tensor:
+        return transform_points(torch.linalg.inv(self.matrix).to(points), points)
+
+    def move_masks(self, masks: Tensor, mode: str | None, fill: float | None) -> Tensor:
+        return warp_labels(masks, self.matrix, self.size, self.resampling.for_labels(mode, fill))
+
+    def move_masks_back(self, masks: Tensor) -> Tensor:
+        return warp_labels(masks, self.matrix, self.source, self.resampling.for_inverse("nearest"), inverse=False)
+
+    def move_images_back(self, x: Tensor) -> Tensor:
+        return warp(x, self.matrix.to(x.device), self.source, self.resampling.for_inverse(), inverse=False)
+
+    def product(self, matrix: Tensor) -> Tensor:
+        return self.matrix @ matrix.to(self.matrix)
+
+    @property
+    def keeps_lines(self) -> bool:
+        return True
+
+
+class Applied(NamedTuple):
+    """A module that ran by itself; an augmentation with its execution, a container with the stages of its children."""
+
+    module: nn.Module
+    execution: Execution | None
+    flags: dict[str, Any]
+    stages: Sequence[Any] | None = None
+
+    @property
+    def _augmentation(self) -> tuple[AugmentationBase, Execution] | None:
+        if self.execution is None or not isinstance(self.module, AugmentationBase):
+            return None
+        return self.module, self.execution
+
+    def move_points(self, points: Tensor) -> Tensor:
+        if self.stages is not None:
+            return move_points(points, self.stages)
+        if own := self._augmentation:
+            points = own[0].transform_points(points, own[1])
+        return points
+
+    def move_points_back(self, points: Tensor) -> Tensor:
+        if self.stages is not None:
+            return move_points_back(points, self.stages)
+        if own := self._augmentation:
+            points = own[0].inverse_points(points, own[1])
+        return points
+
+    def move_masks(self, masks: Tensor, mode: str | None, fill: float | None) -> Tensor:
+        if self.stages is not None:
+            return move_masks(masks, self.stages, mode, fill)
+        if own := self._augmentation:
+            flags = self.flags if mode is None else {**self.flags, "resample": mode}
+            if fill is not None:
+                flags = {**flags, "mask_fill": fill}
+            masks = own[0].transform_masks(masks, own[1], flags)
+        return masks
+
+    def move_masks_back(self, masks: Tensor) -> Tensor:
+        if self.stages is not None:
+            return move_masks_back(masks, self.stages)
+        if own := self._augmentation:
+            masks = own[0].inverse_masks(masks, own[1], self.flags)
+        return masks
+
+    def move_images_back(self, x: Tensor) -> Tensor:
+        if self.stages is not None:
+            return invert(x, self.stages)
+        if own := self._augmentation:
+            module, execution = own
+            if isinstance(module, GeometricAugmentationBase2D):
+                size = tuple(execution.shape[-2:])
+                return module.inverse_transform(x, self.flags, module._matrix(execution), size)
+            module._execution = execution
+            x = module.inverse(x)
+        return x
+
+    def product(self, matrix: Tensor) -> Tensor:
+        if self.stages is not None:
+            return product(matrix, self.stages)
+        if own := self._augmentation:
+            of_module = own[0]._matrix(own[1])
+            matrix = of_module @ matrix.to(of_module)
+        return matrix
+
+    @property
+    def keeps_lines(self) -> bool:
+        if self.stages is not None:
+            return keeps_lines(self.stages)
+        return not isinstance(self.module, AugmentationBase) or self.module.keeps_lines
+
+
+class MapLink(NamedTuple):
+    """A map of a chain: an augmentation with its execution."""
+
+    module: MapAugmentation
+    execution: Execution
+    flags: dict[str, Any]
+
+    def displacements(self, like: Tensor) -> Tensor:
+        return self.module.displacements_of(self.execution, self.flags, like)
+
+
+@dataclass
+class Composed:
+    """Neighboring geometric augmentations, maps among them, that were executed as one resampling."""
+
+    links: Sequence[Tensor | MapLink]  # matrices (B, 3, 3) and maps, the first one first
+    source: Sequence[int]
+    size: Sequence[int]
+    resampling: Resampling
+    samples: int  # along each axis of a pixel
+    _coordinates: Tensor | None = None
+
+    def coordinates(self, x: Tensor) -> Tensor:
+        """Where the pixels of the result read the image, (B, h, w, 2); kept until `forget`."""
+        if self._coordinates is None or self._coordinates.device != x.device:
+            like = x.new_empty(0, dtype=compute_dtype(x) if x.is_floating_point() else torch.float32)
+            links = [link.displacements(like) if isinstance(link, MapLink) else link.to(like) for link in self.links]
+            self._coordinates = maps.compose(links, self.size, like)
+        return self._coordinates
+
+    def forget(self) -> None:
+        """Give the memory of the coordinates back. They follow from what was drawn."""
+        self._coordinates = None
+
+    def run(self, x: Tensor) -> Tensor:
+        """The images (B, C, h, w) of the result."""
+        return maps.read(x, self.coordinates(x), self.resampling, self.samples)
+
+    def move_points(self, points: Tensor) -> Tensor:
+        for link in self.links:
+            if isinstance(link, MapLink):
+                points = link.module.transform_points(points, link.execution)
+            else:
+                points = transform_points(link.to(points), points)
+        return points
+
+    def move_points_back(self, points: Tensor) -> Tensor:
+        for link in reversed(self.links):
+            if isinstance(link, MapLink):
+                points = link.module.inverse_points(points, link.execution)
+            else:
+                points = transform_points(torch.linalg.inv(link).to(points), points)
+        return points
+
+    def move_masks(self, masks: Tensor, mode: str | None, fill: float | None) -> Tensor:
+        return maps.read_labels(masks, self.coordinates(masks), self.resampling.for_labels(mode, fill))
+
+    def move_masks_back(self, masks: Tensor) -> Tensor:
+        back, is_found = self._inverse(masks)
+        moved = maps.read_labels(masks, back, self.resampling.for_inverse("nearest"))
+        return torch.where(is_found, moved, 0).to(masks.dtype)
+
+    def move_images_back(self, x: Tensor) -> Tensor:
+        back, is_found = self._inverse(x)
+        return torch.where(is_found, maps.read(x, back, self.resampling.for_inverse()), 0).to(x.dtype)
+
+    def _inverse(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Where the pixels of the image are in the result, (B, H, W, 2), and whether they are there, (B, 1, H, W)."""
+        like = x.new_empty(0, dtype=compute_dtype(x) if x.is_floating_point() else torch.float32)
+        height, width = self.source
+        points = maps.pixel_positions(height, width, like).expand(x.shape[0], -1, 2)
+        is_found = torch.ones((x.shape[0], height, width), dtype=torch.bool, device=x.device)
+        for link in self.links:
+            if isinstance(link, MapLink):
+                back, found = maps.find_everywhere(link.displacements(like), points.unflatten(1, (height, width)))
+                points, is_found = back.flatten(1, 2), is_found & found
+            else:
+                points = transform_points(link.to(like), points)
+        return points.unflatten(1, (height, width)), is_found[:, None]
+
+    def product(self, matrix: Tensor) -> Tensor:
+        for link in self.links:
+            if isinstance(link, Tensor):
+                matrix = link @ matrix.to(link)
+        return matrix
+
+    @property
+    def keeps_lines(self) -> bool:
+        return not any(isinstance(link, MapLink) for link in self.links)
+
+
+Stage = Warp | Applied | Composed
+
+# --- all stages of a call -------------------------------------------------------------------------------------------
+
+
+def move_points(points: Tensor, stages: Sequence[Stage]) -> Tensor:
+    """Points (B, N, 2) after all stages."""
+    for stage in stages:
+        points = stage.move_points(points)
+    return points
+
+
+def move_points_back(points: Tensor, stages: Sequence[Stage]) -> Tensor:
+    """Points (B, N, 2) before all stages."""
+    for stage in reversed(stages):
+        points = stage.move_points_back(points)
+    return points
+
+
+def move_masks(masks: Tensor, stages: Sequence[Stage], mode: str | None, fill: float | None = None) -> Tensor:
+    """Masks (B, C, H, W) after all stages, read in a mode, None for that of the images; `fill` is what enters."""
+    for stage in stages:
+        masks = stage.move_masks(masks, mode, fill)
+    return masks
+
+
+def move_masks_back(masks: Tensor, stages: Sequence[Stage]) -> Tensor:
+    """Masks (B, C, h, w) of results, moved back."""
+    for stage in reversed(stages):
+        masks = stage.move_masks_back(masks)
+    return masks
+
+
+def invert(x: Tensor, stages: Sequence[Stage]) -> Tensor:
+    """Undo what stages did to the positions of pixels, the last one first."""
+    for stage in reversed(stages):
+        x = stage.move_images_back(x)
+    return x
+
+
+def product(matrix: Tensor, stages: Sequence[Stage]) -> Tensor:
+    """A matrix with the matrices of stages, the first of which was executed first, multiplied to it from the left."""
+    for stage in stages:
+        matrix = stage.product(matrix)
+    return matrix
+
+
+def keeps_lines(stages: Sequence[Stage]) -> bool:
+    """Whether straight lines stay straight."""
+    return all(stage.keeps_lines for stage in stages)
+
+
+def mixes(stages: Sequence[Stage]) -> bool:
+    """Whether samples of the batch are mixed."""
+    applied = [stage for stage in stages if isinstance(stage, Applied)]
+    return any(getattr(s.module, "mixes_samples", False) or mixes(s.stages or ()) for s in applied)
+
+
+def forget_coordinates(stages: Sequence[Stage]) -> None:
+    """Give the memory of composed maps back."""
+    for stage in stages:
+        if isinstance(stage, Composed):
+            stage.forget()
+        elif isinstance(stage, Applied):
+            forget_coordinates(stage.stages or ())

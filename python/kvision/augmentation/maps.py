@@ -1,0 +1,207 @@
+"""Maps: where the pixels of a result read an image.
+
+A map is stored as displacements (B, 2, H, W), x and y in pixels: pixel p of the result reads the image at p + displacement.
+Between pixels displacements are interpolated bilinearly, and beyond the outermost pixels they are those of the outermost
+ones. So a map is defined everywhere, and chains of maps and matrices compose to the coordinates (B, h, w, 2) that the pixels
+of their result read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from kvision._dtype import compute_dtype
+from kvision._modes import INTERPOLATION, PADDING
+from kvision._ops import saturate_to_byte
+from kvision.augmentation.warp_and_color import Resampling, fill_of_images
+from kvision.geometry.linalg import inverse3x3, transform_points
+from kvision.geometry.transform import sampling
+
+_STEPS, _GUESSES = 20, 32  # of Newton's method, which begins at the best of 32 x 32 pixels
+_BETWEEN = INTERPOLATION["bilinear"], PADDING["border"], True  # how displacements are read
+
+# --- reading images -------------------------------------------------------------------------------------------------
+
+
+def read_displaced(x: Tensor, displacements: Tensor, resampling: Resampling) -> Tensor:
+    """Images (B, C, H, W) read by a map of their size."""
+    return _read(x, displacements.unbind(1), resampling, fill_of_images(x, resampling.fill), displaces=True)
+
+
+def read(x: Tensor, coordinates: Tensor, resampling: Resampling, samples: int = 1) -> Tensor:
+    """Images (B, C, H, W) at coordinates (B, h, w, 2).
+
+    With several samples along each axis, a pixel is the mean of samples spread over what it covers of the image, where that
+    is more than a pixel.
+    """
+    fill = fill_of_images(x, resampling.fill)
+    if samples == 1:
+        return _read(x, coordinates.unbind(-1), resampling, fill)
+    image = x.float() if x.dtype == torch.uint8 else x
+    spread = _read(image, _spread(coordinates, samples).unbind(-1), resampling, fill)
+    mean = F.avg_pool2d(spread, samples)
+    return saturate_to_byte(mean) if x.dtype == torch.uint8 else mean
+
+
+def read_labels(masks: Tensor, coordinates: Tensor, resampling: Resampling) -> Tensor:
+    """Masks (B, C, H, W) of any type at coordinates (B, h, w, 2)."""
+    return _read(exact(masks), coordinates.unbind(-1), resampling, resampling.fill).to(masks.dtype)
+
+
+def read_labels_displaced(masks: Tensor, displacements: Tensor, resampling: Resampling) -> Tensor:
+    """Masks (B, C, H, W) of any type read by a map of their size."""
+    moved = _read(exact(masks), displacements.unbind(1), resampling, resampling.fill, displaces=True)
+    return moved.to(masks.dtype)
+
+
+def exact(masks: Tensor) -> Tensor:
+    """Masks in a type that warps read and that holds all their values: float64 holds all integers up to 2^53."""
+    if masks.is_floating_point() or masks.dtype == torch.uint8:
+        return masks
+    return masks.to(torch.float32 if masks.dtype in (torch.bool, torch.int8, torch.int16) else torch.float64)
+
+
+def _read(
+    x: Tensor, coordinates: Sequence[Tensor], resampling: Resampling, fill: object, displaces: bool = False
+) -> Tensor:
+    padding, fill_values = sampling.padding_and_fill("augmentation", x, resampling.padding, fill)
+    map_x, map_y = (along.to(compute_dtype(x)) for along in coordinates)
+    options = (INTERPOLATION[resampling.mode], padding, resampling.align_corners, False, displaces)
+    y: Tensor = sampling.remap(x, map_x, map_y, fill_values, None, *options)
+    return y
+
+
+def _spread(coordinates: Tensor, samples: int) -> Tensor:
+    """The coordinates (B, h n, w n, 2) of n x n samples of each pixel.
+
+    They lie in equal distances over a pixel of the result, (1 - 1 / s^2) times as far from its center along an axis in which
+    the image shrinks to 1 / s. So there is one position where it does not shrink, without a jump in between.
+    """
+    b, h, w, _ = coordinates.shape
+    offset = (torch.arange(samples, dtype=coordinates.dtype, device=coordinates.device) + 0.5) / samples - 0.5
+    down, across = (
+        _along(coordinates, axis) * offset.reshape(shape)
+        for axis, shape in ((1, (samples, 1, 1, 1)), (2, (samples, 1)))
+    )
+    return (coordinates[:, :, None, :, None] + down + across).reshape(b, h * samples, w * samples, 2)
+
+
+def _along(coordinates: Tensor, axis: int) -> Tensor:
+    """What the samples of a pixel are spread over along an axis of the result, (B, h, 1, w, 1, 2)."""
+    if coordinates.shape[axis] == 1:
+        return torch.zeros_like(coordinates)[:, :, None, :, None]
+    (step,) = torch.gradient(coordinates, dim=axis)
+    square = step.square().sum(-1, keepdim=True)
+    return (step * (1 - 1 / square.clamp(min=1)))[:, :, None, :, None]
+
+
+# --- positions ------------------------------------------------------------------------------------------------------
+
+
+def vector(like: Tensor, *values: float) -> Tensor:
+    """A vector that is filled on its device, without a copy from the host."""
+    return torch.stack([like.new_full((), value) for value in values])
+
+
+def pixel_positions(height: int, width: int, like: Tensor) -> Tensor:
+    """(1, H W, 2): x and y of the pixels, row by row."""
+    y, x = (torch.arange(n, dtype=like.dtype, device=like.device) for n in (height, width))
+    return torch.stack([x.expand(height, width), y[:, None].expand(height, width)], -1).reshape(1, -1, 2)
+
+
+def read_positions(displacements: Tensor, points: Tensor) -> Tensor:
+    """Where a map reads the image for points (B, N, 2) of its result."""
+    x, y = points.unbind(-1)
+    moved = sampling.remap(displacements.to(points), x[:, None], y[:, None], None, None, *_BETWEEN, False, False)
+    return points + moved[:, :, 0].mT
+
+
+def compose(links: Sequence[Tensor], size: Sequence[int], like: Tensor) -> Tensor:
+    """Where the pixels of a result of a size read an image after a chain of links: coordinates (B, h, w, 2).
+
+    A link is a matrix (B, 3, 3) from the pixels before to those behind it, or a map, as displacements (B, 2, H, W). The
+    first link comes first.
+    """
+    height, width = size
+    batch = links[0].shape[0]
+    points = pixel_positions(height, width, like).expand(batch, -1, 2)
+    matrices = [link.to(points) for link in links if link.dim() == 3]
+    inverses = list(inverse3x3(torch.stack(matrices)).unbind(0)) if matrices else []
+    for link in reversed(links):
+        if link.dim() == 3:
+            points = transform_points(inverses.pop(), points)
+        else:
+            points = read_positions(link, points)
+    return points.unflatten(1, (height, width))
+
+
+# --- the inverse ----------------------------------------------------------------------------------------------------
+
+
+def find_positions(displacements: Tensor, points: Tensor) -> Tensor:
+    """Where the pixels of a result are that read an image at `points` (B, N, 2), by Newton's method.
+
+    Where the map folds, one of several positions is found; for points that no pixel reads, the nearest that the method comes
+    to.
+    """
+    h, w = displacements.shape[-2:]
+    rows, columns = _coarse(h, w, points)
+    pixels = torch.stack([columns.expand(len(rows), -1), rows[:, None].expand(-1, len(columns))], -1)
+    known = displacements[:, :, rows][..., columns].flatten(2).mT.to(points) + pixels.flatten(0, 1)  # (B, G, 2)
+    best = torch.cdist(points, known).argmin(-1)
+    at = torch.stack([columns[best % len(columns)], rows[best // len(columns)]], -1).to(points)
+    return _newton(displacements, points, at)
+
+
+def find_everywhere(displacements: Tensor, coordinates: Tensor) -> tuple[Tensor, Tensor]:
+    """Where the pixels of a result are that read an image at coordinates (B, h, w, 2), and which are there, bool (B, h, w).
+
+    A coarse grid of coordinates is searched for, and the method begins between these for all.
+    """
+    h, w = coordinates.shape[1:3]
+    rows, columns = _coarse(h, w, coordinates)
+    found = find_positions(displacements, coordinates[:, rows][:, :, columns].flatten(1, 2))
+    coarse = found.mT.unflatten(2, (len(rows), len(columns)))
+    start = F.interpolate(coarse, (h, w), mode="bilinear", align_corners=True).flatten(2).mT
+    points = coordinates.flatten(1, 2)
+    at = _newton(displacements, points, start)
+    is_found = (read_positions(displacements, at) - points).abs().amax(-1) < 0.5
+    return at.unflatten(1, (h, w)), is_found.unflatten(1, (h, w))
+
+
+def _coarse(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
+    """Rows and columns of a coarse grid of pixels."""
+    rows, columns = (
+        torch.linspace(0, n - 1, min(n, _GUESSES), device=like.device).round().long() for n in (height, width)
+    )
+    return rows, columns
+
+
+def _newton(displacements: Tensor, points: Tensor, at: Tensor) -> Tensor:
+    """Where the map reads points (B, N, 2), by steps that begin at positions `at` near them."""
+    h, w = displacements.shape[-2:]
+    step_x, step_y = vector(at, 0.5, 0.0), vector(at, 0.0, 0.5)
+    for _ in range(_STEPS):
+        miss = points - read_positions(displacements, at)
+        along, down = (
+            read_positions(displacements, at + step) - read_positions(displacements, at - step)
+            for step in (step_x, step_y)
+        )
+        determinant = along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0]
+        determinant = torch.where(determinant.abs() < 1e-3, 1e-3, determinant)
+        move = (
+            torch.stack(
+                [
+                    miss[..., 0] * down[..., 1] - miss[..., 1] * down[..., 0],
+                    miss[..., 1] * along[..., 0] - miss[..., 0] * along[..., 1],
+                ],
+                -1,
+            )
+            / determinant[..., None]
+        )
+        at = at + move.clamp(-max(h, w) / 8, max(h, w) / 8)
+    return at

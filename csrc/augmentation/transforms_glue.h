@@ -38,6 +38,25 @@ TransformMatrix<T> transform_params(char const* op, Tensor const& columns, std::
   return p;
 }
 
+// Whether the matrices of a checked plan keep rows rows, whatever the columns are: those of crops, flips and resizing.
+inline bool keeps_rows(std::span<int64_t const> plan, std::span<double const> numbers) {
+  // The angle and the shears, and the entries of a matrix that are neither scales nor translations.
+  constexpr size_t of_affine[] = {0, 5, 6}, of_matrix[] = {1, 3, 6, 7};
+  for (size_t at = 0, number = 0; at < plan.size();) {
+    TransformKind const kind = TransformKind(plan[at++]);
+    std::span<size_t const> zeros;
+    if (kind == TransformKind::perspective) return false;
+    if (kind == TransformKind::affine) zeros = of_affine;
+    if (kind == TransformKind::matrix) zeros = of_matrix;
+    for (size_t const i : zeros)
+      if (plan[at + i] >= 0 || numbers[number + i] != 0) return false;
+    size_t const count = size_t(num_inputs_of(kind));
+    at += count;
+    number += count;
+  }
+  return true;
+}
+
 inline void check_columns(char const* op, Tensor const& columns) {
   KV_CHECK(columns.dim() == 2 && columns.size(1) <= INT16_MAX, op, ": expected columns of shape (B, P)");
 }

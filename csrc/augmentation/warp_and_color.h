@@ -1,6 +1,6 @@
-// A warp by a matrix and a program of color steps in one pass over memory, on the CPU: both halves are those of
-// geometry/transform/warp and color/program, on bands of rows that stay in the cache. On CUDA they run one after the
-// other. Included by warp_and_color_cpu.cpp and warp_and_color_op.cpp.
+// A warp by a matrix and a program of color steps in one pass over memory. On the CPU both halves are those of
+// geometry/transform/warp and color/program, on bands of rows that stay in the cache. On CUDA a kernel joins bilinear
+// warps that keep rows rows with their programs. Included by warp_and_color_cpu.cpp, .cu and warp_and_color_op.cpp.
 #pragma once
 
 #include "color/program.h"
@@ -16,7 +16,7 @@ struct WarpAndColor {
   color::Program<float> program;
 };
 
-// A band of rows of a sample is processed at a time. Each has its own partial sum of a mean.
+// On the CPU a band of rows of a sample is processed at a time. Each has its own partial sum of a mean.
 constexpr int64_t kBandPixels = 8192;
 KV_HD int64_t rows_of_band(int64_t width) { return max(int64_t(1), kBandPixels / width); }
 KV_HD int64_t bands_of(int64_t height, int64_t width) {
@@ -25,5 +25,10 @@ KV_HD int64_t bands_of(int64_t height, int64_t width) {
 }
 
 KV_KERNEL(warp_and_color, WarpAndColor)
+
+namespace cuda {
+// Whether the kernel takes programs around the mean of samples of that size on this GPU. Any others it does.
+bool keeps_samples(int64_t height, int64_t width);
+}  // namespace cuda
 
 }  // namespace kv::augmentation

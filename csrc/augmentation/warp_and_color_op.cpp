@@ -102,12 +102,18 @@ struct WarpAndColorArguments {
     return a;
   }
 
-#if !defined(KV_CUDA)
   // Whether the kernel that joins warp and program serves images.
   bool is_joined(Tensor const& image, color::ProgramArguments const& a) const {
     int64_t const channels = image.size(1);
-    return !a.in_double && sampling->interpolation != geometry::Interpolation::bicubic &&
-           (channels == 3 || (channels == 1 && a.per_value));
+    if (a.in_double || !(channels == 3 || (channels == 1 && a.per_value))) return false;
+#if defined(KV_CUDA)
+    geometry::Size const size = matrix->use.output;
+    return sampling->interpolation == geometry::Interpolation::bilinear &&
+           keeps_rows(plan.transforms, plan.transform_numbers) &&
+           (a.sequence.contrast < 0 || cuda::keeps_samples(size.height, size.width));
+#else
+    return sampling->interpolation != geometry::Interpolation::bicubic;
+#endif
   }
   // Samples as the kernels take them, of three channels or one.
   color::Samples samples(Tensor const& image) const {
@@ -123,10 +129,8 @@ struct WarpAndColorArguments {
     geometry::check_planes(op, p.x);
     return p;
   }
-#endif
 };
 
-#if !defined(KV_CUDA)
 template <class Run>
 void dispatch_joined(char const* op, Tensor const& x, Run run) {
   switch (x.scalar_type()) {
@@ -161,6 +165,9 @@ std::tuple<Tensor, Tensor> run_joined(WarpAndColorArguments const& a, Tensor con
     color::Program<float>& program = p.program;
     program.y = samples.pixels_of(a.op, y, channels == 1 ? Layout::planar : layout);
     if (around_mean) program.means = data_ptr<float>(means);
+#if defined(KV_CUDA)
+    KV_RUN(warp_and_color, image, p, y.numel(), 0);
+#else
     program.parts_count = bands_of(size.height, size.width);
     int64_t const bands = y.numel() > 0 ? batch * program.parts_count : 0, cost = 6 * channels * kBandPixels;
     Tensor partial_means;
@@ -172,10 +179,10 @@ std::tuple<Tensor, Tensor> run_joined(WarpAndColorArguments const& a, Tensor con
       program.measures_mean = false;
     }
     KV_RUN(warp_and_color, image, p, bands, cost);
+#endif
   });
   return {y, means};
 }
-#endif
 
 // The result, the matrices of the warp (B, 3, 3), and the means of contrast (B, 1); without a warp (B, 0, 3), and
 // without contrast (B, 0).
@@ -189,12 +196,10 @@ std::tuple<Tensor, Tensor, Tensor> warp_and_color(Tensor const& image, OptionalT
   if (a.matrix && same && !a.plan.has_steps())
     return {geometry::warped(image, *a.sampling, *a.matrix), matrix, empty({image.size(0), 0}, a.columns)};
   auto const arguments = a.program(image, color::result_type(program, image));
-#if !defined(KV_CUDA)
   if (a.matrix && a.is_joined(image, arguments)) {
     auto const [y, means] = run_joined(a, image, arguments);
     return {y, matrix, means};
   }
-#endif
   Tensor const x = a.matrix ? geometry::warped(image, *a.sampling, *a.matrix) : image;
   auto const [y, means] = color::run_program(a.op, x, arguments, program, a.plan.numbers);
   return {y, matrix, arguments.sequence.contrast >= 0 ? means : empty({image.size(0), 0}, a.columns)};

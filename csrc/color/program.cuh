@@ -458,6 +458,7 @@ struct Sample {
   F p[kMaxParameters + kMaxStepTensorParameters];
   Entry order[kMaxSteps];
   int length, steps[kMaxSteps];       // the latter by position, -1 for none
+  int steps_before_mean;              // all of them without contrast
   alignas(16) F sums[kThreads / 32];  // read by vectors, with nothing else in them
   F mean, grad_mean;                  // the latter per pixel
 
@@ -471,17 +472,17 @@ struct Sample {
     }
     if (!program.has_order()) {
       if (t < program.steps) order[t] = {t, program.step[t], program.first[t]};
-      if (t == 0) length = program.steps;
+      if (t == 0) length = program.steps, steps_before_mean = contrast < 0 ? program.steps : contrast;
     } else if (t == 0 || contrast >= 0) {
-      int n = 0;
+      int n = 0, before = -1;
       contrast = -1;
       for (int i = 0; i < program.length; ++i) {
         int const index = steps[i];
         if (index < 0) continue;
-        if (program.step[index] == Step::contrast) contrast = index;
+        if (program.step[index] == Step::contrast) contrast = index, before = n;
         if (t == 0) order[n++] = {index, program.step[index], program.first[index]};
       }
-      if (t == 0) length = n;
+      if (t == 0) length = n, steps_before_mean = contrast < 0 ? n : before;
     }
     int const mean_parameter = contrast < 0 ? -1 : program.first[contrast] + 1;
     if (t < kMaxParameters + kMaxStepTensorParameters && t != mean_parameter)

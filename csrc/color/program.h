@@ -212,6 +212,7 @@ struct ProgramBackward {
   Program<F> forward;  // y is not written; its first run sums the gradient of the mean
   Pixels grad, grad_x;
   bool needs_grad_x, reads_input;
+  bool resumes;  // the first run leaves the gradient behind the contrast in grad_x, which is `grad` of the second run
   bool needs_input[kMaxSteps];  // whether a step's gradient depends on its input
   F* partial_grads;             // of the parameters: (samples, blocks, columns), or null
   int columns;

@@ -1,6 +1,9 @@
 // The backward kernel of color programs on CUDA. Included by program_backward.cu and program_double.cu. The input of
 // each step is computed again and kept by the thread. The input of the last step is still in registers, so a program of
 // one step keeps nothing.
+//
+// Around a mean a first run sums its gradient, for which it computes the gradient behind the contrast. It leaves that
+// in the result, if it can, and the second run begins there.
 #pragma once
 
 #include "program.cuh"
@@ -22,7 +25,10 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
     int64_t const to = p.needs_grad_x ? p.grad_x.offset(b) : 0;
     F partial_mean = 0;
     sample.prepare(q, b, true);
-    int const last = p.last_input(sample.length, [&](int s) { return sample.order[s].index; });
+    bool const has_contrast = sample.steps_before_mean < sample.length;
+    if (p.resumes && !q.measures_mean && !has_contrast) continue;  // the first run has done it all
+    int const length = p.resumes && !q.measures_mean ? sample.steps_before_mean + 1 : sample.length;
+    int const last = p.last_input(length, [&](int s) { return sample.order[s].index; });
     for (int k = int(threadIdx.x % 32); k < kMaxParameters; k += 32) partial_grads[threadIdx.x / 32][k] = 0;
     __syncwarp();
     int64_t const stride = gridDim.x * kChunk<F>;
@@ -58,7 +64,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
         EvaluateStep<F, C, P> values{c, sample.p + entry.first};
         run_step(entry.step, values);
       }
-      for (int s = sample.length; s-- > 0;) {
+      for (int s = length; s-- > 0;) {
         auto const [index, step, first] = sample.order[s];
         F const* const parameters = sample.p + first;
         if (q.measures_mean && step == Step::contrast) {  // a StepParameterGradient would spill its pixels to memory
@@ -93,7 +99,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
 #pragma unroll
             for (int j = 0; j < P; ++j) c[k][j] = inputs[s - 1][k][j];
       }
-      if (p.needs_grad_x && !q.measures_mean) store_pixels<Elements>(p.grad_x, to, i, q.pixels, g);
+      if (p.needs_grad_x && (p.resumes || !q.measures_mean)) store_pixels<Elements>(p.grad_x, to, i, q.pixels, g);
     }
     if (q.measures_mean) {
       partial_mean = block_sum_to_all(partial_mean, sample.sums);

@@ -371,8 +371,12 @@ inline std::tuple<Tensor, Tensor> program_gradients(char const* op, Tensor const
       parts = empty({samples.count, p.forward.parts_count}, dense_means);
       p.forward.parts = static_cast<F*>(parts.mutable_data_ptr());
       p.forward.measures_mean = true;
+#if defined(KV_CUDA)
+      p.resumes = of_image && !of_parameters && x.scalar_type() == computes;  // halves would be rounded between runs
+#endif
       KV_RUN(program_backward, x, p, samples.count * p.forward.parts_count, cost);
       p.forward.measures_mean = false;
+      if (p.resumes) p.grad = p.grad_x;
     }
     if (of_parameters) {
       p.columns = int(a.columns);

@@ -109,7 +109,7 @@ class AugmentationBase(nn.Module):
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name == "_execution":
-            object.__setattr__(self, name, value)
+            self.__dict__[name] = value  # torch looks for parameters in what it sets
             return
         settings_changed()
         setting: Any = Flags(value) if name == "flags" else value

@@ -62,7 +62,7 @@ class DrawPlan(NamedTuple):
     def draw(self, images: Tensor, keys: Keys) -> Tensor:
         """The columns (B, P)."""
         own = keys.keys
-        if not keys.one_key and (self.begin > 0 or self.end < len(own)):
+        if not keys.one_key and (self.begin > 0 or self.end < own.shape[0]):
             own = own[self.begin : self.end]
         seeds = None if keys.seeds is None else keys.seeds.to(images.device, non_blocking=True)
         images = images.detach() if images.requires_grad else images

@@ -171,7 +171,7 @@ class AugmentationSequential(ImageSequential):
             TypeError: an input has another type than its key says.
             ValueError: the number of inputs is not that of the keys; no key is the image's; an input has another shape.
         """
-        if len(args) == 1 and isinstance(args[0], Mapping):
+        if len(args) == 1 and not isinstance(args[0], Tensor) and isinstance(args[0], Mapping):
             names = list(args[0])
             outputs = self._call(
                 [DataKey.get(_without_suffix(name)) for name in names], list(args[0].values()), params, seed, generator
@@ -229,7 +229,7 @@ class AugmentationSequential(ImageSequential):
 
     def _video_layout(self, videos: Any) -> VideoLayout | None:
         """The layout of videos, which containers with a VideoSequential take."""
-        for child in self.children():
+        for child in self._modules.values():
             if isinstance(child, VideoSequential):
                 return VideoLayout.of("AugmentationSequential", child.data_format, videos)
         return None

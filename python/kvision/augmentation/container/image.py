@@ -81,7 +81,7 @@ class ImageSequentialBase(nn.Sequential):
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in _STATE:
-            object.__setattr__(self, name, value)  # torch looks for parameters in what it sets
+            self.__dict__[name] = value  # torch looks for parameters in what it sets
         else:
             super().__setattr__(name, value)
 
@@ -230,7 +230,7 @@ class ImageSequential(ImageSequentialBase):
         if params is not None:
             return self.get_children_by_params(params)
         if self.random_apply is None:
-            return self.named_children()
+            return iter(self._modules.items())
         return self.get_random_forward_sequence()
 
     def get_random_forward_sequence(
@@ -308,7 +308,8 @@ class ImageSequential(ImageSequentialBase):
         return y, Applied(self, None, {}, self._stages)
 
     def _source(self, seed: Seed, generator: Generator | None) -> Randomness:
-        once, output = self.resample == "once", Output(self.output_dtype, self.memory_format)
+        same = self.output_dtype is None and self.memory_format is None
+        once, output = self.resample == "once", SAME if same else Output(self.output_dtype, self.memory_format)
         return Randomness(type(self).__name__, seed, generator or self.generator, once, self._plans, output)
 
     @property

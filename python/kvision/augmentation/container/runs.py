@@ -89,14 +89,14 @@ def execute(
     position = source.position if position is None else position
     runs = _runs(children, source.plans)
     for run in runs:
-        output = source.output if run is runs[-1] else SAME
+        own = source if run is runs[-1] else source._replace(output=SAME)
         if isinstance(run[0].module, AugmentationBase):
-            x, more = _execute_run(x, run, source._replace(output=output), position)
+            x, more = _execute_run(x, run, own, position)
             stages += more
         else:
             x, stage = _execute_module(x, run[0], source._replace(position=_position_inside(position)))
-            if output != SAME:
-                x, _ = make_pass(None, output=output).run(x, None)
+            if own.output != SAME:
+                x, _ = make_pass(None, output=own.output).run(x, None)
             stages.append(stage)
         position += len(run)
     if not runs and source.output != SAME:
@@ -111,7 +111,7 @@ def _position_inside(position: int) -> int:
 
 def _runs(children: Sequence[Child], plans: Plans) -> list[list[Child]]:
     """Split children into augmentations that draw together, and modules that run by themselves."""
-    key = ("runs", *((id(child.module), child.params is None) for child in children))
+    key = ("runs", *[(id(child.module), child.params is None) for child in children])
     lengths: list[int] | None = plans.get(key)
     if lengths is None:
         lengths = _lengths_of_runs(children)
@@ -277,7 +277,7 @@ def _draw(
     x: Tensor, modules: Sequence[AugmentationBase], source: Randomness, position: int
 ) -> tuple[list[Execution], Tensor | None, Sequence[_Step]]:
     """The executions of augmentations whose parameters are drawn by one launch, the columns of all, and what to execute."""
-    key = (x.shape, *(id(module) for module in modules), position, source.seed is None, *source[3:4], *source[5:])
+    key = (x.shape, *map(id, modules), position, source.seed is None, *source[3:4], *source[5:])
     plan: _RunPlan | None = source.plans.get(key)
     keys: Keys | None = None
     if plan is None:

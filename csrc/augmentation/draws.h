@@ -92,7 +92,7 @@ struct DrawnBox {
   double v[4];
 };
 
-// Numbers: lowest and highest share of the area, logarithms of the lowest and highest width / height, height, width.
+// Numbers: lowest and highest fraction of the area, logarithms of the lowest and highest width / height, height, width.
 // The first of ten tries that lies in the image; else the largest crop of an allowed aspect, in the center.
 KV_HD DrawnBox resized_crop(DrawSource const& source, uint32_t index, double const* n) {
   double const height = n[4], width = n[5];
@@ -112,7 +112,7 @@ KV_HD DrawnBox resized_crop(DrawSource const& source, uint32_t index, double con
   return {{double(int64_t(width - w) / 2), double(int64_t(height - h) / 2), w, h}};
 }
 
-// Numbers: lowest and highest share of the area, lowest and highest height / width, height, width.
+// Numbers: lowest and highest fraction of the area, lowest and highest height / width, height, width.
 KV_HD DrawnBox rectangle(DrawSource const& source, uint32_t index, double const* n) {
   PhiloxWords const words = source.words(index);
   double const low = n[2], high = n[3], height = n[4], width = n[5], u = unit(words.w[1]);

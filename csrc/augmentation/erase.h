@@ -1,4 +1,4 @@
-// Rectangles of images become a value: x <= column < x + width and y <= row < y + height, for pixels at whole numbers.
+// Sets rectangles of images to a value: x <= column < x + width and y <= row < y + height, for pixels at whole numbers.
 // Included by erase_cpu.cpp, erase.cu and erase_op.cpp.
 #pragma once
 

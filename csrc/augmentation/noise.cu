@@ -1,4 +1,4 @@
-// Noise on CUDA: a thread takes four pixels of a plane, whose words are those of one block.
+// Noise on CUDA: a thread computes four pixels of a plane, from the four words of one block.
 #include "augmentation/noise.h"
 #include "core/launch.cuh"
 

@@ -15,10 +15,11 @@ struct PixelNoise {
   T* y;
   int64_t batch, channels, pixels;  // pixels of a plane
   int64_t channel_stride, step;     // from a pixel to the next channel, and to the next pixel
-  Compute<T> const* parameters;  // (B, 2): mean and standard deviation, or amount and share of salt; for full_range 1
-  float const* chosen;           // (B,), 0 for samples that pass unchanged; null: all are chosen
-  Compute<T> full_range, salt;   // 255 for bytes, 1 for floats; the value of salt
-  int64_t const *keys, *seeds;   // on the device; null: `key` is the key, there are no seeds
+  Compute<T> const*
+      parameters;               // (B, 2): mean and standard deviation, or amount and fraction of salt; for full_range 1
+  float const* chosen;          // (B,), 0 for samples that pass unchanged; null: all are chosen
+  Compute<T> full_range, salt;  // 255 for bytes, 1 for floats; the value of salt
+  int64_t const *keys, *seeds;  // on the device; null: `key` is the key, there are no seeds
   int64_t key_stride, seed_stride, parameter_stride, chosen_stride;
   int64_t key;  // or its index, where the keys are on the device
   uint32_t position, draw;
@@ -40,13 +41,14 @@ constexpr int kNoiseChunk = 1024;
 KV_KERNEL(gaussian_noise, PixelNoise)
 KV_KERNEL(salt_and_pepper, PixelNoise)
 
-// What becomes of the pixels of a word: with unit(word) below the amount they are hit, below the share of it by salt.
+// What becomes of the pixels of a word: with unit(word) below the amount they are hit, below that times `fraction` by
+// salt.
 struct SaltAndPepper {
   uint64_t salt, pepper;  // the first words that are not hit
 
   template <class F>
-  KV_HD SaltAndPepper(F amount, F share)
-      : salt(words_below(double(amount) * double(share))), pepper(words_below(double(amount))) {}
+  KV_HD SaltAndPepper(F amount, F fraction)
+      : salt(words_below(double(amount) * double(fraction))), pepper(words_below(double(amount))) {}
   static KV_HD uint64_t words_below(double x) {
     double const bound = x > 0 ? min(x, 1.) * 0x1p32 : 0;
     uint64_t const whole = uint64_t(bound);

@@ -34,7 +34,7 @@ KV_KERNEL(transform_matrix, TransformMatrix)
 KV_KERNEL(transform_matrix_backward, TransformMatrix)
 
 // Instead of the side of a single pixel, whose ends are the same, so that the matrix has an inverse.
-constexpr double kLeastSide = 0x1p-20;
+constexpr double kMinSide = 0x1p-20;
 
 // Inputs: a box x, y, width, height; columns and rows of the result; 1 if the centers of the outermost pixels
 // correspond, 0 if their edges do.
@@ -42,11 +42,11 @@ template <class V>
 KV_HD void crop_matrix(V const* x, V* m) {
   for (int i = 0; i < 9; ++i) m[i] = constant<V>(i == 8);
   auto const centers = x[6] > 0.;
-  V const min_side = constant<V>(kLeastSide), half = select(centers, constant<V>(0), constant<V>(.5));
+  V const min_side = constant<V>(kMinSide), half = select(centers, constant<V>(0), constant<V>(.5));
   for (int i = 0; i < 2; ++i) {
     V const &first = x[i], &size = x[2 + i], &result = x[4 + i];
-    V const to = select(result - 1. < kLeastSide, min_side, result - 1.),
-            from = select(size - 1. < kLeastSide, min_side, size - 1.);
+    V const to = select(result - 1. < kMinSide, min_side, result - 1.),
+            from = select(size - 1. < kMinSide, min_side, size - 1.);
     V const scale = select(centers, to / from, result / size);
     m[4 * i] = scale;
     m[3 * i + 2] = (half - first) * scale - half;

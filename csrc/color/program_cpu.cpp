@@ -420,8 +420,8 @@ __attribute__((noinline)) void convert_bytes(Program<float> const& p, Sample<flo
     convert([w = s.p + p.first[0]](auto& c) { c[0] = vfloor(luma_of_levels(c, w)); });
 }
 
-// Whether a program is a function of one byte: of bytes to bytes, without a mean, of steps that treat every value
-// alike. Its 256 values then take less time than the pixels.
+// Whether a program is a function of one byte: of bytes to bytes, without a mean, of steps that compute every
+// value in the same way. Its 256 values then take less time than the pixels.
 KV_HD bool is_function_of_bytes(Program<float> const& p) {
   bool by_value = !p.measures_mean && p.contrast < 0;
   for (int k = 0; k < p.steps; ++k) by_value = by_value && is_per_value(p.step[k]);

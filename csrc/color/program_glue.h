@@ -122,21 +122,21 @@ struct ProgramArguments {
   }
 
   // (B, S), of which each row has the steps of an image in their order.
-  void set_order(char const* op, Tensor const& x, Tensor const& given) {
-    KV_CHECK(given.dim() == 2 && (given.size(0) == 1 || given.size(0) == x.size(0)) && given.size(1) <= kMaxSteps, op,
+  void set_order(char const* op, Tensor const& x, Tensor const& steps) {
+    KV_CHECK(steps.dim() == 2 && (steps.size(0) == 1 || steps.size(0) == x.size(0)) && steps.size(1) <= kMaxSteps, op,
              ": expected order of shape (B, S) with at most ", kMaxSteps, " positions");
-    KV_CHECK(given.scalar_type() == ScalarType::Long && given.device() == x.device(), op,
+    KV_CHECK(steps.scalar_type() == ScalarType::Long && steps.device() == x.device(), op,
              ": expected order of int64, on the device of input");
-    order = dense(given);
+    order = dense(steps);
   }
   // For each position a column of the tensors, or -1, and the step to which its number is added.
-  void set_order(char const* op, std::span<int64_t const> given) {
-    KV_CHECK(given.size() % 2 == 0 && given.size() / 2 <= kMaxSteps, op, ": expected an order of at most ", kMaxSteps,
+  void set_order(char const* op, std::span<int64_t const> pairs) {
+    KV_CHECK(pairs.size() % 2 == 0 && pairs.size() / 2 <= kMaxSteps, op, ": expected an order of at most ", kMaxSteps,
              " positions");
-    for (size_t i = 0; i < given.size(); i += 2)
-      KV_CHECK(given[i] >= -1 && given[i] < columns && given[i + 1] >= 0 && given[i + 1] < kMaxSteps, op,
+    for (size_t i = 0; i < pairs.size(); i += 2)
+      KV_CHECK(pairs[i] >= -1 && pairs[i] < columns && pairs[i + 1] >= 0 && pairs[i + 1] < kMaxSteps, op,
                ": there are no such column and step for the order");
-    order_of_columns = given;
+    order_of_columns = pairs;
   }
   // After all tensors of parameters.
   void check_columns(char const* op, PlanArgument const& plan) const {

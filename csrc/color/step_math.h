@@ -1,6 +1,6 @@
-// What formulas of color steps are made of: functions of Duals, clipping, powers, affine maps. Included by steps.h and
-// the files of formulas, after log2_of, exp2_of, floor_of, absolute, reciprocal, nan_max and nan_min of numbers and
-// Lanes.
+// The functions that formulas of color steps use: functions of Duals, clipping, powers, affine maps. Included by
+// steps.h and the files of formulas, after log2_of, exp2_of, floor_of, absolute, reciprocal, nan_max and nan_min of
+// numbers and Lanes.
 #pragma once
 
 #include "core/dual.h"

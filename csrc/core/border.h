@@ -1,4 +1,4 @@
-// Border rules of stencils: which pixel stands for a position out of bounds, and the transpose of that rule.
+// Border rules of stencils: which pixel is read for a position out of bounds, and the transpose of that rule.
 //
 //   constant   0 0 | a b c d | 0 0
 //   reflect    c b | a b c d | c b     the edge pixel is not repeated; the border has fewer pixels than the axis

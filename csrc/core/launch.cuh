@@ -346,7 +346,7 @@ struct Strip<R, false, P, Warps> {
     if (has_halo) elements[halo - first] = f.halo;
     __syncwarp();
     if constexpr (kByWords<T>) {
-      // The thread's words and those beside them, whose element i is element i + R - 2 kBefore - preceding of the
+      // The thread's words and the adjacent ones, whose element i is element i + R - 2 kBefore - preceding of the
       // result.
       uint32_t const* const around = reinterpret_cast<uint32_t const*>(row + P * lane);
       constexpr int kBefore = (R + 1) / 2, kWords = kBefore + P / 2 + R / 2 + 1;

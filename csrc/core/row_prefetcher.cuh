@@ -228,9 +228,9 @@ __device__ __forceinline__ void store_pixels(T* to, float const (&v)[P], int x, 
   }
 }
 
-// The height of strips that costs least. A strip reads `taps` - 1 rows more than it completes. `columns` strips side by
-// side go through the GPU in waves of `resident` strips; a wave takes less time the fewer strips it has, down to `busy`
-// strips, which keep the GPU busy alone.
+// The height of strips that takes the least time. A strip reads `taps` - 1 rows more than it completes. `columns`
+// strips side by side go through the GPU in waves of `resident` strips; a wave takes less time the fewer strips it has,
+// down to `busy` strips, which keep the GPU busy alone.
 inline int strip_height(int64_t columns, int64_t height, int taps, int64_t resident, int64_t busy) {
   double best = INFINITY;
   int64_t rows = height;

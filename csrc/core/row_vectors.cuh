@@ -3,7 +3,7 @@
 //   vectors          | . . a b | c d e f | g h i j | k . . . |
 //   row                    a b   c d e f   g h i j   k           body: c ... j; a, b and k are peeled
 //
-// Kernels of several tensors use them where all rows are aligned alike. Otherwise, adjacent threads take adjacent
+// Kernels of several tensors use them where all rows have the same alignment. Otherwise, adjacent threads take adjacent
 // elements (P = 1): a warp accesses the elements of at most two cache lines at a time wherever rows begin. A thread
 // then takes several elements at once, and those of a warp are near each other, so that the parts of a sector that
 // different accesses write meet in the cache.
@@ -46,7 +46,8 @@ struct AlignedBody {
   }
 };
 
-// Calls f with the number of elements of a thread's vectors as a constant: P, or 1 unless all rows are aligned alike.
+// Calls f with the number of elements of a thread's vectors as a constant: P, or 1 unless all rows have the same
+// alignment.
 template <int P, class F>
 void with_row_vectors(bool aligned_alike, F f) {
   if (P > 1 && aligned_alike)

@@ -1,4 +1,4 @@
-// CUDA kernel for add_weighted: each thread computes two vectors, or eight pixels where vectors are not aligned alike.
+// CUDA kernel for add_weighted: each thread computes two vectors, or eight pixels where the alignments of rows differ.
 #include "add_weighted.h"
 #include "core/row_vectors.cuh"
 

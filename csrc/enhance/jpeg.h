@@ -190,7 +190,7 @@ KV_HD constexpr F jpeg_cosine(int frequency, int i) {
                                  0.097545161008064135,
                                  0};
   if (frequency == 0) return F(half_cos[4]);
-  int const turn = (2 * i + 1) * frequency % 32, m = turn > 16 ? 32 - turn : turn;  // in 16ths of pi
+  int const angle = (2 * i + 1) * frequency % 32, m = angle > 16 ? 32 - angle : angle;  // in 16ths of pi
   return F(m > 8 ? -half_cos[16 - m] : half_cos[m]);
 }
 // Coefficient k of eight values, from the sums (k even) or differences (k odd) of x[i] and x[7 - i].
@@ -286,11 +286,11 @@ KV_HD JpegDual<F> jpeg_percent(F quality) {
 template <class F>
 KV_HD JpegDual<F> jpeg_step(F table, F percent) {
   F const x = (table * percent + F(50)) / F(100);
-  F const inside = x < F(1) ? F(1) : x > F(255) ? F(255) : x, beyond = x - inside;
-  F const left = beyond == F(0) ? F(1) : F(__builtin_exp(-__builtin_fabs(double(beyond))));
+  F const inside = x < F(1) ? F(1) : x > F(255) ? F(255) : x, excess = x - inside;
+  F const left = excess == F(0) ? F(1) : F(__builtin_exp(-__builtin_fabs(double(excess))));
   F const more = F(0.02) * (F(1) - left);
-  JpegDual<F> const step = jpeg_floor(inside + (beyond < F(0) ? -more : more));
-  return {step.value, step.derivative * (beyond == F(0) ? F(1) : F(0.02) * left) / F(100)};
+  JpegDual<F> const step = jpeg_floor(inside + (excess < F(0) ? -more : more));
+  return {step.value, step.derivative * (excess == F(0) ? F(1) : F(0.02) * left) / F(100)};
 }
 
 template <class F>

@@ -83,7 +83,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
   Strip<0, Aligned> const strip_g(x, width, Border::replicate);
   bool const more_left = strip.left_end && x > 0, more_right = strip.right_end && x + 4 < width;
   int const more = more_left ? x - 1 : x + 4;
-  int const beyond = clamp(more_left ? more - 1 : more + 1, 0, width - 1);
+  int const farther = clamp(more_left ? more - 1 : more + 1, 0, width - 1);
   F const factor = p.factor.of(plane);
 
   int const first = max(y0 - 1, 0);
@@ -95,7 +95,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
 #pragma unroll
     for (int i = 0; i < 5; ++i) above[i] = adjacent[i], adjacent[i] = below[i], own[i] = next[i];
     T const* const row = rows_x.next();
-    F const far = more_left || more_right ? read(row[beyond]) : F(0);
+    F const far = more_left || more_right ? read(row[farther]) : F(0);
     F v[6];
     strip.load(v, row);
 #pragma unroll

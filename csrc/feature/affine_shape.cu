@@ -1,4 +1,4 @@
-// Affine shapes on CUDA: a block a patch, whose sums are in a fixed order.
+// Affine shapes on CUDA: one block for each patch, which sums in a fixed order.
 #include "affine_shape.h"
 #include "patch_gradient.cuh"
 

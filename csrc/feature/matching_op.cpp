@@ -34,7 +34,8 @@ std::optional<Tensor> checked_mask(char const* op, char const* name, std::option
 }
 
 #if defined(KV_CUDA)
-// Tiles of columns are divided over blocks such that there are this many, about 8 for every place on the largest GPU.
+// Tiles of columns are divided over blocks such that there are this many, about 8 for every block that the largest GPU
+// runs at a time.
 constexpr int64_t kMatchingBlocks = 2048;
 #endif
 

@@ -1,5 +1,5 @@
-// Dominant orientations on CUDA: a block a patch. Each thread has a histogram of its pixels, a column in shared memory;
-// the columns are added up in order. There are no atomics.
+// Dominant orientations on CUDA: one block for each patch. Each thread has a histogram of its pixels, a column in
+// shared memory; the columns are added up in order. There are no atomics.
 #include "orientation.h"
 #include "patch_gradient.cuh"
 
@@ -66,7 +66,7 @@ struct OrientationPatch {
       if (lane == 0) peak = at < bins ? at : 0;
     }
     __syncthreads();
-    return Peaks<F>(smoothed, peak, bins, p.share);
+    return Peaks<F>(smoothed, peak, bins, p.threshold);
   }
 };
 

@@ -2,15 +2,15 @@
 //
 // Pixels vote with their Sobel gradients, weighted by a Gaussian of sigma n / 6, for the two bins around their angle.
 // The histogram is smoothed around the circle by a Gaussian of 5 bins, and a parabola through its largest bin and the
-// two beside it gives the peak. The angle is counter-clockwise as seen in the image, so it is that from x to y,
+// two adjacent ones gives the peak. The angle is counter-clockwise as seen in the image, so it is that from x to y,
 // negated:
 //
 //   angle = pi - 2 pi (peak + 1/2 (l - r) / (l + r - 2 m)) / bins
 //
 // where m is the largest bin, l the one before and r the one after.
 //
-// Further angles of a patch are those of the next largest local maxima of the histogram that have at least a share of
-// the largest bin. Where there are fewer of them, the first angle is repeated.
+// Further angles of a patch are those of the next largest local maxima of the histogram that are at least `threshold`
+// times the largest bin. Where there are fewer of them, the first angle is repeated.
 //
 // Included by orientation_cpu.cpp, orientation.cu and orientation_op.cpp.
 #pragma once
@@ -35,7 +35,7 @@ struct Orientation {
   T* angles;         // (count, peaks)
   int64_t count;
   int n, bins, peaks;
-  Compute<T> eps, share;
+  Compute<T> eps, threshold;
 };
 
 template <class T>
@@ -45,7 +45,7 @@ struct OrientationBackward {
   T* grad_patches;
   int64_t count;
   int n, bins, peaks;
-  Compute<T> eps, share;
+  Compute<T> eps, threshold;
 };
 
 KV_KERNEL(orientation, Orientation)
@@ -96,7 +96,7 @@ template <class F>
 class Peaks {
   F const* smoothed;
   int first, last, bins;  // last is -1 after the last one
-  F share;
+  F threshold;
   bool started = false;
 
   // The largest local maximum after `last`; of equal ones the first.
@@ -106,14 +106,14 @@ class Peaks {
       F const m = smoothed[b];
       bool const is_peak = m > smoothed[around_circle(b - 1, bins)] && m >= smoothed[around_circle(b + 1, bins)];
       bool const is_next = m < smoothed[last] || (m == smoothed[last] && b > last);
-      if (is_peak && is_next && m >= share * smoothed[first] && (best < 0 || m > smoothed[best])) best = b;
+      if (is_peak && is_next && m >= threshold * smoothed[first] && (best < 0 || m > smoothed[best])) best = b;
     }
     return best;
   }
 
  public:
-  KV_HD Peaks(F const* smoothed, int largest, int bins, F share)
-      : smoothed(smoothed), first(largest), last(largest), bins(bins), share(share) {}
+  KV_HD Peaks(F const* smoothed, int largest, int bins, F threshold)
+      : smoothed(smoothed), first(largest), last(largest), bins(bins), threshold(threshold) {}
   KV_HD Peak<F> next() {
     if (started && last >= 0) last = after_last();
     started = true;

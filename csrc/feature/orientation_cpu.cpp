@@ -55,7 +55,7 @@ struct OrientationPatch {
       smoothed[b] = smoothed_bin(histogram, b, bins);
       if (smoothed[b] > smoothed[peak]) peak = b;
     }
-    return Peaks<F>(smoothed, peak, bins, p.share);
+    return Peaks<F>(smoothed, peak, bins, p.threshold);
   }
 };
 

@@ -1,4 +1,4 @@
-// Patches in shared memory: a block a patch. Included by *.cu files.
+// Patches in shared memory: one block for each patch. Included by *.cu files.
 #pragma once
 
 #include "core/block_reduce.cuh"

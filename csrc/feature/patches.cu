@@ -1,5 +1,5 @@
-// Patches of local affine frames on CUDA: a block a patch. Neighboring samples read neighboring pixels, which the L1
-// cache serves. The gradient to the images adds by atomics; that to a frame is a sum in a fixed order.
+// Patches of local affine frames on CUDA: one block for each patch. Neighboring samples read neighboring pixels, which
+// the L1 cache serves. The gradient to the images adds by atomics; that to a frame is a sum in a fixed order.
 #include "core/block_reduce.cuh"
 #include "patches.h"
 

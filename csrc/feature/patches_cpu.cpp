@@ -106,11 +106,11 @@ KV_HD void scatter_to_plane(SamplePatchesBackward<T> const& p, PatchCoordinates<
       taps.weights(w);
       V const g = load<N>(grad + i);
       for (int t = 0; t < 4; ++t) {
-        V const share = w[t] * g;
+        V const weighted = w[t] * g;
         if constexpr (N == 1)
-          to[taps.indices[t]] += share;
+          to[taps.indices[t]] += weighted;
         else
-          for (int lane = 0; lane < N; ++lane) to[taps.indices[t][lane]] += share[lane];
+          for (int lane = 0; lane < N; ++lane) to[taps.indices[t][lane]] += weighted[lane];
       }
     });
   }

@@ -62,7 +62,8 @@ struct ResponseAt {
   KV_HD auto operator()(T const& level) const { return plane ? load(&level + plane) - load(&level) : load(&level); }
 };
 
-// Whether the response bends alike along all directions of a level. at(dy, dx) reads around the voxel.
+// Whether both principal curvatures of a level have the same sign and a ratio below `ratio`. at(dy, dx) reads around
+// the voxel.
 template <class F, class At>
 KV_HD bool is_off_edges(F ratio, At at) {
   F const middle = at(0, 0), xx = at(0, 1) - 2 * middle + at(0, -1), yy = at(1, 0) - 2 * middle + at(-1, 0);
@@ -96,7 +97,7 @@ struct StrongestPeaks {
       sink(peak);
     }
   }
-  // Puts a peak in place of the root.
+  // Replaces the root.
   KV_HD void sink(ScaleSpacePeak<F> const& peak) {
     int64_t i = 0;
     for (int64_t child; (child = 2 * i + 1) < size; i = child) {

@@ -161,10 +161,10 @@ void sort_scale_space_peaks(ScaleSpacePeaks<T> const& p, int64_t begin, int64_t 
     StrongestPeaks<F> strongest{memory.data, p.count, 0};
     for (int64_t band = sample * p.bands_of_sample; band < (sample + 1) * p.bands_of_sample; ++band)
       for (int64_t i = 0; i < p.sizes[band]; ++i) strongest.add(p.bands[band * p.count + i]);
-    int64_t const found = strongest.size;
+    int64_t const count = strongest.size;
     strongest.sort();
     for (int64_t i = 0; i < p.count; ++i) {
-      ScaleSpacePeak<F> const peak = i < found ? memory.data[i] : ScaleSpacePeak<F>{0, 0, 0, 0, 0, -1};
+      ScaleSpacePeak<F> const peak = i < count ? memory.data[i] : ScaleSpacePeak<F>{0, 0, 0, 0, 0, -1};
       int64_t const at = sample * p.count + i;
       F* const numbers = p.peaks + 4 * at;
       numbers[0] = peak.level, numbers[1] = peak.x, numbers[2] = peak.y, numbers[3] = peak.value;

@@ -1,4 +1,5 @@
-// Peaks of scale spaces: schemas and operators for the CPU. On CUDA the reference finds them, by kernels of its steps.
+// Peaks of scale spaces: schemas and operators for the CPU. On CUDA the reference runs, which calls the kernels of the
+// steps.
 #include "glue/batch.h"
 #include "scale_space_peaks.h"
 
@@ -56,12 +57,12 @@ std::tuple<Tensor, Tensor> scale_space_peaks(Tensor const& input, std::optional<
   dispatch_floating(op, levels, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Tensor const found =
+    Tensor const strongest =
         empty({samples * bands * count * int64_t(sizeof(ScaleSpacePeak<F>))}, levels, Layout::planar, ScalarType::Byte);
     ScaleSpacePeaks<T> const params{data_ptr<T const>(levels),
                                     allowed ? data_ptr<F const>(*allowed) : nullptr,
                                     data_ptr<F const>(from),
-                                    data_ptr<ScaleSpacePeak<F>>(found),
+                                    data_ptr<ScaleSpacePeak<F>>(strongest),
                                     data_ptr<int64_t>(sizes),
                                     data_ptr<F>(peaks),
                                     data_ptr<int64_t>(voxels),

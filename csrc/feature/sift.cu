@@ -1,6 +1,6 @@
-// SIFT descriptors on CUDA: a block a patch, with the patch and its gradients in shared memory. A thread gathers an
-// entry of the histogram from the pixels of its cell; threads of a warp have angles of the same cells, so that most of
-// their reads are broadcasts. There are no atomics.
+// SIFT descriptors on CUDA: one block for each patch, with the patch and its gradients in shared memory. A thread
+// gathers an entry of the histogram from the pixels of its cell; threads of a warp have angles of the same cells, so
+// that most of their reads are broadcasts. There are no atomics.
 #include "patch_gradient.cuh"
 #include "sift.h"
 
@@ -104,7 +104,7 @@ __global__ void __launch_bounds__(kThreads) sift_patch_backward(__grid_constant_
   normalize_sift_vjp(s.h, g, p.clip, p.root, all);
   __syncthreads();
 
-  // The gradients of a pixel take the place of its magnitude and its position.
+  // The gradients of a pixel replace its magnitude and its position.
   F const per_radian = F(bins) / F(2 * kPi);
   SharedPatch<F> const u{s.magnitudes, n}, v{s.positions, n};
   for_each_pixel(n, [&](int i, int y, int x) {

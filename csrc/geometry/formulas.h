@@ -21,7 +21,7 @@ namespace kv::geometry {
 #define KV_PLANE_FORMULAS(_)                                                                                 \
   _(affine_matrix2d, AffineMatrix2d,                                                                         \
     "Tensor degrees, Tensor? translation, Tensor? scale, Tensor? shear_x, Tensor? shear_y, Tensor? center, " \
-    "float turn, float x, float y, int rows")                                                                \
+    "float sign, float x, float y, int rows")                                                                \
   _(translation_matrix2d, TranslationMatrix2d, "Tensor translation, float x, float y, int rows")             \
   _(scale_matrix2d, ScaleMatrix2d, "Tensor scale, Tensor? center, float x, float y")                         \
   _(shear_factor_matrix2d, ShearFactorMatrix2d, "Tensor factors")                                            \
@@ -30,7 +30,7 @@ namespace kv::geometry {
 #define KV_SPACE_FORMULAS(_)                                                                                       \
   _(affine_matrix3d, AffineMatrix3d,                                                                               \
     "Tensor x, Tensor y, Tensor z, Tensor? translation, Tensor? scale, Tensor? center, Tensor? xy, Tensor? xz, "   \
-    "Tensor? yx, Tensor? yz, Tensor? zx, Tensor? zy, float turn, float center_x, float center_y, float center_z, " \
+    "Tensor? yx, Tensor? yz, Tensor? zx, Tensor? zy, float sign, float center_x, float center_y, float center_z, " \
     "int rows")                                                                                                    \
   _(translation_matrix3d, TranslationMatrix3d, "Tensor translation, float x, float y, float z, int rows")          \
   _(perspective_matrix3d, PerspectiveMatrix3d, "Tensor points_src, Tensor? points_dst, float x, float y, float z")

@@ -1,4 +1,4 @@
-// What of glue.h is no template. Compiled into both libraries.
+// The functions of glue.h that are not templates. Compiled into both libraries.
 #include "glue/glue.h"
 
 #include <cstdio>

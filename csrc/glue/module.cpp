@@ -1,5 +1,5 @@
-// What libkvision.so says about itself and which instruction set is active; plain C functions, called by kvision._C and
-// by C++ users. Compiled into the CPU library only.
+// How libkvision.so was built and which instruction set is active, as plain C functions for kvision._C and C++ users.
+// Compiled into the CPU library only.
 #include <atomic>
 #include <cstdlib>
 #include <cstring>

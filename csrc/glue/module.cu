@@ -1,4 +1,4 @@
-// What libkvision_cuda.so says about itself, and words for CUDA's errors.
+// How libkvision_cuda.so was built, and messages for CUDA's errors.
 #include <cuda_runtime.h>
 
 namespace kv {

@@ -1,4 +1,5 @@
-// kvision._C: what is no tensor operator. No torch headers; where this module cannot be imported, all else still works.
+// kvision._C: functions that take no tensors, such as versions and the instruction set. It needs no headers of torch.
+// Where this module cannot be imported, everything else still works.
 #include <pybind11/pybind11.h>
 
 extern "C" {

@@ -46,18 +46,18 @@ struct Region {
 };
 
 // The score of a region is both / (both + alpha (predicted - both) + beta (labelled - both) + eps), and 0 if the
-// divisor is 0. With `together` the loss of a sample is 1 - the score of the weighted sums over its classes. Otherwise
+// divisor is 0. With `micro` the loss of a sample is 1 - the score of the weighted sums over its classes. Otherwise
 // it is 1 - the weighted mean of the scores of the classes that occur in its labels, or 1 if none does.
 template <class F>
 struct OverlapTerms {
   F const* weight;        // per class, or null
   int64_t weight_stride;  // from loss to loss
-  bool together;
+  bool micro;
   F alpha, beta, eps;
 
   KV_HD F weight_of(int64_t loss, int64_t c, Region<F> const& r) const {
     F const w = weight ? weight[loss * weight_stride + c] : F(1);
-    return together || r.labelled != 0 ? w : F(0);
+    return micro || r.labelled != 0 ? w : F(0);
   }
   KV_HD F divisor(Region<F> const& r) const {
     return r.both + alpha * (r.predicted - r.both) + beta * (r.labelled - r.both) + eps;
@@ -71,7 +71,7 @@ struct OverlapTerms {
 // Weighted sums over the classes of a sample.
 template <class F>
 struct OverlapTotals {
-  Region<F> all;    // if `together`
+  Region<F> all;    // if `micro`
   F weight, score;  // otherwise
 
   // Sums every `step`-th class from `first` on.
@@ -86,15 +86,15 @@ struct OverlapTotals {
   }
   KV_HD void add(OverlapTerms<F> const& terms, F w, Region<F> const& r) {
     all.both += w * r.both, all.predicted += w * r.predicted, all.labelled += w * r.labelled;
-    weight += w, score += terms.together || w == 0 ? F(0) : w * terms.score(r);
+    weight += w, score += terms.micro || w == 0 ? F(0) : w * terms.score(r);
   }
   KV_HD F loss(OverlapTerms<F> const& terms) const {
-    return 1 - (terms.together ? terms.score(all) : weight == 0 ? F(0) : score / weight);
+    return 1 - (terms.micro ? terms.score(all) : weight == 0 ? F(0) : score / weight);
   }
   // g times the derivatives of the loss by a class's `both` and `predicted`.
   KV_HD void gradients(OverlapTerms<F> const& terms, F g, F w, Region<F> const& r, F& by_both, F& by_predicted) const {
-    Region<F> const& of = terms.together ? all : r;
-    F const d = terms.divisor(of), scale = terms.together ? w : weight == 0 ? F(0) : w / weight;
+    Region<F> const& of = terms.micro ? all : r;
+    F const d = terms.divisor(of), scale = terms.micro ? w : weight == 0 ? F(0) : w / weight;
     bool const flat = scale == 0 || d == 0;
     F const s = flat ? F(0) : -g * scale / d, ratio = flat ? F(0) : of.both / d;
     by_both = s * (1 - ratio * (1 - terms.alpha - terms.beta));

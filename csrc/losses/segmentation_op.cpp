@@ -56,8 +56,8 @@ struct Labelled {
             chunks};
   }
   template <class F>
-  OverlapTerms<F> overlap_terms(bool together, double alpha, double beta, double eps) const {
-    return {weight_data<F>(), weight_stride(), together, F(alpha), F(beta), F(eps)};
+  OverlapTerms<F> overlap_terms(bool micro, double alpha, double beta, double eps) const {
+    return {weight_data<F>(), weight_stride(), micro, F(alpha), F(beta), F(eps)};
   }
   template <class F>
   FocalTerms<F> focal_terms(double first, double other, double gamma) const {
@@ -82,8 +82,7 @@ Tensor checked(char const* op, char const* name, Tensor const& x, Labelled const
 
 // The losses (losses), and the sums (losses, B, 3, C) of every sample from which they are computed.
 std::tuple<Tensor, Tensor> overlap(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight,
-                                   bool together, double alpha, double beta, double eps, int64_t ignored,
-                                   bool ignores) {
+                                   bool micro, double alpha, double beta, double eps, int64_t ignored, bool ignores) {
   Labelled const x("overlap", pred, target, weight, ignored, ignores, kChunk);
   Tensor const loss = x.number({x.losses}), sums = x.number({x.losses, x.batch, 3, x.classes});
   int64_t const samples = x.losses * x.batch, chunks = x.chunks, bins = 3 * x.classes;
@@ -91,7 +90,7 @@ std::tuple<Tensor, Tensor> overlap(Tensor const& pred, Tensor const& target, std
   dispatch_floating("overlap", pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Overlap<T> const params{x.of<T>(), x.overlap_terms<F>(together, alpha, beta, eps), data_ptr<F>(partial),
+    Overlap<T> const params{x.of<T>(), x.overlap_terms<F>(micro, alpha, beta, eps), data_ptr<F>(partial),
                             data_ptr<F>(sums), data_ptr<F>(loss)};
     KV_RUN(overlap, pred, params, x.all_pieces(), x.cost());
 #if !defined(KV_CUDA)
@@ -115,7 +114,7 @@ std::tuple<Tensor, Tensor> overlap(Tensor const& pred, Tensor const& target, std
 }
 
 Tensor overlap_backward(Tensor const& grad, Tensor const& sums, Tensor const& pred, Tensor const& target,
-                        std::optional<Tensor> const& weight, bool together, double alpha, double beta, double eps,
+                        std::optional<Tensor> const& weight, bool micro, double alpha, double beta, double eps,
                         int64_t ignored, bool ignores) {
   constexpr char const* op = "overlap_backward";
   Labelled const x(op, pred, target, weight, ignored, ignores, kShortChunk);
@@ -124,7 +123,7 @@ Tensor overlap_backward(Tensor const& grad, Tensor const& sums, Tensor const& pr
   dispatch_floating(op, pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    OverlapBackward<T> const params{x.of<T>(), x.overlap_terms<F>(together, alpha, beta, eps), data_ptr<F const>(g),
+    OverlapBackward<T> const params{x.of<T>(), x.overlap_terms<F>(micro, alpha, beta, eps), data_ptr<F const>(g),
                                     data_ptr<F const>(of_samples), data_ptr<T>(grad_x)};
     KV_RUN(overlap_backward, pred, params, x.all_pieces(), x.cost());
   });
@@ -170,10 +169,10 @@ Tensor focal_backward(Tensor const& grad, Tensor const& pred, Tensor const& targ
 }  // namespace
 
 KV_OPERATOR(overlap,
-            "(Tensor pred, Tensor target, Tensor? weight, bool together, float alpha, float beta, float eps, "
+            "(Tensor pred, Tensor target, Tensor? weight, bool micro, float alpha, float beta, float eps, "
             "int ignored, bool ignores) -> (Tensor, Tensor)")
 KV_OPERATOR(overlap_backward,
-            "(Tensor grad, Tensor sums, Tensor pred, Tensor target, Tensor? weight, bool together, float alpha, "
+            "(Tensor grad, Tensor sums, Tensor pred, Tensor target, Tensor? weight, bool micro, float alpha, "
             "float beta, float eps, int ignored, bool ignores) -> Tensor")
 KV_OPERATOR(focal,
             "(Tensor pred, Tensor target, Tensor? weight, float first, float other, float gamma, int ignored, "

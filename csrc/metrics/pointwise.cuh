@@ -34,7 +34,7 @@ template <int P>
 constexpr int kAtOnce = P == 1 ? 4 : 2;
 
 // Calls f(element, x, y) for the elements of a chunk: arrays of P elements, and of one where elements are peeled. If P
-// is not 1, rows are aligned alike.
+// is not 1, rows have the same alignment.
 template <int P, class T, class Call>
 __device__ __forceinline__ void for_each_vector(Pair<T> const& pair, int64_t row, int64_t chunk, Call f) {
   using F = Compute<T>;
@@ -90,7 +90,7 @@ __device__ __forceinline__ void map_chunk(Pair<T> const& pair, int64_t row, int6
   });
 }
 
-// Whether vectors of both tensors, and of a result like them or null, are aligned alike in every row.
+// Whether vectors of both tensors, and of a result like them or null, have the same alignment in every row.
 template <class T>
 bool are_aligned_alike(Pair<T> const& pair, T const* result) {
   auto const view = [&](T const* data, int64_t stride) {

@@ -20,8 +20,8 @@ struct PointMath {
     V const zero{}, shift = x < kSmall ? broadcast<N>(F(30)) : zero;
     V const scaled = x < kSmall ? V(x * kScale) : x;
     V const result = (vlog2<F, N>(scaled) - shift) * F(0.69314718055994530942);
-    V const beyond = x < zero ? broadcast<N>(F(__builtin_nan(""))) : broadcast<N>(-F(__builtin_inf()));
-    return x <= zero ? beyond : result;
+    V const at_most_zero = x < zero ? broadcast<N>(F(__builtin_nan(""))) : broadcast<N>(-F(__builtin_inf()));
+    return x <= zero ? at_most_zero : result;
   }
 };
 

@@ -90,12 +90,12 @@ struct RunningSums {
 template <int M>
 using Rows = float[kRows][M][kLine];
 
-// The sums over the windows around kRows columns; the first one is at line[m][at + Beside], and `at` is a multiple of
+// The sums over the windows around kRows columns; the first one is at line[m][at + Left], and `at` is a multiple of
 // kRows.
-template <int K, int Beside, int M>
+template <int K, int Left, int M>
 __device__ __forceinline__ void sum_across(float const (&line)[M][kLine], int at, float const (&weights)[K],
                                            float (&sums)[M][kRows]) {
-  constexpr int kSkip = (Beside - K / 2) % 4, kFirst = Beside - K / 2 - kSkip;
+  constexpr int kSkip = (Left - K / 2) % 4, kFirst = Left - K / 2 - kSkip;
 #pragma unroll
   for (int m = 0; m < M; ++m)
 #pragma unroll

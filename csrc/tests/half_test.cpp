@@ -1,5 +1,5 @@
-// The 16-bit floats against rounding written down from their definition: every pattern there and back, and float
-// patterns around every rounding boundary.
+// The 16-bit floats against rounding written down from their definition: every pattern to float and back, and floats
+// around every rounding boundary.
 #include "core/half.h"
 
 #include <cmath>

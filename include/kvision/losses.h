@@ -59,7 +59,7 @@ struct FocalLossOptions {
 inline Tensor focal_loss(Tensor const& pred, Tensor const& target, FocalLossOptions const& options = {}) {
   detail::labels("focal_loss", pred, target);
   bool const summed = options.reduction() != Reduction::none;
-  double const factor = detail::share(options.reduction(), pred.numel()), alpha = options.alpha().value_or(0);
+  double const factor = detail::mean_factor(options.reduction(), pred.numel()), alpha = options.alpha().value_or(0);
   Tensor const loss =
       ops::focal(pred.unsqueeze(0), target.unsqueeze(0), detail::class_weights(options.weight(), pred),
                  options.alpha() ? (1 - alpha) * factor : factor, options.alpha() ? alpha * factor : factor,
@@ -82,7 +82,7 @@ inline Tensor binary_focal_loss_with_logits(Tensor const& pred, Tensor const& ta
                                             BinaryFocalLossOptions const& options = {}) {
   detail::same_shape("binary_focal_loss_with_logits", "target", target, pred);
   bool const summed = options.reduction() != Reduction::none, weighted = options.weight() || options.pos_weight();
-  double const factor = detail::share(options.reduction(), pred.numel()), alpha = options.alpha().value_or(0);
+  double const factor = detail::mean_factor(options.reduction(), pred.numel()), alpha = options.alpha().value_or(0);
   std::optional<Tensor> yes, no;
   if (weighted) {
     Tensor const ones = at::ones({pred.size(1)}, pred.options().dtype(detail::computed_type(pred)));
@@ -119,7 +119,7 @@ inline Tensor hausdorff_er_loss(Tensor const& pred, Tensor const& target, double
   Tensor const loss =
       ops::hausdorff(detail::computed(pred, pred), target.select(1, 0), alpha, k, reduction != Reduction::none);
   if (reduction == Reduction::none) return loss.movedim(1, 0).unsqueeze(2).to(pred.scalar_type());
-  return (loss.sum() * detail::share(reduction, pred.numel())).to(pred.scalar_type());
+  return (loss.sum() * detail::mean_factor(reduction, pred.numel())).to(pred.scalar_type());
 }
 
 // --- images
@@ -133,7 +133,7 @@ inline Tensor ssim_loss(Tensor const& img1, Tensor const& img2, int64_t window_s
   int64_t const count = x.size(0) * x.size(1) * (x.size(2) - less) * (x.size(3) - less);
   Tensor const loss =
       ops::ssim_loss(x, y, window_size, 1.5, detail::ssim_constant(0.01, max_val), detail::ssim_constant(0.03, max_val),
-                     eps, detail::ssim_padding(padding), 0.5 * detail::share(reduction, count), 0);
+                     eps, detail::ssim_padding(padding), 0.5 * detail::mean_factor(reduction, count), 0);
   return loss.sum().to(x.scalar_type());
 }
 
@@ -197,8 +197,8 @@ inline Tensor js_div_loss_2d(Tensor const& pred, Tensor const& target, Reduction
 inline Tensor total_variation(Tensor const& img, Reduction reduction = Reduction::sum) {
   Tensor const x = detail::floats(detail::images("total_variation", "img", img));
   int64_t const h = x.size(2), w = x.size(3);
-  return ops::total_variation(x, detail::share(reduction, std::max<int64_t>(1, (h - 1) * w)),
-                              detail::share(reduction, std::max<int64_t>(1, h * (w - 1))))
+  return ops::total_variation(x, detail::mean_factor(reduction, std::max<int64_t>(1, (h - 1) * w)),
+                              detail::mean_factor(reduction, std::max<int64_t>(1, h * (w - 1))))
       .to(x.scalar_type());
 }
 

@@ -19,7 +19,7 @@ inline Tensor pointwise(char const* op, PointLoss kind, Tensor const& x, Tensor 
   same_shape(op, "img2", y, x);
   Tensor const a = x.reshape({1, -1}), b = y.to(x.scalar_type()).reshape({1, -1});
   if (reduction == Reduction::none) return ops::pointwise_loss(a, b, kind).view(x.sizes());
-  return ops::pointwise_sum(a, b, kind, share(reduction, x.numel()), 0)[0].to(x.scalar_type());
+  return ops::pointwise_sum(a, b, kind, mean_factor(reduction, x.numel()), 0)[0].to(x.scalar_type());
 }
 inline Tensor decibels(char const* op, Tensor const& image, Tensor const& target, double max_val, double decibels) {
   same_shape(op, "target", target, image);
@@ -49,8 +49,9 @@ inline Tensor aepe(Tensor const& input, Tensor const& target, Reduction reductio
                     input.sizes());
   detail::same_shape("aepe", "target", target, input);
   Tensor const x = detail::floats(input), y = target.to(x.scalar_type());
-  Tensor const errors = ops::endpoint_error(x.reshape({1, -1, 2}), y.reshape({1, -1, 2}), false,
-                                            reduction != Reduction::none, detail::share(reduction, x.numel() / 2));
+  Tensor const errors =
+      ops::endpoint_error(x.reshape({1, -1, 2}), y.reshape({1, -1, 2}), false, reduction != Reduction::none,
+                          detail::mean_factor(reduction, x.numel() / 2));
   return reduction == Reduction::none ? errors.view(x.sizes().slice(0, x.dim() - 1)) : errors[0].to(x.scalar_type());
 }
 

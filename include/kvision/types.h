@@ -94,7 +94,9 @@ inline Tensor reduced(Tensor const& x, Reduction reduction) {
   return reduction == Reduction::mean ? x.mean() : reduction == Reduction::sum ? x.sum() : x;
 }
 // What terms are multiplied by before they are summed.
-inline double share(Reduction reduction, int64_t count) { return reduction == Reduction::mean ? 1.0 / count : 1.0; }
+inline double mean_factor(Reduction reduction, int64_t count) {
+  return reduction == Reduction::mean ? 1.0 / count : 1.0;
+}
 
 inline std::vector<int64_t> list(at::IntArrayRef x) { return x.vec(); }
 inline std::vector<int64_t> image_size(Tensor const& x) { return x.sizes().slice(2).vec(); }

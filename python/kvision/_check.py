@@ -1,6 +1,6 @@
 """Argument checks. Every message says operator, argument, expected, got; see CONTRIBUTING.md.
 
-Every call pays for them, so what is right passes by plain loops and few attributes; generators, sets and slices of
+Every call pays for them. Valid arguments therefore pass by plain loops and few attributes: generators, sets and slices of
 shapes cost as much as the call of a kernel.
 """
 

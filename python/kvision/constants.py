@@ -54,7 +54,7 @@ class _NamedEnum(Enum):
 
 
 class Resample(_NamedEnum):
-    """How a picture is interpolated.
+    """How an image is interpolated.
 
     Example:
         >>> import kvision as K
@@ -70,7 +70,7 @@ class Resample(_NamedEnum):
 
 
 class BorderType(_NamedEnum):
-    """Where a filter takes the pixels outside the picture from.
+    """Where a filter takes the pixels outside the image from.
 
     Example:
         >>> import kvision as K
@@ -85,7 +85,7 @@ class BorderType(_NamedEnum):
 
 
 class SamplePadding(_NamedEnum):
-    """What a warp reads outside the picture; FILL is a constant color.
+    """What a warp reads outside the image; FILL is a constant color.
 
     Example:
         >>> import kvision as K

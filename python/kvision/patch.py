@@ -1,4 +1,4 @@
-"""`patch_kornia`: kvision's functions and modules in place of Kornia's, in a program that stays with Kornia."""
+"""`patch_kornia`: kvision's functions and modules instead of Kornia's, in a program that stays with Kornia."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class KorniaPatch:
 
 
 def patch_kornia(include_different: bool = False) -> KorniaPatch:
-    """Let kvision's functions and modules take the place of Kornia's of the same names, everywhere in Kornia.
+    """Let kvision's functions and modules replace Kornia's of the same names, everywhere in Kornia.
 
     Every loaded module of Kornia that holds such a function or class gets kvision's, so that Kornia's augmentations and
     losses compute with kvision, too. Names that a program has imported from Kornia before stay Kornia's: patch first, or
@@ -171,7 +171,7 @@ def _is_from(value: Any, library: str) -> bool:
 
 
 def _incompatible(theirs: Any, ours: Any) -> str:
-    """Why kvision's cannot take the place of Kornia's; empty if it can."""
+    """Why kvision's cannot replace Kornia's; empty if it can."""
     if inspect.isclass(theirs) and "forward" not in {
         name for c in theirs.__mro__ if c is not nn.Module for name in vars(c)
     }:
@@ -265,7 +265,7 @@ def _substitute(values: Mapping[int, Any]) -> list[tuple[dict[str, Any], str, An
 
     Returns where: namespace, name, value before, value after.
     """
-    places = []
+    replacements = []
     for module_name, module in list(sys.modules.items()):
         if isinstance(module, ModuleType) and module_name.partition(".")[0] == "kornia":
             namespace = vars(module)
@@ -273,8 +273,8 @@ def _substitute(values: Mapping[int, Any]) -> list[tuple[dict[str, Any], str, An
                 new = _substituted(value, values)
                 if new is not value:
                     namespace[name] = new
-                    places.append((namespace, name, value, new))
-    return places
+                    replacements.append((namespace, name, value, new))
+    return replacements
 
 
 def _substituted(value: Any, values: Mapping[int, Any]) -> Any:

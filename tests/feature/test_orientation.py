@@ -164,7 +164,7 @@ class TestSeveralOrientations(SquarePatchTests):
 
     function = staticmethod(dominant_orientations)
     operators = ("orientation", "orientation_backward")
-    variants = [{"count": 2}, {"count": 3, "share": 0.2}]
+    variants = [{"count": 2}, {"count": 3, "threshold": 0.2}]
     tolerances = {torch.float32: (1e-4, 5e-5), torch.float16: (1e-2, 1e-2)}
 
     def input(self, shape, dtype, device):
@@ -180,7 +180,7 @@ class TestSeveralOrientations(SquarePatchTests):
     test_patches_of_another_size = None  # they say which size they have
 
     def test_two_directions(self, device):
-        """The second peak counts where it has a share of the first one; the first angle is that of the module."""
+        """The second peak counts where it is at least `threshold` times the first one; the first angle is that of the module."""
         n = 32
         x = torch.arange(n, dtype=torch.float64, device=device) - (n - 1) / 2
         right, down = x.expand(n, n), x[:, None].expand(n, n)

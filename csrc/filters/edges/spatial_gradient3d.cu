@@ -1,4 +1,5 @@
-// Derivatives of a volume on CUDA: one thread a voxel and all its channels; neighbors are read through the L1 cache.
+// Derivatives of a volume on CUDA: one thread for each voxel and all its channels; neighbors are read through the L1
+// cache.
 #include "core/launch.cuh"
 #include "spatial_gradient3d.h"
 

@@ -31,7 +31,7 @@ struct Reprojection {
     u = (ray(0, x, y) * d + m[3]) * scale;
     v = (ray(1, x, y) * d + m[7]) * scale;
   }
-  // Turns the gradient to (u, v) into that to (U, V, W), 0 if it is not finite, and returns the gradient to d.
+  // Converts the gradient to (u, v) into that to (U, V, W), 0 if it is not finite, and returns the gradient to d.
   template <class V>
   KV_HD V vjp(V x, F y, V u, V v, V scale, V to_u, V to_v, V (&g)[3]) const {
     g[0] = to_u * scale;

@@ -214,13 +214,13 @@ struct DecomposeProjection : VectorInput<12, 7, 3> {
     V const f = unit(c, zero, c, zero, c, third), e = dot3(b, third), d = unit(b, e, third, zero, third, second);
     V const m = dot3(a, second), n = dot3(a, third), h = unit(a, m, second, n, third, first);
     cross3(first, second, across);
-    V const turn = select(dot3(across, third) < 0., constant<V>(-1), constant<V>(1));
+    V const sign = select(dot3(across, third) < 0., constant<V>(-1), constant<V>(1));
     V const K[] = {h, m, n, zero, d, e, zero, zero, f};
     for (int i = 0; i < 9; ++i) y[i] = K[i];
-    for (int i = 0; i < 3; ++i) y[9 + i] = first[i] * turn, y[12 + i] = second[i] * turn, y[15 + i] = third[i] * turn;
-    y[20] = c[3] * turn / f;
-    y[19] = (b[3] * turn - e * y[20]) / d;
-    y[18] = (a[3] * turn - m * y[19] - n * y[20]) / h;
+    for (int i = 0; i < 3; ++i) y[9 + i] = first[i] * sign, y[12 + i] = second[i] * sign, y[15 + i] = third[i] * sign;
+    y[20] = c[3] * sign / f;
+    y[19] = (b[3] * sign - e * y[20]) / d;
+    y[18] = (a[3] * sign - m * y[19] - n * y[20]) / h;
   }
 };
 

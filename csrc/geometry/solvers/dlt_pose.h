@@ -5,7 +5,7 @@
 
 namespace kv::geometry::dlt_models {
 
-// Turns a camera (3, 4) of any scale and sign into a pose: the columns of the rotation are made orthogonal one after
+// Converts a camera (3, 4) of any scale and sign into a pose: the columns of the rotation are made orthogonal one after
 // the other.
 struct GramSchmidt {
   double sign, size, along, second_size;

@@ -88,7 +88,7 @@ struct Calibration {
     p[1] = (p[1] * k(8) - k(5)) / k(4);
     p[0] = (p[0] * k(8) - k(2) - k(1) * p[1]) / k(0);
   }
-  // Turns the gradient g to (x, y) into that to the pixel p, and adds that to K's six entries to `sums`.
+  // Converts the gradient g to (x, y) into that to the pixel p, and adds that to K's six entries to `sums`.
   KV_HD void vjp(double const* p, double const* xy, double* g, double* sums) const {
     double const grad_u = g[0] / k(0), grad_v = (g[1] - grad_u * k(1)) / k(4);
     sums[0] -= grad_u * xy[0], sums[1] -= grad_u * xy[1], sums[2] -= grad_u;
@@ -202,7 +202,7 @@ struct Problem {
       for (int k = 0; k < D; ++k) m[k] = image1.scale * h[k], m[D] -= m[k] * image1.mean[k];
     }
   }
-  // Turns the gradient g to h T1 into that to h, in place, and adds to the gradient of the first image.
+  // Converts the gradient g to h T1 into that to h, in place, and adds to the gradient of the first image.
   KV_HD void denormalize_right_vjp(double const* h, double* g, ImageGradients<D>& grad_image1) const {
     for (int r = 0; r < 3; ++r, h += kColumns, g += kColumns)
       for (int k = 0; k < D; ++k) {

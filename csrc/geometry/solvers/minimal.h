@@ -25,7 +25,7 @@ KV_HD int sample_size(Model m) {
 KV_HD int candidates(Model m) { return m == Model::essential ? 10 : m == Model::fundamental ? 3 : 1; }
 
 // With `draws`, (S, m + 1), the points are (1, N, .). Each row of draws has m numbers in [0, 1), which select a sample
-// among the first points; the last number of the row says how many first points. Without draws, sample s is the points
+// among the first points; the last number of the row says how many. Without draws, sample s is the points
 // (s, m, .) of (S, m, .).
 template <class T>
 struct Minimal {

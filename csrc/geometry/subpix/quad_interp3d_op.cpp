@@ -70,9 +70,9 @@ Tensor conv_quad_interp3d_backward(Tensor const& grad_coords, Tensor const& grad
   check_sizes(op, "grad_coords", grad_coords, x, {batch, x.size(1), 3, x.size(2), x.size(3), x.size(4)});
   check_sizes(op, "grad_values", grad_values, x, {batch, x.size(1), x.size(2), x.size(3), x.size(4)});
   Tensor const to_coords = expand_batch(grad_coords, batch), to_values = expand_batch(grad_values, batch);
-  bool const wide = x.scalar_type() == ScalarType::Double;
+  bool const is_double = x.scalar_type() == ScalarType::Double;
   Tensor const grad_x = empty({x.size(0), x.size(1), x.size(2), x.size(3), x.size(4)}, x, Layout::planar,
-                              wide ? ScalarType::Double : ScalarType::Float);
+                              is_double ? ScalarType::Double : ScalarType::Float);
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     ConvQuadInterp3dBackward<T> const params{peaks.of<T>(nullptr, nullptr), data_ptr<T const>(to_coords),

@@ -81,9 +81,9 @@ Tensor soft_argmax_backward(Tensor const& grad_coords, Tensor const& grad_values
 #else
   bool const one_pass = false;
 #endif
-  bool const wide = x.scalar_type() == ScalarType::Double;
+  bool const is_double = x.scalar_type() == ScalarType::Double;
   Tensor const records = empty({one_pass ? 0 : kRecord, w.volumes, w.coords()}, x, Layout::planar,
-                               wide ? ScalarType::Double : ScalarType::Float);
+                               is_double ? ScalarType::Double : ScalarType::Float);
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     SoftArgmaxBackward<T> params{w,

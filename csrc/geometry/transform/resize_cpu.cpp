@@ -69,16 +69,16 @@ struct ColumnBands {
         weights(groups * taps * N) {
     for (int64_t i = 0; i < groups * taps * N; ++i) weights.data[i] = 0;
     for (int64_t g = 0; g < groups; ++g) {
-      int64_t firsts[N], least = INT64_MAX;
+      int64_t firsts[N], lowest = INT64_MAX;
       for (int i = 0; i < N; ++i) {
         int64_t const e = start(g) + i, x = e / step;
         firsts[i] = write_weights(weights.data + g * taps * N + i, N, axis, x).first * step + e - x * step;
-        least = min(least, firsts[i]);
+        lowest = min(lowest, firsts[i]);
       }
-      from.data[g] = least;
+      from.data[g] = lowest;
       for (int i = 0; i < N; ++i) {
-        distances.data[g * N + i] = Int(firsts[i] - least);
-        spread = max(spread, int(firsts[i] - least));
+        distances.data[g * N + i] = Int(firsts[i] - lowest);
+        spread = max(spread, int(firsts[i] - lowest));
       }
     }
   }
@@ -145,9 +145,9 @@ void resize_rows(Resize<T> const& p, int64_t begin, int64_t end) {
   int64_t const step = p.x.step, size = p.x.row_size(), height = p.y.height;
   RowBands<F> const rows(p.rows, height, begin, min(height, end - begin));
   ColumnBands<F, N> const columns(p.columns, p.y.row_size(), step);
-  int64_t const beyond = columns.taps * step + 2 * N;  // a band may be shorter than most of them are
-  Scratch<F> line(size + beyond);
-  for (int64_t e = size; e < size + beyond; ++e) line.data[e] = 0;
+  int64_t const margin = columns.taps * step + 2 * N;  // a band may be shorter than most of them are
+  Scratch<F> line(size + margin);
+  for (int64_t e = size; e < size + margin; ++e) line.data[e] = 0;
 
   auto const write_with = [&](T* out, T const* minuend, auto vectors) {
     constexpr int M = decltype(vectors)::value;

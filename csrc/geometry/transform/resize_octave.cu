@@ -138,7 +138,7 @@ __global__ void __launch_bounds__(32 * kWarps)
     for (int k = 0; k < M; ++k) weights_x[p][k] = from[k];
   }
 
-  float along_x[2 * R + 1][P] = {};  // of the rows around row i, in whose place two are written
+  float along_x[2 * R + 1][P] = {};  // of the rows around row i, which becomes two rows
   T* out = y.row(plane, 2 * top) + 2 * column;
 #pragma unroll 1
   for (int i = top - 2 * R; i < bottom; ++i) {

@@ -80,13 +80,13 @@ void sample_chunk(Sample<T> const& p, CoordRow<Compute<T>> const& coords, int64_
     Value<K, N, T> value;
     value.set(p, load<N>(coords.u + e), load<N>(coords.v + e));
     for (int c = 0; c < p.x.channels; ++c) {
-      auto const found = value.at(p, planes + c * p.x.channel_stride, p.fill_value(b, c));
+      auto const sampled = value.at(p, planes + c * p.x.channel_stride, p.fill_value(b, c));
       T* const out = row + c * p.y.channel_stride + e * p.y.step;
       __builtin_prefetch(out + p.y.row_stride, 1);
       if (N == 1 || p.y.step == 1) {
-        store<N>(out, found);
+        store<N>(out, sampled);
       } else if constexpr (N > 1) {
-        for (int n = 0; n < N; ++n) store<1>(out + n * p.y.step, found[n]);
+        for (int n = 0; n < N; ++n) store<1>(out + n * p.y.step, sampled[n]);
       }
     }
   }
@@ -191,16 +191,16 @@ struct ColumnTaps {
   ColumnTaps(Sample<T> const& p, Homography<double> const& map)
       : groups((p.y.width + N - 1) / N), from(groups), offset(groups * N), t(groups * N) {
     for (int64_t g = 0; g < groups; ++g) {
-      int least = INT32_MAX, most = INT32_MIN;
+      int lowest = INT32_MAX, highest = INT32_MIN;
       for (int i = 0; i < N; ++i) {
         TapPair const taps(p.x_axis, double(start(g, p.y.width) + i) * map.m[0] + map.m[2]);
         t.data[g * N + i] = taps.t;
         offset.data[g * N + i] = taps.first + kMargin;
-        least = min(least, taps.first + kMargin), most = max(most, taps.first + kMargin);
+        lowest = min(lowest, taps.first + kMargin), highest = max(highest, taps.first + kMargin);
       }
-      from.data[g] = least;
-      for (int i = 0; i < N; ++i) offset.data[g * N + i] -= least;
-      spread = max(spread, most - least);
+      from.data[g] = lowest;
+      for (int i = 0; i < N; ++i) offset.data[g * N + i] -= lowest;
+      spread = max(spread, highest - lowest);
     }
   }
   KV_HD static int64_t start(int64_t group, int64_t width) { return min(group * N, width - N); }

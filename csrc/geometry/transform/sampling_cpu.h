@@ -1,5 +1,5 @@
-// Chunks of rows of sampling coordinates, and windows of taps, on the CPU. Included by sampling*_cpu.cpp, inside of no
-// namespace.
+// Chunks of rows of sampling coordinates, and windows of taps, on the CPU. Included by sampling*_cpu.cpp, outside of
+// namespaces.
 #pragma once
 
 #include "core/iota.h"
@@ -11,7 +11,7 @@ namespace {
 
 // --- sampling coordinates --------------------------------------------------------------------------------------------
 
-// Calls piece(sample, y, first column, columns) for rows [begin, end) of a batch, in tiles. A row of a rotated
+// Calls body(sample, y, first column, columns) for rows [begin, end) of a batch, in tiles. A row of a rotated
 // image reads from many rows of its source, and the next row reads them again. Without tiles, long rows would read more
 // than the caches hold.
 constexpr int64_t kTileRows = 32, kTileColumns = 128;
@@ -146,7 +146,7 @@ KV_HD Lanes<Compute<T>, N> gather(T const* p, At const& at) {
   }
 }
 
-// p[at] and p[at + step]. Of pixels beside each other both come in one access; what serves others is kept away from
+// p[at] and p[at + step]. Adjacent pixels come in one access; what serves others is kept away from
 // it, or its addresses would take the registers.
 template <int N, class T, class At, class V>
 [[gnu::noinline]] void gather_apart(T const* p, At const& at, int64_t step, V& a, V& b) {

@@ -145,10 +145,10 @@ Tensor image_gradient(char const* op, Tensor const& grad, BatchSize const& batch
     dispatch_compute_dtype(op, grad, [&](auto type) { run(type, grad, grad_x, grad_x); });
     return grad_x;
   }
-  Tensor wide = empty(grad.sizes(), grad, layout_of(grad), ScalarType::Float);
+  Tensor promoted = empty(grad.sizes(), grad, layout_of(grad), ScalarType::Float);
   Tensor const sums = empty(sizes, grad, Layout::planar, ScalarType::Float);
-  torch::stable::copy_(wide, grad);
-  dispatch_compute_dtype(op, wide, [&](auto type) { run(type, wide, sums, sums); });
+  torch::stable::copy_(promoted, grad);
+  dispatch_compute_dtype(op, promoted, [&](auto type) { run(type, promoted, sums, sums); });
   return torch::stable::copy_(grad_x, sums);
 #endif
 }

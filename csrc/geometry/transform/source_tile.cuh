@@ -265,7 +265,7 @@ struct SourceTile {
                                                Axis<F> const& y_axis, Fill fill) const {
     int const column = threadIdx.x % kColumns * kVectorSize, from = left + column;
     bool const within = from >= 0 && from + kVectorSize <= x_axis.size;
-    bool const filled = y_axis.padding == Padding::fill, beside = from + kVectorSize <= 0 || from >= x_axis.size;
+    bool const filled = y_axis.padding == Padding::fill, outside = from + kVectorSize <= 0 || from >= x_axis.size;
     int const row_stride = int(x.row_stride), step = int(x.step);  // a plane has less than 2^31 elements
     T const* planes[N];
 #pragma unroll
@@ -293,7 +293,7 @@ struct SourceTile {
           int const at = y * row_stride + from;
 #pragma unroll
           for (int k = 0; k < N; ++k) __pipeline_memcpy_async(to + k * kSize, planes[k] + at, 16);
-        } else if (filled && (beside || !exists)) {
+        } else if (filled && (outside || !exists)) {
 #pragma unroll
           for (int k = 0; k < N; ++k) {
             Vector<T, kVectorSize> vector;

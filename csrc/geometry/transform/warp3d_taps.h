@@ -1,4 +1,4 @@
-// The taps of sampling coordinates in a volume. Included by warp3d_cpu.cpp, inside of no namespace, and by warp3d.cu.
+// The taps of sampling coordinates in a volume. Included by warp3d_cpu.cpp, outside of namespaces, and by warp3d.cu.
 #pragma once
 
 #include "geometry/transform/taps.h"

@@ -11,13 +11,13 @@ inline constexpr auto color_gradients = [](Backward const& b) -> variable_list {
   c10::IValue const means = b.results.empty() ? c10::IValue() : c10::IValue(b.results[0]);
   bool needs_parameters = false;
   for (size_t i = 1; i <= 6; ++i) needs_parameters = needs_parameters || b.needs(i);
-  auto const found = b.call("color_program_backward",
+  auto const grads = b.call("color_program_backward",
                             {{"means", means}, {"of_image", b.needs(0)}, {"of_parameters", needs_parameters}});
-  variable_list gradients{found[0]};
+  variable_list gradients{grads[0]};
   int64_t first = 0;
   for (size_t i = 1; i <= 6; ++i) {
     int64_t const columns = b.tensor(i).defined() ? b.tensor(i).size(2) : 0;
-    gradients.push_back(b.needs(i) ? found[1].narrow(2, first, columns) : Tensor());
+    gradients.push_back(b.needs(i) ? grads[1].narrow(2, first, columns) : Tensor());
     first += columns;
   }
   return gradients;

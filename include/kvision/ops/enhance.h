@@ -33,7 +33,7 @@ inline constexpr Operator<"histogram", Tensor(Tensor x, Tensor centers, Tensor b
 inline constexpr Operator<"image_histogram2d", Tensor(Tensor x, double low, double width, int64_t bins, int64_t kernel)>
     image_histogram2d{from<"image_histogram2d_backward">};
 
-// alpha input + beta other + gamma, by weights (B, C, 1) or by the numbers a, b and c in their places.
+// alpha input + beta other + gamma, by weights (B, C, 1) or by the numbers a, b and c instead.
 inline constexpr Operator<"add_weighted", Tensor(Tensor input, Tensor other, OptionalTensor alpha, OptionalTensor beta,
                                                  OptionalTensor gamma, double a, double b, double c)>
     add_weighted{[](Backward const& b) -> variable_list {

@@ -55,7 +55,8 @@ inline constexpr Operator<"sample_patches", Tensor(Tensor pyramid, Tensor laf, I
 inline constexpr Operator<"sift",
                           Tensor(Tensor patches, int64_t angular_bins, int64_t spatial_bins, double clip, bool root)>
     sift{from<"sift_backward">};
-inline constexpr Operator<"orientation", Tensor(Tensor patches, int64_t bins, double eps, int64_t peaks, double share)>
+inline constexpr Operator<"orientation",
+                          Tensor(Tensor patches, int64_t bins, double eps, int64_t peaks, double threshold)>
     orientation{from<"orientation_backward">};
 inline constexpr Operator<"affine_shape", Tensor(Tensor patches, double eps)> affine_shape{
     from<"affine_shape_backward">};

@@ -37,7 +37,7 @@ inline constexpr int64_t kPyrDown = 6, kPyrUp = 7;  // filters of resize; the ot
 
 namespace detail {
 
-// To the fill of what is outside: the share of each pixel that is not inside of the image.
+// To the fill of what is outside: the fraction of each pixel that is outside of the image.
 template <class Inside>
 Tensor to_fill(Backward const& b, Tensor const& fill, Inside const& inside) {
   Tensor const x = b.tensor(0), weights = inside(x.new_ones({1, 1, x.size(2), x.size(3)}));
@@ -391,7 +391,7 @@ inline constexpr Operator<"euler_from_quaternion", Tensor(Tensor w, Tensor x, Te
     euler_from_quaternion{side_by_side};
 inline constexpr Operator<"affine_matrix2d",
                           Tensor(Tensor degrees, OptionalTensor translation, OptionalTensor scale,
-                                 OptionalTensor shear_x, OptionalTensor shear_y, OptionalTensor center, double turn,
+                                 OptionalTensor shear_x, OptionalTensor shear_y, OptionalTensor center, double sign,
                                  double x, double y, int64_t rows)>
     affine_matrix2d{side_by_side};
 inline constexpr Operator<"translation_matrix2d", Tensor(Tensor translation, double x, double y, int64_t rows)>
@@ -408,7 +408,7 @@ inline constexpr Operator<"invert_affine2d", Tensor(Tensor matrix)> invert_affin
 inline constexpr Operator<"affine_matrix3d",
                           Tensor(Tensor x, Tensor y, Tensor z, OptionalTensor translation, OptionalTensor scale,
                                  OptionalTensor center, OptionalTensor xy, OptionalTensor xz, OptionalTensor yx,
-                                 OptionalTensor yz, OptionalTensor zx, OptionalTensor zy, double turn, double center_x,
+                                 OptionalTensor yz, OptionalTensor zx, OptionalTensor zy, double sign, double center_x,
                                  double center_y, double center_z, int64_t rows)>
     affine_matrix3d{side_by_side};
 inline constexpr Operator<"shear_matrix3d",

@@ -5,7 +5,7 @@
 
 namespace kvision::ops {
 
-inline constexpr Operator<"overlap", Two(Tensor pred, Tensor target, OptionalTensor weight, bool together, double alpha,
+inline constexpr Operator<"overlap", Two(Tensor pred, Tensor target, OptionalTensor weight, bool micro, double alpha,
                                          double beta, double eps, int64_t ignored, bool ignores)>
     overlap{from<"overlap_backward", 1>};
 inline constexpr Operator<"focal", Tensor(Tensor pred, Tensor target, OptionalTensor weight, double first, double other,

@@ -133,15 +133,15 @@ struct Function : torch::autograd::Function<Function> {
     };
     variable_list const gradients = call.rule.gradients(
         {call.op, std::move(grads), std::move(arguments), {saved.begin() + count, saved.end()}, call.sizes, needs});
-    variable_list found(count + 1);  // the call itself has none
+    variable_list of_tensors(count + 1);  // the call itself has none
     for (size_t k = 0; k < count; ++k) {
       size_t const i = call.tensors[k];
       if (!ctx->needs_input_grad(k)) continue;
       TORCH_CHECK_NOT_IMPLEMENTED(i < gradients.size(), name_of(call.op), ": C++ has no gradient to ",
                                   call.op.schema().arguments()[i].name(), "; Python's kvision has");
-      found[k] = gradients[i];
+      of_tensors[k] = gradients[i];
     }
-    return found;
+    return of_tensors;
   }
 };
 

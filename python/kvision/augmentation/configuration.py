@@ -1,4 +1,4 @@
-"""What calls of the same settings and sizes share: it is computed once and kept until a setting changes."""
+"""Plans that calls with the same settings and sizes share: computed once and kept until a setting changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rectangles of images that become a value."""
+"""Sets rectangles of images to a value."""
 
 from __future__ import annotations
 

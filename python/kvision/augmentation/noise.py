@@ -1,4 +1,4 @@
-"""Noise of images as a function of keys, samples and pixels: drawn where it is used, and the same wherever that is.
+"""Noise of images as a function of keys, samples and pixels. Kernels draw it where they use it, with the same values everywhere.
 
 The words of a pixel are those of the draw's block at `c * ceil(H * W / 4) + (y * W + x) // 4`, by the generator of
 `draws`; c is 0 where all channels share the words of a pixel.

@@ -294,11 +294,11 @@ def _run_by_order(
     stored = dtype or x.dtype
     computed = _promoted_dtype(x.dtype, stored)
     around = [order == i for i, step in enumerate(steps) if step == CONTRAST]
-    turn = torch.stack(around).any(0).long().cumsum(1)  # number of means up to each position
+    means_so_far = torch.stack(around).any(0).long().cumsum(1)  # number of means up to each position
     for k in range(1, contrasts):
-        here = turn <= 1 if k == 1 else turn == k
+        here = means_so_far <= 1 if k == 1 else means_so_far == k
         x = _run(x, steps, parameters, torch.where(here, order, -1), computed)
-    return _run(x, steps, parameters, torch.where(turn >= contrasts, order, -1), stored, layout)
+    return _run(x, steps, parameters, torch.where(means_so_far >= contrasts, order, -1), stored, layout)
 
 
 def _run_in_two(

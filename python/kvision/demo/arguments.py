@@ -1,4 +1,4 @@
-"""What the examples take on their command lines; whatever cannot be had ends a program in one line."""
+"""The command lines of the examples. A missing input ends a program with a message of one line."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def recomputed(f: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
     return f(*tensors) if torch.compiler.is_compiling() or is_tracing() else _Recomputed.apply(f, *tensors)
 
 
-def pieces(pixels: int, bins: int) -> int:
+def count_chunks(pixels: int, bins: int) -> int:
     """The number of chunks of pixels; a chunk times the bins has at most the size of a few images."""
     return max(min(pixels, bins // 8), 1)
 
@@ -68,22 +68,22 @@ def kernel_counts(x: Tensor, centers: Tensor, bandwidth: Tensor, kernel: str) ->
     centers, bandwidth = centers[None], bandwidth.reshape(1)
     if kernel == "gaussian":
         return _histogram(x, centers, bandwidth)
-    return _counts_in_pieces(_KERNELS[kernel], x, centers, bandwidth)
+    return _counts_in_chunks(_KERNELS[kernel], x, centers, bandwidth)
 
 
-def _counts_in_pieces(shape: Callable[[Tensor], Tensor], x: Tensor, centers: Tensor, bandwidth: Tensor) -> Tensor:
+def _counts_in_chunks(shape: Callable[[Tensor], Tensor], x: Tensor, centers: Tensor, bandwidth: Tensor) -> Tensor:
     """Compute kernel_counts with centers (N, K) or (1, K) and bandwidths (N,) or (1,)."""
 
     def counts(x: Tensor, centers: Tensor, bandwidth: Tensor) -> Tensor:
         return shape((x[:, None] - centers[..., None]).abs() / bandwidth[:, None, None]).sum(2)
 
     x = torch.where(x.isnan(), torch.finfo(x.dtype).max ** 0.5, x)  # out of reach of every center
-    parts = x.chunk(pieces(x.shape[1], centers.shape[1]), 1)
+    parts = x.chunk(count_chunks(x.shape[1], centers.shape[1]), 1)
     return _total([recomputed(counts, part, centers, bandwidth) for part in parts])
 
 
 def _reference(x: Tensor, centers: Tensor, bandwidth: Tensor) -> Tensor:
-    return _counts_in_pieces(_KERNELS["gaussian"], x, centers, bandwidth)
+    return _counts_in_chunks(_KERNELS["gaussian"], x, centers, bandwidth)
 
 
 _histogram_backward = register("histogram_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape)
@@ -112,7 +112,7 @@ def joint_counts(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor) -> Ten
         k1, k2 = (gaussian((x[:, None] - bins[:, None]) / bandwidth) for x in (x1, x2))
         return k1 @ k2.mT
 
-    n = pieces(x1.shape[1], bins.shape[0])
+    n = count_chunks(x1.shape[1], bins.shape[0])
     return _total([recomputed(counts, a, b, bins, bandwidth) for a, b in zip(x1.chunk(n, 1), x2.chunk(n, 1))])
 
 

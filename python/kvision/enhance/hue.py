@@ -19,15 +19,15 @@ _TURN = 2 * math.pi
 def _reference(x: Tensor, angle: float | Tensor) -> Tensor:
     highest = x.amax(1)
     chroma = highest - x.amin(1)
-    turned = hue(x, highest, chroma)[:, None] + angle
-    return highest[:, None] - chroma[:, None] * lack(turned[:, 0])
+    rotated = hue(x, highest, chroma)[:, None] + angle
+    return highest[:, None] - chroma[:, None] * lack(rotated[:, 0])
 
 
 def _in_hsv(x: Tensor, angle: float | Tensor) -> Tensor:
     h, s, v = x.split(1, 1)
-    turned = torch.remainder(h + angle, _TURN)
-    turned = torch.where(turned < _TURN, turned, turned - _TURN)  # a tiny negative hue is rounded up to a whole turn
-    return torch.cat([turned, s, v], 1)
+    rotated = torch.remainder(h + angle, _TURN)
+    rotated = torch.where(rotated < _TURN, rotated, rotated - _TURN)  # a tiny negative hue is rounded up to a whole turn
+    return torch.cat([rotated, s, v], 1)
 
 
 _adjust_hue = step("hue", _reference)

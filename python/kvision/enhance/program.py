@@ -51,7 +51,7 @@ class ColorProgram(nn.Module):
         ("shift", shift)            x + shift, clamped: adjust_brightness
         ("contrast", factor)        away from the mean gray: adjust_contrast_with_mean_subtraction
         ("saturation", factor)      away from the gray: adjust_saturation_with_gray_subtraction
-        ("hue", angle)              turned by an angle in radians: adjust_hue
+        ("hue", angle)              rotated by an angle in radians: adjust_hue
         ("gamma", gamma)            x ** gamma: adjust_gamma
         ("solarize", threshold)     1 - x from the threshold on: solarize
         ("posterize", bits)         the high bits of the levels: posterize

@@ -29,12 +29,12 @@ _SMOOTHING = (0.29962780949740747, 0.2311235920177775, 0.11906250323351877)  # o
 # --- the operator ---------------------------------------------------------------------------------------------------
 
 
-def _reference(patches: Tensor, bins: int, eps: float, peaks: int, share: float) -> Tensor:
+def _reference(patches: Tensor, bins: int, eps: float, peaks: int, threshold: float) -> Tensor:
     n = patches.shape[-1]
     magnitude, angle = to_polar(*patch_gradients(patches, sobel=True), eps)
     window = centered_gaussian(n, n / 6, patches)
     votes = angular_votes(magnitude * torch.outer(window, window), angle, bins, bins / 2)
-    return math.pi - 2 * math.pi / bins * _peaks(votes.flatten(2).sum(2), peaks, share)
+    return math.pi - 2 * math.pi / bins * _peaks(votes.flatten(2).sum(2), peaks, threshold)
 
 
 def peak_of(histogram: Tensor) -> Tensor:
@@ -42,8 +42,8 @@ def peak_of(histogram: Tensor) -> Tensor:
     return _peaks(histogram, 1, 1.0)[:, 0]
 
 
-def _peaks(histogram: Tensor, count: int, share: float) -> Tensor:
-    """The positions (B, count) of the largest bin and of the next local maxima of at least its share.
+def _peaks(histogram: Tensor, count: int, threshold: float) -> Tensor:
+    """The positions (B, count) of the largest bin and of the next local maxima of at least `threshold` times that.
 
     Where there are fewer, the first is repeated.
     """
@@ -54,7 +54,7 @@ def _peaks(histogram: Tensor, count: int, share: float) -> Tensor:
         smoothed = smoothed + _SMOOTHING[distance] * both
     values = smoothed.detach()
     first = values.argmax(1, keepdim=True)
-    is_peak = (values > values.roll(1, 1)) & (values >= values.roll(-1, 1)) & (values >= share * values.amax(1, True))
+    is_peak = (values > values.roll(1, 1)) & (values >= values.roll(-1, 1)) & (values >= threshold * values.amax(1, True))
     ranked, index = (
         torch.where(is_peak, values, -1).scatter(1, first, math.inf).sort(dim=1, descending=True, stable=True)
     )
@@ -82,7 +82,7 @@ def _backward(needs, grad, *args):
 _orientation = register(
     "orientation",
     _reference,
-    fake=lambda patches, bins, eps, peaks, share: (patches.shape[0], peaks),
+    fake=lambda patches, bins, eps, peaks, threshold: (patches.shape[0], peaks),
     backward=_backward,
     supports=_supports,
 )
@@ -95,16 +95,16 @@ _orientation_backward = register(
 )
 
 
-def dominant_orientations(patches: Tensor, count: int, bins: int = 36, eps: float = 1e-8, share: float = 0.8) -> Tensor:
+def dominant_orientations(patches: Tensor, count: int, bins: int = 36, eps: float = 1e-8, threshold: float = 0.8) -> Tensor:
     """The angles (B, count) in radians of the largest peaks of the histograms of patches (B, 1, n, n).
 
-    The first is that of :class:`PatchDominantGradientOrientation`. The others have at least `share` of its bin; where
+    The first is that of :class:`PatchDominantGradientOrientation`. The others have at least `threshold` times its bin; where
     there are fewer peaks, the first angle is repeated.
     """
     op = "dominant_orientations"
     _check.images(op, "patches", patches)
     x = check_patches(op, "patches", patches, patches.shape[3])
-    return _orientation(x, bins, eps, count, share)
+    return _orientation(x, bins, eps, count, threshold)
 
 
 # --- modules --------------------------------------------------------------------------------------------------------

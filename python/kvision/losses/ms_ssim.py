@@ -73,7 +73,7 @@ class MS_SSIMLoss(FunctionModule):
         sigmas: standard deviations of the windows, in pixels.
         data_range: largest value that there can be, above 0.
         K: the constants of the similarity, which are (K * data_range)^2.
-        alpha: share of the similarity.
+        alpha: weight of the similarity.
         compensation: factor of the loss.
         reduction: 'none', 'mean' or 'sum'.
 

@@ -18,7 +18,7 @@ def _reference(
     pred: Tensor,
     target: Tensor,
     weight: Tensor | None,
-    together: bool,
+    micro: bool,
     alpha: float,
     beta: float,
     eps: float,
@@ -34,7 +34,7 @@ def _reference(
     sums = _sums(pred, target, ignored if ignores else None)
     weight = sums.new_ones(1, pred.shape[2]) if weight is None else weight
     weight = weight[:, None].expand(*sums.shape[:2], -1)
-    if together:
+    if micro:
         scores = _score((sums * weight[:, :, None]).sum(3), alpha, beta, eps)
     else:
         weight = torch.where(sums[:, :, 2] == 0, 0, weight)  # classes that do not occur in a sample
@@ -104,13 +104,13 @@ def _loss(
     pred: Tensor,
     target: Tensor,
     weight: Tensor | None,
-    together: bool,
+    micro: bool,
     alpha: float,
     beta: float,
     eps: float,
     ignore_index: int | None,
 ) -> Tensor:
-    terms = (together, alpha, beta, eps, *as_arguments(ignore_index))
+    terms = (micro, alpha, beta, eps, *as_arguments(ignore_index))
     return as_dtype(_overlap(pred[None], target[None], weight, *terms)[0].squeeze(), pred.dtype)
 
 
@@ -127,7 +127,7 @@ def dice_loss(
     Args:
         pred: logits (B, C, H, W).
         target: labels (B, H, W) in [0, C), int64. Another label makes the loss NaN, as labels are not read on the host.
-        average: 'micro' takes all classes of a sample together, 'macro' is the mean over the classes that its labels
+        average: 'micro' sums over all classes of a sample first, 'macro' is the mean over the classes that its labels
             have, and 1 where they have none.
         eps: added to the divisor.
         weight: factors of the classes (C,).

@@ -86,7 +86,7 @@ def l1_ssim_loss(
         img1: image (B, C, H, W); integers are computed in float32.
         img2: image of the same shape; the gradient goes to both.
         window_size: size of the similarity's window, odd; reflected at the border.
-        ssim_weight: share of the similarity.
+        ssim_weight: weight of the similarity.
         max_val: largest value that there can be.
         eps: added to both sides of the similarity's fraction.
 

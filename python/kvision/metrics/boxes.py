@@ -101,7 +101,7 @@ def mean_average_precision(
 
     Raises:
         TypeCheckError: an argument is of the wrong type.
-        ShapeError: boxes, labels and scores that do not fit together.
+        ShapeError: boxes, labels and scores whose sizes differ.
         ValueCheckError: lists of different lengths or without images; a label outside [0, n_classes).
 
     Source: M. Everingham et al., "The Pascal visual object classes challenge" (2010).

@@ -111,7 +111,7 @@ def kitti_d1_error(
         input: disparities of any shape, floating point.
         target: true disparities in the same shape.
         abs_threshold: largest good error, in pixels.
-        rel_threshold: largest good error, as a share of the absolute true disparity.
+        rel_threshold: largest good error, as a fraction of the absolute true disparity.
         valid_mask: which pixels count; None for all.
         reduction: 'mean', 'sum' for how many they are, 'none'.
 

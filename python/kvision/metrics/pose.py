@@ -20,7 +20,7 @@ def angle_error_mat(R1: Tensor, R2: Tensor) -> Tensor:
         R2: rotation matrices in the same shape.
 
     Returns:
-        Degrees (*), from 0 to 180, precise for small and large angles alike.
+        Degrees (*), from 0 to 180, precise at small and at large angles.
 
     Raises:
         TypeCheckError: no floating-point tensors.
@@ -29,8 +29,8 @@ def angle_error_mat(R1: Tensor, R2: Tensor) -> Tensor:
 
     Example:
         >>> import torch, kvision as K
-        >>> turned = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-        >>> K.metrics.angle_error_mat(torch.eye(3), turned)
+        >>> rotation = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+        >>> K.metrics.angle_error_mat(torch.eye(3), rotation)
         tensor(90.)
     """
     _check_pair("angle_error_mat", "R1", R1, "R2", R2, (3, 3))

@@ -1,4 +1,4 @@
-"""Large inputs in pieces."""
+"""Large inputs in chunks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["batched_forward"]
 def batched_forward(
     model: nn.Module, data: Tensor, device: str | torch.device, batch_size: int = 128, **kwargs: Any
 ) -> Tensor:
-    """Run a module on a batch too large for the device, piece by piece.
+    """Run a module on a batch too large for the device, chunk by chunk.
 
     Args:
         model: a module with one tensor as result; it is moved to `device`.
@@ -25,7 +25,7 @@ def batched_forward(
         kwargs: passed on to the module.
 
     Returns:
-        The results of all pieces, (B, ...), on the device of `data`.
+        The results of all chunks, (B, ...), on the device of `data`.
 
     Raises:
         TypeCheckError: `data` is no tensor, or `batch_size` no int.
@@ -39,4 +39,4 @@ def batched_forward(
     _check.is_tensor("batched_forward", "data", data)
     (batch_size,) = _check.ints("batched_forward", "batch_size", batch_size, 1)
     model = model.to(device)
-    return torch.cat([model(piece.to(device), **kwargs).to(data.device) for piece in data.split(batch_size)])
+    return torch.cat([model(chunk.to(device), **kwargs).to(data.device) for chunk in data.split(batch_size)])

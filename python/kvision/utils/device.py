@@ -1,4 +1,4 @@
-"""What hardware and which modes are on."""
+"""Which devices there are, and whether autocast is on."""
 
 from __future__ import annotations
 

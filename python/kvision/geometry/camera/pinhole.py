@@ -73,7 +73,7 @@ class PinholeCamera:
         device: torch.device | str | None,
         dtype: torch.dtype | None,
     ) -> PinholeCamera:
-        """Cameras that are not turned; each parameter is a number for all or (B,)."""
+        """Cameras that are not rotated; each parameter is a number for all or (B,)."""
         like: dict[str, Any] = {"device": device, "dtype": dtype}
         intrinsics = torch.eye(4, **like).repeat(batch_size, 1, 1)
         extrinsics = intrinsics.clone()

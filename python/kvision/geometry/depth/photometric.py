@@ -166,8 +166,8 @@ def photometric_depth_loss(
     views, target = floats(views), floats(target)
     stored = views.dtype
     if stored != target.dtype:
-        together = torch.promote_types(stored, target.dtype)
-        views, target = views.to(together), target.to(together)
+        dtype = torch.promote_types(stored, target.dtype)
+        views, target = views.to(dtype), target.to(dtype)
     if target.shape[1] != views.shape[2] or target.shape[0] not in (1, views.shape[0]):
         raise ShapeError(
             f"{op}: expected target of shape {(views.shape[0], views.shape[2], 'h', 'w')}, got {tuple(target.shape)}",

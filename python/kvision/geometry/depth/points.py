@@ -1,4 +1,4 @@
-"""From depth images to points and normals, and from other things to depth."""
+"""Points and normals of depth images, and depth from disparity or from a plane."""
 
 from __future__ import annotations
 

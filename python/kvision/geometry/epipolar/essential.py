@@ -70,7 +70,7 @@ def find_essential(points1: Tensor, points2: Tensor, weights: Tensor | None = No
 
 @in_full_precision
 def essential_from_fundamental(F_mat: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
-    """Turn fundamental matrices into essential ones: K2^T F K1.
+    """Convert fundamental matrices to essential ones: K2^T F K1.
 
     Args:
         F_mat: (*, 3, 3), floating point.
@@ -284,9 +284,9 @@ def _motions_reference(E: Tensor) -> tuple[Tensor, Tensor]:
     isometry, _ = _polar(E)
     t = null_vector_3x3(E.mT)
     # [t]x rotates by 90 degrees about t, one way or the other. `_completion` adds the component along t.
-    turned = cross_product_matrix(t) @ isometry
-    axis = _completion(turned, t)
-    first, second = turned + axis, axis - turned
+    rotated = cross_product_matrix(t) @ isometry
+    axis = _completion(rotated, t)
+    first, second = rotated + axis, axis - rotated
     t = t[..., None]
     return torch.stack([first, first, second, second], 1).to(dtype), torch.stack([t, -t, t, -t], 1).to(dtype)
 

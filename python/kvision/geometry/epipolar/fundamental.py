@@ -69,7 +69,7 @@ def find_fundamental(points1: Tensor, points2: Tensor, weights: Tensor | None = 
 
 @in_full_precision
 def fundamental_from_essential(E_mat: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
-    """Turn essential matrices into fundamental ones: K2^-T E K1^-1.
+    """Convert essential matrices to fundamental ones: K2^-T E K1^-1.
 
     Args:
         E_mat: (*, 3, 3), floating point.

@@ -122,14 +122,14 @@ def _parts_reference(P: Tensor) -> Tensor:
     d, second = _unit(b - e[:, None] * third)
     m, n = (a * second).sum(-1), (a * third).sum(-1)
     h, first = _unit(a - m[:, None] * second - n[:, None] * third)
-    turned = torch.where((torch.linalg.cross(first, second) * third).sum(-1) < 0, -1.0, 1.0).to(d.dtype)[:, None]
-    u, v, w = (promoted(P)[..., 3] * turned).unbind(-1)
+    sign = torch.where((torch.linalg.cross(first, second) * third).sum(-1) < 0, -1.0, 1.0).to(d.dtype)[:, None]
+    u, v, w = (promoted(P)[..., 3] * sign).unbind(-1)
     z = w / f
     y = (v - e * z) / d
     x = (u - m * y - n * z) / h
     zero = torch.zeros_like(h)
     K = torch.stack([h, m, n, zero, d, e, zero, zero, f], -1).unflatten(-1, (3, 3))
-    R = torch.stack([first, second, third], -2) * turned[..., None]
+    R = torch.stack([first, second, third], -2) * sign[..., None]
     return torch.cat([K, R, torch.stack([x, y, z], -1)[:, None]], 1).to(P.dtype)
 
 

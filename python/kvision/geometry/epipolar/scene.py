@@ -41,8 +41,8 @@ def generate_scene(num_views: int, num_points: int) -> dict[str, Tensor]:
     K = random_intrinsics(0.0, 100.0)
     axis = torch.nn.functional.normalize(torch.rand(num_views, 3), dim=-1)
     angle = (2 * math.pi * torch.rand(num_views))[:, None, None]
-    turn = cross_product_matrix(axis)
-    R = torch.eye(3) + angle.sin() * turn + (1 - angle.cos()) * (turn @ turn)
+    cross = cross_product_matrix(axis)
+    R = torch.eye(3) + angle.sin() * cross + (1 - angle.cos()) * (cross @ cross)
     t = torch.rand(num_views, 3, 1) * torch.tensor([[1.0], [1.0], [3.0]]) - torch.tensor([[0.5], [0.5], [1.0]])
     nearest = (R @ points.mT + t)[:, 2].amin(-1)
     t[:, 2, 0] += torch.where(nearest < 0, 1 - nearest, 0)

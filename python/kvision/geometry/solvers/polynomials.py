@@ -33,8 +33,8 @@ class Terms:
 
     def __init__(self, left: Sequence[str], right: Sequence[str], product: Sequence[str]) -> None:
         factors = [(i, k, "".join(sorted(a + b))) for i, a in enumerate(left) for k, b in enumerate(right)]
-        self.pairs = [[(i, k) for i, k, found in factors if found == monomial] for monomial in product]
-        matrix = np.array([[found == monomial for monomial in product] for _, _, found in factors])
+        self.pairs = [[(i, k) for i, k, term in factors if term == monomial] for monomial in product]
+        matrix = np.array([[term == monomial for monomial in product] for _, _, term in factors])
         self.matrix = {torch.float32: matrix.astype(np.float32), torch.float64: matrix.astype(np.float64)}
 
 

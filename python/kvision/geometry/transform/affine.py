@@ -381,8 +381,8 @@ class Affine(FunctionModule):
         padding_mode: str = "zeros",
         align_corners: bool = True,
     ) -> None:
-        given = [x for x in (angle, translation, scale_factor, shear) if x is not None]
-        if not given:
+        parts = [x for x in (angle, translation, scale_factor, shear) if x is not None]
+        if not parts:
             raise RuntimeError("Affine: expected at least one of angle, translation, scale_factor and shear")
         for name, x in (
             ("angle", angle),
@@ -392,7 +392,7 @@ class Affine(FunctionModule):
         ):
             if x is not None:
                 _check.is_tensor("Affine", name, x)
-        batches = [len(x) for x in given]
+        batches = [len(x) for x in parts]
         if len(set(batches)) > 1:
             raise RuntimeError(f"Affine: expected parameters of one batch size, got {batches}")
         super().__init__(
@@ -408,9 +408,9 @@ class Affine(FunctionModule):
 
     def forward(self, input: Tensor) -> Tensor:
         images = _images("Affine", input)
-        given = {"translation": self.translation, "scale_factor": self.scale_factor, "shear": self.shear}
+        vectors = {"translation": self.translation, "scale_factor": self.scale_factor, "shear": self.shear}
         translation, factor, shear = (
-            None if x is None else _vector("Affine", images, name, x, 2) for name, x in given.items()
+            None if x is None else _vector("Affine", images, name, x, 2) for name, x in vectors.items()
         )
         if self.angle is None:
             angle = torch.zeros(1, device=images.device, dtype=compute_dtype(images))

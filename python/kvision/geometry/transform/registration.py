@@ -158,8 +158,8 @@ class ImageRegistrator(nn.Module):
         >>> y, x = torch.meshgrid(torch.linspace(-1, 1, 48), torch.linspace(-1, 1, 48), indexing="ij")
         >>> blob = lambda dx: torch.exp(-6 * ((x - dx) ** 2 + y**2))[None, None]
         >>> registrator = K.geometry.ImageRegistrator("translation", pyramid_levels=2, lr=0.02, tolerance=0.0)
-        >>> found = registrator.register(blob(0.1), blob(0.0))
-        >>> bool((found[0, 0, 2] - 0.1).abs() < 0.01)
+        >>> homography = registrator.register(blob(0.1), blob(0.0))
+        >>> bool((homography[0, 0, 2] - 0.1).abs() < 0.01)
         True
     """
 

@@ -102,8 +102,8 @@ def _near_image(x: Tensor, size: int, padding: str, align_corners: bool) -> Tens
     period = 2 * (size - 1 if align_corners else size)
     if period == 0:
         return 0 * x.nan_to_num()  # all coordinates read the only pixel
-    folded = x - period * (x.detach() / period).floor()
-    return torch.where(folded.isfinite(), folded, 0.0).clamp(0, period)
+    reflected = x - period * (x.detach() / period).floor()
+    return torch.where(reflected.isfinite(), reflected, 0.0).clamp(0, period)
 
 
 # --- sampling coordinates of a matrix -------------------------------------------------------------------------------
@@ -367,18 +367,18 @@ def register_warp_by_formula(
         return formula, (*tensors, *numbers, *formula.rows), (None, args[6], *options) if is_indexed else options
 
     def reference(image: Tensor, *args: Any) -> Tensor:
-        formula, given, rest = split(image, args)
-        warped: Tensor = by.definition(image, formula.matrix.definition(*given), *rest)
+        formula, inputs, rest = split(image, args)
+        warped: Tensor = by.definition(image, formula.matrix.definition(*inputs), *rest)
         return warped
 
     def backward(needs: Sequence[bool], grad: Tensor, image: Tensor, *args: Any) -> list[Tensor | None]:
-        formula, given, rest = split(image, args)
+        formula, inputs, rest = split(image, args)
         to_matrix = any(needs[1:7])
         needed = (needs[0], to_matrix, *[False] * len(rest))
-        grads = by.backward(needed, grad, image, formula.matrix(*given), *rest)
+        grads = by.backward(needed, grad, image, formula.matrix(*inputs), *rest)
         if not to_matrix:
             return [grads[0]]
-        return [grads[0], *formula.matrix.backward(needs[1:], grads[1], *given)[:6]]
+        return [grads[0], *formula.matrix.backward(needs[1:], grads[1], *inputs)[:6]]
 
     def fake(image: Tensor, *args: Any) -> Sequence[int]:
         samples = _count_samples(image, args[6], *args[:6]) if is_indexed else image.shape[0]

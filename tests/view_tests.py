@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import pytest
 import torch
 from torch import Tensor
@@ -135,3 +138,19 @@ def finite_gradients(function, *args: Tensor) -> Tensor:
     grads = torch.autograd.grad(safe.square().sum(), leaves, allow_unused=True)
     assert all(g is None or g.isfinite().all() for g in grads)
     return output.detach()
+
+
+def assert_values_of_kornia(
+    home: str, name: str, args: Sequence[Any], kwargs: dict[str, Any], device: torch.device
+) -> None:
+    """Function `name` of kvision.geometry.`home` gives what Kornia's gives, and has the same name in kvision.geometry."""
+    ours = getattr(getattr(K.geometry, home), name)
+    theirs = getattr(getattr(pytest.importorskip("kornia").geometry, home), name)
+    assert getattr(K.geometry, name, None) in (ours, None)
+    moved = [a.to(device) if isinstance(a, Tensor) else a for a in args]
+    kwargs_moved = {k: v.to(device) if isinstance(v, Tensor) else v for k, v in kwargs.items()}
+    results, expected = ours(*moved, **kwargs_moved), theirs(*args, **kwargs)
+    for a, e in zip(*((y if isinstance(y, tuple) else (y,)) for y in (results, expected)), strict=True):
+        a, e = a.cpu(), e[0] if e.shape != a.shape and e.shape[0] == 1 else e
+        largest = e.double().nan_to_num(0, 0, 0).abs().amax()
+        assert_close(a, e.to(a.dtype), 1e-7, 1e-7 * max(1.0, float(largest)))

@@ -1,13 +1,9 @@
 """Calibration against Kornia 0.9, which defines names and conventions."""
 
-import kornia
 import pytest
 import torch
-from torch import Tensor
 
-import kvision as K
-from op_tests import assert_close
-from view_tests import CAMERA, LENS, on_planes, rand, rotation
+from view_tests import CAMERA, LENS, assert_values_of_kornia, on_planes, rand, rotation
 
 POINTS1, POINTS2, _ = on_planes(2, 12, noise=1.0)
 ROTATIONS = torch.stack([rotation(0.3, 0.1, -0.2), rotation(1.0, -2.0, 0.5)])
@@ -33,13 +29,4 @@ CALLS = [
 
 @pytest.mark.parametrize("home, name, args, kwargs", CALLS, ids=[f"{c[1]}-{i}" for i, c in enumerate(CALLS)])
 def test_values(home, name, args, kwargs, device):
-    ours = getattr(getattr(K.geometry, home), name)
-    theirs = getattr(getattr(kornia.geometry, home), name)
-    moved = [a.to(device) if isinstance(a, Tensor) else a for a in args]
-    kwargs_moved = {k: v.to(device) if isinstance(v, Tensor) else v for k, v in kwargs.items()}
-    assert getattr(K.geometry, name, None) in (ours, None)
-    found, expected = ours(*moved, **kwargs_moved), theirs(*args, **kwargs)
-    for a, e in zip(*((y if isinstance(y, tuple) else (y,)) for y in (found, expected)), strict=True):
-        a, e = a.cpu(), e[0] if e.shape != a.shape and e.shape[0] == 1 else e
-        largest = e.double().nan_to_num(0, 0, 0).abs().amax()
-        assert_close(a, e.to(a.dtype), 1e-7, 1e-7 * max(1.0, float(largest)))
+    assert_values_of_kornia(home, name, args, kwargs, device)

@@ -1,5 +1,5 @@
 // The motion from one camera to another, whose poses take points of the world to their coordinates. Included by
-// epipolar/matrices.h.
+// depth/reprojection.h and epipolar/matrices.h.
 #pragma once
 
 #include "core/matrix3.h"

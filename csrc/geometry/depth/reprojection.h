@@ -8,6 +8,7 @@
 #pragma once
 
 #include "core/isa.h"
+#include "geometry/relative_motion.h"
 #include "geometry/small_matrix.h"
 
 namespace kv::geometry {
@@ -45,7 +46,7 @@ struct Cameras {
 
   template <class T>
   KV_HD Cameras(ReprojectionParams<T> const& p, int64_t b) {
-    double from[9], cofactors[9];
+    double from[9];
     bool const has_pose_from = p.pose_from.data.data;
     for (int i = 0; i < 9; ++i) {
       double const otherwise = i == 8;
@@ -61,15 +62,9 @@ struct Cameras {
       t_to[i] = p.pose_to.at(b, i, 3);
       t_from[i] = has_pose_from ? p.pose_from.at(b, i, 3) : 0;
     }
-    cofactors3(from, cofactors);
-    double const determinant = dot3(from, cofactors);
+    double const determinant = inverse3(from, K_from_inverse);
     is_invertible = determinant != 0 && finite(1 / determinant);
-    for (int i = 0; i < 3; ++i)
-      for (int k = 0; k < 3; ++k) K_from_inverse[3 * i + k] = cofactors[3 * k + i] / determinant;
-    for (int i = 0; i < 3; ++i) {
-      for (int k = 0; k < 3; ++k) R[3 * i + k] = dot3(R_to + 3 * i, R_from + 3 * k);
-      t[i] = t_to[i] - dot3(R + 3 * i, t_from);
-    }
+    relative_motion(R_from, t_from, R_to, t_to, R, t);
   }
 };
 
@@ -112,14 +107,10 @@ KV_HD void reprojection_vjp(ReprojectionParams<T> const& p, int64_t b) {
   multiply3<true>(c.K_to, grad_a, grad_R_K_from_inverse);
   for (int i = 0; i < 3; ++i) grad_t[i] = c.K_to[i] * grad_b[0] + c.K_to[3 + i] * grad_b[1] + c.K_to[6 + i] * grad_b[2];
   multiply3<false, true>(grad_R_K_from_inverse, c.K_from_inverse, grad_R);
-  for (int i = 0; i < 9; ++i) grad_R[i] -= grad_t[i / 3] * c.t_from[i % 3];
-  multiply3(grad_R, c.R_from, g);
-  set_pose(p.grad_pose_to, g, grad_t);
-
   double grad_t_from[3];
-  multiply3<true>(grad_R, c.R_to, g);
-  for (int i = 0; i < 3; ++i) grad_t_from[i] = -(c.R[i] * grad_t[0] + c.R[3 + i] * grad_t[1] + c.R[6 + i] * grad_t[2]);
-  set_pose(p.grad_pose_from, g, grad_t_from);
+  relative_motion_vjp(c.R_from, c.t_from, c.R_to, c.R, grad_R, grad_t, h, grad_t_from, g);
+  set_pose(p.grad_pose_to, g, grad_t);
+  set_pose(p.grad_pose_from, h, grad_t_from);
 
   multiply3<true>(c.R, grad_R_K_from_inverse, g);  // to K^-1
   multiply3<true>(c.K_from_inverse, g, h);         // to K: -K^-T g K^-T

@@ -40,18 +40,28 @@ struct FourPixels {
   }
 };
 
-template <class F>
-__device__ __forceinline__ void variates(PhiloxWords const& words, F (&n)[4]) {
-  if constexpr (sizeof(F) == 8) {
-    normals_of(words, n);
-  } else {
+struct NormalVariates {
+  template <class F>
+  static __device__ __forceinline__ void of(PhiloxWords const& words, F (&n)[4]) {
+    if constexpr (sizeof(F) == 8) {
+      normals_of(words, n);
+    } else {
 #pragma unroll
-    for (int i = 0; i < 4; i += 2) normal_pair<1>(int32_t(words.w[i]), int32_t(words.w[i + 1]), n[i], n[i + 1]);
+      for (int i = 0; i < 4; i += 2) normal_pair<1>(int32_t(words.w[i]), int32_t(words.w[i + 1]), n[i], n[i + 1]);
+    }
   }
-}
+};
+
+struct UniformVariates {
+  template <class F>
+  static __device__ __forceinline__ void of(PhiloxWords const& words, F (&n)[4]) {
+#pragma unroll
+    for (int i = 0; i < 4; ++i) n[i] = symmetric_of<F>(words.w[i]);
+  }
+};
 
 // Blocks are numbered with channels fastest in channels-last images, so that a warp reads adjacent memory.
-template <class T, bool Vectorized>
+template <class Variates, class T, bool Vectorized>
 __global__ void __launch_bounds__(kNoiseThreads) add_noise(__grid_constant__ PixelNoise<T> const p) {
   using F = Compute<T>;
   int64_t const b = blockIdx.y, blocks = p.blocks(), i = blockIdx.x * int64_t(kNoiseThreads) + threadIdx.x;
@@ -63,7 +73,7 @@ __global__ void __launch_bounds__(kNoiseThreads) add_noise(__grid_constant__ Pix
     F const mean = p.parameters[b * p.parameter_stride] * p.full_range,
             deviation = p.parameters[b * p.parameter_stride + 1] * p.full_range;
     F n[4];
-    variates(p.source(b).words(p.draw, uint32_t(c * blocks + block)), n);
+    Variates::of(p.source(b).words(p.draw, uint32_t(c * blocks + block)), n);
 #pragma unroll
     for (int k = 0; k < 4; ++k) four.v.v[k] = round_to<T>(read(four.v.v[k]) + (n[k] * deviation + mean));
   }
@@ -97,14 +107,25 @@ bool has_whole_vectors(PixelNoise<T> const& p) {
 
 dim3 noise_grid(int64_t blocks, int64_t batch) { return {unsigned(ceil_div(blocks, kNoiseThreads)), unsigned(batch)}; }
 
+template <class Variates, class T>
+int run_add_noise(PixelNoise<T> const& p, CUstream_st* stream) {
+  dim3 const grid = noise_grid(p.channels * p.blocks(), p.batch);
+  with_alignment<T>(has_whole_vectors(p), [&](auto vectorized) {
+    add_noise<Variates, T, vectorized.value><<<grid, kNoiseThreads, 0, stream>>>(p);
+  });
+  return cudaGetLastError();
+}
+
 }  // namespace
 
 template <class T>
 int gaussian_noise(PixelNoise<T> const& p, CUstream_st* stream) {
-  dim3 const grid = noise_grid(p.channels * p.blocks(), p.batch);
-  with_alignment<T>(has_whole_vectors(p),
-                    [&](auto vectorized) { add_noise<T, vectorized.value><<<grid, kNoiseThreads, 0, stream>>>(p); });
-  return cudaGetLastError();
+  return run_add_noise<NormalVariates>(p, stream);
+}
+
+template <class T>
+int uniform_noise(PixelNoise<T> const& p, CUstream_st* stream) {
+  return run_add_noise<UniformVariates>(p, stream);
 }
 
 template <class T>
@@ -116,6 +137,7 @@ int salt_and_pepper(PixelNoise<T> const& p, CUstream_st* stream) {
 }
 
 KV_INSTANTIATE_WITH_BYTES(gaussian_noise, PixelNoise)
+KV_INSTANTIATE_WITH_BYTES(uniform_noise, PixelNoise)
 KV_INSTANTIATE_WITH_BYTES(salt_and_pepper, PixelNoise)
 
 }  // namespace kv::augmentation::cuda

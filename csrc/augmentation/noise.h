@@ -1,6 +1,6 @@
-// Noise of images, a function of a key, the sample and the pixel: normal noise, and salt and pepper. noise.py of
-// kvision.augmentation defines both. The words of a pixel are those of the block at its position / 4 in the plane.
-// Included by noise_cpu.cpp, noise.cu and noise_op.cpp.
+// Noise of images, a function of a key, the sample and the pixel: normal and uniform noise, and salt and pepper.
+// noise.py of kvision.augmentation defines them. The words of a pixel are those of the block at its position / 4 in the
+// plane. Included by noise_cpu.cpp, noise.cu and noise_op.cpp.
 #pragma once
 
 #include "augmentation/draws.h"
@@ -15,8 +15,8 @@ struct PixelNoise {
   T* y;
   int64_t batch, channels, pixels;  // pixels of a plane
   int64_t channel_stride, step;     // from a pixel to the next channel, and to the next pixel
-  Compute<T> const*
-      parameters;               // (B, 2): mean and standard deviation, or amount and fraction of salt; for full_range 1
+  Compute<T> const* parameters;  // (B, 2): mean and standard deviation or half of the width, or amount and fraction of
+                                 // salt; for full_range 1
   float const* chosen;          // (B,), 0 for samples that pass unchanged; null: all are chosen
   Compute<T> full_range, salt;  // 255 for bytes, 1 for floats; the value of salt
   int64_t const *keys, *seeds;  // on the device; null: `key` is the key, there are no seeds
@@ -39,6 +39,7 @@ struct PixelNoise {
 constexpr int kNoiseChunk = 1024;
 
 KV_KERNEL(gaussian_noise, PixelNoise)
+KV_KERNEL(uniform_noise, PixelNoise)
 KV_KERNEL(salt_and_pepper, PixelNoise)
 
 // What becomes of the pixels of a word: with unit(word) below the amount they are hit, below that times `fraction` by
@@ -68,6 +69,12 @@ KV_HD void normals_of(PhiloxWords const& words, double (&n)[4]) {
     n[i] = radius * cosine_of_turns(turns);
     n[i + 1] = radius * cosine_of_turns(turns - 0.25);
   }
+}
+
+// A uniform variate in [-1, 1] of a word.
+template <class F>
+KV_HD F symmetric_of(uint32_t word) {
+  return F(int32_t(word)) * F(0x1p-31);
 }
 
 }  // namespace kv::augmentation

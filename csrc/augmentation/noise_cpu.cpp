@@ -82,6 +82,22 @@ KV_HD void fill_words(DrawSource const& source, uint32_t draw, uint32_t block, i
   }
 }
 
+struct NormalVariates {
+  template <class F>
+  static KV_HD void fill(DrawSource const& source, uint32_t draw, uint32_t block, int count, F* to) {
+    fill_normals(source, draw, block, count, to);
+  }
+};
+
+struct UniformVariates {
+  template <class F>
+  static KV_HD void fill(DrawSource const& source, uint32_t draw, uint32_t block, int count, F* to) {
+    uint32_t words[kBuffer];
+    fill_words(source, draw, block, count, words);
+    for (int i = 0; i < count; ++i) to[i] = symmetric_of<F>(words[i]);
+  }
+};
+
 template <class T>
 KV_HD void copy_chunk(PixelNoise<T> const& p, int64_t at, int count) {
   if (p.step == 1)
@@ -90,12 +106,10 @@ KV_HD void copy_chunk(PixelNoise<T> const& p, int64_t at, int count) {
     for (int i = 0; i < count; ++i) p.y[at + i * p.step] = p.x[at + i * p.step];
 }
 
-}  // namespace
-
-template <class T>
-void gaussian_noise(PixelNoise<T> const& p, int64_t begin, int64_t end) {
+template <class Variates, class T>
+KV_HD void add_noise(PixelNoise<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  F normals[kBuffer];
+  F noise[kBuffer];
   int64_t const chunks = (p.pixels + kChunk - 1) / kChunk;
   for (int64_t unit = begin; unit < end; ++unit) {
     int64_t const b = unit / chunks, first = unit % chunks * kChunk;
@@ -108,11 +122,11 @@ void gaussian_noise(PixelNoise<T> const& p, int64_t begin, int64_t end) {
         copy_chunk(p, at, count);
         continue;
       }
-      fill_normals(p.source(b), p.draw, uint32_t(c * p.blocks() + first / 4), count, normals);
+      Variates::fill(p.source(b), p.draw, uint32_t(c * p.blocks() + first / 4), count, noise);
       auto const pixels = [&](auto n, int64_t i) {
         constexpr int N = decltype(n)::value;
         int64_t const element = at + i * p.step;
-        store<N>(p.y + element, Lanes<F, N>(load<N>(p.x + element) + (load<N>(normals + i) * deviation + mean)));
+        store<N>(p.y + element, Lanes<F, N>(load<N>(p.x + element) + (load<N>(noise + i) * deviation + mean)));
       };
       if (p.step == 1)
         for_each_vector<T>(0, count, pixels);
@@ -120,6 +134,18 @@ void gaussian_noise(PixelNoise<T> const& p, int64_t begin, int64_t end) {
         for (int64_t i = 0; i < count; ++i) pixels(Width<1>{}, i);
     }
   }
+}
+
+}  // namespace
+
+template <class T>
+void gaussian_noise(PixelNoise<T> const& p, int64_t begin, int64_t end) {
+  add_noise<NormalVariates>(p, begin, end);
+}
+
+template <class T>
+void uniform_noise(PixelNoise<T> const& p, int64_t begin, int64_t end) {
+  add_noise<UniformVariates>(p, begin, end);
 }
 
 template <class T>
@@ -154,6 +180,7 @@ void salt_and_pepper(PixelNoise<T> const& p, int64_t begin, int64_t end) {
 }
 
 KV_INSTANTIATE_WITH_BYTES(gaussian_noise, PixelNoise)
+KV_INSTANTIATE_WITH_BYTES(uniform_noise, PixelNoise)
 KV_INSTANTIATE_WITH_BYTES(salt_and_pepper, PixelNoise)
 
 }  // namespace kv::augmentation::KV_ISA

@@ -95,6 +95,20 @@ Tensor gaussian_noise(Tensor const& images, Tensor const& parameters, Tensor con
   return y;
 }
 
+Tensor uniform_noise(Tensor const& images, Tensor const& parameters, Tensor const& keys, OptionalTensor const& seeds,
+                     OptionalTensor const& chosen, std::vector<int64_t> const& plan) {
+  constexpr char const* op = "uniform_noise";
+  NoiseArguments const arguments{op, images, parameters, keys, seeds, chosen, plan};
+  arguments.check();
+  Layout const layout = layout_of(images);
+  Tensor const x = dense_images(images, layout), p = dense(parameters), y = empty_like(x, layout);
+  dispatch_floating_and_uint8(op, x, [&]<class T>(Type<T>) {
+    auto const params = arguments.params<T>(x, y, p, layout, 0);
+    KV_RUN(uniform_noise, x, params, noise_units(x), 4 * kNoiseChunk * x.size(1));
+  });
+  return y;
+}
+
 Tensor run_salt_and_pepper(NoiseArguments const& arguments, double salt) {
   arguments.check();
   Layout const layout = layout_of(arguments.images);
@@ -122,6 +136,7 @@ Tensor salt_and_pepper_backward(Tensor const& grad, Tensor const& parameters, Te
 
 #define KV_NOISE "Tensor parameters, Tensor keys, Tensor? seeds, Tensor? chosen, int[] plan) -> Tensor"
 KV_OPERATOR(gaussian_noise, "(Tensor images, " KV_NOISE)
+KV_OPERATOR(uniform_noise, "(Tensor images, " KV_NOISE)
 KV_OPERATOR(salt_and_pepper, "(Tensor images, " KV_NOISE)
 KV_OPERATOR(salt_and_pepper_backward, "(Tensor grad, " KV_NOISE)
 #undef KV_NOISE

@@ -7,7 +7,7 @@ from torch import Tensor
 
 import kvision as K
 from kvision.augmentation.draws import philox
-from kvision.augmentation.noise import gaussian_noise, salt_and_pepper
+from kvision.augmentation.noise import gaussian_noise, salt_and_pepper, uniform_noise
 from op_tests import OpTests, assert_close, instruction_set
 
 KEYS = torch.tensor([0x123456789ABCDEF, -3])
@@ -51,6 +51,11 @@ class TestGaussianNoise(NoiseTests):
     operators = ("gaussian_noise",)
 
 
+class TestUniformNoise(NoiseTests):
+    operator = uniform_noise
+    operators = ("uniform_noise",)
+
+
 class TestSaltAndPepper(NoiseTests):
     operators = ("salt_and_pepper", "salt_and_pepper_backward")
 
@@ -60,7 +65,7 @@ class TestSaltAndPepper(NoiseTests):
         return salt_and_pepper(x, parameters.detach(), *args) + (0 * parameters.sum()).to(x.dtype)
 
 
-OPERATORS = [gaussian_noise, salt_and_pepper]
+OPERATORS = [gaussian_noise, uniform_noise, salt_and_pepper]
 MIDDLE = torch.tensor([[0.1, 0.4]])
 
 
@@ -114,6 +119,9 @@ def test_devices_give_the_same_noise(device):
     torch.testing.assert_close(found.cpu(), expected, rtol=2e-6, atol=1e-9)
     x = torch.rand(2, 3, 61, 67)
     assert torch.equal(noisy(salt_and_pepper, x.to(device)).cpu(), noisy(salt_and_pepper, x))
+    standard = torch.tensor([[0.0, 1.0]])
+    expected = uniform_noise(zeros, standard, KEYS, None, None, PLAN)
+    assert torch.equal(uniform_noise(zeros.to(device), standard.to(device), KEYS, None, None, PLAN).cpu(), expected)
 
 
 @pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
@@ -124,10 +132,11 @@ def test_instruction_sets_give_the_same_noise(isa, device, backend):
     given = torch.tensor([[0.0, 1.0]], dtype=torch.float64)
     with K.backend("reference"):
         expected = gaussian_noise(torch.zeros_like(x, dtype=torch.float64), given, KEYS, None, None, PLAN)
-        hits = noisy(salt_and_pepper, x)
+        hits, uniform = noisy(salt_and_pepper, x), noisy(uniform_noise, x)
     with instruction_set(isa):
         found = gaussian_noise(torch.zeros_like(x), given.float(), KEYS, None, None, PLAN)
         assert torch.equal(noisy(salt_and_pepper, x), hits)
+        torch.testing.assert_close(noisy(uniform_noise, x), uniform, rtol=0, atol=1.3e-7)  # sums may be rounded once
     torch.testing.assert_close(found.double(), expected, rtol=1e-6, atol=1e-9)
 
 
@@ -139,9 +148,27 @@ def test_words_are_those_of_philox(device):
         word = philox(int(KEYS[1]), (PLAN[2], pixel // 4, 0, PLAN[1]))[pixel % 4] / 2**32
         expected = 0.5 if word >= 0.5 else 1.0 if word < 0.5 * 0.8 else 0.0
         assert found.flatten(1)[:, pixel].tolist() == [expected] * 2
+    zero, unit = torch.zeros(1, 2, 3, 3, dtype=torch.float64, device=device), torch.tensor([[0.0, 1.0]], device=device)
+    found = uniform_noise(zero, unit.double(), KEYS, None, None, PLAN)[0].cpu()
+    for channel in range(2):
+        for pixel in range(9):
+            word = philox(int(KEYS[1]), (PLAN[2], 3 * channel + pixel // 4, 0, PLAN[1]))[pixel % 4]
+            signed = word if word < 2**31 else word - 2**32
+            assert found[channel].flatten()[pixel] == signed / 2**31
 
 
 # --- statistics ---
+
+
+def test_noise_is_uniform(device):
+    x = torch.full((2, 3, 80, 100), 5.0, device=device)
+    given = torch.tensor([[1.0, 0.5], [-2.0, 3.0]], device=device)
+    found = uniform_noise(x, given, KEYS, None, None, PLAN).cpu()
+    for sample, (mean, half) in zip(found, given.tolist()):
+        assert stats.kstest(sample.flatten(), stats.uniform(5 + mean - half, 2 * half).cdf).pvalue > LEVEL
+    flat = ((found - 5 - given[:, 0, None, None, None].cpu()) / given[:, 1, None, None, None].cpu()).flatten(2)
+    for a, b in [(flat[:, 0], flat[:, 1]), (flat[0], flat[1]), (flat[..., 1:], flat[..., :-1])]:
+        assert stats.spearmanr(a.flatten(), b.flatten()).pvalue > LEVEL
 
 
 def test_noise_is_normal(device):
@@ -176,19 +203,20 @@ def test_shares_of_salt_and_pepper(amount, share, device):
 # --- gradients ---
 
 
-def test_gradients_of_gaussian_noise(device):
+@pytest.mark.parametrize("operator", [gaussian_noise, uniform_noise], ids=lambda o: o.name)
+def test_gradients_of_added_noise(operator, device):
     x = torch.rand(3, 2, 5, 7, dtype=torch.float64, device=device)
     given = torch.rand(3, 2, dtype=torch.float64, device=device, requires_grad=True)
     mask = torch.tensor([1.0, 0.0, 1.0], device=device)
-    found = gaussian_noise(x, given, KEYS, None, mask, PLAN)
-    noise = gaussian_noise(
+    found = operator(x, given, KEYS, None, mask, PLAN)
+    noise = operator(
         torch.zeros_like(x), torch.tensor([[0.0, 1.0]], dtype=x.dtype, device=device), KEYS, None, mask, PLAN
     )
     assert_close(found, x + mask[:, None, None, None] * given[:, :1, None, None] + given[:, 1:, None, None] * noise)
     (grad,) = torch.autograd.grad(found.sum(), given)
     assert_close(grad, torch.stack([70 * mask.double(), noise.sum((1, 2, 3))], 1))
     shared = torch.rand(1, 2, dtype=torch.float64, device=device, requires_grad=True)
-    (of_one,) = torch.autograd.grad(gaussian_noise(x, shared, KEYS, None, mask, PLAN).sum(), shared)
+    (of_one,) = torch.autograd.grad(operator(x, shared, KEYS, None, mask, PLAN).sum(), shared)
     assert_close(of_one, grad.sum(0, keepdim=True))
 
 

@@ -180,6 +180,8 @@ int main() {
   kvision::ops::Ints const draw = {0, 0, 1, 0};
   auto const noise = [&](auto const& t) { return ops::gaussian_noise(t[0], t[1], keys, none, half, draw); };
   check("gaussian_noise", noise, {x, torch::rand({2, 2})});
+  auto const uniform = [&](auto const& t) { return ops::uniform_noise(t[0], t[1], keys, none, half, draw); };
+  check("uniform_noise", uniform, {x, torch::rand({2, 2})});
   Tensor const shares = torch::full({1, 2}, 0.5, torch::kDouble), boxes = torch::tensor({{1.f, 2.f, 3.f, 2.f}});
   check(
       "salt_and_pepper", [&](auto const& t) { return ops::salt_and_pepper(t[0], shares, keys, none, none, draw); }, {x},

@@ -13,12 +13,13 @@ namespace kvision::ops {
 
 namespace detail {
 
-// The mean and the deviation have the sums of the gradient and of its product with the noise alone.
+// The mean and the scale have the sums of the gradient and of its product with the noise alone.
+template <Name op>
 inline constexpr auto noise_gradients = [](Backward const& b) -> variable_list {
   if (!b.needs(1)) return {b.grad()};
   Tensor const parameters = b.tensor(1), grad = b.grad().to(parameters.scalar_type());
   Tensor const standard = at::stack({at::zeros({1}, parameters.options()), at::ones({1}, parameters.options())}, 1);
-  Tensor const noise = b.call("gaussian_noise", {{"images", at::zeros_like(grad)}, {"parameters", standard}})[0];
+  Tensor const noise = b.call(op.text, {{"images", at::zeros_like(grad)}, {"parameters", standard}})[0];
   OptionalTensor const chosen = b.optional(4);
   Tensor const kept = chosen ? grad * (*chosen != 0).view({-1, 1, 1, 1}) : grad;
   Tensor const to_each = at::stack({kept.sum({1, 2, 3}), (grad * noise).sum({1, 2, 3})}, 1);
@@ -70,7 +71,10 @@ inline constexpr Operator<"warp_and_color", Three(Tensor image, OptionalTensor c
 
 inline constexpr Operator<"gaussian_noise", Tensor(Tensor images, Tensor parameters, Tensor keys, OptionalTensor seeds,
                                                    OptionalTensor chosen, Ints plan)>
-    gaussian_noise{detail::noise_gradients};
+    gaussian_noise{detail::noise_gradients<"gaussian_noise">};
+inline constexpr Operator<"uniform_noise", Tensor(Tensor images, Tensor parameters, Tensor keys, OptionalTensor seeds,
+                                                  OptionalTensor chosen, Ints plan)>
+    uniform_noise{detail::noise_gradients<"uniform_noise">};
 inline constexpr Operator<"salt_and_pepper", Tensor(Tensor images, Tensor parameters, Tensor keys, OptionalTensor seeds,
                                                     OptionalTensor chosen, Ints plan)>
     salt_and_pepper{from<"salt_and_pepper_backward">};

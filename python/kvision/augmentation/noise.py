@@ -6,7 +6,8 @@ The words of a pixel are those of the draw's block at `c * ceil(H * W / 4) + (y 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -86,12 +87,32 @@ def _gaussian_reference(
     plan: Sequence[int],
 ) -> Tensor:
     first, second, third, fourth = _words(images, images.shape[1], keys, seeds, plan)
-    normals = _by_pixel((*_normals(first, second), *_normals(third, fourth)), images).to(parameters.dtype)
-    mean, deviation = (_full_range(images) * parameters[:, :, None, None, None]).unbind(1)
-    return _stored(_computed(images) + (deviation * normals + mean), images, chosen)
+    normals = _by_pixel((*_normals(first, second), *_normals(third, fourth)), images)
+    return _added(normals, images, parameters, chosen)
 
 
-def _gaussian_backward(
+def _uniform_reference(
+    images: Tensor,
+    parameters: Tensor,
+    keys: Tensor,
+    seeds: Tensor | None,
+    chosen: Tensor | None,
+    plan: Sequence[int],
+) -> Tensor:
+    """Words as signed numbers, in units of 2^31."""
+    words = _by_pixel(_words(images, images.shape[1], keys, seeds, plan), images)
+    signed = torch.where(words < 2**31, words, words - 2**32)
+    return _added(signed.to(parameters.dtype) * 2.0**-31, images, parameters, chosen)
+
+
+def _added(noise: Tensor, images: Tensor, parameters: Tensor, chosen: Tensor | None) -> Tensor:
+    """Images with noise of a mean, the first parameter, times the second one."""
+    mean, scale = (_full_range(images) * parameters[:, :, None, None, None]).unbind(1)
+    return _stored(_computed(images) + (scale * noise.to(parameters.dtype) + mean), images, chosen)
+
+
+def _noise_backward(
+    operator: str,
     needs: Sequence[bool],
     grad: Tensor,
     images: Tensor,
@@ -106,14 +127,18 @@ def _gaussian_backward(
     # The noise alone, which only ranges with gradients need.
     standard = torch.tensor([[0.0, 1.0]], dtype=parameters.dtype, device=parameters.device)
     grads = _computed(grad)
-    noise = gaussian_noise(torch.zeros_like(grads), standard, keys, seeds, chosen, plan)
+    noise = _ADDED[operator](torch.zeros_like(grads), standard, keys, seeds, chosen, plan)
     to_mean = torch.where(_is_chosen(chosen, images), grads, 0.0).sum((1, 2, 3))
     return [grad, torch.stack([to_mean, (grads * noise).sum((1, 2, 3))], 1).sum_to_size(parameters.shape)]
 
 
-gaussian_noise = register(
-    "gaussian_noise", _gaussian_reference, backward=_gaussian_backward, bytes=True, casts_outputs=True
-)
+def _register_added(name: str, reference: Callable[..., Tensor]) -> Operator:
+    return register(name, reference, backward=partial(_noise_backward, name), bytes=True, casts_outputs=True)
+
+
+gaussian_noise = _register_added("gaussian_noise", _gaussian_reference)
+uniform_noise = _register_added("uniform_noise", _uniform_reference)
+_ADDED = {"gaussian_noise": gaussian_noise, "uniform_noise": uniform_noise}
 
 
 def _hits(
@@ -186,12 +211,12 @@ class PixelNoise(NamedTuple):
 
     def uniform(self, shape: Sequence[int], map: int = 0) -> Tensor:
         """Uniform noise (B, C, H, W) in [0, 1], float64."""
-        return self.symmetric(shape, map).add_(1).mul_(0.5)
+        return self.symmetric(shape, torch.float64, map).add_(1).mul_(0.5)
 
-    def symmetric(self, shape: Sequence[int], map: int = 0) -> Tensor:
-        """Uniform noise (B, C, H, W) in [-1, 1], float64: normal noise through its distribution function."""
-        zero = torch.zeros(tuple(shape), dtype=torch.float64, device=self.device)
-        parameters = zero.new_full((1, 2), 0.5**0.5)  # erf takes a variance of 1/2
+    def symmetric(self, shape: Sequence[int], dtype: torch.dtype = torch.float32, map: int = 0) -> Tensor:
+        """Uniform noise (B, C, H, W) in [-1, 1]."""
+        zero = torch.zeros(tuple(shape), dtype=dtype, device=self.device)
+        parameters = zero.new_ones(1, 2)
         parameters[:, 0].zero_()
-        noise: Tensor = gaussian_noise(zero, parameters, *self.arguments(map))
-        return noise.erf_()
+        noise: Tensor = uniform_noise(zero, parameters, *self.arguments(map))
+        return noise

@@ -28,7 +28,7 @@ class ElasticGenerator(RandomGeneratorBase):
         return {}
 
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
-        return {"noise": noise.symmetric((shape[0], 2, *shape[-2:])).float()}
+        return {"noise": noise.symmetric((shape[0], 2, *shape[-2:]))}
 
 
 class ThinPlateSplineGenerator(RandomGeneratorBase):

@@ -151,3 +151,4 @@ class DataKey(_NamedEnum):
     KEYPOINTS = 5
     LABEL = 6
     CLASS = 6
+    BBOX_XYXY_PLUS = 7

@@ -49,7 +49,7 @@ def test_nothing_is_clipped_or_removed_by_default(device: torch.device) -> None:
         ({"min_box_area": 7.0, "min_box_visibility": 0.1}, [False, False, False, True]),
     ],
 )
-@pytest.mark.parametrize("format", ["bbox_xyxy", "bbox_xywh", "bbox"])
+@pytest.mark.parametrize("format", ["bbox_xyxy", "bbox_xyxy_plus", "bbox_xywh", "bbox"])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.int64], ids=str)
 def test_boxes_that_stay(options: dict[str, Any], kept: list[bool], format: str, dtype: torch.dtype, device) -> None:
     if format == "bbox" and dtype == torch.int64:
@@ -74,6 +74,8 @@ def as_format(boxes: Tensor, format: str) -> Tensor:
     x, y, right, bottom = boxes.unbind(-1)
     if format == "bbox_xywh":
         return torch.stack([x, y, right - x, bottom - y], -1)
+    if format == "bbox_xyxy_plus":  # the outermost pixels
+        return torch.stack([x, y, right - 1, bottom - 1], -1)
     if format == "bbox":  # centers of the outermost pixels
         x, y, right, bottom = x, y, right - 1, bottom - 1
         return torch.stack([x, y, right, y, right, bottom, x, bottom], -1).reshape(*boxes.shape[:-1], 4, 2)

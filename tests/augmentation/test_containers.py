@@ -147,8 +147,21 @@ def test_boxes_of_every_kind() -> None:
     x = torch.zeros(2, 1, 10, 20)
     whole = torch.tensor([[0.0, 0.0, 20.0, 10.0]]).expand(2, 1, 4)
     corners = torch.tensor([[1.0, 2], [4, 2], [4, 5], [1, 5]]).expand(2, 1, 4, 2)
-    _, a, b, c = flip(x, whole, whole, corners, data_keys=["input", "bbox_xyxy", "bbox_xywh", "bbox"])
-    assert torch.equal(a, whole) and torch.equal(b, whole)
+    pixels = torch.tensor([[0.0, 0.0, 19.0, 9.0]]).expand(2, 1, 4)
+    keys = ["input", "bbox_xyxy", "bbox_xywh", "bbox_xyxy_plus", "bbox"]
+    _, a, b, d, c = flip(x, whole, whole, pixels, corners, data_keys=keys)
+    assert torch.equal(a, whole) and torch.equal(b, whole) and torch.equal(d, pixels)
+    turned = A.AugmentationSequential(
+        A.RandomRotation((30.0, 30.0), p=1.0), data_keys=["input", "bbox_xyxy_plus", "bbox_xyxy"]
+    )
+    _, plus, xyxy = turned(x, pixels, whole)
+    torch.testing.assert_close(plus[..., :2], xyxy[..., :2])  # one object, named by its pixels or by its edges
+    torch.testing.assert_close(plus[..., 2:] + 1, xyxy[..., 2:])
+    dictionary = A.AugmentationSequential(A.RandomHorizontalFlip(p=1.0), data_keys=None)
+    one = torch.tensor([[[2.0, 3.0, 2.0, 3.0]]]).expand(2, 1, 4)  # a box of one pixel
+    moved = dictionary({"image": x, "bbox_xyxy_plus": one, "bbox_xyxy_plus_2": one, "bbox_xyxy": whole})
+    for name in ("bbox_xyxy_plus", "bbox_xyxy_plus_2"):
+        assert torch.equal(moved[name][0, 0], torch.tensor([17.0, 3.0, 17.0, 3.0]))
     assert torch.equal(c[0, 0], torch.tensor([[15.0, 2], [18, 2], [18, 5], [15, 5]]))
     lists = [torch.tensor([[1.0, 2, 3, 4]]), torch.zeros(0, 4)]
     moved = flip(x, lists, data_keys=["input", "bbox_xyxy"])[1]

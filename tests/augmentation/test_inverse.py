@@ -62,17 +62,26 @@ def test_a_map_alone(name: str, device: torch.device) -> None:
 def test_boxes_hold_what_was_in_them(name: str, device: torch.device) -> None:
     """Sides bend: a moved box is around all of its outline, not only around the corners."""
     box = torch.tensor([[[14.0, 10.0, 50.0, 38.0]]], device=device)
+    corners = torch.tensor([[[[14.0, 10], [49, 10], [49, 37], [14, 37]]]], device=device)
     filled = torch.zeros(1, 1, H, W, device=device)
     filled[..., 10:38, 14:50] = 1
-    augment = A.AugmentationSequential(MAPS[name](p=1.0), data_keys=["input", "bbox_xyxy"])
+    augment = A.AugmentationSequential(MAPS[name](p=1.0), data_keys=["input", "bbox_xyxy", "bbox"])
     for seed in range(5):
-        moved, found = augment(filled, box, seed=seed)
+        moved, found, quadrangle = augment(filled, box, corners, seed=seed)
         rows, columns = (moved[0, 0] > 0.5).nonzero().float().unbind(1)
         x0, y0, x1, y1 = found[0, 0]
         assert x0 - 0.6 <= columns.min() and columns.max() + 1 <= x1 + 0.6
         assert y0 - 0.6 <= rows.min() and rows.max() + 1 <= y1 + 0.6
         assert (x1 - x0 - (columns.max() - columns.min() + 1)).abs() < 2
         assert (y1 - y0 - (rows.max() - rows.min() + 1)).abs() < 2
+        # All pixels are inside of the quadrangle, whose sides touch them.
+        first, last = quadrangle[0, 0], quadrangle[0, 0].roll(-1, 0)
+        along = (last - first) / (last - first).norm(dim=-1, keepdim=True)
+        pixels = torch.stack([columns, rows], -1)
+        beside = along[:, 0, None] * (pixels[:, 1] - first[:, 1, None]) - along[:, 1, None] * (
+            pixels[:, 0] - first[:, 0, None]
+        )
+        assert beside.min() > -0.6 and beside.amin(1).max() < 1.1
 
 
 def test_known_pixels_of_crops_and_turns(device: torch.device) -> None:

@@ -11,14 +11,20 @@ from torch import Tensor
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
-BOX_FORMATS = {DataKey.BBOX: "vertices", DataKey.BBOX_XYXY: "xyxy", DataKey.BBOX_XYWH: "xywh"}
+BOX_FORMATS = {
+    DataKey.BBOX: "vertices",
+    DataKey.BBOX_XYXY: "xyxy",
+    DataKey.BBOX_XYXY_PLUS: "xyxy_plus",
+    DataKey.BBOX_XYWH: "xywh",
+}
 
 # Boxes and points become points (B, M, 2) in coordinates of pixel centers, move with the image, and become boxes again.
 Mover = Callable[[Tensor], Tensor]
 CURVED = 16  # points on each side of a box that moves by a map, which bends its sides
 
-# How far the corners of a box are from the centers of its outermost pixels. xyxy and xywh, as COCO has them, end at the edges
-# of pixels: the first pixel's center, 0, is half a pixel from its left edge, 0. The far corner of xyxy_plus is a pixel.
+# How far the edges of a box are from its numbers, in coordinates of pixel centers. xyxy and xywh, as COCO has them, end at the
+# edges of pixels: the first pixel's center, 0, is half a pixel from its left edge, 0. xyxy_plus names the first and the last
+# pixel, which both belong to the box.
 _OFFSETS = {"xyxy": (-0.5, -0.5), "xywh": (-0.5, -0.5), "xyxy_plus": (-0.5, 0.5)}
 
 
@@ -63,7 +69,8 @@ def visible_points(before: Any, after: Any, back: Mover, size: tuple[int, int]) 
 def move_boxes(boxes: Any, mode: str, move: Mover, points_of_side: int = 1) -> Any:
     """Boxes of a mode: vertices (B, N, 4, 2), or (B, N, 4); without the batch, or a list of those.
 
-    Upright boxes are the smallest around so many points on each side, of which the first is a corner.
+    Upright boxes are the smallest around so many points on each side, of which the first is a corner. The sides of vertices
+    move outward until these points are inside.
     """
     if isinstance(boxes, (list, tuple)):
         if not boxes:
@@ -73,7 +80,7 @@ def move_boxes(boxes: Any, mode: str, move: Mover, points_of_side: int = 1) -> A
         return type(boxes)(m[:n] for m, n in zip(moved, sizes))
     if hasattr(boxes, "transform_boxes"):  # kvision.geometry.boxes.Boxes
         moved = boxes.clone()
-        moved._data = move_boxes(boxes._data, "vertices", move)
+        moved._data = move_boxes(boxes._data, "vertices", move, points_of_side)
         return moved
     if not isinstance(boxes, Tensor):
         raise TypeCheckError(f"AugmentationSequential: expected boxes to be a Tensor, got {type(boxes).__name__}")
@@ -85,18 +92,16 @@ def move_boxes(boxes: Any, mode: str, move: Mover, points_of_side: int = 1) -> A
         )
     batch = boxes if boxes.dim() == 2 + len(trailing) else boxes[None]
     values = batch if batch.is_floating_point() else batch.double()
-    if mode == "vertices":
-        b, n = batch.shape[:2]
-        moved = _keeping_type(values.reshape(b, n * 4, 2), move).reshape(b, n, 4, 2)
-        return _as_type(_upright(moved), boxes)
     corners = box_corners(values, mode)
-    if points_of_side > 1:
-        along = torch.arange(points_of_side, dtype=corners.dtype, device=corners.device)[:, None] / points_of_side
-        sides = corners.roll(-1, -2) - corners
-        corners = (corners[..., None, :] + along * sides[..., None, :]).flatten(-3, -2)
-    b, n, m = corners.shape[:3]
-    moved = _keeping_type(corners.reshape(b, n * m, 2), move).reshape(b, n, m, 2)
-    return _as_type(_boxes_around(moved, mode), boxes)
+    along = torch.arange(points_of_side, dtype=corners.dtype, device=corners.device)[:, None] / points_of_side
+    sides = corners.roll(-1, -2) - corners
+    outline = corners[..., None, :] + along * sides[..., None, :] if points_of_side > 1 else corners[..., None, :]
+    b, n = batch.shape[:2]
+    moved = _keeping_type(outline.reshape(b, n * 4 * points_of_side, 2), move).reshape(b, n, 4, points_of_side, 2)
+    if mode == "vertices":
+        corners = moved[..., 0, :] if points_of_side == 1 else _quadrangles_around(moved)
+        return _as_type(_upright(corners), boxes)
+    return _as_type(_boxes_around(moved.flatten(-3, -2), mode), boxes)
 
 
 def box_corners(boxes: Tensor, mode: str) -> Tensor:
@@ -116,6 +121,29 @@ def _boxes_around(corners: Tensor, mode: str) -> Tensor:
     near, far = _OFFSETS[mode]
     first, last = corners.amin(-2) - near, corners.amax(-2) - far
     return torch.cat([first, last - first if mode == "xywh" else last], -1)
+
+
+def _quadrangles_around(outline: Tensor) -> Tensor:
+    """The corners (..., 4, 2) of quadrangles around points on their bent sides (..., 4, M, 2), the first a corner each.
+
+    The sides are parallel to the lines between the corners, and as far outward as the points are.
+    """
+    corners = outline[..., 0, :]
+    along = corners.roll(-1, -2) - corners
+    after = along.roll(-1, -2)
+    area = (along[..., 0] * after[..., 1] - along[..., 1] * after[..., 0]).sum(-1, keepdim=True)
+    # A unit vector to the outside of each side: to the left of it, where the corners go clockwise on the screen.
+    normal = torch.stack([along[..., 1], -along[..., 0]], -1) * torch.where(area < 0, -1.0, 1.0)[..., None]
+    normal = normal / along.norm(dim=-1, keepdim=True).clamp(min=1e-6)
+    beyond = ((outline - corners[..., None, :]) * normal[..., None, :]).sum(-1).amax(-1).clamp(min=0)
+    # A corner moves to where the lines of its two sides meet.
+    before, distance = normal.roll(1, -2), beyond.roll(1, -1)
+    determinant = before[..., 0] * normal[..., 1] - before[..., 1] * normal[..., 0]
+    x = distance * normal[..., 1] - beyond * before[..., 1]
+    y = beyond * before[..., 0] - distance * normal[..., 0]
+    is_flat = determinant.abs() < 1e-3
+    step = torch.stack([x, y], -1) / torch.where(is_flat, 1.0, determinant)[..., None]
+    return corners + torch.where(is_flat[..., None], 0.0, step)
 
 
 class BoxFilter(NamedTuple):

@@ -13,6 +13,7 @@ from kvision._dtype import floats
 from kvision.augmentation.base import AugmentationBase2D, Execution, Params, where_chosen
 from kvision.augmentation.geometric_base import Resampling, warp, warp_labels
 from kvision.augmentation.keys import Seed
+from kvision.augmentation.labels import BOX_FORMATS
 from kvision.augmentation.random_generator.mix import (
     CutmixGenerator,
     JigsawGenerator,
@@ -123,7 +124,7 @@ class MixAugmentationBaseV2(AugmentationBase2D):
         params = self._params_on_device(x, execution)
         if key == DataKey.MASK:
             return self._chosen(self.apply_transform_mask(value, params, self.flags), value, execution)
-        if key in (DataKey.BBOX, DataKey.BBOX_XYXY, DataKey.BBOX_XYWH):
+        if key in BOX_FORMATS:
             return self.apply_transform_boxes(value, params, {**self.flags, "mode": key, "chosen": execution.chosen})
         if key == DataKey.KEYPOINTS:
             return self._chosen(self.apply_transform_keypoint(value, params, self.flags), value, execution)

@@ -141,7 +141,7 @@ def _as_batch(key: DataKey, value: Any, alone: bool) -> Any:
         if value.dim() == 3:
             return value[None] if alone else value[:, None]
         return value
-    axes = {DataKey.INPUT: 4, DataKey.KEYPOINTS: 3, DataKey.BBOX: 4, DataKey.BBOX_XYXY: 3, DataKey.BBOX_XYWH: 3}
+    axes = {DataKey.INPUT: 4, DataKey.KEYPOINTS: 3, **dict.fromkeys(BOX_FORMATS, 3), DataKey.BBOX: 4}
     return value[None] if value.dim() == axes.get(key, 0) - 1 else value
 
 

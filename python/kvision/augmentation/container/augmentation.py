@@ -35,9 +35,10 @@ class AugmentationSequential(ImageSequential):
     """Run augmentations on images, and move their masks, boxes and key points with them.
 
     Masks are read at the nearest pixel, whatever their type. Boxes "bbox_xyxy" and "bbox_xywh" are (B, N, 4) with edges of
-    pixels as COCO has them: a box over all of an image is (0, 0, W, H). "bbox" has four corners (B, N, 4, 2), and
-    "keypoints" are (B, N, 2): the center of the first pixel is (0, 0). A moved box is the smallest upright one around what
-    its outline became. "class" is returned as it was given. `visible_points` says which points the results show.
+    pixels as COCO has them: a box over all of an image is (0, 0, W, H). "bbox_xyxy_plus" has the first and the last pixel, (0,
+    0, W - 1, H - 1). "bbox" has four corners (B, N, 4, 2), and "keypoints" are (B, N, 2): the center of the first pixel is (0,
+    0). A moved box is the smallest upright one around what its outline became; corners move by themselves, and outward where a
+    map bends the sides between them. "class" is returned as it was given. `visible_points` says which points the results show.
 
     With a VideoSequential among the children, images are videos (B, T, C, H, W) as its `data_format` says, masks likewise, and
     labels have the axes (B, T) instead of B. Other children give each frame its own parameters.
@@ -49,8 +50,8 @@ class AugmentationSequential(ImageSequential):
     Args:
         *args: augmentations, other containers, or any modules of images.
         data_keys: what the arguments of a call are, the image first: "input" or "image", "mask", "bbox", "bbox_xyxy",
-            "bbox_xywh", "keypoints", "class"; any of them several times. None: calls take one dict with such keys, to which
-            suffixes may be appended ("mask_2").
+            "bbox_xyxy_plus", "bbox_xywh", "keypoints", "class"; any of them several times. None: calls take one dict with such
+            keys, to which suffixes may be appended ("mask_2").
         same_on_batch: if not None, that of all children.
         keepdim: if not None, that of all children.
         random_apply: False runs all children in order; True a random number of them in random order; n that many; (n, m) at

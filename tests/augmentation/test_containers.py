@@ -402,3 +402,64 @@ def test_nested_containers_have_draws_of_their_own_under_a_seed(device: torch.de
         both(x[:1], seed=seed)
         names.append([item.data[0].name for item in both._params])
     assert 5 < sum(first == second for first, second in names) < 35
+
+
+def test_cells_with_the_same_children_are_one_batch(device: torch.device) -> None:
+    """Each cell is what its children give for it alone; children run once for all cells that get them."""
+    x = images(device)
+    calls = []
+
+    class Record(nn.Module):
+        def forward(self, x: Tensor) -> Tensor:
+            calls.append(len(x))
+            return x
+
+    children = [Record(), A.RandomInvert(p=1.0), A.RandomSolarize((0.5, 0.5), (0.0, 0.0), p=1.0)]
+    patches = A.PatchSequential(*children, grid_size=(4, 5), random_apply=1)
+    y = patches(x, seed=3)
+    indices = {item.param.name: item.indices for item in patches._params}
+    assert sorted(n for of_child in indices.values() for n in of_child) == list(range(20)) and len(patches._params) == 3
+    assert calls == [6 * len(indices["Record_0"])]
+    expected = {"Record_0": x, "RandomInvert_1": 1 - x, "RandomSolarize_2": torch.where(x > 0.5, 1 - x, x)}
+    cells = {name: patches.extract_patches(value) for name, value in expected.items()}
+    for name, cells_of_child in indices.items():
+        for cell in cells_of_child:
+            torch.testing.assert_close(patches.extract_patches(y)[:, cell], cells[name][:, cell])
+    whole = A.PatchSequential(Record(), A.ColorJitter(*JITTER), grid_size=(4, 5), patchwise_apply=False)
+    calls.clear()
+    y = whole(x)
+    assert calls == [120] and torch.equal(whole(x, params=whole._params), y)
+    each = whole(x[:1].expand(6, -1, -1, -1), seed=torch.arange(6) * 0 + 4)
+    assert torch.equal(each, each[:1].expand_as(each)) and torch.equal(
+        whole(x[2:3], seed=torch.tensor([8])), whole(x, seed=torch.tensor([1, 2, 8, 3, 4, 5]))[2:3]
+    )
+    leaf = x.clone().requires_grad_()
+    patches(leaf, seed=3).sum().backward()
+    assert torch.equal(leaf.grad.abs(), torch.ones_like(leaf))
+
+
+def test_cells_in_containers(device: torch.device) -> None:
+    """Labels stay where they are; cells that move take none with them."""
+    x, points, masks = (
+        images(device),
+        torch.rand(6, 2, 2, device=device),
+        torch.ones(6, 1, 16, 20, device=device).long(),
+    )
+    colors = A.PatchSequential(A.ColorJitter(*JITTER), A.RandomInvert(), grid_size=(2, 2), random_apply=1)
+    augment = A.AugmentationSequential(A.RandomHorizontalFlip(p=1.0), colors, data_keys=["image", "mask", "keypoints"])
+    y, mask, moved = augment(x, masks, points)
+    assert torch.equal(mask, masks) and torch.equal(moved[..., 0], 19 - points[..., 0])
+    again = augment(x, masks, points, params=augment._params)
+    assert torch.equal(again[0], y) and augment.inverse(y, mask, moved)[1].shape == masks.shape
+    assert torch.equal(augment(x, masks, points, seed=1)[0], augment(x, masks, points, seed=1)[0])
+    flips = A.PatchSequential(A.RandomHorizontalFlip(p=1.0), grid_size=(1, 2), patchwise_apply=False)
+    augment = A.AugmentationSequential(flips, A.RandomInvert(p=1.0), data_keys=["image", "class"])
+    y, _ = augment(x, torch.arange(6))
+    torch.testing.assert_close(y, 1 - torch.cat([x[..., :10].flip(-1), x[..., 10:].flip(-1)], -1))
+    for key, label in {"mask": masks, "keypoints": points, "bbox_xyxy": points.repeat(1, 1, 2)}.items():
+        with pytest.raises(
+            NotImplementedError, match="PatchSequential: masks, boxes, .* cannot follow cells that move"
+        ):
+            augment(x, label, data_keys=["image", key])
+    with pytest.raises(NotImplementedError, match="cannot follow cells"):
+        flips.inverse(flips(x))

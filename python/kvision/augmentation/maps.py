@@ -114,10 +114,10 @@ def pixel_positions(height: int, width: int, like: Tensor) -> Tensor:
 
 
 def read_positions(displacements: Tensor, points: Tensor) -> Tensor:
-    """Where a map reads the image for points (B, N, 2) of its result."""
-    x, y = points.unbind(-1)
-    moved = sampling.remap(displacements.to(points), x[:, None], y[:, None], None, None, *_BETWEEN, False, False)
-    return points + moved[:, :, 0].mT
+    """Where a map reads the image for points (B, N, 2) or (B, h, w, 2) of its result."""
+    x, y = (points if points.dim() == 4 else points[:, None]).unbind(-1)
+    moved = sampling.remap(displacements.to(points), x, y, None, None, *_BETWEEN, False, False)
+    return points + moved.movedim(1, -1).reshape(points.shape)
 
 
 def compose(links: Sequence[Tensor], size: Sequence[int], like: Tensor) -> Tensor:
@@ -131,12 +131,10 @@ def compose(links: Sequence[Tensor], size: Sequence[int], like: Tensor) -> Tenso
     points = pixel_positions(height, width, like).expand(batch, -1, 2)
     matrices = [link.to(points) for link in links if link.dim() == 3]
     inverses = list(inverse3x3(torch.stack(matrices)).unbind(0)) if matrices else []
+    points = points.unflatten(1, (height, width))  # kernels of maps take tiles of rows and columns
     for link in reversed(links):
-        if link.dim() == 3:
-            points = transform_points(inverses.pop(), points)
-        else:
-            points = read_positions(link, points)
-    return points.unflatten(1, (height, width))
+        points = transform_points(inverses.pop(), points) if link.dim() == 3 else read_positions(link, points)
+    return points
 
 
 # --- the inverse ----------------------------------------------------------------------------------------------------
@@ -166,11 +164,9 @@ def find_everywhere(displacements: Tensor, coordinates: Tensor) -> tuple[Tensor,
     rows, columns = _coarse(h, w, coordinates)
     found = find_positions(displacements, coordinates[:, rows][:, :, columns].flatten(1, 2))
     coarse = found.mT.unflatten(2, (len(rows), len(columns)))
-    start = F.interpolate(coarse, (h, w), mode="bilinear", align_corners=True).flatten(2).mT
-    points = coordinates.flatten(1, 2)
-    at = _newton(displacements, points, start)
-    is_found = (read_positions(displacements, at) - points).abs().amax(-1) < 0.5
-    return at.unflatten(1, (h, w)), is_found.unflatten(1, (h, w))
+    start = F.interpolate(coarse, (h, w), mode="bilinear", align_corners=True).movedim(1, -1)
+    at = _newton(displacements, coordinates, start)
+    return at, (read_positions(displacements, at) - coordinates).abs().amax(-1) < 0.5
 
 
 def _coarse(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
@@ -182,7 +178,7 @@ def _coarse(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _newton(displacements: Tensor, points: Tensor, at: Tensor) -> Tensor:
-    """Where the map reads points (B, N, 2), by steps that begin at positions `at` near them."""
+    """Where the map reads points (B, N, 2) or (B, h, w, 2), by steps that begin at positions `at` near them."""
     h, w = displacements.shape[-2:]
     step_x, step_y = vector(at, 0.5, 0.0), vector(at, 0.0, 0.5)
     for _ in range(_STEPS):

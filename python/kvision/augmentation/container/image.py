@@ -37,7 +37,7 @@ torch.serialization.add_safe_globals([ParamItem])  # torch.load reads `_params`
 # What a call leaves behind.
 _STATE = frozenset(
     "_stages _shape _executed _given_params _result_size _kept_boxes _points _videos _restore "
-    "_steps _of_cells _position".split()
+    "_steps _executed_cells".split()
 )
 
 
@@ -466,10 +466,11 @@ def _pick(weights: Sequence[float], u: float) -> int:
 def _input_shape(params: Sequence[ParamItem]) -> tuple[int, ...] | None:
     """The shape of the images of a call."""
     for item in params:
-        if isinstance(item.data, dict) and "forward_input_shape" in item.data:
-            return tuple(int(n) for n in item.data["forward_input_shape"])
-        if isinstance(item.data, (list, tuple)):
-            return _input_shape(item.data)
+        data = getattr(item, "data", None)  # cells of a grid say nothing about the image
+        if isinstance(data, dict) and "forward_input_shape" in data:
+            return tuple(int(n) for n in data["forward_input_shape"])
+        if isinstance(data, (list, tuple)):
+            return _input_shape(data)
     return None
 
 

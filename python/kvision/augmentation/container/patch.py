@@ -13,9 +13,12 @@ from torch import Generator, Tensor, nn
 from kvision.augmentation.base import AugmentationBase
 from kvision.augmentation.container.image import ImageSequential, ParamItem
 from kvision.augmentation.container.runs import Child, Randomness, execute
-from kvision.augmentation.keys import Seed
+from kvision.augmentation.container.stages import Cells
+from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.keys import Seed, frame_seeds
 from kvision.augmentation.random_generator.crop import parse_size
-from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.augmentation.warp_and_color import SAME
+from kvision.core.exceptions import ShapeError, ValueCheckError
 
 __all__ = ["PatchParamItem", "PatchSequential"]
 
@@ -35,7 +38,8 @@ torch.serialization.add_safe_globals([PatchParamItem])
 class PatchSequential(ImageSequential):
     """Cut images into the cells of a grid, augment the cells, and join them again.
 
-    Cells are views of the images; those that get the same child are one batch. Augmentations have to keep their size.
+    Cells are views of the images; those that get the same children are one batch. Augmentations have to keep their size. Inside an
+    AugmentationSequential labels stay where they are; if cells are moved, or cropped by padding 'valid', they are refused.
 
     Args:
         *args: augmentations, or any modules of images.
@@ -64,7 +68,7 @@ class PatchSequential(ImageSequential):
         tensor([[[[1., 1., 0., 0.]]]])
     """
 
-    _of_cells: list[tuple[list[int] | None, Child]]  # of the last call
+    _executed_cells: list[tuple[list[int] | None, Child]]  # of the last call
 
     def __init__(
         self,
@@ -115,12 +119,18 @@ class PatchSequential(ImageSequential):
         rows, columns = grid_size or self.grid_size
         x = input if pad is None or not any(pad) else F.pad(input, pad)
         b, c, h, w = x.shape
+        self._check_grid(x, (rows, columns))
+        cells = x.reshape(b, c, rows, h // rows, columns, w // columns)
+        return cells.permute(0, 2, 4, 1, 3, 5).flatten(1, 2)
+
+    @staticmethod
+    def _check_grid(x: Tensor, grid_size: tuple[int, int]) -> None:
+        rows, columns = grid_size
+        h, w = x.shape[-2:]
         if h % rows or w % columns or not h or not w:
             raise ShapeError(
                 f"PatchSequential: expected images that a grid {rows, columns} divides, got {tuple(x.shape)}"
             )
-        cells = x.reshape(b, c, rows, h // rows, columns, w // columns)
-        return cells.permute(0, 2, 4, 1, 3, 5).flatten(1, 2)
 
     def restore_from_patches(
         self, patches: Tensor, grid_size: tuple[int, int] | None = None, pad: Padding | None = None
@@ -149,7 +159,7 @@ class PatchSequential(ImageSequential):
             input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8.
             params: the `_params` of an earlier call, to repeat it on these images.
             extra_args: accepted for code written for Kornia.
-            seed: an int from which all parameters follow.
+            seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
             generator: draws the keys of this call; default: that of the constructor, or torch's.
 
         Returns:
@@ -159,64 +169,88 @@ class PatchSequential(ImageSequential):
             TypeError: `input` is no tensor of a floating-point type or uint8.
             ValueError: `input` has another number of axes; an augmentation changes the size of a cell.
         """
-        x = self.transform_tensor(input)
+        return super().forward(input, params, extra_args, seed=seed, generator=generator)  # type: ignore[arg-type]
+
+    def _execute(self, x: Tensor, params: Any, source: Randomness) -> Tensor:
         pad = self.compute_padding(x, self.padding)
-        patches = self.extract_patches(x, pad=pad)
-        source = self._source(seed, generator)
-        items = None if params is None else list(params)
-        self._of_cells = []
-        self._position = 0
-        if not self.patchwise_apply:
-            chosen = None if items is None else [item.param for item in items]
-            cells = self._run(patches.flatten(0, 1), self._children_of_call(chosen, source), None, source)
-            patches = cells.unflatten(0, patches.shape[:2])
+        cells = self._cells(x, pad)
+        if params is None:
+            chains = self._chains(len(cells), source)
         else:
-            cells_of_all = []
-            for i in range(patches.shape[1]):
-                children = self._children_of_cell(i, items, source)
-                cells_of_all.append(self._run(patches[:, i], children, [i], source))
-            patches = torch.stack(cells_of_all, 1)
-        self._shape, self._stages = tuple(x.shape), []
-        self._given_params = items
-        return self._restored(self.restore_from_patches(patches, pad=pad), input)
+            chains = self._given_chains(len(cells), params)
+        self._executed_cells, position = [], source.position
+        for numbers in _groups(chains):
+            children = [replace(child) for child in chains[numbers[0]]]
+            self._run_cells(cells, numbers, children, source, position)
+            position += len(children)
+        self._shape, self._given_params = tuple(x.shape), None if params is None else list(params)
+        is_cropped = any(pad) and self.padding == "valid"
+        moves = is_cropped or any(_moves(child.module) for chain in chains for child in chain)
+        self._stages = [Cells()] if moves else []
+        return self.restore_from_patches(torch.stack(cells, 1), pad=pad)
 
-    def _children_of_cell(self, cell: int, items: list[PatchParamItem] | None, source: Randomness) -> list[Child]:
-        modules = dict(self.named_children())
-        if items is not None:
-            return [
-                Child(item.param.name, modules[item.param.name], item.param.data)
-                for item in items
-                if item.indices is not None and cell in item.indices
-            ]
+    def _cells(self, x: Tensor, pad: Padding) -> list[Tensor]:
+        """The cells (B, C, h, w), by rows: views of the images."""
+        rows, columns = self.grid_size
+        x = F.pad(x, pad) if any(pad) else x
+        h, w = x.shape[-2] // rows, x.shape[-1] // columns
+        self._check_grid(x, (rows, columns))
+        return [x[..., r * h : (r + 1) * h, c * w : (c + 1) * w] for r in range(rows) for c in range(columns)]
+
+    def _chains(self, count: int, source: Randomness) -> list[list[Child]]:
+        """The children of each cell, in their order."""
+        named = [Child(name, module) for name, module in self.named_children()]
+        if not self.patchwise_apply:
+            return [self._children_of_call(None, source)] * count
         if self.random_apply is None:
-            return [Child(*list(self.named_children())[cell])]
-        seed = source.seed
-        if isinstance(seed, int):
-            seed = seed + (cell << 32)  # other children for other cells
-        chosen = self.get_random_forward_sequence(seed=seed, generator=source.generator)
-        return [Child(name, module) for name, module in chosen]
+            return [[child] for child in named]
+        chains = []
+        for cell in range(count):
+            seed = source.seed
+            if seed is not None:
+                seed = seed + ((source.position * count + cell + 1) << 32)  # other children for other cells
+            chosen = self.get_random_forward_sequence(seed=seed, generator=source.generator)
+            chains.append([Child(name, module) for name, module in chosen])
+        return chains
 
-    def _run(self, x: Tensor, children: Sequence[Child], indices: list[int] | None, source: Randomness) -> Tensor:
-        """Run children one after the other, and keep their parameters: a child may run for several cells."""
-        for child in children:
-            y, _ = execute(x, [child], source, self._position)
-            if y.shape != x.shape:
-                raise ShapeError(
-                    f"PatchSequential: expected augmentations that keep the size of cells, got {tuple(y.shape)} from "
-                    f"{tuple(x.shape)}"
-                )
-            x, self._position = y, self._position + 1
-            module = child.module
-            execution = module._execution if isinstance(module, AugmentationBase) else None
-            self._of_cells.append((indices, replace(child, params=execution)))
-        return x
+    def _given_chains(self, count: int, params: Sequence[PatchParamItem]) -> list[list[Child]]:
+        modules = dict(self.named_children())
+        chains: list[list[Child]] = [[] for _ in range(count)]
+        for indices, item in params:
+            child = Child(item.name, modules[item.name], item.data)
+            for cell in range(count) if indices is None else indices:
+                chains[cell].append(child)
+        return chains
+
+    def _run_cells(
+        self, cells: list[Tensor], numbers: list[int], children: list[Child], source: Randomness, position: int
+    ) -> None:
+        """Run children on some cells, and keep their parameters."""
+        batch = len(cells[0])
+        x = cells[numbers[0]] if len(numbers) == 1 else torch.cat([cells[n] for n in numbers])
+        seed = source.seed
+        if isinstance(seed, Tensor) and seed.dim() == 1:
+            of_cells = frame_seeds(seed, len(cells)).unflatten(0, (len(seed), len(cells)))
+            seed = torch.cat([of_cells[:, n] for n in numbers])
+        own = source._replace(seed=seed, output=SAME, plans=self._plans)
+        y, _ = execute(x, children, own, position)
+        if y.shape != x.shape:
+            raise ShapeError(
+                f"PatchSequential: expected augmentations that keep the size of cells, got {tuple(y.shape)} from "
+                f"{tuple(x.shape)}"
+            )
+        for n, cell in zip(numbers, y.split(batch) if batch else [y] * len(numbers)):
+            cells[n] = cell
+        indices = None if len(numbers) == len(cells) else numbers
+        self._executed_cells += [(indices, child) for child in children]
 
     @property
     def _params(self) -> list[Any]:
         """The parameters of the last call, in the order of execution."""
         if self._given_params is None and self._shape is not None:
             self._given_params = [
-                PatchParamItem(indices, ParamItem(child.name, _read(child))) for indices, child in self._of_cells
+                PatchParamItem(indices, ParamItem(child.name, child.read_params()))
+                for indices, child in self._executed_cells
             ]
         return self._given_params or []
 
@@ -224,12 +258,20 @@ class PatchSequential(ImageSequential):
     def _params(self, params: list[Any]) -> None:
         self._given_params = params
 
-    def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> Any:
-        raise TypeCheckError("PatchSequential: expected to be called by itself, not as the child of another container")
+
+def _groups(chains: Sequence[Sequence[Child]]) -> list[list[int]]:
+    """The numbers of cells that get the same children: one batch each."""
+    groups: dict[tuple[tuple[str, int], ...], list[int]] = {}
+    for cell, chain in enumerate(chains):
+        groups.setdefault(tuple((child.name, id(child.params)) for child in chain), []).append(cell)
+    return list(groups.values())
 
 
-def _read(child: Child) -> Any:
-    module = child.module
-    if isinstance(module, AugmentationBase) and child.params is not None:
-        return module._read_params(child.params)
-    return None
+def _moves(module: nn.Module) -> bool:
+    """Whether an augmentation moves pixels, or changes masks."""
+    if isinstance(module, ImageSequential):
+        return not module.is_intensity_only(strict=False)
+    if not isinstance(module, AugmentationBase):
+        return False
+    erases = type(module).transform_masks is not AugmentationBase.transform_masks
+    return erases or not isinstance(module, IntensityAugmentationBase2D)

@@ -212,7 +212,37 @@ class Composed:
         return not any(isinstance(link, MapLink) for link in self.links)
 
 
-Stage = Warp | Applied | Composed
+class Cells(NamedTuple):
+    """Cells of a grid that moved by themselves, which nothing else can follow."""
+
+    keeps_lines: bool = False
+
+    def move_points(self, points: Tensor) -> Tensor:
+        raise _cells_moved()
+
+    def move_points_back(self, points: Tensor) -> Tensor:
+        raise _cells_moved()
+
+    def move_masks(self, masks: Tensor, mode: str | None, fill: float | None) -> Tensor:
+        raise _cells_moved()
+
+    def move_masks_back(self, masks: Tensor) -> Tensor:
+        raise _cells_moved()
+
+    def move_images_back(self, x: Tensor) -> Tensor:
+        raise _cells_moved()
+
+    def product(self, matrix: Tensor) -> Tensor:
+        raise _cells_moved()
+
+
+def _cells_moved() -> NotImplementedError:
+    return NotImplementedError(
+        "PatchSequential: masks, boxes, key points, matrices and the inverse cannot follow cells that move"
+    )
+
+
+Stage = Warp | Applied | Composed | Cells
 
 # --- all stages of a call -------------------------------------------------------------------------------------------
 

@@ -8,10 +8,14 @@
 //   5. above a threshold
 //   6. the strongest `count`, in order
 //
-// The response is stored, or it is the difference of adjacent levels of a pyramid, which is not: a band of rows keeps
-// three of its rows. Included by scale_space_peaks_cpu.cpp and scale_space_peaks_op.cpp.
+// The response is stored, or it is the difference of adjacent levels of a pyramid, which is not: on the CPU a band of
+// rows keeps three of its rows. Included by scale_space_peaks_cpu.cpp, scale_space_peaks.cu and
+// scale_space_peaks_op.cpp.
 #pragma once
 
+#if !defined(__CUDACC__)
+#include "core/lanes.h"
+#endif
 #include "geometry/subpix/quad_interp3d.h"
 
 namespace kv::feature {
@@ -24,17 +28,36 @@ struct ScaleSpacePeak {
   int64_t voxel;  // the one that is above its neighbors; the offset in its volume
 };
 
+// The order of peaks: the strongest first, and of equal scores the first voxel, so that there is only one order.
+template <class F>
+struct PeakRank {
+  F score;
+  int voxel;
+  KV_HD bool operator<(PeakRank const& other) const {
+    return score > other.score || (score == other.score && voxel < other.voxel);
+  }
+};
+
+// How many ranks are sorted to have the first `count` of at most `capacity`: a power of two.
+KV_HD int64_t sorted_ranks(int64_t count, int64_t capacity) {
+  int64_t size = 1;
+  while (size < count && size < capacity) size *= 2;
+  return size;
+}
+
 template <class T>
 struct ScaleSpacePeaks {
-  T const* levels;                       // (samples, D, H, W), or (samples, D + 1, H, W) whose differences are searched
-  Compute<T> const* weights;             // (samples, H, W) in [0, 1]; null for 1
-  Compute<T> const* scales;              // (samples): s_0
-  ScaleSpacePeak<Compute<T>>* bands;     // (samples, bands_of_sample, count): the strongest of each band
-  int64_t* sizes;                        // (samples, bands_of_sample): how many these are
+  T const* levels;            // (samples, D, H, W), or (samples, D + 1, H, W) whose differences are searched
+  Compute<T> const* weights;  // (samples, H, W) in [0, 1]; null for 1
+  Compute<T> const* scales;   // (samples): s_0
+  // On the CPU the strongest of each band of rows are kept, on CUDA the ranks of all peaks of a sample.
+  ScaleSpacePeak<Compute<T>>* bands;     // (samples, bands_of_sample, count)
+  PeakRank<Compute<T>>* ranks;           // (samples, capacity), then (samples, sorted_ranks(count, capacity))
+  int64_t* sizes;                        // (samples, bands_of_sample), or (samples)
   Compute<T>* peaks;                     // (samples, count, 4): level, x, y, value
   int64_t* voxels;                       // (samples, count), -1 after the last peak
   geometry::ConvQuadInterp3d<T> search;  // the size of a volume and how to refine; without tensors
-  int64_t samples, bands_of_sample, count;
+  int64_t samples, bands_of_sample, capacity, count;
   bool differences, minima;
   Compute<T> levels_of_octave, margin, edge_ratio, threshold;  // n; pixels; r, 0 keeps edges
 };
@@ -76,6 +99,88 @@ KV_HD bool is_off_edges(F ratio, At at) {
 template <class F>
 KV_HD F weighted_score(F score, F weight, F lowest) {
   return score >= 0 ? score * weight : max(score / weight, lowest);
+}
+
+template <class F>
+KV_HD F exp2_of(F x) {
+#if defined(__CUDACC__)
+  return exp2(x);
+#else
+  return vexp2<F, 1>(x);
+#endif
+}
+
+// Whether the weights of the four pixels around a point are above 0.
+template <class F>
+KV_HD bool is_allowed(F const* weights, int width, F x, F y) {
+  int const left = int(x), top = int(y), right = left + (x > F(left)), bottom = top + (y > F(top));
+  F const *const upper = weights + int64_t(top) * width, *const lower = weights + int64_t(bottom) * width;
+  return upper[left] > 0 && upper[right] > 0 && lower[left] > 0 && lower[right] > 0;
+}
+
+// What an extremum is refined to. read(level) is the response at a voxel of the sample's levels.
+template <class T, class Read>
+KV_HD ScaleSpacePeak<Compute<T>> refine_extremum(geometry::ConvQuadInterp3d<T> const& search, T const* levels, int z,
+                                                 int y, int x, bool is_maximum, Read read) {
+  using F = Compute<T>;
+  int const width = search.size[2];
+  int64_t const plane = int64_t(search.size[1]) * width, voxel = z * plane + int64_t(y) * width + x;
+  F const response = F(read(levels[voxel]));
+  ScaleSpacePeak<F> peak{0, is_maximum ? response : -response, F(z), F(x), F(y), voxel};
+  find_peak(search, levels, z, y, x, read, [&](int const(&c)[3], geometry::Quadratic<F> const& q) {
+    F const value = F(read(levels[c[2] * plane + int64_t(c[1]) * width + c[0]])) + q.rise();
+    peak.value = is_maximum ? value : -value;
+    peak.x = F(c[0]) + q.shift[0], peak.y = F(c[1]) + q.shift[1], peak.level = F(c[2]) + q.shift[2];
+  });
+  return peak;
+}
+
+// Calls use(peak) with the refined extremum and its score, if it is a peak. around(dy, dx) is the response near it.
+template <class T, class Read, class Around, class Use>
+KV_HD void refine_peak(ScaleSpacePeaks<T> const& p, int64_t sample, T const* levels, int z, int y, int x,
+                       bool is_maximum, Read read, Around around, Use use) {
+  using F = Compute<T>;
+  int const height = p.search.size[1], width = p.search.size[2];
+  F const* const weights = p.weights ? p.weights + sample * height * width : nullptr;
+  F const weight = weights ? weights[int64_t(y) * width + x] : F(1);
+  if (!(weight > 0)) return;
+  if (p.edge_ratio > 0 && !is_off_edges(p.edge_ratio, around)) return;
+  ScaleSpacePeak<F> peak = refine_extremum(p.search, levels, z, y, x, is_maximum, read);
+  // The refinement may move the value of a minimum across 0.
+  if (!is_maximum && !(peak.value > around(0, 0))) return;
+  F const room = p.margin + p.scales[sample] * exp2_of(peak.level / p.levels_of_octave) / 2;
+  if (!(peak.x >= room && peak.y >= room && peak.x + room <= F(width - 1) && peak.y + room <= F(height - 1))) return;
+  if (weights && !is_allowed(weights, width, peak.x, peak.y)) return;
+  constexpr F lowest = sizeof(F) == 4 ? F(-__FLT_MAX__) : F(-__DBL_MAX__);
+  peak.score = weights ? weighted_score(peak.value, weight, lowest) : peak.value;
+  if (peak.score > p.threshold) use(peak);
+}
+
+// Whether the extremum at a voxel inside the volume is a maximum.
+template <class T, class Read>
+KV_HD bool is_maximum_at(T const* levels, int64_t voxel, Read read) {
+  return read(levels[voxel]) > read(levels[voxel + 1]);
+}
+
+// Calls add(voxel, number) for the gradient of slot k, whose sample has these levels, to the response.
+template <class T, class Read, class Add>
+KV_HD void peak_vjp(ScaleSpacePeaksBackward<T> const& p, int64_t k, T const* levels, Read read, Add add) {
+  using F = Compute<T>;
+  int const depth = p.search.size[0], height = p.search.size[1], width = p.search.size[2];
+  int64_t const voxel = p.voxels[k], plane = int64_t(height) * width;
+  if (voxel < 0 || voxel >= depth * plane) return;
+  int const z = int(voxel / plane), y = int(voxel / width % height), x = int(voxel % width);
+  if (z < 1 || z > depth - 2 || y < 1 || y > height - 2 || x < 1 || x > width - 2) return;
+  F const to_shift[] = {p.grad[4 * k + 1], p.grad[4 * k + 2], p.grad[4 * k]};
+  F const to_value = is_maximum_at(levels, voxel, read) ? p.grad[4 * k + 3] : -p.grad[4 * k + 3];
+  bool moves = false;
+  find_peak(p.search, levels, z, y, x, read, [&](int const(&c)[3], geometry::Quadratic<F> const& q) {
+    int64_t const center = c[2] * plane + int64_t(c[1]) * width + c[0];
+    q.vjp(to_shift, to_value,
+          [&](int dx, int dy, int dz, F number) { add(center + dz * plane + dy * width + dx, number); });
+    moves = true;
+  });
+  if (!moves) add(voxel, to_value);
 }
 
 // The strongest of the peaks that are added, at most `capacity`: a binary heap whose root is the weakest. Of equal

@@ -91,62 +91,27 @@ struct ResponseRows {
   }
 };
 
-// Whether the weights of the four pixels around a point are above 0.
-template <class F>
-KV_HD bool is_allowed(F const* weights, int width, F x, F y) {
-  int const left = int(x), top = int(y), right = left + (x > F(left)), bottom = top + (y > F(top));
-  F const *const upper = weights + int64_t(top) * width, *const lower = weights + int64_t(bottom) * width;
-  return upper[left] > 0 && upper[right] > 0 && lower[left] > 0 && lower[right] > 0;
-}
-
-// The peak that an extremum is refined to, if it is one.
-template <class T>
-KV_HD void add_peak(ScaleSpacePeaks<T> const& p, int64_t sample, ResponseRows<T> const& rows, int z, int y, int x,
-                    bool is_maximum, StrongestPeaks<Compute<T>>& strongest) {
-  using F = Compute<T>;
-  int const height = rows.height, width = rows.width;
-  int64_t const plane = int64_t(height) * width;
-  F const* const weights = p.weights ? p.weights + sample * plane : nullptr;
-  F const weight = weights ? weights[int64_t(y) * width + x] : F(1);
-  if (!(weight > 0)) return;
-  auto const around = [&](int dy, int dx) KV_INLINE { return rows.row(z, y + dy)[x + dx]; };
-  if (p.edge_ratio > 0 && !is_off_edges(p.edge_ratio, around)) return;
-  auto const read = response_of<T>(p.differences, plane);
-  F const response = around(0, 0);
-  ScaleSpacePeak<F> peak{0, is_maximum ? response : -response, F(z), F(x), F(y), z * plane + int64_t(y) * width + x};
-  find_peak(p.search, rows.levels, z, y, x, read, [&](int const(&c)[3], geometry::Quadratic<F> const& q) KV_INLINE {
-    F const value = read(rows.levels[c[2] * plane + int64_t(c[1]) * width + c[0]]) + q.rise();
-    peak.value = is_maximum ? value : -value;
-    peak.x = F(c[0]) + q.shift[0], peak.y = F(c[1]) + q.shift[1], peak.level = F(c[2]) + q.shift[2];
-  });
-  // The refinement may move the value of a minimum across 0.
-  if (!is_maximum && !(peak.value > response)) return;
-  F const room = p.margin + p.scales[sample] * vexp2<F, 1>(peak.level / p.levels_of_octave) / 2;
-  if (!(peak.x >= room && peak.y >= room && peak.x + room <= F(width - 1) && peak.y + room <= F(height - 1))) return;
-  if (weights && !is_allowed(weights, width, peak.x, peak.y)) return;
-  constexpr F lowest = sizeof(F) == 4 ? F(-__FLT_MAX__) : F(-__DBL_MAX__);
-  peak.score = weights ? weighted_score(peak.value, weight, lowest) : peak.value;
-  if (peak.score > p.threshold) strongest.add(peak);
-}
-
 }  // namespace
 
 template <class T>
 void find_scale_space_peaks(ScaleSpacePeaks<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   ResponseRows<T> rows(p);
-  int64_t const size = (p.search.size[0] + p.differences) * int64_t(rows.height) * rows.width;
+  int64_t const plane = int64_t(rows.height) * rows.width, bands = p.bands_of_sample;
+  auto const read = response_of<T>(p.differences, plane);
   for (int64_t band = begin; band < end; ++band) {
-    int64_t const sample = band / p.bands_of_sample, first = band % p.bands_of_sample * kPeakRows;
+    int64_t const sample = band / bands, first = band % bands * kPeakRows;
     int const from = int(max(first, int64_t(1))), to = int(min(first + kPeakRows, int64_t(rows.height - 1)));
     StrongestPeaks<F> strongest{p.bands + band * p.count, p.count, 0};
-    rows.levels = p.levels + sample * size;
+    rows.levels = p.levels + sample * (p.search.size[0] + p.differences) * plane;
     if (from < to) rows.fill(from - 1), rows.fill(from);
     for (int y = from; y < to; ++y) {
       rows.fill(y + 1);
       for (int z = 1; z + 1 < rows.depth; ++z)
         rows.extrema(z, y, p.minima, [&](int x, bool is_maximum) KV_INLINE {
-          add_peak(p, sample, rows, z, y, x, is_maximum, strongest);
+          auto const around = [&](int dy, int dx) KV_INLINE { return rows.row(z, y + dy)[x + dx]; };
+          refine_peak(p, sample, rows.levels, z, y, x, is_maximum, read, around,
+                      [&](ScaleSpacePeak<F> const& peak) KV_INLINE { strongest.add(peak); });
         });
     }
     p.sizes[band] = strongest.size;
@@ -176,8 +141,7 @@ void sort_scale_space_peaks(ScaleSpacePeaks<T> const& p, int64_t begin, int64_t 
 template <class T>
 void scale_space_peaks_backward(ScaleSpacePeaksBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  int const depth = p.search.size[0], height = p.search.size[1], width = p.search.size[2];
-  int64_t const plane = int64_t(height) * width, size = (depth + p.differences) * plane;
+  int64_t const plane = int64_t(p.search.size[1]) * p.search.size[2], size = (p.search.size[0] + p.differences) * plane;
   auto const read = response_of<T>(p.differences, plane);
   for (int64_t sample = begin; sample < end; ++sample) {
     T const* const levels = p.levels + sample * size;
@@ -189,22 +153,7 @@ void scale_space_peaks_backward(ScaleSpacePeaksBackward<T> const& p, int64_t beg
         grad[voxel] += number;
     };
     for (int64_t i = 0; i < size; ++i) grad[i] = 0;
-    for (int64_t k = sample * p.count; k < (sample + 1) * p.count; ++k) {
-      int64_t const voxel = p.voxels[k];
-      if (voxel < 0 || voxel >= depth * plane) continue;
-      int const z = int(voxel / plane), y = int(voxel / width % height), x = int(voxel % width);
-      if (z < 1 || z > depth - 2 || y < 1 || y > height - 2 || x < 1 || x > width - 2) continue;
-      F const to_shift[] = {p.grad[4 * k + 1], p.grad[4 * k + 2], p.grad[4 * k]};
-      F const to_value = read(levels[voxel]) > read(levels[voxel + 1]) ? p.grad[4 * k + 3] : -p.grad[4 * k + 3];
-      bool moves = false;
-      find_peak(p.search, levels, z, y, x, read, [&](int const(&c)[3], geometry::Quadratic<F> const& q) KV_INLINE {
-        int64_t const center = c[2] * plane + int64_t(c[1]) * width + c[0];
-        q.vjp(to_shift, to_value,
-              [&](int dx, int dy, int dz, F number) KV_INLINE { add(center + dz * plane + dy * width + dx, number); });
-        moves = true;
-      });
-      if (!moves) add(voxel, to_value);
-    }
+    for (int64_t k = sample * p.count; k < (sample + 1) * p.count; ++k) peak_vjp(p, k, levels, read, add);
   }
 }
 

@@ -1,9 +1,6 @@
-// Peaks of scale spaces: schemas and operators for the CPU. On CUDA the reference runs, which calls the kernels of the
-// steps.
+// Peaks of scale spaces: schemas and operators, for CPU and CUDA.
 #include "glue/batch.h"
 #include "scale_space_peaks.h"
-
-#if !defined(KV_CUDA)
 
 namespace kv::feature {
 namespace {
@@ -46,7 +43,14 @@ std::tuple<Tensor, Tensor> scale_space_peaks(Tensor const& input, std::optional<
   check_scale_space(op, input, differences, steps, radius);
   KV_CHECK(count >= 0 && count <= INT32_MAX, op, ": expected count of 0 to 2^31 - 1, got ", count);
   int64_t const samples = input.size(0), height = input.size(2), width = input.size(3);
-  int64_t const bands = (height + kPeakRows - 1) / kPeakRows;
+#if defined(KV_CUDA)
+  // Of neighboring voxels at most one is a maximum, and one a minimum.
+  auto const half = [](int64_t size) { return (size + 1) / 2; };
+  int64_t const capacity = (1 + minima) * half(input.size(1) - differences) * half(height) * half(width);
+  int64_t const bands = 1, ranks = samples * (capacity + sorted_ranks(count, capacity));
+#else
+  int64_t const bands = (height + kPeakRows - 1) / kPeakRows, capacity = 0, ranks = 0;
+#endif
   Tensor const levels = dense(input), from = of_each_sample(op, "scales", scales, levels, {samples});
   std::optional<Tensor> allowed;
   if (weights) allowed = of_each_sample(op, "weights", *weights, levels, {samples, height, width});
@@ -57,18 +61,21 @@ std::tuple<Tensor, Tensor> scale_space_peaks(Tensor const& input, std::optional<
   dispatch_floating(op, levels, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Tensor const strongest =
-        empty({samples * bands * count * int64_t(sizeof(ScaleSpacePeak<F>))}, levels, Layout::planar, ScalarType::Byte);
+    int64_t const bytes =
+        ranks > 0 ? ranks * int64_t(sizeof(PeakRank<F>)) : samples * bands * count * int64_t(sizeof(ScaleSpacePeak<F>));
+    Tensor const lists = empty({bytes}, levels, Layout::planar, ScalarType::Byte);
     ScaleSpacePeaks<T> const params{data_ptr<T const>(levels),
                                     allowed ? data_ptr<F const>(*allowed) : nullptr,
                                     data_ptr<F const>(from),
-                                    data_ptr<ScaleSpacePeak<F>>(strongest),
+                                    data_ptr<ScaleSpacePeak<F>>(lists),
+                                    data_ptr<PeakRank<F>>(lists),
                                     data_ptr<int64_t>(sizes),
                                     data_ptr<F>(peaks),
                                     data_ptr<int64_t>(voxels),
                                     peak_search<T>(levels, differences, steps, largest_shift, radius, along_scale),
                                     samples,
                                     bands,
+                                    capacity,
                                     count,
                                     differences,
                                     minima,
@@ -128,5 +135,3 @@ KV_OPERATOR(scale_space_peaks_backward,
 #undef KV_REFINEMENT
 
 }  // namespace kv::feature
-
-#endif

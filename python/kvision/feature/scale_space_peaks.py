@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision._dtype import as_dtype, compute_dtype
-from kvision._ops import register
+from kvision._ops import on_cuda, register
 from kvision.feature import _detection as detection
 from kvision.filters.edges.spatial_gradient import spatial_gradient
 from kvision.geometry.subpix import conv_quad_interp3d, nms3d_minmax
@@ -181,6 +181,7 @@ _peaks_backward = register(
     _reference_backward,
     fake=lambda grad, levels, *_: levels.new_empty((grad.shape[0], *levels.shape[1:]), dtype=compute_dtype(levels)),
     casts_outputs=True,
+    nondeterministic=on_cuda,
 )
 _peaks = register(
     "scale_space_peaks",
@@ -198,6 +199,6 @@ def scale_space_peaks(levels: Tensor, *args: Any) -> tuple[Tensor, Tensor]:
 
     Arguments are those of the operator: weights (B, H, W) or None, which select peaks and order them, scales (B,) of level
     0, and whether level i is the difference of levels i + 1 and i. Voxels are those that were refined; slots without a peak
-    have 0 and -1. On CUDA there is no kernel for all steps, but one for most of them.
+    have 0 and -1.
     """
-    return _reference(levels, *args) if levels.is_cuda else _peaks(levels, *args)
+    return _peaks(levels, *args)

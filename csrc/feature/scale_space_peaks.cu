@@ -1,0 +1,241 @@
+// Peaks of scale spaces on CUDA. A thread searches the voxels of a pixel and lists the ranks of those that are peaks,
+// in any order. Then a block for each sample chooses the strongest by their digits, sorts them, and refines them again:
+// the same peaks in the same order every run.
+#include "core/launch.cuh"
+#include "scale_space_peaks.h"
+
+namespace kv::feature::cuda {
+namespace {
+
+constexpr int kThreads = 256, kChoosers = 1024;
+constexpr int kSharedBytes = 32768;  // of ranks that are sorted in shared memory
+
+template <class T>
+__device__ __forceinline__ auto response_of(bool differences, int64_t plane) {
+  auto const load_one = [](T const* level) { return read(*level); };
+  return ResponseAt<T, decltype(load_one)>{differences ? plane : 0, load_one};
+}
+
+// The response around a voxel in its level.
+template <class F>
+struct Neighborhood {
+  F center, lowest, highest;  // the extrema of the other eight
+  bool all_numbers;
+
+  template <class At>
+  __device__ __forceinline__ explicit Neighborhood(At at) : center(at(0, 0)), all_numbers(center == center) {
+    lowest = highest = at(0, 1);
+#pragma unroll
+    for (int j = -1; j <= 1; ++j)
+#pragma unroll
+      for (int i = -1; i <= 1; ++i)
+        if (i != 0 || j != 0) {
+          F const other = at(j, i);
+          lowest = min(lowest, other), highest = max(highest, other);  // which skip NaN
+          all_numbers = all_numbers && other == other;
+        }
+  }
+  __device__ __forceinline__ bool is_below(F value) const { return value > highest && value > center && all_numbers; }
+  __device__ __forceinline__ bool is_above(F value) const { return value < lowest && value < center && all_numbers; }
+};
+
+// Blocks of 32 x 8 pixels that are inside of the border; samples along y.
+template <class T>
+__global__ void __launch_bounds__(kThreads) list_peaks(__grid_constant__ ScaleSpacePeaks<T> const p, unsigned across) {
+  using F = Compute<T>;
+  int const depth = p.search.size[0], height = p.search.size[1], width = p.search.size[2];
+  int const x = 1 + int(blockIdx.x % across) * 32 + int(threadIdx.x) % 32;
+  int const y = 1 + int(blockIdx.x / across) * 8 + int(threadIdx.x) / 32;
+  if (x > width - 2 || y > height - 2) return;
+  int64_t const plane = int64_t(height) * width;
+  auto const response = response_of<T>(p.differences, plane);
+  for (int64_t sample = blockIdx.y; sample < p.samples; sample += gridDim.y) {
+    T const* const levels = p.levels + sample * (depth + p.differences) * plane;
+    auto const at_level = [&](int z) {
+      T const* const center = levels + z * plane + int64_t(y) * width + x;
+      return [=](int dy, int dx) { return response(center[int64_t(dy) * width + dx]); };
+    };
+    Neighborhood<F> lower(at_level(0)), here(at_level(1));
+    for (int z = 1; z + 1 < depth; ++z) {
+      Neighborhood<F> const upper(at_level(z + 1));
+      F const v = here.center;
+      bool const numbers = here.all_numbers;
+      bool const is_maximum = v > here.highest && numbers && lower.is_below(v) && upper.is_below(v);
+      bool const is_minimum = p.minima && v < here.lowest && numbers && lower.is_above(v) && upper.is_above(v);
+      if (is_maximum || is_minimum)
+        refine_peak(p, sample, levels, z, y, x, is_maximum, response, at_level(z), [&](ScaleSpacePeak<F> const& peak) {
+          auto* const size = reinterpret_cast<unsigned long long*>(p.sizes + sample);
+          int64_t const slot = int64_t(atomicAdd(size, 1ull));
+          if (slot < p.capacity) p.ranks[sample * p.capacity + slot] = {peak.score, int(peak.voxel)};
+        });
+      lower = here, here = upper;
+    }
+  }
+}
+
+// Digit i of a rank in base 256, the most significant first; the strongest rank has the largest digits.
+template <class F>
+__device__ __forceinline__ unsigned digit_of(PeakRank<F> const& rank, int i) {
+  using Bits = std::conditional_t<sizeof(F) == 4, unsigned, unsigned long long>;
+  constexpr int bytes = sizeof(F);
+  if (i >= bytes) return unsigned(INT32_MAX - rank.voxel) >> 8 * (bytes + 3 - i) & 255;
+  Bits const bits = __builtin_bit_cast(Bits, rank.score + F(0)), sign = Bits(1) << (8 * bytes - 1);  // -0 is 0
+  return unsigned((bits & sign ? ~bits : bits | sign) >> 8 * (bytes - 1 - i) & 255);
+}
+
+// The first digits of the weakest rank that is chosen.
+struct RankPrefix {
+  unsigned char digits[12];
+  int length;
+
+  // Below 0, 0, above 0: whether the first digits of a rank are weaker, the same, stronger.
+  template <class F>
+  __device__ __forceinline__ int compare(PeakRank<F> const& rank) const {
+    for (int i = 0; i < length; ++i)
+      if (int const apart = int(digit_of(rank, i)) - int(digits[i])) return apart;
+    return 0;
+  }
+};
+
+// Finds the prefix that `wanted` of n ranks reach, fewer than n. Called by all threads of a block.
+template <class F>
+__device__ void choose(PeakRank<F> const* ranks, int64_t n, int wanted, RankPrefix& prefix) {
+  __shared__ int counts[256], missing;
+  __shared__ bool done;
+  if (threadIdx.x == 0) prefix.length = 0, missing = wanted, done = false;
+  __syncthreads();
+  for (int d = 0; d < int(sizeof(F)) + 4 && !done; ++d) {
+    for (int i = threadIdx.x; i < 256; i += kChoosers) counts[i] = 0;
+    __syncthreads();
+    for (int64_t i = threadIdx.x; i < n; i += kChoosers)
+      if (prefix.compare(ranks[i]) == 0) atomicAdd(counts + digit_of(ranks[i], d), 1);
+    __syncthreads();
+    if (threadIdx.x < 32) {  // eight digits a lane, the largest in lane 0
+      int const largest = 255 - 8 * int(threadIdx.x), goal = missing;
+      int own = 0;
+      for (int i = 0; i < 8; ++i) own += counts[largest - i];
+      int through = own;
+      for (int step = 1; step < 32; step *= 2) {
+        int const before = __shfl_up_sync(0xffffffffu, through, step);
+        if (int(threadIdx.x) >= step) through += before;
+      }
+      int above = through - own;
+      __syncwarp();  // before `missing` changes
+      if (above < goal && goal <= through) {
+        int last = largest;
+        for (; above + counts[last] < goal; --last) above += counts[last];
+        prefix.digits[d] = static_cast<unsigned char>(last);
+        prefix.length = d + 1;
+        missing = goal - above;
+        done = counts[last] == missing;
+      }
+    }
+    __syncthreads();
+  }
+}
+
+// Sorts a power of two of ranks. Called by all threads of a block.
+template <class F>
+__device__ void bitonic_sort(PeakRank<F>* ranks, int64_t size) {
+  for (int64_t run = 2; run <= size; run *= 2)
+    for (int64_t apart = run / 2; apart > 0; apart /= 2) {
+      for (int64_t pair = threadIdx.x; pair < size / 2; pair += kChoosers) {
+        int64_t const i = 2 * apart * (pair / apart) + pair % apart, j = i + apart;
+        PeakRank<F> const a = ranks[i], b = ranks[j];
+        if ((i & run) == 0 ? b < a : a < b) ranks[i] = b, ranks[j] = a;
+      }
+      __syncthreads();
+    }
+}
+
+extern __shared__ double shared_ranks[];
+
+// A block a sample.
+template <class T>
+__global__ void __launch_bounds__(kChoosers) choose_peaks(__grid_constant__ ScaleSpacePeaks<T> const p) {
+  using F = Compute<T>;
+  __shared__ RankPrefix prefix;
+  __shared__ int chosen;
+  int64_t const sample = blockIdx.x, n = min(p.sizes[sample], p.capacity), kept = min(n, p.count);
+  PeakRank<F> const* const listed = p.ranks + sample * p.capacity;
+  PeakRank<F>* sorted = reinterpret_cast<PeakRank<F>*>(shared_ranks);
+  int64_t const room = sorted_ranks(p.count, p.capacity), size = sorted_ranks(kept, kept);
+  if (room * int64_t(sizeof(PeakRank<F>)) > kSharedBytes) sorted = p.ranks + p.samples * p.capacity + sample * room;
+  if (threadIdx.x == 0) prefix.length = 0, chosen = 0;
+  __syncthreads();
+  if (kept > 0 && kept < n) choose(listed, n, int(kept), prefix);
+  for (int64_t i = threadIdx.x; i < n && kept > 0; i += kChoosers)
+    if (prefix.compare(listed[i]) >= 0) sorted[atomicAdd(&chosen, 1)] = listed[i];
+  for (int64_t i = kept + threadIdx.x; i < size; i += kChoosers) sorted[i] = {-INFINITY, INT32_MAX};
+  __syncthreads();
+  bitonic_sort(sorted, size);
+
+  int const depth = p.search.size[0], height = p.search.size[1], width = p.search.size[2];
+  int64_t const plane = int64_t(height) * width;
+  auto const response = response_of<T>(p.differences, plane);
+  T const* const levels = p.levels + sample * (depth + p.differences) * plane;
+  for (int64_t i = threadIdx.x; i < p.count; i += kChoosers) {
+    ScaleSpacePeak<F> peak{0, 0, 0, 0, 0, -1};
+    if (i < kept) {
+      int const voxel = sorted[i].voxel, z = int(voxel / plane), y = int(voxel / width % height), x = voxel % width;
+      peak = refine_extremum(p.search, levels, z, y, x, is_maximum_at(levels, voxel, response), response);
+    }
+    F* const numbers = p.peaks + 4 * (sample * p.count + i);
+    numbers[0] = peak.level, numbers[1] = peak.x, numbers[2] = peak.y, numbers[3] = peak.value;
+    p.voxels[sample * p.count + i] = peak.voxel;
+  }
+}
+
+// A thread a slot. Gradients of peaks that share voxels are added by atomics.
+template <class T>
+__global__ void __launch_bounds__(kThreads) add_gradients(__grid_constant__ ScaleSpacePeaksBackward<T> const p) {
+  using F = Compute<T>;
+  int64_t const k = int64_t(blockIdx.x) * kThreads + threadIdx.x;
+  if (k >= p.samples * p.count) return;
+  int64_t const plane = int64_t(p.search.size[1]) * p.search.size[2], size = (p.search.size[0] + p.differences) * plane;
+  T const* const levels = p.levels + k / p.count * size;
+  F* const grad = p.grad_levels + k / p.count * size;
+  peak_vjp(p, k, levels, response_of<T>(p.differences, plane), [&](int64_t voxel, F number) {
+    if (p.differences) {
+      atomicAdd(grad + voxel + plane, number);
+      atomicAdd(grad + voxel, -number);
+    } else {
+      atomicAdd(grad + voxel, number);
+    }
+  });
+}
+
+}  // namespace
+
+template <class T>
+int find_scale_space_peaks(ScaleSpacePeaks<T> const& p, CUstream_st* stream) {
+  if (int const error = cudaMemsetAsync(p.sizes, 0, size_t(p.samples) * sizeof(int64_t), stream)) return error;
+  int const height = p.search.size[1], width = p.search.size[2];
+  if (p.search.size[0] < 3 || height < 3 || width < 3) return cudaSuccess;
+  auto const across = unsigned(ceil_div(width - 2, 32)), down = unsigned(ceil_div(height - 2, 8));
+  dim3 const grid(across * down, unsigned(p.samples < 65535 ? p.samples : 65535));
+  list_peaks<T><<<grid, kThreads, 0, stream>>>(p, across);
+  return cudaGetLastError();
+}
+
+template <class T>
+int sort_scale_space_peaks(ScaleSpacePeaks<T> const& p, CUstream_st* stream) {
+  choose_peaks<T><<<unsigned(p.samples), kChoosers, kSharedBytes, stream>>>(p);
+  return cudaGetLastError();
+}
+
+template <class T>
+int scale_space_peaks_backward(ScaleSpacePeaksBackward<T> const& p, CUstream_st* stream) {
+  size_t const voxels = size_t(p.search.size[0] + p.differences) * size_t(p.search.size[1]) * size_t(p.search.size[2]);
+  size_t const bytes = size_t(p.samples) * voxels * sizeof(Compute<T>);
+  if (int const error = cudaMemsetAsync(p.grad_levels, 0, bytes, stream)) return error;
+  int64_t const blocks = ceil_div(p.samples * p.count, kThreads);
+  if (blocks > 0) add_gradients<T><<<unsigned(blocks), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(find_scale_space_peaks, ScaleSpacePeaks)
+KV_INSTANTIATE(sort_scale_space_peaks, ScaleSpacePeaks)
+KV_INSTANTIATE(scale_space_peaks_backward, ScaleSpacePeaksBackward)
+
+}  // namespace kv::feature::cuda

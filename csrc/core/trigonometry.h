@@ -1,6 +1,6 @@
-// Square root, sine and cosine, arc tangent and rounding of doubles, of four Lanes (on the CPU), and of Duals of
-// either: the functions in formulas of rotations. Scalars use the C library or CUDA, Lanes the code here with errors of
-// at most 2 ulp of 1.
+// Square root, powers of two, sine and cosine, arc tangent and rounding of doubles, of four Lanes (on the CPU), and of
+// Duals of either: the functions in formulas of rotations. Scalars use the C library or CUDA, Lanes the code here with
+// errors of at most 2 ulp of 1.
 #pragma once
 
 #include "dual.h"
@@ -14,6 +14,7 @@ KV_HD double square_root(double x) { return sqrt(x); }
 
 #if defined(__CUDACC__)
 
+KV_HD double power_of_two(double x) { return ::exp2(x); }
 KV_HD void sin_cos(double x, double& sine, double& cosine) { ::sincos(x, &sine, &cosine); }
 KV_HD double arctan2(double y, double x) { return ::atan2(y, x); }
 KV_HD double rounded(double x) { return ::rint(x); }
@@ -23,6 +24,7 @@ KV_HD double rounded(double x) { return ::rint(x); }
 using Double4 = Lanes<double, 4>;
 
 KV_HD Double4 square_root(Double4 x) { return vsqrt(x); }
+KV_HD Double4 power_of_two(Double4 x) { return vexp2<double, 4>(x); }
 
 // Half to even.
 KV_HD Double4 rounded(Double4 x) {
@@ -80,6 +82,13 @@ template <class V, int N>
 KV_HD Dual<V, N> square_root(Dual<V, N> a) {
   a.value = square_root(a.value);
   V const derivative = 0.5 / a.value;
+  for (int i = 0; i < N; ++i) a.d[i] = a.d[i] * derivative;
+  return a;
+}
+template <class V, int N>
+KV_HD Dual<V, N> power_of_two(Dual<V, N> a) {
+  a.value = power_of_two(a.value);
+  V const derivative = a.value * 0.69314718055994530942;
   for (int i = 0; i < N; ++i) a.d[i] = a.d[i] * derivative;
   return a;
 }

@@ -112,6 +112,20 @@ struct ScaleLafParts : FrameInput<2, 3> {
   }
 };
 
+// The upright frame of a peak (level, x, y, value) of an octave whose level 0 has scale s_0: the scale s_0 2^(level /
+// n), in pixels of an image, of which those of the octave are (sx, sy).
+struct LafOfPeak {
+  static constexpr int kInputs = 2, kRequired = 2, kInputSize = 5, kOutputSize = 6, kScalars = 3, kOptionalLastRow = 0;
+  static constexpr Extent extent(int i) { return i ? Extent{} : Extent{4}; }
+  static constexpr Extent result = {2, 3};
+  template <class V>
+  static KV_HD void evaluate(V const* x, V* y, FormulaOptions const& s) {
+    V const scale = x[4] * power_of_two(x[0] / s.scalars[0]);
+    y[0] = scale * s.scalars[1], y[1] = constant<V>(0), y[2] = x[1] * s.scalars[1];
+    y[3] = constant<V>(0), y[4] = scale * s.scalars[2], y[5] = x[2] * s.scalars[2];
+  }
+};
+
 // The lower triangular U with U U^T = A A^T:  r = |(a11, a12)| + eps,  U = [[r, 0], [row1 . row2 / r, scale^2 / r]].
 struct MakeUpright : FrameInput<2, 3> {
   static constexpr int kScalars = 1;

@@ -82,15 +82,16 @@ namespace kv::geometry {
   _(se3_left_jacobian_inverse, Se3LeftJacobianInverse, "Tensor tangent")
 
 // Features: local affine frames and peaks of responses.
-#define KV_FEATURE_FORMULAS(_)                                                              \
-  _(laf_scale, feature::LafScale, "Tensor laf")                                             \
-  _(rotate_laf, feature::RotateLaf, "Tensor laf, Tensor degrees")                           \
-  _(set_laf_orientation, feature::SetLafOrientation, "Tensor laf, Tensor degrees")          \
-  _(laf_from_parts, feature::LafFromParts, "Tensor center, Tensor? scale, Tensor? degrees") \
-  _(scale_laf_parts, feature::ScaleLafParts, "Tensor laf, float shape, float x, float y")   \
-  _(make_upright, feature::MakeUpright, "Tensor laf, float eps")                            \
-  _(ellipse_to_laf, feature::EllipseToLaf, "Tensor ellipse")                                \
-  _(quadratic_peak2d, feature::QuadraticPeak2d, "Tensor values")                            \
+#define KV_FEATURE_FORMULAS(_)                                                                              \
+  _(laf_scale, feature::LafScale, "Tensor laf")                                                             \
+  _(rotate_laf, feature::RotateLaf, "Tensor laf, Tensor degrees")                                           \
+  _(set_laf_orientation, feature::SetLafOrientation, "Tensor laf, Tensor degrees")                          \
+  _(laf_from_parts, feature::LafFromParts, "Tensor center, Tensor? scale, Tensor? degrees")                 \
+  _(scale_laf_parts, feature::ScaleLafParts, "Tensor laf, float shape, float x, float y")                   \
+  _(laf_of_peak, feature::LafOfPeak, "Tensor peak, Tensor scale, float levels_of_octave, float x, float y") \
+  _(make_upright, feature::MakeUpright, "Tensor laf, float eps")                                            \
+  _(ellipse_to_laf, feature::EllipseToLaf, "Tensor ellipse")                                                \
+  _(quadratic_peak2d, feature::QuadraticPeak2d, "Tensor values")                                            \
   _(perspective_transform_laf, feature::PerspectiveTransformLaf, "Tensor homography, Tensor laf")
 
 #define KV_FORMULAS(_)    \

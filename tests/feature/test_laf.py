@@ -28,6 +28,7 @@ class TestFrameOperators(PointOpTests):
             Call((vector(2), None, None)),
         ],
         "scale_laf_parts": [Call((FRAME,), (2.0, 3.0, 4.0))],
+        "laf_of_peak": [Call((vector(4), NUMBER), (3.0, 2.0, 0.5))],
         "make_upright": [Call((FRAME,), (1e-9,)), Call((FRAME,), (0.5,))],
         "ellipse_to_laf": [Call((ELLIPSE,))],
         "perspective_transform_laf": [Call((HOMOGRAPHY, FRAME))],

@@ -14,6 +14,8 @@ inline constexpr Operator<"laf_from_parts", Tensor(Tensor center, OptionalTensor
     laf_from_parts{side_by_side};
 inline constexpr Operator<"scale_laf_parts", Tensor(Tensor laf, double shape, double x, double y)> scale_laf_parts{
     side_by_side};
+inline constexpr Operator<"laf_of_peak", Tensor(Tensor peak, Tensor scale, double levels_of_octave, double x, double y)>
+    laf_of_peak{side_by_side};
 inline constexpr Operator<"make_upright", Tensor(Tensor laf, double eps)> make_upright{side_by_side};
 inline constexpr Operator<"ellipse_to_laf", Tensor(Tensor ellipse)> ellipse_to_laf{side_by_side};
 inline constexpr Operator<"quadratic_peak2d", Tensor(Tensor values)> quadratic_peak2d{side_by_side};

@@ -98,9 +98,10 @@ def filled_slots(image: Tensor, scores: list[Tensor], lafs: list[Tensor], count:
     """
     least, most = image.detach().flatten(1).aminmax(dim=1)
     every, frames = torch.cat(scores, 1), torch.cat(lafs, 1)
-    missing = max(count - every.shape[1], 0)
-    every = F.pad(every, (0, missing), value=EMPTY)
-    frames = F.pad(frames, (0, 0, 0, 0, 0, missing))
+    missing = count - every.shape[1]
+    if missing > 0:
+        every = F.pad(every, (0, missing), value=EMPTY)
+        frames = F.pad(frames, (0, 0, 0, 0, 0, missing))
     best, index = strongest(every, count)
     filled = (best > EMPTY) & (least != most)[:, None]
     return torch.where(filled, best, 0), torch.where(filled[..., None, None], gather_frames(frames, index), 0)

@@ -290,6 +290,26 @@ def scale_laf_parts(laf: Tensor, shape: float, x: float, y: float) -> Tensor:
     return of_rows(_scale_parts, laf, 2, shape, x, y)
 
 
+def _of_peak_reference(peak: Tensor, scale: Tensor, levels_of_octave: float, x: float, y: float) -> Tensor:
+    scale = scale * torch.exp2(peak[:, 0] / levels_of_octave)
+    rows = [scale * x, 0 * scale, peak[:, 1] * x, 0 * scale, scale * y, peak[:, 2] * y]
+    return torch.stack(torch.broadcast_tensors(*rows), -1).unflatten(-1, (2, 3))
+
+
+_of_peak = register_formula("laf_of_peak", _of_peak_reference, lambda *args: (2, 3))
+
+
+def laf_of_peak(peak: Tensor, scale: Tensor, levels_of_octave: float, x: float, y: float) -> Tensor:
+    """Upright frames (B, N, 2, 3) of peaks (B, N, 4), which are level, x, y and value, of an octave.
+
+    The scale of a frame is scale (B,) of level 0 times 2 ** (level / levels_of_octave). A pixel of the octave is x, y
+    pixels of the image.
+    """
+    batch, count = peak.shape[:2]
+    of_each = scale if batch == 1 else scale[:, None].expand(batch, count).reshape(-1)
+    return _of_peak(peak.reshape(-1, 4), of_each, levels_of_octave, x, y).reshape(batch, count, 2, 3)
+
+
 def rotate_laf(LAF: Tensor, angles_degrees: Tensor) -> Tensor:
     """Rotate frames: their orientations grow by angles.
 

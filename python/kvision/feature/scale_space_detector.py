@@ -12,7 +12,7 @@ from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision.core.exceptions import ShapeError
 from kvision.feature import _detection as detection
-from kvision.feature.laf import laf_is_filled
+from kvision.feature.laf import laf_is_filled, laf_of_peak
 from kvision.feature.responses import BlobDoG, BlobHessian
 from kvision.feature.scale_space_peaks import scale_space_peaks, strongest_peaks
 from kvision.geometry.subpix import AdaptiveQuadInterp3d, ConvQuadInterp3d, IterativeQuadInterp3d
@@ -211,16 +211,13 @@ class ScaleSpaceDetector(nn.Module):
             response = as_dtype(levels, dtype)
             response = response[:, 1:] - response[:, :-1] if are_differences else response
             peaks, voxels = strongest_peaks(response[:, None], weights, first, *filters, self._refine)
-        level, x, y, scores = peaks.unbind(2)
+        scores = peaks[..., 3]
         if weights is not None:
             at = voxels.clamp(min=0) % (height * width)
             scores = detection.weighted(scores, weights.flatten(1).expand(len(voxels), -1).gather(1, at))
-        scale = first[:, None] * torch.exp2(level / n_levels)
         to_x, to_y = (image_size[1] - 1) / (width - 1), (image_size[0] - 1) / (height - 1)
-        none = torch.zeros_like(x)
-        rows = [scale * to_x, none, x * to_x, none, scale * to_y, y * to_y]
-        scores = as_dtype(torch.where(voxels >= 0, scores, detection.EMPTY), levels.dtype)
-        return torch.stack(rows, -1).unflatten(-1, (2, 3)), scores
+        scores = as_dtype(scores.masked_fill(voxels < 0, detection.EMPTY), levels.dtype)
+        return laf_of_peak(peaks, first, n_levels, to_x, to_y), scores
 
     def _refine(self, response: Tensor, candidates: Tensor) -> tuple[Tensor, Tensor]:
         if self._takes_candidates:

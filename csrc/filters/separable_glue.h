@@ -41,25 +41,19 @@ inline int64_t planes_of_sample(Tensor const& x, Layout layout) {
   return layout == Layout::channels_last ? 1 : x.size(1);
 }
 
-// alpha * filtered + beta * input, or the transpose of that.
-inline Tensor run_separable(char const* op, Tensor const& input, AxisWeights const& kx, AxisWeights const& ky,
-                            Border border, bool same, bool transposed, double alpha = 1, double beta = 0) {
-  check_images(op, "input", input);
-  int64_t const grow_y = same ? 0 : transposed ? ky.size - 1 : 1 - ky.size;
-  int64_t const grow_x = same ? 0 : transposed ? kx.size - 1 : 1 - kx.size;
-  int64_t const height = input.size(2) + grow_y, width = input.size(3) + grow_x;
-  KV_CHECK(height > 0 && width > 0, op, ": the kernel is larger than the input");
+// Runs over the rows of `x`, whose memory format is `layout`, and writes those of `y`.
+inline void separable_into(char const* op, Tensor const& x, Tensor const& y, Layout layout, AxisWeights const& kx,
+                           AxisWeights const& ky, Border border, bool same, bool transposed, double alpha,
+                           double beta) {
 #if defined(KV_CUDA)
   KV_CHECK(ky.size <= kMaxTaps && kx.size <= kMaxTaps, op, ": expected a kernel of at most ", kMaxTaps,
            " weights a side on CUDA, got (", ky.size, ", ", kx.size, ")");
 #endif
   if (same) {
-    check_border(op, border, ky.size / 2, height);
-    check_border(op, border, kx.size / 2, width);
+    check_border(op, border, ky.size / 2, y.size(2));
+    check_border(op, border, kx.size / 2, y.size(3));
   }
   bool const accumulates = same && transposed && (border == Border::reflect || border == Border::replicate);
-  Layout const layout = layout_of(input);
-  Tensor const x = as_layout(input, layout), y = empty({x.size(0), x.size(1), height, width}, x, layout);
   dispatch_floating_and_uint8(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
@@ -74,6 +68,19 @@ inline Tensor run_separable(char const* op, Tensor const& input, AxisWeights con
                               accumulates ? border : Border::constant};
     KV_RUN(separable, x, params, params.y.rows(), params.y.row_size() * (kx.size + ky.size) / 4);
   });
+}
+
+// alpha * filtered + beta * input, or the transpose of that.
+inline Tensor run_separable(char const* op, Tensor const& input, AxisWeights const& kx, AxisWeights const& ky,
+                            Border border, bool same, bool transposed, double alpha = 1, double beta = 0) {
+  check_images(op, "input", input);
+  int64_t const grow_y = same ? 0 : transposed ? ky.size - 1 : 1 - ky.size;
+  int64_t const grow_x = same ? 0 : transposed ? kx.size - 1 : 1 - kx.size;
+  int64_t const height = input.size(2) + grow_y, width = input.size(3) + grow_x;
+  KV_CHECK(height > 0 && width > 0, op, ": the kernel is larger than the input");
+  Layout const layout = layout_of(input);
+  Tensor const x = as_layout(input, layout), y = empty({x.size(0), x.size(1), height, width}, x, layout);
+  separable_into(op, x, y, layout, kx, ky, border, same, transposed, alpha, beta);
   return y;
 }
 

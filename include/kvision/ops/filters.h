@@ -29,6 +29,22 @@ inline constexpr Operator<"box_blur", Tensor(Tensor input, int64_t ky, int64_t k
 inline constexpr Operator<"gaussian_blur2d", Tensor(Tensor input, OptionalTensor sigma, int64_t ky, int64_t kx,
                                                     double sigma_y, double sigma_x, int64_t border)>
     gaussian_blur2d{linear};
+inline constexpr Operator<"gaussian_levels", Tensor(Tensor input, Ints sizes, Floats sigmas, int64_t border)>
+    gaussian_levels{{[](Backward const& b) -> variable_list {
+                       Ints const sizes = b.arguments[1].toIntVector();
+                       Floats const sigmas = b.arguments[2].toDoubleVector();
+                       Tensor grad = b.grad().select(2, int64_t(sizes.size()));
+                       for (size_t i = sizes.size(); i-- > 0;)
+                         grad = b.grad().select(2, int64_t(i)) +
+                                b.call("gaussian_blur2d_backward", {{"grad", grad},
+                                                                    {"sigma", c10::IValue()},
+                                                                    {"ky", sizes[i]},
+                                                                    {"kx", sizes[i]},
+                                                                    {"sigma_y", sigmas[i]},
+                                                                    {"sigma_x", sigmas[i]}})[0];
+                       return {grad};
+                     },
+                     0, false}};
 inline constexpr Operator<"unsharp_mask", Tensor(Tensor input, OptionalTensor sigma, int64_t ky, int64_t kx,
                                                  double sigma_y, double sigma_x, int64_t border)>
     unsharp_mask{linear};

@@ -6,7 +6,27 @@ import scipy.ndimage
 import torch
 
 import kvision as K
+from kvision.filters.smoothing.gaussian import gaussian_levels
 from op_tests import OpTests, assert_close
+
+
+class TestGaussianLevels(OpTests):
+    """The operator of ScalePyramid, which checks its arguments."""
+
+    function = staticmethod(gaussian_levels)
+    operators = ("gaussian_levels", "gaussian_blur2d_backward")
+    small = (1, 2, 5, 6)
+    variants = [
+        {"sizes": [3, 5], "sigmas": [0.8, 1.5]},
+        {"sizes": [5], "sigmas": [2.0], "border_type": "replicate"},
+    ]
+
+    def test_levels_are_blurred_one_after_the_other(self, device):
+        x = torch.rand(2, 3, 21, 18, device=device)
+        levels = gaussian_levels(x, [5, 9], [1.0, 1.5])
+        first = K.filters.gaussian_blur2d(x, 5, (1.0, 1.0))
+        assert torch.equal(levels[:, :, 0], x) and torch.equal(levels[:, :, 1], first)
+        assert torch.equal(levels[:, :, 2], K.filters.gaussian_blur2d(first, 9, (1.5, 1.5)))
 
 
 class TestGaussianBlur2d(OpTests):

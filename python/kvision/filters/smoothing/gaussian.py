@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import as_dtype, compute_dtype, pixels
+from kvision._dtype import as_dtype, compute_dtype, floats, pixels
 from kvision._modes import BORDER, BORDER_NAMES
 from kvision._modules import FunctionModule
 from kvision._ops import register, transpose
@@ -54,6 +54,39 @@ def sigma_gradient(
 
 _gaussian_blur2d = register("gaussian_blur2d", _reference, backward=_backward, linear=True, bytes=True)
 _transposed = register("gaussian_blur2d_backward", transpose(_reference), backward=_transposed_backward, linear=True)
+
+
+def _reference_levels(x: Tensor, sizes: list[int], sigmas: list[float], border: int) -> Tensor:
+    levels = [x]
+    for size, sigma in zip(sizes, sigmas):
+        levels.append(_reference(levels[-1], None, size, size, sigma, sigma, border))
+    return torch.stack(levels, 2)
+
+
+def _levels_backward(needs, grad, _, sizes, sigmas, border):
+    steps = enumerate(zip(sizes, sigmas))
+    grad_level = grad[:, :, -1]
+    for i, (size, sigma) in reversed(list(steps)):
+        grad_level = grad[:, :, i] + _transposed(grad_level, None, size, size, sigma, sigma, border)
+    return [grad_level]
+
+
+_gaussian_levels = register(
+    "gaussian_levels",
+    _reference_levels,
+    fake=lambda x, sizes, *_: (*x.shape[:2], 1 + len(sizes), *x.shape[2:]),
+    backward=_levels_backward,
+    linear=True,
+)
+
+
+def gaussian_levels(input: Tensor, sizes: list[int], sigmas: list[float], border_type: str = "reflect") -> Tensor:
+    """Levels (B, C, 1 + n, H, W) of an image (B, C, H, W), each blurred to the next one by sizes[i] x sizes[i] and sigmas[i]."""
+    _check.images("gaussian_levels", "input", input)
+    _check.border("gaussian_levels", border_type)
+    for size in sizes:
+        _check.reflectable("gaussian_levels", input, (size // 2, size // 2), border_type)
+    return _gaussian_levels(floats(input), sizes, sigmas, BORDER[border_type])
 
 
 def gaussian_blur2d(

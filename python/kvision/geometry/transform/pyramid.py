@@ -16,6 +16,7 @@ from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 from kvision.filters import filter2d_separable, gaussian_blur2d
+from kvision.filters.smoothing.gaussian import gaussian_levels
 from kvision.geometry.transform.resize import resize, resize_reference, resized, resized_backward
 
 __all__ = [
@@ -303,13 +304,13 @@ class ScalePyramid(nn.Module):
             image, sigma, distance = resize(input, (2 * h, 2 * w), align_corners=True), 1.0, 0.5
         if self.init_sigma > sigma:
             more = max(math.sqrt(self.init_sigma**2 - sigma**2), 0.01)
-            return self._blur(image, more), self.init_sigma, distance
+            return gaussian_blur2d(image, self._window(image, more), more), self.init_sigma, distance
         return image, sigma, distance
 
-    def _blur(self, image: Tensor, sigma: float) -> Tensor:
+    def _window(self, image: Tensor, sigma: float) -> int:
+        """The size of a blur's kernel, as far as the image has room for it."""
         shortest = min(image.shape[2:])
-        size = min(self.get_kernel_size(sigma), shortest if shortest % 2 else shortest - 1)
-        return gaussian_blur2d(image, (size, size), (sigma, sigma))
+        return min(self.get_kernel_size(sigma), shortest if shortest % 2 else shortest - 1)
 
     def forward(self, x: Tensor) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
         _check.images("ScalePyramid", "x", x)
@@ -317,18 +318,17 @@ class ScalePyramid(nn.Module):
         octaves: tuple[list[Tensor], list[Tensor], list[Tensor]] = ([], [], [])
         count = self.n_levels + self.extra_levels
         scales = [base * self.sigma_step**i for i in range(count)]
+        blurs = [sigma * math.sqrt(self.sigma_step**2 - 1) for sigma in scales[:-1]]
         # Computed on the device, because a copy from the host would wait for it.
         sigmas = (
             (base * self.sigma_step ** torch.arange(count, device=level.device)).to(level.dtype).expand(len(x), count)
         )
         while True:
-            levels = [level]
-            for sigma in scales[:-1]:
-                levels.append(self._blur(levels[-1], sigma * math.sqrt(self.sigma_step**2 - 1)))
-            octaves[0].append(torch.stack(levels, 2))
+            levels = gaussian_levels(level, [self._window(level, sigma) for sigma in blurs], blurs)
+            octaves[0].append(levels)
             octaves[1].append(sigmas)
             octaves[2].append(level.new_full((len(x), count), distance))
-            level = levels[-self.extra_levels]
+            level = levels[:, :, -self.extra_levels]
             h, w = (side // 2 for side in level.shape[2:])
             if min(h, w) <= self.min_size:
                 return octaves

@@ -56,6 +56,24 @@ __device__ __forceinline__ void copy_part_async_if(uint32_t to, void const* from
                  : "memory");
 }
 
+// Copies the first `count` of P elements at once, and zeros after them. An asynchronous copy of a part of a vector
+// reads no more than that either, but tools that check accesses take it for one of the whole vector.
+template <int P, class T>
+__device__ __forceinline__ void copy_start(uint32_t to, T const* from, int count) {
+  auto* const elements = static_cast<T*>(__cvta_shared_to_generic(to));
+  for (int i = 0; i < P; ++i) elements[i] = i < count ? from[i] : T{};
+}
+
+// The first row of a plane whose last vector of P elements may reach behind the image: that vector needs copy_start.
+template <int P, class T>
+__device__ __forceinline__ int first_unsafe_row(Planes<T const> const& x, T const* plane) {
+  auto const row_end = [&](T const* plane, int64_t y) { return plane + y * x.row_stride + x.row_size(); };
+  T const* const end = row_end(x.plane(x.count() - 1), x.height - 1);
+  int64_t y = x.height;
+  while (y > 0 && row_end(plane, y - 1) + P > end) --y;
+  return int(y);
+}
+
 // Whether rows may begin within a vector and are copied by vectors all the same.
 template <class T, class Aligned>
 constexpr bool kMayPrecede = sizeof(T) < 4 && !std::is_same_v<Aligned, std::true_type>;
@@ -89,6 +107,7 @@ struct RowPrefetcher {
   bool has_halo, has_filled, fills, source_in_ring;
   int halo;  // the first column that the thread copies of those on either side
   uint32_t column_to, halo_to;
+  [[maybe_unused]] int unsafe_from = 0;     // the first row whose last vector may reach behind the image
   [[maybe_unused]] uint32_t preceding = 0;  // pixels that precede the last four rows, the latest row's in the low byte
   T const *column_from, *halo_from;
 
@@ -117,6 +136,7 @@ struct RowPrefetcher {
     auto const address = [&](int x) { return uint32_t(__cvta_generic_to_shared(ring[0] + kHalo - left + x)); };
     column_to = address(column), halo_to = address(halo);
     column_from = in + column, halo_from = in + halo;
+    if constexpr (kPrecede) unsafe_from = first_unsafe_row<P>(x, in);
     for (int i = lane; i < Rows * kPitch; i += 32) ring[0][i] = T{};
     __syncwarp();
 
@@ -142,11 +162,17 @@ struct RowPrefetcher {
     T const* const from_halo = row_at(halo_from, max(y, 0), in_stride);
     if constexpr (kPrecede) {
       int const begin = int(reinterpret_cast<uintptr_t>(from) % kBytes);  // bytes, the same for all threads
+      bool const unsafe = max(y, 0) >= unsafe_from;
       preceding = preceding << 8 | uint32_t(begin / int(sizeof(T)));
       auto const copy = [&](uint32_t to, T const* from, int x, bool enabled) {
         int const bytes = (in_width - x) * int(sizeof(T)) + begin;  // from the vector to the end of the row
-        copy_part_async_if<kBytes>(to, reinterpret_cast<char const*>(from) - begin, more && enabled && bytes > 0,
-                                   zero ? 0 : min(bytes, kBytes));
+        char const* const vector = reinterpret_cast<char const*>(from) - begin;
+        enabled = enabled && more && bytes > 0;
+        if (unsafe && bytes < kBytes) {
+          if (enabled) copy_start<P>(to, reinterpret_cast<T const*>(vector), zero ? 0 : bytes / int(sizeof(T)));
+          enabled = false;
+        }
+        copy_part_async_if<kBytes>(to, vector, enabled, zero ? 0 : min(bytes, kBytes));
       };
       copy(column_to + to, from, column, (column + P) * int(sizeof(T)) > begin);
       copy(halo_to + to, from_halo, halo, has_halo && (halo + P) * int(sizeof(T)) > begin);

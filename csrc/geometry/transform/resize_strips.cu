@@ -212,6 +212,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   auto const past_word = [&](int y) {
     return sizeof(T) == 4 ? 0 : int(reinterpret_cast<uintptr_t>(column) + unsigned(y) * unsigned(stride)) & 3;
   };
+  int const unsafe_from = sizeof(T) < 4 && rows > 0 ? first_unsafe_row<4 / int(sizeof(T))>(p.x, p.x.plane(plane)) : 0;
   int next = from_y;
   auto const fetch = [&] {
     if (next < to_y) {
@@ -223,10 +224,16 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
         for (int at = 0; at < S::kRowBytes; at += 512)
           copy_async_if<16>(to + 16 * lane + at, row + 16 * lane + at, 16 * lane + at < bytes, false);
       } else {
-        int const past = past_word(next);
+        int const past = past_word(next), end = bytes + past;
 #pragma unroll
-        for (int at = 0; at < S::kRowBytes; at += 128)
-          copy_async_if<4>(to + 4 * lane + at, row - past + 4 * lane + at, 4 * lane + at < bytes + past, false);
+        for (int i = 0; i < S::kRowBytes; i += 128) {
+          int const at = 4 * lane + i;
+          bool const unsafe = sizeof(T) < 4 && next >= unsafe_from && at < end && at + 4 > end;
+          copy_async_if<4>(to + at, row - past + at, at < end && !unsafe, false);
+          if (unsafe)
+            copy_start<4 / int(sizeof(T))>(to + at, reinterpret_cast<T const*>(row - past + at),
+                                           (end - at) / int(sizeof(T)));
+        }
       }
     }
     __pipeline_commit();

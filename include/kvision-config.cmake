@@ -19,8 +19,8 @@ if(NOT TARGET kvision::kvision)
   target_link_options(kvision::kvision INTERFACE LINKER:--no-as-needed)
 
   if(TARGET torch_cuda AND EXISTS ${_kvision_lib}/libkvision_cuda.so)
-    add_library(kvision::cuda SHARED IMPORTED)
-    set_target_properties(kvision::cuda PROPERTIES IMPORTED_LOCATION ${_kvision_lib}/libkvision_cuda.so)
-    target_link_libraries(kvision::kvision INTERFACE kvision::cuda)
+    # Torch's libraries end with --as-needed, which would leave out what follows them.
+    target_link_libraries(kvision::kvision
+                          INTERFACE "-Wl,--push-state,--no-as-needed,${_kvision_lib}/libkvision_cuda.so,--pop-state")
   endif()
 endif()

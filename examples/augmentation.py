@@ -99,7 +99,7 @@ def network(classes: int) -> nn.Module:
 
 @dataclass
 class Result:
-    """Images a second, the share of correct answers in the last quarter of the steps, and the last batch as the network got it."""
+    """Images a second, the fraction of correct answers in the last quarter of the steps, and the last batch of the network."""
 
     rate: float
     correct: float

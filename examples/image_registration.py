@@ -75,7 +75,7 @@ def synthetic(device: torch.device, pictures: Iterable[tuple[str, Tensor]] | Non
 
 
 def real(folder: Path, device: torch.device) -> Iterator[Pair]:
-    """Pairs with a measured homography. The two with a large change of view start 10 pixels beside it at every corner."""
+    """Pairs with a measured homography. The two with a large change of view start 10 pixels away from it at every corner."""
     for name, k, far, limit in REAL:
         folder_of_pair = folder / name
         if not folder_of_pair.is_dir():
@@ -85,9 +85,9 @@ def real(folder: Path, device: torch.device) -> Iterator[Pair]:
         truth = to_unit(torch.tensor(numbers, dtype=torch.float64).reshape(1, 3, 3), first, second).to(device)
         half = [K.geometry.rescale(image, 0.5, antialias=True) for image in (second, first)]
         signs = corners(device) * torch.tensor([1.0, -1], device=device)
-        beside = corners(device) + far * 2 * signs / torch.tensor(first.shape[:1:-1], device=device)
+        shifted = corners(device) + far * 2 * signs / torch.tensor(first.shape[:1:-1], device=device)
         start = (
-            truth @ K.get_perspective_transform(corners(device), beside) if far else torch.eye(3, device=device)[None]
+            truth @ K.get_perspective_transform(corners(device), shifted) if far else torch.eye(3, device=device)[None]
         )
         yield Pair(name, half[0], K.geometry.resize(half[1], tuple(half[0].shape[2:])), truth, start, limit, 2.0)
 
@@ -224,13 +224,13 @@ def main(arguments: list[str] | None = None) -> int:
         error = corner_error(found, pair)
         seconds = time.perf_counter() - begin
         agreement = correlation(found, pair)
-        verdict = "" if error <= pair.limit else "  MISSED"
-        verdict += "" if agreement >= CONVERGED else "  did not converge"
+        remarks = "" if error <= pair.limit else "  MISSED"
+        remarks += "" if agreement >= CONVERGED else "  did not converge"
         missed += error > pair.limit
         before = corner_error(pair.start, pair)
         print(
             f"[{'#' * (i + 1):{len(pairs)}}] {pair.name:10} {before:6.2f} -> {error:5.2f} px (at most {pair.limit}) "
-            f"correlation {agreement:.2f}, in {iterations} iterations on {LEVELS} levels, {seconds:.1f} s{verdict}",
+            f"correlation {agreement:.2f}, in {iterations} iterations on {LEVELS} levels, {seconds:.1f} s{remarks}",
             flush=True,
         )
         draw(pair, levels, options.out / f"{pair.name}_{options.solver}.png")

@@ -252,7 +252,7 @@ class Apply:
 
 
 def write(task: Task, image: Tensor) -> None:
-    """Write the result beside its place, then move it there in one step of the file system."""
+    """Write the result to a temporary file in the same folder, then rename it in one step of the file system."""
     target = Path(task.target)
     target.parent.mkdir(parents=True, exist_ok=True)
     mark = f"{os.getpid()}.{threading.get_ident()}.{PARTIAL}"

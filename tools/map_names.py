@@ -86,8 +86,8 @@ def owner(name: str, references: dict[str, Path]) -> Path | None:
 
 def page(reference: Path) -> Path | None:
     """The page of the file, of its folder, or of a parent folder."""
-    for place in (reference, *reference.parents[:-1]):
-        for found in (PAGES / f"{place}.md", PAGES / place / "README.md", PAGES / place / "index.md"):
+    for folder in (reference, *reference.parents[:-1]):
+        for found in (PAGES / f"{folder}.md", PAGES / folder / "README.md", PAGES / folder / "index.md"):
             if found.exists():
                 return found
     return None

@@ -61,7 +61,7 @@ CASES = [
         lambda G, x: G.conv_soft_argmax2d(x, (5, 5), (1, 1), (2, 2)),
         Bars(floor=1.5),
         backward=nonlinear_backward,
-        result=lambda places: places[:, :, 0],
+        result=lambda coords: coords[:, :, 0],
     ),
     case(
         "conv_quad_interp3d",

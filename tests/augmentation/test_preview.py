@@ -41,12 +41,12 @@ def test_boxes_and_points_are_drawn_where_the_object_is(device: torch.device) ->
     )
     cells = draw_samples(augment, (image, box), count=6, size=256, seed=3)
     plain = draw_samples(augment, (image, box[:0]), count=6, size=256, seed=3)
-    places = set()
+    positions = set()
     for drawn, clear in zip(cells[1:], plain[1:]):
         object_at, box_at = extent(clear[0] > 0.9), extent(is_orange(drawn))
         assert max(abs(a - b) for a, b in zip(object_at, box_at)) <= 3  # the half width of a line
-        places.add(tuple(object_at))
-    assert len(places) == 6
+        positions.add(tuple(object_at))
+    assert len(positions) == 6
     cells = draw_samples(augment, (image, center), ["image", "keypoints"], count=6, size=256, seed=3)
     for drawn, clear in zip(cells[1:], plain[1:]):
         (left, top, right, bottom), disc = extent(clear[0] > 0.9), extent(is_orange(drawn))

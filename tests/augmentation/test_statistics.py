@@ -190,11 +190,11 @@ def crop3d(params: dict[str, Tensor], columns: Tensor) -> Variates:
     return {f"src.{i}": (params["src"][:, 0, i], Integers(0, last)) for i, last in enumerate((5, 4, 4))}
 
 
-def pixels(name: str, of: Callable[[], Any], *places: tuple[int, ...], **others: Any) -> Any:
-    """Some places of a map for each sample, besides plain parameters."""
+def pixels(name: str, of: Callable[[], Any], *positions: tuple[int, ...], **others: Any) -> Any:
+    """Some positions of a map for each sample, besides plain parameters."""
     return lambda params, columns: {
         **plain(**others)(params, columns),
-        **{f"{name}.{place}": (params[name][(slice(None), *place)], of()) for place in places},
+        **{f"{name}.{position}": (params[name][(slice(None), *position)], of()) for position in positions},
     }
 
 

@@ -282,7 +282,7 @@ def test_center_crops() -> None:
 
 @geometric
 def test_voxels_follow_the_matrix(case: Case) -> None:
-    """A linear volume has the value of its source at the place of each voxel of the result."""
+    """A linear volume has the value of its source at the position of each voxel of the result."""
     z, y, x = torch.meshgrid(*(torch.arange(float(n)) for n in SIZE), indexing="ij")
     ramp = (x + 10 * y + 100 * z).expand(4, 1, *SIZE)
     augment = case.make(p=1.0)

@@ -151,7 +151,7 @@ def test_equal_descriptors(device):
 
 
 def test_fginn_sees_all_candidates():
-    """Kornia looks at the ten nearest only: 10 equal neighbors at one place have ratio 0 there."""
+    """Kornia looks at the ten nearest only: 10 equal neighbors at one position have ratio 0 there."""
     x = torch.zeros(1, 2)
     y = torch.tensor([[1.0, 0]] * 12 + [[0, 2.0]])
     lafs = torch.zeros(1, 13, 2, 3)
@@ -244,7 +244,7 @@ def test_errors():
         K.feature.GeometryAwareDescriptorMatcher("nn")
 
 
-def places(n: int):
+def positions_of(n: int):
     return vector(n, 2, scale=100.0)
 
 
@@ -278,7 +278,7 @@ class TestMatchingOperators(PointOpTests):
                 ((None, None, None, None), (0.0, True)),
                 ((None, None, None, None), (0.0, False)),
                 ((*MASKS, None, None), (0.0, True)),
-                ((*MASKS, places(7), places(6)), (30.0, True)),
+                ((*MASKS, positions_of(7), positions_of(6)), (30.0, True)),
             ]
         ]
     }

@@ -57,8 +57,8 @@ class TestPatchDominantGradientOrientation(SquarePatchTests):
         noise = np.random.default_rng(0).random((300, 300)).astype(np.float32)
         image = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 4), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
         keypoints = cv2.SIFT_create().detect(image, None)
-        places = [k.pt for k in keypoints]
-        keypoints = [k for k in keypoints if places.count(k.pt) == 1 and min(*k.pt) > 40 and max(*k.pt) < 260]
+        positions = [k.pt for k in keypoints]
+        keypoints = [k for k in keypoints if positions.count(k.pt) == 1 and min(*k.pt) > 40 and max(*k.pt) < 260]
         center = torch.tensor([[k.pt for k in keypoints]], dtype=torch.float32, device=device)
         theirs = torch.tensor([k.angle for k in keypoints], device=device).deg2rad()
         # OpenCV's window has a sigma of 1.5 times that of the key point, ours of a third of the frame.

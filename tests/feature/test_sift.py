@@ -98,7 +98,7 @@ def test_errors_of_layouts(args, error):
 
 
 def test_the_layout_of_opencv_is_opencvs(device):
-    """Descriptors of an image by cv2.SIFT at an upright key point have the entries of ours in the same places."""
+    """Descriptors of an image by cv2.SIFT at an upright key point have the entries of ours in the same order."""
     generator = np.random.default_rng(0)
     noise = generator.random((120, 120)).astype(np.float32)
     image = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 3), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)

@@ -30,7 +30,7 @@ def test_torch_is_included_by_the_glue_alone() -> None:
 
 
 def test_a_constant_of_an_entry_has_no_namesake() -> None:
-    """Entries of a module are compiled together: one file's constant would take the place of a header's in all of them."""
+    """Entries of a module are compiled together: one file's constant would replace a header's in all of them."""
     where: dict[str, list[Path]] = {}
     for path in (*ROOT.glob("csrc/*/*_op.cpp"), *ROOT.glob("csrc/*/*.h")):
         for name in re.findall(r"^(?:inline )?constexpr [\w:]+ (\w+)(?:\[\])? =", path.read_text(), re.MULTILINE):

@@ -70,9 +70,9 @@ def test_fisheye_is_that_of_opencv(device):
     assert_close(C.undistort_points_kannala_brandt(found, FISHEYE.to(device)).cpu(), points, 1e-9, 1e-9)
 
 
-@pytest.mark.parametrize("place", [[0.0, 0.0], [1e-30, 0.0], [1e-6, 1e-6], [0.3, -0.4], [3.0, 4.0]])
-def test_jacobian_and_inverse_of_a_fisheye(place, device):
-    p, k = torch.tensor(place, dtype=torch.float64, device=device), FISHEYE.to(device)
+@pytest.mark.parametrize("position", [[0.0, 0.0], [1e-30, 0.0], [1e-6, 1e-6], [0.3, -0.4], [3.0, 4.0]])
+def test_jacobian_and_inverse_of_a_fisheye(position, device):
+    p, k = torch.tensor(position, dtype=torch.float64, device=device), FISHEYE.to(device)
     jacobian = torch.func.jacfwd(C.distort_points_kannala_brandt)(p, k)
     assert_close(C.dx_distort_points_kannala_brandt(p, k), jacobian)
     assert_close(torch.func.jacrev(C.distort_points_kannala_brandt)(p, k), jacobian)

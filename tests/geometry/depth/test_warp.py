@@ -113,13 +113,13 @@ def test_subpixel_step_moves_the_middle_by_half_a_pixel(device):
     warper = K.DepthWarper(there, 15, 19).compute_projection_matrix(here)
     step = float(warper.compute_subpixel_step())
 
-    def place(inverse_depth: float) -> Tensor:
+    def position(inverse_depth: float) -> Tensor:
         d = torch.full((1, 1, 15, 19), 1 / inverse_depth, dtype=torch.float64, device=device)
         grid = warper.warp_grid(d)
         u, v = (grid[0, 7:9, 9:11, i].mean() * (n - 1) / 2 for i, n in ((0, 19), (1, 15)))  # about (9.5, 7.5)
         return torch.stack([u, v])
 
-    assert float((place(1 + step) - place(1)).norm()) == pytest.approx(0.5, abs=0.03)
+    assert float((position(1 + step) - position(1)).norm()) == pytest.approx(0.5, abs=0.03)
 
 
 def test_warper_and_the_rest_are_kornias(device):

@@ -30,7 +30,7 @@ class TestFundamental(ViewTests):
 
 
 def test_fundamental_matrices_of_degenerate_points(device):
-    """Exact ones, of points in a plane, which leave several, on a line, and all in one place."""
+    """Exact ones, of points in a plane, which leave several, on a line, and all at one position."""
     scene, plane = Scene(1, 9), on_planes(1, 9)
     line = torch.arange(9.0).double()[None, :, None].expand(1, 9, 2)
     for x, y in ((scene.x1, scene.x2), plane[:2], (line, line), (torch.ones_like(line), torch.ones_like(line))):

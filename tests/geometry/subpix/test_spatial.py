@@ -20,7 +20,7 @@ class TestSpatialSoftArgmax2d(OpTests):
     function = staticmethod(G.spatial_soft_argmax2d)
     module = G.SpatialSoftArgmax2d
     operators = ("spatial_expectation", "spatial_expectation_backward")
-    mixed = ("input",)  # places of half types are computed in float32
+    mixed = ("input",)  # positions of half types are computed in float32
     max_size = 9
     variants = [{}, {"normalized_coordinates": False, "temperature": 0.2}]
     # Numbers of pixels: those of a half have as many digits as its type.
@@ -90,8 +90,8 @@ def test_gaussians_far_away_or_narrow(device):
     """All of the weight is on the nearest pixels, and gradients are finite."""
     mean = torch.tensor([[2.0, 3], [-1e6, 1e6], [1e6, 3], [4.0, 0]], device=device)
     maps, *slopes = gaussians(mean, torch.full_like(mean, 1e-3), (6, 7), False)
-    places = [int(m.argmax()) for m in maps]
-    assert places == [23, 35, 27, 4]
+    positions = [int(m.argmax()) for m in maps]
+    assert positions == [23, 35, 27, 4]
     assert (maps.flatten(1).amax(1) == 1).all() and all(g.isfinite().all() for g in slopes)
     assert G.render_gaussian2d(mean, 0 * mean, (6, 7)).isnan().all()
     assert G.render_gaussian2d(mean[:0], mean[:0], (6, 7)).shape == (0, 6, 7)

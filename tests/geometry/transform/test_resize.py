@@ -105,7 +105,7 @@ def test_antialias_is_that_of_pillow(name, size, device):
     ],
 )
 def test_values_of_opencv(name, flag, tolerance, size, device):
-    """Places of OpenCV are float32 numbers; ours are fractions."""
+    """OpenCV's coordinates are float32 numbers; ours are fractions."""
     x = np.random.default_rng(0).random((50, 40), np.float32)
     expected = cv2.resize(x, size[::-1], interpolation=flag)
     found = G.resize(torch.from_numpy(x).to(device), size, name)
@@ -114,7 +114,7 @@ def test_values_of_opencv(name, flag, tolerance, size, device):
 
 @pytest.mark.parametrize("size", [(17, 13), (9, 50), (50, 77), (100, 80)])
 def test_nearest_exact_is_that_of_opencv(size, device):
-    """But for places between two pixels, which its 16 bits of fraction may round to either."""
+    """But for coordinates between two pixels, which its 16 bits of fraction may round to either."""
     x = np.random.default_rng(0).random((50, 40), np.float32)
     expected = cv2.resize(x, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
     between = [(2 * np.arange(n) + 1) * m % (2 * n) == 0 for n, m in zip(size, x.shape)]
@@ -164,7 +164,7 @@ def test_nearest_is_exact_at_any_size(device):
 
 
 def test_places_in_long_rows_are_exact(device):
-    """As good at the far end as at the near one: places in float32 would be off by 1e-3 of a pixel there."""
+    """As good at the far end as at the near one: coordinates in float32 would be off by 1e-3 of a pixel there."""
     teeth = (torch.arange(20000, dtype=torch.float64, device=device) % 16).expand(1, 1, 1, -1)
     with K.backend("reference"):
         expected = G.resize(teeth, (1, 29989))

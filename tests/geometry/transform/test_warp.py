@@ -90,7 +90,7 @@ class TestRemap(WarpTests):
 
 
 def coords(x: Tensor, axis: int) -> Tensor:
-    """In, around and between the pixels along an axis of x, (B, 5, 7); no place is close to where taps change."""
+    """In, around and between the pixels along an axis of x, (B, 5, 7); no coordinate is close to where taps change."""
     n = x.shape[axis]
     whole = torch.randint(-2, n + 2, (len(x), 5, 7), generator=torch.Generator().manual_seed(axis))
     return whole + 0.1 + 0.3 * torch.rand(len(x), 5, 7, dtype=torch.float64, generator=torch.Generator().manual_seed(7))

@@ -252,6 +252,14 @@ def register(name: str, reference: Callable[..., Any], **rules: Any) -> Operator
     return _registered[name]
 
 
+def register_random(name: str, schema: str, draw: Callable[..., Tensor], fake: Callable[..., Tensor]) -> Any:
+    """An operator that draws from torch's default generators, for graphs: compilers neither join nor replace its calls."""
+    tags = (torch.Tag.nondeterministic_seeded,)
+    operator = torch.library.custom_op(f"kvision::{name}", draw, mutates_args=(), schema=schema, tags=tags)
+    operator.register_fake(fake)
+    return operator
+
+
 class Operator:
     """One operator: tensors first, then plain arguments, in the order of its schema.
 

@@ -366,12 +366,21 @@ def test_compiles_with_labels() -> None:
     compiled = torch.compile(lambda *x: augment(*x, seed=4), fullgraph=True, backend="aot_eager")
     for y, expected in zip(compiled(*inputs), augment(*inputs, seed=4)):
         torch.testing.assert_close(y, expected)
-    compiled = torch.compile(lambda x: augment(x, data_keys=["image"]), fullgraph=True, backend="aot_eager")
-    assert not torch.equal(compiled(inputs[0]), compiled(inputs[0]))
+
+
+@pytest.mark.tracing
+@pytest.mark.parametrize("compiler", ["aot_eager", "inductor"])
+def test_compiled_calls_draw_what_eager_calls_draw(compiler: str) -> None:
+    nested = A.ImageSequential(A.ColorJitter(*JITTER), A.RandomGaussianNoise(0.0, 0.1, p=1.0))
+    augment, x = A.ImageSequential(A.RandomAffine(30.0, p=0.5), A.RandomHorizontalFlip(), nested), images()
+    compiled = torch.compile(lambda x: augment(x), fullgraph=True, backend=compiler)
+    compiled(x)
     torch.manual_seed(1)
-    first = compiled(inputs[0])
+    expected, state = [augment(x), augment(x)], torch.get_rng_state()
     torch.manual_seed(1)
-    assert torch.equal(compiled(inputs[0]), first)
+    for y, eager in zip([compiled(x), compiled(x)], expected):
+        torch.testing.assert_close(y, eager)
+    assert torch.equal(torch.get_rng_state(), state) and not torch.equal(expected[0], expected[1])
 
 
 def test_nested_containers_have_draws_of_their_own_under_a_seed(device: torch.device) -> None:

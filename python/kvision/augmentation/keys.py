@@ -8,6 +8,7 @@ import torch
 from torch import Generator, Tensor
 from torch.compiler import is_compiling
 
+from kvision._ops import register_random
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 Seed = int | Tensor | None
@@ -45,10 +46,13 @@ def draw_keys(op: str, count: int, device: torch.device, seed: Seed, generator: 
         where = device
     else:
         where = torch.device("cpu") if generator is None else generator.device
-    if is_compiling():  # which knows no random_
-        return Keys(torch.randint(_LOWEST, 2**63 - 1, (count,), generator=generator, device=where))
+    if is_compiling():
+        if generator is None:
+            return Keys(_random_keys(count))
+        # Compilers know no random_ of a generator. The lowest number is added to the words of a range, as random_ does not.
+        return Keys(torch.randint(_LOWEST, 2**63 - 1, (count,), generator=generator, device=where) ^ _LOWEST)
     if where.type == "cpu":
-        return Keys(torch.empty(count, dtype=torch.int64).random_(_LOWEST, None, generator=generator))
+        return Keys(_random_words(count, generator))
     # A CUDA generator gives other numbers for several in one call than for several calls.
     each = [
         torch.empty(1, dtype=torch.int64, device=where).random_(_LOWEST, None, generator=generator)
@@ -58,6 +62,21 @@ def draw_keys(op: str, count: int, device: torch.device, seed: Seed, generator: 
 
 
 _LOWEST = -(2**63)
+
+
+def _random_words(count: int, generator: Generator | None = None) -> Tensor:
+    """int64 (count,) of the CPU's generator."""
+    return torch.empty(count, dtype=torch.int64).random_(_LOWEST, None, generator=generator)
+
+
+# In a graph torch's own functions draw from generators that inductor seeds in its way. This one gives what eager calls draw.
+_random_keys = register_random(
+    "random_keys",
+    "(SymInt count) -> Tensor",
+    lambda count: _random_words(count),
+    lambda count: torch.empty(count, dtype=torch.int64),
+)
+
 _STEP = -0x61C8864680B583EB  # of the seeds of frames: the golden ratio times 2^64
 
 

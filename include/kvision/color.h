@@ -57,13 +57,19 @@ struct ColorProgram {
 
 namespace detail {
 
-template <class Operator>
-auto run(Operator const& op, Tensor const& image, ColorProgram const& p) {
-  TORCH_CHECK_VALUE(p.parameters.size() <= 6, "ColorProgram: expected at most 6 parameters, got ", p.parameters.size());
+// What plans begin with: the dtype and the layout of the result.
+inline std::vector<int64_t> program_head(ColorProgram const& p) {
   constexpr at::ScalarType types[] = {at::kByte, at::kHalf, at::kBFloat16, at::kFloat, at::kDouble};
   int64_t const type = p.dtype ? std::find(std::begin(types), std::end(types), *p.dtype) - types : -1;
   TORCH_CHECK_VALUE(type < 5, "ColorProgram: expected dtype uint8 or a floating-point one, got ", *p.dtype);
-  std::vector<int64_t> plan{type, p.layout == "same" ? -1 : p.layout == "NHWC", int64_t(p.steps.size())};
+  return {type, p.layout == "same" ? -1 : p.layout == "NHWC"};
+}
+
+template <class Operator>
+auto run(Operator const& op, Tensor const& image, ColorProgram const& p) {
+  TORCH_CHECK_VALUE(p.parameters.size() <= 6, "ColorProgram: expected at most 6 parameters, got ", p.parameters.size());
+  std::vector<int64_t> plan = program_head(p);
+  plan.push_back(int64_t(p.steps.size()));
   plan.insert(plan.end(), p.steps.begin(), p.steps.end());
   plan.insert(plan.end(), p.columns.begin(), p.columns.end());
   auto const parameter = [&](size_t i) {

@@ -3,6 +3,7 @@
 // kvision::ops has the operators of torch.ops.kvision below it.
 #pragma once
 
+#include "kvision/augmentation.h"
 #include "kvision/color.h"
 #include "kvision/contrib.h"
 #include "kvision/enhance.h"
@@ -19,4 +20,3 @@
 #include "kvision/losses.h"
 #include "kvision/metrics.h"
 #include "kvision/morphology.h"
-#include "kvision/ops/augmentation.h"

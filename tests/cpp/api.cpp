@@ -41,6 +41,35 @@ void expect_no_gradient(std::string const& name, Tensor const& result) {
   expect_error<c10::NotImplementedError>(name + ": C++ has no gradient", [&] { result.sum().backward(); });
 }
 
+// One pass gives what a warp and a color program give one after the other.
+void augmentation() {
+  using kvision::ColorProgram;
+  Tensor const x = torch::rand({2, 3, 9, 7});
+  Tensor const M = torch::eye(3).repeat({2, 1, 1}) + 0.02 * torch::rand({2, 3, 3});
+  auto const brightness = torch::rand({2, 1, 1}) + 0.5;
+  // Brightness by a factor of each image, which is column 0, and saturation.
+  ColorProgram program{.steps = {ColorProgram::scale_shift, ColorProgram::saturation},
+                       .numbers = {0, 0, 1, 0.7},
+                       .columns = {0, -1, -1, -1},
+                       .parameters = {brightness}};
+  auto const border = kvision::WarpOptions().padding_mode(kvision::PaddingMode::border);
+  Tensor const expected = kvision::color_program(kvision::warp_perspective(x, M, {6, 8}, border), program);
+  expect_close("warp_and_color", kvision::warp_and_color(x, M, {6, 8}, program, border), expected);
+  program.order = torch::tensor({{1, 0}, {0, -1}}, torch::kLong);
+  Tensor const ordered = kvision::color_program(kvision::warp_perspective(x, M, {6, 8}), program);
+  expect_close("warp_and_color in an order", kvision::warp_and_color(x, M, {6, 8}, program), ordered);
+  program.dtype = torch::kHalf;
+  program.layout = "NHWC";
+  Tensor const bytes = (255 * x).to(torch::kByte), half = kvision::warp_and_color(bytes, M, {6, 8}, program);
+  expect("warp_and_color to half",
+         half.scalar_type() == torch::kHalf && half.is_contiguous(at::MemoryFormat::ChannelsLast));
+  expect_close("warp_and_color of bytes", half.to(torch::kFloat), ordered, 8e-3);
+  expect_error("warp_and_color: expected M of shape (B or 1, 3, 3), got",
+               [&] { kvision::warp_and_color(x, M.narrow(1, 0, 2), {6, 8}, program); });
+  expect_error("warp_and_color: expected M, parameters and order of 2 images or of one, got 3",
+               [&] { kvision::warp_and_color(x, M.narrow(0, 0, 1).repeat({3, 1, 1}), {6, 8}, program); });
+}
+
 void options() {
   Tensor const x = torch::rand({2, 3, 8, 6});
   Tensor const matrix = torch::tensor({1.f, 0.f, 2.f, 0.f, 1.f, 1.f}).view({1, 2, 3});
@@ -212,6 +241,7 @@ void errors() {
 int main() {
   torch::manual_seed(0);
   options();
+  augmentation();
   results();
   gradients();
   errors();

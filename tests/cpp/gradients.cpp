@@ -180,6 +180,17 @@ int main() {
   kvision::ops::Ints const draw = {0, 0, 1, 0};
   auto const noise = [&](auto const& t) { return ops::gaussian_noise(t[0], t[1], keys, none, half, draw); };
   check("gaussian_noise", noise, {x, torch::rand({2, 2})});
+  check(
+      "warp_and_color",
+      [](auto const& t) {
+        using kvision::ColorProgram;
+        ColorProgram const program{
+            .steps = {ColorProgram::scale_shift}, .numbers = {0, 0.1, 0}, .columns = {0, -1, -1}, .parameters = {t[2]}};
+        return kvision::warp_and_color(t[0], t[1], {5, 4}, program);
+      },
+      {torch::rand({2, 3, 7, 6}), torch::eye(3).repeat({2, 1, 1}) + 0.02 * torch::rand({2, 3, 3}),
+       torch::rand({2, 1, 1}) + 0.5},
+      false);
   auto const uniform = [&](auto const& t) { return ops::uniform_noise(t[0], t[1], keys, none, half, draw); };
   check("uniform_noise", uniform, {x, torch::rand({2, 2})});
   Tensor const shares = torch::full({1, 2}, 0.5, torch::kDouble), boxes = torch::tensor({{1.f, 2.f, 3.f, 2.f}});

@@ -39,7 +39,6 @@ LEFT_OUT = {
         ),
         NUMBERS,
     ),
-    "contrib.distance_transform": "the number of its passes depends on the size",
     "geometry.build_laplacian_pyramid": "pads to the next power of two",
 }
 CALLS = {call.name: call for call in sample_calls() if call.makers}

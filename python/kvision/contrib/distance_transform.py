@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import reduce
 from itertools import product
 
 import torch
@@ -11,7 +12,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
-from kvision._ops import with_kernel_casts
+from kvision._ops import is_compiling, with_kernel_casts
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.filters.filter2d import filter2d
 from kvision.filters.filter3d import filter3d
@@ -76,14 +77,26 @@ def _approximate(x: Tensor, size: int, h: float) -> Tensor:
     squares = (torch.arange(size, dtype=x.dtype, device=x.device) - size // 2) ** 2
     coords = torch.meshgrid(*[squares] * (x.dim() - 2), indexing="ij")
     kernel = (sum(coords[1:], coords[0]).sqrt() / -h).exp()[None]
-    grown, total = x.clamp(0, 1), torch.zeros_like(x)
-    for step in range(math.ceil(max(x.shape[2:]) / (size // 2))):
+    radius, scale = size // 2, x.new_full((), -h)  # a tensor, because loops of graphs take no symbolic floats
+
+    def grow(step: int | Tensor, grown: Tensor, total: Tensor, _: Tensor) -> tuple[int | Tensor, Tensor, Tensor, Tensor]:
         near = blur(grown, kernel, "replicate")
         reached = (near > 0) & (near < 1)
-        within = -h * torch.where(reached, near, 0.5).log()
-        total = total + torch.where(reached, step * (size // 2) + within, 0)
-        grown = torch.where(reached, 1, grown)
-        if _check.values_are_readable(x) and not reached.any():  # later steps will not either
+        within = scale * torch.where(reached, near, 0.5).log()
+        total = total + torch.where(reached, step * radius + within, 0)
+        return step + 1, torch.where(reached, 1, grown), total, reached.any()  # where none is, later steps reach none
+
+    sides = x.shape[2:]
+    grown, total = x.clamp(0, 1), torch.zeros_like(x)
+    changed = torch.ones((), dtype=torch.bool, device=x.device)
+    if is_compiling() and not (torch.is_grad_enabled() and x.requires_grad):
+        # A graph has loops of its own, whose length depends on sizes. The gradients through them are wrong in torch 2.13.
+        steps = (reduce(torch.sym_max, sides) + radius - 1) // radius
+        state = torch.zeros((), dtype=torch.int64, device=x.device), grown, total, changed
+        return torch.while_loop(lambda step, *state: (step < steps) & state[-1], grow, state)[2]
+    for step in range(math.ceil(max(sides) / radius)):
+        _, grown, total, changed = grow(step, grown, total, changed)
+        if _check.values_are_readable(x) and not changed:
             break
     return total
 

@@ -110,9 +110,10 @@ def fit_plane(points: Vector3 | Tensor) -> Hyperplane:
     _check.trailing_shape("fit_plane", "points", points, 3)
     if points.dim() < 2 or points.shape[-2] < 3:
         raise ShapeError(f"fit_plane: expected points of shape (*, N, 3), N of at least 3, got {tuple(points.shape)}")
-    return Hyperplane(*with_kernel_casts(_least_plane)(floats(points)))
+    return Hyperplane(*_least_plane(floats(points)))
 
 
+@with_kernel_casts
 def _least_plane(points: Tensor) -> tuple[Tensor, Tensor]:
     mean = points.mean(-2, keepdim=True)
     normal = dominant_eigenvector(adjugate(scatter_of(points - mean))).to(points.dtype)
@@ -123,7 +124,7 @@ def scatter_of(offsets: Tensor, weights: Tensor | None = None) -> Tensor:
     """Sums (*, D, D) of products of offsets (*, N, D) from their mean, up to a factor."""
     offsets = promoted(offsets)
     scale = offsets.detach().abs().amax((-2, -1), keepdim=True)
-    offsets = offsets / torch.where(scale > 0, scale, 1)
+    offsets = offsets / scale.clamp(min=torch.finfo(scale.dtype).tiny)
     heavy = offsets if weights is None else offsets * promoted(weights)[..., None]
     return heavy.mT @ offsets
 

@@ -280,7 +280,7 @@ def vector_to_skew_symmetric_matrix(vec: Tensor) -> Tensor:
                 [-2.,  1.,  0.]])
     """
     _check.trailing_shape("vector_to_skew_symmetric_matrix", "vec", vec, 3)
-    return of_rows(_cross_matrix, vec, 1)
+    return of_rows(cross_matrix, vec, 1)
 
 
 def _cross_matrix_reference(vec: Tensor) -> Tensor:
@@ -289,7 +289,7 @@ def _cross_matrix_reference(vec: Tensor) -> Tensor:
     return torch.stack([o, -z, y, z, o, -x, -y, x, o], -1).unflatten(-1, (3, 3))
 
 
-_cross_matrix = register_formula("cross_matrix", _cross_matrix_reference, lambda *args: (3, 3))
+cross_matrix = register_formula("cross_matrix", _cross_matrix_reference, lambda *args: (3, 3))
 
 
 # --- quaternions ----------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._ops import register, vjp
@@ -14,7 +15,7 @@ from kvision.geometry._formula import of_all, register_formula
 from kvision.geometry._precision import in_full_precision, promoted
 from kvision.geometry.epipolar.projection import cross_product_matrix, depth_from_point, projection_from_KRt
 from kvision.geometry.epipolar.triangulation import triangulate_points, triangulated_backward
-from kvision.geometry.linalg import root
+from kvision.geometry.linalg import product_plus, root
 from kvision.geometry.solvers._minimal import five_points, minimal_solver
 from kvision.geometry.solvers.correspondences import check_correspondences
 from kvision.geometry.solvers.null_vector import null_vector_3x3
@@ -161,7 +162,9 @@ def relative_camera_motion(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tu
         tensor([2., 0., 0.])
     """
     _check_motions("relative_camera_motion", R1, t1, R2, t2)
-    motion = of_all(_camera_motion, 2, R1, t1, R2, t2)
+    if R1.is_cpu and not is_compiling() and R1.shape[:-2] == t1.shape[:-2] == R2.shape[:-2] == t2.shape[:-2]:
+        return _motion(R1, t1, R2, t2)
+    motion = of_all(_camera_motion, 2, R1, t1, R2, t2)  # on CUDA one launch
     R, t = motion.split((3, 1), -2)
     return R, t.mT
 
@@ -176,7 +179,7 @@ def _check_motions(op: str, R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> N
 
 def _motion(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tuple[Tensor, Tensor]:
     R = R2 @ R1.mT
-    return R, t2 - R @ t1
+    return R, product_plus(R, t1, t2, -1)
 
 
 def _camera_motion_reference(*args: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from kvision.core.exceptions import ShapeError
 from kvision.geometry._formula import of_all, register_formula
 from kvision.geometry._normalization import to_unit_last
 from kvision.geometry._precision import in_full_precision
-from kvision.geometry.linalg import adjugate
+from kvision.geometry.linalg import adjugate, product_plus
 from kvision.geometry.solvers._minimal import eight_points, minimal_solver
 from kvision.geometry.solvers.correspondences import check_correspondences
 
@@ -195,7 +195,7 @@ def lines(points: Tensor, F: Tensor) -> Tensor:
     if points.shape[-1] == 3:
         return points @ F.mT
     linear, last = F.mT.split((2, 1), -2)
-    return points @ linear + last
+    return product_plus(points, linear, last)
 
 
 def scaled_lines(line: Tensor) -> Tensor:

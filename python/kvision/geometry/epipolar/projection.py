@@ -7,8 +7,10 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError, ValueCheckError
-from kvision.geometry._formula import register_formula
+from kvision.geometry._formula import of_rows, register_formula
 from kvision.geometry._precision import in_full_precision, promoted
+from kvision.geometry.conversions.rotations import cross_matrix
+from kvision.geometry.linalg import product_plus
 from kvision.geometry.solvers.null_vector import null_vector_3x3
 
 __all__ = [
@@ -44,9 +46,7 @@ def cross_product_matrix(x: Tensor) -> Tensor:
                 [-2.,  1.,  0.]])
     """
     _check.floating_trailing_shape("cross_product_matrix", "x", x, 3)
-    a, b, c = x.unbind(-1)
-    zero = torch.zeros_like(a)
-    return torch.stack([zero, -c, b, c, zero, -a, -b, a, zero], -1).unflatten(-1, (3, 3))
+    return of_rows(cross_matrix, x, 1)
 
 
 @in_full_precision
@@ -168,7 +168,7 @@ def depth_from_point(R: Tensor, t: Tensor, X: Tensor) -> Tensor:
     _check.floating_trailing_shape(op, "t", t, 3, 1)
     _check.floating_trailing_shape(op, "X", X, "N", 3)
     _check.same_device(op, R=R, t=t, X=X)
-    return (R.narrow(-2, 2, 1) @ X.mT).squeeze(-2) + t.select(-2, 2)
+    return product_plus(R.narrow(-2, 2, 1), X.mT, t.narrow(-2, 2, 1)).squeeze(-2)
 
 
 @in_full_precision

@@ -20,6 +20,7 @@ from kvision.geometry._precision import in_full_precision
 
 __all__ = ["determinant_to_polynomial", "multiply_deg_one_poly", "multiply_deg_two_one_poly"]
 
+_NUMPY_TYPES = {torch.float32: np.float32, torch.float64: np.float64}
 _LINEAR = ("x", "y", "z", "")
 _QUADRATIC = ("xx", "xy", "xz", "x", "yy", "yz", "y", "zz", "z", "")
 _CUBIC = (
@@ -35,7 +36,7 @@ class Terms:
         factors = [(i, k, "".join(sorted(a + b))) for i, a in enumerate(left) for k, b in enumerate(right)]
         self.pairs = [[(i, k) for i, k, term in factors if term == monomial] for monomial in product]
         matrix = np.array([[term == monomial for monomial in product] for _, _, term in factors])
-        self.matrix = {torch.float32: matrix.astype(np.float32), torch.float64: matrix.astype(np.float64)}
+        self.matrix = {t: matrix.astype(n) for t, n in _NUMPY_TYPES.items()}
 
 
 def _powers(count: int) -> list[str]:
@@ -44,6 +45,42 @@ def _powers(count: int) -> list[str]:
 
 _TO_QUADRATIC = Terms(_LINEAR, _LINEAR, _QUADRATIC)
 _TO_CUBIC = Terms(_QUADRATIC, _LINEAR, _CUBIC)
+
+
+class _Determinant:
+    """The determinant as sums of products u v w of entries (3, 13), of its first, second and third columns.
+
+    Of each row, u and v are the pairs of the minor of the other two rows. `to_minors` adds them up to coefficients of
+    minors, each as often as there are coefficients w to multiply it by, and `to_powers` adds up these products.
+    """
+
+    def __init__(self) -> None:
+        u, v, w = [], [], []
+        to_minors, to_powers = np.zeros((96, 105)), np.zeros((105, 11))
+        for row in range(3):
+            one, two = (row + 1) % 3, (row + 2) % 3
+            products = [(7 * row + power, k) for power in range(7) for k in range(5)]
+            for first, second, sign in ((one, two, 1), (two, one, -1)):
+                for i, j in np.ndindex(4, 4):
+                    minor = 7 * row + 6 - i - j
+                    to_minors[len(u), 5 * minor : 5 * minor + 5] = sign
+                    u.append(13 * first + i)
+                    v.append(13 * second + 4 + j)
+            for minor, k in products:
+                to_powers[5 * minor + k, minor % 7 + 4 - k] = 1
+                w.append(13 * row + 8 + k)
+        self.sizes = len(u), len(v), len(w)
+        self.entries = np.array([*u, *v, *w])
+        self.matrices = {t: (to_minors.astype(n), to_powers.astype(n)) for t, n in _NUMPY_TYPES.items()}
+
+    def of(self, A: Tensor) -> Tensor:
+        to_minors, to_powers = map(torch.from_numpy, self.matrices[A.dtype])
+        entries = A.flatten(-2).index_select(-1, torch.from_numpy(self.entries))
+        u, v, w = entries.split(self.sizes, -1)
+        return ((u * v) @ to_minors * w) @ to_powers
+
+
+_DETERMINANT = _Determinant()
 _TO_SIXTH_POWER = Terms(_powers(4)[::-1], _powers(4)[::-1], _powers(7))
 _TO_TENTH_POWER = Terms(_powers(7), _powers(5)[::-1], _powers(11))
 
@@ -135,6 +172,8 @@ def determinant_to_polynomial(A: Tensor) -> Tensor:
         tensor([[0., 1., 0., 0., 0., 0., 0., 0., 0., 0., 0.]])
     """
     _check.floating_trailing_shape("determinant_to_polynomial", "A", A, 3, 13)
+    if A.is_cpu and not is_compiling():
+        return _DETERMINANT.of(A)
     first, second, third = A.split([4, 4, 5], -1)
     next_first, next_second, _ = A.roll(-1, -2).split([4, 4, 5], -1)
     # Of rows i and i + 1 each, to be multiplied by row i + 2.

@@ -69,6 +69,9 @@ namespace {
 template <class F>
 using Vector = Lanes<F, kLanes<F>>;
 
+constexpr int kMaxStepParameters = 13;  // those of an affine step
+static_assert(kMaxStepParameters >= kMaxStepTensorParameters);
+
 template <class V>
 KV_HD Scalar<V> sum_of(V const& v) {
   Scalar<V> sum = 0;
@@ -96,13 +99,23 @@ struct EvaluateStep {
   F const* p;
   bool one_channel = false;  // of the result
 
+  // The parameters where no store to the result can change them, so that loops keep them in registers.
+  struct Numbers {
+    F n[kMaxStepParameters];
+  };
+  KV_HD Numbers numbers() const {
+    Numbers all;
+    for (int k = 0; k < kMaxStepParameters; ++k) all.n[k] = p[k];
+    return all;
+  }
   template <class Formula>
   KV_HD void each(Formula f) {
     constexpr int N = kLanes<F>;
+    Numbers const q = numbers();
     for (int64_t i = 0; i < n; i += N) {
       Vector<F> v[C];
       for (int k = 0; k < C; ++k) v[k] = load<N>(c.channel(k) + i);
-      f(v, p, p);
+      f(v, q.n, q.n);
       for (int k = 0; k < C; ++k)
         if (k == 0 || !one_channel) store<N>(result.channel(k) + i, v[k]);
     }
@@ -110,10 +123,12 @@ struct EvaluateStep {
   template <class Formula>
   KV_HD void each_value(Formula f) {
     constexpr int N = kLanes<F>;
+    Numbers const q = numbers();
+#pragma GCC unroll 4
     for (int k = 0; k < C; ++k)
       for (int64_t i = 0; i < n; i += N) {
         auto v = load<N>(c.channel(k) + i);
-        f(v, k, p, p);
+        f(v, k, q.n, q.n);
         store<N>(result.channel(k) + i, v);
       }
   }
@@ -325,7 +340,7 @@ KV_HD Chunk<F> chunk_at(Pixels const& x, int64_t b, int64_t first) {
 // Parameters and steps of a sample, the same for all its pixels.
 template <class F>
 struct Sample {
-  F p[kMaxParameters + kMaxStepTensorParameters]{};
+  F p[kMaxParameters + kMaxStepParameters]{};
   int order[kMaxSteps], length;
   F mean = 0, grad_mean = 0;  // the latter per pixel
 

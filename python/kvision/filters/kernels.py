@@ -290,13 +290,10 @@ def _sampled(size: int, sigma: Tensor, mean: Tensor | float | None = None) -> Te
     """(B, size): exp(-d^2 / (2 sigma^2)) at distance d from the mean, divided by its sum."""
     mean = size // 2 if mean is None else mean
     shift = 0.5 if size % 2 == 0 else 0.0
-    squared = (torch.arange(size, device=sigma.device, dtype=sigma.dtype) + shift - mean) ** 2
+    squared = (torch.arange(size, device=sigma.device, dtype=sigma.dtype) + (shift - mean)) ** 2
     squared = squared - squared.amin(-1, keepdim=True)  # the nearest sample weighs 1, whatever underflows
-    variance = sigma**2
-    impulse = variance == 0
-    exponent = squared / (2 * torch.where(impulse, 1.0, variance))
-    weights = torch.where(impulse, (squared == 0).to(sigma.dtype), torch.exp(-exponent))
-    return weights / weights.sum(-1, keepdim=True)
+    variance = (sigma**2).clamp(min=torch.finfo(sigma.dtype).tiny)  # of an impulse, whose gradient is 0
+    return torch.softmax(squared / (-2 * variance), -1)
 
 
 def _gaussian_product(

@@ -241,10 +241,10 @@ def _perpendicular(line: Tensor, points: Tensor) -> Tensor:
     a, b, _ = line.unbind(-1)
     x, y, *w = points.unbind(-1)
     first, second = (w[0] * a, w[0] * b) if w else (a, b)
-    last = x * b - y * a
+    last = torch.addcmul(x * b, y, a, value=-1)
     if first.shape != last.shape:
         first, second = first.expand_as(last), second.expand_as(last)
-    return torch.stack((-second, first, last), -1) + 0
+    return torch.stack((0 - second, first, last), -1)  # no negative zeros
 
 
 @in_full_precision

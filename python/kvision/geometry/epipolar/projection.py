@@ -197,7 +197,8 @@ def projections_from_fundamental(F_mat: Tensor) -> Tensor:
     _check.floating("projections_from_fundamental", "F_mat", F_mat)
     e = null_vector_3x3(F_mat.mT)
     first = torch.eye(3, 4, device=F_mat.device, dtype=F_mat.dtype).expand(F_mat.shape[0], 3, 4)
-    second = torch.cat([cross_product_matrix(e) @ F_mat, e[..., None]], -1)
+    e = e[..., None]
+    second = torch.cat([torch.linalg.cross(e, F_mat, dim=-2), e], -1)
     return torch.stack([first, second], -1)
 
 

@@ -6,10 +6,12 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._ops import without_autocast_and_tf32
+from kvision._torch_compat import function_caller, in_function_transform
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 
@@ -43,6 +45,14 @@ class _Root(torch.autograd.Function):
     def backward(ctx: Any, grad_root: Tensor, grad_inverse: Tensor) -> tuple[Tensor, None]:
         root, inverse = ctx.saved_tensors
         return _Solution.apply(root, grad_root - inverse @ grad_inverse @ inverse), None
+
+
+_apply_root = function_caller(_Root)
+
+
+def _root(a: Tensor, eps: float) -> tuple[Tensor, Tensor]:
+    apply = _Root.apply if is_compiling() or in_function_transform() else _apply_root
+    return apply(a, eps)
 
 
 class _Solution(torch.autograd.Function):
@@ -113,13 +123,17 @@ def zca_mean(
     _check.flag("zca_mean", "return_inverse", return_inverse)
     if inp.shape[dim] < 1 + unbiased:
         raise ShapeError(f"zca_mean: expected at least {1 + unbiased} samples along axis {dim}, got {tuple(inp.shape)}")
-    with torch.autocast(inp.device.type, enabled=False):
-        samples = inp.to(compute_dtype(inp)).movedim(dim, 0).flatten(1)
-        mean = samples.mean(0, keepdim=True)
-        centerd = samples - mean
-        covariance = centerd.mT @ centerd / (inp.shape[dim] - unbiased)
-        root, inverse = _Root.apply(covariance, eps)
+    samples = as_dtype(inp, compute_dtype(inp)).movedim(dim, 0).flatten(1)
+    inverse, mean, root = _inverse_root(samples, len(samples) - unbiased, eps)
     return inverse, mean, root if return_inverse else None
+
+
+@without_autocast_and_tf32
+def _inverse_root(samples: Tensor, count: int, eps: float) -> tuple[Tensor, Tensor, Tensor]:
+    mean = samples.mean(0, keepdim=True)
+    centered = samples - mean
+    root, inverse = _root(centered.mT @ centered / count, eps)
+    return inverse, mean, root
 
 
 def zca_whiten(inp: Tensor, dim: int = 0, unbiased: bool = True, eps: float = 1e-6) -> Tensor:

@@ -105,6 +105,9 @@ def cart2pol(x: Tensor, y: Tensor, eps: float = 1e-8) -> tuple[Tensor, Tensor]:
     x, y = floats(x), floats(y)
     if not wants_derivative(x, y):
         return torch.hypot(x, y), torch.atan2(y, x + 0)  # not pi for -0
+    rho = torch.hypot(x, y)
+    if _check.values_are_readable(rho) and rho.numel() and rho.detach().amin() > 0:
+        return rho, torch.atan2(y, x + 0)
     origin = (x == 0) & (y == 0)
     x = torch.where(origin, 1, x)  # hypot and atan2 have no derivative at the origin
     return torch.hypot(x, y).masked_fill(origin, 0), torch.atan2(y, x).masked_fill(origin, 0)

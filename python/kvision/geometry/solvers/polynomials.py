@@ -55,7 +55,9 @@ class _Determinant:
     """
 
     def __init__(self) -> None:
-        u, v, w = [], [], []
+        u: list[int] = []
+        v: list[int] = []
+        w: list[int] = []
         to_minors, to_powers = np.zeros((96, 105)), np.zeros((105, 11))
         for row in range(3):
             one, two = (row + 1) % 3, (row + 2) % 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from kvision import _check
@@ -95,7 +96,9 @@ def _flip(op: str, input: Tensor, columns: bool, rows: bool) -> Tensor:
         return _flip(op, input[None], columns, rows)[0]
     if input.dim() == 0:
         raise ShapeError(f"{op}: expected input of shape (*, H, W), got {tuple(input.shape)}", actual_shape=input.shape)
-    if input.dtype not in flipped.dtypes or 0 in input.shape[-2:]:
+    # The kernel is for half types and bytes, and for CUDA.
+    torch_is_fast = input.is_cpu and input.dtype in (torch.float32, torch.float64)
+    if torch_is_fast or input.dtype not in flipped.dtypes or 0 in input.shape[-2:]:
         return input.flip([axis for axis, wanted in ((-2, rows), (-1, columns)) if wanted])
     if input.dim() == 4:
         return flipped(input, columns, rows)

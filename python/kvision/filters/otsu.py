@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError, TypeCheckError
@@ -11,6 +12,7 @@ from kvision.core.exceptions import ShapeError, TypeCheckError
 # For the gradient: how far a pixel spreads over the bins, and how close to the best variance counts as good.
 _BANDWIDTH = 0.5
 _TEMPERATURE = 0.01
+_BLOCK = 1 << 17  # pixels of planes that are computed together, so that intermediate results stay in the caches
 
 
 def otsu_threshold(
@@ -51,13 +53,21 @@ def otsu_threshold(
     (nbins,) = _check.ints("otsu_threshold", "nbins", nbins, 1, minimum=2)
     _check.flag("otsu_threshold", "slow_and_differentiable", slow_and_differentiable)
     _check.flag("otsu_threshold", "return_mask", return_mask)
-    thresholds = _thresholds(planes.detach(), nbins)
+    values, pixels = planes.detach(), planes.shape[1]
+    if x.is_cpu and not is_compiling() and values.numel() > _BLOCK:
+        thresholds = torch.cat([_thresholds(block, nbins) for block in values.split(max(1, _BLOCK // pixels))])
+    else:
+        thresholds = _thresholds(values, nbins)
     if slow_and_differentiable and x.is_floating_point() and planes.shape[0]:
         promoted = planes if x.dtype == torch.float64 else planes.float()
         soft = torch.stack([_soft_threshold(plane, nbins) for plane in promoted]).to(x.dtype)
         thresholds = thresholds + (soft - soft.detach())
     mask = (planes > thresholds[:, None]).reshape(x.shape)
-    return (mask if return_mask else torch.where(mask, x, 0)), thresholds
+    if return_mask:
+        return mask, thresholds
+    # A product, because the CPU chooses by random masks slowly. Nothing infinite is above a threshold.
+    finite = x.nan_to_num(0.0, 0.0, 0.0) if x.is_floating_point() else x
+    return finite * mask, thresholds
 
 
 def _thresholds(planes: Tensor, nbins: int) -> Tensor:
@@ -74,9 +84,9 @@ def _thresholds(planes: Tensor, nbins: int) -> Tensor:
     variance = torch.where(histogram[:, :-1] > 0, variance, -torch.inf)  # a gap is cut at its lower end
     best = variance.argmax(1, keepdim=True)
 
-    bright = bins > best
-    largest_dark = values.masked_fill(bright, -torch.inf).amax(1, keepdim=True)
-    smallest_bright = values.masked_fill(~bright, torch.inf).amin(1, keepdim=True)
+    bright, largest = (bins > best).to(exact), torch.finfo(exact).max
+    largest_dark = values.add(bright, alpha=-largest).amax(1, keepdim=True)
+    smallest_bright = values.add(1 - bright, alpha=largest).amin(1, keepdim=True)
     edge = low + (best + 1) * span / nbins
     edge = edge.to(planes.dtype).to(exact) if planes.is_floating_point() else edge.ceil() - 1
     edge = torch.where(edge < smallest_bright, torch.maximum(edge, largest_dark), largest_dark)

@@ -1,7 +1,8 @@
-"""`python -m benchmarks.sweep`: every public function that Kornia has as well, against Kornia's, at two sizes.
+"""`python -m benchmarks.sweep`: what Kornia has as well, function by function, against Kornia's, at two sizes.
 
 Forward without a gradient, and forward + backward to all floating-point arguments, where both libraries have a gradient.
-The arguments are those of benchmarks/sample_calls.py. A function is slower where it takes more than 5% and 5 microseconds
+The arguments are those of benchmarks/sample_calls.py; those of features and augmentations, modules among them, are in
+benchmarks/sample_modules.py. A function is slower where it takes more than 5% and 5 microseconds
 longer than Kornia's twice: what is slower at first is measured again, for longer. The exit status is 1 where one is.
 """
 
@@ -26,6 +27,7 @@ import kvision as K
 from benchmarks import machine
 from benchmarks.peers import set_threads
 from benchmarks.sample_calls import SampleCall, Size, sample_calls
+from benchmarks.sample_modules import ModuleCall, sample_modules
 from benchmarks.timing import Clock, clock
 
 SIZES = (Size(4, 3, 256, 256), Size(1, 3, 375, 500))
@@ -77,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"{'function':45}{'size':15}{'stage':10}{'kvision':>10}{'kornia':>10}{'x':>8}")
     quick, thorough = clock(device, options.seconds), clock(device, AGAIN * options.seconds)
     rows, refused = [], []
-    for call in sample_calls():
+    for call in (*sample_calls(), *sample_modules()):
         if call.function(kornia) is None or not (any(n in call.name for n in options.names) or not options.names):
             continue
         for size in SIZES:
@@ -108,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def stages(
-    call: SampleCall, size: Size, device: torch.device, kornia: Any
+    call: SampleCall | ModuleCall, size: Size, device: torch.device, kornia: Any
 ) -> Iterator[tuple[str, Callable[[], Any], Callable[[], Any]]]:
     """The calls of both libraries, forward, then forward + backward where both have a gradient."""
     tensors = call.tensors(size, device)

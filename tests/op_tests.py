@@ -112,6 +112,7 @@ class OpTests:
     function: Any  # the public function
     module: Any = None  # its module form
     operators: tuple[str, ...] = ()  # names in torch.ops.kvision that a call with gradient goes through
+    operator_dtype = torch.float32  # of images whose call goes through them
     variants: list[dict[str, Any]] = [{}]
     errors: list[tuple[dict[str, Any], type[Exception], str]] = []  # keyword arguments, exception, part of the message
     differentiable = True
@@ -617,7 +618,7 @@ class OpTests:
         self.needs_native(backend)
         with recorded() as calls:
             for variant in self.variants:
-                self.exercise(*self.setup(variant, device, torch.float32))
+                self.exercise(*self.setup(variant, device, self.operator_dtype))
         assert {name for name, _ in calls} == set(self.operators)
         taken = []
         for name, args in dict(calls).items():

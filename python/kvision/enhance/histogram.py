@@ -12,7 +12,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._ops import register, vjp
-from kvision._torch_compat import is_tracing
+from kvision._torch_compat import in_function_transform, is_tracing
 from kvision.core.exceptions import ShapeError, ValueCheckError
 
 _KERNELS: dict[str, Callable[[Tensor], Tensor]] = {
@@ -90,13 +90,34 @@ _histogram_backward = register("histogram_backward", vjp(_reference), fake=lambd
 
 
 def _backward(needs, grad, x, centers, bandwidth):
-    """The kernel computes the gradient of x. Centers and bandwidth, seldom learned, take the reference."""
+    """The kernel computes the gradient of x. Those of centers and bandwidth, seldom learned, are computed in torch."""
     grads = [None] * 3
     if any(needs[1:]):
-        grads = _histogram.differentiate_reference((False, *needs[1:]), grad, x, centers, bandwidth)
+        if x.is_cpu and not (torch.compiler.is_compiling() or in_function_transform()):
+            grads = [None, *_parameter_grads(grad, x, centers, bandwidth)]
+        else:
+            grads = _histogram.differentiate_reference((False, *needs[1:]), grad, x, centers, bandwidth)
     if needs[0]:
         grads[0] = _histogram_backward(grad, x, centers, bandwidth)
     return grads
+
+
+_CHUNK = 1 << 16  # samples times centers whose exponentials fit the caches
+
+
+def _parameter_grads(grad: Tensor, x: Tensor, centers: Tensor, bandwidth: Tensor) -> tuple[Tensor, Tensor]:
+    """The gradients to centers and bandwidth: sums over samples of u g and u^2 g, g being the Gaussian of u times grad."""
+    inverse = bandwidth[:, None].reciprocal()
+
+    def sums(x: Tensor, grad: Tensor, centers: Tensor, inverse: Tensor) -> Tensor:
+        u = (x[:, None] - centers[..., None]) * inverse[..., None]
+        product = torch.exp(-0.5 * u * u) * u
+        return torch.stack([product.sum(2), (product * u).sum(2)]) * grad
+
+    x = torch.where(x.isnan(), torch.finfo(x.dtype).max ** 0.5, x)  # out of reach of every center
+    chunks = x.split(max(1, _CHUNK // max(1, x.shape[0] * centers.shape[1])), 1)
+    first, second = _total([recomputed(sums, part, grad, centers, inverse) for part in chunks]) * inverse
+    return first.sum_to_size(centers.shape), second.sum(1).sum_to_size(bandwidth.shape)
 
 
 _histogram = register(

@@ -11,9 +11,11 @@ import math
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
+from kvision._ops import without_autocast_and_tf32
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.feature.patches import extract_patches_from_pyramid, extract_patches_simple
 from kvision.geometry._formula import batch_of, of_rows, register_formula
@@ -287,6 +289,8 @@ _scale_parts = register_formula("scale_laf_parts", _scale_parts_reference, lambd
 
 def scale_laf_parts(laf: Tensor, shape: float, x: float, y: float) -> Tensor:
     """[k A | (sx, sy) c], from one image's pixels to those of a resized one."""
+    if laf.is_cpu and laf.dtype in (torch.float32, torch.float64) and not is_compiling():
+        return laf * laf.new_tensor([[shape, shape, x], [shape, shape, y]])
     return of_rows(_scale_parts, laf, 2, shape, x, y)
 
 
@@ -501,9 +505,19 @@ def laf_to_boundary_points(LAF: Tensor, n_pts: int = 50) -> Tensor:
     (n_pts,) = _check.ints("laf_to_boundary_points", "n_pts", n_pts, 1)
     dtype = compute_dtype(laf)
     angles = torch.linspace(0, 2 * math.pi, n_pts - 1, dtype=dtype, device=laf.device)
-    first, second, center = as_dtype(laf, dtype)[:, :, None].unbind(-1)
+    promoted = as_dtype(laf, dtype)
+    if laf.is_cpu and not is_compiling():
+        return as_dtype(_outline_by_matmul(promoted, angles), laf.dtype)
+    first, second, center = promoted[:, :, None].unbind(-1)  # a GPU would round the factors of products to TF32
     outline = center + first * angles.sin()[:, None] + second * angles.cos()[:, None]
     return as_dtype(torch.cat([center, outline], 2), laf.dtype)
+
+
+@without_autocast_and_tf32
+def _outline_by_matmul(laf: Tensor, angles: Tensor) -> Tensor:
+    circle = torch.stack([angles.sin(), angles.cos(), torch.ones_like(angles)], -1)
+    points = torch.cat([circle.new_tensor([[0.0, 0.0, 1.0]]), circle])
+    return points @ laf.mT
 
 
 def get_laf_pts_to_draw(LAF: Tensor, img_idx: int = 0) -> tuple[list[list[float]], list[list[float]]]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
@@ -479,7 +482,18 @@ def convert_sift_descriptor_layout(
         raise ShapeError(f"{op}: expected descriptors of {bins * cells * cells} numbers, got {entries}")
     if source == target:
         return descriptors.clone()
-    sizes = (cells * cells, bins) if source == "opencv" else (bins, cells * cells)
+    if descriptors.is_cpu and not is_compiling():
+        return descriptors.index_select(-1, torch.from_numpy(_order(source, bins, cells)))
+    return _reordered(descriptors, source, bins, cells)
+
+
+def _reordered(descriptors: Tensor, source: str, bins: int, cells: int) -> Tensor:
+    sizes, angles = ((cells * cells, bins), -2) if source == "opencv" else ((bins, cells * cells), -1)
     swapped = descriptors.unflatten(-1, sizes).transpose(-1, -2)
-    angles = -1 if target == "opencv" else -2
     return swapped.flip(angles).roll(1, angles).flatten(-2)
+
+
+@functools.lru_cache
+def _order(source: str, bins: int, cells: int) -> np.ndarray:
+    """Which number of a descriptor comes where in the other layout."""
+    return _reordered(torch.arange(bins * cells * cells), source, bins, cells).numpy()

@@ -244,6 +244,21 @@ class PatchSequential(ImageSequential):
         indices = None if len(numbers) == len(cells) else numbers
         self._executed_cells += [(indices, child) for child in children]
 
+    def forward_parameters(self, batch_shape: Sequence[int]) -> list[PatchParamItem]:  # type: ignore[override]
+        """Draw the parameters of a call on images of a shape (B, C, H, W), without executing it; `forward` takes them."""
+        cells = self.grid_size[0] * self.grid_size[1]
+        b, c, *sides = batch_shape
+        keep = self.padding == "valid"
+        cell = [n // parts if keep else -(-n // parts) for n, parts in zip(sides, self.grid_size)]
+        chains, items = self._chains(cells, self._source(None, None)), []
+        for numbers in _groups(chains):
+            indices = None if len(numbers) == cells else numbers
+            for child in chains[numbers[0]]:
+                draw = getattr(child.module, "forward_parameters", None)
+                data = None if draw is None else draw((b * len(numbers), c, *cell))
+                items.append(PatchParamItem(indices, ParamItem(child.name, data)))
+        return items
+
     @property
     def _params(self) -> list[Any]:
         """The parameters of the last call, in the order of execution."""

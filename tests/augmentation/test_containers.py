@@ -346,6 +346,11 @@ def test_cells_of_a_grid(device: torch.device) -> None:
         assert torch.equal(patches(x, seed=3), patches(x, seed=3))
     invert = A.RandomInvert(p=1.0)
     torch.testing.assert_close(A.PatchSequential(invert, grid_size=(3, 3), patchwise_apply=False)(x), 1 - x)
+    for patchwise, grid in ((False, (2, 3)), (True, (1, 2))):
+        inside = A.ImageSequential(A.RandomGamma(p=0.5), A.RandomSolarize(p=0.5))
+        drawn = A.PatchSequential(A.RandomBrightness(p=0.5), inside, grid_size=grid, patchwise_apply=patchwise)
+        params = drawn.forward_parameters(x.shape)
+        assert torch.equal(drawn(x, params=params), drawn(x, params=params))
     valid = A.PatchSequential(invert, grid_size=(3, 3), patchwise_apply=False, padding="valid")(x)
     torch.testing.assert_close(valid, 1 - x[..., :15, 1:19])
     with pytest.raises(ValueError, match="expected 4 children"):

@@ -16,6 +16,7 @@ from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample, SamplePadding
 from kvision.filters import gaussian_blur2d
 from kvision.geometry import get_tps_transform, warp_points_tps
+from kvision.geometry.linalg import root
 
 __all__ = ["RandomElasticTransform", "RandomFisheye", "RandomThinPlateSpline"]
 
@@ -254,6 +255,6 @@ class RandomFisheye(MapAugmentation):
         height, width = shape[-2:]
         grid = _grid(height, width, like)
         center = torch.cat([params["center_x"], params["center_y"]], 1).to(like)[:, :, None, None]
-        radius = (grid - center).norm(dim=1, keepdim=True)
+        radius = root((grid - center).square().sum(1, keepdim=True))
         displaced = grid * radius ** params["gamma"].to(like)[:, :, None, None]
         return displaced * _half_sizes(height, width, True, like)

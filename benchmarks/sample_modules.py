@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
-from benchmarks.sample_calls import SampleCall, Size, channels, gray, homographies, image, labels, volume
+from benchmarks.sample_calls import SampleCall, Size, channels, each, gray, homographies, image, labels, volume
 
 
 @dataclass(frozen=True)
@@ -81,22 +81,22 @@ def patches(size: int) -> Callable[[Size], Tensor]:
 _PAIR = {"desc1": descriptors, "desc2": descriptors}
 _FRAMES = {"lafs1": frames_of_one, "lafs2": frames_of_one}
 FEATURE_FUNCTIONS: dict[str, dict[str, Any]] = {
-    **dict.fromkeys(("denormalize_laf", "normalize_laf"), {"LAF": frames, "images": image}),
+    **each(("denormalize_laf", "normalize_laf"), {"LAF": frames, "images": image}),
     "ellipse_to_laf": {"ells": ellipses},
-    **dict.fromkeys(("get_laf_center", "get_laf_orientation", "get_laf_scale", "laf_to_boundary_points"), {"LAF": frames}),
+    **each(("get_laf_center", "get_laf_orientation", "get_laf_scale", "laf_to_boundary_points"), {"LAF": frames}),
     "laf_from_center_scale_ori": {"xy": lambda s: frames(s)[..., 2]},
     "laf_from_three_points": {"threepts": frames},
-    **dict.fromkeys(("laf_is_filled", "laf_is_valid", "laf_to_three_points", "make_upright"), {"laf": frames}),
+    **each(("laf_is_filled", "laf_is_valid", "laf_to_three_points", "make_upright"), {"laf": frames}),
     "laf_is_inside_image": {"laf": frames, "images": image},
     "perspective_transform_lafs": {"trans_01": homographies, "lafs_1": frames},
-    **dict.fromkeys(("rotate_laf", "set_laf_orientation"), {"LAF": frames, "angles_degrees": angles}),
+    **each(("rotate_laf", "set_laf_orientation"), {"LAF": frames, "angles_degrees": angles}),
     "scale_laf": {"laf": frames, "scale_coef": 2.0},
-    **dict.fromkeys(("match_nn", "match_mnn", "match_snn", "match_smnn"), _PAIR),
+    **each(("match_nn", "match_mnn", "match_snn", "match_smnn"), _PAIR),
     "match_smnn_batched": {"desc1": batched_descriptors, "desc2": batched_descriptors},
-    **dict.fromkeys(("match_fginn", "match_adalam"), {**_PAIR, **_FRAMES}),
-    **dict.fromkeys(("extract_patches_from_pyramid", "extract_patches_simple"), {"img": gray, "laf": frames}),
+    **each(("match_fginn", "match_adalam"), {**_PAIR, **_FRAMES}),
+    **each(("extract_patches_from_pyramid", "extract_patches_simple"), {"img": gray, "laf": frames}),
     "dog_response": {"input": volume},
-    **dict.fromkeys(("dog_response_single", "gftt_response", "harris_response", "hessian_response"), {"input": gray}),
+    **each(("dog_response_single", "gftt_response", "harris_response", "hessian_response"), {"input": gray}),
     "convert_sift_descriptor_layout": {"descriptors": descriptors, "source": "kornia", "target": "opencv"},
 }
 _FRAMES_OF_IMAGE = {"laf": frames, "img": gray}

@@ -1,6 +1,6 @@
-// Warps that keep rows rows, those of crops, flips and resizing, with a program of color steps, on CUDA. A block takes
-// rows of a sample, a warp 32 x 4 pixels of them at a time. Its threads sample a column each, from global memory, and
-// pass the pixels on in shared memory, where each takes four adjacent ones.
+// Warps that map rows to rows, as crops, flips and resizing do, with a program of color steps, on CUDA. A block
+// processes rows of a sample, and each of its warps 32 x 4 pixels at a time. A thread first samples a column from
+// global memory. Then it reads four adjacent pixels of a row from shared memory and applies the program to them.
 //
 // Contrast around the mean needs all pixels of a sample before any result: the blocks of a sample are a cluster, keep
 // their pixels in shared memory, and add up the mean. No image is sampled twice.

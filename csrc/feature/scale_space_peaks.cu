@@ -1,5 +1,5 @@
 // Peaks of scale spaces on CUDA. A thread searches the voxels of a pixel and lists the ranks of those that are peaks,
-// in any order. Then a block for each sample chooses the strongest by their digits, sorts them, and refines them again:
+// in any order. Then a block for each sample selects the strongest digit by digit, sorts them, and refines them again:
 // the same peaks in the same order every run.
 #include "core/launch.cuh"
 #include "scale_space_peaks.h"

@@ -17,9 +17,9 @@ struct PixelNoise {
   int64_t channel_stride, step;     // from a pixel to the next channel, and to the next pixel
   Compute<T> const* parameters;  // (B, 2): mean and standard deviation or half of the width, or amount and fraction of
                                  // salt; for full_range 1
-  float const* chosen;          // (B,), 0 for samples that pass unchanged; null: all are chosen
-  Compute<T> full_range, salt;  // 255 for bytes, 1 for floats; the value of salt
-  int64_t const *keys, *seeds;  // on the device; null: `key` is the key, there are no seeds
+  float const* chosen;           // (B,), 0 for samples that pass unchanged; null: all are chosen
+  Compute<T> full_range, salt;   // 255 for bytes, 1 for floats; the value of salt
+  int64_t const *keys, *seeds;   // on the device; null: `key` is the key, there are no seeds
   int64_t key_stride, seed_stride, parameter_stride, chosen_stride;
   int64_t key;  // or its index, where the keys are on the device
   uint32_t position, draw;

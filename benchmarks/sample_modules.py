@@ -108,12 +108,12 @@ FEATURE_MODULES = [
     ModuleCall("feature.PatchAffineShapeEstimator", {"patch": patches(19)}),
     ModuleCall("feature.LAFOrienter", _FRAMES_OF_IMAGE, (32,)),
     ModuleCall("feature.LAFAffineShapeEstimator", _FRAMES_OF_IMAGE, (32,)),
-    ModuleCall("feature.HardNet", {"input": patches(32)}),
-    ModuleCall("feature.HyNet", {"patch": patches(32)}),
-    ModuleCall("feature.SOSNet", {"input": patches(32)}),
-    ModuleCall("feature.TFeat", {"input": patches(32)}),
-    ModuleCall("feature.OriNet", {"patch": patches(32)}),
-    ModuleCall("feature.KeyNet", {"x": gray}),
+    ModuleCall("feature.HardNet", {"input": patches(32)}, (False,)),
+    ModuleCall("feature.HyNet", {"patch": patches(32)}, (False,)),
+    ModuleCall("feature.SOSNet", {"input": patches(32)}, (False,)),
+    ModuleCall("feature.TFeat", {"input": patches(32)}, (False,)),
+    ModuleCall("feature.OriNet", {"patch": patches(32)}, (False,)),
+    ModuleCall("feature.KeyNet", {"x": gray}, (False,)),
     ModuleCall("feature.ScaleSpaceDetector", {"img": gray}, (100,)),
 ]
 

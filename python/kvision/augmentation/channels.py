@@ -52,7 +52,8 @@ class RandomChannelShuffle(IntensityAugmentationBase2D):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        return input.gather(1, params["channels"][..., None, None].expand_as(input))
+        planes = input.flatten(0, 1).index_select(0, _planes(input, params["channels"]))
+        return planes.view(input.shape)
 
 
 class RandomChannelDropout(IntensityAugmentationBase2D):
@@ -92,10 +93,15 @@ class RandomChannelDropout(IntensityAugmentationBase2D):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        dropped = torch.zeros(input.shape[:2], dtype=torch.bool, device=input.device)
-        dropped = dropped.scatter(1, params["channel_idx"], True)
-        value = 255 * self.fill_value if input.dtype == torch.uint8 else self.fill_value
-        return input.masked_fill(dropped[..., None, None], round(value) if input.dtype == torch.uint8 else value)
+        value = round(255 * self.fill_value) if input.dtype == torch.uint8 else self.fill_value
+        dropped = _planes(input, params["channel_idx"])
+        return input.flatten(0, 1).index_fill(0, dropped, value).view(input.shape)
+
+
+def _planes(images: Tensor, channels: Tensor) -> Tensor:
+    """The indices among all planes of channels (B, n) of images (B, C, H, W)."""
+    count = images.shape[1]
+    return (channels + count * torch.arange(len(images), device=images.device)[:, None]).flatten()
 
 
 class _UnknownModeError(ValueCheckError, RuntimeError):

@@ -28,6 +28,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
     bool const has_contrast = sample.steps_before_mean < sample.length;
     if (p.resumes && !q.measures_mean && !has_contrast) continue;  // the first run has done it all
     int const length = p.resumes && !q.measures_mean ? sample.steps_before_mean + 1 : sample.length;
+    int const first_kept = q.measures_mean && has_contrast ? sample.steps_before_mean : 0;  // the first run ends there
     int const last = p.last_input(length, [&](int s) { return sample.order[s].index; });
     for (int k = int(threadIdx.x % 32); k < kMaxParameters; k += 32) partial_grads[threadIdx.x / 32][k] = 0;
     __syncwarp();
@@ -56,10 +57,11 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
         load_both(F{});
       }
       for (int s = 0; s < last; ++s) {
+        if (s >= first_kept)
 #pragma unroll
-        for (int k = 0; k < C; ++k)
+          for (int k = 0; k < C; ++k)
 #pragma unroll
-          for (int j = 0; j < P; ++j) inputs[s][k][j] = c[k][j];
+            for (int j = 0; j < P; ++j) inputs[s][k][j] = c[k][j];
         auto const entry = sample.order[s];
         EvaluateStep<F, C, P> values{c, sample.p + entry.first};
         run_step(entry.step, values);

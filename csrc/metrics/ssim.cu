@@ -7,6 +7,7 @@
 // vectors and shares them between its windows. Pixels that windows read out of bounds are filled in when the rows are
 // written. The gradient does both steps twice: for the means, and for the derivatives by them. Only loads and stores
 // depend on the dtype and the layout of the pixels, which are therefore run-time arguments.
+#include "core/row_prefetcher.cuh"
 #include "ssim.cuh"
 
 namespace kv::metrics::cuda {
@@ -20,8 +21,9 @@ constexpr int kLine = kThreads + 16;  // elements of a row in shared memory
 template <int K>
 struct Work {
   StoredPlanes x, y, result,
-      other_result;   // the similarity; or the gradients of x and y, the latter without data if not needed
-  StoredPlanes grad;  // of the similarity
+      other_result;        // the similarity; or the gradients of x and y, the latter without data if not needed
+  StoredPlanes grad;       // of the similarity
+  int x_stride, y_stride;  // of rows, in bytes
   Border border;
   int offset;
   DType stored;
@@ -111,6 +113,76 @@ __device__ __forceinline__ void sum_across(float const (&line)[M][kLine], int at
         }
     }
 }
+
+// Rows of both images in shared memory. Each group of four is copied while the one before it is processed, by vectors
+// of 16 bytes. Unless all rows are made of such vectors, each comes with the bytes that precede it in its first vector.
+constexpr int kPitch = kThreads * 4 + 16;  // bytes
+struct alignas(16) PixelGroup {
+  uint8_t pixels[2][kRows][kPitch];
+  int preceding[2][kRows];
+};
+
+template <int K, bool Aligned>
+struct PixelRows {
+  Work<K> const& work;
+  uint8_t const *x, *y;    // the vectors of row 0 that the thread copies
+  uint32_t to;             // where they go in the first group
+  int row, bytes, height;  // its row of a group; bytes from the vector to the end of the row
+  int next, last;          // its row of the next group; rows after `last` are not needed
+
+  __device__ __forceinline__ PixelRows(Work<K> const& work, BlockPosition<K> const& position, PixelGroup& group,
+                                       int first, int last)
+      : work(work), row(position.r), height(position.height), next(first + position.r), last(last) {
+    int const size = work.stored == DType::float32 ? 4 : 2, offset = 16 / kRows * (position.x - position.left);
+    bytes = min(int(blockDim.x), position.width - position.left) * size - offset;
+    if (Aligned && bytes <= 0) this->last = INT_MIN;
+    x = work.x.plane(position.plane) + int64_t(position.left) * size + offset;
+    y = work.y.plane(position.plane) + int64_t(position.left) * size + offset;
+    to = uint32_t(__cvta_generic_to_shared(&group)) + row * kPitch + offset;
+  }
+
+  // Starts the copy of the next group, to `groups[at]`.
+  __device__ __forceinline__ void copy(PixelGroup* groups, int at) {
+    int from = next;
+    if (from < 0 || from >= height) from = border_index(work.border, from, height);
+    bool const zero = from < 0, needed = next <= last;
+    uint8_t const *const of_x = row_at(x, from, work.x_stride), *const of_y = row_at(y, from, work.y_stride);
+    uint32_t const group = to + at * uint32_t(sizeof(PixelGroup));
+    if constexpr (Aligned) {
+      copy_async_if<16>(group, of_x, needed, zero);
+      copy_async_if<16>(group + kRows * kPitch, of_y, needed, zero);
+    } else {
+      auto const copy_row = [&](int image, uint8_t const* from) {
+        int const preceding = int(reinterpret_cast<uintptr_t>(from) % 16);
+        auto const copy_vector = [&](int i) {
+          int const size = bytes + preceding - i;
+          copy_part_async_if<16>(group + image * kRows * kPitch + i, from - preceding + i, needed && size > 0,
+                                 zero ? 0 : min(size, 16));
+        };
+        copy_vector(0);
+        if (threadIdx.x % (blockDim.x / kRows) > 0) return;
+        copy_vector(16 / kRows * int(blockDim.x));  // float32 may take one vector more than threads
+        groups[at].preceding[image][row] = preceding;
+      };
+      copy_row(0, of_x);
+      copy_row(1, of_y);
+    }
+    next += kRows;
+    __pipeline_commit();
+  }
+  // The pixels of the thread's column; those out of bounds are undefined.
+  __device__ __forceinline__ void read_column(PixelGroup const& group, float (&a)[kRows], float (&b)[kRows]) const {
+    dispatch_floating_dtype(work.stored, [&](auto type) {
+      using T = decltype(type);
+      auto const read_at = [&](int image, int r) {
+        int const preceding = Aligned ? 0 : group.preceding[image][r];
+        return read(*reinterpret_cast<T const*>(group.pixels[image][r] + threadIdx.x * sizeof(T) + preceding));
+      };
+#pragma unroll
+      for (int r = 0; r < kRows; ++r) a[r] = read_at(0, r), b[r] = read_at(1, r);
+    });
+  }
+};
 
 // A column of both images, read row by row; out of bounds columns read the last one, and their results are dropped.
 struct Pixels {
@@ -210,15 +282,13 @@ template <int K>
 __device__ __forceinline__ void take_rows(float const (&xs)[kRows], float const (&ys)[kRows], Work<K> const& work,
                                           BlockPosition<K> const& position, bool near_end, RunningSums<4, K>& down,
                                           Rows<4>& rows) {
+  if (position.column >= position.width) return;
   int const at = int(threadIdx.x) + K / 2;
 #pragma unroll
   for (int r = 0; r < kRows; ++r) {
     float const a = xs[r], b = ys[r], d = a - b, values[4] = {a, b, fmaf(a, a, b * b), d * d};
 #pragma unroll
-    for (int m = 0; m < 4; ++m) {
-      float const complete = down.add(m, values[m], work.weights);
-      if (position.column < position.width) rows[r][m][at] = complete;
-    }
+    for (int m = 0; m < 4; ++m) rows[r][m][at] = down.add(m, values[m], work.weights);
   }
   if (near_end)
     position.for_each_mirror(position.column, [&](int to) {
@@ -235,33 +305,43 @@ constexpr int kReach = (K / 2 + kRows - 1) / kRows * kRows;
 template <int K>
 constexpr int kReachOfGradients = (K - 1 + kRows - 1) / kRows * kRows;
 
-template <int K>
+struct ForwardRows {
+  Rows<4> summed[2];  // sums along y for the means
+  PixelGroup pixels[2];
+};
+
+template <int K, bool Aligned>
 __global__ void __launch_bounds__(kThreads, 3) ssim_forward(__grid_constant__ Work<K> const work) {
   constexpr int R = K / 2;
-  __shared__ __align__(16) Rows<4> memory[2];
-  for (int i = threadIdx.x; i < int(sizeof(memory) / 4); i += blockDim.x) memory[0][0][0][i] = 0;
-  __syncthreads();
+  extern __shared__ __align__(16) float shared[];
+  ForwardRows& memory = *reinterpret_cast<ForwardRows*>(shared);
   BlockPosition<K> const position(work, kReach<K>);
-  Pixels pixels(work, position, position.y0 - R, position.y1 - 1 + R);
+  PixelRows<K, Aligned> pixels(work, position, memory.pixels[0], position.y0 - R, position.y1 - 1 + R);
+  pixels.copy(memory.pixels, 0);
+  pixels.copy(memory.pixels, 1);
+  for (int i = threadIdx.x; i < int(sizeof(memory.summed) / 4); i += blockDim.x) shared[i] = 0;
   RunningSums<4, K> down;
   bool const near_end = work.border == Border::reflect && position.is_near_end(position.column, 1);
   bool const owns_column = position.owns(position.column);
   bool const whole = position.owns(position.x, work.offset) && position.owns(position.x + kRows - 1, work.offset);
   uint8_t* const out = work.result.data ? work.result.plane(position.plane) : nullptr;
-  float apart = 0, unlike = 0, a[kRows], b[kRows];
-  pixels.fetch(a, b);
+  float apart = 0, unlike = 0;
+  __pipeline_wait_prior(1);
+  __syncthreads();
 #pragma unroll 1
-  for (int y = position.y0 - 2 * R, next = 0; y < position.y1;
-       y += kRows, next ^= 1) {  // y: the rows that are completed
-    Rows<4>& rows = memory[next];
+  for (int y = position.y0 - 2 * R, now = 0; y < position.y1; y += kRows, now ^= 1) {  // y: the rows that are completed
+    Rows<4>& rows = memory.summed[now];
+    float a[kRows], b[kRows];
+    pixels.read_column(memory.pixels[now], a, b);
     if (work.loss.absolute != 0 && owns_column) {
 #pragma unroll
       for (int r = 0; r < kRows; ++r)
         if (y + R + r >= position.y0 && y + R + r < position.y1) apart += fabsf(a[r] - b[r]);
     }
     take_rows(a, b, work, position, near_end, down, rows);
-    pixels.fetch(a, b);
+    __pipeline_wait_prior(0);
     __syncthreads();
+    pixels.copy(memory.pixels, now);
     int const q = y + position.r;
     if (q < max(position.y0, work.offset) || q >= min(position.y1, position.height - work.offset)) continue;
     float means[4][kRows], result[kRows];
@@ -274,9 +354,10 @@ __global__ void __launch_bounds__(kThreads, 3) ssim_forward(__grid_constant__ Wo
     if (whole) {
       unlike += (result[0] + result[1]) + (result[2] + result[3]);
     } else {
-#pragma unroll
+#pragma unroll 1  // an unrolled loop would take instructions of all threads
       for (int j = 0; j < kRows; ++j)
-        if (position.owns(position.x + j, work.offset)) unlike += result[j];
+        if (position.owns(position.x + j, work.offset))
+          unlike += j == 0 ? result[0] : j == 1 ? result[1] : j == 2 ? result[2] : result[3];
     }
     if (!out) continue;
     float similarity[kRows];
@@ -408,13 +489,25 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
     if (!owns_column) return;
     dispatch_floating_dtype(work.stored, [&](auto type) {
       using T = decltype(type);
-      uint8_t *x = to_x + y * work.result.row_stride, *other = to_y + y * work.other_result.row_stride;
+      uint8_t *x = to_x + y * work.result.row_stride + position.column * sizeof(T),
+              *other = to_y + y * work.other_result.row_stride + position.column * sizeof(T);
+      auto const store = [&](float a, float b) {
+        *reinterpret_cast<T*>(x) = round_to<T>(a);
+        if (M == 4) *reinterpret_cast<T*>(other) = round_to<T>(b);
+      };
+      if (y >= y0 && y + kRows <= y1) {
 #pragma unroll
-      for (int r = 0; r < kRows; ++r) {
-        if (y + r >= y0 && y + r < y1) {
-          reinterpret_cast<T*>(x)[position.column] = round_to<T>(a[r]);
-          if (M == 4) reinterpret_cast<T*>(other)[position.column] = round_to<T>(b[r]);
+        for (int r = 0; r < kRows; ++r) {
+          store(a[r], b[r]);
+          x += work.result.row_stride, other += work.other_result.row_stride;
         }
+        return;
+      }
+#pragma unroll 1
+      for (int r = 0; r < kRows; ++r) {
+        if (y + r >= y0 && y + r < y1) store(a[0], b[0]);
+#pragma unroll
+        for (int i = 0; i + 1 < kRows; ++i) a[i] = a[i + 1], b[i] = b[i + 1];
         x += work.result.row_stride, other += work.other_result.row_stride;
       }
     });
@@ -453,14 +546,19 @@ struct Grid {
   unsigned across, down, blocks;
   int rows, threads;
 
-  // Splits planes into blocks, of which `resident` fit a multiprocessor and keep it busy. A block reads `more` rows
-  // than it completes. The number of rows per block minimizes the work of each multiprocessor.
-  Grid(int64_t planes, int64_t height, int64_t width, int reach, int more, int resident) {
-    threads = int(min(ceil_div(width, 32) * 32, int64_t(kThreads)));
-    int64_t const rest = max(width - threads, int64_t(0));
-    across = unsigned(1 + ceil_div(rest, threads - 2 * reach));
+  // Splits planes into blocks, no wider than their columns need. A block reads `more` rows than it completes, and the
+  // number of rows per block minimizes the work of each multiprocessor. It keeps `widest` blocks of the most threads
+  // busy, and no more blocks than fit its shared memory, where each has `bytes`.
+  Grid(int64_t planes, int64_t height, int64_t width, int reach, int more, int widest, int bytes)
+      : across(0), threads(0) {
+    int64_t const fewest = 1 + ceil_div(max(width - kThreads, int64_t(0)), kThreads - 2 * reach);
+    for (int64_t parts = fewest; parts <= fewest + 2; ++parts) {
+      int64_t const each = ceil_div(ceil_div(width + 2 * reach * (parts - 1), parts), 32) * 32;
+      if (across == 0 || parts * each < int64_t(across) * threads) across = unsigned(parts), threads = int(each);
+    }
     double min_work = INFINITY;
     int64_t const machine = multiprocessors();
+    int64_t const resident = min(widest * kThreads / threads, max((227 << 10) / (bytes + 1024), 1));
     for (int64_t parts = 1; parts <= height / 8 + 1; ++parts) {
       int64_t const each = ceil_div(height, parts);
       int64_t const count = ceil_div(planes * across * ceil_div(height, each), machine);
@@ -484,6 +582,7 @@ template <int K, class T>
 Work<K> work_of(SsimImages<T> const& images, Grid const& grid) {
   Work<K> work{};
   work.x = stored_planes(images.x), work.y = stored_planes(images.y);
+  work.x_stride = int(work.x.row_stride), work.y_stride = int(work.y.row_stride);
   work.border = images.border, work.offset = images.valid ? K / 2 : 0;
   work.stored = kDType<T>;
   work.constants = images.constants;
@@ -492,37 +591,46 @@ Work<K> work_of(SsimImages<T> const& images, Grid const& grid) {
   return work;
 }
 
+// Calls f with whether all rows of the images are vectors of 16 bytes, as a constant.
+template <class T, class F>
+int with_aligned_rows(SsimImages<T> const& p, F f) {
+  constexpr int kSize = 16 / sizeof(T);
+  return is_vectorizable<kSize>(p.x) && is_vectorizable<kSize>(p.y) ? f(std::true_type{}) : f(std::false_type{});
+}
+
+template <int K>
+int run(void (*kernel)(Work<K>), int bytes, Work<K> const& work, Grid const& grid, CUstream_st* stream) {
+  if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes)) return error;
+  kernel<<<grid.blocks, grid.threads, bytes, stream>>>(work);
+  return cudaGetLastError();
+}
+
 template <int K, class T>
 int launch(Ssim<T> const& p, CUstream_st* stream) {
   Planes<T const> const& x = p.images.x;
-  Grid const grid(x.count(), x.height, x.width, kReach<K>, K - 1, 3);
+  Grid const grid(x.count(), x.height, x.width, kReach<K>, K - 1, 3, sizeof(ForwardRows));
   Work<K> work = work_of<K>(p.images, grid);
   work.result = stored_planes(p.similarity), work.vectors = work.offset == 0 && has_vectors(p.similarity);
   work.loss = p.loss, work.partial = p.partial;
-  ssim_forward<K><<<grid.blocks, grid.threads, 0, stream>>>(work);
-  if (p.similarity.data) return cudaGetLastError();
+  if (int const error = with_aligned_rows(p.images, [&](auto aligned) {
+        return run(ssim_forward<K, aligned.value>, sizeof(ForwardRows), work, grid, stream);
+      }))
+    return error;
+  if (p.similarity.data) return 0;
   int64_t const rows = x.count() / p.loss.planes, chunks = grid.blocks / rows * (grid.threads / 32);
   return sum_chunks(p.partial, rows, chunks, p.sums, stream);
-}
-
-template <int K, int M>
-int launch_gradients(Work<K> const& work, Grid const& grid, CUstream_st* stream) {
-  constexpr int bytes = sizeof(GradientRows<M>);
-  if (int const error = cudaFuncSetAttribute(ssim_gradients<K, M>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
-    return error;
-  ssim_gradients<K, M><<<grid.blocks, grid.threads, bytes, stream>>>(work);
-  return cudaGetLastError();
 }
 
 template <int K, class T>
 int launch(SsimBackward<T> const& p, CUstream_st* stream) {
   Planes<T const> const& x = p.images.x;
-  Grid const grid(x.count(), x.height, x.width, kReachOfGradients<K>, 2 * K + 10, 2);
+  Grid const grid(x.count(), x.height, x.width, kReachOfGradients<K>, 2 * K + 10, 2, sizeof(GradientRows<3>));
   Work<K> work = work_of<K>(p.images, grid);
   work.result = stored_planes(p.grad_x), work.other_result = stored_planes(p.grad_y);
   work.grad = stored_planes(p.grad), work.vectors = work.offset == 0 && has_vectors(p.grad);
   work.loss = p.loss, work.of_loss = p.of_loss;
-  return p.grad_y.data ? launch_gradients<K, 4>(work, grid, stream) : launch_gradients<K, 3>(work, grid, stream);
+  return p.grad_y.data ? run(ssim_gradients<K, 4>, sizeof(GradientRows<4>), work, grid, stream)
+                       : run(ssim_gradients<K, 3>, sizeof(GradientRows<3>), work, grid, stream);
 }
 
 // One kernel per window size; float64 takes other kernels.

@@ -163,7 +163,7 @@ template <class T>
 bool has_ssim_strips(SsimImages<T> const& p) {
   bool const usual = p.size >= 3 && p.size <= 11;
   return usual && !p.volumes && sizeof(T) < 8 && p.x.step == 1 && min(p.x.height, p.x.width) >= p.size &&
-         max(p.x.height, p.x.width) < INT32_MAX / 2;
+         max(p.x.height, p.x.width) < INT32_MAX / 2 && max(p.x.row_stride, p.y.row_stride) < INT32_MAX / 4;
 }
 template <class T>
 bool has_ssim_tiles(SsimImages<T> const& p) {

@@ -1,36 +1,39 @@
 // Non-maximum suppression and hysteresis of Canny on CUDA, without synchronization with the host.
 #include "canny.h"
-#include "core/launch.cuh"
+#include "core/row_prefetcher.cuh"
 
 namespace kv::filters::cuda {
 namespace {
 
-constexpr int kRows = 16;
+constexpr int kSuppressing = 128;  // threads of a block
 
 // Non-maximum suppression. Each warp goes down a strip with three rows of the image and three rows of squared
-// magnitudes in registers.
+// magnitudes in registers, and the next row on its way.
 template <class T, bool Aligned>
-__global__ void __launch_bounds__(256) suppress_strip(CannySuppress<T> p, Strips<> strips) {
+__global__ void __launch_bounds__(kSuppressing) suppress_strip(CannySuppress<T> p, Strips<> strips) {
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
   if (!strips.locate(plane, x, y0)) return;
   int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
-  Strip<2, Aligned> const strip(x, width, Border::replicate);
+  using Row = Strip<2, Aligned, 4, kSuppressing / 32>;
+  Row const strip(x, width, Border::replicate);
   RowCursor<T> rows(p.x, plane, y0 - 2);
   T *magnitudes = p.magnitude.row(plane, y0), *edges = p.edges.row(plane, y0);
 
   F a[8], b[8], c[8];                      // rows of x
   F above[6], middle[6], below[6];         // squared magnitudes
   F gx[4], gy[4], next_gx[4], next_gy[4];  // gradients of the current row and of the one below
-  auto const advance = [&](int y) {        // computes row y of squared magnitudes
+  typename Row::template FetchedRow<T> fetched;
+  auto const advance = [&](int y) {  // computes row y of squared magnitudes
 #pragma unroll
     for (int i = 0; i < 8; ++i) a[i] = b[i], b[i] = c[i];
 #pragma unroll
     for (int i = 0; i < 6; ++i) above[i] = middle[i], middle[i] = below[i];
 #pragma unroll
     for (int i = 0; i < 4; ++i) gx[i] = next_gx[i], gy[i] = next_gy[i];
-    strip.load(c, rows.next());
+    strip.spread(fetched, c);
+    if (y < y1) fetched = strip.fetch(rows.next());
     bool const row_in_bounds = y >= 0 && y < height;
     SobelColumn<F> columns[8];
 #pragma unroll
@@ -52,6 +55,7 @@ __global__ void __launch_bounds__(256) suppress_strip(CannySuppress<T> p, Strips
   for (int i = 0; i < 4; ++i) next_gx[i] = next_gy[i] = 0;
   strip.load(b, rows.next());
   strip.load(c, rows.next());
+  fetched = strip.fetch(rows.next());
   advance(y0 - 1);
   advance(y0);
   for (int y = y0; y < y1; ++y) {
@@ -123,12 +127,11 @@ __global__ void __launch_bounds__(256) label_tiles(CannyHysteresis<T> p, unsigne
   unsigned const tile_row = blockIdx.x / across;
   int64_t const plane = tile_row / down;
   int const y0 = int(tile_row % down) * kSide, x = int(blockIdx.x % across) * kSide + lane;
+  T const* const edges_at = p.edges.row(plane, y0 + warp) + x;
   Compute<T> edge[4];
 #pragma unroll
-  for (int k = 0; k < 4; ++k) {
-    int const y = y0 + warp + 8 * k;
-    edge[k] = x < width && y < height ? read(p.edges.row(plane, y)[x]) : Compute<T>(0);
-  }
+  for (int k = 0; k < 4; ++k)
+    edge[k] = x < width && y0 + warp + 8 * k < height ? read(edges_at[8 * k * p.edges.row_stride]) : Compute<T>(0);
 #pragma unroll
   for (int k = 0; k < 4; ++k) {
     unsigned const edges = __ballot_sync(0xffffffffu, edge[k] > 0), strong = __ballot_sync(0xffffffffu, edge[k] == 1);
@@ -147,13 +150,14 @@ __global__ void __launch_bounds__(256) label_tiles(CannyHysteresis<T> p, unsigne
   }
   __syncthreads();
   if (x >= width) return;
+  int* const to = p.labels + (plane * height + y0 + warp) * width + x;
+  int const corner = y0 * width + x - lane;
 #pragma unroll
   for (int k = 0; k < 4; ++k) {
-    int const row = warp + 8 * k, y = y0 + row;
-    if (y >= height) return;
+    int const row = warp + 8 * k;
+    if (y0 + row >= height) return;
     int const label = root(labels, labels[row * kSide + lane]), at = label - 1;
-    p.labels[plane * height * width + int64_t(y) * width + x] =
-        label <= 0 ? label : (y0 + at / kSide) * width + (x - lane + at % kSide) + 1;
+    to[8 * k * int64_t(width)] = label <= 0 ? label : corner + at / kSide * width + at % kSide + 1;
   }
 }
 
@@ -180,23 +184,50 @@ __global__ void join_tiles(CannyHysteresis<T> p) {
   }
 }
 
+// Each thread has adjacent pixels, of one plane or several. Labels and results are contiguous.
+constexpr int kAtOnce = 4;
 template <class T>
-__global__ void __launch_bounds__(256) keep_strong(CannyHysteresis<T> p, unsigned across) {
-  unsigned const row = blockIdx.x / across, plane = row / unsigned(p.edges.height);
-  unsigned const y = row - plane * unsigned(p.edges.height), x = (blockIdx.x - row * across) * 256 + threadIdx.x;
-  if (x >= p.edges.width) return;
-  int const* const labels = p.labels + plane * p.edges.height * p.edges.width;
-  p.result.row(plane, y)[x] = round_to<T>(root(labels, labels[y * p.edges.width + x]) == 0 ? 1 : 0);
+__global__ void __launch_bounds__(256) keep_strong(T* results, int const* labels, int64_t plane_size, int64_t size) {
+  int64_t const first = (blockIdx.x * int64_t(256) + threadIdx.x) * kAtOnce;
+  if (first >= size) return;
+  bool const all = first + kAtOnce <= size;
+  Vector<int, kAtOnce> own;
+  if (all) {
+    own = *reinterpret_cast<Vector<int, kAtOnce> const*>(labels + first);
+  } else {
+#pragma unroll
+    for (int i = 0; i < kAtOnce; ++i) own.v[i] = first + i < size ? labels[first + i] : kNone;
+  }
+  if (max(max(own.v[0], own.v[1]), max(own.v[2], own.v[3])) > 0) {
+    int64_t const plane = size <= UINT32_MAX ? uint32_t(first) / uint32_t(plane_size) : first / plane_size;
+    int64_t start = plane * plane_size;
+#pragma unroll
+    for (int i = 0; i < kAtOnce; ++i) {
+      while (first + i >= start + plane_size) start += plane_size;
+      own.v[i] = root(labels + start, own.v[i]);
+    }
+  }
+  Compute<T> result[kAtOnce];
+#pragma unroll
+  for (int i = 0; i < kAtOnce; ++i) result[i] = own.v[i] == 0 ? 1 : 0;
+  if (all) return store_vector(results + first, result);
+#pragma unroll
+  for (int i = 0; i < kAtOnce; ++i)
+    if (first + i < size) results[first + i] = round_to<T>(result[i]);
 }
 
 }  // namespace
 
 template <class T>
 int canny_suppress(CannySuppress<T> const& p, CUstream_st* stream) {
-  Strips<> const strips(p.x.count(), p.x.height, p.x.width, kRows);
+  // 20 strips fit on a multiprocessor at a time. A strip reads 4 rows more than it completes, and starts slowly.
+  int64_t const columns = p.x.count() * ceil_div(p.x.width, 128), resident = 20 * multiprocessors();
+  int const rows = strip_height(columns, p.x.height, 7, resident, resident);
+  Strips<> const strips(p.x.count(), p.x.height, p.x.width, rows);
   with_alignment<T>(
-      is_vectorizable<4>(p.x) && is_vectorizable<4>(p.magnitude) && is_vectorizable<4>(p.edges),
-      [&](auto aligned) { suppress_strip<T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips); });
+      is_vectorizable<4>(p.x) && is_vectorizable<4>(p.magnitude) && is_vectorizable<4>(p.edges), [&](auto aligned) {
+        suppress_strip<T, aligned.value><<<strips.blocks(kSuppressing / 32), kSuppressing, 0, stream>>>(p, strips);
+      });
   return cudaGetLastError();
 }
 
@@ -207,8 +238,9 @@ int canny_hysteresis(CannyHysteresis<T> const& p, CUstream_st* stream) {
   label_tiles<<<unsigned(planes * across * down), 256, 0, stream>>>(p, across, down);
   int64_t const borders = planes * ((height - 1) / kSide * width + (width - 1) / kSide * height);
   if (borders > 0) join_tiles<<<unsigned(ceil_div(borders, 256)), 256, 0, stream>>>(p);
-  unsigned const blocks = unsigned(ceil_div(width, 256));
-  keep_strong<<<unsigned(planes * height * blocks), 256, 0, stream>>>(p, blocks);
+  int64_t const size = planes * height * width;
+  keep_strong<<<unsigned(ceil_div(size, 256 * kAtOnce)), 256, 0, stream>>>(p.result.data, p.labels, height * width,
+                                                                           size);
   return cudaGetLastError();
 }
 

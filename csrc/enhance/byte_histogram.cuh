@@ -9,11 +9,11 @@ namespace kv::enhance {
 template <class T>
 __device__ __forceinline__ int level_of(T stored) {
   using F = Compute<T>;
-  F x = read(stored);
-  if (x != x) return kNanLevel;
-  x = (x > 0 ? x : 0) * 255;
+  F const pixel = read(stored);
+  F x = (pixel > 0 ? pixel : 0) * 255;
   if constexpr (sizeof(T) == 2) x = read(round_to<T>(x));
-  return x < 255 ? int(x) : 255;
+  int const level = int(x < 255 ? x : F(255));
+  return pixel == pixel ? level : kNanLevel;
 }
 
 // Pixels of a vector of 16 bytes. float64, which is rare, has single pixels: each form costs compile time.

@@ -1,5 +1,6 @@
-// CLAHE on CUDA. The first launch builds the tables, one block per tile. The second one maps the pixels, a few blocks
-// per cell: each block interleaves the cell's four tables in shared memory, four bytes per entry.
+// CLAHE on CUDA. The first launch builds the tables, one block per tile. The second one maps the pixels: a block has
+// the rows of a row of cells, some columns wide, and interleaves the four tables of each cell in shared memory, four
+// bytes per entry.
 #include "byte_histogram.cuh"
 #include "clahe.h"
 
@@ -95,7 +96,7 @@ __global__ void __launch_bounds__(Threads) make_tables(Clahe<T> p, bool aligned)
   if (first < kLevels) *reinterpret_cast<Vector<uint8_t, kEach>*>(table + first) = levels;
 }
 
-constexpr int kThreads = 64;  // larger blocks spend most of their time on the cell's tables
+constexpr int kThreads = 128;
 
 // Byte k of four, as a floating-point number.
 template <class F>
@@ -114,64 +115,100 @@ __device__ __forceinline__ float over_255(float v) {
 }
 __device__ __forceinline__ double over_255(double v) { return v / 255; }
 
-template <class T>
-__global__ void __launch_bounds__(kThreads) map_cells(Clahe<T> p, bool aligned, int chunks) {
-  using F = Compute<T>;
-  __shared__ uint32_t cell[kLevels];
-  int const across = p.across.count + 1, down = p.down.count + 1;
-  unsigned const index = blockIdx.x / chunks, plane = index / unsigned(across * down);
-  int const chunk = int(blockIdx.x - index * chunks), position = int(index - plane * unsigned(across * down));
-  int const cy = position / across, cx = position - cy * across;
-  int const x0 = p.across.cell(cx), x1 = p.across.cell(cx + 1), top = p.down.cell(cy), rows = p.down.cell(cy + 1) - top;
-  int const y0 = top + int(int64_t(rows) * chunk / chunks), y1 = top + int(int64_t(rows) * (chunk + 1) / chunks);
-  if (x0 >= x1 || y0 >= y1) return;
+// How the cells of a plane are split into blocks.
+struct CellBlocks {
+  int columns, cells;     // pixels of a block along x, and the most cells that they are in
+  unsigned across, down;  // blocks of a row of cells, along x and along y
 
-  uint8_t const* const tables = p.tables + int64_t(plane) * p.down.count * p.across.count * kLevels;
-  auto const word = [&](int ty, int tx, int i) {  // levels 4 i to 4 i + 3
-    return reinterpret_cast<uint32_t const*>(tables + (ty * p.across.count + tx) * kLevels)[i];
+  // Threads have `each` adjacent columns.
+  CellBlocks(TileAxis const& x, TileAxis const& y, int each) : columns(min(256, kThreads * each)) {
+    auto const cells_of = [&](int pixels) { return min(x.count + 1, (pixels - 1) / x.size + 2); };
+    while (columns > 32 && cells_of(columns) > 64) columns /= 2;  // memory
+    cells = cells_of(columns);
+    across = unsigned(ceil_div(x.pixels, columns)), down = unsigned(ceil_div(y.size, 64));
+  }
+  int bytes() const { return cells * kLevels * int(sizeof(uint32_t)); }
+};
+
+// A thread has P adjacent columns, whose cells and weights it keeps.
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads) map_cells(__grid_constant__ Clahe<T> const p, CellBlocks const blocks) {
+  using F = Compute<T>;
+  constexpr int kAtOnce = P == 1 ? 8 : 2;
+  extern __shared__ __align__(16) uint32_t tables[];  // of all cells: kLevels entries of the four bytes of a level
+  unsigned const line = blockIdx.x / blocks.across, index = line / blocks.down;
+  unsigned const plane = index / unsigned(p.down.count + 1);
+  int const cy = int(index - plane * unsigned(p.down.count + 1)), chunk = int(line - index * blocks.down);
+  int const x0 = int(blockIdx.x - line * blocks.across) * blocks.columns;
+  int const x1 = min(x0 + blocks.columns, p.across.pixels);
+  int const top = p.down.cell(cy), rows = p.down.cell(cy + 1) - top;
+  int const y0 = top + int(int64_t(rows) * chunk / blocks.down),
+            y1 = top + int(int64_t(rows) * (chunk + 1) / blocks.down);
+  if (y0 >= y1) return;
+
+  int const threads_across = blocks.columns / P, below = int(threadIdx.x) / threads_across;
+  int const x = x0 + (int(threadIdx.x) - below * threads_across) * P, step = kThreads / threads_across;
+  int start = x < x1 ? y0 + below : y1;
+  T const* const from = p.x.plane(plane) + x * p.x.step;
+  T* const to = p.y.plane(plane) + x * p.y.step;
+  Vector<T, P> vectors[kAtOnce];
+  auto const fetch = [&](int i, int y) {
+    if (y < y1) vectors[i] = *reinterpret_cast<Vector<T, P> const*>(from + y * p.x.row_stride);
   };
-  static_assert(kThreads == kLevels / 4, "a word of each table a thread");
-  int const i = threadIdx.x;
-  uint32_t const a = word(p.down.before(cy), p.across.before(cx), i),
-                 b = word(p.down.before(cy), p.across.after(cx), i), c = word(p.down.after(cy), p.across.before(cx), i),
-                 d = word(p.down.after(cy), p.across.after(cx), i);
 #pragma unroll
-  for (int k = 0; k < 4; ++k) {
-    unsigned const pick = k | (k + 4) << 4;  // byte k of both words
-    cell[4 * i + k] = __byte_perm(__byte_perm(a, b, pick), __byte_perm(c, d, pick), 0x5410);
+  for (int i = 0; i < kAtOnce; ++i) fetch(i, start + i * step);
+
+  uint8_t const* const of_tiles = p.tables + int64_t(plane) * p.down.count * p.across.count * kLevels;
+  auto const word = [&](int ty, int tx, int i) {  // levels 4 i to 4 i + 3
+    return reinterpret_cast<uint32_t const*>(of_tiles + (ty * p.across.count + tx) * kLevels)[i];
+  };
+  int const first = p.across.cell_of(x0), end = p.across.cell_of(x1 - 1) + 1;
+  for (int e = int(threadIdx.x); e < (end - first) * (kLevels / 4); e += kThreads) {
+    int const cx = first + e / (kLevels / 4), i = e % (kLevels / 4);
+    uint32_t const a = word(p.down.before(cy), p.across.before(cx), i),
+                   b = word(p.down.before(cy), p.across.after(cx), i),
+                   c = word(p.down.after(cy), p.across.before(cx), i),
+                   d = word(p.down.after(cy), p.across.after(cx), i);
+    Vector<uint32_t, 4> entries;
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      unsigned const pick = k | (k + 4) << 4;  // byte k of both words
+      entries.v[k] = __byte_perm(__byte_perm(a, b, pick), __byte_perm(c, d, pick), 0x5410);
+    }
+    *reinterpret_cast<Vector<uint32_t, 4>*>(tables + 4 * e) = entries;
+  }
+  uint32_t const* table[P];
+  F across[P];
+#pragma unroll
+  for (int k = 0; k < P; ++k) {
+    int const cx = p.across.cell_of(x + k);
+    table[k] = tables + (cx - first) * kLevels;
+    across[k] = p.across.template weight<F>(x + k, cx);
   }
   __syncthreads();
 
-  T const* const from = p.x.plane(plane) + y0 * p.x.row_stride;
-  T* const to = p.y.plane(plane) + y0 * p.y.row_stride;
-  auto const map = [&](auto&& load, auto&& store) {
-    constexpr int P = sizeof(load(0, 0).v) / sizeof(T);
-    for_each_vector<kThreads, P>(x1 - x0, y1 - y0, load, [&](int x) {
-      F across[P];
+#pragma unroll 1
+  for (; start < y1; start += kAtOnce * step) {
 #pragma unroll
-      for (int k = 0; k < P; ++k) across[k] = p.across.template weight<F>(x0 + x + k, cx);
-      return [=, &p, &store](int y, Vector<T, P> const& vector) {
-        F const down = p.down.template weight<F>(y0 + y, cy);
-        F v[P];
+    for (int i = 0; i < kAtOnce; ++i) {
+      int const y = start + i * step;
+      if (y >= y1) break;
+      Vector<T, P> const pixels = vectors[i];
+      fetch(i, y + kAtOnce * step);
+      F const down = p.down.template weight<F>(y, cy);
+      F v[P];
 #pragma unroll
-        for (int k = 0; k < P; ++k) {
-          int const level = level_of(vector.v[k]);
-          uint32_t const four = cell[level & (kLevels - 1)];
-          v[k] = mixed(byte_of<F>(four, 0), byte_of<F>(four, 1), byte_of<F>(four, 2), byte_of<F>(four, 3), across[k],
-                       down);
-          v[k] = level < kLevels ? over_255(p.to_levels ? rint(v[k]) : v[k]) : read(vector.v[k]);
-        }
-        store(x, y, v);
-      };
-    });
-  };
-  if (rows_are_aligned<kPixels<T>>(aligned, x0, x1))
-    map([&](int x,
-            int y) { return *reinterpret_cast<Vector<T, kPixels<T>> const*>(from + y * p.x.row_stride + x0 + x); },
-        [&](int x, int y, auto const& v) { store_vector(to + y * p.y.row_stride + x0 + x, v); });
-  else
-    map([&](int x, int y) { return Vector<T, 1>{from[y * p.x.row_stride + (x0 + x) * p.x.step]}; },
-        [&](int x, int y, auto const& v) { to[y * p.y.row_stride + (x0 + x) * p.y.step] = round_to<T>(v[0]); });
+      for (int k = 0; k < P; ++k) {
+        int const level = level_of(pixels.v[k]);
+        uint32_t const four = table[k][level & (kLevels - 1)];
+        v[k] =
+            mixed(byte_of<F>(four, 0), byte_of<F>(four, 1), byte_of<F>(four, 2), byte_of<F>(four, 3), across[k], down);
+        F const mapped = over_255(p.to_levels ? rint(v[k]) : v[k]);
+        v[k] = level < kLevels ? mapped : read(pixels.v[k]);
+      }
+      store_vector(to + y * p.y.row_stride, v);
+    }
+  }
 }
 
 }  // namespace
@@ -181,14 +218,20 @@ int clahe(Clahe<T> const& p, CUstream_st* stream) {
   int64_t const planes = p.x.count(), tile = int64_t(p.down.size) * p.across.size;
   unsigned const tiles = unsigned(planes * p.down.count * p.across.count);
   bool const aligned = is_vectorizable<kPixels<T>>(p.x) && is_vectorizable<kPixels<T>>(p.y);
-  if (tile <= 2048)
+  if (tile <= 8192)
     make_tables<T, 64><<<tiles, 64, 0, stream>>>(p, aligned);
   else
     make_tables<T, 512><<<tiles, 512, 0, stream>>>(p, aligned);
-  int const chunks = int(ceil_div(tile, 16 << 10));
-  map_cells<<<unsigned(planes * (p.down.count + 1) * (p.across.count + 1) * chunks), kThreads, 0, stream>>>(p, aligned,
-                                                                                                            chunks);
-  return cudaGetLastError();
+  int error = 0;
+  with_row_vectors<kRowVector<T>>(aligned, [&](auto pixels) {
+    auto* const kernel = map_cells<T, pixels.value>;
+    CellBlocks const blocks(p.across, p.down, pixels.value);
+    error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, blocks.bytes());
+    if (!error)
+      kernel<<<unsigned(planes * (p.down.count + 1)) * blocks.down * blocks.across, kThreads, blocks.bytes(), stream>>>(
+          p, blocks);
+  });
+  return error ? error : int(cudaGetLastError());
 }
 
 KV_INSTANTIATE(clahe, Clahe)

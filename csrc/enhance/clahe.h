@@ -45,6 +45,8 @@ struct TileAxis {
     int64_t const twice = int64_t(size) * (2 * i - 1) - half;
     return int(clamp((twice + 1) >> 1, int64_t(0), int64_t(pixels)));
   }
+  // The cell of a pixel.
+  KV_HD int cell_of(int i) const { return int((2 * unsigned(i) + half + size) / (2 * unsigned(size))); }
   KV_HD int before(int cell) const { return max(cell - 1, 0); }
   KV_HD int after(int cell) const { return min(cell, count - 1); }
   // The interpolation weight of the later tile.

@@ -88,25 +88,34 @@ __global__ void __launch_bounds__(kThreads)
   F v[P + 2], below[P + 2], sign_above[P];
   strip.load(below, rows.next());  // the row above, until the first step
   strip.load(v, rows.next());
+  constexpr int kAhead = 2;  // rows that are prefetched
+  typename Strip<1, Aligned, P>::template FetchedRow<T> fetched[kAhead];
+#pragma unroll
+  for (int r = 0; r < kAhead; ++r) fetched[r] = strip.fetch(rows.next());
 #pragma unroll
   for (int j = 0; j < P; ++j) sign_above[j] = y0 > 0 ? sign_of(v[j + 1] - below[j + 1]) : F(0);
-#pragma unroll 4
-  for (int y = y0; y < y1; ++y) {
-    F d[P + 1], result[P];
-    strip.load(below, rows.next());
-    differences<F, P>(v, x, width, d);
+#pragma unroll 1
+  for (int y = y0; y < y1; y += kAhead) {
 #pragma unroll
-    for (int j = 0; j <= P; ++j) d[j] = sign_of(d[j]);
+    for (int r = 0; r < kAhead; ++r) {
+      if (y + r >= y1) break;
+      F d[P + 1], result[P];
+      strip.spread(fetched[r], below);
+      if (y + r + kAhead < y1) fetched[r] = strip.fetch(rows.next());
+      differences<F, P>(v, x, width, d);
 #pragma unroll
-    for (int j = 0; j < P; ++j) {
-      F const sign_below = y + 1 < height ? sign_of(v[j + 1] - below[j + 1]) : F(0);
-      result[j] = of_y * (sign_above[j] + sign_below) + of_x * (d[j + 1] - d[j]);
-      sign_above[j] = -sign_below;
+      for (int j = 0; j <= P; ++j) d[j] = sign_of(d[j]);
+#pragma unroll
+      for (int j = 0; j < P; ++j) {
+        F const sign_below = y + r + 1 < height ? sign_of(v[j + 1] - below[j + 1]) : F(0);
+        result[j] = of_y * (sign_above[j] + sign_below) + of_x * (d[j + 1] - d[j]);
+        sign_above[j] = -sign_below;
+      }
+      strip.store(out, result);
+      out += p.grad_x.row_stride;
+#pragma unroll
+      for (int j = 0; j < P + 2; ++j) v[j] = below[j];
     }
-    strip.store(out, result);
-    out += p.grad_x.row_stride;
-#pragma unroll
-    for (int j = 0; j < P + 2; ++j) v[j] = below[j];
   }
 }
 

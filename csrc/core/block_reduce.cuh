@@ -6,16 +6,16 @@
 namespace kv {
 namespace {
 
-// The sum over the threads of a block, returned to the first one. Warps are added up in order.
+// The sum over the threads of a block, returned to the first one. Warps are added up in order; a block may have fewer
+// than `Threads`.
 template <int Threads, class F>
-__device__ __forceinline__ F block_sum(F x) {
-  constexpr int kWarps = Threads / 32;
-  __shared__ F warp_sums[kWarps];
+__device__ __forceinline__ F block_sum(F x, int warps = Threads / 32) {
+  __shared__ F warp_sums[Threads / 32];
   x = warp_sum(x);
   if (threadIdx.x % 32 == 0) warp_sums[threadIdx.x / 32] = x;
   __syncthreads();
   F sum = 0;
-  for (int w = 0; w < kWarps; ++w) sum += warp_sums[w];
+  for (int w = 0; w < warps; ++w) sum += warp_sums[w];
   return sum;
 }
 

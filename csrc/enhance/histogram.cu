@@ -1,5 +1,6 @@
 // Sums of Gaussians on CUDA: each block counts a chunk of a row. Moments are fixed-point sums in shared memory, so that
 // the order of atomic additions does not change the result.
+#include "core/block_reduce.cuh"
 #include "histogram.h"
 #include "row_chunks.cuh"
 
@@ -13,28 +14,20 @@ constexpr unsigned kAll = 0xffffffffu;
 
 // The grid of a row; it has no cells if they do not fit. `sorted`: centers ascend.
 __device__ __forceinline__ MomentGrid grid_of(float const* centers, int bins, float h, bool& sorted) {
-  __shared__ float low[kWarps], high[kWarps];
   bool finite = true;
-  float lowest, highest;
+  float lowest = centers[0], highest = centers[0];
   sorted = true;
-  lowest = highest = centers[0];
   for (int k = threadIdx.x; k < bins; k += kThreads) {
     float const c = centers[k];
     finite = finite && c - c == 0;
     sorted = sorted && (k == 0 || centers[k - 1] <= c);
     lowest = c < lowest ? c : lowest, highest = c > highest ? c : highest;
   }
-#pragma unroll
-  for (int d = 16; d > 0; d /= 2) {
-    lowest = min(lowest, __shfl_xor_sync(kAll, lowest, d));
-    highest = max(highest, __shfl_xor_sync(kAll, highest, d));
-  }
-  if (threadIdx.x % 32 == 0) low[threadIdx.x / 32] = lowest, high[threadIdx.x / 32] = highest;
   finite = __syncthreads_and(finite);
   sorted = __syncthreads_and(sorted);
-#pragma unroll
-  for (int i = 0; i < kWarps; ++i) lowest = min(lowest, low[i]), highest = max(highest, high[i]);
-  return MomentGrid(lowest, highest, h, finite ? kCells * kMaxParts : 0);
+  float ends[2] = {-lowest, highest};
+  block_reduce<kThreads>(ends, NanMax{});
+  return MomentGrid(-ends[0], ends[1], h, finite ? kCells * kMaxParts : 0);
 }
 
 // One warp per center.

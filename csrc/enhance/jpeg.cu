@@ -2,6 +2,7 @@
 // has 32 x 8 values of luma or of downsampled chroma, which are four 8 x 8 blocks. A thread transforms a row of eight
 // in shared memory, then a column, where it quantizes the coefficients, then a row again. Before and after the blocks,
 // a thread processes four pixels.
+#include "core/block_reduce.cuh"
 #include "core/launch.cuh"
 #include "jpeg.h"
 
@@ -359,7 +360,6 @@ __global__ void __launch_bounds__(32 * kRows)
 // One block of threads per image, one thread per quantization step.
 template <class F>
 __global__ void __launch_bounds__(128) run_steps_backward(__grid_constant__ JpegStepsBackward<F> const p) {
-  __shared__ F sums[4];
   int64_t const b = blockIdx.x;
   int const i = int(threadIdx.x);
   F const* const gradients = p.gradients + b * p.chunks * 128 + i;
@@ -373,10 +373,8 @@ __global__ void __launch_bounds__(128) run_steps_backward(__grid_constant__ Jpeg
   F const table = jpeg_table(p.tables, b, i);
   F const of = ((parts[0] + parts[1]) + (parts[2] + parts[3])) * jpeg_step(table, percent.value).derivative;
   (i < 64 ? p.grad_luma : p.grad_chroma)[b * 64 + i % 64] = of * percent.value;
-  F const of_warp = warp_sum(of * table);
-  if (i % 32 == 0) sums[i / 32] = of_warp;
-  __syncthreads();
-  if (i == 0) p.grad_quality[b] = ((sums[0] + sums[1]) + (sums[2] + sums[3])) * percent.derivative;
+  F const sum = block_sum<128>(of * table);
+  if (i == 0) p.grad_quality[b] = sum * percent.derivative;
 }
 
 template <class F>

@@ -293,13 +293,8 @@ __global__ void __launch_bounds__(kThreads) find_focal(__grid_constant__ Focal<T
     for (int i = 0; i < P; ++i) sum += loss[i];
   });
   if (p.map) return;
-  __shared__ F warp_sums[kThreads / 32];
-  sum = warp_sum(sum);
-  if (threadIdx.x % 32 == 0) warp_sums[threadIdx.x / 32] = sum;
-  __syncthreads();
-  if (threadIdx.x > 0) return;
-  for (int w = 1; w < int(blockDim.x) / 32; ++w) sum += warp_sums[w];
-  p.partial[blockIdx.x] = sum;
+  sum = block_sum<kThreads>(sum, int(blockDim.x) / 32);
+  if (threadIdx.x == 0) p.partial[blockIdx.x] = sum;
 }
 
 template <class T, int P>

@@ -471,6 +471,7 @@ def test_gradients_that_kernels_sum_by_atomics_are_declared():
         "conv_quad_interp3d_backward",
         "remap_image_backward",
         "sample_patches_backward",
+        "scale_space_peaks_backward",
         "warp3d_volume_backward",
         "warp_and_color_backward",
         "warp_image_backward",

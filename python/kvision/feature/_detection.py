@@ -91,20 +91,25 @@ def gather_frames(lafs: Tensor, index: Tensor) -> Tensor:
     return lafs.gather(1, index[..., None, None].expand(-1, -1, 2, 3))
 
 
-def filled_slots(image: Tensor, scores: list[Tensor], lafs: list[Tensor], count: int) -> tuple[Tensor, Tensor]:
-    """Of candidates (B, M_i) the `count` strongest, and their frames; slots without a candidate are 0.
+def filled_slots(image: Tensor, scores: Tensor, lafs: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Of candidates (B, M) the `count` strongest, and their frames; slots without a candidate are 0.
 
     A constant image has no features: what its levels differ by is rounding.
     """
     least, most = image.detach().flatten(1).aminmax(dim=1)
-    every, frames = torch.cat(scores, 1), torch.cat(lafs, 1)
-    missing = count - every.shape[1]
+    missing = count - scores.shape[1]
     if missing > 0:
-        every = F.pad(every, (0, missing), value=EMPTY)
-        frames = F.pad(frames, (0, 0, 0, 0, 0, missing))
-    best, index = strongest(every, count)
+        scores = F.pad(scores, (0, missing), value=EMPTY)
+        lafs = F.pad(lafs, (0, 0, 0, 0, 0, missing))
+    best, index = strongest(scores, count)
     filled = (best > EMPTY) & (least != most)[:, None]
-    return torch.where(filled, best, 0), torch.where(filled[..., None, None], gather_frames(frames, index), 0)
+    return slots_of(filled, best, gather_frames(lafs, index))
+
+
+def slots_of(filled: Tensor, scores: Tensor, lafs: Tensor) -> tuple[Tensor, Tensor]:
+    """Scores (B, N) and frames (B, N, 2, 3) where slots are filled, 0 elsewhere."""
+    zero = scores.new_zeros(())  # one number on the GPU for both
+    return torch.where(filled, scores, zero), torch.where(filled[..., None, None], lafs, zero)
 
 
 def compiled(op: str, modules: dict[str, nn.Module], wanted: bool | Collection[str]) -> dict[str, nn.Module]:

@@ -184,7 +184,7 @@ def laf_is_filled(laf: Tensor) -> Tensor:
         >>> K.feature.laf_is_filled(torch.stack([torch.eye(2, 3), torch.zeros(2, 3)])[None])
         tensor([[ True, False]])
     """
-    return (check_lafs("laf_is_filled", laf) != 0).flatten(2).any(2)
+    return check_lafs("laf_is_filled", laf).flatten(2).any(2)
 
 
 # --- from parts, and with other parts -------------------------------------------------------------------------------

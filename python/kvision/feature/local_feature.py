@@ -14,7 +14,7 @@ from kvision import _check
 from kvision._dtype import as_dtype, floats
 from kvision.color import rgb_to_grayscale
 from kvision.core.exceptions import ShapeError
-from kvision.feature._detection import EMPTY, gather_frames
+from kvision.feature._detection import EMPTY, gather_frames, slots_of
 from kvision.feature.affnet import LAFAffNetShapeEstimator
 from kvision.feature.hardnet import HardNet
 from kvision.feature.keynet import KeyNetDetector
@@ -227,16 +227,15 @@ class _SeveralOrientations(nn.Module):
         lafs, responses = self.detector(img, mask)
         patches = extract_patches_from_pyramid(img, lafs, self._patch_size).flatten(0, 1)
         angles = dominant_orientations(patches, self._peaks).reshape(*lafs.shape[:2], self._peaks)
-        is_other = angles != angles[..., :1]  # a missing peak repeats the first
-        is_feature = laf_is_filled(lafs)[..., None] & torch.cat([~is_other[..., :1], is_other[..., 1:]], -1)
+        is_peak = angles != angles[..., :1]  # a missing peak repeats the first
+        is_peak[..., 0].fill_(True)
+        is_feature = laf_is_filled(lafs)[..., None] & is_peak
         rotated = rotate_laf(lafs.repeat_interleave(self._peaks, 1), torch.rad2deg(angles.flatten(1)))
         scores = torch.where(is_feature, responses[..., None], EMPTY).flatten(1)
         # A stable sort, so that frames of one position keep their order.
         scores, index = scores.sort(dim=1, descending=True, stable=True)
         scores, index = (x[:, : lafs.shape[1]] for x in (scores, index))
-        filled = scores > EMPTY
-        frames = torch.where(filled[..., None, None], gather_frames(rotated, index), 0)
-        return frames, torch.where(filled, scores, 0)
+        return slots_of(scores > EMPTY, scores, gather_frames(rotated, index))[::-1]
 
 
 class _SIFT(_OfGrayImages):

@@ -160,7 +160,7 @@ class MultiResolutionDetector(nn.Module):
             strongest, frames = self.detect_features_on_single_level(level, self.num_features, factor, mask=mask)
             scores.append(torch.where(laf_is_filled(frames), strongest, detection.EMPTY))
             lafs.append(frames)
-        return detection.filled_slots(image, scores, lafs, self.num_features)
+        return detection.filled_slots(image, torch.cat(scores, 1), torch.cat(lafs, 1), self.num_features)
 
     def _levels(self, image: Tensor) -> list[Tensor]:
         """The image in all sizes that have room for a feature."""

@@ -262,7 +262,7 @@ class OpenCVSIFT(nn.Module):
         octaves = _Octaves(image)
         if not octaves.levels:
             scores, lafs = detection.no_candidates(image)
-            lafs, responses = detection.filled_slots(image, [scores], [lafs], count)[::-1]
+            lafs, responses = detection.filled_slots(image, scores, lafs, count)[::-1]
             return lafs, responses, torch.cat([responses[..., None]] * 128, 2)
         points, flat = _find(octaves, count, self.score_threshold, mask), octaves.flat()
         if self.upright:

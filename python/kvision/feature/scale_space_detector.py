@@ -137,6 +137,8 @@ class ScaleSpaceDetector(nn.Module):
 
     def forward(self, img: Tensor, mask: Tensor | None = None) -> tuple[Tensor, Tensor]:
         responses, lafs = self.detect(img, self.num_features, mask)
+        if isinstance(self.aff, PassLAF) and isinstance(self.ori, PassLAF):
+            return lafs, responses
         filled = laf_is_filled(lafs)
         lafs = self.ori(self.aff(lafs, img), img)
         return torch.where(filled[..., None, None], lafs, 0), responses
@@ -149,17 +151,18 @@ class ScaleSpaceDetector(nn.Module):
         image = floats(img)
         octaves, sigmas, _ = self.scale_pyr(image)
         scores, lafs = ([x] for x in detection.no_candidates(image))
-        for octave, sigma in zip(octaves, sigmas):
+        voxels = [image.new_empty((image.shape[0], 0), dtype=torch.int64)]
+        scales = self.mr_size * torch.stack([sigma[:, 0] for sigma in sigmas])
+        for octave, sigma, scale in zip(octaves, sigmas, scales.unbind()):
             if min(octave.shape[3:]) < _SMALLEST:
                 continue
             levels, are_levels = self._response(op, detection.with_finite_gradient(octave), sigma)
             levels = detection.with_finite_gradient(levels)
-            octave_lafs, octave_scores = self._strongest_of_octave(
-                levels, are_levels, sigma, image.shape[2:], num_feats, mask
-            )
-            lafs.append(octave_lafs)
-            scores.append(octave_scores)
-        return detection.filled_slots(image, scores, lafs, num_feats)
+            found = self._strongest_of_octave(levels, are_levels, scale, image.shape[2:], num_feats, mask)
+            for every, of_octave in zip((lafs, scores, voxels), found):
+                every.append(of_octave)
+        candidates = torch.cat(scores, 1).masked_fill(torch.cat(voxels, 1) < 0, detection.EMPTY)
+        return detection.filled_slots(image, candidates, torch.cat(lafs, 1), num_feats)
 
     def _response(self, op: str, octave: Tensor, sigmas: Tensor) -> tuple[Tensor, bool]:
         """The response (B, L, H, W) of the levels 0 to n_levels + 1 of an octave, or levels whose differences it is."""
@@ -187,37 +190,36 @@ class ScaleSpaceDetector(nn.Module):
         self,
         levels: Tensor,
         are_differences: bool,
-        sigmas: Tensor,
+        scale: Tensor,
         image_size: torch.Size,
         count: int,
         mask: Tensor | None,
-    ) -> tuple[Tensor, Tensor]:
-        """Frames (B, N, 2, 3) in pixels of the image and scores (B, N), -inf for those that are none.
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Frames (B, N, 2, 3) in pixels of the image, scores (B, N) and voxels (B, N), -1 where there is no frame.
 
-        `levels` (B, L, H, W) are the response, or it is their differences.
+        `levels` (B, L, H, W) are the response, or it is their differences; `scale` (B,) is that of frames of level 0.
         """
         height, width = levels.shape[2:]
         dtype = compute_dtype(levels)
         weights = None if mask is None else as_dtype(detection.resized_mask(mask, (height, width))[:, 0], dtype)
-        first = self.mr_size * as_dtype(sigmas[:, 0], dtype)
+        scale = as_dtype(scale, dtype)
         n_levels = float(self.scale_pyr.n_levels)
         ratio = 0.0 if self.edge_threshold is None else self.edge_threshold
         threshold = detection.EMPTY if self.score_threshold is None else self.score_threshold
         filters = (self.minima_are_also_good, count, n_levels, float(_BORDER), ratio, threshold)
         refinement = _refinement_of(self.subpix)
         if refinement is not None:
-            peaks, voxels = scale_space_peaks(levels, weights, first, are_differences, *filters, *refinement)
+            peaks, voxels = scale_space_peaks(levels, weights, scale, are_differences, *filters, *refinement)
         else:
             response = as_dtype(levels, dtype)
             response = response[:, 1:] - response[:, :-1] if are_differences else response
-            peaks, voxels = strongest_peaks(response[:, None], weights, first, *filters, self._refine)
+            peaks, voxels = strongest_peaks(response[:, None], weights, scale, *filters, self._refine)
         scores = peaks[..., 3]
         if weights is not None:
             at = voxels.clamp(min=0) % (height * width)
             scores = detection.weighted(scores, weights.flatten(1).expand(len(voxels), -1).gather(1, at))
         to_x, to_y = (image_size[1] - 1) / (width - 1), (image_size[0] - 1) / (height - 1)
-        scores = as_dtype(scores.masked_fill(voxels < 0, detection.EMPTY), levels.dtype)
-        return laf_of_peak(peaks, first, n_levels, to_x, to_y), scores
+        return laf_of_peak(peaks, scale, n_levels, to_x, to_y), as_dtype(scores, levels.dtype), voxels
 
     def _refine(self, response: Tensor, candidates: Tensor) -> tuple[Tensor, Tensor]:
         if self._takes_candidates:

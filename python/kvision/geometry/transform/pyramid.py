@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from kvision import _check
-from kvision._dtype import pixels
+from kvision._dtype import as_dtype, compute_dtype, pixels
 from kvision._modes import BORDER, INTERPOLATION
 from kvision._modules import FunctionModule
 from kvision._ops import register
@@ -320,9 +320,9 @@ class ScalePyramid(nn.Module):
         scales = [base * self.sigma_step**i for i in range(count)]
         blurs = [sigma * math.sqrt(self.sigma_step**2 - 1) for sigma in scales[:-1]]
         # Computed on the device, because a copy from the host would wait for it.
-        sigmas = (
-            (base * self.sigma_step ** torch.arange(count, device=level.device)).to(level.dtype).expand(len(x), count)
-        )
+        first, last = math.log2(scales[0]), math.log2(scales[-1])
+        sigmas = torch.logspace(first, last, count, 2.0, dtype=compute_dtype(level), device=level.device)
+        sigmas = as_dtype(sigmas, level.dtype).expand(len(x), count)
         while True:
             levels = gaussian_levels(level, [self._window(level, sigma) for sigma in blurs], blurs)
             octaves[0].append(levels)

@@ -88,8 +88,8 @@ def execute(
     stages: list[Stage] = []
     position = source.position if position is None else position
     runs = _runs(children, source.plans)
-    for run in runs:
-        own = source if run is runs[-1] else source._replace(output=SAME)
+    for i, run in enumerate(runs):
+        own = source if i == len(runs) - 1 else source._replace(output=SAME)
         if isinstance(run[0].module, AugmentationBase):
             x, more = _execute_run(x, run, own, position)
             stages += more

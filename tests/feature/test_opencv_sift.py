@@ -76,7 +76,9 @@ def test_samples_do_not_depend_on_each_other_and_masks_hold(device):
     for i in range(3):
         one = feature(image[i : i + 1])
         for actual, expected in zip((lafs, responses, descriptors), one):
-            assert (actual[i : i + 1] - expected).abs().max() < 1e-3
+            # A descriptor's integer may be rounded the other way: convolutions of a batch add up in another order.
+            apart = (actual[i : i + 1] - expected).abs()
+            assert apart.max() < 1e-2 and (apart > 1e-3).double().mean() < 1e-3
     assert (responses[2] == 0).all() and (lafs[2] == 0).all() and (descriptors[2] == 0).all()
     mask = torch.ones(1, 1, 96, 120, device=device)
     mask[..., :60] = 0

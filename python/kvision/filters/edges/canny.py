@@ -128,10 +128,9 @@ def canny(
 
     Example:
         >>> import torch, kvision as K
-        >>> x = torch.zeros(1, 1, 5, 6)
-        >>> x[..., 3:] = 1
+        >>> x = torch.tensor([0, 0, 0, 0.5, 1, 1, 1]).expand(1, 1, 5, 7)
         >>> K.filters.canny(x)[1][0, 0, 2]
-        tensor([0., 0., 1., 0., 0., 0.])
+        tensor([0., 0., 0., 1., 0., 0., 0.])
     """
     _check.images("canny", "input", input)
     if input.shape[1] not in (1, 3):

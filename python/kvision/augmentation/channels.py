@@ -101,7 +101,7 @@ class RandomChannelDropout(IntensityAugmentationBase2D):
 def _planes(images: Tensor, channels: Tensor) -> Tensor:
     """The indices among all planes of channels (B, n) of images (B, C, H, W)."""
     count = images.shape[1]
-    return (channels + count * torch.arange(len(images), device=images.device)[:, None]).flatten()
+    return (channels + count * torch.arange(images.shape[0], device=images.device)[:, None]).flatten()
 
 
 class _UnknownModeError(ValueCheckError, RuntimeError):

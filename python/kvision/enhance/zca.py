@@ -124,7 +124,7 @@ def zca_mean(
     if inp.shape[dim] < 1 + unbiased:
         raise ShapeError(f"zca_mean: expected at least {1 + unbiased} samples along axis {dim}, got {tuple(inp.shape)}")
     samples = as_dtype(inp, compute_dtype(inp)).movedim(dim, 0).flatten(1)
-    inverse, mean, root = _inverse_root(samples, len(samples) - unbiased, eps)
+    inverse, mean, root = _inverse_root(samples, samples.shape[0] - unbiased, eps)
     return inverse, mean, root if return_inverse else None
 
 

@@ -337,7 +337,7 @@ class OpTests:
         self.needs_native(backend)
         checks: dict[str, tuple[str, ...]] = {}
         for variant in self.variants:
-            x, kwargs = self.setup(variant, device, torch.float32)
+            x, kwargs = self.setup(variant, device, self.operator_dtype)
             with recorded() as calls:
                 self.exercise(x, kwargs)
             for name, args in dict(calls).items():

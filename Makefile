@@ -42,7 +42,9 @@ docs: build
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 # An sdist and a wheel in dist; KVISION_CUDA=ON adds the CUDA kernels. tools/test_wheel.py tries the wheel.
-wheel: $(READY)
+wheel:
+	@# The environment needs no CUDA kernels; the wheel compiles them for all architectures.
+	KVISION_CUDA=OFF $(MAKE) $(READY)
 	$(PIP) --no-build-isolation --editable '.[release]'
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python tools/build_wheels.py $(ARGS)
 

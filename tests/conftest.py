@@ -83,12 +83,17 @@ OPERATORS = (
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark tests by folder: `operators` for the folders above, the files next to this one, and docstring examples."""
+    """Mark tests by folder: `operators` for the folders above, the files next to this one, and docstring examples.
+
+    Files with slow tests come first, so that no process is left with one of them when the others are done.
+    """
     here = Path(__file__).parent
     for item in items:
         folder = item.path.relative_to(here).parts[0] if item.path.is_relative_to(here) else None
         if folder is None or folder in OPERATORS or folder == item.path.name:
             item.add_marker(pytest.mark.operators)
+    slow = {item.path for item in items if item.get_closest_marker("slow") is not None}
+    items.sort(key=lambda item: item.path not in slow)
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

@@ -8,6 +8,7 @@
 
 #include "border.h"
 #include "half.h"
+#include "shared_memory.h"
 #include "view.h"
 
 namespace kv {
@@ -62,6 +63,14 @@ __device__ __forceinline__ F warp_sum(F x) {
 #pragma unroll
   for (int lane = 16; lane > 0; lane /= 2) x += __shfl_xor_sync(0xffffffffu, x, lane);
   return x;
+}
+
+__device__ __forceinline__ int warp_sum(int x) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+  return __reduce_add_sync(0xffffffffu, x);  // one instruction
+#else
+  return warp_sum<int>(x);
+#endif
 }
 
 // The minimum over the threads of a warp, returned to all of them.

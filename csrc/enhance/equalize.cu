@@ -14,7 +14,8 @@ constexpr int kCountBytes = Counter::kSize * int(sizeof(int32_t));
 template <class T>
 constexpr int kBlocks = sizeof(T) == 8 ? 2 : 3;  // per multiprocessor
 
-constexpr int kMaxPixels = (64 << 10) + 64;  // of a block: shared memory is enough for three blocks then
+// Pixels of a block, at most: 227 KiB of shared memory are enough for three blocks then.
+constexpr int64_t kMaxPixels = (64 << 10) + 64;
 
 // The table from level to value, in as many copies as fit the memory of the counts.
 template <class F>
@@ -214,12 +215,13 @@ int equalize_planes(Equalize<T> const& p, CUstream_st* stream) {
   int64_t const planes = p.x.count(), pixels = p.x.width;
   int const most_parts = supports_clusters(equalize_parts<T, P>) ? kMaxClusterSize : 1;
   int parts = 1;
-  while (parts < most_parts && ceil_div(pixels, parts) > kMaxPixels) parts *= 2;
+  int64_t const max_pixels = min(kMaxPixels, max_shared_bytes() - kCountBytes - 4096);
+  while (parts < most_parts && ceil_div(pixels, parts) > max_pixels) parts *= 2;
   // Few planes use all multiprocessors if each is split further; fewer still if they are split into chunks.
   while (parts < most_parts && planes * parts < 2 * multiprocessors() && pixels / parts > 8 << 10) parts *= 2;
   int64_t const each = ceil_div(ceil_div(pixels, parts), 16) * 16;
   bool const few = planes * parts < (most_parts == 1 ? 64 : multiprocessors()) && pixels > 16 << 10;
-  if (few || each > kMaxPixels) return equalize_in_chunks<P>(p, stream);
+  if (few || each > max_pixels) return equalize_in_chunks<P>(p, stream);
   int const bytes = kCountBytes + int(each) + 2 * P;
   if (int const error = cudaFuncSetAttribute(equalize_parts<T, P>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
     return error;

@@ -7,7 +7,8 @@
 namespace kv::enhance::cuda {
 namespace {
 
-constexpr int kThreads = 1024, kWarps = kThreads / 32, kCells = 4096, kMaxParts = 4;
+constexpr int kThreads = 1024, kWarps = kThreads / 32, kMaxParts = 4;
+constexpr int kCells = 3968;  // with what is not dynamic, their sums fit the 64 KiB that every GPU has
 template <class T>
 constexpr int kBytes = sizeof(T) == sizeof(float) ? 4 * kCells * int(sizeof(int)) : 0;  // of shared memory
 constexpr unsigned kAll = 0xffffffffu;
@@ -60,7 +61,7 @@ struct Moments {
     int m0 = 1, m1 = __float2int_rn(t * kScale1), m2 = __float2int_rn(square * kScale2),
         m3 = __float2int_rn(square * t * kScale3);
     if (uniform) {
-      m0 = 32, m1 = __reduce_add_sync(kAll, m1), m2 = __reduce_add_sync(kAll, m2), m3 = __reduce_add_sync(kAll, m3);
+      m0 = 32, m1 = warp_sum(m1), m2 = warp_sum(m2), m3 = warp_sum(m3);
       if (threadIdx.x % 32 != 0) return;
     }
     atomicAdd(sums + cell, m0);

@@ -82,13 +82,13 @@ __global__ void __launch_bounds__(kMaxThreads) find_top_k(__grid_constant__ TopK
 
 template <class T>
 __global__ void __launch_bounds__(kMaxThreads) finalize(__grid_constant__ FinalizeModel<T> const p) {
-  __shared__ unsigned parts[kMaxThreads / 32];
-  unsigned num_inliers = 0;
+  __shared__ int parts[kMaxThreads / 32];
+  int num_inliers = 0;
   for (int64_t i = threadIdx.x; i < p.count; i += kMaxThreads) num_inliers += p.weights[i] > 0;
-  num_inliers = __reduce_add_sync(0xffffffffu, num_inliers);
+  num_inliers = warp_sum(num_inliers);
   if (threadIdx.x % 32 == 0) parts[threadIdx.x / 32] = num_inliers;
   __syncthreads();
-  bool const has_consensus = int64_t(__reduce_add_sync(0xffffffffu, parts[threadIdx.x % 32])) > p.min_inliers;
+  bool const has_consensus = warp_sum(parts[threadIdx.x % 32]) > p.min_inliers;
   for (int64_t i = threadIdx.x; i < p.count; i += kMaxThreads) p.inliers[i] = has_consensus && p.weights[i] > 0;
   if (threadIdx.x == 0) p.store_model(has_consensus);
 }

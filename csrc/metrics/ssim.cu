@@ -633,6 +633,9 @@ int launch(SsimBackward<T> const& p, CUstream_st* stream) {
                        : run(ssim_gradients<K, 3>, sizeof(GradientRows<3>), work, grid, stream);
 }
 
+static_assert(sizeof(ForwardRows) <= kSsimStripBytes[0] && sizeof(GradientRows<3>) <= kSsimStripBytes[1] &&
+              sizeof(GradientRows<4>) <= kSsimStripBytes[2]);
+
 // One kernel per window size; float64 takes other kernels.
 template <class T, class Params>
 int launch_size(Params const& p, CUstream_st* stream) {
@@ -657,14 +660,14 @@ int launch_size(Params const& p, CUstream_st* stream) {
 
 template <class T>
 int ssim(Ssim<T> const& p, CUstream_st* stream) {
-  if (has_ssim_strips(p.images)) return launch_size<T>(p, stream);
+  if (has_ssim_strips(p.images, 0)) return launch_size<T>(p, stream);
   if (has_ssim_tiles(p.images)) return ssim_in_tiles(p, stream);
   return has_ssim_volume_tiles(p.images) ? ssim_of_volumes(p, stream) : ssim_any(p, stream);
 }
 
 template <class T>
 int ssim_backward(SsimBackward<T> const& p, CUstream_st* stream) {
-  if (has_ssim_strips(p.images)) return launch_size<T>(p, stream);
+  if (has_ssim_strips(p.images, p.grad_y.data ? 2 : 1)) return launch_size<T>(p, stream);
   if (has_ssim_tiles(p.images)) return ssim_in_tiles_backward(p, stream);
   return has_ssim_volume_tiles(p.images) ? ssim_of_volumes_backward(p, stream) : ssim_any_backward(p, stream);
 }

@@ -22,6 +22,7 @@
 
 #include "core/border.h"
 #include "core/isa.h"
+#include "core/shared_memory.h"
 #include "core/view.h"
 
 namespace kv::metrics {
@@ -159,11 +160,13 @@ struct MsSsimBackward {
 
 // CUDA has four kinds of kernels: strips for small windows over planar images (ssim.cu), tiles for images and for
 // volumes with windows of usual sizes (ssim_tiles.cu, ssim_volumes.cu), and one for all remaining cases (ssim_any.cu).
+constexpr int kSsimStripBytes[3] = {54 << 10, 88 << 10, 106 << 10};  // without gradients, with one, with two
 template <class T>
-bool has_ssim_strips(SsimImages<T> const& p) {
+bool has_ssim_strips(SsimImages<T> const& p, int gradients) {
   bool const usual = p.size >= 3 && p.size <= 11;
-  return usual && !p.volumes && sizeof(T) < 8 && p.x.step == 1 && min(p.x.height, p.x.width) >= p.size &&
-         max(p.x.height, p.x.width) < INT32_MAX / 2 && max(p.x.row_stride, p.y.row_stride) < INT32_MAX / 4;
+  return usual && kSsimStripBytes[gradients] <= max_shared_bytes() && !p.volumes && sizeof(T) < 8 && p.x.step == 1 &&
+         min(p.x.height, p.x.width) >= p.size && max(p.x.height, p.x.width) < INT32_MAX / 2 &&
+         max(p.x.row_stride, p.y.row_stride) < INT32_MAX / 4;
 }
 template <class T>
 bool has_ssim_tiles(SsimImages<T> const& p) {
@@ -179,10 +182,11 @@ struct SsimTiles {
 
   SsimTiles(int64_t height, int64_t width, int size) {
     int64_t min_work = INT64_MAX;
-    int64_t const fewest = (width + kMaxThreads - 1) / kMaxThreads;
+    int64_t const max_threads = max_shared_bytes() < 96 << 10 ? 96 : max_shared_bytes() < 192 << 10 ? 160 : kMaxThreads;
+    int64_t const fewest = (width + max_threads - 1) / max_threads;
     for (int64_t parts = fewest; parts <= 3 * fewest; ++parts) {
       int64_t const each = (width + kRows * parts - 1) / (kRows * parts) * kRows, line = each + size - 1;
-      int64_t const rounds = (line + kMaxThreads - 1) / kMaxThreads;
+      int64_t const rounds = (line + max_threads - 1) / max_threads;
       int64_t const busy = max((line + 32 * rounds - 1) / (32 * rounds), (each + 31) / 32) * 32;
       int64_t const work = parts * busy * (rounds + 1);
       if (work < min_work)
@@ -211,7 +215,8 @@ struct SsimVolumeTiles {
 template <class T>
 bool has_ssim_volume_tiles(SsimImages<T> const& p) {
   SsimVolumeTiles const tiles(p.depth, p.x.height, p.x.width, p.size, sizeof(Compute<T>));
-  return p.volumes && p.size <= tiles.kMaxTaps && tiles.bytes <= tiles.kMaxBytes &&
+  return p.volumes && p.size <= tiles.kMaxTaps &&
+         tiles.bytes <= min(int64_t(tiles.kMaxBytes), max_shared_bytes() - 2048) &&
          p.depth < INT32_MAX / int64_t(sizeof(T)) / (p.x.height * p.x.width);
 }
 
@@ -226,7 +231,7 @@ struct SsimBlocks {
       return number *
              (4 * (rows * (32 + size - 1) + threads + ring) + (size + 3) / 4 * 4);  // weights are read in fours
     };
-    while (rows > 1 && memory() > (100 << 10)) rows /= 2;
+    while (rows > 1 && memory() > min(int64_t(100 << 10), max_shared_bytes())) rows /= 2;
     bytes = memory();
     slices = int(min(depth, int64_t(2 * size)));
     across = (width + 31) / 32, down = (height + rows - 1) / rows, parts = (depth + slices - 1) / slices;
@@ -238,7 +243,7 @@ struct SsimBlocks {
 // CUDA: the maximum size of `partial` per plane of an image, or per volume.
 template <class T>
 int64_t most_ssim_pieces(SsimImages<T> const& p) {
-  if (has_ssim_strips(p)) return (p.x.width / 240 + 1) * 8 * (p.x.height / 8 + 1);
+  if (has_ssim_strips(p, 0)) return (p.x.width / 240 + 1) * 8 * (p.x.height / 8 + 1);
   if (has_ssim_tiles(p)) return SsimTiles(p.x.height, p.x.width, p.size).chunks();
   if (has_ssim_volume_tiles(p)) return SsimVolumeTiles(p.depth, p.x.height, p.x.width, p.size, 0).chunks();
   return SsimBlocks(p.depth, p.x.height, p.x.width, p.size, p.volumes ? p.size / 2 : 0, sizeof(Compute<T>)).chunks();

@@ -227,7 +227,7 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
     }
 #if defined(KV_CUDA)
     std::optional<Tensor> derivatives;
-    if (!has_ssim_strips(params.images)) {
+    if (!has_ssim_strips(params.images, params.grad_y.data ? 2 : 1)) {
       params.room = room_for(x, window, params.images, 4);
       derivatives = empty({params.room}, x, Layout::planar, compute_dtype(x));
       params.derivatives = data_ptr<F>(*derivatives);

@@ -301,7 +301,8 @@ int launch_ties(Job const& job, CUstream_st* stream) {
   if constexpr (sizeof(T) < 8)
     if (has_tiles<T>(job.image(), job.p.window)) {
       int const bytes = int(sizeof(typename Job::Value)) * kTiesRows * (tile_stride(job.p.window.width) + kTileWidth);
-      return launch_tiles(by_tiles<Job>, job, job.image(), kTiesRows, kTileWidth, kThreads, bytes, stream);
+      if (bytes <= max_shared_bytes())
+        return launch_tiles(by_tiles<Job>, job, job.image(), kTiesRows, kTileWidth, kThreads, bytes, stream);
     }
   return launch_taps(job, stream);
 }

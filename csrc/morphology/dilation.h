@@ -19,6 +19,7 @@
 #pragma once
 
 #include "core/isa.h"
+#include "core/shared_memory.h"
 #include "core/view.h"
 
 namespace kv::morphology {
@@ -65,7 +66,7 @@ bool is_3x3(StructuringElement<F> const& window) {
 // tile (in the same memory, before them, the pixels of these windows), and two numbers for each of these windows along
 // y and each column of theirs. Groups of windows may exceed a row.
 struct BackwardTileLayout {
-  static constexpr int kRows = 30, kColumns = 64, kMaxBytes = 227 * 1024;
+  static constexpr int kRows = 30, kColumns = 64;
   int rows, rows_of_pixels, windows, pixels;  // capacities; `windows` and `pixels` are those of a row, odd
   template <class F>
   KV_HD explicit BackwardTileLayout(StructuringElement<F> const& window)
@@ -83,7 +84,7 @@ struct BackwardTileLayout {
 // Whether the backward pass of planar images needs no workspace on CUDA.
 template <class F>
 bool needs_no_workspace(StructuringElement<F> const& window) {
-  return is_3x3(window) || (sizeof(F) == 4 && BackwardTileLayout(window).bytes() <= BackwardTileLayout::kMaxBytes);
+  return is_3x3(window) || (sizeof(F) == 4 && BackwardTileLayout(window).bytes() <= max_shared_bytes());
 }
 
 KV_KERNEL(dilation, Dilation)

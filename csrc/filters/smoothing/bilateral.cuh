@@ -43,12 +43,9 @@ struct Tiles {
 // Whether blocks of a kernel can have this much shared memory. Raises the kernel's limit where it exceeds the default.
 template <class Kernel>
 bool fits(Kernel kernel, int64_t bytes) {
-  if (bytes <= 48 * 1024) return true;
-  if (bytes <= 227 * 1024 &&
-      cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)) == cudaSuccess)
-    return true;
-  cudaGetLastError();  // clears the error: the caller has another kernel
-  return false;
+  if (bytes <= 48 << 10) return true;
+  return bytes <= max_shared_bytes() &&
+         cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)) == cudaSuccess;
 }
 
 // Planes of floats in shared memory, whose element (0, 0) is pixel (y, x) of the image.

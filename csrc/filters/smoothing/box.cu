@@ -255,8 +255,8 @@ int launch_strips(Box<T> const& p, BoxAxis const& axis, CUstream_st* stream) {
 template <class T>
 int launch(Box<T> const& p, bool transposed, CUstream_st* stream) {
   using F = Compute<T>;
-  constexpr int64_t kShared = 224 * 1024,
-                    kPreferred = 112 * 1024;  // shared memory of a block: most, and for two blocks
+  // Shared memory of a block: at most, and so that a multiprocessor has two.
+  int64_t const max_bytes = min(int64_t(224 << 10), max_shared_bytes()), preferred = min(int64_t(112 << 10), max_bytes);
   BoxAxis const across(p.kx, p.x.width, p.border, transposed), down(p.ky, p.x.height, p.border, transposed);
   bool const gathers = across.gathers() || down.gathers();
 
@@ -268,8 +268,8 @@ int launch(Box<T> const& p, bool transposed, CUstream_st* stream) {
   Tiles tiles{};
   tiles.depth = p.ky > kRows ? int(ceil_div(p.ky - 1, kRows)) : 2;
   auto const fits = [&](int64_t shared) { return tiles.width + extra_columns <= kSpan && tiles.bytes<F>() <= shared; };
-  for (tiles.width = 256; tiles.width > 32 && !fits(kPreferred);) tiles.width -= 32;
-  if (even_reflect || !fits(kShared)) {
+  for (tiles.width = 256; tiles.width > 32 && !fits(preferred);) tiles.width -= 32;
+  if (even_reflect || !fits(max_bytes)) {
     box_any<<<unsigned(ceil_div(p.x.rows() * p.x.row_size(), 256)), 256, 0, stream>>>(p, transposed);
     return cudaGetLastError();
   }

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
+from kvision._shared_memory import fitting
 from kvision.filters.border import pad
 
 _LARGEST_SHARED_PATCH = 88  # kLargestSharedPatch in csrc/feature/patch_gradient.h
@@ -22,8 +23,8 @@ def check_patches(op: str, name: str, x: Tensor, side: int) -> Tensor:
 
 def too_large(patches: Tensor) -> str | None:
     """Why no kernel takes patches of this size: on CUDA a patch is in shared memory."""
-    if patches.is_cuda and patches.shape[-1] > _LARGEST_SHARED_PATCH:
-        return f"CUDA kernels take patches of at most {_LARGEST_SHARED_PATCH} pixels a side"
+    if patches.is_cuda and patches.shape[-1] > (largest := math.isqrt(fitting(patches, _LARGEST_SHARED_PATCH**2))):
+        return f"CUDA kernels take patches of at most {largest} pixels a side"
     return None
 
 

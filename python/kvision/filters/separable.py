@@ -12,6 +12,7 @@ from kvision import _check
 from kvision._dtype import pixels
 from kvision._modes import BORDER, BORDER_NAMES
 from kvision._ops import register
+from kvision._shared_memory import fitting
 from kvision.filters.border import pad, same_pads
 from kvision.filters.filter2d import check_padding, correlate, prepare_kernel
 
@@ -60,11 +61,11 @@ _MAX_CUDA_TAPS = 128  # a GPU's shared memory holds the rows of the gradient and
 
 
 def _weights_supports(kernel_x: Tensor, kernel_y: Tensor, grad: Tensor, *_: Any) -> str | None:
-    """On CUDA kernels have at most 128 taps."""
+    """On CUDA kernels have at most 128 taps, or fewer on smaller GPUs."""
     taps = max(kernel_x.shape[1], kernel_y.shape[1])
-    if taps <= _MAX_CUDA_TAPS or grad.is_cpu:
+    if grad.is_cpu or taps <= (most := fitting(grad, _MAX_CUDA_TAPS)):
         return None
-    return f"there is no kernel for gradients of {taps} taps, only for up to {_MAX_CUDA_TAPS}"
+    return f"there is no kernel for gradients of {taps} taps, only for up to {most}"
 
 
 def _backward(needs, grad, x, kernel_x, kernel_y, border, same):

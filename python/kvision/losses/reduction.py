@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._ops import not_empty
+from kvision._shared_memory import fitting
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 
@@ -62,9 +63,10 @@ _MAX_CLASSES = 224  # limit of the kernels; csrc/losses/segmentation_op.cpp
 
 
 def segmentation_supports(pred: Tensor, *_: Any) -> str | None:
-    """Logits have at least one element and at most 224 classes."""
-    if pred.shape[2] > _MAX_CLASSES:
-        return f"there is no kernel for {pred.shape[2]} classes, only for up to {_MAX_CLASSES}"
+    """Logits have at least one element and at most 224 classes, or fewer on smaller GPUs."""
+    most = fitting(pred, _MAX_CLASSES)
+    if pred.shape[2] > most:
+        return f"there is no kernel for {pred.shape[2]} classes, only for up to {most}"
     return not_empty(pred)
 
 

@@ -1,0 +1,21 @@
+// The definition is apart, so that operators, which are not compiled by nvcc, can ask as well.
+#include <cuda_runtime_api.h>
+
+#include <cstdlib>
+
+#include "shared_memory.h"
+
+namespace kv {
+
+int64_t max_shared_bytes() {
+  static int64_t const limit = [] {
+    char const* const text = getenv("KVISION_SHARED_MEMORY");
+    return text && *text ? strtoll(text, nullptr, 10) : INT64_MAX;
+  }();
+  int device = 0, bytes = 48 << 10;
+  cudaGetDevice(&device);
+  cudaDeviceGetAttribute(&bytes, cudaDevAttrMaxSharedMemoryPerBlockOptin, device);
+  return min(limit, int64_t(bytes));
+}
+
+}  // namespace kv

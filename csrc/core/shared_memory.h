@@ -1,0 +1,13 @@
+// How much shared memory the current GPU gives a block. Its CUDA kernels take smaller tiles, or other kernels serve,
+// where it is less than what they were tuned for.
+#pragma once
+
+#include "hd.h"
+
+namespace kv {
+
+// In bytes: 227 KiB for compute capabilities 9.0 and 10.0, 163 for 8.0, 99 for 8.6, 8.9 and 12.0, 64 for 7.5.
+// KVISION_SHARED_MEMORY in the environment lowers it, so that any GPU can test what smaller ones run.
+int64_t max_shared_bytes();
+
+}  // namespace kv

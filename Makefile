@@ -45,7 +45,7 @@ docs: build
 wheel:
 	@# The environment needs no CUDA kernels; the wheel compiles them for all architectures.
 	KVISION_CUDA=OFF $(MAKE) $(READY)
-	$(PIP) --no-build-isolation --editable '.[release]'
+	KVISION_CUDA=OFF $(PIP) --no-build-isolation --editable '.[release]'
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python tools/build_wheels.py $(ARGS)
 
 build: $(READY)

@@ -477,3 +477,20 @@ def test_cells_in_containers(device: torch.device) -> None:
             augment(x, label, data_keys=["image", key])
     with pytest.raises(NotImplementedError, match="cannot follow cells"):
         flips.inverse(flips(x))
+
+
+@pytest.mark.parametrize("resample", ["each", "once"])
+@pytest.mark.parametrize("case", [c for c in (*GEOMETRIC, *MAPS) if not c.changes_size], ids=lambda case: case.name)
+def test_replay_of_a_batch_in_which_nothing_was_chosen(case: Case, resample: str) -> None:
+    # Pixels from outside follow the first augmentation that interpolates, whether or not samples were chosen.
+    bordered = {"padding_mode": "border"} if case.name in ("RandomAffine", "RandomElasticTransform") else {}
+    first = case.make(p=0.5, **bordered)
+    for second in (A.RandomPerspective(0.5, p=1.0), A.RandomHorizontalFlip(), A.RandomHue((-0.1, 0.1), p=0.5)):
+        container = A.AugmentationSequential(first, second, resample=resample)
+        x = images(batch=1) + 0.5
+        chosen = set()
+        for seed in range(12):
+            y = container(x, seed=seed)
+            chosen.add(container._params[0].data["batch_prob"].item())
+            assert torch.equal(container(x, params=container._params), y)
+        assert chosen == {0.0, 1.0}

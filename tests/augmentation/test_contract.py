@@ -57,6 +57,9 @@ def test_replay_is_exact(case: Case, device: torch.device) -> None:
     other = images(device).flip(0)
     augment(other)
     assert torch.equal(augment(x, params=params), first)
+    wide = x.double()
+    first = augment(wide)
+    assert torch.equal(augment(wide, params=augment._params), first)
 
 
 def _saved(params: dict[str, Any]) -> io.BytesIO:
@@ -190,6 +193,9 @@ def test_channels_last(case: Case, device: torch.device) -> None:
     expected = planar(x, seed=3)
     y = last(x.to(memory_format=torch.channels_last), seed=3)
     torch.testing.assert_close(y, expected, rtol=1e-5, atol=1e-5)
+    assert y.is_contiguous(memory_format=torch.channels_last)
+    again = last(x.to(memory_format=torch.channels_last), params=last._params)
+    assert again.is_contiguous(memory_format=torch.channels_last) and torch.equal(again, y)
 
 
 @names
@@ -263,3 +269,22 @@ def test_compiles(case: Case) -> None:
     x, augment = images(), case.make(p=0.7)
     compiled = torch.compile(lambda x: augment(x, seed=4), fullgraph=True, backend="aot_eager")
     torch.testing.assert_close(compiled(x), augment(x, seed=4))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: A.ColorJitter(hue=0.6), r"ColorJitter: expected hue in ascending order within -0\.5 and 0\.5, got 0\.6"),
+        (lambda: A.ColorJiggle(brightness=3.0), "ColorJiggle: expected brightness in ascending order within 0 and 2"),
+        (lambda: A.RandomAffine(400.0), "RandomAffine: expected degrees in ascending order within -360 and 360"),
+        (lambda: A.RandomAffine(float("inf")), "RandomAffine: expected degrees"),
+        (lambda: A.RandomAffine(5.0, translate=(1.5, 0.1)), "RandomAffine: expected translate"),
+        (lambda: A.RandomMotionBlur(3, 5.0, 2.0), "RandomMotionBlur: expected direction"),
+        (lambda: A.RandomSolarize(thresholds=2.0), "RandomSolarize: expected thresholds"),
+        (lambda: A.RandomSolarize(additions=2.0), "RandomSolarize: expected additions"),
+    ],
+)
+def test_numbers_that_stand_for_ranges_out_of_bounds(make: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()
+    A.ColorJitter(2.0, 2.0, 2.0, 0.5)  # factors begin at 0

@@ -56,3 +56,19 @@ def test_labels_of_antialiased_crops(device: torch.device) -> None:
     assert x.grad is not None and (x.grad != 0).float().mean() > 0.1
     with pytest.raises(ValueError, match="'bilinear' or 'bicubic' with antialias"):
         A.RandomResizedCrop((4, 4), resample="nearest", antialias=True)
+
+
+@pytest.mark.parametrize("align_corners", [True, False])
+@pytest.mark.parametrize("resample", ["nearest", "bilinear", "bicubic"])
+def test_resize_by_itself_gives_what_calls_give(resample: str, align_corners: bool) -> None:
+    x = torch.rand(2, 3, 17, 13)
+    augment = A.Resize((9, 11), resample=resample, align_corners=align_corners)
+    y = augment(x)
+    torch.testing.assert_close(augment.apply_transform(x, augment._params, augment.flags, augment.transform_matrix), y)
+
+
+def test_wrong_sizes_and_modes_of_resize() -> None:
+    with pytest.raises(ValueError, match="Resize: expected size of at least one pixel, got 0"):
+        A.Resize(0)
+    with pytest.raises(ValueError, match="Resize: expected resample 'bilinear' or 'bicubic' with antialias"):
+        A.Resize(8, resample="nearest", antialias=True)

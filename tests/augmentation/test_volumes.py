@@ -213,7 +213,7 @@ def test_wrong_inputs(case: Case) -> None:
         (lambda: A.RandomAffine3D((1.0, 2.0, 3.0, 4.0)), "RandomAffine3D: expected degrees"),
         (lambda: A.RandomAffine3D(1.0, translate=(0.1, 0.1)), "RandomAffine3D: expected translate"),
         (lambda: A.RandomAffine3D(1.0, scale=(-1.0, 1.0)), "RandomAffine3D: expected scale"),
-        (lambda: A.RandomRotation3D(400.0, resample="bicubic"), "RandomRotation3D: expected resample"),
+        (lambda: A.RandomRotation3D(40.0, resample="bicubic"), "RandomRotation3D: expected resample"),
         (lambda: A.RandomPerspective3D(1.5), "RandomPerspective3D: expected distortion_scale"),
         (lambda: A.RandomCrop3D((2, 3)), "RandomCrop3D: expected size"),
         (lambda: A.RandomCrop3D((2, 3, 4), padding=(1, 2)), "RandomCrop3D: expected padding"),
@@ -394,3 +394,37 @@ def test_crops_of_volumes_change_the_shape_that_later_draws_see() -> None:
     moved = A.ImageSequential(A.CenterCrop3D(6), A.RandomAffine3D(0.0, translate=(0.5, 0.5, 0.5), p=1.0))
     moved(volumes)
     assert moved._params[1].data["translations"].abs().max() <= 3
+
+
+def test_masks_and_points_of_volumes_in_containers() -> None:
+    """The middles of a blob, of its mask and its point agree, and come back."""
+    center = torch.tensor([[17.0, 20.0, 22.0], [21.0, 18.0, 19.0]])
+    z, y, x = torch.meshgrid(*[torch.arange(40.0)] * 3, indexing="ij")
+    squares = sum((a - center[:, i, None, None, None]) ** 2 for i, a in enumerate((x, y, z)))
+    volumes_, masks = torch.exp(-squares / 18)[:, None], (squares < 25)[:, None].long()
+    augment = A.AugmentationSequential(
+        A.RandomAffine3D((15.0, 15.0, 15.0), translate=(0.05, 0.05, 0.05), p=1.0),
+        A.RandomHorizontalFlip3D(),
+        A.RandomDepthicalFlip3D(),
+        A.CenterCrop3D((36, 37, 38)),
+        data_keys=["image", "mask", "keypoints"],
+    )
+    moved, moved_masks, points = augment(volumes_, masks, center[:, None])
+    assert moved.shape == (2, 1, 36, 37, 38) == moved_masks.shape and moved_masks.dtype == torch.int64
+    z, y, x = torch.meshgrid(*(torch.arange(float(n)) for n in moved.shape[2:]), indexing="ij")
+    for values, tolerance in ((moved, 0.1), (moved_masks.float(), 0.6)):
+        weights = values / values.sum((2, 3, 4), keepdim=True)
+        middle = torch.stack([(weights * a).sum((1, 2, 3, 4)) for a in (x, y, z)], -1)
+        torch.testing.assert_close(middle, points[:, 0], rtol=0, atol=tolerance)
+    assert augment.visible_points[0].all()
+    back, masks_back, points_back = augment.inverse(moved, moved_masks, points)
+    assert back.shape == volumes_.shape and masks_back.shape == masks.shape
+    torch.testing.assert_close(points_back, center[:, None], rtol=0, atol=1e-3)
+    without_channel = augment(volumes_, masks[:, 0], center[:, None])[1]
+    assert without_channel.shape == (2, 36, 37, 38)
+    with pytest.raises(ValueError, match=r"expected mask of shape \(B, C, D, H, W\)"):
+        augment(volumes_, masks[0, 0, 0], center[:, None])
+    with pytest.raises(ValueError, match=r"expected keypoints of shape \(B, N, 3\)"):
+        augment(volumes_, masks, center[:, None, :2])
+    with pytest.raises(NotImplementedError, match="boxes of volumes"):
+        augment(volumes_, torch.zeros(2, 1, 4), data_keys=["image", "bbox_xyxy"])

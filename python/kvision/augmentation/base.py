@@ -13,6 +13,7 @@ executed through them.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import Any, ClassVar
@@ -20,17 +21,19 @@ from typing import Any, ClassVar
 import torch
 from torch import Generator, Tensor, nn
 
+from kvision._ops import match_layout
 from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, identity_values, plan_draws
 from kvision.augmentation.configuration import Flags, Plans, settings_changed
 from kvision.augmentation.draws import Draw, Request, is_chosen_batch
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
+from kvision.augmentation.maps import exact
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 Shape = tuple[int, ...]
 Params = dict[str, Any]
-_OVERRIDABLE = ("generate_parameters", "compute_transformation", "apply_transform")
+_OVERRIDABLE = ("compute_transformation", "apply_transform")
 
 
 class Execution:
@@ -80,6 +83,7 @@ class AugmentationBase(nn.Module):
     accepts_bytes: ClassVar[bool] = True  # otherwise uint8 images are computed in float32, in [0, 1]
     keeps_lines: ClassVar[bool] = True  # straight lines stay straight, so that the corners of a box say where it is
     _execution: Execution | None = None  # of the last call
+    _arguments: Any = ((), {})  # of the constructor, or their text by name
     fuses_noise: ClassVar[bool] = False  # `apply_transform` takes "_noise" instead of the parameters of pixels
 
     def __init__(
@@ -106,6 +110,7 @@ class AugmentationBase(nn.Module):
         self.flags: dict[str, Any] = {}
         self._param_generator: RandomGeneratorBase | None = None
         self._rng: tuple[torch.device, torch.dtype] = (torch.device("cpu"), torch.float32)
+        self.device, self.dtype = self._rng  # for users' classes, which may have others
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name == "_execution":
@@ -117,11 +122,37 @@ class AugmentationBase(nn.Module):
 
     def __getstate__(self) -> dict[str, Any]:
         # Copies and pickles have the settings, not the last call.
-        return {name: value for name, value in self.__dict__.items() if name != "_execution"}
+        state = {name: value for name, value in self.__dict__.items() if name != "_execution"}
+        return {**state, "_arguments": self._given()}
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Any:
+        self = super().__new__(cls)
+        self.__dict__["_arguments"] = (args, kwargs)  # what `repr` shows of them
+        return self
+
+    def __repr__(self) -> str:
+        if any(name != "_param_generator" for name, _ in self.named_children()):
+            return super().__repr__()
+        return f"{self._get_name()}({self.extra_repr()})"
 
     def extra_repr(self) -> str:
-        shown = {"p": self.p, "p_batch": self.p_batch, "same_on_batch": self.same_on_batch, **self.flags}
-        return ", ".join(f"{name}={_shown(value)}" for name, value in shown.items())
+        now = {"p": self.p, "p_batch": self.p_batch, "same_on_batch": self.same_on_batch, **self.flags}
+        shown = {**self._given(), **{name: _shown(value) for name, value in now.items()}}
+        return ", ".join(f"{name}={text}" for name, text in shown.items())
+
+    def _given(self) -> dict[str, str]:
+        """The arguments of the constructor as text, without those that all augmentations have."""
+        if isinstance(self._arguments, dict):
+            return self._arguments
+        args, kwargs = self._arguments
+        bound = inspect.signature(type(self)).bind_partial(*args, **kwargs)
+        bound.apply_defaults()
+        given: dict[str, Any] = {}
+        for name, value in bound.arguments.items():
+            is_options = bound.signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD
+            given.update(value if is_options else {name: value})
+        common = ("p", "p_batch", "same_on_batch", "keepdim", "generator", "return_transform")
+        return {name: _shown(value) for name, value in given.items() if name not in common}
 
     # --- what was drawn ---
 
@@ -158,7 +189,8 @@ class AugmentationBase(nn.Module):
                 values = columns.values.detach()
             else:
                 values = torch.empty(shape[0], 0)
-            if self._param_generator is not None and (columns is not None or request is None or not request.draws):
+            is_drawn = columns is not None or request is None or not request.draws
+            if self._param_generator is not None and is_drawn and not self._draws_by_name:
                 params = self._param_generator.to_params(values, shape)
                 if self._param_generator.per_pixel and redraw is not None:
                     noise = PixelNoise(*redraw, self.same_on_batch, values.device)
@@ -192,7 +224,7 @@ class AugmentationBase(nn.Module):
 
     def set_rng_device_and_dtype(self, device: torch.device | str, dtype: torch.dtype = torch.float32) -> None:
         """Choose where and in which type `_params` are given. The values do not depend on the device."""
-        self._rng = (torch.device(device), dtype)
+        self._rng = self.device, self.dtype = torch.device(device), dtype
         if self._param_generator is not None:
             self._param_generator.set_rng_device_and_dtype(device, dtype)
 
@@ -204,10 +236,11 @@ class AugmentationBase(nn.Module):
 
     def _request(self, shape: Shape) -> Request | None:
         """What this augmentation draws for images of a shape; None for nothing."""
-        draws: list[Any] = [] if self._param_generator is None else list(self._param_generator.draws(shape))
+        generator = None if self._draws_by_name else self._param_generator
+        draws: list[Any] = [] if generator is None else list(generator.draws(shape))
         if self.whole_batch:
             return Request(draws, 1.0, 1.0, self.same_on_batch) if draws or 0 < self.p_batch < 1 else None
-        per_pixel = self._param_generator is not None and self._param_generator.per_pixel
+        per_pixel = generator is not None and generator.per_pixel
         if self.p < 1 or self.p_batch < 1 or (per_pixel and not draws):
             draws.insert(0, Draw("chosen"))
         return Request(draws, self.p, self.p_batch, self.same_on_batch) if draws else None
@@ -256,7 +289,7 @@ class AugmentationBase(nn.Module):
             params = {**params, "batch_prob": torch.ones(shape[0])}
         elif chosen.device.type == "cpu":
             is_chosen = chosen > 0.5
-            applied = bool(is_chosen.any()) or shape[0] == 0
+            applied = bool(is_chosen.any()) or shape[0] == 0 or self._was_planned(params)
             chosen = None if bool(is_chosen.all()) else is_chosen
         else:
             chosen = chosen > 0.5
@@ -267,6 +300,15 @@ class AugmentationBase(nn.Module):
         if applied and not self._is_customized() and self._executes_columns(shape):
             columns = self._columns_of(params, shape, x.device, chosen)
         return Execution(shape, columns, chosen, applied, params)
+
+    def _was_planned(self, params: Params) -> bool:
+        """Whether a call with these parameters planned for this augmentation, although no sample was chosen.
+
+        What is joined with neighbors takes part in their pass, which has to be the same in a replay.
+        """
+        if self.whole_batch or self.p == 0 or self.p_batch == 0 or self._is_customized():
+            return False
+        return self._param_generator is None or not params.keys() <= {"batch_prob", "forward_input_shape"}
 
     def _executes_columns(self, shape: Shape) -> bool:
         """Whether this augmentation is executed from columns, without parameters by name."""
@@ -301,7 +343,7 @@ class AugmentationBase(nn.Module):
         """Draw the parameters of a batch by name, with `batch_prob` and `forward_input_shape`."""
         shape = tuple(batch_shape)
         execution = self._draw(torch.empty(1, device=self._rng[0]).expand(shape), None, None)
-        if self._is_overridden("generate_parameters"):
+        if self._draws_by_name:
             execution.params = None
             return {**self._read_params(execution), **self.generate_parameters(shape)}
         return self._read_params(execution)
@@ -315,12 +357,19 @@ class AugmentationBase(nn.Module):
     def _is_overridden(self, name: str) -> bool:
         if name in self.__dict__:
             return True
-        method = getattr(type(self), name, None)
-        return not (getattr(method, "__module__", None) or "").startswith("kvision.")
+        return _is_of_user(getattr(type(self), name, None))
+
+    @property
+    def _draws_by_name(self) -> bool:
+        """Whether a user's method or generator draws parameters by name, without columns."""
+        generator = self._param_generator
+        return self._is_overridden("generate_parameters") or (
+            generator is not None and _is_of_user(type(generator).forward)
+        )
 
     def _is_customized(self) -> bool:
         """Whether a user's class or instance overrides what containers join."""
-        return any(self._is_overridden(name) for name in _OVERRIDABLE)
+        return self._draws_by_name or any(self._is_overridden(name) for name in _OVERRIDABLE)
 
     # --- applying ---
 
@@ -344,11 +393,15 @@ class AugmentationBase(nn.Module):
         image = x
         if stored == torch.uint8 and not self.accepts_bytes:
             image = x.float().div_(255)
+        elif execution.chosen is not None and self._is_overridden("apply_transform"):
+            image = x.clone()  # which may write to it, and samples that are not chosen stay
         y = self.apply_transform(image, params, flags, transform)
         if stored == torch.uint8 and y.dtype != torch.uint8:
             y = (y * 255).round_().clamp_(0, 255).to(torch.uint8)
         elif y.dtype != stored and stored.is_floating_point:
             y = y.to(stored)
+        if y.dim() == 4 and y.shape == x.shape:
+            y = match_layout(y, x)
         if execution.chosen is not None and y.shape == x.shape:
             y = where_chosen(execution.chosen, y, x)
             transform = torch.where(execution.chosen[:, None, None], transform, self.identity_matrix(x).to(transform))
@@ -358,7 +411,7 @@ class AugmentationBase(nn.Module):
     def _params_on_device(self, x: Tensor, execution: Execution) -> Params:
         if execution.params is not None:
             return self._on_device(execution.params, x.device)
-        if self._is_overridden("generate_parameters"):
+        if self._draws_by_name:
             execution.params = {**self._read_params(execution), **self.generate_parameters(execution.shape)}
             return self._on_device(execution.params, x.device)
         params: Params = {"forward_input_shape": torch.tensor(execution.shape)}
@@ -443,8 +496,8 @@ class AugmentationBase(nn.Module):
             image = input
         x = self.transform_tensor(image)
         execution = self._draw(x, seed, generator) if params is None else self._from_params(params, x)
+        self._execution = execution  # a user's `apply_transform` may add to `_params`
         y = self._run(x, execution, self._flags_of(kwargs))
-        self._execution = execution
         y = self._restored(y, image)
         returns = self.return_transform if return_transform is None else return_transform
         if not returns:
@@ -456,7 +509,21 @@ class AugmentationBase(nn.Module):
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         """Masks (B, C, H, W) of any type, moved as the images were."""
-        return masks
+        return self._masks_by_name(masks, execution, flags) if self._is_overridden("apply_transform_mask") else masks
+
+    def apply_transform_mask(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        """Move the masks of all samples with given parameters, for subclasses to override."""
+        return input
+
+    def _masks_by_name(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        """Masks moved by a method that a user's class overrides, which gets parameters by name."""
+        if not execution.applied:
+            return masks
+        params, matrix = self._params_on_device(masks, execution), self._matrix(execution).to(masks.device)
+        y = self.apply_transform_mask(exact(masks), params, flags, matrix).to(masks.dtype)
+        return where_chosen(execution.chosen, y, masks) if y.shape == masks.shape else y
 
     def transform_points(self, points: Tensor, execution: Execution) -> Tensor:
         """Points (B, N, 2), (B, N, 3) of volumes, moved as the images were."""
@@ -545,8 +612,13 @@ def is_known(back: Tensor) -> Tensor:
     return back > 1 - 1e-3
 
 
-def _shown(value: Any) -> Any:
-    return value.name.lower() if isinstance(value, Enum) else value.tolist() if isinstance(value, Tensor) else value
+def _is_of_user(method: Any) -> bool:
+    """Whether a method is not one of this library."""
+    return not (getattr(method, "__module__", None) or "").startswith("kvision.")
+
+
+def _shown(value: Any) -> str:
+    return str(value.name.lower() if isinstance(value, Enum) else value.tolist() if isinstance(value, Tensor) else value)
 
 
 class AugmentationBase2D(AugmentationBase):

@@ -186,9 +186,16 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
 
     # --- masks and inverse ---
 
+    def apply_transform_mask(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        return self.apply_transform(input, params, flags, transform)
+
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:
             return masks
+        if self._is_overridden("apply_transform_mask") or self._is_overridden("apply_transform"):
+            return self._masks_by_name(masks, execution, flags)
         size = self.output_size(execution.shape, flags)
         resampling = self.resampling(flags).for_labels(fill=flags.get("mask_fill"))
         return warp_labels(masks, self._matrix(execution), size, resampling)
@@ -197,6 +204,10 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         if not execution.applied:
             return masks
         resampling, size = self.resampling(flags).for_inverse("nearest"), execution.shape[-2:]
+        if self._is_overridden("inverse_transform"):
+            nearest = {**flags, "resample": Resample.NEAREST}
+            matrix = self._matrix(execution).to(masks.device)
+            return self.inverse_transform(exact(masks), nearest, matrix, tuple(size)).to(masks.dtype)
         return warp_labels(masks, self._matrix(execution), size, resampling, inverse=False)
 
     def inverse_transform(self, input: Tensor, flags: dict[str, Any], transform: Tensor, size: Any) -> Tensor:

@@ -28,29 +28,32 @@ CURVED = 16  # points on each side of a box that moves by a map, which bends its
 _OFFSETS = {"xyxy": (-0.5, -0.5), "xywh": (-0.5, -0.5), "xyxy_plus": (-0.5, 0.5)}
 
 
-def move_points(points: Any, move: Mover) -> Any:
-    """Key points (B, N, 2), (N, 2) or a list of (N, 2), of any floating-point type."""
+def move_points(points: Any, move: Mover, numbers: int = 2) -> Any:
+    """Key points (B, N, 2), (N, 2) or a list of (N, 2), of any floating-point type; those of volumes have 3 numbers."""
     if isinstance(points, (list, tuple)):
         if not points:
             return points
         padded, sizes = pad(points)
-        moved = move_points(padded, move)
+        moved = move_points(padded, move, numbers)
         return type(points)(m[:n] for m, n in zip(moved, sizes))
     if hasattr(points, "transform_keypoints"):  # kvision.geometry.keypoints.Keypoints
         moved = points.clone()
-        moved._data = move_points(points._data, move)
+        moved._data = move_points(points._data, move, numbers)
         return moved
     _floating("keypoints", points)
-    if points.shape[-1] != 2 or points.dim() not in (2, 3):
-        raise ShapeError(f"AugmentationSequential: expected keypoints of shape (B, N, 2), got {tuple(points.shape)}")
+    if points.shape[-1] != numbers or points.dim() not in (2, 3):
+        raise ShapeError(
+            f"AugmentationSequential: expected keypoints of shape (B, N, {numbers}), got {tuple(points.shape)}"
+        )
     batch = points if points.dim() == 3 else points[None]
     return _keeping_type(batch, move).reshape(points.shape)
 
 
-def visible_points(before: Any, after: Any, back: Mover, size: tuple[int, int]) -> Any:
-    """Which moved points are inside images of a size (H, W), and come from where they were: bool (B, N), or a list of (N,).
+def visible_points(before: Any, after: Any, back: Mover, size: tuple[int, ...]) -> Any:
+    """Which moved points are inside images of a size (H, W) or (D, H, W), and come from where they were.
 
-    A map that folds may show what was at a point nowhere; the point found for it is moved back to another position.
+    bool (B, N), or a list of (N,). A map that folds may show what was at a point nowhere; the point found for it is moved
+    back to another position.
     """
     if isinstance(after, (list, tuple)):
         if not after:
@@ -60,8 +63,8 @@ def visible_points(before: Any, after: Any, back: Mover, size: tuple[int, int]) 
     if hasattr(after, "transform_keypoints"):
         return visible_points(before._data, after._data, back, size)
     points = after if after.dim() == 3 else after[None]
-    x, y = points.unbind(-1)
-    inside = (x >= -0.5) & (x <= size[1] - 0.5) & (y >= -0.5) & (y <= size[0] - 0.5)
+    of_axes = [(x >= -0.5) & (x <= n - 0.5) for x, n in zip(points.unbind(-1), reversed(size))]
+    inside = torch.stack(of_axes).all(0)
     miss = (_keeping_type(points, back) - before.reshape(points.shape)).abs().amax(-1)
     return (inside & (miss < 0.5)).reshape(after.shape[:-1])
 
@@ -158,7 +161,7 @@ class BoxFilter(NamedTuple):
         return not (self.clip or self.min_area > 0 or self.min_visibility > 0)
 
 
-def filter_boxes(boxes: Any, mode: str, size: tuple[int, int], rule: BoxFilter) -> tuple[Any, Any]:
+def filter_boxes(boxes: Any, mode: str, size: tuple[int, ...], rule: BoxFilter) -> tuple[Any, Any]:
     """Boxes in images of a size (H, W) by a rule, and which of them stay: bool (B, N), or a list of (N,).
 
     Lists become shorter; in tensors the boxes that do not stay are 0.
@@ -173,7 +176,7 @@ def filter_boxes(boxes: Any, mode: str, size: tuple[int, int], rule: BoxFilter) 
     return _filtered(boxes, mode, size, rule)
 
 
-def _filtered(boxes: Tensor, mode: str, size: tuple[int, int], rule: BoxFilter) -> tuple[Tensor, Tensor]:
+def _filtered(boxes: Tensor, mode: str, size: tuple[int, ...], rule: BoxFilter) -> tuple[Tensor, Tensor]:
     values = boxes if boxes.dtype == torch.float64 else boxes.float() if boxes.is_floating_point() else boxes.double()
     corners = box_corners(values, mode)
     margin = 0.5 if mode == "vertices" else 0.0  # from the centers of the outermost pixels to their edges
@@ -191,7 +194,7 @@ def _filtered(boxes: Tensor, mode: str, size: tuple[int, int], rule: BoxFilter) 
     return _as_type(torch.where(kept[axes], values, 0).to(values), boxes).to(boxes.dtype), kept
 
 
-def _inside(points: Tensor, size: tuple[int, int]) -> Tensor:
+def _inside(points: Tensor, size: tuple[int, ...]) -> Tensor:
     """Points moved to the nearest position inside an image, in coordinates of pixel centers."""
     x, y = points.unbind(-1)
     return torch.stack([x.clamp(-0.5, size[1] - 0.5), y.clamp(-0.5, size[0] - 0.5)], -1)

@@ -196,7 +196,9 @@ class MixAugmentationBaseV2(AugmentationBase2D):
         if flags.get("mode", DataKey.BBOX_XYXY) != DataKey.BBOX_XYXY:
             raise self._refuse("boxes other than bbox_xyxy")
 
-    def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+    def apply_transform_mask(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
         """Mix masks (B, C, H, W)."""
         raise self._refuse("masks")
 
@@ -278,7 +280,9 @@ class RandomMixUpV2(MixAugmentationBaseV2):
         weight = params["mixup_lambdas"].to(input.dtype)[:, None, None, None]
         return input * (1 - weight) + input[params["mixup_pairs"]] * weight
 
-    def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+    def apply_transform_mask(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
         if not input.is_floating_point():
             raise self._refuse("masks of integers")
         return self.apply_transform(input, params, flags)
@@ -356,7 +360,9 @@ class RandomCutMixV2(MixAugmentationBaseV2):
     ) -> Tensor:
         return self._paste(input, params)
 
-    def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+    def apply_transform_mask(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
         return self._paste(input, params)
 
     def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
@@ -415,7 +421,9 @@ class PatchMix(MixAugmentationBaseV2):
     ) -> Tensor:
         return torch.where(_in_windows(params["patch_coords"], *input.shape[-2:]), input[params["mix_pairs"]], input)
 
-    def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+    def apply_transform_mask(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
         return self.apply_transform(input, params, flags)
 
     def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
@@ -477,7 +485,9 @@ class RandomJigsaw(MixAugmentationBaseV2):
         moved = cells.flatten(1, 2).gather(1, order).unflatten(1, self.grid)
         return moved.permute(0, 3, 1, 4, 2, 5).reshape(b, c, h, w)
 
-    def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+    def apply_transform_mask(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
         return self.apply_transform(input, params, flags)
 
     def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
@@ -594,7 +604,9 @@ class RandomMosaic(MixAugmentationBaseV2):
     ) -> Tensor:
         return self._window(input, params)
 
-    def apply_transform_mask(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+    def apply_transform_mask(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
         return self._window(input, params)
 
     def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:

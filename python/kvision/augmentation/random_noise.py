@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from kvision._dtype import compute_dtype
@@ -57,6 +58,9 @@ class RandomGaussianNoise(IntensityAugmentationBase2D):
         if "_noise" not in params:
             return input + params["gaussian_noise"]
         parameters, noise = params["_noise"]
+        if input.dtype == torch.float64:  # the noise that `_params` has is float32
+            zero = torch.zeros(input.shape, device=input.device)
+            return input + gaussian_noise(zero, parameters.float(), *noise.arguments())
         y: Tensor = gaussian_noise(input, parameters.to(compute_dtype(input)), *noise.arguments())
         return y
 

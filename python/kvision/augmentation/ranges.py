@@ -76,7 +76,7 @@ def parse(
     center: float | None = None,
     bounds: tuple[float, float] = (-float("inf"), float("inf")),
 ) -> Range:
-    """A range from a number s, which stands for center - s to center + s within the bounds, or from a pair.
+    """A range from a number s, which stands for center - s to center + s, or from the lower bound on, or from a pair.
 
     Without a center only pairs are taken. Tensors count like the numbers in them. One that requires a gradient keeps it,
     and may be on any device.
@@ -89,7 +89,7 @@ def parse(
             raise ValueCheckError(f"{op}: expected {name} to be a pair of numbers, got {value}")
         if numbers[0] < 0:
             raise ValueCheckError(f"{op}: expected {name} to be 0 or more, or a pair, got {value}")
-        low, high = max(center - numbers[0], bounds[0]), min(center + numbers[0], bounds[1])
+        low, high = max(center - numbers[0], bounds[0]), center + numbers[0]
     elif len(numbers) == 2:
         low, high = numbers
     else:

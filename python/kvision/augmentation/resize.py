@@ -15,6 +15,7 @@ from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Res
 from kvision.augmentation.random_generator.crop import ResizeGenerator, parse_size
 from kvision.augmentation.transforms import Transform
 from kvision.constants import Resample
+from kvision.core.exceptions import ValueCheckError
 
 __all__ = ["LongestMaxSize", "PadTo", "Resize", "SmallestMaxSize"]
 
@@ -33,7 +34,7 @@ class Resize(GeometricAugmentationBase2D):
 
     Raises:
         TypeError: `size` is not one or two ints.
-        ValueError: a size below 1; `side` is unknown.
+        ValueError: a size below 1; `side` is unknown; `antialias` with 'nearest'.
 
     Example:
         >>> import torch, kvision as K
@@ -63,6 +64,8 @@ class Resize(GeometricAugmentationBase2D):
             "align_corners": align_corners,
             "antialias": antialias,
         }
+        if antialias and self.flags["resample"] == Resample.NEAREST:
+            raise ValueCheckError(f"{type(self).__name__}: expected resample 'bilinear' or 'bicubic' with antialias")
 
     def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:
         return self._param_generator.size_for(shape)
@@ -80,10 +83,10 @@ class Resize(GeometricAugmentationBase2D):
         return super().resampling(flags)._replace(padding="border")
 
     def _warp(self, x: Tensor, matrix: Tensor, flags: dict[str, Any]) -> Tensor:
-        mode = Resample.get(flags["resample"]).name.lower()
-        corners = None if mode == "nearest" else flags["align_corners"]
-        size = self.output_size(tuple(x.shape), flags)
-        return geometry.resize(x, size, mode, align_corners=corners, antialias=flags["antialias"])
+        if not flags["antialias"]:
+            return super()._warp(x, matrix, flags)
+        mode, size = Resample.get(flags["resample"]).name.lower(), self.output_size(tuple(x.shape), flags)
+        return geometry.resize(x, size, mode, align_corners=flags["align_corners"], antialias=True)
 
 
 class LongestMaxSize(Resize):

@@ -92,7 +92,7 @@ class AugmentationSequential(ImageSequential):
     _kept_boxes: Sequence[Any] = ()
     _points: Sequence[tuple[Any, Any]] = ()  # before and after
     _videos: VideoLayout | None = None
-    _result_size = (0, 0)
+    _result_size: tuple[int, ...] = (0, 0)
 
     def __init__(
         self,
@@ -201,7 +201,7 @@ class AugmentationSequential(ImageSequential):
         image = inputs[first]
         x = self.transform_tensor(image)
         y = self._execute(x, params, self._source(seed, generator))
-        self._result_size = (y.shape[-2], y.shape[-1])
+        self._result_size = tuple(y.shape[2:])
         outputs = []
         for i, (key, value) in enumerate(zip(keys, inputs)):
             if i == first:
@@ -215,7 +215,7 @@ class AugmentationSequential(ImageSequential):
         return self._finished(keys, inputs, outputs, self._result_size)
 
     def _finished(
-        self, keys: Sequence[DataKey], inputs: Sequence[Any], outputs: list[Any], size: tuple[int, int]
+        self, keys: Sequence[DataKey], inputs: Sequence[Any], outputs: list[Any], size: tuple[int, ...]
     ) -> list[Any]:
         """Filtered results, with what `visible_points` needs kept, and the frames of videos as videos."""
         self._points = [(x, y) for key, x, y in zip(keys, inputs, outputs) if key == DataKey.KEYPOINTS]
@@ -270,7 +270,7 @@ class AugmentationSequential(ImageSequential):
         inputs = self._of_frames(keys, inputs)
         if params is not None:
             image, stages = self._replayed(torch.zeros(1), params)
-            size = (image.shape[-2], image.shape[-1])
+            size = tuple(image.shape[2:])
         return self._finished(keys, inputs, [self._moved(key, value, stages) for key, value in zip(keys, inputs)], size)
 
     # --- labels ---
@@ -295,7 +295,7 @@ class AugmentationSequential(ImageSequential):
         ]
         return visible if self._videos is None else [self._videos.labels_of_videos(kept) for kept in visible]
 
-    def _filtered(self, keys: Sequence[DataKey], values: list[Any], size: tuple[int, int]) -> list[Any]:
+    def _filtered(self, keys: Sequence[DataKey], values: list[Any], size: tuple[int, ...]) -> list[Any]:
         """Moved boxes that the filter leaves, and their class labels."""
         self._kept_boxes = []
         if self.box_filter.does_nothing:
@@ -326,12 +326,19 @@ class AugmentationSequential(ImageSequential):
                 return self._moved(key, nested, stages[i + 1 :])
         if key == DataKey.KEYPOINTS:
             self._check_batch("keypoints", value, 3)
-            return labels.move_points(value, lambda points: move_points(points, stages))
+            return labels.move_points(value, lambda points: move_points(points, stages), self._numbers_of_points)
         if key in labels.BOX_FORMATS:
+            if self._numbers_of_points == 3:
+                raise NotImplementedError("AugmentationSequential: boxes of volumes cannot be moved; masks and key points can")
             self._check_batch(key.name.lower(), value, 4 if key == DataKey.BBOX else 3)
             count = 1 if keeps_lines(stages) else labels.CURVED
             return labels.move_boxes(value, labels.BOX_FORMATS[key], lambda points: move_points(points, stages), count)
         return value
+
+    @property
+    def _numbers_of_points(self) -> int:
+        """How many numbers a point has: 2 in images, 3 in volumes."""
+        return 2 if self._shape is None else len(self._shape) - 2
 
     def _check_batch(self, name: str, value: Any, axes: int) -> None:
         """Raise unless labels are those of as many images as the last call had."""
@@ -351,22 +358,23 @@ class AugmentationSequential(ImageSequential):
             return type(masks)(row[:n] for row, n in zip(self._moved_masks(padded, stages), sizes))
         if not isinstance(masks, Tensor):
             raise TypeCheckError(f"AugmentationSequential: expected mask to be a Tensor, got {type(masks).__name__}")
-        shape = masks.shape
-        if masks.dim() == 3 and self._shape is not None and len(shape) == len(self._shape) - 1:
-            # (B, H, W) of a batch, or (C, H, W) of one image
-            batched = masks[:, None] if shape[0] == self._shape[0] and shape[0] > 1 else masks[None]
+        shape, images = masks.shape, self._shape
+        axes = 4 if images is None else len(images)
+        if masks.dim() == axes - 1 and images is not None:
+            # (B, H, W) of a batch, or (C, H, W) of one image; of volumes (B, D, H, W) or (C, D, H, W)
+            batched = masks[:, None] if shape[0] == images[0] and shape[0] > 1 else masks[None]
         else:
-            batched = masks[None, None] if masks.dim() == 2 else masks
-        if batched.dim() != 4:
-            raise ShapeError(f"AugmentationSequential: expected mask of shape (B, C, H, W), got {tuple(shape)}")
-        images = self._shape
+            batched = masks[None, None] if masks.dim() == axes - 2 else masks
+        if batched.dim() != axes:
+            layout = "(B, C, H, W)" if axes == 4 else "(B, C, D, H, W)"
+            raise ShapeError(f"AugmentationSequential: expected mask of shape {layout}, got {tuple(shape)}")
         if images is not None and (len(batched), *batched.shape[2:]) != (images[0], *images[2:]):
             raise ShapeError(
                 f"AugmentationSequential: expected mask of {images[0]} images of {tuple(images[2:])}, got {tuple(shape)}"
             )
         moved = move_masks(batched, stages, self._mask_mode(), self._mask_flag("fill_value"))
-        if moved.shape[:2] == batched.shape[:2] and masks.dim() < 4:
-            return moved.reshape(*shape[:-2], *moved.shape[-2:])
+        if moved.shape[:2] == batched.shape[:2] and masks.dim() < axes:
+            return moved.reshape(*shape[: 2 - axes], *moved.shape[2:])
         return moved
 
     def _mask_mode(self) -> str | None:
@@ -418,7 +426,9 @@ class AugmentationSequential(ImageSequential):
             elif key == DataKey.MASK:
                 outputs.append(move_masks_back(value, stages))
             elif key == DataKey.KEYPOINTS:
-                outputs.append(labels.move_points(value, lambda points: move_points_back(points, stages)))
+                outputs.append(
+                    labels.move_points(value, lambda points: move_points_back(points, stages), self._numbers_of_points)
+                )
             elif key in labels.BOX_FORMATS:
                 outputs.append(
                     labels.move_boxes(

@@ -15,6 +15,7 @@ from kvision.augmentation.base import AugmentationBase, Execution
 from kvision.augmentation.elastic import MapAugmentation
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp, warp_labels
 from kvision.augmentation.warp_and_color import Resampling
+from kvision.constants import Resample
 from kvision.geometry.linalg import transform_points
 
 
@@ -81,7 +82,7 @@ class Applied(NamedTuple):
         if self.stages is not None:
             return move_masks(masks, self.stages, mode, fill)
         if own := self._augmentation:
-            flags = self.flags if mode is None else {**self.flags, "resample": mode}
+            flags = self.flags if mode is None else {**self.flags, "resample": Resample.get(mode)}
             if fill is not None:
                 flags = {**flags, "mask_fill": fill}
             masks = own[0].transform_masks(masks, own[1], flags)

@@ -41,6 +41,7 @@ class RandomGeneratorBase(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.device, self.dtype = torch.device("cpu"), torch.float32
+        self._has_samplers = False
 
     def __setattr__(self, name: str, value: Any) -> None:
         settings_changed()
@@ -49,9 +50,16 @@ class RandomGeneratorBase(nn.Module):
     def set_rng_device_and_dtype(self, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32) -> None:
         """Choose where and in which type :meth:`forward` gives parameters. The values do not depend on the device."""
         self.device, self.dtype = torch.device(device), dtype
+        self._has_samplers = False
 
     def make_samplers(self, device: torch.device, dtype: torch.dtype) -> None:
-        """Called by code written for Kornia; there is nothing to prepare."""
+        """Called before the first :meth:`forward`, for generators written for Kornia; there is nothing to prepare here."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        if not self._has_samplers:
+            self._has_samplers = True
+            self.make_samplers(self.device, self.dtype)
+        return super().__call__(*args, **kwargs)
 
     def draws(self, shape: Shape) -> Sequence[Draw | LearnedUniform]:
         """The draws for images of `shape` (B, C, H, W)."""

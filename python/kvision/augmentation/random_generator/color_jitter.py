@@ -50,7 +50,7 @@ class ColorJitterGenerator(RandomGeneratorBase):
         self, brightness: Any = 0.0, contrast: Any = 0.0, saturation: Any = 0.0, hue: Any = 0.0, order: Any = None
     ) -> None:
         super().__init__()
-        op = "ColorJitter"
+        op = type(self).__name__.removesuffix("Generator")
         ranges.keep_parameters(self, brightness=brightness, contrast=contrast, saturation=saturation, hue=hue)
         most = float("inf")
         self._brightness = ranges.parse(

@@ -184,7 +184,8 @@ class ResizeGenerator(RandomGeneratorBase):
         super().__init__()
         if side not in ("short", "long", "vert", "horz"):
             raise ValueCheckError(f"Resize: expected side to be 'short', 'long', 'vert' or 'horz', got {side!r}")
-        self.output_size = resize_to if isinstance(resize_to, int) else parse_size("Resize", resize_to)
+        sides = parse_size("Resize", resize_to)
+        self.output_size = resize_to if isinstance(resize_to, int) else sides
         self.side = side
 
     def size_for(self, shape: Shape) -> tuple[int, int]:

@@ -1,0 +1,175 @@
+"""Augmentations that users wrote for Kornia: what they override is called, for images, masks and the inverse."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+import kvision.augmentation as A
+from kvision import geometry
+from kvision.augmentation import random_generator
+
+
+def images(batch: int = 8) -> Tensor:
+    return torch.rand(batch, 3, 12, 12, generator=torch.Generator().manual_seed(batch))
+
+
+class SamplerGenerator(random_generator.RandomGeneratorBase):
+    """Draws from distributions of torch, which `make_samplers` prepares."""
+
+    def __init__(self, low: float, high: float) -> None:
+        super().__init__()
+        self.low, self.high = low, high
+
+    def make_samplers(self, device: torch.device, dtype: torch.dtype) -> None:
+        low, high = (torch.tensor(x, device=device, dtype=dtype) for x in (self.low, self.high))
+        self.sampler = random_generator.UniformDistribution(low, high)
+
+    def forward(self, batch_shape: Any, same_on_batch: bool = False) -> dict[str, Tensor]:
+        count = 1 if same_on_batch else batch_shape[0]
+        return {"amount": self.sampler.rsample((count,)).expand(batch_shape[0])}
+
+
+class Gain(A.IntensityAugmentationBase2D):
+    def __init__(self, low: float, high: float, **options: Any) -> None:
+        super().__init__(**options)
+        self._param_generator = SamplerGenerator(low, high)
+
+    def apply_transform(self, input: Any, params: Any, flags: Any, transform: Any = None) -> Tensor:
+        return input * params["amount"].view(-1, 1, 1, 1).to(input)
+
+
+def test_a_generator_of_a_user_draws() -> None:
+    x, augment = images(), Gain(0.5, 0.9, p=0.5)
+    y = augment(x)
+    amount, chosen = augment._params["amount"], augment._params["batch_prob"] > 0.5
+    assert amount.shape == (8,) and 0.5 <= amount.min() < amount.max() <= 0.9
+    torch.testing.assert_close(y[chosen], x[chosen] * amount[chosen, None, None, None])
+    assert torch.equal(y[~chosen], x[~chosen])
+    assert torch.equal(augment(x, params=augment._params), y)
+    augment.set_rng_device_and_dtype("cpu", torch.float64)
+    augment(x)
+    assert augment._params["amount"].dtype == torch.float64 and augment.dtype == torch.float64
+    same = Gain(0.5, 0.9, p=1.0, same_on_batch=True)
+    same(x)
+    assert (same._params["amount"] == same._params["amount"][0]).all()
+    for other in (copy.deepcopy(augment), pickle.loads(pickle.dumps(augment))):
+        assert other(x).shape == x.shape
+
+
+class CropsGenerator(random_generator.CropGenerator):
+    def forward(self, batch_shape: Any, same_on_batch: bool = False) -> dict[str, Tensor]:
+        crops = [super(CropsGenerator, self).forward(batch_shape, same_on_batch) for _ in range(3)]
+        return {**crops[0], "src": torch.stack([crop["src"] for crop in crops])}
+
+
+class ThreeCrops(A.GeometricAugmentationBase2D):
+    def __init__(self, size: tuple[int, int]) -> None:
+        super().__init__(p=1)
+        self._param_generator = CropsGenerator(size)
+        self.flags = {"size": size}
+
+    def compute_transformation(self, input: Any, params: Any, flags: Any) -> Tensor:
+        return self.identity_matrix(input)
+
+    def apply_transform(self, input: Any, params: Any, flags: Any, transform: Any = None) -> Tensor:
+        return torch.cat([geometry.crop_by_indices(input, corners, flags["size"]) for corners in params["src"]])
+
+
+def test_a_generator_that_extends_another_and_a_batch_that_grows() -> None:
+    x, augment = images(2), ThreeCrops((5, 7))
+    y = augment(x)
+    assert y.shape == (6, 3, 5, 7)
+    assert torch.equal(augment(x, params=augment._params), y)
+    both = A.AugmentationSequential(ThreeCrops((5, 7)), data_keys=["image", "mask"])
+    y, masks = both(x, x[:, :1])
+    assert torch.equal(masks, y[:, :1])  # by the same method
+
+
+class DiagonalFlip(A.GeometricAugmentationBase2D):
+    def compute_transformation(self, input: Any, params: Any, flags: Any) -> Tensor:
+        swap = torch.tensor([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]])
+        return swap.to(input.device).expand(len(input), 3, 3)
+
+    def apply_transform(self, input: Any, params: Any, flags: Any, transform: Any = None) -> Tensor:
+        return input.mT
+
+    def inverse_transform(self, input: Any, flags: Any, transform: Any = None, size: Any = None) -> Tensor:
+        return self.apply_transform(input, self._params, flags, transform)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.int64, torch.bool, torch.uint8], ids=str)
+def test_masks_follow_what_a_user_overrides(dtype: torch.dtype) -> None:
+    x = images()
+    masks = (10 * x[:, :1]).to(dtype)
+    augment = A.AugmentationSequential(DiagonalFlip(p=0.5), data_keys=["image", "mask"])
+    moved = augment(x, masks)[1]
+    chosen = augment._params[0].data["batch_prob"] > 0.5
+    assert 0 < chosen.sum() < 8 and moved.dtype == dtype
+    assert torch.equal(moved[chosen], masks[chosen].mT) and torch.equal(moved[~chosen], masks[~chosen])
+    always = A.AugmentationSequential(DiagonalFlip(p=1.0), data_keys=["image", "mask"])
+    back, masks_back = always.inverse(*always(x, masks))
+    assert torch.equal(back, x) and torch.equal(masks_back, masks)
+
+
+class Blank(A.IntensityAugmentationBase2D):
+    """Writes to its input, and to masks."""
+
+    def apply_transform(self, input: Any, params: Any, flags: Any, transform: Any = None) -> Tensor:
+        input[..., :4] = 0
+        return input
+
+    def apply_transform_mask(self, input: Any, params: Any, flags: Any, transform: Any = None) -> Tensor:
+        return torch.cat([torch.zeros_like(input[..., :4]), input[..., 4:]], -1)
+
+
+def test_a_method_for_masks_and_samples_that_are_not_chosen() -> None:
+    x, masks = images() + 1, torch.ones(8, 1, 12, 12, dtype=torch.int64)
+    augment = A.AugmentationSequential(Blank(p=0.5), data_keys=["image", "mask"])
+    y, moved = augment(x, masks)
+    chosen = augment._params[0].data["batch_prob"] > 0.5
+    assert 0 < chosen.sum() < 8
+    assert not y[chosen][..., :4].any() and not moved[chosen][..., :4].any()
+    assert (y[~chosen] >= 1).all() and (moved[~chosen] == 1).all()
+    assert torch.equal(x, images() + 1)
+
+
+class Remembered(A.IntensityAugmentationBase2D):
+    """Draws where it is applied, and keeps what it drew in `_params`, on the device and in the type of `_params`."""
+
+    def __init__(self, p: float) -> None:
+        super().__init__(p=p)
+        self.device = torch.device("cpu")  # as users set it
+
+    def apply_transform(self, input: Any, params: Any, flags: Any, transform: Any = None) -> Tensor:
+        if "noise" not in params:
+            self._params["noise"] = torch.rand(input.shape, device=self.device, dtype=self.dtype)
+        return input + params.get("noise", self._params["noise"]).to(input)
+
+
+def test_parameters_that_are_added_in_a_call_are_replayed() -> None:
+    x, augment = images(), Remembered(p=1.0)
+    y = augment(x)
+    assert torch.equal(augment(x, params=augment._params), y) and not torch.equal(augment(x), y)
+    chain = A.ImageSequential(A.RandomHorizontalFlip(), Remembered(p=1.0))
+    y = chain(x)
+    assert torch.equal(chain(x, params=chain._params), y)
+
+
+def test_repr_has_the_arguments() -> None:
+    augment = A.RandomAffine(30.0, (0.1, 0.2), p=0.3, padding_mode="border")
+    text = repr(augment)
+    assert text.startswith("RandomAffine(degrees=30.0, translate=(0.1, 0.2), scale=None, shear=None, ")
+    assert "padding_mode=border" in text and "p=0.3" in text and "\n" not in text
+    augment.p = 0.7
+    augment.flags["align_corners"] = True
+    assert "p=0.7" in repr(augment) and "align_corners=True" in repr(augment)
+    assert repr(copy.deepcopy(augment)) == repr(pickle.loads(pickle.dumps(augment))) == repr(augment)
+    assert repr(Gain(0.5, high=0.9)) == "Gain(low=0.5, high=0.9, p=0.5, p_batch=1.0, same_on_batch=False)"
+    inside = A.AugmentationSequential(A.RandomBrightness((0.5, 1.5)), data_keys=["image"])
+    assert "RandomBrightness(brightness=(0.5, 1.5), clip_output=True, p=1.0" in repr(inside)

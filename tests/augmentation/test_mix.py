@@ -183,21 +183,26 @@ def test_adaptive_augmentation() -> None:
     kept = (y == x).flatten(1).all(1)
     assert 15 < kept.sum() < 49
     assert torch.equal(ada(x, params=ada._params), y)
-    for _ in range(2):
-        ada(x, real_acc=0.99)
-    assert ada.p == 0.75
-    for _ in range(2):
-        ada(x, real_acc=torch.ones(10))
-    assert ada.p == 0.8
-    ada.p, ada.ema_lambda = 0.1, 0.0
-    for _ in range(2):
-        ada(x, real_acc=0.2)
-    assert ada.p == 0.0
+    average, p = 0.5, 0.5
+    ada.ema_lambda = 0.4
+    for accuracy in (0.99, 0.99, 0.3, 0.95, 0.95, 0.85):
+        ada(x, real_acc=0.0)  # every second call counts
+        ada(x, real_acc=torch.tensor([1.0, -1.0, -1.0]) if accuracy == 0.3 else accuracy)
+        average = 0.4 * average + 0.6 * (1 / 3 if accuracy == 0.3 else accuracy)
+        p = min(p + 0.25, 0.8) if average >= 0.85 else max(p - 0.25, 0.0)
+        assert abs(ada.real_acc_ema - average) < 1e-6 and abs(ada.p - p) < 1e-12
+    ada.p = 0.0
     assert torch.equal(ada(x), x)
     both = Ada(A.RandomInvert(p=1.0), initial_p=1.0, data_keys=["input", "mask"])
     image, mask = both(x, x[:, :1].long())
     torch.testing.assert_close(image, 1 - x)
     assert mask.dtype == torch.int64
+    boxes = [torch.tensor([[1.0, 2.0, 5.0, 6.0]]) for _ in x]
+    lists = Ada(A.RandomHorizontalFlip(p=1.0), initial_p=0.5, data_keys=["input", "bbox_xyxy"])
+    image, moved = lists(x, boxes)
+    kept = (image == x).flatten(1).all(1)
+    assert 15 < kept.sum() < 49
+    assert all(torch.equal(after, before) == same for after, before, same in zip(moved, boxes, kept.tolist()))
     with pytest.raises(ValueError, match="initial_p"):
         Ada(initial_p=2.0)
     with pytest.raises(ValueError, match="keep sizes"):

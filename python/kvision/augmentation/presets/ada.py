@@ -106,9 +106,8 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         self._calls += 1
         if self._calls % self.update_every:
             return
-        weight = self.ema_lambda if self._calls > self.update_every else 0.0
-        self.real_acc_ema = weight * self.real_acc_ema + (1 - weight) * accuracy
-        step = self.adjustment_speed if self.real_acc_ema > self.target_real_acc else -self.adjustment_speed
+        self.real_acc_ema = self.ema_lambda * self.real_acc_ema + (1 - self.ema_lambda) * accuracy
+        step = self.adjustment_speed if self.real_acc_ema >= self.target_real_acc else -self.adjustment_speed
         self.p = min(max(self.p + step, 0.0), self.max_p)
 
     def forward(
@@ -168,6 +167,12 @@ _CHOICE = 1 << 16  # the position in the chain of the draw that chooses samples
 
 
 def _where(chosen: Tensor, new: Any, old: Any) -> Any:
+    if isinstance(new, (list, tuple)) and isinstance(old, (list, tuple)):  # one of each sample
+        return type(new)(after if is_chosen else before for is_chosen, after, before in zip(chosen, new, old))
+    if hasattr(new, "_data") and hasattr(old, "_data"):  # kvision.geometry's Boxes and Keypoints
+        mixed = new.clone()
+        mixed._data = _where(chosen, new._data, old._data)
+        return mixed
     if not isinstance(new, Tensor) or not isinstance(old, Tensor):
         return new
     if new.shape != old.shape:

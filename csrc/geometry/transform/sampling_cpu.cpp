@@ -5,7 +5,7 @@
 #include "geometry/transform/sampling_cpu.h"
 
 #include "core/scratch.h"
-#include "geometry/transform/reverse_row.h"
+#include "geometry/transform/whole_pixels_cpu.h"
 
 namespace kv::geometry::KV_ISA {
 namespace {
@@ -89,66 +89,6 @@ void sample_chunk(Sample<T> const& p, CoordRow<Compute<T>> const& coords, int64_
         for (int n = 0; n < N; ++n) store<1>(out + n * p.y.step, sampled[n]);
       }
     }
-  }
-}
-
-// --- whole pixels ----------------------------------------------------------------------------------------------------
-
-// Flips and shifts by whole pixels copy, whatever the interpolation: weights are 1 and 0.
-KV_HD bool moves_whole_pixels(Homography<double> const& map) {
-  auto const is_one = [](double x) { return x == 1 || x == -1; };
-  auto const is_whole = [](double x) { return x > -(1 << 30) && x < 1 << 30 && x == double(int64_t(x)); };
-  return map.affine && is_one(map.m[0]) && is_one(map.m[4]) && map.m[1] == 0 && map.m[3] == 0 && is_whole(map.m[2]) &&
-         is_whole(map.m[5]);
-}
-
-// Copies `count` pixels of C channels, 0 for any number, side by side; those of the image in either direction.
-template <int C, class T>
-void copy_pixels(T const* from, T* to, int64_t count, int64_t channels, bool reversed) {
-  int64_t const step = C ? C : channels;
-  if (!reversed) {
-    __builtin_memcpy(to, from, size_t(count * step) * sizeof(T));
-    return;
-  }
-  if (step == 1) return reverse_row(from + 1 - count, to, count);
-  for (int64_t x = 0; x < count; ++x)
-    for (int64_t c = 0; c < step; ++c) to[x * step + c] = from[c - x * step];
-}
-
-template <class T>
-void copy_pixels(Sample<T> const& p, int64_t b, int64_t y, int64_t x, int64_t v, int64_t u, int64_t count,
-                 bool reversed) {
-  T const* const from = p.x.row(p.image_of(b), 0, v) + u * p.x.step;
-  T* const to = p.y.row(b, 0, y) + x * p.y.step;
-  int64_t const channels = p.x.channels;
-  bool const pixels_are_dense = p.x.channel_stride == 1 && p.y.channel_stride == 1 && p.x.step == channels;
-  if (p.x.step == 1 && p.y.step == 1)
-    for (int64_t c = 0; c < channels; ++c)
-      copy_pixels<1>(from + c * p.x.channel_stride, to + c * p.y.channel_stride, count, 1, reversed);
-  else if (pixels_are_dense && p.y.step == channels)
-    channels == 3 ? copy_pixels<3>(from, to, count, channels, reversed)
-                  : copy_pixels<0>(from, to, count, channels, reversed);
-  else
-    for (int64_t c = 0; c < channels; ++c)
-      for (int64_t i = 0; i < count; ++i)
-        to[c * p.y.channel_stride + i * p.y.step] = from[c * p.x.channel_stride + (reversed ? -i : i) * p.x.step];
-}
-
-// Rows of a sample whose map moves whole pixels. `sampled(y, first, count)` gives the pixels that are not in the image.
-template <class T, class Sampled>
-void copy_rows(Sample<T> const& p, Homography<double> const& map, int64_t b, int64_t begin, int64_t end,
-               Sampled sampled) {
-  bool const reversed = map.m[0] < 0;
-  int64_t const u = int64_t(map.m[2]), width = p.y.width;
-  int64_t const before = reversed ? u - p.x.width + 1 : -u, after = reversed ? u + 1 : p.x.width - u;
-  int64_t const first = clamp(before, int64_t(0), width), last = clamp(after, first, width);
-  for (int64_t y = begin; y < end; ++y) {
-    int64_t const v = int64_t(map.m[4]) * y + int64_t(map.m[5]);
-    bool const inside = v >= 0 && v < p.x.height && first < last;
-    if (inside) copy_pixels(p, b, y, first, v, reversed ? u - first : u + first, last - first, reversed);
-    int64_t const gap_begin = inside ? first : 0, gap_end = inside ? last : 0;
-    for (int64_t x = 0; x < gap_begin; x += kTileColumns) sampled(y, x, min(gap_begin - x, kTileColumns));
-    for (int64_t x = gap_end; x < width; x += kTileColumns) sampled(y, x, min(width - x, kTileColumns));
   }
 }
 
@@ -311,7 +251,14 @@ void sample_rows(Sample<T> const& p, int64_t begin, int64_t end) {
     int64_t const b = begin / height, last = min(end, (b + 1) * height);
     auto const sampled_of_image = [&](int64_t y, int64_t first, int64_t count) { sampled(b, y, first, count); };
     if (K <= 2 && !p.coords.has_map() && moves_whole_pixels(coords.map_of(p.coords, b))) {
-      copy_rows(p, coords.map_of(p.coords, b), b, begin - b * height, last - b * height, sampled_of_image);
+      copy_rows(p.x, p.image_of(b), p.y, b, coords.map_of(p.coords, b), begin - b * height, last - b * height,
+                [&](Images<T> const& plane, int c, int64_t y, int64_t first, int64_t count) {
+                  if (p.x_axis.padding == Padding::fill)
+                    fill_pixels(plane, b, y, first, count, [&](int k) { return p.fill_value(b, c + k); });
+                  else if (c == 0)  // of all channels
+                    for (int64_t x = 0; x < count; x += kTileColumns)
+                      sampled(b, y, first + x, min(count - x, kTileColumns));
+                });
       begin = last;
       continue;
     }

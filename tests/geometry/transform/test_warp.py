@@ -659,3 +659,33 @@ def test_flips_and_shifts_by_whole_pixels_copy(
             if padding != "border":
                 expected = expected.masked_fill(outside, 0 if padding == "zeros" else 3)
             assert torch.equal(y.nan_to_num(7), expected.nan_to_num(7)), (flips, right, down, mode, padding)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("layout", ["contiguous", "channels_last"])
+@pytest.mark.parametrize("padding", ["zeros", "border", "reflection"])
+def test_gradients_of_whole_pixels_copy(dtype: torch.dtype, layout: str, padding: str, device: torch.device) -> None:
+    """To the pixels that the result reads, and 0 to the others; where the padding repeats pixels they add up."""
+    x = with_layout(torch.rand(2, 3, 5, 150, dtype=dtype, device=device), layout).requires_grad_()
+    matrix = dtype if dtype == torch.float64 else torch.float32
+    for flips, (right, down), mode in itertools.product(
+        ((1, 1), (-1, 1), (1, -1), (-1, -1)), ((0, 0), (-5, -1), (7, -2), (141, 3), (-400, 9)), ("nearest", "bilinear")
+    ):
+        size = (4, 145) if (right, down) == (-5, -1) else (6, 155)
+        last = [(n - 1) * (s < 0) for n, s in zip((150, 5), flips)]
+        m = torch.tensor([[flips[0], 0, last[0] + right], [0, flips[1], last[1] + down], [0, 0, 1]], dtype=matrix)
+        y = G.warp_perspective(x, m.expand(2, 3, 3).to(device), size, mode, padding)
+        grad = with_layout(torch.randint(-4, 5, y.shape, device=device).to(dtype), layout)
+        ours = torch.autograd.grad(y, x, grad)[0]
+        u, v = (
+            (s * (torch.arange(n, device=device) - t - e)).long()
+            for s, n, t, e in zip(flips, reversed(size), (right, down), last)
+        )
+        if padding == "reflection":  # about the centers of the outermost pixels
+            u, v = ((at + n - 1).remainder(2 * n - 2).sub(n - 1).abs() for at, n in ((u, 150), (v, 5)))
+        outside = ((v < 0) | (v > 4))[:, None] | (u < 0) | (u > 149)
+        read = v.clamp(0, 4)[:, None] * 150 + u.clamp(0, 149)
+        expected = torch.zeros(2, 3, 5 * 150, dtype=dtype, device=device)
+        added = (grad.masked_fill(outside, 0) if padding == "zeros" else grad).flatten(2)
+        expected.scatter_add_(2, read.flatten().expand(2, 3, -1), added)
+        assert torch.equal(ours.flatten(2), expected), (flips, right, down, mode)

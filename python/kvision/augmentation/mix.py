@@ -9,11 +9,12 @@ import torch
 from torch import Generator, Tensor
 
 from kvision import geometry
-from kvision._dtype import floats
+from kvision._dtype import compute_dtype, floats
+from kvision._modes import INTERPOLATION, PADDING
 from kvision.augmentation.base import AugmentationBase2D, Execution, Params, where_chosen
-from kvision.augmentation.geometric_base import Resampling, warp, warp_labels
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import BOX_FORMATS
+from kvision.augmentation.maps import exact
 from kvision.augmentation.random_generator.mix import (
     CutmixGenerator,
     JigsawGenerator,
@@ -23,6 +24,7 @@ from kvision.augmentation.random_generator.mix import (
 )
 from kvision.constants import DataKey, Resample
 from kvision.core.exceptions import BaseError, ShapeError, TypeCheckError, ValueCheckError
+from kvision.geometry.transform import sampling
 
 __all__ = ["MixAugmentationBaseV2", "PatchMix", "RandomCutMixV2", "RandomJigsaw", "RandomMixUpV2", "RandomMosaic"]
 
@@ -581,16 +583,25 @@ class RandomMosaic(MixAugmentationBaseV2):
         return self._param_generator.output_size or (int(shape[0]), int(shape[1]))
 
     def _window(self, input: Tensor, params: Params) -> Tensor:
+        """The window of each mosaic, without the mosaic: its pixels are read from all images below each other."""
         b, c, h, w = input.shape
         rows, columns = self._param_generator.mosaic_grid
-        cells = input[params["permutation"].flatten()].reshape(b, rows, columns, c, h, w)
-        mosaic = cells.permute(0, 3, 1, 4, 2, 5).reshape(b, c, rows * h, columns * w)
-        matrix = torch.eye(3, device=input.device).repeat(b, 1, 1)
-        matrix[:, :2, 2] = -params["src"][:, 0].to(matrix)
-        reads = Resampling("nearest")
-        if mosaic.is_floating_point():
-            return warp(mosaic, matrix, self._size(params), reads)
-        return warp_labels(mosaic, matrix, self._size(params), reads)
+        height, width = self._size(params)
+        values = input if input.is_floating_point() else exact(input)
+        start = params["src"][:, 0].round().long().to(input.device)
+        x, y = (start[:, i, None] + torch.arange(n, device=input.device) for i, n in enumerate((width, height)))
+        column, row = x.div(w, rounding_mode="floor"), y.div(h, rounding_mode="floor")
+        is_inside = (0 <= x) & (x < columns * w)
+        is_inside = is_inside[:, None] & ((0 <= y) & (y < rows * h))[:, :, None]
+        cell = (row.clamp(0, rows - 1) * columns)[:, :, None] + column.clamp(0, columns - 1)[:, None]
+        sample = params["permutation"].to(input.device).gather(1, cell.flatten(1)).reshape(cell.shape)
+        map_x = torch.where(is_inside, (x - column * w)[:, None], -2)
+        map_y = sample * h + (y - row * h)[:, :, None]
+        dtype = compute_dtype(values)
+        options = (INTERPOLATION["nearest"], PADDING["fill"], True, False, False)
+        below = values.transpose(0, 1).reshape(1, c, b * h, w)
+        window: Tensor = sampling.remap(below, map_x.to(dtype), map_y.to(dtype), None, None, *options)
+        return window.to(input.dtype)
 
     def _unmixed(self, x: Tensor, mixed: Tensor) -> Tensor:
         size = (mixed.shape[-2], mixed.shape[-1])

@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 
 from kvision.augmentation.base import Execution, Params, per_sample
-from kvision.augmentation.draws import integer, philox
+from kvision.augmentation.draws import integer
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.mix import MixAugmentationBaseV2
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
@@ -114,6 +114,7 @@ class RandomTransplantation(MixAugmentationBaseV2):
         donors, selection = drawn["donor_indices"].to(masks.device), drawn["selection"].to(masks.device)
         acceptors = drawn["acceptor_indices"].to(masks.device)
         outputs = []
+        is_next = execution.columns is not None and execution.applied  # every sample receives from the one before it
         for key, x in zip(keys, input):
             extra = x.dim() - masks.dim()
             if x.shape[0] != masks.shape[0] or extra not in (0, 1) or x.shape[1 + extra :] != masks.shape[1:]:
@@ -121,6 +122,9 @@ class RandomTransplantation(MixAugmentationBaseV2):
                     f"{op}: expected {key.name.lower()} of the size of masks {tuple(masks.shape)}, got {tuple(x.shape)}"
                 )
             chosen = selection[:, None] if extra else selection
+            if is_next:
+                outputs.append(torch.where(chosen, x.roll(1, 0), x))
+                continue
             pasted = torch.where(chosen, x[donors], x[acceptors])
             outputs.append(x.index_copy(0, acceptors, pasted) if acceptors.numel() else x)
         return outputs[0] if len(outputs) == 1 else outputs
@@ -174,13 +178,24 @@ class RandomTransplantation(MixAugmentationBaseV2):
         Every label has a random rank that depends on the sample; the label of the pixel with the highest rank is taken.
         """
         flat = donors.flatten(1).long()
-        rank = philox(words[:, None], (flat & 0xFFFFFFFF, torch.zeros_like(flat), 0, 0))[0]
+        rank = _mixed(flat ^ _mixed(words)[:, None])
         for label in self.excluded_labels:
             rank = torch.where(flat == label, -1, rank)
         if flat.shape[1] == 0:
             return flat.new_zeros(flat.shape[0]), flat.new_zeros(flat.shape[0], *[1] * (donors.dim() - 1)).bool()
         best, at = rank.max(1, keepdim=True)
         return flat.gather(1, at)[:, 0].to(donors.dtype), per_sample(best >= 0, donors)
+
+
+def _mixed(x: Tensor) -> Tensor:
+    """The lowest 32 bits of integers as others, one for each: after shifts and products every bit depends on all.
+
+    With the numbers of C. Wellons's hash `lowbias32`.
+    """
+    x = x & 0xFFFFFFFF
+    for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
+        x = (x ^ (x >> shift)) * factor & 0xFFFFFFFF
+    return x ^ (x >> 16)
 
 
 class RandomTransplantation3D(RandomTransplantation):

@@ -94,15 +94,19 @@ class LinearIlluminationGenerator(RandomGeneratorBase):
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
         gain, sign, direction = columns.double().unbind(1)
-        y, x = (torch.linspace(0, 1, n, dtype=torch.float64, device=columns.device) for n in shape[-2:])
-        y, x = y[:, None].expand(-1, len(x)), x.expand(len(y), -1)
-        ramps = torch.stack(self._ramps(x, y))
-        return {"gradient": _light(ramps[direction.long()], gain, sign, shape).to(columns.dtype)}
+        height, width = shape[-2:]
+        down, right = (ramp[direction.long()] for ramp in self._ramps(_ramp(height, columns), _ramp(width, columns)))
+        ends = torch.stack([torch.stack([a.amin(1), a.amax(1)]) for a in (down, right)]).sum(0)
+        factor = (_signed(gain, sign) / (ends[1] - ends[0]).clamp(min=1e-12))[:, None]
+        down, right = (
+            (factor * (a - a.amin(1, keepdim=True))).to(columns.dtype) for a in (down, right)
+        )  # rows and columns, whose sum is the map
+        return {"gradient": (down[:, :, None] + right[:, None])[:, None].expand(*shape)}
 
     @staticmethod
-    def _ramps(x: Tensor, y: Tensor) -> list[Tensor]:
-        """The ramps toward the lower, upper, right and left edge."""
-        return [y, 1 - y, x, 1 - x]
+    def _ramps(y: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+        """The parts (4, H) and (4, W) of the ramps toward the lower, upper, right and left edge."""
+        return torch.stack([y, 1 - y, 0 * y, 0 * y]), torch.stack([0 * x, 0 * x, x, 1 - x])
 
 
 class LinearCornerIlluminationGenerator(LinearIlluminationGenerator):
@@ -128,9 +132,13 @@ class LinearCornerIlluminationGenerator(LinearIlluminationGenerator):
     _op = "RandomLinearCornerIllumination"
 
     @staticmethod
-    def _ramps(x: Tensor, y: Tensor) -> list[Tensor]:
-        """The ramps toward the lower right, lower left, upper right and upper left corner."""
-        return [(x + y) / 2, (1 - x + y) / 2, (1 + x - y) / 2, (2 - x - y) / 2]
+    def _ramps(y: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Those of the ramps toward the lower right, lower left, upper right and upper left corner."""
+        return torch.stack([y, y, 1 - y, 1 - y]), torch.stack([x, 1 - x, x, 1 - x])
+
+
+def _ramp(size: int, like: Tensor) -> Tensor:
+    return torch.linspace(0, 1, size, dtype=torch.float64, device=like.device)
 
 
 def _bump(center: Tensor, sigma: Tensor, size: int) -> Tensor:
@@ -144,5 +152,8 @@ def _light(maps: Tensor, gain: Tensor, sign: Tensor, shape: Shape) -> Tensor:
     """Maps (B, H, W), stretched to 0 and 1, times gain and sign."""
     low, high = (extreme((1, 2), keepdim=True) for extreme in (maps.amin, maps.amax))
     stretched = (maps - low) / (high - low).clamp(min=1e-12)
-    factor = torch.where(sign < 0, -gain, gain)
-    return (factor[:, None, None] * stretched)[:, None].expand(*shape)
+    return (_signed(gain, sign)[:, None, None] * stretched)[:, None].expand(*shape)
+
+
+def _signed(gain: Tensor, sign: Tensor) -> Tensor:
+    return torch.where(sign < 0, -gain, gain)

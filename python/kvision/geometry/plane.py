@@ -122,9 +122,11 @@ def _least_plane(points: Tensor) -> tuple[Tensor, Tensor]:
 
 def scatter_of(offsets: Tensor, weights: Tensor | None = None) -> Tensor:
     """Sums (*, D, D) of products of offsets (*, N, D) from their mean, up to a factor."""
+    is_wide = offsets.dtype == torch.float64
     offsets = promoted(offsets)
-    scale = offsets.detach().abs().amax((-2, -1), keepdim=True)
-    offsets = offsets / scale.clamp(min=torch.finfo(scale.dtype).tiny)
+    if is_wide or offsets.dtype != torch.float64:  # products of narrower types are within the range of float64
+        scale = offsets.detach().abs().amax((-2, -1), keepdim=True)
+        offsets = offsets / scale.clamp(min=torch.finfo(scale.dtype).tiny)
     heavy = offsets if weights is None else offsets * promoted(weights)[..., None]
     return heavy.mT @ offsets
 

@@ -10,7 +10,13 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._ops import with_kernel_casts
-from kvision.geometry.conversions.series import angle_per_tangent, angle_per_tangent_derivative, cos, sinc, squared
+from kvision.geometry.conversions.series import (
+    angle_per_tangent,
+    angle_per_tangent_with_derivatives,
+    cos,
+    sinc,
+    squared,
+)
 
 __all__ = [
     "distort_points_affine",
@@ -230,20 +236,22 @@ def dx_distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor
 
 @with_kernel_casts
 def _fisheye_jacobian(points: Tensor, params: Tensor) -> Tensor:
-    square = squared(points)
+    x, y = points.unbind(-1)
+    fx, fy, _, _, *k = params.unbind(-1)
+    square = torch.addcmul(x * x, y, y)
     # As in _radial_scale. The derivatives are with respect to the squared distance.
-    per_radius = angle_per_tangent(square)
-    grad_per_radius = angle_per_tangent_derivative(square, per_radius)
-    angle = per_radius.square() * square
-    grad_angle = per_radius * torch.addcmul(per_radius, grad_per_radius, square, value=2)
-    k = params[..., 4:].split(1, -1)
+    per_radius, grad_per_radius, slope = angle_per_tangent_with_derivatives(square)
+    angle = per_radius * per_radius * square
     polynomial = _polynomial(angle, k)
-    scale = per_radius * polynomial
     grad_polynomial = torch.addcmul(k[0], angle, 2 * k[1] + angle * torch.addcmul(3 * k[2], angle, k[3], value=4))
-    grad_scale = grad_per_radius * polynomial + per_radius * grad_polynomial * grad_angle
-    isotropic = torch.diag_embed(scale.expand(*scale.shape[:-1], 2))
-    radial = 2 * grad_scale[..., None] * points[..., :, None] * points[..., None, :]
-    return params[..., :2, None] * (isotropic + radial)
+    scale = per_radius * polynomial
+    twice = 2 * torch.addcmul(grad_per_radius * polynomial, per_radius * per_radius * slope, grad_polynomial)
+    right, down = twice * x, twice * y
+    mixed = right * y
+    entries = torch.broadcast_tensors(
+        fx * torch.addcmul(scale, right, x), fx * mixed, fy * mixed, fy * torch.addcmul(scale, down, y)
+    )
+    return torch.stack(entries, -1).unflatten(-1, (2, 2))
 
 
 def _points(op: str, points: Tensor, params: Tensor, count: int) -> Tensor:

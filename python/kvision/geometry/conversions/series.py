@@ -35,16 +35,19 @@ def angle_per_tangent(tangent: Tensor) -> Tensor:
     """atan(t) / t, where `tangent` is t squared, differentiable at 0."""
     small = tangent < 1e-4
     series = 1 - tangent * (1 / 3 - tangent * (1 / 5 - tangent / 7))
-    t = torch.where(small, 1, tangent).sqrt()
+    t = tangent.clamp(min=1e-4).sqrt()
     return torch.where(small, series, t.atan() / t)
 
 
-def angle_per_tangent_derivative(tangent: Tensor, angle_per_tangent: Tensor) -> Tensor:
-    """The derivative of `angle_per_tangent`, given as well, with respect to t squared; differentiable at 0."""
-    small = tangent < 1e-3
-    series = -1 / 3 + tangent * (2 / 5 - tangent * (3 / 7 - tangent * (4 / 9 - tangent * (5 / 11))))
-    square = torch.where(small, 1, tangent)
-    return torch.where(small, series, (1 / (1 + square) - angle_per_tangent) / (2 * square))
+def angle_per_tangent_with_derivatives(tangent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """`angle_per_tangent`, its derivative with respect to t squared, and that of atan(t) with respect to t."""
+    slope = 1 / (1 + tangent)
+    square = tangent.clamp(min=1e-3)
+    t = square.sqrt()
+    series = tangent * (3 / 7 - tangent * (4 / 9 - tangent * (5 / 11)))
+    series = torch.addcmul(tangent * (2 / 5) - 1 / 3, tangent, series, value=-1)
+    derivative = torch.where(tangent < 1e-3, series, (slope - t.atan() / t) / (2 * square))
+    return torch.addcmul(slope, tangent, derivative, value=-2), derivative, slope
 
 
 def squared(x: Tensor) -> Tensor:

@@ -241,7 +241,7 @@ def _perpendicular(line: Tensor, points: Tensor) -> Tensor:
     a, b, _ = line.unbind(-1)
     x, y, *w = points.unbind(-1)
     first, second = (w[0] * a, w[0] * b) if w else (a, b)
-    last = torch.addcmul(x * b, y, a, value=-1)
+    last = x * b - y * a
     if first.shape != last.shape:
         first, second = first.expand_as(last), second.expand_as(last)
     return torch.stack((0 - second, first, last), -1)  # no negative zeros

@@ -349,7 +349,8 @@ def crop_by_indices(
     _check.choice(op, "shape_compensation", shape_compensation, ("resize", "pad"))
     boxes = src_box.long()
     corners = torch.cat([boxes[:, 0], boxes[:, 2] + 1], -1).tolist()
-    crops = [image[None, :, y0:y1, x0:x1] for image, (x0, y0, x1, y1) in zip(input_tensor, corners)]
+    images = [input_tensor] if len(corners) == 1 else input_tensor.split(1)  # whose gradient is copied
+    crops = [image[..., y0:y1, x0:x1] for image, (x0, y0, x1, y1) in zip(images, corners)]
     sizes = {tuple(crop.shape[2:]) for crop in crops}
     if size is None:
         if len(sizes) != 1:

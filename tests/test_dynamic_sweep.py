@@ -29,7 +29,6 @@ NUMBERS = "gives Python's numbers, or none but an error, for the values"
 LEFT_OUT = {
     **dict.fromkeys(("geometry.crop_by_boxes", "geometry.crop_by_boxes3d", "geometry.crop_by_indices"), SIZE_OF_DATA),
     "geometry.nms": SIZE_OF_DATA,
-    **dict.fromkeys(("image.draw_line", "image.draw_rectangle"), "the number of drawn pixels depends on the values"),
     **dict.fromkeys(
         (
             "geometry.validate_bbox",

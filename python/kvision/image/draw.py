@@ -88,11 +88,14 @@ def draw_line(image: Tensor, p1: Tensor, p2: Tensor, color: Any) -> Tensor:
         )
     delta = end - start
     steps = delta.abs().amax(1)
-    line = torch.arange(len(steps)).repeat_interleave(steps + 1)  # one entry a pixel: the index of its line
-    t = torch.arange(len(line)) - (steps.cumsum(0) - steps)[line] - line  # and its step along that line
+    # Shorter lines repeat their end. In a graph, which knows no values, all are as long as the longest possible one.
+    is_readable = _check.values_are_readable(steps)
+    count = int(steps.amax()) + 1 if is_readable and len(steps) else torch.sym_max(*image.shape[1:])
+    t = torch.minimum(torch.arange(count), steps[:, None])[..., None]
     # start + t * delta / n, rounded half up in integers: float steps would round an exact half either way.
-    t, n = t[:, None], steps.clamp_min(1)[line, None]
-    _plot(image, start[line] + (2 * t * delta[line] + n).div(2 * n, rounding_mode="floor"), colors)
+    n = steps.clamp_min(1)[:, None, None]
+    pixels = start[:, None] + (2 * t * delta[:, None] + n).div(2 * n, rounding_mode="floor")
+    _plot(image, pixels.flatten(0, 1), colors)
     return image
 
 
@@ -125,7 +128,7 @@ def draw_rectangle(
                 [0., 1., 1., 1., 0.]])
     """
     _check.shape("draw_rectangle", "image", image, "B", "C", "H", "W")
-    _check.shape("draw_rectangle", "rectangle", rectangle, len(image), "N", 4)
+    _check.shape("draw_rectangle", "rectangle", rectangle, image.shape[0], "N", 4)
     line_width = _check.scalar("draw_rectangle", "line_width", line_width)
     if not _check.is_int(line_width) or line_width < 1:
         raise ValueCheckError(
@@ -134,6 +137,8 @@ def draw_rectangle(
         )
     colors = _colors("draw_rectangle", "color", 0 if color is None else color, image, rectangle.shape[:2])
     corners = _nearest_pixels("draw_rectangle", "rectangle", rectangle)
+    if not _check.values_are_readable(corners):
+        return image.copy_(_with_rectangles(image, corners.to(image.device), colors, None if fill else line_width))
     for b, boxes in enumerate(corners.tolist()):
         for n, (xa, ya, xb, yb) in enumerate(boxes):
             left, right, top, bottom = min(xa, xb), max(xa, xb) + 1, min(ya, yb), max(ya, yb) + 1
@@ -149,6 +154,26 @@ def draw_rectangle(
             for y0, y1, x0, x1 in bands:
                 image[b, :, max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)] = colors[b, n, :, None, None]
     return image
+
+
+def _with_rectangles(image: Tensor, corners: Tensor, colors: Tensor, line_width: int | None) -> Tensor:
+    """`image` with rectangles whose values are not known: for each pixel the color of the last one that covers it."""
+    if corners.shape[1] == 0:
+        return image
+    (left, top), (right, bottom) = (extreme.unbind(2) for extreme in corners.unflatten(2, (2, 2)).aminmax(dim=2))
+    is_inside, is_inner = [], []
+    for first, last, size in ((left, right, image.shape[3]), (top, bottom, image.shape[2])):
+        at = torch.arange(size, device=image.device)
+        first, last = first[..., None], last[..., None]
+        is_inside.append((first <= at) & (at <= last))
+        is_inner.append((first + (line_width or 0) <= at) & (at <= last - (line_width or 0)))
+    is_drawn, is_empty = (x[:, :, None] & y[..., None] for x, y in (is_inside, is_inner))
+    if line_width is not None:
+        is_drawn = is_drawn & ~is_empty
+    number = torch.arange(corners.shape[1], device=image.device)[:, None, None]
+    covering = torch.where(is_drawn, number, -1).amax(1)  # (B, H, W)
+    batch = torch.arange(image.shape[0], device=image.device)[:, None, None]
+    return torch.where(covering[:, None] >= 0, colors[batch, covering.clamp(min=0)].movedim(-1, 1), image)
 
 
 def draw_convex_polygon(images: Tensor, polygons: Tensor | Sequence[Tensor], colors: Any) -> Tensor:

@@ -159,6 +159,7 @@ def zca_whiten(inp: Tensor, dim: int = 0, unbiased: bool = True, eps: float = 1e
                 [-1.2247,  0.0000],
                 [ 0.0000, -1.2247]])
     """
+    _check.numbers("zca_whiten", "inp", inp)
     transform, mean, _ = zca_mean(inp, dim, unbiased, eps)
     return linear_transform(inp, transform, mean, dim)
 

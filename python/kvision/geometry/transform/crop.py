@@ -246,6 +246,7 @@ def crop_by_transform_mat(
         tensor([[[[ 5.,  6.],
                   [ 9., 10.]]]])
     """
+    _check.images("crop_by_transform_mat", "input_tensor", input_tensor)
     _check.numbers("crop_by_transform_mat", "transform", transform)
     if transform.dim() != 3 or transform.shape[1:] not in ((2, 3), (3, 3)):
         raise ShapeError(

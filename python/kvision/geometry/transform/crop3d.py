@@ -128,6 +128,7 @@ def crop_by_transform_mat3d(
         >>> K.geometry.crop_by_transform_mat3d(torch.rand(1, 1, 3, 4, 5), torch.eye(4)[None], (1, 2, 2)).shape
         torch.Size([1, 1, 1, 2, 2])
     """
+    _check.numbers("crop_by_transform_mat3d", "tensor", tensor)
     _check.numbers("crop_by_transform_mat3d", "transform", transform)
     if transform.dim() != 3 or transform.shape[1:] not in ((3, 4), (4, 4)):
         raise ShapeError(

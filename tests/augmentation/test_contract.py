@@ -288,3 +288,14 @@ def test_numbers_that_stand_for_ranges_out_of_bounds(make: Any, message: str) ->
     with pytest.raises(ValueError, match=message):
         make()
     A.ColorJitter(2.0, 2.0, 2.0, 0.5)  # factors begin at 0
+
+
+def test_parameters_that_lack_a_name() -> None:
+    augment = A.RandomAffine(30.0, p=1.0)
+    with pytest.raises(ValueError, match="RandomAffine: expected params with 'shear_x', got angle, "):
+        augment(images(), params={"angle": torch.zeros(6), **{k: v for k, v in _params(augment).items() if k != "shear_x"}})
+
+
+def _params(augment: Any) -> dict[str, Any]:
+    augment(images())
+    return dict(augment._params)

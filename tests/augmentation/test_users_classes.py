@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import pickle
 from typing import Any
 
@@ -171,5 +172,7 @@ def test_repr_has_the_arguments() -> None:
     assert "p=0.7" in repr(augment) and "align_corners=True" in repr(augment)
     assert repr(copy.deepcopy(augment)) == repr(pickle.loads(pickle.dumps(augment))) == repr(augment)
     assert repr(Gain(0.5, high=0.9)) == "Gain(low=0.5, high=0.9, p=0.5, p_batch=1.0, same_on_batch=False)"
+    assert repr(DiagonalFlip(0.2)) == "DiagonalFlip(p=0.2, p_batch=1.0, same_on_batch=False)"
+    assert list(inspect.signature(A.AugmentationBase2D).parameters)[:2] == ["p", "p_batch"]
     inside = A.AugmentationSequential(A.RandomBrightness((0.5, 1.5)), data_keys=["image"])
     assert "RandomBrightness(brightness=(0.5, 1.5), clip_output=True, p=1.0" in repr(inside)

@@ -75,7 +75,18 @@ class Execution:
         return self._chosen
 
 
-class AugmentationBase(nn.Module):
+class _KeepsArguments(nn.Module):
+    """A module that knows what its constructor was given, for `repr`."""
+
+    _arguments: Any = ((), {})  # or their text by name
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Any:
+        self = super().__new__(cls)
+        self.__dict__["_arguments"] = (args, kwargs)
+        return self
+
+
+class AugmentationBase(_KeepsArguments):
     """What augmentations of images and of volumes share; see the module."""
 
     axes: ClassVar[int]  # of an image with its channels: 3, of a volume: 4
@@ -83,7 +94,6 @@ class AugmentationBase(nn.Module):
     accepts_bytes: ClassVar[bool] = True  # otherwise uint8 images are computed in float32, in [0, 1]
     keeps_lines: ClassVar[bool] = True  # straight lines stay straight, so that the corners of a box say where it is
     _execution: Execution | None = None  # of the last call
-    _arguments: Any = ((), {})  # of the constructor, or their text by name
     fuses_noise: ClassVar[bool] = False  # `apply_transform` takes "_noise" instead of the parameters of pixels
 
     def __init__(
@@ -125,11 +135,6 @@ class AugmentationBase(nn.Module):
         state = {name: value for name, value in self.__dict__.items() if name != "_execution"}
         return {**state, "_arguments": self._given()}
 
-    def __new__(cls, *args: Any, **kwargs: Any) -> Any:
-        self = super().__new__(cls)
-        self.__dict__["_arguments"] = (args, kwargs)  # what `repr` shows of them
-        return self
-
     def __repr__(self) -> str:
         if any(name != "_param_generator" for name, _ in self.named_children()):
             return super().__repr__()
@@ -145,10 +150,10 @@ class AugmentationBase(nn.Module):
         if isinstance(self._arguments, dict):
             return self._arguments
         args, kwargs = self._arguments
-        bound = inspect.signature(type(self)).bind_partial(*args, **kwargs)
+        bound = inspect.signature(type(self).__init__).bind_partial(self, *args, **kwargs)
         bound.apply_defaults()
         given: dict[str, Any] = {}
-        for name, value in bound.arguments.items():
+        for name, value in list(bound.arguments.items())[1:]:  # the first one is self
             is_options = bound.signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD
             given.update(value if is_options else {name: value})
         common = ("p", "p_batch", "same_on_batch", "keepdim", "generator", "return_transform")
@@ -319,7 +324,12 @@ class AugmentationBase(nn.Module):
         if self._param_generator is None:
             values, draws = torch.empty(shape[0], 0, device=device), []
         else:
-            values = self._param_generator.to_columns(self._on_device(params, device), shape).to(device)
+            try:
+                values = self._param_generator.to_columns(self._on_device(params, device), shape).to(device)
+            except KeyError as error:
+                raise ValueCheckError(
+                    f"{type(self).__name__}: expected params with {error.args[0]!r}, got {', '.join(params)}"
+                ) from None
             draws = list(self._param_generator.draws(shape))
         if values.dtype != torch.float64:
             values = values.float()

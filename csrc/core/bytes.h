@@ -2,6 +2,10 @@
 // files.
 #pragma once
 
+#if defined(__ARM_NEON)
+#include <arm_neon.h>
+#endif
+
 #include "lanes.h"
 
 namespace kv {
@@ -62,6 +66,99 @@ KV_HD Lanes<uint16_t, N> high_product(Lanes<uint16_t, N> a, uint16_t b) {
     return V(uint32_t(a) * b >> 16);
   else
     return __builtin_convertvector(__builtin_convertvector(a, Lanes<uint32_t, N>) * uint32_t(b) >> 16, V);
+}
+
+// Bytes as numbers of 16 bits.
+template <int N>
+KV_HD Lanes<int16_t, N> load_words(uint8_t const* p) {
+#if defined(__AVX2__)
+  if constexpr (N == 16) return (Lanes<int16_t, N>)_mm256_cvtepu8_epi16(_mm_loadu_si128((__m128i const*)p));
+#endif
+#if defined(__AVX512BW__)
+  if constexpr (N == 32) return (Lanes<int16_t, N>)_mm512_cvtepu8_epi16(_mm256_loadu_si256((__m256i const*)p));
+#endif
+  if constexpr (N == 1)
+    return *p;
+  else
+    return __builtin_convertvector(load_bytes<N>(p), Lanes<int16_t, N>);
+}
+
+// a b / 2^15, rounded half up.
+template <int N>
+KV_HD Lanes<int16_t, N> rounded_product(Lanes<int16_t, N> a, Lanes<int16_t, N> b) {
+  using V = Lanes<int16_t, N>;
+#if defined(__SSSE3__)
+  if constexpr (N == 8) return (V)_mm_mulhrs_epi16((__m128i)a, (__m128i)b);
+#if defined(__AVX2__)
+  if constexpr (N == 16) return (V)_mm256_mulhrs_epi16((__m256i)a, (__m256i)b);
+#endif
+#if defined(__AVX512BW__)
+  if constexpr (N == 32) return (V)_mm512_mulhrs_epi16((__m512i)a, (__m512i)b);
+#endif
+#elif defined(__ARM_NEON)
+  if constexpr (N == 8) return (V)vqrdmulhq_s16((int16x8_t)a, (int16x8_t)b);
+#endif
+  if constexpr (N == 1) {
+    return V((int32_t(a) * b + 0x4000) >> 15);
+  } else {
+    using Wide = Lanes<int32_t, N>;
+    Wide const product = __builtin_convertvector(a, Wide) * __builtin_convertvector(b, Wide);
+    return __builtin_convertvector((product + 0x4000) >> 15, V);
+  }
+}
+
+// The sums of two adjacent products, a[2 i] b[2 i] + a[2 i + 1] b[2 i + 1].
+template <int N>
+KV_HD Lanes<int32_t, N> pair_products(Lanes<int16_t, 2 * N> a, Lanes<int16_t, 2 * N> b) {
+  using V = Lanes<int32_t, N>;
+#if defined(__x86_64__)
+  if constexpr (N == 4) return (V)_mm_madd_epi16((__m128i)a, (__m128i)b);
+#if defined(__AVX2__)
+  if constexpr (N == 8) return (V)_mm256_madd_epi16((__m256i)a, (__m256i)b);
+#endif
+#elif defined(__ARM_NEON)
+  if constexpr (N == 4) {
+    int16x8_t const x = (int16x8_t)a, y = (int16x8_t)b;
+    return (V)vpaddq_s32(vmull_s16(vget_low_s16(x), vget_low_s16(y)), vmull_high_s16(x, y));
+  }
+#endif
+  V sum;
+  for (int i = 0; i < N; ++i) sum[i] = int32_t(a[2 * i]) * b[2 * i] + int32_t(a[2 * i + 1]) * b[2 * i + 1];
+  return sum;
+}
+
+// Byte index[i] of the 16 bytes in whose place byte i stands; 0 where index[i] is kNoByte.
+constexpr uint8_t kNoByte = 0x80;
+template <class V>
+KV_HD V permuted_bytes(V v, V index) {
+#if defined(__SSSE3__)
+  if constexpr (sizeof(V) == 16) return (V)_mm_shuffle_epi8((__m128i)v, (__m128i)index);
+#if defined(__AVX2__)
+  if constexpr (sizeof(V) == 32) return (V)_mm256_shuffle_epi8((__m256i)v, (__m256i)index);
+#endif
+#elif defined(__ARM_NEON)
+  if constexpr (sizeof(V) == 16) return (V)vqtbl1q_u8((uint8x16_t)v, (uint8x16_t)index);
+#endif
+  V result;
+  for (int i = 0; i < int(sizeof(V)); ++i) result[i] = index[i] == kNoByte ? 0 : v[(i & ~15) + index[i]];
+  return result;
+}
+
+// Integers, clamped to bytes.
+template <int N>
+KV_HD void store_clamped(uint8_t* p, Lanes<int32_t, N> v) {
+#if defined(__AVX2__)
+  if constexpr (N == 8) {
+    __m128i const words = _mm_packs_epi32(_mm256_castsi256_si128((__m256i)v), _mm256_extracti128_si256((__m256i)v, 1));
+    return _mm_storel_epi64((__m128i*)p, _mm_packus_epi16(words, words));
+  }
+#endif
+  v = v > 0 ? v : Lanes<int32_t, N>{};
+  v = v < 255 ? v : Lanes<int32_t, N>{} + 255;
+  if constexpr (N == 1)
+    *p = uint8_t(v);
+  else
+    store_bytes<N>(p, __builtin_convertvector(v, Lanes<uint8_t, N>));
 }
 
 // A function of bytes by its 256 values, which are looked up 16 at a time.

@@ -1,12 +1,11 @@
 // Vectors against single elements, for one instruction set: compiled once for each. Single elements are tested against
 // the definition of the formats here (bytes) and in half_test.cpp.
-#include "core/lanes.h"
-
 #include <cmath>
 #include <cstring>
 #include <vector>
 
 #include "check.h"
+#include "core/bytes.h"
 
 namespace {
 
@@ -117,6 +116,39 @@ void all() {
   ranges_are_covered<T>();
 }
 
+// Integers of 16 bits and bytes, N words at a time, against formulas of one element.
+template <int N>
+void words() {
+  using Words = kv::Lanes<int16_t, N>;
+  auto const a = patterns<int16_t>(N * 64), b = patterns<int16_t>(N * 64 + 7);
+  for (int k = 0; k < 64; ++k) {
+    Words const x = *reinterpret_cast<Words const*>(&a[k * N]), y = *reinterpret_cast<Words const*>(&b[k * N + 7]);
+    Words const product = kv::rounded_product<N>(x, y);
+    auto const sums = kv::pair_products<N / 2>(x, y);
+    for (int i = 0; i < N; ++i) {
+      int const exact = int(x[i]) * y[i];
+      CHECK(product[i] == (exact + 0x4000) >> 15, i, x[i], y[i], product[i]);
+      if (i % 2 == 1) CHECK(sums[i / 2] == exact + int(x[i - 1]) * y[i - 1], i, sums[i / 2]);
+    }
+    uint8_t clamped[N / 2];
+    kv::store_clamped<N / 2>(clamped, kv::Lanes<int32_t, N / 2>(sums >> 20));
+    for (int i = 0; i < N / 2; ++i) {
+      int const level = sums[i] >> 20;
+      CHECK(clamped[i] == (level < 0 ? 0 : level > 255 ? 255 : level), level, int(clamped[i]));
+    }
+    using Bytes = kv::Lanes<uint8_t, 2 * N>;
+    auto const bytes = __builtin_bit_cast(Bytes, x);
+    Bytes index = __builtin_bit_cast(Bytes, y);
+    for (int i = 0; i < 2 * N; ++i) index[i] = index[i] < 64 ? kv::kNoByte : index[i] % 16;
+    Bytes const picked = kv::permuted_bytes(bytes, index);
+    for (int i = 0; i < 2 * N; ++i)
+      CHECK(picked[i] == (index[i] == kv::kNoByte ? 0 : bytes[i / 16 * 16 + index[i]]), i, int(index[i]));
+    auto const* const from = reinterpret_cast<uint8_t const*>(&a[k]);
+    Words const loaded = kv::load_words<N>(from);
+    for (int i = 0; i < N; ++i) CHECK(loaded[i] == from[i], i, loaded[i]);
+  }
+}
+
 bool has_instruction_set() {
 #if defined(__AVX512F__)
   return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
@@ -138,6 +170,8 @@ int main() {
   all<kv::BFloat16>();
   all<uint8_t>();
   bytes_round_half_to_even_and_saturate();
+  words<8>();
+  if constexpr (kv::kVectorBytes >= 32) words<16>();
   square_roots<float, 1>();
   square_roots<float, kv::kLanes<float>>();
   square_roots<double, kv::kLanes<double>>();

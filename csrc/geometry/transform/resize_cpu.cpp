@@ -3,7 +3,7 @@
 //
 // The first taps of a vector of the result are close together unless the image shrinks a lot. One or two loads and a
 // permutation then read them, and likewise the second taps and so on.
-#include "core/lanes.h"
+#include "core/bytes.h"
 #include "core/scratch.h"
 #include "geometry/transform/resize.h"
 
@@ -194,10 +194,198 @@ void resize_rows(Resize<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+// --- bytes -----------------------------------------------------------------------------------------------------------
+
+// Bytes are resized in fixed point. Lines have kFraction bits below a level, so that 16 bits hold what negative weights
+// add to the range of bytes. Weights, which may exceed 1, have kWeightBits.
+constexpr int kWeightBits = 14, kFraction = 6, kMaxByteTaps = 64;
+
+// The weights of one pixel. The largest one takes the rounding errors, so that a constant image stays constant.
+inline Contributors<float> write_byte_weights(int16_t* to, ResizeAxis const& axis, int64_t index) {
+  float weights[kMaxByteTaps];
+  Contributors<float> const reads = write_weights(weights, 1, axis, index);
+  float sum = 0;
+  int rest = 0, largest = 0;
+  for (int k = 0; k < reads.count; ++k) {
+    to[k] = int16_t(vfloor(weights[k] * (1 << kWeightBits) + 0.5f));
+    sum += weights[k], rest -= to[k];
+    if (weights[k] > weights[largest]) largest = k;
+  }
+  if (reads.count > 0) to[largest] += int16_t(rest + int(vfloor(sum * (1 << kWeightBits) + 0.5f)));
+  return reads;
+}
+
+// How a row of bytes comes from its line, N elements at a time, in parts of four elements. Taps are read in pairs. A
+// part reads its first pairs from `chunks` of eight adjacent elements, the first of which begins at `from`; `index`
+// permutes them. The next pairs are two pixels further on.
+struct ByteColumns {
+  static constexpr int kBytes = kVectorBytes < 32 ? kVectorBytes : 32, N = kBytes / 4, kParts = kBytes / 16;
+  static constexpr int kMaxChunks = 4;
+  using Bytes = Lanes<uint8_t, kBytes>;
+  int64_t size, groups;
+  int pairs, chunks;
+  Scratch<int64_t> from;     // by group and part
+  Scratch<uint8_t> index;    // by group and chunk
+  Scratch<int16_t> weights;  // by group and pair
+
+  KV_HD int64_t start(int64_t group) const { return min(group * N, size - N); }
+
+  ByteColumns(ResizeAxis const& axis, int64_t size, int64_t step)
+      : size(size),
+        groups((size + N - 1) / N),
+        pairs((axis.max_taps + 1) / 2),
+        from(groups * kParts),
+        index(groups * kMaxChunks * kBytes),
+        weights(groups * pairs * 2 * N) {
+    int64_t const width = size / step;
+    Scratch<int16_t> pixel_weights(width * 2 * pairs);
+    Scratch<int64_t> firsts(width);
+    for (int64_t x = 0; x < width; ++x) {
+      int16_t* const to = pixel_weights.data + x * 2 * pairs;
+      for (int k = 0; k < 2 * pairs; ++k) to[k] = 0;
+      firsts.data[x] = write_byte_weights(to, axis, x).first;
+    }
+    int64_t reach = 0;  // from the first element that a part reads to the last one of its first pairs
+    auto const for_each = [&](auto call) {
+      int64_t x = 0, channel = 0;
+      for (int64_t g = 0; g < groups; ++g) {
+        if (g + 1 == groups) x = start(g) / step, channel = start(g) - x * step;
+        for (int i = 0; i < N; ++i, ++channel) {
+          if (channel == step) ++x, channel = 0;
+          call(g, i, x, firsts.data[x] * step + channel);
+        }
+      }
+    };
+    for_each([&](int64_t g, int i, int64_t, int64_t first) {
+      int64_t& lowest = from.data[g * kParts + i / 4];
+      if (i % 4 == 0 || first < lowest) lowest = first;
+    });
+    for_each([&](int64_t g, int i, int64_t, int64_t first) {
+      reach = max(reach, first - from.data[g * kParts + i / 4] + step);
+    });
+    chunks = int(min(reach / 8 + 1, int64_t(kMaxChunks + 1)));
+    if (!serves()) return;
+    for_each([&](int64_t g, int i, int64_t x, int64_t first) {
+      auto const* const pair = reinterpret_cast<uint32_t const*>(pixel_weights.data + x * 2 * pairs);
+      for (int j = 0; j < pairs; ++j)
+        __builtin_memcpy(weights.data + ((g * pairs + j) * N + i) * 2, pair + j, sizeof(uint32_t));
+      int const distance = int(first - from.data[g * kParts + i / 4]);
+      for (int c = 0; c < chunks; ++c) {
+        uint8_t* const to = index.data + (g * chunks + c) * kBytes + 4 * i;
+        for (int tap = 0; tap < 2; ++tap) {
+          int const at = 2 * (distance + tap * int(step)) - 16 * c;
+          to[2 * tap] = at >= 0 && at < 16 ? uint8_t(at) : kNoByte;
+          to[2 * tap + 1] = at >= 0 && at < 16 ? uint8_t(at + 1) : kNoByte;
+        }
+      }
+    });
+  }
+  KV_HD bool serves() const { return chunks <= kMaxChunks; }
+};
+
+// 16 bytes a part.
+template <int Parts>
+KV_HD Lanes<uint8_t, 16 * Parts> load_parts(int16_t const* line, int64_t const* from) {
+  auto const at = [&](int part) { return load_bytes<16>(reinterpret_cast<uint8_t const*>(line + from[part])); };
+  if constexpr (Parts == 1)
+    return at(0);
+  else
+    return __builtin_shufflevector(at(0), at(1), 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19,
+                                   20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31);
+}
+
+// Pairs: how many there are, 0 for any number.
+template <int Chunks, int Pairs>
+void write_byte_row(uint8_t* out, int16_t const* line, ByteColumns const& columns, int64_t step) {
+  constexpr int N = ByteColumns::N, kBytes = ByteColumns::kBytes;
+  int const pairs = Pairs ? Pairs : columns.pairs;
+  int16_t const* weights = columns.weights.data;
+  for (int64_t g = 0; g < columns.groups; ++g) {
+    int64_t const* const from = columns.from.data + g * ByteColumns::kParts;
+    Lanes<int32_t, N> sum = broadcast<N>(int32_t(1 << (kFraction + kWeightBits - 1)));
+    for (int j = 0; j < pairs; ++j, weights += 2 * N) {
+      ByteColumns::Bytes taps{};
+      for (int c = 0; c < Chunks; ++c)
+        taps |= permuted_bytes(load_parts<ByteColumns::kParts>(line + 2 * j * step + 8 * c, from),
+                               load_bytes<kBytes>(columns.index.data + (g * Chunks + c) * kBytes));
+      using Words = Lanes<int16_t, 2 * N>;
+      sum += pair_products<N>(__builtin_bit_cast(Words, taps), *reinterpret_cast<Words const*>(weights));
+    }
+    store_clamped<N>(out + columns.start(g), Lanes<int32_t, N>(sum >> (kFraction + kWeightBits)));
+  }
+}
+
+// The weighted sum of rows, a few vectors at a time. Count: how many rows there are, 0 for any number.
+template <int Count>
+KV_HD void add_up_bytes(uint8_t const* first, int64_t row_stride, int16_t const* weights, int count, int64_t size,
+                        int16_t* line) {
+  constexpr int kWords = kVectorBytes / 2, kBlock = 4;
+  if (Count) count = Count;
+  auto const add_up = [&](auto width, auto block, int64_t e) {
+    constexpr int M = decltype(width)::value, U = decltype(block)::value;
+    Lanes<int16_t, M> sums[U]{};
+    uint8_t const* row = first + e;
+    for (int k = 0; k < count; ++k, row += row_stride) {
+      Lanes<int16_t, M> const weight = broadcast<M>(weights[k]);
+      for (int i = 0; i < U; ++i)
+        sums[i] += rounded_product<M>(load_words<M>(row + i * M) << (kFraction + 15 - kWeightBits), weight);
+    }
+    for (int i = 0; i < U; ++i) *reinterpret_cast<Lanes<int16_t, M>*>(line + e + i * M) = sums[i];
+  };
+  int64_t e = 0;
+  for (; e + kBlock * kWords <= size; e += kBlock * kWords) add_up(Width<kWords>{}, Width<kBlock>{}, e);
+  if (e == size) return;
+  for_each_vector<uint8_t, kWords>(size < kWords ? 0 : min(e, size - kWords), size,
+                                   [&](auto width, int64_t e) { add_up(width, Width<1>{}, e); });
+}
+
+// Says whether it serves these sizes.
+bool resize_bytes(Resize<uint8_t> const& p, int64_t begin, int64_t end) {
+  int64_t const step = p.x.step, size = p.x.row_size(), height = p.y.height;
+  if (p.y.row_size() < ByteColumns::N || max(p.rows.max_taps, p.columns.max_taps) > kMaxByteTaps) return false;
+  ByteColumns const columns(p.columns, p.y.row_size(), step);
+  if (!columns.serves()) return false;
+  int64_t const margin = 2 * columns.pairs * step + 8 * ByteColumns::kMaxChunks;  // bands end beyond the line
+  int64_t const count = min(height, end - begin);
+  int const taps = p.rows.max_taps;
+  Scratch<int16_t> line(size + margin), weights(count * taps);
+  Scratch<Contributors<float>> bands(count);
+  for (int64_t e = size; e < size + margin; ++e) line.data[e] = 0;
+  for (int64_t i = 0; i < count; ++i)
+    bands.data[i] = write_byte_weights(weights.data + i * taps, p.rows, (begin + i) % height);
+  auto const write = [&](uint8_t* out, auto chunks) {
+    constexpr int M = decltype(chunks)::value;
+    if (columns.pairs == 1) return write_byte_row<M, 1>(out, line.data, columns, step);
+    if (columns.pairs == 2) return write_byte_row<M, 2>(out, line.data, columns, step);
+    if (columns.pairs == 3) return write_byte_row<M, 3>(out, line.data, columns, step);
+    write_byte_row<M, 0>(out, line.data, columns, step);
+  };
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const plane = r / height, i = (r - begin) % height;
+    Contributors<float> const band = bands.data[i];
+    uint8_t const* const first = p.x.row(plane, band.first);
+    int16_t const* const of_band = weights.data + i * taps;
+    band.count == 2 ? add_up_bytes<2>(first, p.x.row_stride, of_band, 2, size, line.data)
+                    : add_up_bytes<0>(first, p.x.row_stride, of_band, band.count, size, line.data);
+    uint8_t* const out = p.y.row(plane, r - plane * height);
+    if (columns.chunks == 1)
+      write(out, Width<1>{});
+    else if (columns.chunks == 2)
+      write(out, Width<2>{});
+    else if (columns.chunks == 3)
+      write(out, Width<3>{});
+    else
+      write(out, Width<4>{});
+  }
+  return true;
+}
+
 }  // namespace
 
 template <class T>
 void resize(Resize<T> const& p, int64_t begin, int64_t end) {
+  if constexpr (sizeof(T) == 1)
+    if (resize_bytes(p, begin, end)) return;
   constexpr int N = kLanes<T>;
   if (p.y.row_size() < N)
     resize_rows<1>(p, begin, end);

@@ -68,19 +68,45 @@ KV_HD Lanes<uint16_t, N> high_product(Lanes<uint16_t, N> a, uint16_t b) {
     return __builtin_convertvector(__builtin_convertvector(a, Lanes<uint32_t, N>) * uint32_t(b) >> 16, V);
 }
 
+// Processors permute bytes within parts of 16. This many parts make a vector, whose ints are kPartInts.
+constexpr int kParts = kVectorBytes < 32 ? 1 : 2, kPartInts = 4 * kParts;
+
+// 16 bytes from one address, or from each of two.
+template <int Parts>
+KV_HD Lanes<uint8_t, 16 * Parts> load_parts(uint8_t const* a, uint8_t const* b) {
+  if constexpr (Parts == 1)
+    return load_bytes<16>(a);
+  else
+    return __builtin_shufflevector(load_bytes<16>(a), load_bytes<16>(b), 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13,
+                                   14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31);
+}
+
 // Bytes as numbers of 16 bits.
 template <int N>
-KV_HD Lanes<int16_t, N> load_words(uint8_t const* p) {
+KV_HD Lanes<int16_t, N> to_words(Lanes<uint8_t, N> v) {
 #if defined(__AVX2__)
-  if constexpr (N == 16) return (Lanes<int16_t, N>)_mm256_cvtepu8_epi16(_mm_loadu_si128((__m128i const*)p));
+  if constexpr (N == 16) return (Lanes<int16_t, N>)_mm256_cvtepu8_epi16((__m128i)v);
 #endif
 #if defined(__AVX512BW__)
-  if constexpr (N == 32) return (Lanes<int16_t, N>)_mm512_cvtepu8_epi16(_mm256_loadu_si256((__m256i const*)p));
+  if constexpr (N == 32) return (Lanes<int16_t, N>)_mm512_cvtepu8_epi16((__m256i)v);
 #endif
   if constexpr (N == 1)
-    return *p;
+    return v;
   else
-    return __builtin_convertvector(load_bytes<N>(p), Lanes<int16_t, N>);
+    return __builtin_convertvector(v, Lanes<int16_t, N>);
+}
+template <int N>
+KV_HD Lanes<int16_t, N> load_words(uint8_t const* p) {
+  return to_words<N>(load_bytes<N>(p));
+}
+
+// Bytes as ints.
+template <int N>
+KV_HD Lanes<int32_t, N> load_ints(uint8_t const* p) {
+#if defined(__AVX2__)
+  if constexpr (N == 8) return (Lanes<int32_t, N>)_mm256_cvtepu8_epi32(_mm_loadl_epi64((__m128i const*)p));
+#endif
+  return __builtin_convertvector(load_words<N>(p), Lanes<int32_t, N>);
 }
 
 // a b / 2^15, rounded half up.
@@ -161,6 +187,28 @@ KV_HD void store_clamped(uint8_t* p, Lanes<int32_t, N> v) {
     store_bytes<N>(p, __builtin_convertvector(v, Lanes<uint8_t, N>));
 }
 
+// The same of four vectors. Of every 16 bytes of the result the first four are from a, the next four from b and so on.
+template <int N>
+KV_HD Lanes<uint8_t, 4 * N> clamped_bytes(Lanes<int32_t, N> a, Lanes<int32_t, N> b, Lanes<int32_t, N> c,
+                                          Lanes<int32_t, N> d) {
+  using V = Lanes<uint8_t, 4 * N>;
+#if defined(__x86_64__)
+  if constexpr (N == 4)
+    return (V)_mm_packus_epi16(_mm_packs_epi32((__m128i)a, (__m128i)b), _mm_packs_epi32((__m128i)c, (__m128i)d));
+#if defined(__AVX2__)
+  if constexpr (N == 8)
+    return (V)_mm256_packus_epi16(_mm256_packs_epi32((__m256i)a, (__m256i)b),
+                                  _mm256_packs_epi32((__m256i)c, (__m256i)d));
+#endif
+#endif
+  Lanes<int32_t, N> const all[] = {a, b, c, d};
+  uint8_t bytes[4][N];
+  V result;
+  for (int k = 0; k < 4; ++k) store_clamped<N>(bytes[k], all[k]);
+  for (int i = 0; i < 4 * N; ++i) result[i] = bytes[i / 4 % 4][i / 16 * 4 + i % 4];
+  return result;
+}
+
 // A function of bytes by its 256 values, which are looked up 16 at a time.
 struct ByteTable {
   alignas(64) uint8_t values[256];
@@ -173,22 +221,45 @@ struct ByteTable {
     for (int k = 0; k < 16; ++k)
       for (int lane = 0; lane < kByteLanes; lane += 16) __builtin_memcpy((char*)&rows[k] + lane, values + 16 * k, 16);
     for (; i + kByteLanes <= count; i += kByteLanes) {
-      V const x = load_bytes<kByteLanes>(from + i), low = x & 15, high = x >> 4;
+      V const x = load_bytes<kByteLanes>(from + i), low = x & 15;
+#if defined(__AVX512BW__)
+      V const high = x >> 4;
       V y{};
 #pragma GCC unroll 16
       for (int k = 0; k < 16; ++k)
-#if defined(__AVX512BW__)
         y = (V)_mm512_mask_shuffle_epi8((__m512i)y, _mm512_cmpeq_epi8_mask((__m512i)high, _mm512_set1_epi8(char(k))),
                                         (__m512i)rows[k], (__m512i)low);
-#else
-        y |= (V)_mm256_shuffle_epi8((__m256i)rows[k], (__m256i)low) & (V)(high == uint8_t(k));
-#endif
       store_bytes<kByteLanes>(to + i, y);
+#else
+      // Of two candidates a bit of x, moved to the byte's highest, takes one; of those of 16 rows its four high bits.
+      __m256i y[16];
+#pragma GCC unroll 16
+      for (int k = 0; k < 16; ++k) y[k] = _mm256_shuffle_epi8((__m256i)rows[k], (__m256i)low);
+#pragma GCC unroll 4
+      for (int bit = 0; bit < 4; ++bit) {
+        __m256i const takes = _mm256_slli_epi16((__m256i)x, 3 - bit);
+#pragma GCC unroll 8
+        for (int k = 0; k < 8 >> bit; ++k) y[k] = _mm256_blendv_epi8(y[2 * k], y[2 * k + 1], takes);
+      }
+      store_bytes<kByteLanes>(to + i, (V)y[0]);
+#endif
     }
 #endif
     for (; i < count; ++i) to[i] = values[from[i]];
   }
 };
+
+// Words below 256, as bytes.
+template <int N>
+KV_HD void store_low_bytes(uint8_t* p, Lanes<uint16_t, N> v) {
+#if defined(__AVX2__)
+  if constexpr (N == 16) {
+    __m256i const packed = _mm256_packus_epi16((__m256i)v, (__m256i)v);
+    return _mm_storeu_si128((__m128i*)p, _mm256_castsi256_si128(_mm256_permute4x64_epi64(packed, 8)));
+  }
+#endif
+  store_bytes<N>(p, __builtin_convertvector(v, Lanes<uint8_t, N>));
+}
 
 // Pixels stored as T in kernels that compute in numbers F: uint8_t or uint16_t for bytes, otherwise Compute<T>.
 template <class F, class T>
@@ -203,7 +274,7 @@ KV_HD Lanes<F, N> load_as(T const* p) {
   else if constexpr (__is_same(F, T))
     return *reinterpret_cast<Lanes<F, N> const*>(p);
   else
-    return __builtin_convertvector(load_bytes<N>(p), Lanes<F, N>);
+    return __builtin_bit_cast(Lanes<F, N>, load_words<N>(p));
 }
 template <int N, class F, class T>
 KV_HD void store_as(T* p, Lanes<F, N> v) {
@@ -214,7 +285,7 @@ KV_HD void store_as(T* p, Lanes<F, N> v) {
   else if constexpr (__is_same(F, T))
     *reinterpret_cast<Lanes<F, N>*>(p) = v;
   else
-    store_bytes<N>(p, __builtin_convertvector(v, Lanes<uint8_t, N>));
+    store_low_bytes<N>(p, v);
 }
 
 }  // namespace kv

@@ -143,10 +143,33 @@ void words() {
     Bytes const picked = kv::permuted_bytes(bytes, index);
     for (int i = 0; i < 2 * N; ++i)
       CHECK(picked[i] == (index[i] == kv::kNoByte ? 0 : bytes[i / 16 * 16 + index[i]]), i, int(index[i]));
+    using Ints = kv::Lanes<int32_t, N / 2>;
+    Ints const levels[] = {sums >> 20, sums >> 22, sums >> 23, sums};
+    auto const mixed = kv::clamped_bytes<N / 2>(levels[0], levels[1], levels[2], levels[3]);
+    for (int i = 0; i < 2 * N; ++i) {
+      int const level = levels[i / 4 % 4][i / 16 * 4 + i % 4];
+      CHECK(mixed[i] == (level < 0 ? 0 : level > 255 ? 255 : level), i, level, int(mixed[i]));
+    }
     auto const* const from = reinterpret_cast<uint8_t const*>(&a[k]);
+    Ints const ints = kv::load_ints<N / 2>(from);
+    for (int i = 0; i < N / 2; ++i) CHECK(ints[i] == from[i], i, ints[i]);
+    auto const parts = kv::load_parts<N / 8>(from, from + 3);
+    for (int i = 0; i < 2 * N; ++i) CHECK(parts[i] == from[i % 16 + i / 16 * 3], i, int(parts[i]));
+    uint8_t low[N];
+    kv::store_low_bytes<N>(low, __builtin_bit_cast(kv::Lanes<uint16_t, N>, x) & 255);
+    for (int i = 0; i < N; ++i) CHECK(low[i] == (x[i] & 255), i, int(low[i]));
     Words const loaded = kv::load_words<N>(from);
     for (int i = 0; i < N; ++i) CHECK(loaded[i] == from[i], i, loaded[i]);
   }
+}
+
+void byte_table() {
+  kv::ByteTable table;
+  uint8_t from[300], to[300];
+  for (int i = 0; i < 256; ++i) table.values[i] = uint8_t(i * 37 + 11);
+  for (int i = 0; i < 300; ++i) from[i] = uint8_t(i * 5);
+  table.map(from, to, 300);
+  for (int i = 0; i < 300; ++i) CHECK(to[i] == uint8_t(from[i] * 37 + 11), i, int(to[i]));
 }
 
 bool has_instruction_set() {
@@ -170,6 +193,7 @@ int main() {
   all<kv::BFloat16>();
   all<uint8_t>();
   bytes_round_half_to_even_and_saturate();
+  byte_table();
   words<8>();
   if constexpr (kv::kVectorBytes >= 32) words<16>();
   square_roots<float, 1>();

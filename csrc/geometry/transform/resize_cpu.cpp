@@ -219,8 +219,7 @@ inline Contributors<float> write_byte_weights(int16_t* to, ResizeAxis const& axi
 // part reads its first pairs from `chunks` of eight adjacent elements, the first of which begins at `from`; `index`
 // permutes them. The next pairs are two pixels further on.
 struct ByteColumns {
-  static constexpr int kBytes = kVectorBytes < 32 ? kVectorBytes : 32, N = kBytes / 4, kParts = kBytes / 16;
-  static constexpr int kMaxChunks = 4;
+  static constexpr int kBytes = 16 * kParts, N = kPartInts, kMaxChunks = 4;
   using Bytes = Lanes<uint8_t, kBytes>;
   int64_t size, groups;
   int pairs, chunks;
@@ -283,31 +282,23 @@ struct ByteColumns {
   KV_HD bool serves() const { return chunks <= kMaxChunks; }
 };
 
-// 16 bytes a part.
-template <int Parts>
-KV_HD Lanes<uint8_t, 16 * Parts> load_parts(int16_t const* line, int64_t const* from) {
-  auto const at = [&](int part) { return load_bytes<16>(reinterpret_cast<uint8_t const*>(line + from[part])); };
-  if constexpr (Parts == 1)
-    return at(0);
-  else
-    return __builtin_shufflevector(at(0), at(1), 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19,
-                                   20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31);
-}
-
 // Pairs: how many there are, 0 for any number.
 template <int Chunks, int Pairs>
 void write_byte_row(uint8_t* out, int16_t const* line, ByteColumns const& columns, int64_t step) {
   constexpr int N = ByteColumns::N, kBytes = ByteColumns::kBytes;
   int const pairs = Pairs ? Pairs : columns.pairs;
   int16_t const* weights = columns.weights.data;
+  auto const bytes_at = [=](int64_t i) { return reinterpret_cast<uint8_t const*>(line + i); };
   for (int64_t g = 0; g < columns.groups; ++g) {
-    int64_t const* const from = columns.from.data + g * ByteColumns::kParts;
+    int64_t const* const from = columns.from.data + g * kParts;
     Lanes<int32_t, N> sum = broadcast<N>(int32_t(1 << (kFraction + kWeightBits - 1)));
     for (int j = 0; j < pairs; ++j, weights += 2 * N) {
       ByteColumns::Bytes taps{};
+      int64_t const at = 2 * j * step;
       for (int c = 0; c < Chunks; ++c)
-        taps |= permuted_bytes(load_parts<ByteColumns::kParts>(line + 2 * j * step + 8 * c, from),
-                               load_bytes<kBytes>(columns.index.data + (g * Chunks + c) * kBytes));
+        taps |=
+            permuted_bytes(load_parts<kParts>(bytes_at(from[0] + at + 8 * c), bytes_at(from[kParts - 1] + at + 8 * c)),
+                           load_bytes<kBytes>(columns.index.data + (g * Chunks + c) * kBytes));
       using Words = Lanes<int16_t, 2 * N>;
       sum += pair_products<N>(__builtin_bit_cast(Words, taps), *reinterpret_cast<Words const*>(weights));
     }

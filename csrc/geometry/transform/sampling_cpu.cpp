@@ -4,6 +4,7 @@
 // weights shared by all channels. Where all taps are in bounds they are read directly; else each is padded or filled.
 #include "geometry/transform/sampling_cpu.h"
 
+#include "core/bytes.h"
 #include "core/scratch.h"
 #include "geometry/transform/whole_pixels_cpu.h"
 
@@ -70,15 +71,133 @@ struct Value : TapWindow<K, N, T> {
   }
 };
 
+// --- bytes -----------------------------------------------------------------------------------------------------------
+
+// Bilinear samples of bytes in fixed point: numbers of 16 bits with kFraction bits below a level, weights of
+// kWeightBits. Both taps of a row are read at once; rows are weighted first, then pairs of taps.
+constexpr int kFraction = 6, kWeightBits = 14;
+constexpr int kSamples = kPartInts;
+
+struct ByteWeights {
+  using Int = Lanes<int32_t, kSamples>;
+  using Words = Lanes<int16_t, 2 * kSamples>;
+  Int x, y;  // two words each: the weights of both columns, and twice that of the lower row
+
+  KV_HD ByteWeights(Lanes<float, kSamples> tx, Lanes<float, kSamples> ty) {
+    constexpr float one = 1 << kWeightBits;
+    Int const right = __builtin_convertvector(tx * one + 0.5f, Int),
+              lower = __builtin_convertvector(ty * one + 0.5f, Int);
+    x = (right << 16) + ((1 << kWeightBits) - right);
+    y = (lower << 16) + lower;
+  }
+  KV_HD static Words along_y(Words upper, Words lower, Int weights) {
+    return (upper << kFraction) + rounded_product<2 * kSamples>((lower - upper) << (kFraction + 15 - kWeightBits),
+                                                                __builtin_bit_cast(Words, weights));
+  }
+  KV_HD static Int along_x(Words taps, Int weights) {
+    Int const sum = pair_products<kSamples>(taps, __builtin_bit_cast(Words, weights));
+    return (sum + (1 << (kFraction + kWeightBits - 1))) >> (kFraction + kWeightBits);
+  }
+};
+
+// One channel whose pixels are adjacent.
+KV_HD void sample_plane(uint8_t const* plane, int64_t row_stride, Offsets<kSamples> const& at, ByteWeights const& w,
+                        uint8_t* out) {
+  auto const read = [&](uint8_t const* from) {
+    Lanes<uint16_t, kSamples> pairs;
+    for (int i = 0; i < kSamples; ++i) pairs[i] = load_bits<uint16_t>(from + at[i]);
+    return to_words<2 * kSamples>(__builtin_bit_cast(Lanes<uint8_t, 2 * kSamples>, pairs));
+  };
+  auto const taps = ByteWeights::along_y(read(plane), read(plane + row_stride), w.y);
+  store_clamped<kSamples>(out, ByteWeights::along_x(taps, w.x));
+}
+
+// Permutations of 16 bytes: words r g b r' g' b' to pairs r r' g g' b b', and bytes r g b 0 to r g b.
+struct ByteOrders {
+  alignas(32) uint8_t pairs[32], dense[32];
+
+  constexpr ByteOrders() : pairs{}, dense{} {
+    for (int i = 0; i < 32; ++i) {
+      int const k = i % 16, channel = k / 4, tap = k / 2 % 2;
+      pairs[i] = channel < 3 ? uint8_t(6 * tap + 2 * channel + k % 2) : kNoByte;
+      dense[i] = k < 12 ? uint8_t(k / 3 * 4 + k % 3) : kNoByte;
+    }
+  }
+};
+constexpr ByteOrders kOrders;
+
+// The two pixels of a row for samples i and i + 4.
+template <int Parts>
+KV_HD Lanes<int16_t, 8 * Parts> read_pixels(uint8_t const* p, Offsets<4 * Parts> const& at, int i) {
+  if constexpr (Parts == 1) {
+    return load_words<8>(p + at[i]);
+  } else {
+    Lanes<int64_t, 2> bits;
+    __builtin_memcpy(&bits[0], p + at[i], 8);
+    __builtin_memcpy(&bits[1], p + at[i + 4], 8);
+    return to_words<16>(__builtin_bit_cast(Lanes<uint8_t, 16>, bits));
+  }
+}
+
+// Three interleaved channels, samples i and i + 4 in a vector.
+KV_HD void sample_interleaved(uint8_t const* image, int64_t row_stride, Offsets<kSamples> const& at,
+                              ByteWeights const& w, uint8_t* out) {
+  using Bytes = Lanes<uint8_t, 4 * kSamples>;
+  using Int = ByteWeights::Int;
+  Bytes const pairs = load_bytes<4 * kSamples>(kOrders.pairs), dense = load_bytes<4 * kSamples>(kOrders.dense);
+  Int sums[4];
+#pragma GCC unroll 4
+  for (int i = 0; i < 4; ++i) {
+    auto const repeat = [i](Int v) {  // numbers i and i + 4, four times each
+      Int from;
+      for (int k = 0; k < kSamples; ++k) from[k] = k / 4 * 4 + i;
+      return Int(__builtin_shuffle(v, from));
+    };
+    auto const v = ByteWeights::along_y(read_pixels<kParts>(image, at, i),
+                                        read_pixels<kParts>(image + row_stride, at, i), repeat(w.y));
+    Bytes const taps = permuted_bytes(__builtin_bit_cast(Bytes, v), pairs);
+    sums[i] = ByteWeights::along_x(__builtin_bit_cast(ByteWeights::Words, taps), repeat(w.x));
+  }
+  Bytes const pixels = permuted_bytes(clamped_bytes<kSamples>(sums[0], sums[1], sums[2], sums[3]), dense);
+  for (int k = 0; k < kParts; ++k) __builtin_memcpy(out + 12 * k, reinterpret_cast<char const*>(&pixels) + 16 * k, 12);
+}
+
+// Whether an image has three channels, interleaved.
+template <class T>
+KV_HD bool is_interleaved(Images<T> const& x) {
+  return x.channels == 3 && x.channel_stride == 1 && x.step == 3;
+}
+
+// --- chunks ----------------------------------------------------------------------------------------------------------
+
 template <int K, int N, class T>
 void sample_chunk(Sample<T> const& p, CoordRow<Compute<T>> const& coords, int64_t b, int64_t y, int64_t first,
                   int64_t count) {
   T const* const planes = p.x.row(p.image_of(b), 0, 0);
   T* const row = p.y.row(b, 0, y) + first * p.y.step;
+  [[maybe_unused]] bool const interleaved = is_interleaved(p.x) && is_interleaved(p.y);
+  [[maybe_unused]] bool const planar = p.x.step == 1 && p.y.step == 1;
   for (int64_t i = 0; i * N < count; ++i) {
     int64_t const e = vector_start<N>(i, count);
     Value<K, N, T> value;
     value.set(p, load<N>(coords.u + e), load<N>(coords.v + e));
+    if constexpr (K == 2 && sizeof(T) == 1 && N == kSamples) {
+      // Two pixels are read as 8 bytes, so there must be a third one.
+      bool const reads_pixels = interleaved && value.inside && all<N>(value.x <= p.x_axis.size - 3);
+      if (reads_pixels || (planar && value.inside)) {
+        ByteWeights const weights(value.tx, value.ty);
+        int64_t const below = kRowsAhead * p.x.row_stride + value.first[0];
+        for (int c = 0; c < (reads_pixels ? 1 : p.x.channels); ++c) {
+          T const* const from = planes + c * p.x.channel_stride;
+          T* const out = row + c * p.y.channel_stride + e * p.y.step;
+          __builtin_prefetch(from + below);
+          __builtin_prefetch(out + p.y.row_stride, 1);
+          reads_pixels ? sample_interleaved(from, p.x.row_stride, value.first, weights, out)
+                       : sample_plane(from, p.x.row_stride, value.first, weights, out);
+        }
+        continue;
+      }
+    }
     for (int c = 0; c < p.x.channels; ++c) {
       auto const sampled = value.at(p, planes + c * p.x.channel_stride, p.fill_value(b, c));
       T* const out = row + c * p.y.channel_stride + e * p.y.step;

@@ -164,13 +164,10 @@ def test_types(dtype, device):
     ):
         found = call(x)
         expected = call(wide)
-        if dtype == torch.uint8:
-            expected = expected.round()
         assert found.dtype == stored
         if dtype == torch.uint8:
-            # Sums in another order round to another level only next to the middle of two: a pixel or two of hundreds.
-            levels = (found.int() - expected.int()).abs()
-            assert levels.max() <= 1 and levels.count_nonzero() <= 2
+            # Fixed point rounds to another level only next to the middle of two.
+            assert (found.float() - expected).abs().max() <= 0.53
         else:
             assert_close(found, expected.to(stored))
 

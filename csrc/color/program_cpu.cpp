@@ -393,30 +393,95 @@ KV_HD bool converts_bytes(Program<float> const& p) {
          p.x.channels == 3 && has_rows_of_bytes(p.x) && has_rows_of_bytes(p.y);
 }
 
+// Permutations of parts of 16 bytes, which hold four pixels of three interleaved channels: a channel as ints, and three
+// channels of four bytes each as pixels. The second part is read from 4 bytes before its first pixel.
+struct PixelOrders {
+  alignas(32) uint8_t channel[3][32], pixels[32];
+
+  constexpr PixelOrders() : channel{}, pixels{} {
+    for (int i = 0; i < 32; ++i) {
+      for (int k = 0; k < 3; ++k) channel[k][i] = i % 4 == 0 ? uint8_t(i % 16 / 4 * 3 + k + i / 16 * 4) : kNoByte;
+      pixels[i] = i % 16 < 12 ? uint8_t(i % 3 * 4 + i % 16 / 3) : kNoByte;
+    }
+    for (int i = 16; i < 32; ++i) pixels[i] = pixels[i - 16];
+  }
+};
+constexpr PixelOrders kPixelOrders;
+
+using Levels = Lanes<int32_t, kPartInts>;
+
+KV_HD void load_levels(uint8_t const* p, Levels (&c)[3]) {
+  Lanes<uint8_t, 16 * kParts> pixels{};
+  if constexpr (kParts == 1)
+    __builtin_memcpy(&pixels, p, 12);
+  else
+    pixels = load_parts<kParts>(p, p + 8);
+  for (int k = 0; k < 3; ++k)
+    c[k] = __builtin_bit_cast(Levels, permuted_bytes(pixels, load_bytes<16 * kParts>(kPixelOrders.channel[k])));
+}
+KV_HD void store_levels(uint8_t* p, Levels const (&c)[3]) {
+  auto const pixels = permuted_bytes(clamped_bytes<kPartInts>(c[0], c[1], c[2], Levels{}),
+                                     load_bytes<16 * kParts>(kPixelOrders.pixels));
+  for (int k = 0; k < kParts; ++k) __builtin_memcpy(p + 12 * k, reinterpret_cast<char const*>(&pixels) + 16 * k, 12);
+}
+
 // `formula` gives levels of the result from those of a pixel.
 template <bool Interleaved, class Formula>
 KV_HD void convert_bytes(Pixels const& x, Pixels const& y, int64_t b, int64_t first, int64_t count, Formula formula) {
   auto const* const from = static_cast<uint8_t const*>(x.data) + x.offset(b) + first * x.step;
   auto* const to = static_cast<uint8_t*>(y.data) + y.offset(b) + first * y.step;
   bool const writes_interleaved = is_interleaved(y);
-  constexpr int N = kLanes<uint8_t>;
   auto const convert = [&](int64_t i) {
-    Vector<float> c[3];
+    Levels c[3];
     if constexpr (Interleaved)
-      load_interleaved<N>(from + 3 * i, c);
+      load_levels(from + 3 * i, c);
     else
-      for (int k = 0; k < 3; ++k) c[k] = load<N>(from + k * x.channel_stride + i);
+      for (int k = 0; k < 3; ++k) c[k] = load_ints<kPartInts>(from + k * x.channel_stride + i);
     formula(c);
     if (y.channels == 1)
-      store<N>(to + i, c[0]);
+      store_clamped<kPartInts>(to + i, c[0]);
     else if (writes_interleaved)
-      store_interleaved<N>(to + 3 * i, c);
+      store_levels(to + 3 * i, c);
     else
-      for (int k = 0; k < 3; ++k) store<N>(to + k * y.channel_stride + i, c[k]);
+      for (int k = 0; k < 3; ++k) store_clamped<kPartInts>(to + k * y.channel_stride + i, c[k]);
   };
-  for (int64_t i = 0; i + N <= count; i += N) convert(i);
-  convert(count - N);
+  for (int64_t i = 0; i + kPartInts <= count; i += kPartInts) convert(i);
+  convert(count - kPartInts);
 }
+
+// luma_u8_fixed_point of levels, with weights in 32768ths.
+struct LumaOfLevels {
+  Lanes<int16_t, 2 * kPartInts> red_green, blue;
+
+  KV_HD explicit LumaOfLevels(float const* weights) {
+    for (int i = 0; i < 2 * kPartInts; ++i)
+      red_green[i] = int16_t(weights[i % 2]), blue[i] = i % 2 == 0 ? int16_t(weights[2]) : 0;
+  }
+  KV_HD void operator()(Levels (&c)[3]) const {
+    using Words = Lanes<int16_t, 2 * kPartInts>;
+    c[0] = (pair_products<kPartInts>(__builtin_bit_cast(Words, c[0] | c[1] << 16), red_green) +
+            pair_products<kPartInts>(__builtin_bit_cast(Words, c[2]), blue) + 16384) >>
+           15;
+  }
+};
+
+// hsv_u8 of levels, in integers.
+struct HsvOfLevels {
+  KV_HD static Levels reciprocal(float factor, Levels x) {  // factor / x, rounded
+    using V = Lanes<float, kPartInts>;
+    return __builtin_convertvector(factor / __builtin_convertvector(x > 1 ? x : Levels{} + 1, V) + 0.5f, Levels);
+  }
+  KV_HD void operator()(Levels (&c)[3]) const {
+    auto const high = [](Levels a, Levels b) { return a > b ? a : b; };
+    auto const low = [](Levels a, Levels b) { return a < b ? a : b; };
+    Levels const v = high(high(c[0], c[1]), c[2]), range = v - low(low(c[0], c[1]), c[2]);
+    Levels const difference = v == c[0] ? c[1] - c[2] : v == c[1] ? c[2] - c[0] + 2 * range : c[0] - c[1] + 4 * range;
+    Levels const hue = (difference * reciprocal(30 * 4096, range) + 2048) >> 12;
+    c[0] = hue < 0 ? hue + 180 : hue;
+    c[1] = (range * reciprocal(255 * 4096, v) + 2048) >> 12;
+    c[2] = v;
+  }
+};
 
 // At least a vector of pixels.
 __attribute__((noinline)) void convert_bytes(Program<float> const& p, Sample<float> const& s, int64_t b, int64_t first,
@@ -426,13 +491,9 @@ __attribute__((noinline)) void convert_bytes(Program<float> const& p, Sample<flo
                         : convert_bytes<false>(p.x, p.y, b, first, count, formula);
   };
   if (p.step[0] == Step::hsv_u8)
-    convert([](auto& c) {
-      for (auto& v : c) v *= 1.f / 255;
-      hsv_u8(c);
-      for (auto& v : c) v *= 255;
-    });
-  else  // luma_u8_fixed_point, without the way to 255ths and back
-    convert([w = s.p + p.first[0]](auto& c) { c[0] = vfloor(luma_of_levels(c, w)); });
+    convert(HsvOfLevels{});
+  else
+    convert(LumaOfLevels(s.p + p.first[0]));
 }
 
 // Whether a program is a function of one byte: of bytes to bytes, without a mean, of steps that compute every
@@ -478,7 +539,7 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
   if constexpr (sizeof(F) == 4 && C == 3) in_registers = converts_bytes(p);
   auto const work = [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
     if constexpr (sizeof(F) == 4 && C == 3)
-      if (in_registers && count >= N) return convert_bytes(p, s, b, first, count);
+      if (in_registers && count >= kPartInts) return convert_bytes(p, s, b, first, count);
     bool const reads = is_plain_chunk<F>(p.x, count) && s.length > 0 && !p.measures_mean;
     bool const writes =
         is_plain_chunk<F>(p.y, count) && s.length > 0 && !p.measures_mean && (p.y.channels == C || one_channel);

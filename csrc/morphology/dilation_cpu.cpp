@@ -1,6 +1,7 @@
 // Dilation and erosion on the CPU. Full windows, rectangles without heights, cost three maxima a pixel along y,
-// whatever their height, and the logarithm of their width along x. Other windows cost one maximum for each tap. Bytes
-// are compared as bytes, unless heights are added to them. Compiled once per instruction set.
+// whatever their height, and the logarithm of their width along x. Windows whose rows are runs of members cost that
+// logarithm for every kind of run and one maximum a row, others one maximum a tap. Bytes are compared as bytes, unless
+// heights are added to them. Compiled once per instruction set.
 #include "core/bytes.h"
 #include "core/scratch.h"
 #include "dilation.h"
@@ -53,24 +54,32 @@ struct Taps {
   Scratch<F> offset;
   Scratch<int> row, column;
   int count = 0;
-  bool full = true;  // a rectangle without heights
+  bool full = true;     // a rectangle without heights
+  bool in_runs = true;  // the members of each row are adjacent
+  Scratch<int> run;     // of each row: its first member and their number
 
   explicit Taps(StructuringElement<F> const& window)
       : window(window),
         offset(window.height * window.width),
         row(window.height * window.width),
-        column(window.height * window.width) {}
+        column(window.height * window.width),
+        run(2 * window.height) {}
 
   void read(int64_t sample) {
-    count = 0, full = true;
-    for (int i = 0; i < window.height; ++i)
+    count = 0, full = in_runs = true;
+    for (int i = 0; i < window.height; ++i) {
+      int* const run_of_row = run.data + 2 * i;
+      run_of_row[0] = run_of_row[1] = 0;
       for (int j = 0; j < window.width; ++j) {
         F const value = window.offset(sample, i * window.width + j);
         full = full && value == 0;
         if (value == -F(kInfinity)) continue;
         offset.data[count] = value, row.data[count] = i, column.data[count] = j;
         ++count;
+        if (run_of_row[1] == 0) run_of_row[0] = j;
+        in_runs = in_runs && j == run_of_row[0] + run_of_row[1]++;
       }
+    }
   }
 };
 
@@ -147,6 +156,35 @@ KV_HD V extreme(V a, V b) {
   }
 }
 
+// Maxima of adjacent pixels of a row, from those of 1, 4, 16 ... pixels, `reach`, that begin at each element.
+template <bool Erode, class F, class T>
+struct RowExtremes {
+  static constexpr int N = kLanesAs<F, T>;
+  F* row;
+  int64_t step, reach = 1;
+
+  // Of four times as many, in place, for the first `size` elements.
+  KV_HD void widen(int64_t size) {
+    for (int64_t e = 0; e < size; e += N) {
+      auto const at = [&](int64_t j) { return load_as<N, F>(row + e + j * reach * step); };
+      store_as<N, F>(row + e, extreme<Erode>(extreme<Erode>(at(0), at(1)), extreme<Erode>(at(2), at(3))));
+    }
+    reach *= 4;
+  }
+  // Of `count` pixels from pixel `first` on: up to four of them, which overlap.
+  template <class Out>
+  KV_HD void write(int64_t first, int64_t count, int64_t size, Out* out) const {
+    F const* const from = row + first * step;
+    int64_t const last = (count - reach) * step;
+    for_each_vector<T, N>(0, size, [&](auto width, int64_t e) {
+      constexpr int M = decltype(width)::value;
+      Lanes<F, M> most = load_as<M, F>(from + e + last);
+      for (int64_t at = 0; at < last; at += reach * step) most = extreme<Erode>(load_as<M, F>(from + e + at), most);
+      store_as<M, F>(out + e, most);
+    });
+  }
+};
+
 // --- full windows ----------------------------------------------------------------------------------------------------
 
 constexpr int kSmall = 4;  // windows of up to so many rows are computed row by row
@@ -175,22 +213,9 @@ void full_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int
   auto const along_x = [&](int64_t y) {
     for (int64_t e = -before; e < 0; ++e) row[e] = outside;
     for (int64_t e = size; e < size + after; ++e) row[e] = outside;
-    F* const first = row - before;
-    T* const out = p.y.row(plane, y);
-    // Maxima of 4, 16, 64 ... pixels, and of up to four of these, which overlap.
-    int64_t reach = 1;
-    for (; 4 * reach < window.width; reach *= 4)
-      for (int64_t e = 0; e < size + (window.width - 4 * reach) * step; e += N) {
-        auto const at = [&](int64_t j) { return load_as<N, F>(first + e + j * reach * step); };
-        store_as<N, F>(first + e, extreme<Erode>(extreme<Erode>(at(0), at(1)), extreme<Erode>(at(2), at(3))));
-      }
-    int64_t const last = (window.width - reach) * step;
-    for_each_vector<T, N>(0, size, [&](auto width, int64_t e) {
-      constexpr int M = decltype(width)::value;
-      Lanes<F, M> most = load_as<M, F>(first + e + last);
-      for (int64_t at = 0; at < last; at += reach * step) most = extreme<Erode>(load_as<M, F>(first + e + at), most);
-      store_as<M, F>(out + e, most);
-    });
+    RowExtremes<Erode, F, T> extremes{row - before, step};
+    while (4 * extremes.reach < window.width) extremes.widen(size + (window.width - 4 * extremes.reach) * step);
+    extremes.write(0, window.width, size, p.y.row(plane, y));
   };
 
   if (height <= kSmall) {
@@ -244,7 +269,42 @@ KV_HD void locate_taps(Taps<F> const& taps, Rows<G> const& rows, int64_t y, int6
     pointers[t] = rows[y - taps.window.top + taps.row.data[t]] + (taps.column.data[t] - taps.window.left) * step;
 }
 
-// With heights windows are maxima of numbers times `sign`; without them they need neither.
+// A row of the result from the rows that its taps read. With heights windows are maxima of numbers times `sign`;
+// without them they need neither. A few vectors at a time share the loads of the pointers.
+template <bool Erode, bool Heights, class T>
+KV_HD void most_of_taps(Dilation<T> const& p, Compared<T, Heights> const* const* pointers, Compute<T> const* offsets,
+                        int count, T* out) {
+  using G = Compared<T, Heights>;
+  int64_t const size = p.x.row_size();
+  G const none = worst<G>(Erode && !Heights);
+  auto const most_of = [&](auto width, auto block, int64_t e) {
+    constexpr int N = decltype(width)::value, U = decltype(block)::value;
+    using V = Lanes<G, N>;
+    V most[U];
+    for (V& v : most) v = broadcast<N>(none);
+    for (int t = 0; t < count; ++t) {
+      G const* const from = pointers[t] + e;
+      for (int i = 0; i < U; ++i) {
+        V const x = load_as<N, G>(from + i * N);
+        if constexpr (Heights)
+          most[i] = extreme<false>(V(x + offsets[t]), most[i]);
+        else
+          most[i] = extreme<Erode>(x, most[i]);
+      }
+    }
+    for (int i = 0; i < U; ++i) {
+      if constexpr (Heights) most[i] = most[i] * p.window.sign();
+      store_as<N, G>(out + e + i * N, most[i]);
+    }
+  };
+  constexpr int N = kLanesAs<G, T>, kBlock = 4;
+  int64_t e = 0;
+  for (; e + kBlock * N <= size; e += kBlock * N) most_of(Width<N>{}, Width<kBlock>{}, e);
+  if (e == size) return;
+  for_each_vector<T, N>(size < N ? 0 : min(e, size - N), size,
+                        [&](auto width, int64_t e) { most_of(width, Width<1>{}, e); });
+}
+
 template <bool Erode, bool Heights, class T>
 void tap_rows(Dilation<T> const& p, Source<T> const& source, Taps<Compute<T>> const& taps, int64_t plane, int64_t y0,
               int64_t y1) {
@@ -255,27 +315,57 @@ void tap_rows(Dilation<T> const& p, Source<T> const& source, Taps<Compute<T>> co
   int64_t const after = (window.width - 1) * step - before;
   Rows<G> const rows(window.height, size, before, after);
   Scratch<G const*> pointers(taps.count);
-  G const none = worst<G>(Erode && !Heights);
   for (int64_t y = y0; y < y1; ++y) {
     int64_t const last = y - window.top + window.height - 1;
     for (int64_t i = y == y0 ? last - window.height + 1 : last; i <= last; ++i)
       source.template copy<Heights>(plane, i, rows[i], before, after);
     locate_taps(taps, rows, y, step, pointers.data);
-    T* const out = p.y.row(plane, y);
-    for_each_vector<T, kLanesAs<G, T>>(0, size, [&](auto width, int64_t e) {
-      constexpr int N = decltype(width)::value;
-      using V = Lanes<G, N>;
-      V most = broadcast<N>(none);
-      for (int t = 0; t < taps.count; ++t) {
-        V const x = load_as<N, G>(pointers.data[t] + e);
-        if constexpr (Heights)
-          most = extreme<false>(V(x + taps.offset.data[t]), most);
-        else
-          most = extreme<Erode>(x, most);
+    most_of_taps<Erode, Heights>(p, pointers.data, taps.offset.data, taps.count, p.y.row(plane, y));
+  }
+}
+
+// The same for windows without heights whose rows are runs of members, as those of disks. The maxima of runs are
+// computed once for every row of the image, and combined along y.
+template <bool Erode, class T>
+void run_rows(Dilation<T> const& p, Source<T> const& source, Taps<Compute<T>> const& taps, int64_t plane, int64_t y0,
+              int64_t y1) {
+  using G = Compared<T>;
+  auto const& window = p.window;
+  int64_t const size = p.x.row_size(), step = p.x.step, before = window.left * step;
+  int64_t const after = (window.width - 1) * step - before;
+  Scratch<int> kind(window.height), row_of_kind(window.height);  // rows of equal runs are of one kind
+  int kinds = 0;
+  for (int i = 0; i < window.height; ++i) {
+    int const* const run = taps.run.data + 2 * i;
+    int k = 0;
+    while (k < kinds &&
+           !(taps.run.data[2 * row_of_kind.data[k]] == run[0] && taps.run.data[2 * row_of_kind.data[k] + 1] == run[1]))
+      ++k;
+    if (k == kinds) row_of_kind.data[kinds++] = i;
+    kind.data[i] = k;
+  }
+  Rows<G> const line(1, size, before, after), runs(window.height * kinds, size, 0, 0);
+  Scratch<G const*> pointers(window.height);
+  for (int64_t y = y0; y < y1; ++y) {
+    int64_t const first = y - window.top, last = first + window.height - 1;
+    for (int64_t i = y == y0 ? first : last; i <= last; ++i) {
+      source.template copy<false>(plane, i, line[0], before, after);
+      RowExtremes<Erode, G, T> extremes{line[0] - before, step};
+      for (int64_t shorter = 0;;) {  // runs of up to so many members are done
+        for (int k = 0; k < kinds; ++k) {
+          int const* const run = taps.run.data + 2 * row_of_kind.data[k];
+          if (run[1] > shorter && run[1] <= 4 * extremes.reach)
+            extremes.write(run[0], run[1], size, runs[i * kinds + k]);
+        }
+        shorter = 4 * extremes.reach;
+        if (shorter >= window.width) break;
+        extremes.widen(size + (window.width - shorter) * step);
       }
-      if constexpr (Heights) most = most * source.sign;
-      store_as<N, G>(out + e, most);
-    });
+    }
+    int count = 0;
+    for (int i = 0; i < window.height; ++i)
+      if (taps.run.data[2 * i + 1] > 0) pointers.data[count++] = runs[(first + i) * kinds + kind.data[i]];
+    most_of_taps<Erode, false>(p, pointers.data, nullptr, count, p.y.row(plane, y));
   }
 }
 
@@ -299,6 +389,8 @@ void dilate(Dilation<T> const& p, int64_t begin, int64_t end) {
   for_each_plane(taps, p.y.height, p.planes, begin, end, [&](int64_t plane, int64_t y0, int64_t y1) {
     if (taps.full)
       full_rows<Erode>(p, source, plane, y0, y1);
+    else if (!p.window.heights && taps.in_runs && taps.count > 3 * p.window.height)
+      run_rows<Erode>(p, source, taps, plane, y0, y1);
     else if (p.window.heights)
       tap_rows<Erode, true>(p, source, taps, plane, y0, y1);
     else

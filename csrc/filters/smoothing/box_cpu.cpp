@@ -13,15 +13,17 @@ namespace {
 template <int N, class Call>
 KV_HD void for_each_once(int64_t size, Call f) {
   int64_t e = 0;
+#pragma GCC unroll 4
   for (; e + N <= size; e += N) f(Width<N>{}, e);
   for (; e < size; ++e) f(Width<1>{}, e);
 }
 
 // Calls emit(width, e, terms[0][e] + terms[1][e] + ...) for e in [0, size), as for_each_vector does. It sums a few
 // vectors at a time, which shares the loads of the pointers.
-template <class F, class T, class Emit>
+template <class F, int Count = 0, class T, class Emit>
 KV_HD void add_up(T const* const* terms, int count, int64_t size, Emit emit) {
   constexpr int N = kLanesAs<F, T>, kBlock = 4;
+  if (Count) count = Count;  // known to the compiler
   int64_t e = 0;
   for (; e + kBlock * N <= size; e += kBlock * N) {
     Lanes<F, N> sums[kBlock];
@@ -44,7 +46,7 @@ KV_HD void add_up(T const* const* terms, int count, int64_t size, Emit emit) {
 // The axis is divided into blocks of the window's size, so that each window is the end of one block and the beginning
 // of the next. The suffix sums of a block are computed when the window reaches it; the prefix sum grows row by row.
 // That costs two additions an element and row, and one that adds the two. Windows of up to three rows are summed
-// directly.
+// directly. Integers are one running sum.
 template <class T, class F>
 class ColumnSums {
   static constexpr int kDirect = 3, kN = kLanesAs<F, T>;
@@ -65,6 +67,7 @@ class ColumnSums {
     return axis_.doubled && axis_.is_edge(border_index(axis_.border, position, axis_.size)) ? 2 : 1;
   }
 
+  KV_HD bool has_blocks() const { return sizeof(F) > 2 && k_ > kDirect; }
   KV_HD void clear(F* sum) const {
     for (int64_t e = 0; e < size_; ++e) sum[e] = 0;
   }
@@ -104,14 +107,29 @@ class ColumnSums {
         size_(x.row_size()),
         k_(axis.count()),
         zeros_(size_),
-        ends_(k_ > kDirect ? (k_ + 1) * size_ : 0),
-        beginning_(k_ > kDirect ? size_ : 0) {
+        ends_(has_blocks() ? (k_ + 1) * size_ : 0),
+        beginning_(has_blocks() ? size_ : 0) {
     for (int64_t e = 0; e < size_; ++e) zeros_.data[e] = T{};
-    if (k_ > kDirect) clear(ends_.data + k_ * size_);
+    if (has_blocks()) clear(ends_.data + k_ * size_);
   }
 
-  // The sums of the window of row y. `fresh`: the call before was not for the row above.
+  // The sums of the window of row y. `fresh`: the call before was not for the row above. Otherwise `sum` may still hold
+  // what it wrote: integers lose nothing when the row that leaves a window is subtracted.
   KV_HD void window(F* sum, int64_t plane, int64_t y, bool fresh) {
+    if constexpr (sizeof(F) == 2) {
+      if (fresh) {
+        clear(sum);
+        for (int64_t i = y - axis_.before; i <= y + axis_.after; ++i) add(sum, sum, 1, row(plane, i));
+        return;
+      }
+      T const* const leaves = row(plane, y - 1 - axis_.before);
+      T const* const enters = row(plane, y + axis_.after);
+      return for_each_once<kN>(size_, [=](auto width, int64_t e) {
+        constexpr int N = decltype(width)::value;
+        Lanes<F, N> const change = load_as<N, F>(enters + e) - load_as<N, F>(leaves + e);
+        store_as<N, F>(sum + e, Lanes<F, N>(load_as<N, F>(sum + e) + change));
+      });
+    }
     if (k_ > kDirect) return slide(sum, plane, y, fresh);
     T const* terms[2 * kDirect];  // a row that counts twice is there twice
     int count = 0;
@@ -176,6 +194,10 @@ class RowSums {
       F* const above = level + room_;
       add_up<F>(four, 4, size_ + (k_ - 4 * power) * step_,
                 [=](auto width, int64_t e, auto s) { store_as<decltype(width)::value, F>(above + e, s); });
+    }
+    if constexpr (sizeof(F) == 2) {
+      if (count == 3) return add_up<F, 3>(terms, count, size_, emit);
+      if (count == 5) return add_up<F, 5>(terms, count, size_, emit);
     }
     add_up<F>(terms, count, size_, emit);
   }

@@ -139,8 +139,8 @@ def test_samples_that_are_not_chosen_pass_unchanged(device: torch.device) -> Non
 def test_types_and_layouts(dtype: torch.dtype, device: torch.device) -> None:
     x = images(device)
     stored = (255 * x).to(torch.uint8) if dtype == torch.uint8 else x.to(dtype)
-    scale, atol = (
-        (255, 0.51) if dtype == torch.uint8 else (1, {torch.float16: 1e-3, torch.bfloat16: 5e-3}.get(dtype, 1e-4))
+    scale, atol = (  # the CPU samples bytes in fixed point
+        (255, 0.53) if dtype == torch.uint8 else (1, {torch.float16: 1e-3, torch.bfloat16: 5e-3}.get(dtype, 1e-4))
     )
     augment = A.ImageSequential(A.RandomAffine(20.0, p=1.0), elastic(), resample="once")
     y, expected = augment(stored, seed=3), scale * augment(stored.float() / scale, seed=3)

@@ -216,7 +216,7 @@ def test_bytes_are_undistorted_as_opencv_does(device):
     K_, dist = torch.tensor([[30.0, 0, 20], [0, 30, 15], [0, 0, 1]]), torch.tensor([0.1, -0.05, 0.01, 0.0])
     found = G.undistort_image(image, K_.to(device), dist.to(device))
     exact = G.undistort_image(image.double(), K_.to(device), dist.to(device))
-    assert found.dtype == torch.uint8 and (found - exact).abs().max() <= 0.502
+    assert found.dtype == torch.uint8 and (found - exact).abs().max() <= 0.53  # the CPU samples bytes in fixed point
     expected = cv2.undistort(image[0].permute(1, 2, 0).cpu().numpy(), K_.double().numpy(), dist.double().numpy())
     inside = torch.from_numpy(expected).permute(2, 0, 1)[:, 3:-3, 3:-3].int()  # OpenCV rounds coordinates to 1/32 pixel
     assert (found.cpu()[0, :, 3:-3, 3:-3].int() - inside).abs().max() <= 16

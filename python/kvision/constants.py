@@ -29,7 +29,7 @@ class _NamedEnum(Enum):
         """The member with this name (in any case) or this value; a member is returned as it is.
 
         Raises:
-            TypeCheckError: `value` is no str, int or member.
+            TypeCheckError: `value` is not a str, int or member.
             ValueCheckError: no member has that name or value; for a name it is also a KeyError.
         """
         if isinstance(value, cls):

@@ -88,7 +88,7 @@ def patch_kornia(include_different: bool = False) -> KorniaPatch:
 
     Raises:
         ImportError: Kornia is not installed.
-        TypeCheckError: include_different is no bool.
+        TypeCheckError: include_different is not a bool.
 
     Example:
         >>> import kvision, kornia  # doctest: +SKIP

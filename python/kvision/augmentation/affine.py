@@ -36,7 +36,7 @@ class RandomAffine(GeometricAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import torch, kvision as K
@@ -88,7 +88,7 @@ class RandomRotation(GeometricAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: `degrees` has another form, or is not within -360 and 360.
+        TypeError, ValueError: `degrees` does not have the form in Args, or is not within -360 and 360.
 
     Example:
         >>> import torch, kvision as K
@@ -128,7 +128,7 @@ class RandomShear(GeometricAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: `shear` has another form, or is not within -360 and 360.
+        TypeError, ValueError: `shear` does not have the form in Args, or is not within -360 and 360.
 
     Example:
         >>> import torch, kvision as K
@@ -172,7 +172,7 @@ class RandomTranslate(GeometricAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: a range of another form, or not within -1 and 1.
+        TypeError, ValueError: a range does not have the form in Args, or is not within -1 and 1.
 
     Example:
         >>> import torch, kvision as K
@@ -240,7 +240,7 @@ class RandomRotation90(GeometricAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError: `times` is no pair of ints.
+        TypeError: `times` is not a pair of ints.
         ValueError: `times` is not ascending, or not within -3 and 3.
 
     Example:

@@ -495,7 +495,7 @@ class AugmentationBase(_KeepsArguments):
             `return_transform` a pair of them and the matrices (B, 3, 3).
 
         Raises:
-            TypeError: `input` is no tensor of a floating-point type or uint8.
+            TypeError: `input` is not a tensor of a floating-point type or uint8.
             ValueError: `input` has another number of axes.
         """
         image: Any
@@ -643,7 +643,7 @@ class AugmentationBase2D(AugmentationBase):
         return_transform: calls return the image and its matrix.
 
     Raises:
-        TypeError: `p` or `p_batch` is no number.
+        TypeError: `p` or `p_batch` is not a number.
         ValueError: `p` or `p_batch` is not within 0 and 1.
 
     Example:

@@ -30,7 +30,7 @@ class RandomChannelShuffle(IntensityAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError: `p` is no number.
+        TypeError: `p` is not a number.
 
     Example:
         >>> import torch, kvision as K
@@ -67,7 +67,7 @@ class RandomChannelDropout(IntensityAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: `num_drop_channels` is no int of at least 1; `fill_value` is not within 0 and 1.
+        TypeError, ValueError: `num_drop_channels` is not an int of at least 1; `fill_value` is not within 0 and 1.
 
     Example:
         >>> import torch, kvision as K
@@ -119,7 +119,7 @@ class RandomPlanckianJitter(IntensityAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        ValueError, RuntimeError: `mode` is unknown; a row that there is not.
+        ValueError, RuntimeError: `mode` is unknown; a row is out of range.
 
     Example:
         >>> import torch, kvision as K

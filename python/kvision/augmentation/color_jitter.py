@@ -25,7 +25,7 @@ class ColorJitter(IntensityAugmentationBase2D):
         order: a permutation of 0 to 3, for brightness, contrast, saturation, hue; None for a random one a sample.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds; `order` is no permutation.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds; `order` is not a permutation.
 
     Example:
         >>> import torch, kvision as K
@@ -74,7 +74,7 @@ class ColorJiggle(IntensityAugmentationBase2D):
         order: a permutation of 0 to 3, for brightness, contrast, saturation, hue; None for a random one a sample.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds; `order` is no permutation.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds; `order` is not a permutation.
 
     Example:
         >>> import torch, kvision as K

@@ -57,7 +57,7 @@ class RandomCrop(GeometricAugmentationBase2D):
         cropping_mode: accepted for code written for Kornia; both modes give the same pixels.
 
     Raises:
-        TypeError: `size` or `padding` has another form.
+        TypeError: `size` or `padding` does not have the form in Args.
         ValueError: a size below 1; an unknown mode; in a call, images smaller than the window without `pad_if_needed`.
 
     Example:
@@ -144,7 +144,8 @@ class RandomResizedCrop(GeometricAugmentationBase2D):
 
     Raises:
         TypeError: `size` is not one or two ints.
-        ValueError: a size below 1; a range of another form, or not above 0; an unknown mode; `antialias` with 'nearest'.
+        ValueError: a size below 1; a range does not have the form in Args, or is not above 0; an unknown mode;
+            `antialias` with 'nearest'.
 
     Example:
         >>> import torch, kvision as K

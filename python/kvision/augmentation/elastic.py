@@ -178,7 +178,7 @@ class RandomThinPlateSpline(MapAugmentation):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: `scale` is no number of at least 0.
+        TypeError, ValueError: `scale` is not a number of at least 0.
 
     Example:
         >>> import torch, kvision as K
@@ -228,7 +228,7 @@ class RandomFisheye(MapAugmentation):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import torch, kvision as K

@@ -47,7 +47,7 @@ class RandomHorizontalFlip(_RandomFlip):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError: `p` or `p_batch` is no number.
+        TypeError: `p` or `p_batch` is not a number.
         ValueError: `p` or `p_batch` is not within 0 and 1.
 
     Example:
@@ -75,7 +75,7 @@ class RandomVerticalFlip(_RandomFlip):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError: `p` or `p_batch` is no number.
+        TypeError: `p` or `p_batch` is not a number.
         ValueError: `p` or `p_batch` is not within 0 and 1.
 
     Example:

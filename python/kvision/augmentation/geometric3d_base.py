@@ -30,7 +30,7 @@ class GeometricAugmentationBase3D(GeometricAugmentation, RigidAffineAugmentation
         return_transform: calls return the volume and its matrix.
 
     Raises:
-        TypeError: `p` or `p_batch` is no number.
+        TypeError: `p` or `p_batch` is not a number.
         ValueError: `p` or `p_batch` is not within 0 and 1.
 
     Example:

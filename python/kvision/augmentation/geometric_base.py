@@ -82,7 +82,7 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         return_transform: calls return the image and its matrix.
 
     Raises:
-        TypeError: `p` or `p_batch` is no number.
+        TypeError: `p` or `p_batch` is not a number.
         ValueError: `p` or `p_batch` is not within 0 and 1.
 
     Example:

@@ -30,7 +30,7 @@ class RandomGaussianIllumination(IntensityAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import torch, kvision as K
@@ -72,7 +72,7 @@ class RandomLinearIllumination(IntensityAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import torch, kvision as K
@@ -112,7 +112,7 @@ class RandomLinearCornerIllumination(IntensityAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import torch, kvision as K

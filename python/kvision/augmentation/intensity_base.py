@@ -45,7 +45,7 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
         return_transform: calls return the image and its matrix.
 
     Raises:
-        TypeError: `p` or `p_batch` is no number.
+        TypeError: `p` or `p_batch` is not a number.
         ValueError: `p` or `p_batch` is not within 0 and 1.
 
     Example:

@@ -55,7 +55,7 @@ class MixAugmentationBaseV2(AugmentationBase2D):
         data_keys: what the arguments of a call are, "input" first; default: images alone.
 
     Raises:
-        TypeError: `p` or `p_batch` is no number.
+        TypeError: `p` or `p_batch` is not a number.
         ValueError: `p` or `p_batch` is not within 0 and 1; a key is unknown.
 
     Example:
@@ -107,7 +107,7 @@ class MixAugmentationBaseV2(AugmentationBase2D):
             What was given, mixed: one tensor for one key, else a list.
 
         Raises:
-            TypeError: the images are no tensor of a floating-point type or uint8.
+            TypeError: the images are not tensors of a floating-point type or uint8.
             ValueError: there are fewer inputs than keys.
             NotImplementedError: a key that this operation cannot mix.
         """
@@ -249,11 +249,11 @@ class RandomMixUpV2(MixAugmentationBaseV2):
         lambda_val: range of the weight; None for 0 to 1.
         same_on_batch: all samples get the same weight.
         p: probability that a sample is mixed.
-        keepdim: accepted for the other classes' sake.
+        keepdim: no effect; accepted as by the other classes.
         data_keys: what the arguments of a call are: "input", "class", "mask"; default: images alone.
 
     Raises:
-        TypeError, ValueError: a range of another form, or not within 0 and 1.
+        TypeError, ValueError: a range does not have the form in Args, or is not within 0 and 1.
 
     Example:
         >>> import torch, kvision as K
@@ -314,12 +314,12 @@ class RandomCutMixV2(MixAugmentationBaseV2):
         beta: parameter of the symmetric beta distribution of the fraction kept; None for 1, the uniform one.
         same_on_batch: all samples get the same window.
         p: probability that a sample is mixed.
-        keepdim: accepted for the other classes' sake.
+        keepdim: no effect; accepted as by the other classes.
         data_keys: what the arguments of a call are: "input", "class", "mask", "bbox_xyxy"; default: images alone.
         use_correct_lambda: accepted for code written for Kornia: the weight is the fraction kept either way.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import torch, kvision as K
@@ -392,7 +392,7 @@ class PatchMix(MixAugmentationBaseV2):
         patch_size: side of the window in pixels.
         p: probability that a sample is mixed.
         same_on_batch: all samples get the same window.
-        keepdim: accepted for the other classes' sake.
+        keepdim: no effect; accepted as by the other classes.
         data_keys: what the arguments of a call are: "input", "class", "mask"; default: images alone.
 
     Raises:
@@ -445,7 +445,7 @@ class RandomJigsaw(MixAugmentationBaseV2):
         data_keys: what the arguments of a call are: "input", "mask", "bbox_xyxy", "keypoints", "class"; default: images alone.
         p: probability that a sample is augmented.
         same_on_batch: all samples get the same order.
-        keepdim: accepted for the other classes' sake.
+        keepdim: no effect; accepted as by the other classes.
         ensure_perm: no sample keeps all cells at their positions.
 
     Raises:
@@ -535,14 +535,15 @@ class RandomMosaic(MixAugmentationBaseV2):
         min_bbox_size: boxes whose area in the window is below this fraction of theirs become (0, 0, 0, 0).
         data_keys: what the arguments of a call are: "input", "mask", "bbox_xyxy"; default: images alone.
         p: probability that a sample is augmented; the others are resized.
-        keepdim: accepted for the other classes' sake.
+        keepdim: no effect; accepted as by the other classes.
         padding_mode: accepted for code written for Kornia: outside of the images there is 0.
         resample: how samples that are not chosen are resized: 'nearest', 'bilinear' or 'bicubic'.
         align_corners: accepted for code written for Kornia.
         cropping_mode: accepted for code written for Kornia; windows begin at pixels.
 
     Raises:
-        TypeError, ValueError: a range of another form, or not within 0 and 1; sizes that are not two ints of at least 1.
+        TypeError, ValueError: a range does not have the form in Args, or is not within 0 and 1; sizes that are not two
+            ints of at least 1.
 
     Example:
         >>> import torch, kvision as K

@@ -29,7 +29,7 @@ class RandomPerspective(GeometricAugmentationBase2D):
         sampling_method: 'basic' moves corners inward, 'area_preserving' inward and outward alike.
 
     Raises:
-        TypeError: `distortion_scale` is no number.
+        TypeError: `distortion_scale` is not a number.
         ValueError: `distortion_scale` is not within 0 and 1; `sampling_method` is unknown.
 
     Example:

@@ -29,7 +29,7 @@ class RandomGaussianNoise(IntensityAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: an argument is no number; `std` is below 0.
+        TypeError, ValueError: an argument is not a number; `std` is below 0.
 
     Example:
         >>> import torch, kvision as K
@@ -76,7 +76,7 @@ class RandomSaltAndPepperNoise(IntensityAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import torch, kvision as K

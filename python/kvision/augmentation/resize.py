@@ -99,7 +99,7 @@ class LongestMaxSize(Resize):
         p: probability that a batch is resized.
 
     Raises:
-        TypeError: `max_size` is no int.
+        TypeError: `max_size` is not an int.
 
     Example:
         >>> import torch, kvision as K
@@ -128,7 +128,7 @@ class SmallestMaxSize(Resize):
         p: probability that a batch is resized.
 
     Raises:
-        TypeError: `max_size` is no int.
+        TypeError: `max_size` is not an int.
 
     Example:
         >>> import torch, kvision as K

@@ -57,7 +57,7 @@ def preview(
         The sheet, RGB (3, h, w), float32 in [0, 1], on the device of the image.
 
     Raises:
-        TypeError: `augment` is no module, an input is of another type than its key says.
+        TypeError: `augment` is not a module, an input is of another type than its key says.
         ValueError: the number of inputs is not that of the keys; `count`, `columns` or `size` is not positive.
 
     Example:

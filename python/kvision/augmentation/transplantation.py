@@ -42,7 +42,7 @@ class RandomTransplantation(MixAugmentationBaseV2):
         data_keys: what the arguments of a call are; default: the first one is the image, the second one its mask.
 
     Raises:
-        TypeError: `excluded_labels` are no whole numbers.
+        TypeError: `excluded_labels` are not whole numbers.
         ValueError: in a call, there is no mask, or its shape does not fit the images.
 
     Example:
@@ -97,7 +97,7 @@ class RandomTransplantation(MixAugmentationBaseV2):
             What was given, with the regions.
 
         Raises:
-            TypeError: an input is no tensor.
+            TypeError: an input is not a tensor.
             ValueError: there is another number of inputs than of keys, or no mask; shapes do not fit.
         """
         op = type(self).__name__
@@ -208,7 +208,7 @@ class RandomTransplantation3D(RandomTransplantation):
         data_keys: what the arguments of a call are; default: the first one is the volume, the second one its mask.
 
     Raises:
-        TypeError: `excluded_labels` are no whole numbers.
+        TypeError: `excluded_labels` are not whole numbers.
 
     Example:
         >>> import torch, kvision as K

@@ -65,7 +65,7 @@ class RandomAffine3D(GeometricAugmentationBase3D):
         keepdim: a volume (C, D, H, W) gives a volume (C, D, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds; an unknown `resample`.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds; an unknown `resample`.
 
     Example:
         >>> import torch, kvision as K
@@ -112,7 +112,7 @@ class RandomRotation3D(GeometricAugmentationBase3D):
         keepdim: a volume (C, D, H, W) gives a volume (C, D, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: `degrees` has another form, or is not within -360 and 360; an unknown `resample`.
+        TypeError, ValueError: `degrees` does not have the form in Args, or is not within -360 and 360; an unknown `resample`.
 
     Example:
         >>> import torch, kvision as K
@@ -155,7 +155,7 @@ class RandomPerspective3D(GeometricAugmentationBase3D):
         keepdim: a volume (C, D, H, W) gives a volume (C, D, H, W) instead of a batch of one.
 
     Raises:
-        TypeError: `distortion_scale` is no number.
+        TypeError: `distortion_scale` is not a number.
         ValueError: `distortion_scale` is not within 0 and 1; an unknown `resample`.
 
     Example:
@@ -225,7 +225,7 @@ class RandomHorizontalFlip3D(_RandomFlip3D):
         keepdim: a volume (C, D, H, W) gives a volume (C, D, H, W) instead of a batch of one.
 
     Raises:
-        TypeError: `p` is no number.
+        TypeError: `p` is not a number.
         ValueError: `p` is not within 0 and 1.
 
     Example:
@@ -247,7 +247,7 @@ class RandomVerticalFlip3D(_RandomFlip3D):
         keepdim: a volume (C, D, H, W) gives a volume (C, D, H, W) instead of a batch of one.
 
     Raises:
-        TypeError: `p` is no number.
+        TypeError: `p` is not a number.
         ValueError: `p` is not within 0 and 1.
 
     Example:
@@ -269,7 +269,7 @@ class RandomDepthicalFlip3D(_RandomFlip3D):
         keepdim: a volume (C, D, H, W) gives a volume (C, D, H, W) instead of a batch of one.
 
     Raises:
-        TypeError: `p` is no number.
+        TypeError: `p` is not a number.
         ValueError: `p` is not within 0 and 1.
 
     Example:
@@ -302,7 +302,7 @@ class RandomCrop3D(GeometricAugmentationBase3D):
         keepdim: a volume (C, D, H, W) gives a volume (C, d, h, w) instead of a batch of one.
 
     Raises:
-        TypeError: `size` or `padding` has another form.
+        TypeError: `size` or `padding` does not have the form in Args.
         ValueError: a size below 1; an unknown mode; in a call, volumes smaller than the box without `pad_if_needed`.
 
     Example:
@@ -467,7 +467,7 @@ class RandomEqualize3D(IntensityAugmentationBase3D):
         keepdim: a volume (C, D, H, W) gives a volume (C, D, H, W) instead of a batch of one.
 
     Raises:
-        TypeError: `p` is no number.
+        TypeError: `p` is not a number.
         ValueError: `p` is not within 0 and 1.
 
     Example:
@@ -503,7 +503,7 @@ class RandomMotionBlur3D(IntensityAugmentationBase3D):
         keepdim: a volume (C, D, H, W) gives a volume (C, D, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import torch, kvision as K

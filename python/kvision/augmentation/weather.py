@@ -29,7 +29,7 @@ class RandomRain(IntensityAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: a range is no ascending pair of ints, or out of its bounds; in a call, drops as large as the
+        TypeError, ValueError: a range is not an ascending pair of ints, or out of its bounds; in a call, drops as large as the
             image.
 
     Example:
@@ -94,7 +94,7 @@ class RandomSnow(IntensityAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import torch, kvision as K

@@ -70,7 +70,7 @@ class ColorMap:
         colors: the table, (3, num_colors).
 
     Raises:
-        TypeCheckError: a base of the wrong type, num_colors no int, dtype not floating point.
+        TypeCheckError: a base of the wrong type, num_colors not an int, dtype not floating point.
         ValueCheckError: an unknown name, colors that are not three numbers, num_colors less than 1.
 
     Example:
@@ -159,7 +159,7 @@ def apply_colormap(input_tensor: Tensor, colormap: ColorMap) -> Tensor:
         The gradient goes to the colors.
 
     Raises:
-        TypeCheckError: input_tensor is no tensor, colormap no ColorMap.
+        TypeCheckError: input_tensor is not a tensor, colormap is not a ColorMap.
         ShapeError: input_tensor has another number of axes.
         DeviceError: a table on another device; one in CPU memory is moved.
 

@@ -48,7 +48,7 @@ def rgb_to_grayscale(image: Tensor, rgb_weights: Tensor | None = None) -> Tensor
         where none are given; otherwise rounded half to even and saturated.
 
     Raises:
-        TypeCheckError: image is no tensor, or of integers other than uint8; rgb_weights is no real tensor.
+        TypeCheckError: image is not a tensor, or of integers other than uint8; rgb_weights is not a real tensor.
         ShapeError: image is not (*, 3, H, W), rgb_weights not (3,).
         DeviceError: rgb_weights on another device; those in CPU memory are moved.
 
@@ -84,7 +84,7 @@ def bgr_to_grayscale(image: Tensor) -> Tensor:
         Gray images (*, 1, H, W) in the type of the image; uint8 as :func:`rgb_to_grayscale` gives it.
 
     Raises:
-        TypeCheckError: image is no tensor, or of integers other than uint8.
+        TypeCheckError: image is not a tensor, or of integers other than uint8.
         ShapeError: image is not (*, 3, H, W).
 
     Source: ITU-R BT.601.
@@ -117,7 +117,7 @@ def grayscale_to_rgb(image: Tensor) -> Tensor:
         RGB images (*, 3, H, W) of the same type, in memory of their own.
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 1, H, W).
 
     Example:

@@ -42,7 +42,7 @@ def rgb_to_hls(image: Tensor, eps: float = 1e-8) -> Tensor:
         saturation 0. Where channels tie for the highest, red counts before green and green before blue.
 
     Raises:
-        TypeCheckError: image is no tensor, eps no number.
+        TypeCheckError: image is not a tensor, eps not a number.
         ShapeError: image is not (*, 3, H, W).
         ValueCheckError: eps is negative.
 
@@ -69,7 +69,7 @@ def hls_to_rgb(image: Tensor) -> Tensor:
         RGB images of the same shape, in [0, 1].
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 3, H, W).
 
     Source: G. H. Joblove and D. Greenberg, "Color spaces for computer graphics" (1978).

@@ -66,7 +66,7 @@ def rgb_to_hsv(image: Tensor, eps: float = 1e-8, opencv: bool = False) -> Tensor
         saturation 0. Where channels tie for the highest, red counts before green and green before blue.
 
     Raises:
-        TypeCheckError: image is no tensor, or not uint8 with opencv; eps no number, opencv no bool.
+        TypeCheckError: image is not a tensor, or not uint8 with opencv; eps not a number, opencv not a bool.
         ShapeError: image is not (*, 3, H, W).
         ValueCheckError: eps is negative.
 
@@ -96,7 +96,7 @@ def hsv_to_rgb(image: Tensor, opencv: bool = False) -> Tensor:
         RGB images of the same shape, in [0, 1].
 
     Raises:
-        TypeCheckError: image is no tensor, or not uint8 with opencv; opencv no bool.
+        TypeCheckError: image is not a tensor, or not uint8 with opencv; opencv not a bool.
         ShapeError: image is not (*, 3, H, W).
 
     Source: A. R. Smith, "Color gamut transform pairs" (1978).

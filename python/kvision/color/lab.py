@@ -53,7 +53,7 @@ def rgb_to_lab(image: Tensor) -> Tensor:
         Images of the same shape: L in [0, 100], a and b in about [-127, 127]; grays have a and b near 0.
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 3, H, W).
 
     Source: CIE 15, IEC 61966-2-1.
@@ -78,7 +78,7 @@ def lab_to_rgb(image: Tensor, clip: bool = True) -> Tensor:
         sRGB images of the same shape.
 
     Raises:
-        TypeCheckError: image is no tensor, clip no bool.
+        TypeCheckError: image is not a tensor, clip not a bool.
         ShapeError: image is not (*, 3, H, W).
 
     Source: CIE 15, IEC 61966-2-1.

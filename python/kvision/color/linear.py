@@ -39,7 +39,7 @@ def rgb_to_linear_rgb(image: Tensor) -> Tensor:
         Images of the same shape, of linear light in [0, 1].
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 3, H, W).
 
     Source: IEC 61966-2-1.
@@ -63,7 +63,7 @@ def linear_rgb_to_rgb(image: Tensor) -> Tensor:
         sRGB images of the same shape, not clamped.
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 3, H, W).
 
     Source: IEC 61966-2-1.

@@ -55,7 +55,7 @@ def rgb_to_luv(image: Tensor, eps: float = 1e-12) -> Tensor:
         Images of the same shape: L in [0, 100], u in about [-84, 176], v in about [-135, 108]; grays have u and v near 0.
 
     Raises:
-        TypeCheckError: image is no tensor, eps no number.
+        TypeCheckError: image is not a tensor, eps not a number.
         ShapeError: image is not (*, 3, H, W).
         ValueCheckError: eps is negative.
 
@@ -82,7 +82,7 @@ def luv_to_rgb(image: Tensor, eps: float = 1e-12) -> Tensor:
         sRGB images of the same shape, not clamped.
 
     Raises:
-        TypeCheckError: image is no tensor, eps no number.
+        TypeCheckError: image is not a tensor, eps not a number.
         ShapeError: image is not (*, 3, H, W).
         ValueCheckError: eps is negative.
 

@@ -119,7 +119,7 @@ def rgb_to_raw(image: Tensor, cfa: CFA) -> Tensor:
         Mosaics (*, 1, H, W) of the same type.
 
     Raises:
-        TypeCheckError: image is no tensor, cfa no CFA.
+        TypeCheckError: image is not a tensor, cfa is not a CFA.
         ShapeError: image is not (*, 3, H, W).
 
     Example:
@@ -147,7 +147,7 @@ def raw_to_rgb(image: Tensor, cfa: CFA) -> Tensor:
         RGB images (*, 3, H, W).
 
     Raises:
-        TypeCheckError: image is no tensor, cfa no CFA.
+        TypeCheckError: image is not a tensor, cfa is not a CFA.
         ShapeError: image is not (*, 1, H, W), or H or W is odd or 0.
 
     Example:
@@ -174,7 +174,7 @@ def raw_to_rgb_2x2_downscaled(image: Tensor, cfa: CFA) -> Tensor:
         RGB images (*, 3, H / 2, W / 2).
 
     Raises:
-        TypeCheckError: image is no tensor, cfa no CFA.
+        TypeCheckError: image is not a tensor, cfa is not a CFA.
         ShapeError: image is not (*, 1, H, W), or H or W is odd or 0.
 
     Example:

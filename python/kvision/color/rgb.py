@@ -17,7 +17,7 @@ def bgr_to_rgb(image: Tensor) -> Tensor:
         RGB images of the same shape and type.
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 3, H, W).
 
     Example:
@@ -39,7 +39,7 @@ def rgb_to_bgr(image: Tensor) -> Tensor:
         BGR images of the same shape and type.
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 3, H, W).
 
     Example:

@@ -46,7 +46,7 @@ def rgb_to_rgb255(image: Tensor) -> Tensor:
         Images of the same shape, floating point, not rounded.
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ImageError: image is not (*, 3, H, W).
 
     Example:
@@ -68,7 +68,7 @@ def rgb255_to_rgb(image: Tensor) -> Tensor:
         Images of the same shape, floating point, not clamped.
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ImageError: image is not (*, 3, H, W).
 
     Example:
@@ -90,7 +90,7 @@ def rgb255_to_normals(image: Tensor) -> Tensor:
         Normals of the same shape, in [-1, 1]; 0 where the color is 127.5 throughout and so has no direction.
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ImageError: image is not (*, 3, H, W).
 
     Example:
@@ -112,7 +112,7 @@ def normals_to_rgb255(image: Tensor) -> Tensor:
         Images of the same shape, floating point, not rounded.
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ImageError: image is not (*, 3, H, W).
 
     Example:

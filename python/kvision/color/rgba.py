@@ -31,7 +31,7 @@ def rgb_to_rgba(image: Tensor, alpha_val: float | Tensor) -> Tensor:
         RGBA images (*, 4, H, W) in the type of the image.
 
     Raises:
-        TypeCheckError: image is no tensor; alpha_val is neither a float nor a tensor.
+        TypeCheckError: image is not a tensor; alpha_val is neither a float nor a tensor.
         ShapeError: image is not (*, 3, H, W); a tensor alpha_val of another shape than one channel of it.
         DeviceError: image and alpha_val on different devices.
 
@@ -55,7 +55,7 @@ def bgr_to_rgba(image: Tensor, alpha_val: float | Tensor) -> Tensor:
         RGBA images (*, 4, H, W), red first, in the type of the image.
 
     Raises:
-        TypeCheckError: image is no tensor; alpha_val is neither a float nor a tensor.
+        TypeCheckError: image is not a tensor; alpha_val is neither a float nor a tensor.
         ShapeError: image is not (*, 3, H, W); a tensor alpha_val of another shape than one channel of it.
         DeviceError: image and alpha_val on different devices.
 
@@ -99,7 +99,7 @@ def rgba_to_rgb(image: Tensor, background_color: tuple[float, float, float] | Te
         RGB images (*, 3, H, W).
 
     Raises:
-        TypeCheckError: image is no tensor; background_color of the wrong type.
+        TypeCheckError: image is not a tensor; background_color of the wrong type.
         ShapeError: image is not (*, 4, H, W); a tensor background_color that does not fit it.
         ValueCheckError: a background_color that is not of three numbers.
         DeviceError: background_color on another device; a color in CPU memory is moved.
@@ -164,7 +164,7 @@ def rgba_to_bgr(image: Tensor) -> Tensor:
         BGR images (*, 3, H, W).
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 4, H, W).
 
     Example:

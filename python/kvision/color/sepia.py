@@ -40,7 +40,7 @@ def sepia(input: Tensor, rescale: bool = True, eps: float = 1e-6) -> Tensor:
         RGB images of the same shape.
 
     Raises:
-        TypeCheckError: input is no tensor, rescale no bool, eps no number.
+        TypeCheckError: input is not a tensor, rescale not a bool, eps not a number.
         ShapeError: input is not (*, 3, H, W), or has no pixels.
         ValueCheckError: eps is negative.
 

@@ -42,7 +42,7 @@ def rgb_to_xyz(image: Tensor) -> Tensor:
         XYZ images of the same shape; of colors in [0, 1] they are in [0, 0.950456], [0, 1] and [0, 1.088754].
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 3, H, W).
 
     Source: ITU-R BT.709, CIE 15.
@@ -66,7 +66,7 @@ def xyz_to_rgb(image: Tensor) -> Tensor:
         RGB images of the same shape, of linear light, not clamped.
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 3, H, W).
 
     Source: ITU-R BT.709, CIE 15.

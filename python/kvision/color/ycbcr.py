@@ -32,7 +32,7 @@ def rgb_to_ycbcr(image: Tensor) -> Tensor:
         YCbCr images of the same shape, in [0, 1] up to the rounding of 0.564 and 0.713; grays have chroma 0.5.
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 3, H, W).
 
     Source: ITU-R BT.601.
@@ -56,7 +56,7 @@ def ycbcr_to_rgb(image: Tensor) -> Tensor:
         RGB images of the same shape, clamped to [0, 1].
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 3, H, W).
 
     Source: ITU-R BT.601.
@@ -80,7 +80,7 @@ def rgb_to_y(image: Tensor) -> Tensor:
         Luma (*, 1, H, W).
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 3, H, W).
 
     Source: ITU-R BT.601.

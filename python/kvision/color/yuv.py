@@ -97,7 +97,7 @@ def rgb_to_yuv(image: Tensor) -> Tensor:
         Images of the same shape: y in [0, 1], u in [-0.436, 0.436], v in [-0.615, 0.615]; grays have u = v = 0.
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 3, H, W).
 
     Source: ITU-R BT.601, BT.470.
@@ -121,7 +121,7 @@ def yuv_to_rgb(image: Tensor) -> Tensor:
         RGB images of the same shape, not clamped.
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 3, H, W).
 
     Source: ITU-R BT.601, BT.470.
@@ -145,7 +145,7 @@ def rgb_to_yuv420(image: Tensor) -> tuple[Tensor, Tensor]:
         y (*, 1, H, W) and uv (*, 2, H / 2, W / 2), in the ranges of :func:`rgb_to_yuv`.
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 3, H, W), or H or W is odd.
 
     Source: ITU-R BT.601, BT.470.
@@ -171,7 +171,7 @@ def rgb_to_yuv422(image: Tensor) -> tuple[Tensor, Tensor]:
         y (*, 1, H, W) and uv (*, 2, H, W / 2), in the ranges of :func:`rgb_to_yuv`.
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is not a tensor.
         ShapeError: image is not (*, 3, H, W), or W is odd.
 
     Source: ITU-R BT.601, BT.470.
@@ -198,7 +198,7 @@ def yuv420_to_rgb(imagey: Tensor, imageuv: Tensor) -> Tensor:
         RGB images (*, 3, H, W) in the type of imagey, not clamped.
 
     Raises:
-        TypeCheckError: imagey or imageuv is no tensor.
+        TypeCheckError: imagey or imageuv is not a tensor.
         ShapeError: imagey is not (*, 1, H, W) with even H and W; imageuv does not fit it.
         DeviceError: imagey and imageuv on different devices.
 
@@ -223,7 +223,7 @@ def yuv422_to_rgb(imagey: Tensor, imageuv: Tensor) -> Tensor:
         RGB images (*, 3, H, W) in the type of imagey, not clamped.
 
     Raises:
-        TypeCheckError: imagey or imageuv is no tensor.
+        TypeCheckError: imagey or imageuv is not a tensor.
         ShapeError: imagey is not (*, 1, H, W) with even W; imageuv does not fit it.
         DeviceError: imagey and imageuv on different devices.
 

@@ -63,7 +63,7 @@ def connected_components(image: Tensor, num_iterations: int = 100) -> Tensor:
         int64 labels (*, 1, H, W): 0 outside, and for each region 1 + the index that its first pixel has in its image.
 
     Raises:
-        TypeCheckError: image is no real tensor; num_iterations no int.
+        TypeCheckError: image is not a real tensor; num_iterations not an int.
         ShapeError: image is not (*, 1, H, W).
         ValueCheckError: num_iterations below 1.
 

@@ -35,7 +35,7 @@ def distance_transform(image: Tensor, kernel_size: int = 3, h: float = 0.35, exa
         Pixels, in the shape of the image. Where the approximation reaches no source it is 0.
 
     Raises:
-        TypeCheckError: image is no real tensor; arguments of the wrong type.
+        TypeCheckError: image is not a real tensor; arguments of the wrong type.
         ShapeError: image of another rank.
         ValueCheckError: an even or too small kernel_size; an h that is not above 0, too small or too large for it.
 

@@ -24,7 +24,7 @@ def interp(x: Tensor, xp: Tensor, fp: Tensor) -> Tensor:
     Raises:
         TypeCheckError: not three real tensors.
         ShapeError: xp and fp not of one shape (N,), N at least 2.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -65,7 +65,7 @@ def histogram_matching(source: Tensor, template: Tensor) -> Tensor:
     Raises:
         TypeCheckError: not two real tensors.
         ShapeError: an empty template for a source that is not.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

@@ -27,7 +27,7 @@ class ImageStitcher(nn.Module):
     no image reaches are cut off, which reads them. The gradient goes to the pixels, not through the homographies.
 
     Raises:
-        TypeCheckError: images that are no tensors, a matcher that is no module.
+        TypeCheckError: images that are not tensors, a matcher that is not a module.
         ShapeError: images that are not (B, C, H, W), or differ in B, C or H.
         ValueCheckError: another estimator or blending_method, which is a NotImplementedError, too; less than two images.
         RuntimeError: fewer than four matches in a sample.

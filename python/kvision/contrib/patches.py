@@ -127,7 +127,7 @@ def extract_tensor_patches(
         (B, N, C, height, width), patches row by row.
 
     Raises:
-        TypeCheckError: input is no tensor; sizes, stride or padding not of ints.
+        TypeCheckError: input is not a tensor; sizes, stride or padding not of ints.
         ShapeError: input is not (B, C, H, W), or smaller than a patch.
         ValueCheckError: a size or stride below 1, a negative padding.
 
@@ -179,7 +179,7 @@ def combine_tensor_patches(
         (B, C, *original_size); pixels that no patch has are 0.
 
     Raises:
-        TypeCheckError: patches is no tensor; sizes, stride or unpadding not of ints.
+        TypeCheckError: patches is not a tensor; sizes, stride or unpadding not of ints.
         ShapeError: patches is not (B, N, C, height, width), or N is another number than fits.
         ValueCheckError: a stride larger than the window; a size or stride below 1.
 

@@ -113,7 +113,7 @@ class ImageModuleMixIn:
 
         Raises:
             TypeCheckError: `x` is neither of these.
-            ShapeError: another shape.
+            ShapeError: a shape is not as in Args.
         """
         import PIL.Image
 

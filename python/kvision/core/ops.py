@@ -23,7 +23,7 @@ def eye_like(n: int, input: Tensor, shared_memory: bool = False) -> Tensor:
         (B, n, n).
 
     Raises:
-        TypeCheckError: `n` is no int or `input` no tensor.
+        TypeCheckError: `n` is not an int or `input` not a tensor.
         ValueCheckError: `n` is less than 1.
         ShapeError: `input` has no axis.
 
@@ -49,7 +49,7 @@ def vec_like(n: int, tensor: Tensor, shared_memory: bool = False) -> Tensor:
         (B, n, 1).
 
     Raises:
-        TypeCheckError: `n` is no int or `tensor` no tensor.
+        TypeCheckError: `n` is not an int or `tensor` not a tensor.
         ValueCheckError: `n` is less than 1.
         ShapeError: `tensor` has no axis.
 

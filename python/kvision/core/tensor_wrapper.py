@@ -16,14 +16,14 @@ __all__ = ["TensorWrapper"]
 class TensorWrapper:
     """Holds a tensor and behaves like it: torch functions, methods, attributes and operators give the wrapper's class.
 
-    A result in a list or tuple is wrapped as well; one that is no tensor (a shape, a float) is returned as it is.
+    A result in a list or tuple is wrapped as well; one that is not a tensor (a shape, a float) is returned as it is.
     Operators such as `+=` change the wrapped tensor in place. `bool`, `int`, `float` and `len` give Python values.
 
     Args:
         data: a tensor, or a wrapper whose tensor is taken over.
 
     Raises:
-        TypeCheckError: `data` is no tensor.
+        TypeCheckError: `data` is not a tensor.
 
     Example:
         >>> import torch, kvision as K

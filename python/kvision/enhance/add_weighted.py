@@ -67,9 +67,9 @@ def add_weighted(
         The weighted sum, not clamped, in the type of src1; differentiable in all five arguments.
 
     Raises:
-        TypeCheckError: an image is no real tensor; a weight is neither number nor tensor.
+        TypeCheckError: an image is not a real tensor; a weight is neither number nor tensor.
         ShapeError: src1 and src2 differ in shape; a weight does not broadcast to them.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

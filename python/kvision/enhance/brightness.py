@@ -37,9 +37,9 @@ def adjust_brightness(image: Tensor, factor: float | Tensor, clip_output: bool =
         The image, brighter or darker, differentiable in image and factor.
 
     Raises:
-        TypeCheckError: image is no tensor of floats or uint8; factor is neither number nor tensor.
+        TypeCheckError: image is not a tensor of floats or uint8; factor is neither number nor tensor.
         ShapeError: factor has axes that the image has not.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

@@ -149,7 +149,7 @@ def equalize_clahe(
         The equalized image, in [0, 1]; in [0, 255], rounded half to even, of uint8.
 
     Raises:
-        TypeCheckError: input is no tensor of floats or uint8; clip_limit no number; grid_size is not of ints.
+        TypeCheckError: input is not a tensor of floats or uint8; clip_limit not a number; grid_size is not of ints.
         ShapeError: input is not (*, C, H, W), or has no pixels.
         ValueCheckError: clip_limit below 0; grid_size below 1; opencv with slow_and_differentiable.
 

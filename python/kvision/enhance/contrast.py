@@ -42,10 +42,10 @@ def adjust_contrast(image: Tensor, factor: float | Tensor, clip_output: bool = T
         The image with more or less contrast, differentiable in image and factor.
 
     Raises:
-        TypeCheckError: image is no tensor of floats or uint8; factor is neither number nor tensor.
+        TypeCheckError: image is not a tensor of floats or uint8; factor is neither number nor tensor.
         ShapeError: factor has axes that the image has not.
         ValueCheckError: a number below 0. Tensors are not checked by value.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Source: R. Szeliski, "Computer Vision: Algorithms and Applications" (2010), section 3.1.1.
 

@@ -47,10 +47,10 @@ def adjust_gamma(input: Tensor, gamma: float | Tensor, gain: float | Tensor = 1.
         The image, differentiable in image, gamma and gain. The gradient at black pixels is 0.
 
     Raises:
-        TypeCheckError: input is no tensor of floats or uint8; gamma or gain is neither number nor tensor.
+        TypeCheckError: input is not a tensor of floats or uint8; gamma or gain is neither number nor tensor.
         ShapeError: a tensor has axes that the image has not.
         ValueCheckError: a number below 0. Tensors are not checked by value.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K
@@ -76,7 +76,7 @@ def adjust_log(image: Tensor, gain: float | Tensor = 1, inv: bool = False, clip_
         The image, differentiable in image and gain.
 
     Raises:
-        TypeCheckError, ShapeError, DeviceError: as :func:`adjust_gamma`; inv or clip_output no bool.
+        TypeCheckError, ShapeError, DeviceError: as :func:`adjust_gamma`; inv or clip_output not a bool.
 
     Example:
         >>> import torch, kvision as K
@@ -103,7 +103,7 @@ def adjust_sigmoid(image: Tensor, cutoff: float | Tensor = 0.5, gain: float | Te
         The image, differentiable in image, cutoff and gain.
 
     Raises:
-        TypeCheckError, ShapeError, DeviceError: as :func:`adjust_gamma`; inv no bool.
+        TypeCheckError, ShapeError, DeviceError: as :func:`adjust_gamma`; inv not a bool.
 
     Example:
         >>> import torch, kvision as K

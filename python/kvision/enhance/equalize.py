@@ -98,7 +98,7 @@ def equalize(input: Tensor, opencv: bool = False) -> Tensor:
         of the pixels that come back as they are.
 
     Raises:
-        TypeCheckError: input is no tensor of floats or uint8, opencv no bool.
+        TypeCheckError: input is not a tensor of floats or uint8, opencv not a bool.
         ShapeError: input is not (*, H, W), or has no pixels.
 
     Example:
@@ -124,7 +124,7 @@ def equalize3d(input: Tensor) -> Tensor:
         The volumes with equalized levels, as :func:`equalize` gives them.
 
     Raises:
-        TypeCheckError: input is no tensor of floats or uint8.
+        TypeCheckError: input is not a tensor of floats or uint8.
         ShapeError: input is not (*, D, H, W), or has no voxels.
 
     Example:

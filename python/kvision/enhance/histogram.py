@@ -184,9 +184,9 @@ def histogram(x: Tensor, bins: Tensor, bandwidth: Tensor, epsilon: float = 1e-10
         samples times bins. Half types are computed in float32.
 
     Raises:
-        TypeCheckError: x or bins is no real tensor, bandwidth neither tensor nor number.
+        TypeCheckError: x or bins is not a real tensor, bandwidth neither tensor nor number.
         ShapeError: x is not (B, D) with at least one sample, bins is not (K,), bandwidth has axes.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K
@@ -281,10 +281,10 @@ def image_histogram2d(
         or in float64 for float64 images. Densities are zeros unless asked for.
 
     Raises:
-        TypeCheckError: image is no real tensor; an argument is of the wrong type.
+        TypeCheckError: image is not a real tensor; an argument is of the wrong type.
         ShapeError: image has another rank or no pixels; centers is not (n_bins,).
         ValueCheckError: max not above min, n_bins below 1, bandwidth not positive, an unknown kernel.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

@@ -30,7 +30,7 @@ def integral_tensor(input: Tensor, dim: tuple[int, ...] | None = None) -> Tensor
         Sums of the input's shape, in its type for floating point and in int64 for integers.
 
     Raises:
-        TypeCheckError: input is no real tensor; dim is no tuple of ints.
+        TypeCheckError: input is not a real tensor; dim is not a tuple of ints.
         ShapeError: input has no axes.
         ValueCheckError: dim is empty, repeats an axis, or names one that the input has not.
 
@@ -63,7 +63,7 @@ def integral_image(image: Tensor) -> Tensor:
         Sums of the image's shape, in its type for floating point and in int64 for integers.
 
     Raises:
-        TypeCheckError: image is no real tensor.
+        TypeCheckError: image is not a real tensor.
         ShapeError: image has less than two axes.
 
     Source: F. C. Crow, "Summed-area tables for texture mapping" (1984).

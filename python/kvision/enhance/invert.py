@@ -22,8 +22,8 @@ def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
         max_val - image, in the type of the image.
 
     Raises:
-        TypeCheckError: image is no real tensor; max_val is neither number nor tensor.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        TypeCheckError: image is not a real tensor; max_val is neither number nor tensor.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

@@ -191,11 +191,11 @@ def jpeg_codec_differentiable(
         The decoded images, clamped to [0, 1]; differentiable in all four.
 
     Raises:
-        TypeCheckError: input is no floating-point tensor; another argument is none either.
+        TypeCheckError: input is not a floating-point tensor; another argument is none either.
         ImageError: input is not (*, 3, H, W).
         ShapeError: no pixels; a quality or table that does not fit.
         ValueCheckError: a number outside 0 to 100. Tensors are not checked by value; they are clamped.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Source: ISO/IEC 10918-1 (1994); C. Reich et al., "Differentiable JPEG: the devil is in the details" (2024).
 

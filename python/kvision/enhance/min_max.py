@@ -59,7 +59,7 @@ def normalize_min_max(input: Tensor, min_val: float = 0.0, max_val: float = 1.0,
         smallest or largest pixels share their gradient.
 
     Raises:
-        TypeCheckError: input is no real tensor; min_val, max_val or eps no number.
+        TypeCheckError: input is not a real tensor; min_val, max_val or eps not a number.
         ShapeError: input has less than two axes, or planes without pixels.
         ValueCheckError: eps below 0.
 

@@ -43,9 +43,9 @@ def normalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor
         The normalized data, differentiable in all three. A std of 0 gives infinities.
 
     Raises:
-        TypeCheckError: data is no real tensor; mean or std is neither number nor tensor.
+        TypeCheckError: data is not a real tensor; mean or std is neither number nor tensor.
         ShapeError: mean or std does not fit the data.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

@@ -39,10 +39,10 @@ def posterize(input: Tensor, bits: int | Tensor) -> Tensor:
         The image with levels that are multiples of 2 ** (8 - bits), divided by 255. Its gradient is 0 below 8 bits.
 
     Raises:
-        TypeCheckError: input is no tensor of floats or uint8; bits is neither int nor tensor.
+        TypeCheckError: input is not a tensor of floats or uint8; bits is neither int nor tensor.
         ShapeError: input is not (*, C, H, W); bits has axes that the image has not.
         ValueCheckError: an int outside 0 to 8. Tensors are not checked by value; they are clamped.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

@@ -157,7 +157,7 @@ class ColorProgram(nn.Module):
             TypeCheckError, ValueCheckError: arguments of the wrong type.
             ImageError: image is not (*, 3, H, W).
             ShapeError: no pixels; parameters, order or enabled that do not fit the image or the steps.
-            DeviceError: tensors on different devices; parameters in CPU memory are moved.
+            DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
         """
         _check.channels("ColorProgram", "image", image, 3, ImageError)
         if not image.is_floating_point() and image.dtype != torch.uint8:

@@ -16,7 +16,7 @@ class Rescale(FunctionModule):
         factor: a number, or a tensor without axes; an nn.Parameter is learned.
 
     Raises:
-        TypeCheckError: factor is neither; the input is no real tensor.
+        TypeCheckError: factor is neither; the input is not a real tensor.
 
     Example:
         >>> import torch, kvision as K

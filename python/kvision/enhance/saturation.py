@@ -51,10 +51,10 @@ def adjust_saturation(image: Tensor, factor: float | Tensor) -> Tensor:
         The image with other saturation and the same hue and largest channel, differentiable in image and factor.
 
     Raises:
-        TypeCheckError: image is no tensor of floats or uint8; factor is neither number nor tensor.
+        TypeCheckError: image is not a tensor of floats or uint8; factor is neither number nor tensor.
         ImageError: image is not (*, 3, H, W).
         ShapeError: factor has axes that the image has not, or differs between channels.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

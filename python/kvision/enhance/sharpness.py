@@ -72,9 +72,9 @@ def sharpness(input: Tensor, factor: float | Tensor) -> Tensor:
         smooth + (input - smooth) * factor, clamped to [0, 1], differentiable in image and factor.
 
     Raises:
-        TypeCheckError: input is no tensor of floats or uint8; factor is neither number nor tensor.
+        TypeCheckError: input is not a tensor of floats or uint8; factor is neither number nor tensor.
         ShapeError: input is not (*, C, H, W); factor has axes that the image has not.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

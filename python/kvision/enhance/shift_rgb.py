@@ -23,10 +23,10 @@ def shift_rgb(image: Tensor, r_shift: float | Tensor, g_shift: float | Tensor, b
         The image with other colors, differentiable in image and shifts.
 
     Raises:
-        TypeCheckError: image is no tensor of floats or uint8; a shift is neither number nor tensor.
+        TypeCheckError: image is not a tensor of floats or uint8; a shift is neither number nor tensor.
         ImageError: image is not (B, 3, H, W).
         ShapeError: a shift that is not (B,) or (1,).
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

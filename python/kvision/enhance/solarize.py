@@ -32,10 +32,10 @@ def solarize(input: Tensor, thresholds: float | Tensor = 0.5, additions: float |
         The image, differentiable in image and additions.
 
     Raises:
-        TypeCheckError: input is no tensor of floats or uint8; a parameter is neither number nor tensor.
+        TypeCheckError: input is not a tensor of floats or uint8; a parameter is neither number nor tensor.
         ShapeError: a tensor has axes that the image has not.
         ValueCheckError: additions is a number outside [-0.5, 0.5]. Tensors are not checked by value.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

@@ -69,11 +69,11 @@ def threshold(
         A tensor of the input's shape and type. Integers saturate.
 
     Raises:
-        TypeCheckError: input is no real tensor; thresh or maxval is neither number nor tensor; type is no int.
+        TypeCheckError: input is not a real tensor; thresh or maxval is neither number nor tensor; type is not an int.
         ShapeError: thresh or maxval does not broadcast to the input.
         ValueCheckError: an unknown type.
         NotImplementedError: THRESH_OTSU, which is :func:`kvision.filters.otsu_threshold`.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

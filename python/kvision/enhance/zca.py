@@ -103,7 +103,7 @@ def zca_mean(
         also where eigenvalues are equal. Half types give float32.
 
     Raises:
-        TypeCheckError: inp is no real tensor; another argument of the wrong type.
+        TypeCheckError: inp is not a real tensor; another argument of the wrong type.
         IndexError: inp has no axis dim.
         ShapeError: no sample, or with unbiased only one.
 
@@ -177,10 +177,10 @@ def linear_transform(inp: Tensor, transform_matrix: Tensor, mean_vector: Tensor,
         The transformed data, of the shape of inp; differentiable in all three tensors.
 
     Raises:
-        TypeCheckError: an argument is no real tensor; dim no int.
+        TypeCheckError: an argument is not a real tensor; dim not an int.
         IndexError: inp has no axis dim.
         ShapeError: matrix or mean does not fit the data.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

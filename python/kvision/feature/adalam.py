@@ -88,7 +88,7 @@ def match_adalam(
         of squared distances of at most .95, and that ratio. Both without gradient.
 
     Raises:
-        TypeCheckError: descriptors that are no tensors, or of two types; a config that is no dict.
+        TypeCheckError: descriptors that are not tensors, or of two types; a config that is not a dict.
         ShapeError: descriptors that are not (N, D), or of two widths; frames or dm of another shape.
         ValueCheckError: a number in config that is not positive.
         DeviceError: tensors on several devices.

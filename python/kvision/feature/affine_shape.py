@@ -86,7 +86,7 @@ class PatchAffineShapeEstimator(nn.Module):
         Of patches (B, 1, patch_size, patch_size), ellipses (B, 1, 3).
 
     Raises:
-        TypeError: an argument is of the wrong type; the patches are no tensor of real numbers.
+        TypeError: an argument is of the wrong type; the patches are not tensors of real numbers.
         ValueError: patches of another shape; a number is out of range.
 
     Source: A. Baumberg, "Reliable feature matching across widely separated views" (2000).

@@ -34,7 +34,7 @@ class LAFAffNetShapeEstimator(nn.Module):
     Raises:
         RuntimeError: weights that cannot be downloaded, or are not those of this network.
         ShapeError: frames or images of another shape.
-        TypeCheckError: arguments that are no floating-point tensors.
+        TypeCheckError: arguments that are not floating-point tensors.
 
     Source: D. Mishkin, F. Radenovic, J. Matas, "Repeatability is not enough: Learning affine regions via discriminability"
     (2018).

@@ -50,7 +50,7 @@ class HardNet(nn.Module):
     Raises:
         RuntimeError: weights that cannot be downloaded, or are not those of this network.
         ShapeError: patches of another shape.
-        TypeCheckError: patches that are no floating-point tensor.
+        TypeCheckError: patches that are not floating-point tensors.
 
     Source: A. Mishchuk et al., "Working hard to know your neighbor's margins: Local descriptor learning loss" (2017).
 
@@ -88,7 +88,7 @@ class HardNet8(nn.Module):
     Raises:
         RuntimeError: weights that cannot be downloaded, or are not those of this network.
         ShapeError: patches of another shape.
-        TypeCheckError: patches that are no floating-point tensor.
+        TypeCheckError: patches that are not floating-point tensors.
 
     Source: M. Pultar, "Improving the HardNet descriptor" (2020).
 

@@ -108,7 +108,7 @@ class HyNet(nn.Module):
     Raises:
         RuntimeError: weights that cannot be downloaded, or are not those of this network.
         ShapeError: patches of another shape.
-        TypeCheckError: patches that are no floating-point tensor.
+        TypeCheckError: patches that are not floating-point tensors.
 
     Source: Y. Tian et al., "HyNet: Learning local descriptor with hybrid similarity measure and triplet loss" (2020).
 

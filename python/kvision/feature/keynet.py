@@ -65,7 +65,7 @@ class KeyNet(nn.Module):
     Raises:
         RuntimeError: weights that cannot be downloaded, or are not those of this network.
         ShapeError: images of another shape.
-        TypeCheckError: images that are no floating-point tensor.
+        TypeCheckError: images that are not floating-point tensors.
 
     Source: A. Barroso-Laguna et al., "Key.Net: Keypoint detection by handcrafted and learned CNN filters" (2019).
 

@@ -79,7 +79,7 @@ def get_laf_center(LAF: Tensor) -> Tensor:
 
     Raises:
         TypeCheckError: `LAF` is not a tensor of real numbers.
-        ShapeError: another shape.
+        ShapeError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -100,7 +100,7 @@ def get_laf_scale(LAF: Tensor) -> Tensor:
 
     Raises:
         TypeCheckError: `LAF` is not a tensor of real numbers.
-        ShapeError: another shape.
+        ShapeError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -132,7 +132,7 @@ def get_laf_orientation(LAF: Tensor) -> Tensor:
 
     Raises:
         TypeCheckError: `LAF` is not a tensor of real numbers.
-        ShapeError: another shape.
+        ShapeError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -154,7 +154,7 @@ def laf_is_valid(laf: Tensor) -> Tensor:
 
     Raises:
         TypeCheckError: `laf` is not a tensor of real numbers.
-        ShapeError: another shape.
+        ShapeError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -177,7 +177,7 @@ def laf_is_filled(laf: Tensor) -> Tensor:
 
     Raises:
         TypeCheckError: `laf` is not a tensor of real numbers.
-        ShapeError: another shape.
+        ShapeError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -203,8 +203,8 @@ def laf_from_center_scale_ori(xy: Tensor, scale: Tensor | None = None, ori: Tens
 
     Raises:
         TypeCheckError: an argument is not a tensor of real numbers.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -250,8 +250,8 @@ def scale_laf(laf: Tensor, scale_coef: float | Tensor) -> Tensor:
 
     Raises:
         TypeCheckError: `laf` is not a tensor of real numbers, `scale_coef` neither a number nor a tensor.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -326,8 +326,8 @@ def rotate_laf(LAF: Tensor, angles_degrees: Tensor) -> Tensor:
 
     Raises:
         TypeCheckError: an argument is not a tensor of real numbers.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -370,8 +370,8 @@ def set_laf_orientation(LAF: Tensor, angles_degrees: Tensor) -> Tensor:
 
     Raises:
         TypeCheckError: an argument is not a tensor of real numbers.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -409,8 +409,8 @@ def make_upright(laf: Tensor, eps: float = 1e-9) -> Tensor:
         empty.
 
     Raises:
-        TypeCheckError: `laf` is not a tensor of real numbers, `eps` no number.
-        ShapeError: another shape.
+        TypeCheckError: `laf` is not a tensor of real numbers, `eps` not a number.
+        ShapeError: a shape is not as in Args.
         ValueCheckError: `eps` is negative.
 
     Example:
@@ -453,7 +453,7 @@ def ellipse_to_laf(ells: Tensor) -> Tensor:
 
     Raises:
         TypeCheckError: `ells` is not a tensor of real numbers.
-        ShapeError: another shape.
+        ShapeError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -488,8 +488,8 @@ def laf_to_boundary_points(LAF: Tensor, n_pts: int = 50) -> Tensor:
         (B, N, n_pts, 2): the center, then a closed curve c + A (sin t, cos t) with t from 0 to 2 pi.
 
     Raises:
-        TypeCheckError: `LAF` is not a tensor of real numbers, `n_pts` no int.
-        ShapeError: another shape.
+        TypeCheckError: `LAF` is not a tensor of real numbers, `n_pts` not an int.
+        ShapeError: a shape is not as in Args.
         ValueCheckError: `n_pts` is less than 1.
 
     Example:
@@ -533,7 +533,7 @@ def get_laf_pts_to_draw(LAF: Tensor, img_idx: int = 0) -> tuple[list[list[float]
 
     Raises:
         TypeCheckError: `LAF` is not a tensor of real numbers.
-        ShapeError: another shape.
+        ShapeError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -557,7 +557,7 @@ def laf_to_three_points(laf: Tensor) -> Tensor:
 
     Raises:
         TypeCheckError: `laf` is not a tensor of real numbers.
-        ShapeError: another shape.
+        ShapeError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -581,7 +581,7 @@ def laf_from_three_points(threepts: Tensor) -> Tensor:
 
     Raises:
         TypeCheckError: `threepts` is not a tensor of real numbers.
-        ShapeError: another shape.
+        ShapeError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -613,7 +613,7 @@ def normalize_laf(LAF: Tensor, images: Tensor) -> Tensor:
 
     Raises:
         TypeCheckError: an argument is not a tensor of real numbers.
-        ShapeError: other shapes.
+        ShapeError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -638,7 +638,7 @@ def denormalize_laf(LAF: Tensor, images: Tensor) -> Tensor:
 
     Raises:
         TypeCheckError: an argument is not a tensor of real numbers.
-        ShapeError: other shapes.
+        ShapeError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -664,8 +664,8 @@ def laf_is_inside_image(laf: Tensor, images: Tensor, border: int = 0) -> Tensor:
         point (0, 0).
 
     Raises:
-        TypeCheckError: an argument is not a tensor of real numbers, `border` no number.
-        ShapeError: other shapes.
+        TypeCheckError: an argument is not a tensor of real numbers, `border` not a number.
+        ShapeError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -696,8 +696,8 @@ def perspective_transform_lafs(trans_01: Tensor, lafs_1: Tensor) -> Tensor:
 
     Raises:
         TypeCheckError: an argument is not a tensor of real numbers.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

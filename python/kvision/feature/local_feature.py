@@ -72,8 +72,8 @@ def get_laf_descriptors(
 
     Raises:
         TypeCheckError: an argument is of the wrong type.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -167,7 +167,7 @@ class LocalFeature(nn.Module):
     `forward(img, mask=None)` returns frames, responses and descriptors.
 
     Raises:
-        TypeCheckError: `scaling_coef` is no number.
+        TypeCheckError: `scaling_coef` is not a number.
         ValueCheckError: `scaling_coef` is not above 0.
 
     Example:

@@ -252,7 +252,7 @@ def match_nn(desc1: Tensor, desc2: Tensor, dm: Tensor | None = None) -> tuple[Te
         The distances (N, 1), and the int64 indices (N, 2) in desc1 and desc2. Both are empty if either set is.
 
     Raises:
-        TypeCheckError: descriptors that are no tensors, or of two types.
+        TypeCheckError: descriptors that are not tensors, or of two types.
         ShapeError: descriptors that are not (N, D), or of two widths; dm that is not (N, M).
         DeviceError: tensors on several devices.
 
@@ -387,7 +387,7 @@ def match_smnn_batched(
         The larger one of both ratios (K, 1), and the int64 indices (K, 3): sample, in desc1, in desc2.
 
     Raises:
-        TypeCheckError: descriptors that are no tensors, or of two types; masks that are not bool.
+        TypeCheckError: descriptors that are not tensors, or of two types; masks that are not bool.
         ShapeError: descriptors that are not (B, N, D), or of two batches or widths; masks or dm of another shape.
         DeviceError: tensors on several devices.
 

@@ -76,7 +76,7 @@ class MKDDescriptor(nn.Module):
         (B, 63), (B, 175) or (B, 238).
 
     Raises:
-        TypeError: an argument is of the wrong type; the patches are no tensor of real numbers.
+        TypeError: an argument is of the wrong type; the patches are not tensors of real numbers.
         ValueError: an unknown name; patches of another shape; a number is out of range.
         RuntimeError: the published file cannot be downloaded; the message says where to put it.
 

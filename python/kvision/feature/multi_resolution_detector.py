@@ -95,7 +95,7 @@ class MultiResolutionDetector(nn.Module):
     responses (B, num_features), strongest first. Empty slots are 0. Frames of half-type images are float32.
 
     Raises:
-        TypeCheckError: a mask or an image is no tensor of real numbers.
+        TypeCheckError: a mask or an image is not a tensor of real numbers.
         ShapeError: another shape of an image, of a mask or of a response.
         ValueCheckError: `num_features` is below 1, `score_threshold` negative, or `config` lacks an option.
 

@@ -131,7 +131,7 @@ class PatchDominantGradientOrientation(nn.Module):
         pi + pi / num_angular_bins.
 
     Raises:
-        TypeError: an argument is of the wrong type; the patches are no tensor of real numbers.
+        TypeError: an argument is of the wrong type; the patches are not tensors of real numbers.
         ValueError: patches of another shape; a number is out of range.
 
     Example:

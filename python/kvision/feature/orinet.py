@@ -22,7 +22,7 @@ class OriNet(nn.Module):
     Raises:
         RuntimeError: weights that cannot be downloaded, or are not those of this network.
         ShapeError: patches of another shape.
-        TypeCheckError: patches that are no floating-point tensor.
+        TypeCheckError: patches that are not floating-point tensors.
 
     Source: D. Mishkin, F. Radenovic, J. Matas, "Repeatability is not enough: Learning affine regions via discriminability"
     (2018).

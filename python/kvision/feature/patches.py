@@ -172,7 +172,7 @@ def extract_patches_simple(
         Patches (B, N, C, PS, PS), of the dtype of `img`.
 
     Raises:
-        TypeError: `img` or `laf` is no tensor of real numbers; `laf` is not floating point; `PS` is no int.
+        TypeError: `img` or `laf` is not a tensor of real numbers; `laf` is not floating point; `PS` is not an int.
         ValueError: `img` is not (B, C, H, W); `laf` is not (B, N, 2, 3) with the same B; `PS` is not positive.
 
     Example:
@@ -209,7 +209,7 @@ def extract_patches_from_pyramid(
         Patches (B, N, C, PS, PS), of the dtype of `img`.
 
     Raises:
-        TypeError: `img` or `laf` is no tensor of real numbers; `laf` is not floating point; `PS` is no int.
+        TypeError: `img` or `laf` is not a tensor of real numbers; `laf` is not floating point; `PS` is not an int.
         ValueError: `img` is not (B, C, H, W); `laf` is not (B, N, 2, 3) with the same B; `PS` is not positive.
 
     Example:

@@ -70,10 +70,10 @@ def harris_response(
         (B, C, H, W).
 
     Raises:
-        TypeCheckError: an argument is no tensor of real numbers, or no number.
-        ShapeError: other shapes.
+        TypeCheckError: an argument is not a tensor of real numbers, or no number.
+        ShapeError: a shape is not as in Args.
         ValueCheckError: an unknown mode.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Source: C. Harris and M. Stephens, "A combined corner and edge detector" (1988).
 
@@ -112,10 +112,10 @@ def gftt_response(input: Tensor, grads_mode: str = "sobel", sigmas: Tensor | Non
         (B, C, H, W), not negative up to rounding.
 
     Raises:
-        TypeCheckError: an argument is no tensor of real numbers.
-        ShapeError: other shapes.
+        TypeCheckError: an argument is not a tensor of real numbers.
+        ShapeError: a shape is not as in Args.
         ValueCheckError: an unknown mode.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Source: J. Shi and C. Tomasi, "Good features to track" (1994).
 
@@ -144,10 +144,10 @@ def hessian_response(input: Tensor, grads_mode: str = "sobel", sigmas: Tensor | 
         (B, C, H, W).
 
     Raises:
-        TypeCheckError: an argument is no tensor of real numbers.
-        ShapeError: other shapes.
+        TypeCheckError: an argument is not a tensor of real numbers.
+        ShapeError: a shape is not as in Args.
         ValueCheckError: an unknown mode.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -170,8 +170,8 @@ def dog_response(input: Tensor) -> Tensor:
         (B, C, L - 1, H, W): negative at bright blobs, positive at dark ones.
 
     Raises:
-        TypeCheckError: `input` is no tensor of real numbers.
-        ShapeError: another shape.
+        TypeCheckError: `input` is not a tensor of real numbers.
+        ShapeError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -198,8 +198,8 @@ def dog_response_single(input: Tensor, sigma1: float = 1.0, sigma2: float = 1.6)
         (B, C, H, W).
 
     Raises:
-        TypeCheckError: `input` is no tensor of real numbers, a sigma no number.
-        ShapeError: another shape.
+        TypeCheckError: `input` is not a tensor of real numbers, a sigma not a number.
+        ShapeError: a shape is not as in Args.
         ValueCheckError: a sigma is not above 0.
 
     Example:

@@ -75,7 +75,7 @@ class ScaleSpaceDetector(nn.Module):
     octave inside of the image. Frames of half-type images are float32.
 
     Raises:
-        TypeCheckError: a mask or an image is no tensor of real numbers.
+        TypeCheckError: a mask or an image is not a tensor of real numbers.
         ShapeError: another shape of an image, of a mask or of a response.
         ValueCheckError: `num_features` is below 1, `edge_threshold` below 1, or an unknown name in
             `compile_modules`.

@@ -136,7 +136,7 @@ class SIFTDescriptor(nn.Module):
         Of patches (B, 1, patch_size, patch_size), descriptors (B, A S^2) of length 1, of the same dtype.
 
     Raises:
-        TypeError: an argument is of the wrong type; the patches are no tensor of real numbers.
+        TypeError: an argument is of the wrong type; the patches are not tensors of real numbers.
         ValueError: patches of another shape; `patch_size` is too small for the spatial bins; a number is out of range.
 
     Source: D. Lowe, "Distinctive image features from scale-invariant keypoints" (2004); R. Arandjelovic and A. Zisserman,
@@ -233,7 +233,7 @@ class DenseSIFTDescriptor(nn.Module):
         h = floor((H + e + 2 padding - (S - 1) spatial_bin_size - 1) / stride) + 1, of the same dtype.
 
     Raises:
-        TypeError: an argument is of the wrong type; the images are no tensor of real numbers.
+        TypeError: an argument is of the wrong type; the images are not tensors of real numbers.
         ValueError: images of another shape, or too small for a descriptor; a number is out of range.
 
     Example:
@@ -458,7 +458,7 @@ def convert_sift_descriptor_layout(
         The same numbers in the other order, of the same shape and dtype.
 
     Raises:
-        TypeError: `descriptors` is no tensor; the numbers of bins are no ints.
+        TypeError: `descriptors` is not a tensor; the numbers of bins are not ints.
         ValueError: an unknown layout; `descriptors` do not have A S^2 entries; a number of bins is not positive.
 
     Example:

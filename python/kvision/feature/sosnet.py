@@ -22,7 +22,7 @@ class SOSNet(nn.Module):
     Raises:
         RuntimeError: weights that cannot be downloaded, or are not those of this network.
         ShapeError: patches of another shape.
-        TypeCheckError: patches that are no floating-point tensor.
+        TypeCheckError: patches that are not floating-point tensors.
 
     Source: Y. Tian et al., "SOSNet: Second order similarity regularization for local descriptor learning" (2019).
 

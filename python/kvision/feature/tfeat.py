@@ -19,7 +19,7 @@ class TFeat(nn.Module):
     Raises:
         RuntimeError: weights that cannot be downloaded, or are not those of this network.
         ShapeError: patches of another shape.
-        TypeCheckError: patches that are no floating-point tensor.
+        TypeCheckError: patches that are not floating-point tensors.
 
     Source: V. Balntas et al., "Learning local feature descriptors with triplets and shallow convolutional neural networks"
     (2016).

@@ -132,7 +132,7 @@ def filter2d(
         The filtered image; differentiable in image and kernel.
 
     Raises:
-        TypeCheckError: input or kernel is no real tensor.
+        TypeCheckError: input or kernel is not a real tensor.
         ShapeError: wrong ranks or batch sizes; a 'valid' kernel larger than the image, a border wider than it.
         ValueCheckError: an unknown border_type, padding or behaviour.
         DeviceError: a kernel on another device; one in CPU memory is moved.

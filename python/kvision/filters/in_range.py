@@ -32,10 +32,10 @@ def in_range(
         The image, of the input's shape; or the mask, of the input's shape with one channel.
 
     Raises:
-        TypeCheckError: input is no real tensor; bounds that are not both tuples or both tensors; return_mask no bool.
+        TypeCheckError: input is not a real tensor; bounds that are not both tuples or both tensors; return_mask not a bool.
         ShapeError: a rank other than 2, 3 or 4; bounds that do not fit the input.
         ValueCheckError: tuples that do not have one number a channel.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import torch, kvision as K

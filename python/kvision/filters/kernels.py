@@ -37,7 +37,7 @@ def gaussian(
         (B, window_size), differentiable in sigma and mean.
 
     Raises:
-        TypeCheckError, ShapeError, ValueCheckError: sigma is no number or (B, 1) tensor, is negative or NaN; a
+        TypeCheckError, ShapeError, ValueCheckError: sigma is not a number or (B, 1) tensor, is negative or NaN; a
             window_size below 1; an integer dtype.
         DeviceError: a mean on another device than sigma; one in CPU memory is moved.
 
@@ -331,7 +331,7 @@ def get_box_kernel1d(
         (1, kernel_size) of 1 / kernel_size.
 
     Raises:
-        TypeCheckError, ValueCheckError: a kernel_size that is no int of at least 1, an integer dtype.
+        TypeCheckError, ValueCheckError: a kernel_size that is not an int of at least 1, an integer dtype.
 
     Example:
         >>> import kvision as K
@@ -381,7 +381,7 @@ def laplacian_1d(window_size: int, *, device: torch.device | None = None, dtype:
         (window_size,) of sum 0.
 
     Raises:
-        TypeCheckError, ValueCheckError: a window_size that is no int of at least 1, a dtype too small for the center.
+        TypeCheckError, ValueCheckError: a window_size that is not an int of at least 1, a dtype too small for the center.
 
     Example:
         >>> import kvision as K
@@ -406,7 +406,7 @@ def get_laplacian_kernel1d(
         (kernel_size,) of sum 0.
 
     Raises:
-        TypeCheckError, ValueCheckError: a kernel_size that is no odd int of at least 3, a dtype that cannot hold the
+        TypeCheckError, ValueCheckError: a kernel_size that is not an odd int of at least 3, a dtype that cannot hold the
             center.
 
     Example:
@@ -685,7 +685,7 @@ def get_hanning_kernel1d(
         (kernel_size,), 0 at both ends.
 
     Raises:
-        TypeCheckError, ValueCheckError: a kernel_size that is no int of at least 3, an integer dtype.
+        TypeCheckError, ValueCheckError: a kernel_size that is not an int of at least 3, an integer dtype.
 
     Example:
         >>> import kvision as K

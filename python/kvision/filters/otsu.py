@@ -36,7 +36,7 @@ def otsu_threshold(
         thresholds (planes,), in the type of x.
 
     Raises:
-        TypeCheckError: x is no tensor of real numbers, nbins no int.
+        TypeCheckError: x is not a tensor of real numbers, nbins not an int.
         ShapeError: x has more than 5 axes or no pixels.
         ValueCheckError: nbins below 2.
 

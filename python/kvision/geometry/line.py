@@ -101,7 +101,7 @@ class ParametrizedLine(FunctionModule):
 
 
 def fit_line(points: Tensor, weights: Tensor | None = None) -> ParametrizedLine:
-    """Find the lines with the least squared distances from points.
+    """Fit lines to points by least squares.
 
     Args:
         points: (B, N, D) with N of at least 2; integers give float32.

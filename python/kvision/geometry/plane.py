@@ -88,7 +88,7 @@ class Hyperplane(FunctionModule):
 
 
 def fit_plane(points: Vector3 | Tensor) -> Hyperplane:
-    """Find the planes with the least squared distances from points.
+    """Fit planes to points by least squares.
 
     Args:
         points: (*, N, 3) with N of at least 3; a tensor or a Vector3.

@@ -30,7 +30,7 @@ def image_to_tensor(image: np.ndarray[Any, Any], keepdim: bool = True) -> Tensor
         (B, C, H, W) for (B, H, W, C).
 
     Raises:
-        TypeCheckError: `image` is no NumPy array, or its elements are no numbers torch knows.
+        TypeCheckError: `image` is no NumPy array, or its elements are not numbers torch knows.
         ShapeError: `image` has less than two or more than four axes.
 
     Example:
@@ -87,7 +87,7 @@ def tensor_to_image(tensor: Tensor, keepdim: bool = False, force_contiguous: boo
         (H, W), (H, W, C), (B, H, W) or (B, H, W, C).
 
     Raises:
-        TypeCheckError: `tensor` is no tensor.
+        TypeCheckError: `tensor` is not a tensor.
         ShapeError: `tensor` has less than two or more than four axes.
 
     Example:

@@ -31,7 +31,7 @@ def draw_point2d(image: Tensor, points: Tensor, color: Any) -> Tensor:
         `image`.
 
     Raises:
-        TypeCheckError: `image` or `points` is no tensor.
+        TypeCheckError: `image` or `points` is not a tensor.
         ShapeError: `image`, `points` or `color` has another shape.
         ValueCheckError: a point lies outside the image.
 
@@ -66,7 +66,7 @@ def draw_line(image: Tensor, p1: Tensor, p2: Tensor, color: Any) -> Tensor:
         `image`.
 
     Raises:
-        TypeCheckError: `image`, `p1` or `p2` is no tensor.
+        TypeCheckError: `image`, `p1` or `p2` is not a tensor.
         ShapeError: `image`, `p1`, `p2` or `color` has another shape.
         ValueCheckError: an end lies outside the image.
 
@@ -116,9 +116,9 @@ def draw_rectangle(
         `image`.
 
     Raises:
-        TypeCheckError: `image` or `rectangle` is no tensor.
+        TypeCheckError: `image` or `rectangle` is not a tensor.
         ShapeError: `image`, `rectangle` or `color` has another shape.
-        ValueCheckError: `line_width` is no positive int, or a coordinate is NaN.
+        ValueCheckError: `line_width` is not a positive int, or a coordinate is NaN.
 
     Example:
         >>> import torch, kvision as K
@@ -192,7 +192,7 @@ def draw_convex_polygon(images: Tensor, polygons: Tensor | Sequence[Tensor], col
         `images`.
 
     Raises:
-        TypeCheckError: `images` is no tensor, or `polygons` no tensor and no list of them.
+        TypeCheckError: `images` is not a tensor, or `polygons` no tensor and no list of them.
         ShapeError: `images`, `polygons` or `colors` has another shape.
 
     Example:

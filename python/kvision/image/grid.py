@@ -14,7 +14,7 @@ __all__ = ["make_grid"]
 
 
 def make_grid(tensor: Tensor, n_row: int | None = None, padding: int = 2) -> Tensor:
-    """Lay the images of a batch out in rows, in their order, black where there is none.
+    """Arrange the images of a batch in a grid, row by row; cells without an image are black.
 
     Args:
         tensor: (B, C, H, W), any dtype.
@@ -25,7 +25,7 @@ def make_grid(tensor: Tensor, n_row: int | None = None, padding: int = 2) -> Ten
         (C, R * (H + padding) - padding, n_row * (W + padding) - padding) for R rows; no rows for an empty batch.
 
     Raises:
-        TypeCheckError: `tensor` is no tensor, or `n_row` or `padding` no int.
+        TypeCheckError: `tensor` is not a tensor, or `n_row` or `padding` not an int.
         ShapeError: `tensor` is not (B, C, H, W).
         ValueCheckError: `n_row` is less than 1, or `padding` negative.
 

@@ -117,7 +117,7 @@ class Image:
         layout: size, channels and order of the axes of `data`.
 
     Raises:
-        TypeCheckError: `data` is no tensor.
+        TypeCheckError: `data` is not a tensor.
         ShapeError: `data` has not the shape of `layout`.
         ValueCheckError: the bit depth is not that of `data`, or the color space needs another number of channels.
 

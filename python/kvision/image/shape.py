@@ -25,7 +25,7 @@ def perform_keep_shape_image(f: Callable[..., Tensor]) -> Callable[..., Tensor]:
         The decorated function. Its result has the leading axes of its input; for (H, W) it is the first channel.
 
     Raises:
-        TypeCheckError: the input of the decorated function is no tensor.
+        TypeCheckError: the input of the decorated function is not a tensor.
         ShapeError: the input has less than two axes, or H or W is 0.
 
     Example:
@@ -49,7 +49,7 @@ def perform_keep_shape_video(f: Callable[..., Tensor]) -> Callable[..., Tensor]:
         The decorated function. Its result has the leading axes of its input; for (D, H, W) it is the first channel.
 
     Raises:
-        TypeCheckError: the input of the decorated function is no tensor.
+        TypeCheckError: the input of the decorated function is not a tensor.
         ShapeError: the input has less than three axes, or D, H or W is 0.
 
     Example:

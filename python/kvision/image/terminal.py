@@ -29,7 +29,7 @@ def image_to_string(image: Tensor, max_width: int = 256) -> str:
         The lines, each ended by an escape sequence that resets the color and a newline.
 
     Raises:
-        TypeCheckError: `image` is no tensor or `max_width` no int.
+        TypeCheckError: `image` is not a tensor or `max_width` not an int.
         ImageError: `image` is not (3, H, W) or (1, H, W), or has no pixel.
         ValueCheckError: a value of `image` is outside its range or NaN, or `max_width` is less than 1.
 

@@ -70,7 +70,7 @@ def load_image(
         (C, H, W), contiguous.
 
     Raises:
-        TypeCheckError: `path_file` is no path, or `desired_type` no ImageLoadType.
+        TypeCheckError: `path_file` is not a path, or `desired_type` no ImageLoadType.
         FileNotFoundError, IsADirectoryError, PermissionError, OSError: the file cannot be read.
         ImageError (a ValueError): the file is empty, damaged, cut short, or no image OpenCV knows, or its numbers
             cannot be converted to `desired_type`. Like the OSErrors, it names the file.

@@ -36,7 +36,7 @@ def write_image(path_file: str | os.PathLike[str], image: Tensor, quality: int =
         quality: of JPEG and WebP, 0 to 100.
 
     Raises:
-        TypeCheckError: `path_file` is no path, `image` no tensor or of a dtype the format cannot store, or `quality`
+        TypeCheckError: `path_file` is not a path, `image` no tensor or of a dtype the format cannot store, or `quality`
             no int.
         ShapeError: `image` has another shape, no pixel, or a number of channels the format cannot store.
         ValueCheckError: the extension is unknown, or `quality` is not in 0 to 100.

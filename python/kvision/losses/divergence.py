@@ -26,7 +26,7 @@ def kl_div_loss_2d(pred: Tensor, target: Tensor, reduction: str = "mean") -> Ten
         TypeCheckError: not two floating-point tensors.
         ShapeError: not (B, N, H, W), or different shapes.
         ValueCheckError: an unknown reduction, which is a NotImplementedError, too.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

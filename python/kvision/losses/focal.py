@@ -104,10 +104,10 @@ def focal_loss(
         A number, or for 'none' (B, C, *) with the loss in the slice of a pixel's class and 0 in the others.
 
     Raises:
-        TypeCheckError: pred is no floating-point tensor or target not int64.
+        TypeCheckError: pred is not a floating-point tensor or target not int64.
         ShapeError: target or weight do not fit pred.
         ValueCheckError: a negative gamma; an unknown reduction, which is a NotImplementedError, too.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Source: T.-Y. Lin et al., "Focal loss for dense object detection" (2017).
 

@@ -96,10 +96,10 @@ class HausdorffERLoss(FunctionModule):
     loss NaN, as labels are not read on the host. It returns a number, or for 'none' (C, B, 1, H, W).
 
     Raises:
-        TypeCheckError: pred is no floating-point tensor; k is no int.
+        TypeCheckError: pred is not a floating-point tensor; k is not an int.
         ValueCheckError: target not int64; k below 1; an unknown reduction, which is a NotImplementedError, too.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Source: D. Karimi, S. Salcudean, "Reducing the Hausdorff distance in medical image segmentation with convolutional
     neural networks" (2019).

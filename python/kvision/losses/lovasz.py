@@ -85,9 +85,9 @@ def lovasz_hinge_loss(pred: Tensor, target: Tensor) -> Tensor:
         A number.
 
     Raises:
-        TypeCheckError: pred is no floating-point tensor, target no tensor.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        TypeCheckError: pred is not a floating-point tensor, target not a tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Source: J. Yu, M. Blaschko, "The Lovász hinge" (2015).
 
@@ -118,9 +118,9 @@ def lovasz_softmax_loss(pred: Tensor, target: Tensor, weight: Tensor | None = No
         A number.
 
     Raises:
-        TypeCheckError: pred is no floating-point tensor or target not int64.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        TypeCheckError: pred is not a floating-point tensor or target not int64.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Source: M. Berman et al., "The Lovász-softmax loss" (2018).
 

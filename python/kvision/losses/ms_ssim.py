@@ -84,7 +84,7 @@ class MS_SSIMLoss(FunctionModule):
         TypeCheckError: arguments of the wrong type; not two real tensors.
         ShapeError: not (B, C, H, W), or different shapes.
         ValueCheckError: sigmas or data_range not above 0; an unknown reduction, which is a NotImplementedError, too.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Source: H. Zhao et al., "Loss functions for image restoration with neural networks" (2017).
 

@@ -256,7 +256,7 @@ def mutual_information_loss(
         TypeCheckError: no floating-point tensors; masks of another type; num_bins or window_radius of the wrong type.
         ShapeError: different shapes, or no samples.
         ValueCheckError: num_bins or window_radius too small; kernel_function no MIKernel.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Source: J. Xu et al., "A novel parametric kernel for mutual information based registration" (2008).
 

@@ -137,10 +137,10 @@ def dice_loss(
         The mean over the samples, a number.
 
     Raises:
-        TypeCheckError: pred is no floating-point tensor or target not int64.
+        TypeCheckError: pred is not a floating-point tensor or target not int64.
         ShapeError: target or weight do not fit pred.
         ValueCheckError: an unknown average, a negative eps.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Source: F. Milletari et al., "V-Net" (2016).
 

@@ -23,7 +23,7 @@ def psnr_loss(image: Tensor, target: Tensor, max_val: float = 1.0) -> Tensor:
     Raises:
         TypeCheckError: not two real tensors of one shape.
         ValueCheckError: max_val not above 0.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

@@ -24,7 +24,7 @@ def charbonnier_loss(img1: Tensor, img2: Tensor, reduction: str | None = "none")
         TypeCheckError: not two floating-point tensors.
         ShapeError: different shapes.
         ValueCheckError: an unknown reduction, which is a NotImplementedError, too.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Source: J. T. Barron, "A general and adaptive robust loss function" (2019), as the other three.
 

@@ -97,7 +97,7 @@ def total_variation(img: Tensor, reduction: str = "sum") -> Tensor:
         (*), a number for each plane.
 
     Raises:
-        TypeCheckError: img is no real tensor.
+        TypeCheckError: img is not a real tensor.
         ShapeError: img has less than two axes.
         ValueCheckError: an unknown reduction, which is a NotImplementedError, too.
 
@@ -141,7 +141,7 @@ def inverse_depth_smoothness_loss(idepth: Tensor, image: Tensor) -> Tensor:
     Raises:
         TypeCheckError: not two floating-point tensors of one type.
         ShapeError: not (B, C, H, W), or different B, H or W.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Source: C. Godard et al., "Unsupervised monocular depth estimation with left-right consistency" (2017).
 

@@ -23,9 +23,9 @@ def accuracy(pred: Tensor, target: Tensor, topk: Sequence[int] = (1,)) -> list[T
 
     Raises:
         TypeCheckError: not two tensors.
-        ShapeError: other shapes.
+        ShapeError: a shape is not as in Args.
         ValueCheckError: a k below 1.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

@@ -28,9 +28,9 @@ def mean_iou_bbox(boxes_1: Tensor, boxes_2: Tensor, box_format: str = "xyxy") ->
 
     Raises:
         TypeCheckError: not two real tensors.
-        ShapeError: other shapes.
+        ShapeError: a shape is not as in Args.
         ValueCheckError: an unknown box_format.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

@@ -55,7 +55,7 @@ def confusion_matrix(pred: Tensor, target: Tensor, num_classes: int, normalized:
         TypeCheckError: not two tensors of integers.
         ShapeError: different shapes, or no batch.
         ValueCheckError: num_classes below 2.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

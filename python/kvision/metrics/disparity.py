@@ -25,10 +25,10 @@ def mean_absolute_disparity_error(
         A number, NaN for the mean of no pixels; or for 'none' a map that is 0 where pixels are not valid.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
+        TypeCheckError: an argument is not a floating-point tensor.
         ShapeError: different shapes, or a valid_mask that does not broadcast.
         ValueCheckError: an unknown reduction, which is a NotImplementedError, too.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

@@ -31,7 +31,7 @@ def aepe(input: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:
         TypeCheckError: not two real tensors.
         ShapeError: not (*, 2), or different shapes.
         ValueCheckError: an unknown reduction, which is a NotImplementedError, too.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

@@ -23,9 +23,9 @@ def angle_error_mat(R1: Tensor, R2: Tensor) -> Tensor:
         Degrees (*), from 0 to 180, precise at small and at large angles.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
+        TypeCheckError: an argument is not a floating-point tensor.
         ShapeError: not (*, 3, 3), or different shapes.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -51,9 +51,9 @@ def angle_error_vec(v1: Tensor, v2: Tensor) -> Tensor:
         Degrees (*), from 0 to 180; NaN for a vector of length 0.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
+        TypeCheckError: an argument is not a floating-point tensor.
         ShapeError: not (*, 3), or different shapes.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -84,9 +84,9 @@ def translation_ate(t: Tensor, t_gt: Tensor) -> Tensor:
         (*), or (1,) for a single translation.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
+        TypeCheckError: an argument is not a floating-point tensor.
         ShapeError: not (*, 3), or different shapes.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -109,9 +109,9 @@ def pose_errors(P: Tensor, P_gt: Tensor, fold_translation: bool = True) -> dict[
         "R_err", "t_err" and the larger one of both, "max_err", in degrees (B,).
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -161,7 +161,7 @@ def auc_from_errors(errors: Tensor, thresholds: float | Sequence[float] = (1, 3,
         For each threshold its percentage, NaN if an error is NaN. It waits for the device.
 
     Raises:
-        TypeCheckError: errors is no tensor; thresholds are no numbers.
+        TypeCheckError: errors is not a tensor; thresholds are not numbers.
         ValueCheckError: negative errors; no thresholds, or some not above 0.
 
     Source: P.-E. Sarlin et al., "SuperGlue" (2020).

@@ -26,7 +26,7 @@ def psnr(image: Tensor, target: Tensor, max_val: float) -> Tensor:
     Raises:
         TypeCheckError: not two real tensors of one shape.
         ValueCheckError: max_val not above 0.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

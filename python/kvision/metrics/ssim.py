@@ -208,7 +208,7 @@ def ssim(
         TypeCheckError: not two real tensors.
         ShapeError: not (B, C, H, W), different shapes, images too small for the window.
         ValueCheckError: an even window_size, a negative eps, an unknown padding.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Source: Z. Wang et al., "Image quality assessment: from error visibility to structural similarity" (2004).
 

@@ -82,11 +82,11 @@ def dilation(
         gradient evenly. NaN spreads to every window it is in.
 
     Raises:
-        TypeCheckError: tensor, kernel or structuring_element is no real tensor.
+        TypeCheckError: tensor, kernel or structuring_element is not a real tensor.
         ShapeError: tensor is not (B, C, H, W); kernel has no two axes, structuring_element others.
         ValueCheckError: an origin outside of the kernel; an unknown border_type or engine, which is a
             NotImplementedError, too.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Source: J. Serra, "Image analysis and mathematical morphology" (1982).
 

@@ -39,7 +39,7 @@ def reconstruction(
         TypeCheckError: not two floating-point tensors.
         ShapeError: not (B, C, H, W), or different shapes; kernel of other than two axes.
         ValueCheckError: an even kernel; an unknown method or engine; num_iters or check_every too small.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Source: L. Vincent, "Morphological grayscale reconstruction in image analysis" (1993).
 

@@ -28,7 +28,7 @@ def batched_forward(
         The results of all chunks, (B, ...), on the device of `data`.
 
     Raises:
-        TypeCheckError: `data` is no tensor, or `batch_size` no int.
+        TypeCheckError: `data` is not a tensor, or `batch_size` not an int.
         ValueCheckError: `batch_size` is less than 1.
 
     Example:

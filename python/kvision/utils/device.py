@@ -65,7 +65,7 @@ def get_cuda_or_mps_device_if_available() -> torch.device:
 
 
 def is_mps_tensor_safe(x: Tensor) -> bool:
-    """Say whether a tensor is on Apple's GPU.
+    """Tell whether a tensor is on Apple's GPU.
 
     Args:
         x: any tensor.
@@ -74,7 +74,7 @@ def is_mps_tensor_safe(x: Tensor) -> bool:
         True for a tensor on an MPS device.
 
     Raises:
-        TypeCheckError: `x` is no tensor.
+        TypeCheckError: `x` is not a tensor.
 
     Example:
         >>> import torch, kvision as K
@@ -86,7 +86,7 @@ def is_mps_tensor_safe(x: Tensor) -> bool:
 
 
 def is_autocast_enabled(both: bool = True) -> bool:
-    """Say whether autocast is on.
+    """Tell whether autocast is on.
 
     Args:
         both: ask for every kind of device; False asks for CUDA alone.
@@ -104,7 +104,7 @@ def is_autocast_enabled(both: bool = True) -> bool:
 
 
 def xla_is_available() -> bool:
-    """Say whether the package `torch_xla` is installed.
+    """Tell whether the package `torch_xla` is installed.
 
     Returns:
         True where it can be imported.

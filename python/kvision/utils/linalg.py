@@ -27,7 +27,7 @@ def safe_solve_with_mask(B: Tensor, A: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         mask, (*), True where A X = B was solved.
 
     Raises:
-        TypeCheckError: `A` or `B` is no tensor.
+        TypeCheckError: `A` or `B` is not a tensor.
         ShapeError: the shapes do not fit.
 
     Example:
@@ -65,7 +65,7 @@ def safe_inverse_with_mask(A: Tensor) -> tuple[Tensor, Tensor]:
         The inverses, (*, N, N), and the mask, (*), True where the inverse exists.
 
     Raises:
-        TypeCheckError: `A` is no tensor.
+        TypeCheckError: `A` is not a tensor.
         ShapeError: `A` is not (*, N, N).
 
     Example:

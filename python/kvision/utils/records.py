@@ -49,7 +49,7 @@ def dict_to_dataclass(dict_obj: dict[str, Any], dataclass_type: type[_Record]) -
         An instance of `dataclass_type`.
 
     Raises:
-        TypeCheckError: `dict_obj` is no dict, or `dataclass_type` no dataclass.
+        TypeCheckError: `dict_obj` is not a dict, or `dataclass_type` no dataclass.
         TypeError: a field is missing or unknown.
 
     Example:

@@ -153,7 +153,7 @@ class AutoAugment(PolicyAugmentBase):
 
     Raises:
         NotImplementedError: `policy` is another name; it is a ValueError as well.
-        TypeError: an entry has another form.
+        TypeError: an entry does not have the form in Args.
         ValueError: an operation is unknown; a probability or a level is out of its bounds.
 
     Example:
@@ -199,7 +199,7 @@ class RandAugment(PolicyAugmentBase):
         generator: draws the keys of each call; default: torch's generator.
 
     Raises:
-        TypeError: an entry has another form; `n` is no int.
+        TypeError: an entry does not have the form in Args; `n` is not an int.
         ValueError: `n` is below 1; `m` is out of its bounds; an operation is unknown.
 
     Example:
@@ -247,7 +247,7 @@ class TrivialAugment(PolicyAugmentBase):
         generator: draws the keys of each call; default: torch's generator.
 
     Raises:
-        TypeError: an entry has another form.
+        TypeError: an entry does not have the form in Args.
         ValueError: an operation is unknown.
 
     Example:

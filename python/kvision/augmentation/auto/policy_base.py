@@ -51,7 +51,7 @@ class PolicyAugmentBase(ImageSequential):
         generator: draws the keys of each call; default: torch's generator.
 
     Raises:
-        TypeError: an entry has another form.
+        TypeError: an entry does not have the form in Args.
         ValueError: the policy is empty; an operation is unknown; a probability is not within 0 and 1.
 
     Example:

@@ -72,7 +72,7 @@ class AugmentationSequential(ImageSequential):
         memory_format: `torch.channels_last` or `torch.contiguous_format` for the results; default: that of the images.
 
     Raises:
-        TypeError: a child is no module.
+        TypeError: a child is not a module.
         ValueError: a key is unknown, or the first is not the image's; `min_box_area` is negative, or `min_box_visibility` not
             within 0 and 1.
 

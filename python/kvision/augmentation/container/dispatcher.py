@@ -19,7 +19,7 @@ class ManyToManyAugmentationDispather(nn.Module):
         *augmentations: one of each input; one that takes several, such as AugmentationSequential, gets a tuple or list.
 
     Raises:
-        TypeError: one is no module.
+        TypeError: one is not a module.
         ValueError: in a call, another number of inputs than of augmentations.
 
     Example:
@@ -50,7 +50,7 @@ class ManyToOneAugmentationDispather(nn.Module):
         strict: containers must have the same data keys.
 
     Raises:
-        TypeError: one is no module.
+        TypeError: one is not a module.
         ValueError: data keys differ, and `strict`.
 
     Example:

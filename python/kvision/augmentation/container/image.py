@@ -50,7 +50,7 @@ class ImageSequentialBase(nn.Sequential):
         keepdim: if not None, that of all children, and of the container.
 
     Raises:
-        TypeError: a child is no module.
+        TypeError: a child is not a module.
 
     Example:
         >>> import kvision as K
@@ -147,7 +147,8 @@ class ImageSequential(ImageSequentialBase):
         memory_format: `torch.channels_last` or `torch.contiguous_format` for the results; default: that of the images.
 
     Raises:
-        TypeError: a child is no module; `random_apply` is neither a bool nor one or two ints; `output_dtype` is no type of images.
+        TypeError: a child is not a module; `random_apply` is neither a bool nor one or two ints; `output_dtype` is no
+            type of images.
         ValueError: `random_apply_weights` has another length; `resample` is unknown.
 
     Example:
@@ -345,7 +346,7 @@ class ImageSequential(ImageSequentialBase):
             Images (B, C, h, w) of the type of `input`.
 
         Raises:
-            TypeError: `input` is no tensor of a floating-point type or uint8.
+            TypeError: `input` is not a tensor of a floating-point type or uint8.
             ValueError: `input` has another number of axes; `params` names a child that there is not.
         """
         x = self.transform_tensor(input)

@@ -56,7 +56,7 @@ class PatchSequential(ImageSequential):
         generator: draws the keys of each call; default: torch's generator.
 
     Raises:
-        TypeError: a child is no module; `grid_size` is not two ints.
+        TypeError: a child is not a module; `grid_size` is not two ints.
         ValueError: `padding` is unknown; with `patchwise_apply` and without `random_apply`, another number of children than
             of cells.
 
@@ -166,7 +166,7 @@ class PatchSequential(ImageSequential):
             Images of the size of `input`, cropped to a multiple of the grid with padding 'valid'.
 
         Raises:
-            TypeError: `input` is no tensor of a floating-point type or uint8.
+            TypeError: `input` is not a tensor of a floating-point type or uint8.
             ValueError: `input` has another number of axes; an augmentation changes the size of a cell.
         """
         return super().forward(input, params, extra_args, seed=seed, generator=generator)  # type: ignore[arg-type]

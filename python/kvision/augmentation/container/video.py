@@ -73,7 +73,7 @@ class VideoSequential(ImageSequential):
         memory_format: `torch.channels_last` or `torch.contiguous_format` for the results; default: that of the images.
 
     Raises:
-        TypeError: a child is no module.
+        TypeError: a child is not a module.
         ValueError: `data_format` is unknown.
 
     Example:

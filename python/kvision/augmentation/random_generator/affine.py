@@ -28,7 +28,7 @@ class AffineGenerator(RandomGeneratorBase):
         translations (B, 2) in pixels, center (B, 2), scale (B, 2), angle, shear_x and shear_y (B,) in degrees.
 
     Raises:
-        TypeError, ValueError: a range of another form.
+        TypeError, ValueError: a range does not have the form in Args.
 
     Example:
         >>> import kvision as K
@@ -103,7 +103,7 @@ class ShearGenerator(RandomGeneratorBase):
         center (B, 2), shear_x and shear_y (B,) in degrees.
 
     Raises:
-        TypeError, ValueError: a range of another form.
+        TypeError, ValueError: a range does not have the form in Args.
 
     Example:
         >>> import kvision as K
@@ -137,7 +137,7 @@ class TranslateGenerator(RandomGeneratorBase):
         translate_x and translate_y (B,) in pixels.
 
     Raises:
-        TypeError, ValueError: a range of another form, or not within -1 and 1.
+        TypeError, ValueError: a range does not have the form in Args, or is not within -1 and 1.
 
     Example:
         >>> import kvision as K

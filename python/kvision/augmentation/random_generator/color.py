@@ -54,7 +54,7 @@ class PosterizeGenerator(RandomGeneratorBase):
         bits_factor (B,), int32.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import kvision as K
@@ -113,7 +113,7 @@ class ChannelDropoutGenerator(RandomGeneratorBase):
         batch_idx and channel_idx (B, num_drop_channels), int64.
 
     Raises:
-        TypeError: `num_drop_channels` is no int.
+        TypeError: `num_drop_channels` is not an int.
         ValueError: it is below 1, or above the number of channels.
 
     Example:

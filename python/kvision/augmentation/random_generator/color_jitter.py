@@ -28,7 +28,7 @@ class ColorJitterGenerator(RandomGeneratorBase):
         contrast (1), saturation (2) and hue (3) comes at each position; -1 for samples that are not chosen.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import kvision as K

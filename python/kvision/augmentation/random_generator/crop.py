@@ -126,7 +126,7 @@ class ResizedCropGenerator(RandomGeneratorBase):
 
     Raises:
         TypeError: `output_size` is not one or two ints.
-        ValueError: a range of another form, or not above 0.
+        ValueError: a range does not have the form in Args, or is not above 0.
 
     Example:
         >>> import kvision as K

@@ -27,7 +27,7 @@ class RectangleEraseGenerator(RandomGeneratorBase):
         widths, heights, xs, ys in pixels and values, (B,) each.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import kvision as K

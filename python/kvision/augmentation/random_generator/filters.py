@@ -27,7 +27,7 @@ class RandomGaussianBlurGenerator(PlainUniformGenerator):
         sigma (B,).
 
     Raises:
-        TypeError, ValueError: a range of another form, or not above 0.
+        TypeError, ValueError: a range does not have the form in Args, or is not above 0.
 
     Example:
         >>> import kvision as K
@@ -51,7 +51,7 @@ class JPEGGenerator(PlainUniformGenerator):
         jpeg_quality (B,).
 
     Raises:
-        TypeError, ValueError: a range of another form, or not within 1 and 100.
+        TypeError, ValueError: a range does not have the form in Args, or is not within 1 and 100.
 
     Example:
         >>> import kvision as K
@@ -77,7 +77,7 @@ class MotionBlurGenerator(RandomGeneratorBase):
         ksize_factor (B,), int32, the same for all samples; angle_factor and direction_factor (B,).
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds; an even size.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds; an even size.
 
     Example:
         >>> import kvision as K

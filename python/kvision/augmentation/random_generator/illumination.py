@@ -30,7 +30,7 @@ class GaussianIlluminationGenerator(RandomGeneratorBase):
         gradient (B, C, H, W), what is added.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import kvision as K
@@ -74,7 +74,7 @@ class LinearIlluminationGenerator(RandomGeneratorBase):
         gradient (B, C, H, W), what is added.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import kvision as K
@@ -120,7 +120,7 @@ class LinearCornerIlluminationGenerator(LinearIlluminationGenerator):
         gradient (B, C, H, W), what is added.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import kvision as K

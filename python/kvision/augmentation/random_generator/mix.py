@@ -33,7 +33,7 @@ class MixupGenerator(RandomGeneratorBase):
         mixup_pairs (B,), int64, the partners; mixup_lambdas (B,), their weights.
 
     Raises:
-        TypeError, ValueError: a range of another form, or not within 0 and 1.
+        TypeError, ValueError: a range does not have the form in Args, or is not within 0 and 1.
 
     Example:
         >>> import kvision as K
@@ -70,7 +70,7 @@ class CutmixGenerator(RandomGeneratorBase):
         left, both ends inclusive; image_shape (2,).
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import kvision as K
@@ -210,7 +210,8 @@ class MosaicGenerator(RandomGeneratorBase):
         (B, 4, 2), corners of the crop with both ends inclusive; batch_shapes (B, 3).
 
     Raises:
-        TypeError, ValueError: a range of another form, or not within 0 and 1; sizes that are not two ints of at least 1.
+        TypeError, ValueError: a range does not have the form in Args, or is not within 0 and 1; sizes that are not two
+            ints of at least 1.
 
     Example:
         >>> import kvision as K

@@ -27,7 +27,7 @@ class GaussianNoiseGenerator(RandomGeneratorBase):
         gaussian_noise (B, C, H, W).
 
     Raises:
-        TypeError, ValueError: an argument is no number; `std` is below 0.
+        TypeError, ValueError: an argument is not a number; `std` is below 0.
 
     Example:
         >>> import kvision as K
@@ -66,7 +66,7 @@ class SaltAndPepperGenerator(RandomGeneratorBase):
         amount_factor and salt_and_pepper_factor (B,); mask_salt and mask_pepper (B, C, H, W), bool.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import kvision as K

@@ -27,7 +27,7 @@ class PerspectiveGenerator(RandomGeneratorBase):
         start_points and end_points (B, 4, 2): the corners of the image and where they go, clockwise from top left.
 
     Raises:
-        TypeError: `distortion_scale` is no number.
+        TypeError: `distortion_scale` is not a number.
         ValueError: `distortion_scale` is not within 0 and 1; `sampling_method` is unknown.
 
     Example:

@@ -29,7 +29,7 @@ class PlainUniformGenerator(RandomGeneratorBase):
         The parameters (B,) by name.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import kvision as K

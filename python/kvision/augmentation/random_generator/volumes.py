@@ -41,7 +41,7 @@ class AffineGenerator3D(RandomGeneratorBase):
         translations (B, 3) in voxels, center, scale and angles (B, 3); sxy, sxz, syx, syz, szx and szy (B,) in degrees.
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
 
     Example:
         >>> import kvision as K
@@ -96,7 +96,7 @@ class RotationGenerator3D(RandomGeneratorBase):
         yaw, pitch and roll (B,) in degrees, along x, y and z.
 
     Raises:
-        TypeError, ValueError: `degrees` has another form, or is not within -360 and 360.
+        TypeError, ValueError: `degrees` does not have the form in Args, or is not within -360 and 360.
 
     Example:
         >>> import kvision as K
@@ -126,7 +126,7 @@ class PerspectiveGenerator3D(RandomGeneratorBase):
         top left, then the back four. An axis of one voxel has corners at 0 and 1, which stay.
 
     Raises:
-        TypeError: `distortion_scale` is no number.
+        TypeError: `distortion_scale` is not a number.
         ValueError: `distortion_scale` is not within 0 and 1.
 
     Example:
@@ -293,7 +293,7 @@ class MotionBlurGenerator3D(MotionBlurGenerator):
         ksize_factor (B,), int32, the same for all samples; angle_factor (B, 3) and direction_factor (B,).
 
     Raises:
-        TypeError, ValueError: a range of another form, or out of its bounds; an even size.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds; an even size.
 
     Example:
         >>> import kvision as K

@@ -28,7 +28,7 @@ class RainGenerator(RandomGeneratorBase):
         for the highest number N: positions down and to the right, as fractions of where drops may begin.
 
     Raises:
-        TypeError, ValueError: a range is no ascending pair of ints, or out of its bounds.
+        TypeError, ValueError: a range is not an ascending pair of ints, or out of its bounds.
 
     Example:
         >>> import kvision as K

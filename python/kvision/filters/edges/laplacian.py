@@ -46,7 +46,7 @@ def laplacian(
         The Laplacian: positive in dark spots, negative in bright ones.
 
     Raises:
-        TypeCheckError: input is no real tensor; kernel_size is not of ints.
+        TypeCheckError: input is not a real tensor; kernel_size is not of ints.
         ShapeError: input is not (B, C, H, W); a border wider than the image.
         ValueCheckError: an even kernel size or one of 1 x 1, an unknown border_type.
 

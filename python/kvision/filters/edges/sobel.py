@@ -50,7 +50,7 @@ def sobel(input: Tensor, normalized: bool = True, eps: float = 1e-6) -> Tensor:
         Magnitudes of shape (B, C, H, W).
 
     Raises:
-        TypeError: `input` is not a tensor of real numbers, `normalized` no bool, `eps` no number.
+        TypeError: `input` is not a tensor of real numbers, `normalized` not a bool, `eps` not a number.
         ValueError: `input` is not of shape (B, C, H, W), `eps` is negative.
 
     Source: I. Sobel and G. Feldman, "A 3x3 isotropic gradient operator for image processing" (1968).

@@ -80,7 +80,7 @@ def spatial_gradient(input: Tensor, mode: str = "sobel", order: int = 1, normali
         (B, C, 2, H, W), derivatives (x, y), or for order 2 (B, C, 3, H, W), derivatives (xx, xy, yy).
 
     Raises:
-        TypeCheckError: input is no real tensor.
+        TypeCheckError: input is not a real tensor.
         ShapeError: input is not (B, C, H, W).
         ValueCheckError: an unknown mode or order.
 
@@ -141,7 +141,7 @@ def spatial_gradient3d(input: Tensor, mode: str = "diff", order: int = 1) -> Ten
         (xx, yy, zz, xy, yz, xz); 1 on a ramp of slope 1, on x^2 / 2 and on x y.
 
     Raises:
-        TypeCheckError: input is no real tensor.
+        TypeCheckError: input is not a real tensor.
         ShapeError: input is not (B, C, D, H, W).
         ValueCheckError: an unknown mode or order.
         NotImplementedError: mode 'sobel'.

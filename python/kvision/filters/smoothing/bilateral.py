@@ -127,10 +127,10 @@ def bilateral_blur(
         The blurred image; differentiable in image and sigmas.
 
     Raises:
-        TypeCheckError: input is no real tensor; an argument of the wrong type.
+        TypeCheckError: input is not a real tensor; an argument of the wrong type.
         ShapeError: wrong ranks or batch sizes; a border wider than the image.
         ValueCheckError: an even kernel size, a sigma that is not positive, an unknown border_type or distance.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Source: C. Tomasi and R. Manduchi, "Bilateral filtering for gray and color images" (1998).
 

@@ -40,7 +40,7 @@ def blur_pool2d(input: Tensor, kernel_size: tuple[int, int] | int, stride: int =
         (B, C, ceil(H / stride), ceil(W / stride)).
 
     Raises:
-        TypeCheckError: input is no real tensor; kernel_size or stride is not of ints.
+        TypeCheckError: input is not a real tensor; kernel_size or stride is not of ints.
         ShapeError: input is not (B, C, H, W).
         ValueCheckError: a kernel_size or stride below 1.
 

@@ -53,7 +53,7 @@ def box_blur(
         The blurred image.
 
     Raises:
-        TypeCheckError: input is no real tensor; kernel_size is not of ints.
+        TypeCheckError: input is not a real tensor; kernel_size is not of ints.
         ShapeError: input is not (B, C, H, W); a border wider than the image.
         ValueCheckError: a kernel_size below 1, an unknown border_type.
 

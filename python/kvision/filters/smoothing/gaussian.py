@@ -110,7 +110,7 @@ def gaussian_blur2d(
         The blurred image; differentiable in image and sigma.
 
     Raises:
-        TypeCheckError: input is no real tensor; kernel_size or sigma of the wrong type.
+        TypeCheckError: input is not a real tensor; kernel_size or sigma of the wrong type.
         ShapeError: wrong ranks or batch sizes; a border wider than the image.
         ValueCheckError: an even kernel size, a sigma that is not positive, an unknown border_type.
         DeviceError: a sigma on another device; one in CPU memory is moved.

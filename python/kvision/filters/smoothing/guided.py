@@ -43,10 +43,10 @@ def guided_blur(
         The blurred input (B, N, H, W), floating point; differentiable in both images and eps.
 
     Raises:
-        TypeCheckError: an image is no real tensor; an argument of the wrong type.
+        TypeCheckError: an image is not a real tensor; an argument of the wrong type.
         ShapeError: images that differ in batch, height or width; a border wider than the (subsampled) image.
         ValueCheckError: a kernel_size or subsample below 1, a negative eps, an unknown border_type.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Source: K. He, J. Sun and X. Tang, "Guided image filtering" (2010); K. He and J. Sun, "Fast guided filter" (2015).
 

@@ -48,7 +48,7 @@ def median_blur(input: Tensor, kernel_size: tuple[int, int] | int, border_type: 
         The filtered image; NaN where the window holds a NaN. Infinities are ordinary values.
 
     Raises:
-        TypeCheckError: input is no real tensor; kernel_size is not of ints.
+        TypeCheckError: input is not a real tensor; kernel_size is not of ints.
         ShapeError: input is not (B, C, H, W); a border wider than the image.
         ValueCheckError: a kernel size below 1, an unknown border_type.
 

@@ -36,7 +36,7 @@ def get_motion_kernel2d(
         TypeCheckError: an argument of the wrong type.
         ShapeError: tensors of different lengths.
         ValueCheckError: an even kernel_size or one below 3, a number that is not finite, an unknown mode.
-        DeviceError: tensors on different devices; parameters in CPU memory are moved.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Example:
         >>> import kvision as K

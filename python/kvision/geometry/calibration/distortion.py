@@ -46,7 +46,7 @@ def tilt_projection(taux: Tensor, tauy: Tensor, return_inverse: bool = False) ->
         (*, 3, 3).
 
     Raises:
-        TypeCheckError: `taux` or `tauy` is no floating-point tensor; `return_inverse` is no bool.
+        TypeCheckError: `taux` or `tauy` is not a floating-point tensor; `return_inverse` is not a bool.
         ShapeError: `taux` and `tauy` have different shapes.
         DeviceError: the tensors are on different devices.
 
@@ -90,7 +90,7 @@ def distort_points(points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None
         (*, N, 2) in pixels.
 
     Raises:
-        TypeCheckError: an argument is no floating-point tensor.
+        TypeCheckError: an argument is not a floating-point tensor.
         ShapeError: `points` is not (*, N, 2); `K` or `new_K` is not (*, 3, 3); `dist` has a number of coefficients
             other than 4, 5, 8, 12 and 14.
         DeviceError: the tensors are on different devices.
@@ -173,7 +173,7 @@ def undistort_points(
         (*, N, 2) in pixels.
 
     Raises:
-        TypeCheckError: a tensor is no floating-point tensor; `num_iters` is no int.
+        TypeCheckError: a tensor is not a floating-point tensor; `num_iters` is not an int.
         ShapeError: `points` is not (*, N, 2); `K` or `new_K` is not (*, 3, 3); `dist` has a number of coefficients
             other than 4, 5, 8, 12 and 14.
         ValueCheckError: `num_iters` is below 0.
@@ -297,7 +297,7 @@ def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:
         (*, C, H, W), interpolated bilinearly; 0 where the sampling coordinates are out of the image.
 
     Raises:
-        TypeCheckError: `image` is no real tensor, `K` or `dist` no floating-point tensor.
+        TypeCheckError: `image` is not a real tensor, `K` or `dist` not a floating-point tensor.
         ShapeError: `image` is not (*, C, H, W); `K` is not (*, 3, 3); the leading axes differ; `dist` has a number of
             coefficients other than 4, 5, 8, 12 and 14.
         DeviceError: a tensor on another device; K and dist in CPU memory are moved.

@@ -41,7 +41,7 @@ def solve_pnp_dlt(
         waiting for the device.
 
     Raises:
-        TypeCheckError: points or `intrinsics` are no floating-point tensors; `svd_eps` is no number.
+        TypeCheckError: points or `intrinsics` are not floating-point tensors; `svd_eps` is not a number.
         ShapeError: `world_points` is not (B, N, 3) with at least six points; `img_points` is not (B, N, 2); `intrinsics` is
             not (B, 3, 3); `weights` is not (B, N).
         DeviceError: the tensors are on different devices.

@@ -50,9 +50,9 @@ def find_essential(points1: Tensor, points2: Tensor, weights: Tensor | None = No
         more points the four combinations that fit them best are searched.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes, fewer than five points.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args; there are fewer than five points.
+        DeviceError: the tensors are on different devices.
 
     Source: D. Nister, "An Efficient Solution to the Five-Point Relative Pose Problem" (2004).
 
@@ -82,9 +82,9 @@ def essential_from_fundamental(F_mat: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
         (*, 3, 3).
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -109,7 +109,7 @@ _from_fundamental = register_formula("essential_from_fundamental", _from_fundame
 
 @in_full_precision
 def essential_from_Rt(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> Tensor:
-    """Find the essential matrices of two cameras: [t]x R of the motion from the first to the second.
+    """Compute the essential matrices of two cameras: [t]x R of the motion from the first to the second.
 
     Args:
         R1: rotations from the world to the first camera, (*, 3, 3), floating point.
@@ -121,9 +121,9 @@ def essential_from_Rt(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> Tensor:
         (*, 3, 3).
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -139,7 +139,7 @@ def essential_from_Rt(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> Tensor:
 
 @in_full_precision
 def relative_camera_motion(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tuple[Tensor, Tensor]:
-    """Find the motion from a first camera to a second: R = R2 R1^T, t = t2 - R t1.
+    """Compute the motion from a first camera to a second: R = R2 R1^T, t = t2 - R t1.
 
     Args:
         R1: rotations from the world to the first camera, (*, 3, 3), floating point.
@@ -151,9 +151,9 @@ def relative_camera_motion(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tu
         R, (*, 3, 3), and t, (*, 3, 1).
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -199,7 +199,7 @@ _from_motions = register_formula("essential_from_motions", _from_motions_referen
 
 @in_full_precision
 def project_to_essential(E_mat: Tensor) -> Tensor:
-    """Find the nearest essential matrices, whose singular values are s, s and 0.
+    """Project matrices to the nearest essential matrices, whose singular values are s, s and 0.
 
     Args:
         E_mat: (*, 3, 3), floating point.
@@ -208,7 +208,7 @@ def project_to_essential(E_mat: Tensor) -> Tensor:
         (*, 3, 3), s being the mean of the two larger singular values.
 
     Raises:
-        TypeCheckError: `E_mat` is no floating-point tensor.
+        TypeCheckError: `E_mat` is not a floating-point tensor.
         ShapeError: `E_mat` is not (*, 3, 3).
 
     Example:
@@ -265,7 +265,7 @@ def decompose_essential_matrix(E_mat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         Both rotations, (*, 3, 3), and the direction, (*, 3, 1), of length 1 and either sign.
 
     Raises:
-        TypeCheckError: `E_mat` is no floating-point tensor.
+        TypeCheckError: `E_mat` is not a floating-point tensor.
         ShapeError: `E_mat` is not (*, 3, 3).
 
     Example:
@@ -330,7 +330,7 @@ def decompose_essential_matrix_no_svd(E_mat: Tensor) -> tuple[Tensor, Tensor, Te
         Both rotations, (B, 3, 3), and the direction, (B, 3, 1), of length 1 and either sign.
 
     Raises:
-        TypeCheckError: `E_mat` is no floating-point tensor.
+        TypeCheckError: `E_mat` is not a floating-point tensor.
         ShapeError: `E_mat` is not (*, 3, 3).
 
     Example:
@@ -353,7 +353,7 @@ def motion_from_essential(E_mat: Tensor) -> tuple[Tensor, Tensor]:
         Rotations (*, 4, 3, 3) and translations (*, 4, 3, 1) of length 1.
 
     Raises:
-        TypeCheckError: `E_mat` is no floating-point tensor.
+        TypeCheckError: `E_mat` is not a floating-point tensor.
         ShapeError: `E_mat` is not (*, 3, 3).
 
     Example:
@@ -387,9 +387,9 @@ def motion_from_essential_choose_solution(
         them are in front, (*).
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

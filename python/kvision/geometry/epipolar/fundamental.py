@@ -42,9 +42,9 @@ def find_fundamental(points1: Tensor, points2: Tensor, weights: Tensor | None = 
         the last entry unless that is 0. NaN where points or weights are not finite.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes, too few points.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args, too few points.
+        DeviceError: the tensors are on different devices.
         ValueCheckError: another method.
 
     Source: R. Hartley, "In defense of the eight-point algorithm" (1997).
@@ -80,9 +80,9 @@ def fundamental_from_essential(E_mat: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
         (*, 3, 3); NaN where a camera matrix has no inverse.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -112,7 +112,7 @@ _from_essential = register_formula("fundamental_from_essential", _from_essential
 
 @in_full_precision
 def fundamental_from_projections(P1: Tensor, P2: Tensor) -> Tensor:
-    """Find the fundamental matrices of two cameras.
+    """Compute the fundamental matrices of two cameras.
 
     Args:
         P1: projections of the first image, (*, 3, 4), floating point.
@@ -122,9 +122,9 @@ def fundamental_from_projections(P1: Tensor, P2: Tensor) -> Tensor:
         (*, 3, 3), whose entries are 4 x 4 minors of both; 0 for two cameras with the same center.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Source: R. Hartley and A. Zisserman, "Multiple View Geometry" (2003), equation 17.3.
 
@@ -174,9 +174,9 @@ def compute_correspond_epilines(points: Tensor, F_mat: Tensor) -> Tensor:
         (a, b, c) with a x + b y + c = 0 and a^2 + b^2 = 1, (*, N, 3); unscaled where a and b are 0.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -221,9 +221,9 @@ def get_perpendicular(lines: Tensor, points: Tensor) -> Tensor:
         (*, N, 3).
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -260,9 +260,9 @@ def get_closest_point_on_epipolar_line(pts1: Tensor, pts2: Tensor, Fm: Tensor) -
         (*, N, 2); where they are if there is no line.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

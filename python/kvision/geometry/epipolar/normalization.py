@@ -30,9 +30,9 @@ def normalize_points(points: Tensor, eps: float = 1e-8, weights: Tensor | None =
         The points, (B, N, 2), and the similarity (B, 3, 3) that maps the input to them.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Source: R. Hartley, "In defense of the eight-point algorithm" (1997).
 
@@ -98,7 +98,7 @@ def normalize_transformation(M: Tensor, eps: float = 1e-8) -> Tensor:
         In the shape of `M`.
 
     Raises:
-        TypeCheckError: `M` is no floating-point tensor.
+        TypeCheckError: `M` is not a floating-point tensor.
         ShapeError: `M` has fewer than two axes, or fewer than two rows or columns.
 
     Example:

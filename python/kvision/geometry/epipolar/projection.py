@@ -35,7 +35,7 @@ def cross_product_matrix(x: Tensor) -> Tensor:
         (*, 3, 3).
 
     Raises:
-        TypeCheckError: `x` is no floating-point tensor.
+        TypeCheckError: `x` is not a floating-point tensor.
         ShapeError: `x` is not (*, 3).
 
     Example:
@@ -62,9 +62,9 @@ def projection_from_KRt(K: Tensor, R: Tensor, t: Tensor) -> Tensor:
         (*, 3, 4).
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes, or not all with the same number of axes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args, or not all with the same number of axes.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -96,7 +96,7 @@ def KRt_from_projection(P: Tensor, eps: float = 1e-6) -> tuple[Tensor, Tensor, T
         is P, or -P where the determinant of its first three columns is negative. NaN or inf where that is 0.
 
     Raises:
-        TypeCheckError: `P` is no floating-point tensor.
+        TypeCheckError: `P` is not a floating-point tensor.
         ShapeError: `P` is not (B, 3, 4).
 
     Example:
@@ -154,9 +154,9 @@ def depth_from_point(R: Tensor, t: Tensor, X: Tensor) -> Tensor:
         (*, N).
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -173,7 +173,7 @@ def depth_from_point(R: Tensor, t: Tensor, X: Tensor) -> Tensor:
 
 @in_full_precision
 def projections_from_fundamental(F_mat: Tensor) -> Tensor:
-    """Find a pair of cameras that have given fundamental matrices: [I | 0] and [[e]x F | e], e being the epipole.
+    """Compute a pair of cameras from fundamental matrices: [I | 0] and [[e]x F | e], e being the epipole.
 
     Args:
         F_mat: (B, 3, 3), floating point.
@@ -183,7 +183,7 @@ def projections_from_fundamental(F_mat: Tensor) -> Tensor:
         length 1 and either sign.
 
     Raises:
-        TypeCheckError: `F_mat` is no floating-point tensor.
+        TypeCheckError: `F_mat` is not a floating-point tensor.
         ShapeError: `F_mat` is not (B, 3, 3).
 
     Source: R. Hartley and A. Zisserman, "Multiple View Geometry" (2003), result 9.14.
@@ -216,7 +216,7 @@ def intrinsics_like(focal: float | Tensor, input: Tensor) -> Tensor:
         (B, 3, 3).
 
     Raises:
-        TypeCheckError: focal is neither number nor tensor, input no floating-point tensor.
+        TypeCheckError: focal is neither number nor tensor, input not a floating-point tensor.
         ShapeError: input is not (B, C, H, W); focal is neither () nor (B,).
         ValueCheckError: focal is not above 0.
 
@@ -287,7 +287,7 @@ def scale_intrinsics(camera_matrix: Tensor, scale_factor: float | Tensor) -> Ten
         (*, 3, 3).
 
     Raises:
-        TypeCheckError: no floating-point tensor, or no number.
+        TypeCheckError: an argument is neither a floating-point tensor nor a number.
         ShapeError: `camera_matrix` is not (*, 3, 3).
 
     Example:

@@ -33,9 +33,9 @@ def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor,
         (*, N, 3). NaN, without a gradient, for points at infinity.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
         NotImplementedError: another solver; also a ValueCheckError.
 
     Source: R. Hartley and A. Zisserman, "Multiple View Geometry" (2003), section 12.2.

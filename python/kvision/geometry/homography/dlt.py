@@ -41,9 +41,9 @@ def find_homography_dlt(points1: Tensor, points2: Tensor, weights: Tensor | None
         that fits where the points leave several, with finite gradients.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes, fewer than four points.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args; there are fewer than four points.
+        DeviceError: the tensors are on different devices.
         NotImplementedError: another solver; also a ValueCheckError.
 
     Example:
@@ -85,7 +85,7 @@ def _homography(rows: Tensor, weights: Tensor | None, T1: Tensor, T2: Tensor, dt
 def find_homography_dlt_iterated(
     points1: Tensor, points2: Tensor, weights: Tensor, soft_inl_th: float = 3.0, n_iter: int = 5
 ) -> Tensor:
-    """Find homographies as `find_homography_dlt`, again and again, with less and less weight for what does not fit.
+    """Find homographies by iteratively reweighted `find_homography_dlt`: large residuals get small weights.
 
     Args:
         points1: (B, N, 2) as (x, y), floating point, at least four of them.
@@ -99,10 +99,10 @@ def find_homography_dlt_iterated(
         (B, 3, 3), as `find_homography_dlt`.
 
     Raises:
-        TypeCheckError: no floating-point tensors, or no numbers.
-        ShapeError: other shapes, fewer than four points.
+        TypeCheckError: an argument is neither a floating-point tensor nor a number.
+        ShapeError: a shape is not as in Args; there are fewer than four points.
         ValueCheckError: soft_inl_th or n_iter too small.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -136,9 +136,9 @@ def find_homography_lines_dlt(ls1: Tensor, ls2: Tensor, weights: Tensor | None =
         (B, 3, 3), as `find_homography_dlt`.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes, fewer than four segments.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args; there are fewer than four segments.
+        DeviceError: the tensors are on different devices.
 
     Source: J. Guerrero and C. Sagues, "From Lines to Homographies between Uncalibrated Images" (2001).
 
@@ -188,10 +188,10 @@ def find_homography_lines_dlt_iterated(
         (B, 3, 3), as `find_homography_dlt`.
 
     Raises:
-        TypeCheckError: no floating-point tensors, or no numbers.
-        ShapeError: other shapes, fewer than four segments.
+        TypeCheckError: an argument is neither a floating-point tensor nor a number.
+        ShapeError: a shape is not as in Args; there are fewer than four segments.
         ValueCheckError: soft_inl_th or n_iter too small.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

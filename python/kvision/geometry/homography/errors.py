@@ -34,9 +34,9 @@ def oneway_transfer_error(pts1: Tensor, pts2: Tensor, H: Tensor, squared: bool =
         (B, N) in pixels, inf for points that go to infinity. Gradients are finite: 0 at a distance of 0 and at inf.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -64,9 +64,9 @@ def symmetric_transfer_error(pts1: Tensor, pts2: Tensor, H: Tensor, squared: boo
         (B, N) in pixels; the largest number of the type, without a gradient, where `H` has no inverse.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -94,9 +94,9 @@ def sampson_homography_distance(pts1: Tensor, pts2: Tensor, H: Tensor, squared: 
         (B, N) in pixels, exact for affine maps; inf, without a gradient, where J J^T has no inverse.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Source: R. Hartley and A. Zisserman, "Multiple View Geometry" (2003), section 4.2.6.
 
@@ -124,9 +124,9 @@ def line_segment_transfer_error_one_way(ls1: Tensor, ls2: Tensor, H: Tensor, squ
         (B, N): the mean distance of both ends in pixels. 0 for a segment of `ls2` without length, which has no line.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -153,9 +153,9 @@ def sample_is_valid_for_homography(points1: Tensor, points2: Tensor) -> Tensor:
         (B,) bool: every three of them have the same orientation in both images.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes, fewer than four points.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args; there are fewer than four points.
+        DeviceError: the tensors are on different devices.
 
     Source: P. Marquez-Neila et al., "Speeding-up homography estimation in mobile devices" (2015).
 

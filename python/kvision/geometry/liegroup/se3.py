@@ -38,7 +38,7 @@ class Se3(RigidMotion[So3]):
         translation: (*, 3), or a Vector3.
 
     Raises:
-        TypeError: `rotation` is neither, or `translation` is no floating-point tensor.
+        TypeError: `rotation` is neither, or `translation` is not a floating-point tensor.
         ValueError: `translation` has another shape.
 
     Source: T. D. Barfoot, "State Estimation for Robotics" (2017), chapter 7; J. Solà et al. (2018).

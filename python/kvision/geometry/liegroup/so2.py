@@ -25,7 +25,7 @@ class So2(LieGroup):
         z: complex numbers (*) of length 1.
 
     Raises:
-        TypeError: `z` is no complex tensor.
+        TypeError: `z` is not a complex tensor.
 
     Example:
         >>> import torch, kvision as K

@@ -24,9 +24,9 @@ def find_affine(points1: Tensor, points2: Tensor, weights: Tensor | None = None)
         (B, 3, 3), last row (0, 0, 1). NaN where the points with a weight are on one line.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes, fewer than three points.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args; there are fewer than three points.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

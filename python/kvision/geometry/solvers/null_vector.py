@@ -28,7 +28,7 @@ def null_vector_3x4(A: Tensor) -> Tensor:
         `[I | 0]` gives (0, 0, 0, -1) and a matrix of rank below 3 gives 0.
 
     Raises:
-        TypeCheckError: `A` is no floating-point tensor.
+        TypeCheckError: `A` is not a floating-point tensor.
         ShapeError: `A` is not (*, 3, 4).
 
     Example:

@@ -107,8 +107,8 @@ def multiply_deg_one_poly(a: Tensor, b: Tensor) -> Tensor:
         (*, 10), of x^2, xy, xz, x, y^2, yz, y, z^2, z, 1.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -132,8 +132,8 @@ def multiply_deg_two_one_poly(a: Tensor, b: Tensor) -> Tensor:
         (*, 20), of x^3, y^3, x^2 y, x y^2, x^2 z, x^2, y^2 z, y^2, xyz, xy, x z^2, xz, x, y z^2, yz, y, z^3, z^2, z, 1.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes.
+        TypeCheckError: an argument is not a floating-point tensor.
+        ShapeError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -163,7 +163,7 @@ def determinant_to_polynomial(A: Tensor) -> Tensor:
         The coefficients of the determinant (*, 11), the lowest power first.
 
     Raises:
-        TypeCheckError: `A` is no floating-point tensor.
+        TypeCheckError: `A` is not a floating-point tensor.
         ShapeError: `A` is not (*, 3, 13).
 
     Example:

@@ -26,7 +26,7 @@ def solve_quadratic(coeffs: Tensor) -> Tensor:
         those of the roots, 0 for what is missing and at double roots that of -b / (2 a).
 
     Raises:
-        TypeCheckError: `coeffs` is no floating-point tensor.
+        TypeCheckError: `coeffs` is not a floating-point tensor.
         ShapeError: `coeffs` is not (B, 3).
 
     Example:
@@ -64,7 +64,7 @@ def solve_cubic(coeffs: Tensor) -> Tensor:
         those of the roots, 0 for what is missing and for repeated ones, which have none.
 
     Raises:
-        TypeCheckError: `coeffs` is no floating-point tensor.
+        TypeCheckError: `coeffs` is not a floating-point tensor.
         ShapeError: `coeffs` is not (B, 4).
 
     Example:
@@ -88,7 +88,7 @@ def solve_quartic(coeffs: Tensor) -> Tensor:
         those of the roots, 0 for what is missing and for repeated ones, which have none.
 
     Raises:
-        TypeCheckError: `coeffs` is no floating-point tensor.
+        TypeCheckError: `coeffs` is not a floating-point tensor.
         ShapeError: `coeffs` is not (B, 5).
 
     Example:

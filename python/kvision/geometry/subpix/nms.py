@@ -130,7 +130,7 @@ def nms2d(input: Tensor, kernel_size: tuple[int, int], mask_only: bool = False) 
         (B, C, H, W), of the dtype of `input`, or bool with `mask_only`.
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; `kernel_size` is not two ints; `mask_only` is no bool.
+        TypeError: `input` is not a tensor of real numbers; `kernel_size` is not two ints; `mask_only` is not a bool.
         ValueError: `input` is not (B, C, H, W); an entry of `kernel_size` is below 1.
 
     Example:
@@ -161,7 +161,7 @@ def nms3d(input: Tensor, kernel_size: tuple[int, int, int], mask_only: bool = Fa
         (B, C, D, H, W), of the dtype of `input`, or bool with `mask_only`.
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; `kernel_size` is not three ints; `mask_only` is no bool.
+        TypeError: `input` is not a tensor of real numbers; `kernel_size` is not three ints; `mask_only` is not a bool.
         ValueError: `input` is not (B, C, D, H, W); an entry of `kernel_size` is below 1.
 
     Example:
@@ -189,7 +189,7 @@ def nms3d_minmax(input: Tensor) -> tuple[Tensor, Tensor]:
         of the volume are neither.
 
     Raises:
-        TypeError: `input` is no tensor of real numbers.
+        TypeError: `input` is not a tensor of real numbers.
         ValueError: `input` is not (B, C, D, H, W).
 
     Example:

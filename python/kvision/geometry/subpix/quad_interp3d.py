@@ -167,8 +167,8 @@ def conv_quad_interp3d(
         Coordinates (B, C, 3, D, H, W) in the order scale, x, y, in voxels, and the values there (B, C, D, H, W).
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; the mask is not bool; `n_iters` or `dilation_radius` is no int;
-            `max_subpixel_shift` or `strict_maxima_bonus` is no number; `allow_scale_steps` is no bool.
+        TypeError: `input` is not a tensor of real numbers; the mask is not bool; `n_iters` or `dilation_radius` is not an int;
+            `max_subpixel_shift` or `strict_maxima_bonus` is not a number; `allow_scale_steps` is not a bool.
         ValueError: `input` is not (B, C, D, H, W); the mask does not have the shape and device of `input`; `n_iters`,
             `max_subpixel_shift` or `dilation_radius` is negative.
 
@@ -215,8 +215,8 @@ def iterative_quad_interp3d(
         Coordinates (B, C, 3, D, H, W) in the order scale, x, y, in voxels, and the values there (B, C, D, H, W).
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; the mask is not bool; `n_iters` or `max_candidates` is no int;
-            `max_subpixel_shift` or `strict_maxima_bonus` is no number; `allow_scale_steps` is no bool.
+        TypeError: `input` is not a tensor of real numbers; the mask is not bool; `n_iters` or `max_candidates` is not an int;
+            `max_subpixel_shift` or `strict_maxima_bonus` is not a number; `allow_scale_steps` is not a bool.
         ValueError: `input` is not (B, C, D, H, W); the mask does not have the shape and device of `input`; `n_iters`,
             `max_subpixel_shift` or `max_candidates` is negative.
 

@@ -89,8 +89,8 @@ def conv_soft_argmax2d(
         Coordinates (B, C, 2, H', W'), x before y, and with `output_value` the expected values (B, C, H', W').
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; `kernel_size`, `stride` or `padding` is not two ints;
-            `temperature` is no number or tensor; `eps` is no number; a flag is no bool.
+        TypeError: `input` is not a tensor of real numbers; `kernel_size`, `stride` or `padding` is not two ints;
+            `temperature` is not a number or tensor; `eps` is not a number; a flag is not a bool.
         ValueError: `input` is not (B, C, H, W); an entry of `kernel_size` or `stride` is below 1; `padding` is negative
             or more than half of `kernel_size`; the padded image is smaller than a window; `temperature` is not positive
             or not one number.
@@ -150,8 +150,8 @@ def conv_soft_argmax3d(
         (B, C, D', H', W').
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; `kernel_size`, `stride` or `padding` is not three ints;
-            `temperature` is no number or tensor; `eps` is no number; a flag is no bool.
+        TypeError: `input` is not a tensor of real numbers; `kernel_size`, `stride` or `padding` is not three ints;
+            `temperature` is not a number or tensor; `eps` is not a number; a flag is not a bool.
         ValueError: `input` is not (B, C, D, H, W); an entry of `kernel_size` or `stride` is below 1; `padding` is
             negative or more than half of `kernel_size`; the padded volume is smaller than a window; `temperature` is
             not positive or not one number.

@@ -55,7 +55,7 @@ def spatial_softmax2d(input: Tensor, temperature: Tensor | float | None = None) 
         (B, C, H, W); each channel adds up to 1.
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; `temperature` is no number or tensor.
+        TypeError: `input` is not a tensor of real numbers; `temperature` is not a number or tensor.
         ValueError: `input` is not (B, C, H, W); `temperature` is not positive or not one number.
 
     Example:
@@ -88,7 +88,7 @@ def spatial_expectation2d(input: Tensor, normalized_coordinates: bool = True) ->
         (B, C, 2), x before y.
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; `normalized_coordinates` is no bool.
+        TypeError: `input` is not a tensor of real numbers; `normalized_coordinates` is not a bool.
         ValueError: `input` is not (B, C, H, W).
 
     Example:
@@ -165,8 +165,8 @@ def spatial_soft_argmax2d(
         (B, C, 2), x before y.
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; `temperature` is no number or tensor; `normalized_coordinates`
-            is no bool.
+        TypeError: `input` is not a tensor of real numbers; `temperature` is not a number or tensor; `normalized_coordinates`
+            is not a bool.
         ValueError: `input` is not (B, C, H, W); `temperature` is not positive or not one number.
 
     Example:
@@ -204,8 +204,8 @@ def render_gaussian2d(mean: Tensor, std: Tensor, size: tuple[int, int], normaliz
         (*, H, W), of the dtype of `mean`.
 
     Raises:
-        TypeError: `mean` or `std` is no floating-point tensor; `std` does not have the dtype of `mean`; `size` is not
-            two ints; `normalized_coordinates` is no bool.
+        TypeError: `mean` or `std` is not a floating-point tensor; `std` does not have the dtype of `mean`; `size` is not
+            two ints; `normalized_coordinates` is not a bool.
         ValueError: `mean` or `std` is not (*, 2); an entry of `size` is below 1;
             the tensors are on different devices.
 

@@ -34,7 +34,7 @@ def affine(
         Images of the shape and dtype of `tensor`, one for each matrix.
 
     Raises:
-        TypeError: `tensor` or `matrix` is no tensor of real numbers; `align_corners` is no bool.
+        TypeError: `tensor` or `matrix` is not a tensor of real numbers; `align_corners` is not a bool.
         ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `matrix` is not (B, 2, 3) or (1, 2, 3);
             `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
@@ -77,7 +77,7 @@ def rotate(
         Images of the shape and dtype of `tensor`.
 
     Raises:
-        TypeError: `tensor`, `angle` or `center` is no tensor of real numbers; `align_corners` is no bool.
+        TypeError: `tensor`, `angle` or `center` is not a tensor of real numbers; `align_corners` is not a bool.
         ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `angle` is not (B,), (1,) or (); `center`
             is not (B, 2) or (1, 2); `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
@@ -116,7 +116,7 @@ def translate(
         Images of the shape and dtype of `tensor`.
 
     Raises:
-        TypeError: `tensor` or `translation` is no tensor of real numbers; `align_corners` is no bool.
+        TypeError: `tensor` or `translation` is not a tensor of real numbers; `align_corners` is not a bool.
         ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `translation` is not (B, 2) or (1, 2);
             `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
@@ -155,7 +155,7 @@ def scale(
         Images of the shape and dtype of `tensor`.
 
     Raises:
-        TypeError: `tensor`, `scale_factor` or `center` is no tensor of real numbers; `align_corners` is no bool.
+        TypeError: `tensor`, `scale_factor` or `center` is not a tensor of real numbers; `align_corners` is not a bool.
         ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `scale_factor` is not (B, 2), (B, 1) or
             (B,), with B or 1 rows; `center` is not (B, 2) or (1, 2); `mode` or `padding_mode` is unknown; the tensors
             are on different devices.
@@ -195,7 +195,7 @@ def shear(
         Images of the shape and dtype of `tensor`.
 
     Raises:
-        TypeError: `tensor` or `shear` is no tensor of real numbers; `align_corners` is no bool.
+        TypeError: `tensor` or `shear` is not a tensor of real numbers; `align_corners` is not a bool.
         ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `shear` is not (B, 2) or (1, 2); `mode`
             or `padding_mode` is unknown; the tensors are on different devices.
 

@@ -90,8 +90,8 @@ def crop_and_resize(
         (N, C, h, w), of the dtype of `input_tensor`.
 
     Raises:
-        TypeError: `input_tensor` or `boxes` is no tensor of real numbers; `size` is not two ints; `align_corners` is no
-            bool; `box_indices` is no tensor of int64 or int32.
+        TypeError: `input_tensor` or `boxes` is not a tensor of real numbers; `size` is not two ints; `align_corners` is not
+            a bool; `box_indices` is not a tensor of int64 or int32.
         ValueError: `input_tensor` is not (B, C, H, W); `boxes` is not (N, 4, 2), or N is not the number of images; an
             entry of `size` is below 1; `mode` or `padding_mode` is unknown; `box_indices` is not (N,) or, on the CPU,
             out of range; the tensors are on different devices.
@@ -135,7 +135,7 @@ def crop_by_boxes(
         (B, C, h, w), of the dtype of `input_tensor`.
 
     Raises:
-        TypeError: `input_tensor` or a box is no tensor of real numbers; `align_corners` or `validate_boxes` is no bool.
+        TypeError: `input_tensor` or a box is not a tensor of real numbers; `align_corners` or `validate_boxes` is not a bool.
         ValueError: `input_tensor` is not (B, C, H, W); a box is not (B, 4, 2) or (1, 4, 2); a box is no rectangle and
             `validate_boxes` is set; the boxes of `dst_box` have different sizes; `mode` or `padding_mode` is unknown;
             the tensors are on different devices.
@@ -233,8 +233,8 @@ def crop_by_transform_mat(
         (B, C, h, w), of the dtype of `input_tensor`.
 
     Raises:
-        TypeError: `input_tensor` or `transform` is no tensor of real numbers; `out_size` is not two ints;
-            `align_corners` is no bool.
+        TypeError: `input_tensor` or `transform` is not a tensor of real numbers; `out_size` is not two ints;
+            `align_corners` is not a bool.
         ValueError: `input_tensor` is not (B, C, H, W); `transform` is not (B, 3, 3) or (B, 2, 3); an entry of
             `out_size` is below 1; `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
@@ -278,7 +278,7 @@ def center_crop(
         (B, C, h, w), of the dtype of `input_tensor`.
 
     Raises:
-        TypeError: `input_tensor` is no tensor of real numbers; `size` is not two ints; `align_corners` is no bool.
+        TypeError: `input_tensor` is not a tensor of real numbers; `size` is not two ints; `align_corners` is not a bool.
         ValueError: `input_tensor` is not (B, C, H, W); an entry of `size` is below 1; `mode` or `padding_mode` is
             unknown.
 
@@ -333,7 +333,7 @@ def crop_by_indices(
         (B, C, h, w), of the dtype of `input_tensor`.
 
     Raises:
-        TypeError: `input_tensor` or `src_box` is no tensor of real numbers; `size` is not two ints.
+        TypeError: `input_tensor` or `src_box` is not a tensor of real numbers; `size` is not two ints.
         ValueError: `input_tensor` is not (B, C, H, W); `src_box` is not (B, 4, 2); the boxes have different sizes and
             `size` is None; an entry of `size` is below 1; `shape_compensation` or `interpolation` is unknown.
 

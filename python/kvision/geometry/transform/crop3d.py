@@ -35,8 +35,8 @@ def crop_and_resize3d(
         (B, C, d, h, w).
 
     Raises:
-        TypeError: `tensor` or `boxes` is no tensor of real numbers; `size` is not three ints; `align_corners` is no
-            bool.
+        TypeError: `tensor` or `boxes` is not a tensor of real numbers; `size` is not three ints; `align_corners` is not
+            a bool.
         ValueError: `tensor` is not (B, C, D, H, W); `boxes` is not (B, 8, 3) or (1, 8, 3); an entry of `size` is below
             1; `interpolation` is unknown; the tensors are on different devices.
 
@@ -72,7 +72,7 @@ def crop_by_boxes3d(
         (B, C, d, h, w).
 
     Raises:
-        TypeError: `tensor` or a box is no tensor of real numbers; `align_corners` is no bool.
+        TypeError: `tensor` or a box is not a tensor of real numbers; `align_corners` is not a bool.
         ValueError: `tensor` is not (B, C, D, H, W); a box is not (B, 8, 3) or (1, 8, 3); the boxes of `dst_box` have
             different sizes; `interpolation` is unknown; the tensors are on different devices.
 
@@ -118,8 +118,8 @@ def crop_by_transform_mat3d(
         (B, C, d, h, w).
 
     Raises:
-        TypeError: `tensor` or `transform` is no tensor of real numbers; `out_size` is not three ints; `align_corners`
-            is no bool.
+        TypeError: `tensor` or `transform` is not a tensor of real numbers; `out_size` is not three ints; `align_corners`
+            is not a bool.
         ValueError: `tensor` is not (B, C, D, H, W); `transform` is not (B, 4, 4) or (B, 3, 4); an entry of `out_size`
             is below 1; `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
@@ -155,7 +155,7 @@ def center_crop3d(
         (B, C, d, h, w).
 
     Raises:
-        TypeError: `tensor` is no tensor of real numbers; `size` is not three ints; `align_corners` is no bool.
+        TypeError: `tensor` is not a tensor of real numbers; `size` is not three ints; `align_corners` is not a bool.
         ValueError: `tensor` is not (B, C, D, H, W); an entry of `size` is below 1; `interpolation` is unknown.
 
     Example:

@@ -44,8 +44,8 @@ def elastic_transform2d(
         (B, C, H, W), of the dtype of `image`.
 
     Raises:
-        TypeError: `image` or `noise` is no tensor of real numbers; `kernel_size` is not two ints; `sigma` or `alpha` is
-            not two numbers or a tensor; `align_corners` is no bool.
+        TypeError: `image` or `noise` is not a tensor of real numbers; `kernel_size` is not two ints; `sigma` or `alpha` is
+            not two numbers or a tensor; `align_corners` is not a bool.
         ValueError: `image` is not (B, C, H, W); `noise` is not (B, 2, H, W); an entry of `kernel_size` is even; `sigma`
             is not positive; `mode` or `padding_mode` is unknown; the tensors are on different devices.
 

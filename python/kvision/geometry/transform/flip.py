@@ -34,7 +34,7 @@ def hflip(input: Tensor) -> Tensor:
         Images of the shape and dtype of `input`.
 
     Raises:
-        TypeError: `input` is no dense tensor of real numbers.
+        TypeError: `input` is not a dense tensor of real numbers.
         ValueError: `input` has no axes.
 
     Example:
@@ -56,7 +56,7 @@ def vflip(input: Tensor) -> Tensor:
         Images of the shape and dtype of `input`.
 
     Raises:
-        TypeError: `input` is no dense tensor of real numbers.
+        TypeError: `input` is not a dense tensor of real numbers.
         ValueError: `input` has no axes.
 
     Example:
@@ -78,7 +78,7 @@ def rot180(input: Tensor) -> Tensor:
         Images of the shape and dtype of `input`.
 
     Raises:
-        TypeError: `input` is no dense tensor of real numbers.
+        TypeError: `input` is not a dense tensor of real numbers.
         ValueError: `input` has no axes.
 
     Example:

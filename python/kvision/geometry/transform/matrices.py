@@ -255,7 +255,7 @@ def get_translation_matrix2d(translations: Tensor) -> Tensor:
         (B, 3, 3), source pixels to result pixels.
 
     Raises:
-        TypeError: `translations` is no floating-point tensor.
+        TypeError: `translations` is not a floating-point tensor.
         ValueError: `translations` is not (B, 2).
 
     Example:
@@ -345,7 +345,7 @@ def invert_affine_transform(matrix: Tensor) -> Tensor:
         (B, 2, 3); inf or NaN where there is no inverse.
 
     Raises:
-        TypeError: `matrix` is no floating-point tensor.
+        TypeError: `matrix` is not a floating-point tensor.
         ValueError: `matrix` is not (B, 2, 3).
 
     Example:
@@ -574,7 +574,7 @@ def projection_from_Rt(rmat: Tensor, tvec: Tensor) -> Tensor:
         (*, 3, 4).
 
     Raises:
-        TypeError: `rmat` or `tvec` is no tensor of real numbers.
+        TypeError: `rmat` or `tvec` is not a tensor of real numbers.
         ValueError: `rmat` is not (*, 3, 3); `tvec` is not (*, 3, 1); their leading axes differ.
 
     Example:

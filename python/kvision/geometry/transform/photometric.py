@@ -178,8 +178,8 @@ def photometric_homography_loss(
         (B,), of the dtype of `source`, float32 for integers; NaN where no pixel of the target is in the source.
 
     Raises:
-        TypeError: `source`, `target` or `src_homo_dst` is no tensor of real numbers; `eps` is no number;
-            `align_corners` or `normalized_coordinates` is no bool.
+        TypeError: `source`, `target` or `src_homo_dst` is not a tensor of real numbers; `eps` is not a number;
+            `align_corners` or `normalized_coordinates` is not a bool.
         ValueError: `source` is not (B, C, H, W); `target` is not (B, C, h, w); `src_homo_dst` is not (B, 3, 3) or (1,
             3, 3); `distance` is unknown; `eps` is negative; the tensors are on different devices.
 
@@ -230,8 +230,8 @@ def photometric_normal_equations(
         normal (B, 8, 8), gradient (B, 8) and the mean error (B,), in float64 for float64 images and in float32 else.
 
     Raises:
-        TypeError: `source`, `target` or `src_homo_dst` is no tensor of real numbers; `eps` is no number;
-            `align_corners` or `normalized_coordinates` is no bool.
+        TypeError: `source`, `target` or `src_homo_dst` is not a tensor of real numbers; `eps` is not a number;
+            `align_corners` or `normalized_coordinates` is not a bool.
         ValueError: `source` is not (B, C, H, W); `target` is not (B, C, h, w); `src_homo_dst` is not (B, 3, 3) or (1,
             3, 3); `distance` is unknown; `eps` is negative; the tensors are on different devices.
 

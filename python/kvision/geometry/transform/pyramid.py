@@ -66,7 +66,7 @@ def pyrdown(input: Tensor, border_type: str = "reflect", align_corners: bool = F
         (B, C, H / factor, W / factor), of the dtype of `input`.
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; `align_corners` is no bool; `factor` is no number.
+        TypeError: `input` is not a tensor of real numbers; `align_corners` is not a bool; `factor` is not a number.
         ValueError: `input` is not (B, C, H, W); `border_type` is unknown; the image is too small for a 'reflect' or
             'circular' border of 2 pixels; a side of the result would be 0.
 
@@ -102,7 +102,7 @@ def pyrup(input: Tensor, border_type: str = "reflect", align_corners: bool = Fal
         (B, C, 2 H, 2 W), of the dtype of `input`.
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; `align_corners` is no bool.
+        TypeError: `input` is not a tensor of real numbers; `align_corners` is not a bool.
         ValueError: `input` is not (B, C, H, W); `border_type` is unknown; the result is too small for a 'reflect' or
             'circular' border of 2 pixels.
 
@@ -144,7 +144,7 @@ def build_pyramid(
         A list of `max_level` levels (B, C, h, w), the largest first; the first one is `input`.
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; `max_level` is no int; `align_corners` is no bool.
+        TypeError: `input` is not a tensor of real numbers; `max_level` is not an int; `align_corners` is not a bool.
         ValueError: `input` is not (B, C, H, W); `max_level` is below 1; `border_type` is unknown; a level is too small
             for a 'reflect' or 'circular' border of 2 pixels.
 
@@ -179,7 +179,7 @@ def build_laplacian_pyramid(
         A list of `max_level` levels (B, C, h, w), the largest first.
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; `max_level` is no int; `align_corners` is no bool.
+        TypeError: `input` is not a tensor of real numbers; `max_level` is not an int; `align_corners` is not a bool.
         ValueError: `input` is not (B, C, H, W); `max_level` is below 1; `border_type` is unknown; a level is too small
             for a 'reflect' or 'circular' border of 2 pixels.
 

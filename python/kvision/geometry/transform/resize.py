@@ -159,8 +159,8 @@ def resize(
         (*, h, w), of the dtype of `input`; uint8 is rounded half to even and saturated.
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; `size` is not one or two ints; `align_corners` is no bool or
-            None; `antialias` is no bool or 'gaussian'.
+        TypeError: `input` is not a tensor of real numbers; `size` is not one or two ints; `align_corners` is not a bool or
+            None; `antialias` is not a bool or 'gaussian'.
         ValueError: `input` is not (*, H, W) with H, W of at least 1; `size` is below 1; `interpolation` or `side` is
             unknown.
 
@@ -259,8 +259,8 @@ def rescale(
         (*, h, w), of the dtype of `input`.
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; `factor` is not one or two numbers; `align_corners` is no bool
-            or None; `antialias` is no bool or 'gaussian'.
+        TypeError: `input` is not a tensor of real numbers; `factor` is not one or two numbers; `align_corners` is not a bool
+            or None; `antialias` is not a bool or 'gaussian'.
         ValueError: `input` is not (*, H, W) with H, W of at least 1; a factor is negative; a side of the result would
             be 0; `interpolation` is unknown.
 
@@ -307,8 +307,8 @@ def resize_to_be_divisible(
         (*, h, w), of the dtype of `input`.
 
     Raises:
-        TypeError: `input` is no tensor of real numbers; `divisible_factor` is no int; `align_corners` is no bool or
-            None; `antialias` is no bool or 'gaussian'.
+        TypeError: `input` is not a tensor of real numbers; `divisible_factor` is not an int; `align_corners` is not a bool or
+            None; `antialias` is not a bool or 'gaussian'.
         ValueError: `input` is not (*, H, W) with H, W of at least 1; `divisible_factor` is below 1; `interpolation` or
             `side` is unknown.
 

@@ -143,7 +143,7 @@ def get_tps_transform(points_src: Tensor, points_dst: Tensor) -> tuple[Tensor, T
         there is no solution they are NaN, inf or arbitrary.
 
     Raises:
-        TypeError: `points_src` or `points_dst` is no floating-point tensor.
+        TypeError: `points_src` or `points_dst` is not a floating-point tensor.
         ValueError: `points_src` is not (B, N, 2); `points_dst` does not have the shape of `points_src`; the tensors are
             on different devices.
 
@@ -182,7 +182,7 @@ def warp_points_tps(
         (B, M, 2).
 
     Raises:
-        TypeError: an argument is no tensor of real numbers.
+        TypeError: an argument is not a tensor of real numbers.
         ValueError: `points_src` is not (B, M, 2); `kernel_centers` is not (B, N, 2); `kernel_weights` does not have its
             shape; `affine_weights` is not (B, 3, 2); the tensors are on different devices.
 
@@ -234,7 +234,7 @@ def warp_image_tps(
         (B, C, H, W), of the dtype of `image`.
 
     Raises:
-        TypeError: a tensor is no tensor of real numbers; `align_corners` is no bool.
+        TypeError: a tensor is not a tensor of real numbers; `align_corners` is not a bool.
         ValueError: `image` is not (B, C, H, W); `kernel_centers` is not (B, N, 2); `kernel_weights` does not have its
             shape; `affine_weights` is not (B, 3, 2); `padding_mode` is unknown; the tensors are on different devices.
 

@@ -46,7 +46,7 @@ def warp_perspective(
         (B, C, h, w), of the dtype of `src`; uint8 is rounded half to even and saturated.
 
     Raises:
-        TypeError: `src` or `M` is no tensor of real numbers; `dsize` is not two ints; `align_corners` is no bool.
+        TypeError: `src` or `M` is not a tensor of real numbers; `dsize` is not two ints; `align_corners` is not a bool.
         ValueError: `src` is not (B, C, H, W); `M` is not (B, 3, 3) or (1, 3, 3); an entry of `dsize` is below 1; `mode`
             or `padding_mode` is unknown; `fill_value` has none of these shapes; the tensors are on different devices.
 
@@ -91,7 +91,7 @@ def warp_affine(
         (B, C, h, w), of the dtype of `src`; uint8 is rounded half to even and saturated.
 
     Raises:
-        TypeError: `src` or `M` is no tensor of real numbers; `dsize` is not two ints; `align_corners` is no bool.
+        TypeError: `src` or `M` is not a tensor of real numbers; `dsize` is not two ints; `align_corners` is not a bool.
         ValueError: `src` is not (B, C, H, W); `M` is not (B, 2, 3) or (1, 2, 3); an entry of `dsize` is below 1; `mode`
             or `padding_mode` is unknown; `fill_value` has none of these shapes; the tensors are on different devices.
 
@@ -146,8 +146,8 @@ def homography_warp(
         (B, C, h, w), of the dtype of `patch_src`.
 
     Raises:
-        TypeError: `patch_src` or `src_homo_dst` is no tensor of real numbers; `dsize` is not two ints; `align_corners`,
-            `normalized_coordinates` or `normalized_homography` is no bool.
+        TypeError: `patch_src` or `src_homo_dst` is not a tensor of real numbers; `dsize` is not two ints; `align_corners`,
+            `normalized_coordinates` or `normalized_homography` is not a bool.
         ValueError: `patch_src` is not (B, C, H, W); `src_homo_dst` is not (B, 3, 3) or (1, 3, 3); an entry of `dsize`
             is below 1; `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
@@ -202,8 +202,8 @@ def remap(
         (B, C, h, w), of the dtype of `image`.
 
     Raises:
-        TypeError: `image`, `map_x` or `map_y` is no tensor of real numbers; `align_corners` is no bool or None;
-            `normalized_coordinates` is no bool.
+        TypeError: `image`, `map_x` or `map_y` is not a tensor of real numbers; `align_corners` is not a bool or None;
+            `normalized_coordinates` is not a bool.
         ValueError: `image` is not (B, C, H, W); `map_x` is not (B, h, w) or (1, h, w), or h or w is 0; `map_y` does not
             have the shape of `map_x`; `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
@@ -244,7 +244,7 @@ def warp_grid(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
         (B, H, W, 2), as :func:`transform_points` transforms points.
 
     Raises:
-        TypeError: `grid` or `src_homo_dst` is no tensor of real numbers.
+        TypeError: `grid` or `src_homo_dst` is not a tensor of real numbers.
         ValueError: `grid` is not (B, H, W, 2); `src_homo_dst` is not (B, 3, 3); the tensors are on different devices.
 
     Example:

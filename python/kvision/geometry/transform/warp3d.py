@@ -51,7 +51,7 @@ def warp_perspective3d(
         (B, C, d, h, w).
 
     Raises:
-        TypeError: `src` or `M` is no tensor of real numbers; `dsize` is not three ints; `align_corners` is no bool.
+        TypeError: `src` or `M` is not a tensor of real numbers; `dsize` is not three ints; `align_corners` is not a bool.
         ValueError: `src` is not (B, C, D, H, W); `M` is not (B, 4, 4), (1, 4, 4) or (4, 4); an entry of `dsize` is
             below 1; `flags` or `border_mode` is unknown; the tensors are on different devices.
 
@@ -93,7 +93,7 @@ def warp_affine3d(
         (B, C, d, h, w).
 
     Raises:
-        TypeError: `src` or `M` is no tensor of real numbers; `dsize` is not three ints; `align_corners` is no bool.
+        TypeError: `src` or `M` is not a tensor of real numbers; `dsize` is not three ints; `align_corners` is not a bool.
         ValueError: `src` is not (B, C, D, H, W); `M` is not (B, 3, 4) or (1, 3, 4); an entry of `dsize` is below 1;
             `flags` or `padding_mode` is unknown; the tensors are on different devices.
 
@@ -124,7 +124,7 @@ def affine3d(
         Volumes of the shape of `tensor`.
 
     Raises:
-        TypeError: `tensor` or `matrix` is no tensor of real numbers; `align_corners` is no bool.
+        TypeError: `tensor` or `matrix` is not a tensor of real numbers; `align_corners` is not a bool.
         ValueError: `tensor` is not (B, C, D, H, W) or (C, D, H, W); `matrix` is not (B, 3, 4) or (1, 3, 4); `mode` or
             `padding_mode` is unknown; the tensors are on different devices.
 
@@ -166,7 +166,7 @@ def rotate3d(
         Volumes of the shape of `tensor`.
 
     Raises:
-        TypeError: `tensor`, an angle or `center` is no tensor of real numbers; `align_corners` is no bool.
+        TypeError: `tensor`, an angle or `center` is not a tensor of real numbers; `align_corners` is not a bool.
         ValueError: `tensor` is not (B, C, D, H, W) or (C, D, H, W); an angle has neither B nor 1 numbers; `center` is
             not (B, 3) or (1, 3); `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
@@ -224,8 +224,8 @@ def homography_warp3d(
         (B, C, d, h, w).
 
     Raises:
-        TypeError: `patch_src` or `src_homo_dst` is no tensor of real numbers; `dsize` is not three ints;
-            `align_corners` or `normalized_coordinates` is no bool.
+        TypeError: `patch_src` or `src_homo_dst` is not a tensor of real numbers; `dsize` is not three ints;
+            `align_corners` or `normalized_coordinates` is not a bool.
         ValueError: `patch_src` is not (B, C, D, H, W); `src_homo_dst` is not (B, 4, 4) or (1, 4, 4); an entry of
             `dsize` is below 1; `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
@@ -255,7 +255,7 @@ def warp_grid3d(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
         (B, D, H, W, 3) as (x, y, z).
 
     Raises:
-        TypeError: `grid` or `src_homo_dst` is no tensor of real numbers.
+        TypeError: `grid` or `src_homo_dst` is not a tensor of real numbers.
         ValueError: `grid` is not (B, D, H, W, 3); `src_homo_dst` is not (B, 4, 4); the tensors are on different
             devices.
 

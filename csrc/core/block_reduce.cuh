@@ -1,10 +1,30 @@
-// Reductions over the threads of a block, with results that do not depend on timing. Included by *.cu files.
+// Reductions and prefix sums over the threads of a warp or a block, with results that do not depend on timing. Included
+// by *.cu files.
 #pragma once
 
 #include "launch.cuh"
 
 namespace kv {
 namespace {
+
+// Combines the numbers of N adjacent threads of a warp by `op`; all of them get the result.
+template <int N = 32, class F, class Op>
+__device__ __forceinline__ F warp_reduce(F x, Op op) {
+#pragma unroll
+  for (int lane = N / 2; lane > 0; lane /= 2) x = op(x, __shfl_xor_sync(0xffffffffu, x, lane));
+  return x;
+}
+
+// The sum of x over the threads of a warp up to this one.
+template <class F>
+__device__ __forceinline__ F warp_prefix_sum(F x) {
+#pragma unroll
+  for (int step = 1; step < 32; step *= 2) {
+    F const preceding = __shfl_up_sync(0xffffffffu, x, step);
+    if (int(threadIdx.x % 32) >= step) x += preceding;
+  }
+  return x;
+}
 
 // The sum over the threads of a block, returned to the first one. Warps are added up in order; a block may have fewer
 // than `Threads`.

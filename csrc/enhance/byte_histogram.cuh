@@ -2,6 +2,7 @@
 #pragma once
 
 #include "byte_histogram.h"
+#include "core/block_reduce.cuh"
 #include "core/row_vectors.cuh"
 
 namespace kv::enhance {
@@ -69,12 +70,7 @@ template <int Threads>
 __device__ __forceinline__ int block_inclusive_scan(int count, int& total) {
   __shared__ int sums[Threads / 32];
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
-  int sum = count;
-#pragma unroll
-  for (int d = 1; d < 32; d *= 2) {
-    int const before = __shfl_up_sync(0xffffffffu, sum, d);
-    if (lane >= d) sum += before;
-  }
+  int sum = warp_prefix_sum(count);
   __syncthreads();  // an earlier sum may still use the memory
   if (lane == 31) sums[warp] = sum;
   __syncthreads();

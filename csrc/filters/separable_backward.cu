@@ -9,6 +9,7 @@
 //               rows out of bounds count with the reversed weights. For an inner row its reflection contributes what
 //               is accumulated. The first and the last row have no reflection: both contributions come from the same
 //               side and are equal.
+#include "core/block_reduce.cuh"
 #include "separable_strip.cuh"
 
 namespace kv::filters::cuda {
@@ -69,10 +70,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
     for (int i = 0; i < R; ++i)
       if (i < pixels) sum += weights[inward * i] * read(at[inward * i]);
     int target = reflects ? position : 0;
-    if (replicates) {
-#pragma unroll
-      for (int i = 8; i > 0; i /= 2) sum += __shfl_xor_sync(0xffffffffu, sum, i);
-    }
+    if (replicates) sum = warp_reduce<16>(sum, Sum());
     if (!is_left) target = width - 1 - target - x0;
     if (has_position && (reflects || position == 1) && target >= 0 && target < 32 * P)
       shared.border_sums[is_left ? 0 : 1][target] = sum;

@@ -196,12 +196,7 @@ __global__ void __launch_bounds__(kThreads, 3) move_digits(__grid_constant__ Sor
     counts[w][digit] = sum;
     sum += count;
   }
-  unsigned up_to = sum;
-#pragma unroll
-  for (int step = 1; step < 32; step *= 2) {
-    unsigned const other = __shfl_up_sync(0xffffffffu, up_to, step);
-    up_to += lane >= step ? other : 0;
-  }
+  unsigned const up_to = warp_prefix_sum(sum);
   if (lane == 31) warp_sums[threadIdx.x / 32] = up_to;
   __syncthreads();
   unsigned start = up_to - sum;

@@ -24,6 +24,27 @@ __device__ __forceinline__ T* row_at(T* first_row, int y, int stride) {
   return reinterpret_cast<T*>(reinterpret_cast<uintptr_t>(first_row) + int64_t(y) * stride);
 }
 
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
+
+// Without asynchronous copies: copies `Bytes` to shared memory, of which those from `bytes` on are zeros and not read.
+template <int Bytes>
+__device__ __forceinline__ void copy_part_async_if(uint32_t to, void const* from, bool enabled, int bytes) {
+  using Words = Vector<uint32_t, Bytes / 4>;
+  if (!enabled) return;
+  void* const shared = __cvta_shared_to_generic(to);
+  if (bytes == Bytes)
+    *static_cast<Words*>(shared) = *static_cast<Words const*>(from);
+  else
+    for (int i = 0; i < Bytes; ++i)
+      static_cast<uint8_t*>(shared)[i] = i < bytes ? static_cast<uint8_t const*>(from)[i] : uint8_t(0);
+}
+template <int Bytes>
+__device__ __forceinline__ void copy_async_if(uint32_t to, void const* from, bool enabled, bool zero) {
+  copy_part_async_if<Bytes>(to, from, enabled, zero ? 0 : Bytes);
+}
+
+#else
+
 // Starts an asynchronous copy of `Bytes` to shared memory; it writes zeros instead if `zero`, and nothing unless
 // `enabled`. Inline assembly makes it one instruction: the library's form has a branch for each of the two.
 template <int Bytes>
@@ -55,6 +76,8 @@ __device__ __forceinline__ void copy_part_async_if(uint32_t to, void const* from
                  "l"(__cvta_generic_to_global(from)), "r"(int(enabled)), "r"(bytes), "n"(Bytes)
                  : "memory");
 }
+
+#endif
 
 // Copies the first `count` of P elements at once, and zeros after them. An asynchronous copy of a part of a vector
 // reads no more than that either, but tools that check accesses take it for one of the whole vector.

@@ -180,7 +180,7 @@ def test_joined_equals_warp_then_program(channels, dtype, size, device):
                 continue
             difference = (y.float() - expected.float()).abs()
             # What is sampled may be rounded to another neighbor.
-            step = {torch.float32: 2e-5, torch.float16: 1e-2, torch.uint8: 0.04}[dtype]
+            step = {torch.float32: 2e-5, torch.float16: 1e-2, torch.uint8: 0.06}[dtype]
             assert difference.max() <= max(step, 4e-3 if y.dtype == torch.float16 else 0.0)
             assert (difference > 1e-3).float().mean() < 0.01
 

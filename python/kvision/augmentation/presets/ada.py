@@ -48,7 +48,7 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
 
     Example:
         >>> import torch, kvision as K
-        >>> ada = K.augmentation.presets.ada.AdaptiveDiscriminatorAugmentation(initial_p=0.5, update_every=1)
+        >>> ada = K.augmentation.presets.ada.AdaptiveDiscriminatorAugmentation(initial_p=0.5, update_every=1, ema_lambda=0)
         >>> ada(torch.rand(4, 3, 16, 16), real_acc=0.95).shape
         torch.Size([4, 3, 16, 16])
         >>> round(ada.p, 3)

@@ -226,9 +226,9 @@ def dx_distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor
     Example:
         >>> import torch, kvision as K
         >>> camera = torch.tensor([100.0, 100, 320, 240, 0, 0, 0, 0])
-        >>> K.geometry.camera.dx_distort_points_kannala_brandt(torch.tensor([1.0, 0.0]), camera)
-        tensor([[50.0000,  0.0000],
-                [ 0.0000, 78.5398]])
+        >>> K.geometry.camera.dx_distort_points_kannala_brandt(torch.tensor([1.0, 0.5]), camera)
+        tensor([[ 50.6011, -12.3132],
+                [-12.3132,  69.0709]])
     """
     points = _points("dx_distort_points_kannala_brandt", projected_points_in_camera_z1_plane, params, 8)
     return _fisheye_jacobian(points, params)

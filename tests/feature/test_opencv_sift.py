@@ -105,6 +105,25 @@ def test_gradients_reach_the_image(device):
         assert grad.isfinite().all() and (grad != 0).any()
 
 
+def test_images_that_are_not_finite_have_gradients_of_zero(device):
+    image = torch.full((1, 1, 48, 48), math.nan, device=device, requires_grad=True)
+    results = K.feature.SIFTFeature(5, device=device, opencv=True)(image)
+    (grad,) = torch.autograd.grad(sum(x.sum() for x in results), image)
+    assert all((x == 0).all() for x in (*results, grad))
+
+
+def test_chunks_of_windows_do_not_matter(device, monkeypatch):
+    from kvision.feature import opencv_sift
+
+    feature, image = K.feature.SIFTFeature(60, rootsift=False, device=device, opencv=True), photo(96, 120).to(device)
+    expected = feature(image)
+    for samples in (1, 2**24):
+        monkeypatch.setattr(opencv_sift, "_SAMPLES_IN_CACHE", samples)
+        monkeypatch.setattr(opencv_sift, "_SAMPLES", samples)
+        for actual, same in zip(feature(image), expected):
+            assert (actual - same).abs().max() <= 1  # an integer that is rounded the other way
+
+
 def test_frames_have_the_described_size(device):
     """A frame covers half of the side of the 4 x 4 cells, each 3 times the blur: a key point's size is twice the blur."""
     lafs, responses, _ = K.feature.SIFTFeature(20, device=device, opencv=True)(photo(96, 120).to(device))

@@ -38,6 +38,10 @@ def test_differences_of_gaussians(device):
     theirs = pytest.importorskip("kornia").feature
     x = torch.rand(2, 3, 20, 24, dtype=torch.float64)
     assert_close(F.dog_response_single(x.to(device)).cpu(), theirs.dog_response_single(x), 1e-9, 1e-12)
+    for height, width in ((14, 8), (9, 30)):  # smaller than kernels, larger than half of them
+        small = x[..., :height, :width]
+        assert_close(F.dog_response_single(small.to(device)).cpu(), theirs.dog_response_single(small), 1e-9, 1e-12)
+    assert F.dog_response_single(x[..., :3, :1].to(device)).isfinite().all()
     levels = x.unflatten(1, (1, 3))
     assert_close(F.dog_response(levels.to(device)).cpu(), theirs.dog_response(levels), 0, 0)
 

@@ -81,7 +81,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(
         f"\nrestored through gaussian_blur2d ({backend}) in {STEPS} steps: "
         f"loss {restored.losses[0]:.1e} -> {restored.losses[-1]:.1e}, "
-        f"{decibels(restored)}\ngallery: {path}"
+        f"{decibels(restored)}\nnot shown, because it takes minutes: two photos changed until they match "
+        f"(examples/attack_on_matching.py)\ngallery: {path}"
     )
     return 0
 

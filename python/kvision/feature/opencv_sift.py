@@ -24,7 +24,11 @@ _FITS, _LARGEST_SHIFT = 5, 0.5
 _BINS, _PEAKS, _SHARE = 36, 4, 0.8  # of the histogram of directions; OpenCV has no limit to the number of its peaks
 _CELLS, _ANGLES, _CLIP, _UNIT = 4, 8, 0.2, 512.0  # of descriptors, whose length is about _UNIT
 _OF_FRAME = 6.0  # scale of a frame over the blur of its level: the side of the 4 x 4 cells is twice that
-_SAMPLES = 2**18  # that are held at a time
+# Windows around key points: half their side over the blur, which is refined by at most half a level.
+_RADIUS_OF_DIRECTIONS, _RADIUS_OF_CELLS = 4.5, 3 * math.sqrt(2) * (_CELLS + 1) / 2
+_LARGEST_BLUR = _SIGMA * 2 ** ((_LEVELS + 0.5) / _LEVELS)
+_MARGIN = math.ceil(_RADIUS_OF_CELLS * _LARGEST_BLUR) + 1
+_SAMPLES_IN_CACHE, _SAMPLES = 2**15, 2**18  # of windows that are held at a time, on the CPU and elsewhere
 
 
 class _Octaves:
@@ -45,10 +49,6 @@ class _Octaves:
             h, w = (side // 2 for side in level.shape[2:])
             level = levels[_LEVELS][..., : 2 * h : 2, : 2 * w : 2]
 
-    def flat(self) -> Tensor:
-        """All levels of all octaves one after the other, (B, P)."""
-        return torch.cat([x.flatten(1) for x in self.levels], 1)
-
 
 def _blurred(image: Tensor, sigma: float) -> Tensor:
     size = [min(round(8 * sigma + 1) | 1, (side - 1) // 2 * 2 + 1) for side in image.shape[2:]]
@@ -56,9 +56,10 @@ def _blurred(image: Tensor, sigma: float) -> Tensor:
 
 
 class _KeyPoints:
-    """Key points (B, N) in the pixels of their octaves, and where these are in the flat pyramid.
+    """Key points (B, N) in the pixels of their octaves, and where their gradients are.
 
-    `x`, `y` and `sigma` are refined; `column`, `row` and `start`, the first pixel of the level, are integers.
+    `x`, `y` and `sigma` are refined; `column`, `row` and `start`, the first pixel of the level in _Gradients, are
+    integers.
     """
 
     def __init__(self, fields: dict[str, Tensor]) -> None:
@@ -73,12 +74,40 @@ class _KeyPoints:
     def part(self, begin: int, end: int) -> _KeyPoints:
         return _KeyPoints({name: x[:, begin:end] for name, x in self.fields.items()})
 
-    def pixels(self, flat: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
-        """The pixels (B, N, S) of the key points' levels; indices out of bounds are clamped."""
-        width, height = self.width[..., None], self.height[..., None]
-        rows, columns = rows.clamp(min=0).minimum(height - 1), columns.clamp(min=0).minimum(width - 1)
-        index = self.start[..., None] + rows * width + columns
-        return flat.gather(1, index.flatten(1)).view(index.shape)
+
+class _Gradients:
+    """Differences (B, P) of the neighbors of pixels along x and upwards, of all levels that have key points.
+
+    They are 0 at the border of a level and in a margin around it, so that windows need no rule for what is outside.
+    """
+
+    def __init__(self, octaves: _Octaves) -> None:
+        middle = [levels[:, 1 : _LEVELS + 1] for levels in octaves.levels]
+        self.along_x = self._flat([x[..., 1:-1, 2:] - x[..., 1:-1, :-2] for x in middle])
+        self.upwards = self._flat([x[..., :-2, 1:-1] - x[..., 2:, 1:-1] for x in middle])
+
+    @staticmethod
+    def _flat(differences: list[Tensor]) -> Tensor:
+        return torch.cat([nn.functional.pad(x, (_MARGIN + 1,) * 4).flatten(1) for x in differences], 1)
+
+    @staticmethod
+    def pixels(height: int, width: int) -> int:
+        """Of a level of this size."""
+        return (height + 2 * _MARGIN) * (width + 2 * _MARGIN)
+
+    def windows(
+        self, points: _KeyPoints, row: Tensor, column: Tensor, dy: Tensor, dx: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Magnitudes and angles (B, N, S) at offsets (S,) from pixels; both are constants where there is no gradient."""
+        width = points.width + 2 * _MARGIN
+        row, column = row.clamp(min=0).minimum(points.height - 1), column.clamp(min=0).minimum(points.width - 1)
+        center = points.start + (row + _MARGIN) * width + column + _MARGIN
+        index = center[..., None] + (dy * width[..., None] + dx)
+        x, y = (d.gather(1, index.flatten(1)).view(index.shape) for d in (self.along_x, self.upwards))
+        squares = x * x + y * y
+        has_direction = squares > 0
+        magnitudes = torch.where(has_direction, torch.where(has_direction, squares, 1).sqrt(), 0)
+        return magnitudes, torch.atan2(torch.where(has_direction, y, 0), torch.where(has_direction, x, 1))
 
 
 def _find(octaves: _Octaves, count: int, threshold: float, mask: Tensor | None) -> _KeyPoints:
@@ -108,7 +137,7 @@ def _find(octaves: _Octaves, count: int, threshold: float, mask: Tensor | None) 
             "contrast": contrast,
             "column": column,
             "row": row,
-            "start": start + layer * height * width,
+            "start": start + (layer.clamp(1, _LEVELS) - 1) * _Gradients.pixels(height, width),
             **{name: torch.full_like(voxels, value) for name, value in constant.items()},
         }
         inside = (layer >= 1) & (layer <= _LEVELS) & (voxels >= 0) & is_refined
@@ -116,7 +145,7 @@ def _find(octaves: _Octaves, count: int, threshold: float, mask: Tensor | None) 
         found = inside & off_edges & ~_is_repeated((layer * height + row) * width + column, inside)
         point["score"] = torch.where(found, contrast.detach(), detection.EMPTY)
         parts.append(point)
-        start += depth * height * width
+        start += _LEVELS * _Gradients.pixels(height, width)
     points = _KeyPoints({name: torch.cat([p[name] for p in parts], 1) for name in parts[0]})
     return points.take(points.score.sort(dim=1, descending=True, stable=True)[1][:, :count])
 
@@ -149,40 +178,17 @@ def _square(radius: int, like: Tensor) -> tuple[Tensor, Tensor]:
     return side.repeat_interleave(len(side)), side.repeat(len(side))
 
 
-def _gradients(points: _KeyPoints, flat: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
-    """Differences of the neighbors of pixels along x and upwards, 0 at the border of the level."""
-    dx = points.pixels(flat, rows, columns + 1) - points.pixels(flat, rows, columns - 1)
-    dy = points.pixels(flat, rows - 1, columns) - points.pixels(flat, rows + 1, columns)
-    width, height = points.width[..., None], points.height[..., None]
-    inside = (rows > 0) & (rows < height - 1) & (columns > 0) & (columns < width - 1)
-    return torch.where(inside, dx, 0), torch.where(inside, dy, 0)
-
-
-def _polar(dx: Tensor, dy: Tensor) -> tuple[Tensor, Tensor]:
-    """Magnitudes and angles, both constants where there is no gradient."""
-    has_direction = (dx != 0) | (dy != 0)
-    dx, dy = torch.where(has_direction, dx, 1), torch.where(has_direction, dy, 0)
-    return torch.where(has_direction, (dx * dx + dy * dy).sqrt(), 0), torch.atan2(dy, dx)
-
-
-def _largest_radius(factor: float) -> int:
-    """Of windows of `factor` times the blur of a key point, rounded; a level is refined by at most half a level."""
-    return round(factor * _SIGMA * 2 ** ((_LEVELS + 0.5) / _LEVELS)) + 1
-
-
-def _directions(points: _KeyPoints, flat: Tensor) -> tuple[Tensor, Tensor]:
+def _directions(points: _KeyPoints, gradients: _Gradients, largest: int) -> tuple[Tensor, Tensor]:
     """The angles (B, N, peaks) of dominant gradients, counter-clockwise as seen in the image, and which there are."""
     sigma = points.sigma.detach()
-    radius = (4.5 * sigma).round().long()[..., None]
-    dy, dx = _square(_largest_radius(4.5), sigma)
-    rows, columns = points.row[..., None] + dy, points.column[..., None] + dx
-    magnitude, angle = _polar(*_gradients(points, flat, rows, columns))
-    weight = torch.exp(-(dx * dx + dy * dy) / (2 * (1.5 * points.sigma[..., None]) ** 2))
-    inside = (dx.abs() <= radius) & (dy.abs() <= radius)
+    dy, dx = _square(largest, sigma)
+    magnitude, angle = gradients.windows(points, points.row, points.column, dy, dx)
+    weight = torch.exp((dx * dx + dy * dy) / (-2 * (1.5 * points.sigma[..., None]) ** 2))
+    inside = torch.maximum(dx.abs(), dy.abs()) <= (_RADIUS_OF_DIRECTIONS * sigma).round()[..., None]
     votes = torch.where(inside, weight * magnitude, 0)
     bin_of_vote = (angle.detach() * (_BINS / (2 * math.pi))).round().long() % _BINS
-    counts = torch.zeros(*sigma.shape, _BINS, dtype=flat.dtype, device=flat.device)
-    if flat.is_cuda or votes.requires_grad:  # the same bits every run
+    counts = torch.zeros(*sigma.shape, _BINS, dtype=votes.dtype, device=votes.device)
+    if votes.is_cuda or votes.requires_grad:  # the same bits every run
         counts = torch.stack([torch.where(bin_of_vote == b, votes, 0).sum(2) for b in range(_BINS)], 2)
     else:
         counts = counts.scatter_add(2, bin_of_vote, votes)
@@ -190,7 +196,7 @@ def _directions(points: _KeyPoints, flat: Tensor) -> tuple[Tensor, Tensor]:
     left, right = smooth.roll(1, 2), smooth.roll(-1, 2)
     is_peak = (smooth > left) & (smooth > right) & (smooth >= _SHARE * smooth.amax(2, keepdim=True))
     # The peaks in the order of their bins.
-    bins = torch.arange(_BINS, device=flat.device).expand_as(is_peak)
+    bins = torch.arange(_BINS, device=votes.device).expand_as(is_peak)
     order = torch.where(is_peak, bins, _BINS).sort(2)[0][..., :_PEAKS]
     present, index = order < _BINS, order.clamp(max=_BINS - 1)
     before, middle, after = (v.gather(2, index) for v in (left, smooth, right))
@@ -199,29 +205,33 @@ def _directions(points: _KeyPoints, flat: Tensor) -> tuple[Tensor, Tensor]:
     return (peak % _BINS) * (2 * math.pi / _BINS), present
 
 
-def _described(points: _KeyPoints, angles: Tensor, flat: Tensor) -> Tensor:
+def _described(points: _KeyPoints, gradients: _Gradients, largest: int) -> tuple[Tensor]:
     """Histograms (B, N, 128) of gradients in 4 x 4 cells around key points, before they are normalized."""
-    sigma = points.sigma
+    sigma, angles = points.sigma, points.angle
     cell = 3 * sigma[..., None]  # side in pixels
-    reach = math.sqrt(2) * (_CELLS + 1) / 2
-    radius = (cell.detach() * reach).round()
-    dy, dx = _square(_largest_radius(3 * reach), sigma)
-    rows = points.y.detach().round().long()[..., None] + dy
-    columns = points.x.detach().round().long()[..., None] + dx
+    dy, dx = _square(largest, sigma)
+    row, column = (x.detach().round().long() for x in (points.y, points.x))
+    magnitude, angle = gradients.windows(points, row, column, dy, dx)
     cosine, sine = (f(angles)[..., None] / cell for f in (torch.cos, torch.sin))
     # Axes are those of the key point: its direction, counter-clockwise as seen, becomes x.
     across, down = dx * cosine - dy * sine, dx * sine + dy * cosine
-    magnitude, angle = _polar(*_gradients(points, flat, rows, columns))
-    inside = (dx.abs() <= radius) & (dy.abs() <= radius)
-    weight = torch.exp(-(across**2 + down**2) / (_CELLS**2 / 2))
+    inside = torch.maximum(dx.abs(), dy.abs()) <= (_RADIUS_OF_CELLS * sigma.detach()).round()[..., None]
+    weight = torch.exp((dx * dx + dy * dy) / (-(_CELLS**2) / 2 * cell**2))
     votes = torch.where(inside, weight * magnitude, 0)
-    cells = torch.arange(_CELLS, device=flat.device) - (_CELLS - 1) / 2
-    of_row, of_column = ((1 - (v[..., None] - cells).abs()).clamp(min=0) for v in (down, across))
     turned = (angle - angles[..., None]) * (_ANGLES / (2 * math.pi)) % _ANGLES
-    away = (turned[..., None] - torch.arange(_ANGLES, device=flat.device)).abs()
-    of_angle = (1 - torch.minimum(away, _ANGLES - away)).clamp(min=0)
-    of_cell = (of_row[..., None] * of_column[..., None, :] * votes[..., None, None]).flatten(3)  # (B, N, S, 16)
-    return (of_cell.mT @ of_angle).flatten(2)
+    middle = (_CELLS - 1) / 2
+    of_row, of_column = _shares(down, _CELLS, middle) * votes[..., None, :], _shares(across, _CELLS, middle)
+    of_cell = (of_row[..., None, :] * of_column[..., None, :, :]).flatten(2, 3)  # (B, N, 16, S)
+    histograms = of_cell @ _shares(turned, _ANGLES + 1, 0.0).mT
+    # The angle after the last is the first.
+    first, rest = histograms[..., :1] + histograms[..., _ANGLES:], histograms[..., 1:_ANGLES]
+    return (torch.cat([first, rest], -1).flatten(2),)
+
+
+def _shares(position: Tensor, bins: int, zero: float) -> Tensor:
+    """The shares (B, N, bins, S) of bins in votes at positions (B, N, S), of which 0 is in the middle of bin `zero`."""
+    centers = torch.arange(bins, dtype=position.dtype, device=position.device) - zero
+    return (1 - (position[..., None, :] - centers[:, None]).abs()).relu()
 
 
 def _quantized(histograms: Tensor) -> Tensor:
@@ -257,21 +267,21 @@ class OpenCVSIFT(nn.Module):
     def forward(self, img: Tensor, mask: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
         detection.check_mask("SIFTFeature", mask, img)
         image = img / 255 if img.dtype == torch.uint8 else floats(img)
-        image = as_dtype(image, compute_dtype(image))
+        image = detection.with_finite_gradient(as_dtype(image, compute_dtype(image)))
         batch, count = len(image), self.num_features
         octaves = _Octaves(image)
         if not octaves.levels:
             scores, lafs = detection.no_candidates(image)
             lafs, responses = detection.filled_slots(image, scores, lafs, count)[::-1]
             return lafs, responses, torch.cat([responses[..., None]] * 128, 2)
-        points, flat = _find(octaves, count, self.score_threshold, mask), octaves.flat()
+        points, gradients = _find(octaves, count, self.score_threshold, mask), _Gradients(octaves)
         if self.upright:
             angles, present = (
                 torch.zeros_like(points.x)[..., None],
                 torch.ones_like(points.x, dtype=torch.bool)[..., None],
             )
         else:
-            angles, present = _in_chunks(_directions, 4.5, points, (), flat)
+            angles, present = _in_chunks(_directions, points, gradients, _RADIUS_OF_DIRECTIONS)
         peaks = angles.shape[2]
         scores = torch.where(present, points.score[..., None], detection.EMPTY).flatten(1)
         scores, index = scores.sort(dim=1, descending=True, stable=True)
@@ -279,11 +289,10 @@ class OpenCVSIFT(nn.Module):
         index = torch.cat([index, index.new_zeros(batch, count - index.shape[1])], 1)
         filled = scores[:, :count] > detection.EMPTY
         filled = torch.cat([filled, filled.new_zeros(batch, count - filled.shape[1])], 1)
-        angles, points = angles.flatten(1).gather(1, index), points.take(index // peaks)
-        (histograms,) = _in_chunks(
-            lambda p, a, f: (_described(p, a, f),), 3 * math.sqrt(2) * (_CELLS + 1) / 2, points, (angles,), flat
-        )
-        size = torch.exp2(points.octave.to(flat.dtype) - 1)  # of a pixel of the octave in pixels of the image
+        points, angles = points.take(index // peaks), angles.flatten(1).gather(1, index)
+        points.fields["angle"] = angles
+        (histograms,) = _in_chunks(_described, points, gradients, _RADIUS_OF_CELLS)
+        size = torch.exp2(points.octave.to(image.dtype) - 1)  # of a pixel of the octave in pixels of the image
         xy = torch.stack([points.x * size, points.y * size], 2)
         scale = (_OF_FRAME * points.sigma * size)[..., None, None]
         lafs = laf_from_center_scale_ori(xy, scale, torch.rad2deg(angles)[..., None])
@@ -293,13 +302,31 @@ class OpenCVSIFT(nn.Module):
 
 
 def _in_chunks(
-    f: Callable[..., Sequence[Tensor]], factor: float, points: _KeyPoints, more: Sequence[Tensor], flat: Tensor
+    f: Callable[..., Sequence[Tensor]], points: _KeyPoints, gradients: _Gradients, radius: float
 ) -> list[Tensor]:
-    """The results of f for all key points, of which windows of `factor` times the blur are held for a few at a time."""
-    samples = (2 * _largest_radius(factor) + 1) ** 2 * max(1, len(flat))
-    step, count = max(1, _SAMPLES // samples), points.x.shape[1]
-    parts = [f(points.part(i, i + step), *(x[:, i : i + step] for x in more), flat) for i in range(0, count, step)]
-    return [torch.cat(part, 1) for part in zip(*parts)]
+    """The results of f for all key points, of which the windows of a few are held at a time.
+
+    On the CPU key points take their turns by the size of their windows, largest first. Elsewhere the host would have to
+    wait for the sizes, and all windows are as large as the largest.
+    """
+    batch, count = points.x.shape
+    by_size = points.x.is_cpu and batch > 0 and not torch.compiler.is_compiling()
+    largest, limit, order = math.ceil(radius * _LARGEST_BLUR), _SAMPLES, None
+    if by_size:
+        limit, order = _SAMPLES_IN_CACHE, points.sigma.detach().argsort(1, descending=True)
+        points = points.take(order)
+    parts, i = [], 0
+    while i < count:
+        if by_size:
+            largest = math.ceil(radius * float(points.sigma[:, i].detach().max()))
+        step = max(1, limit // ((2 * largest + 1) ** 2 * max(1, batch)))
+        parts.append(f(points.part(i, i + step), gradients, largest))
+        i += step
+    results = [torch.cat(part, 1) for part in zip(*parts)]
+    if order is None:
+        return results
+    back = order.argsort(1)[..., None]
+    return [x.gather(1, back.expand(-1, -1, x.shape[2])) for x in results]
 
 
 def opencv_key_points(lafs: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -186,8 +186,8 @@ def dog_response(input: Tensor) -> Tensor:
 def dog_response_single(input: Tensor, sigma1: float = 1.0, sigma2: float = 1.6) -> Tensor:
     """Compute the difference of two Gaussian blurs: that with `sigma2` minus that with `sigma1`.
 
-    Kernels have int(8 sigma + 1) pixels, rounded up to an odd number, and a reflected border. Both blurs of an image
-    smaller than that have the largest odd size that fits.
+    Kernels have int(8 sigma + 1) pixels, rounded up to an odd number, and a reflected border. Along a side of n pixels
+    they have at most 2 n - 1, so that a reflection is within the image.
 
     Args:
         input: image (B, C, H, W); integers give float32.
@@ -214,7 +214,7 @@ def dog_response_single(input: Tensor, sigma1: float = 1.0, sigma2: float = 1.6)
     for name, sigma in (("sigma1", sigma1), ("sigma2", sigma2)):
         if _check.number(op, name, sigma, 0) == 0:
             raise _check.ValueCheckError(f"{op}: expected {name} above 0, got {sigma!r}")
-        size = [min(int(8 * sigma + 1) // 2 * 2 + 1, (side - 1) // 2 * 2 + 1) for side in x.shape[2:]]
+        size = [min(int(8 * sigma + 1) // 2 * 2 + 1, 2 * side - 1) for side in x.shape[2:]]
         blurred.append(gaussian_blur2d(x, (size[0], size[1]), (float(sigma), float(sigma))))
     return blurred[1] - blurred[0]
 

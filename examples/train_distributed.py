@@ -398,6 +398,40 @@ def write_losses(losses: list[float], path: Path) -> None:
     os.replace(path.with_suffix(".tmp"), path)
 
 
+def train(setup: Setup, pictures: Textures | Folder, options: argparse.Namespace) -> None:
+    """Train, print, and write losses and checkpoints.
+
+    The network must be gone before its process group is destroyed: what is left of DistributedDataParallel would destroy it
+    later, holding Python's lock, and wait for a thread of gloo that waits for that lock (seen with torch 2.13).
+    """
+    training = Training(setup, pictures)
+    first = dist.get_rank() == 0
+    found = training.load(options.checkpoint) if options.checkpoint else ""
+    if first:
+        backend = dist.get_backend()
+        print(
+            f"{dist.get_world_size()} ranks by {backend}, {options.model}, {options.batch} images a rank",
+            flush=True,
+        )
+        print(found, end="\n" if found else "", flush=True)
+    for report in training.run():
+        if options.checkpoint:
+            training.save(options.checkpoint)
+        if first:
+            write_losses(training.losses, options.out / "losses.csv")
+            done = 20 * report.step // options.steps
+            print(
+                f"[{'#' * done:20}] step {report.step:{len(str(options.steps))}}/{options.steps} loss {report.loss:.4f} "
+                f"{sum(report.rates):8.0f} images/s in all, a rank {min(report.rates):.0f} to {max(report.rates):.0f}, "
+                f"augmentation {report.share:.1%} of the time",
+                flush=True,
+            )
+    if first:
+        print(f"losses are in {options.out / 'losses.csv'}")
+        if options.checkpoint:
+            print(f"the checkpoint is {options.checkpoint / 'checkpoint.pt'}")
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, help="folder of pictures, in a folder for each class; default: synthetic")
@@ -438,32 +472,7 @@ def main(arguments: list[str] | None = None) -> int:
         seed_samples=options.seed_samples,
     )
     with process_group(device):
-        training = Training(setup, pictures_of(parser, options, device))
-        first = dist.get_rank() == 0
-        found = training.load(options.checkpoint) if options.checkpoint else ""
-        if first:
-            backend = dist.get_backend()
-            print(
-                f"{dist.get_world_size()} ranks by {backend}, {options.model}, {options.batch} images a rank",
-                flush=True,
-            )
-            print(found, end="\n" if found else "", flush=True)
-        for report in training.run():
-            if options.checkpoint:
-                training.save(options.checkpoint)
-            if first:
-                write_losses(training.losses, options.out / "losses.csv")
-                done = 20 * report.step // options.steps
-                print(
-                    f"[{'#' * done:20}] step {report.step:{len(str(options.steps))}}/{options.steps} loss {report.loss:.4f} "
-                    f"{sum(report.rates):8.0f} images/s in all, a rank {min(report.rates):.0f} to {max(report.rates):.0f}, "
-                    f"augmentation {report.share:.1%} of the time",
-                    flush=True,
-                )
-        if first:
-            print(f"losses are in {options.out / 'losses.csv'}")
-            if options.checkpoint:
-                print(f"the checkpoint is {options.checkpoint / 'checkpoint.pt'}")
+        train(setup, pictures_of(parser, options, device), options)
     return 0
 
 

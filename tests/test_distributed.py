@@ -64,6 +64,7 @@ def work(rank: int, folder: Path) -> None:
     losses = train(model, images().chunk(PROCESSES)[rank])
     gradients = {name: p.grad for name, p in model.module.named_parameters()}
     torch.save({"losses": losses, "gradients": gradients, "state": model.module.state_dict()}, folder / f"{rank}.pt")
+    del model  # before its process group, as train() of examples/train_distributed.py says
     dist.destroy_process_group()
 
 

@@ -47,6 +47,14 @@ def torchrun(folder: Path, *options: str, restarts: int = 0, ranks: int = 2) -> 
     )
 
 
+def output_of(launcher: subprocess.Popen[str]) -> str:
+    """What it prints, when it has ended. If it hangs, its ranks are ended too."""
+    try:
+        return launcher.communicate(timeout=300)[0]
+    finally:
+        launcher.terminate()
+
+
 def losses(folder: Path) -> list[str]:
     """The loss of each step so far, as written."""
     path = folder / "losses.csv"
@@ -74,7 +82,7 @@ def kill_in_the_middle(launcher: subprocess.Popen[str], folder: Path) -> None:
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     folder = tmp_path_factory.mktemp("undisturbed")
-    output, _ = torchrun(folder, "--steps", str(STEPS), "--every", str(EVERY)).communicate(timeout=300)
+    output = output_of(torchrun(folder, "--steps", str(STEPS), "--every", str(EVERY)))
     assert output.count("images/s in all") == STEPS // EVERY, output
     assert len(losses(folder)) == STEPS
     return losses(folder)
@@ -88,13 +96,13 @@ def test_a_killed_rank_changes_no_loss(by: str, undisturbed: list[str], tmp_path
     launcher = torchrun(tmp_path, *options, restarts=1 if by == "torchrun" else 0)
     try:
         kill_in_the_middle(launcher, tmp_path)
-        output, _ = launcher.communicate(timeout=300)
+        output = output_of(launcher)
         if by == "hand":
             assert launcher.returncode != 0
             launcher = torchrun(tmp_path, *options)
-            output, _ = launcher.communicate(timeout=300)
+            output = output_of(launcher)
     finally:
-        launcher.kill()
+        launcher.terminate()
     assert launcher.returncode == 0, output
     assert "continued at step " in output
     assert losses(tmp_path) == undisturbed

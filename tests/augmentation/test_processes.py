@@ -82,6 +82,7 @@ def work(folder: Path, rank: int, again: bool) -> None:
     seeds = torch.arange(8).chunk(PROCESSES)[rank]
     found["seeded"] = pipeline()(batch().chunk(PROCESSES)[rank], seed=seeds)
     torch.save(found, folder / f"found{rank}{int(again)}.pt")
+    del model  # before its process group, as train() of examples/train_distributed.py says
     dist.destroy_process_group()
 
 

@@ -7,7 +7,7 @@
 
 namespace kv {
 
-int64_t max_shared_bytes() {
+int64_t max_shared_bytes(int64_t most) {
   static int64_t const limit = [] {
     char const* const text = getenv("KVISION_SHARED_MEMORY");
     return text && *text ? strtoll(text, nullptr, 10) : INT64_MAX;
@@ -15,7 +15,7 @@ int64_t max_shared_bytes() {
   int device = 0, bytes = 48 << 10;
   cudaGetDevice(&device);
   cudaDeviceGetAttribute(&bytes, cudaDevAttrMaxSharedMemoryPerBlockOptin, device);
-  return min(limit, int64_t(bytes));
+  return min(most, min(limit, int64_t(bytes)));
 }
 
 }  // namespace kv

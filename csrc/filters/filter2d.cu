@@ -190,7 +190,7 @@ int filter2d(Filter2d<T> const& p, CUstream_st* stream) {
     auto const reach = [&](KernelAxis axis) { return axis.before + after(axis); };
     bool const fits_tile = !accumulates || (reach(p.axis_x) < 2 * kWidth && reach(p.axis_y) < 2 * kHeight);
     Tiles const tiles(p.x, p.y, p.axis_x.before, after(p.axis_x), reach(p.axis_y));
-    if (p.axis_z.size == 1 && fits_tile && tiles.bytes(p.taps()) <= max_tile_bytes())
+    if (p.axis_z.size == 1 && fits_tile && tiles.bytes(p.taps()) <= max_shared_bytes(kMaxSharedBytes))
       return launch_tiles(p, tiles, stream);
   }
   filter_any<<<unsigned(ceil_div(p.y.rows() * p.y.row_size(), 256)), 256, 0, stream>>>(p);

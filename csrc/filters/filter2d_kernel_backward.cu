@@ -154,7 +154,7 @@ int filter2d_kernel_backward(Filter2dKernelBackward<T> const& p, CUstream_st* st
     int const kernel_rows = p.axis_y.size <= 5 ? 5 : 8;  // rows of the kernel; the last group may have fewer
     Tiles const tiles(p.x, p.grad, p.axis_x.before, p.axis_x.size - 1 - p.axis_x.before,
                       int(ceil_div(p.axis_y.size, kernel_rows)) * kernel_rows - 1);
-    if (p.axis_z.size == 1 && tiles.bytes(kWarps * p.taps()) <= max_tile_bytes())
+    if (p.axis_z.size == 1 && tiles.bytes(kWarps * p.taps()) <= max_shared_bytes(kMaxSharedBytes))
       return kernel_rows == 5 ? launch_tiles<5>(p, tiles, stream) : launch_tiles<8>(p, tiles, stream);
   }
   int const groups = int(ceil_div(p.taps(), kTapsPerThread));

@@ -11,9 +11,7 @@ namespace {
 constexpr int kWidth = 128, kHeight = 32;  // output pixels of a tile
 constexpr int kWarps = 4, kThreads = 32 * kWarps;
 constexpr int kDown = kHeight / kWarps, kAcross = kWidth / 32;  // pixels of a thread
-
-// Shared memory of a block, at most: two blocks share a multiprocessor.
-inline int64_t max_tile_bytes() { return min(int64_t(100 << 10), max_shared_bytes()); }
+constexpr int64_t kMaxSharedBytes = 100 << 10;                  // two blocks share a multiprocessor
 
 // The tiles of one channel of a plane. A tile is read with the pixels around it: `rows` rows of `pitch` columns, of
 // which `lead` are to the left of the tile. `p` is the image that is divided into tiles, `read` the one whose pixels

@@ -6,8 +6,7 @@ namespace kv::filters::cuda {
 namespace {
 
 constexpr int kThreads = 128;
-// Shared memory of a block, at most.
-int64_t shared_bytes() { return min(int64_t(200 << 10), max_shared_bytes()); }
+constexpr int64_t kMaxSharedBytes = 200 << 10;  // of a block that we ask for at most
 
 template <class F>
 __device__ __forceinline__ void load_weights(Taps<F> const& taps, int64_t sample, F scale, F* weights) {
@@ -99,7 +98,7 @@ int launch_any(Separable<T> const& p, CUstream_st* stream) {
   int const reach = max(p.ky.before, p.ky.size - 1 - p.ky.before);
   auto const bytes = [&](int threads) { return sizeof(F) * (p.kx.size + p.ky.size + (2 * reach + 1) * threads); };
   int threads = kThreads;
-  while (threads > 8 && int64_t(bytes(threads)) > shared_bytes()) threads /= 2;
+  while (threads > 8 && int64_t(bytes(threads)) > max_shared_bytes(kMaxSharedBytes)) threads /= 2;
   if (int error = cudaFuncSetAttribute(separable_any<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes(threads)))
     return error;
   int64_t const tile_columns = p.y.count() * ceil_div(p.y.row_size(), threads);
@@ -242,7 +241,8 @@ __global__ void __launch_bounds__(kTileThreads, 2)
 template <class T>
 int launch_tiles(Separable<T> p, bool reflect_backward, CUstream_st* stream) {
   TileMemory const memory(p.kx, p.ky);
-  int const bytes = 4 * memory.numbers(), resident = multiprocessors() * (bytes > shared_bytes() / 2 ? 1 : 2);
+  int const bytes = 4 * memory.numbers(),
+            resident = multiprocessors() * (bytes > max_shared_bytes(kMaxSharedBytes) / 2 ? 1 : 2);
   if (int error = cudaFuncSetAttribute(separable_tiles<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
     return error;
   if (reflect_backward) p.border = Border::reflect;
@@ -328,7 +328,7 @@ int separable(Separable<T> const& p, CUstream_st* stream) {
     }
     bool const reflect_backward = p.accumulation == Border::reflect && symmetric;
     if (p.x.step == 1 && p.y.step == 1 && (p.accumulation == Border::constant || reflect_backward) &&
-        4 * TileMemory(p.kx, p.ky).numbers() <= shared_bytes())
+        4 * TileMemory(p.kx, p.ky).numbers() <= max_shared_bytes(kMaxSharedBytes))
       return launch_tiles(p, reflect_backward, stream);
   }
   return launch_any(p, stream);

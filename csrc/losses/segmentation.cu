@@ -345,7 +345,7 @@ int launch(void (*kernel)(Params), Params const& p, int numbers, int more, CUstr
   int64_t const classes = p.logits.classes;
   int threads = kThreads;
   auto const bytes = [&] { return int(classes * sizeof(F) * (threads * numbers + more)); };
-  while (threads > 32 && bytes() > min(int64_t(kBytes), max_shared_bytes())) threads /= 2;
+  while (threads > 32 && bytes() > max_shared_bytes(kBytes)) threads /= 2;
   if (bytes() > 48 * 1024)
     if (int error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes())) return error;
   kernel<<<unsigned(p.logits.samples() * p.logits.chunks), threads, bytes(), stream>>>(p);

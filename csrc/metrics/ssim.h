@@ -231,7 +231,7 @@ struct SsimBlocks {
       return number *
              (4 * (rows * (32 + size - 1) + threads + ring) + (size + 3) / 4 * 4);  // weights are read in fours
     };
-    while (rows > 1 && memory() > min(int64_t(100 << 10), max_shared_bytes())) rows /= 2;
+    while (rows > 1 && memory() > max_shared_bytes(100 << 10)) rows /= 2;
     bytes = memory();
     slices = int(min(depth, int64_t(2 * size)));
     across = (width + 31) / 32, down = (height + rows - 1) / rows, parts = (depth + slices - 1) / slices;

@@ -256,7 +256,7 @@ template <class T>
 int launch(Box<T> const& p, bool transposed, CUstream_st* stream) {
   using F = Compute<T>;
   // Shared memory of a block: at most, and so that a multiprocessor has two.
-  int64_t const max_bytes = min(int64_t(224 << 10), max_shared_bytes()), preferred = min(int64_t(112 << 10), max_bytes);
+  int64_t const max_bytes = max_shared_bytes(224 << 10), preferred = min(int64_t(112 << 10), max_bytes);
   BoxAxis const across(p.kx, p.x.width, p.border, transposed), down(p.ky, p.x.height, p.border, transposed);
   bool const gathers = across.gathers() || down.gathers();
 

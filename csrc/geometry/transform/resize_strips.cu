@@ -440,8 +440,8 @@ int launch(Resize<T> const& p, CUstream_st* stream) {
            4 * ((taps_x + 2) * padded + (taps_y + 2) * slots + norms + of_rows);
   };
   int64_t rows = 64;
-  while (rows > 1 && bytes_of(rows) > min(int64_t(100 << 10), max_shared_bytes())) rows /= 2;
-  if (bytes_of(rows) > min(int64_t(200 << 10), max_shared_bytes())) return kUnsupported;
+  while (rows > 1 && bytes_of(rows) > max_shared_bytes(100 << 10)) rows /= 2;
+  if (bytes_of(rows) > max_shared_bytes(200 << 10)) return kUnsupported;
   int64_t const per_multiprocessor = clamp((227 << 10) / (bytes_of(rows) + 1024), int64_t(1), int64_t(kBlocks));
   int64_t const resident = multiprocessors() * per_multiprocessor * kWarps;
   rows = min(rows, int64_t(strip_height(planes * strips.across, p.y.height, 6, resident, resident)));

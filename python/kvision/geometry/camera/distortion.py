@@ -240,12 +240,12 @@ def _fisheye_jacobian(points: Tensor, params: Tensor) -> Tensor:
     fx, fy, _, _, *k = params.unbind(-1)
     square = torch.addcmul(x * x, y, y)
     # As in _radial_scale. The derivatives are with respect to the squared distance.
-    per_radius, grad_per_radius, slope = angle_per_tangent_with_derivatives(square)
+    per_radius, grad_per_radius, grad_angle = angle_per_tangent_with_derivatives(square)
     angle = per_radius * per_radius * square
     polynomial = _polynomial(angle, k)
     grad_polynomial = torch.addcmul(k[0], angle, 2 * k[1] + angle * torch.addcmul(3 * k[2], angle, k[3], value=4))
     scale = per_radius * polynomial
-    twice = 2 * torch.addcmul(grad_per_radius * polynomial, per_radius * per_radius * slope, grad_polynomial)
+    twice = 2 * torch.addcmul(grad_per_radius * polynomial, per_radius * per_radius * grad_angle, grad_polynomial)
     right, down = twice * x, twice * y
     mixed = right * y
     entries = torch.broadcast_tensors(

@@ -41,13 +41,13 @@ def angle_per_tangent(tangent: Tensor) -> Tensor:
 
 def angle_per_tangent_with_derivatives(tangent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """`angle_per_tangent`, its derivative with respect to t squared, and that of atan(t) with respect to t."""
-    slope = 1 / (1 + tangent)
+    grad_angle = 1 / (1 + tangent)
     square = tangent.clamp(min=1e-3)
     t = square.sqrt()
     series = tangent * (3 / 7 - tangent * (4 / 9 - tangent * (5 / 11)))
     series = torch.addcmul(tangent * (2 / 5) - 1 / 3, tangent, series, value=-1)
-    derivative = torch.where(tangent < 1e-3, series, (slope - t.atan() / t) / (2 * square))
-    return torch.addcmul(slope, tangent, derivative, value=-2), derivative, slope
+    derivative = torch.where(tangent < 1e-3, series, (grad_angle - t.atan() / t) / (2 * square))
+    return torch.addcmul(grad_angle, tangent, derivative, value=-2), derivative, grad_angle
 
 
 def squared(x: Tensor) -> Tensor:

@@ -186,8 +186,8 @@ def _incompatible(theirs: Any, ours: Any) -> str:
         if names != [p.name for p in accepted][: len(names)]:
             return "takes other arguments in kvision"
         for annotation in (p.annotation for p in (*taken, *accepted)):
-            if found := _OBJECTS.search(str(annotation)):
-                return f"takes a {found[0]} of its own library"
+            if match := _OBJECTS.search(str(annotation)):
+                return f"takes a {match[0]} of its own library"
     return ""
 
 

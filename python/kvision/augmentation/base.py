@@ -133,7 +133,7 @@ class AugmentationBase(_KeepsArguments):
     def __getstate__(self) -> dict[str, Any]:
         # Copies and pickles have the settings, not the last call.
         state = {name: value for name, value in self.__dict__.items() if name != "_execution"}
-        return {**state, "_arguments": self._given()}
+        return {**state, "_arguments": self._constructor_arguments()}
 
     def __repr__(self) -> str:
         if any(name != "_param_generator" for name, _ in self.named_children()):
@@ -142,22 +142,22 @@ class AugmentationBase(_KeepsArguments):
 
     def extra_repr(self) -> str:
         now = {"p": self.p, "p_batch": self.p_batch, "same_on_batch": self.same_on_batch, **self.flags}
-        shown = {**self._given(), **{name: _shown(value) for name, value in now.items()}}
+        shown = {**self._constructor_arguments(), **{name: _shown(value) for name, value in now.items()}}
         return ", ".join(f"{name}={text}" for name, text in shown.items())
 
-    def _given(self) -> dict[str, str]:
+    def _constructor_arguments(self) -> dict[str, str]:
         """The arguments of the constructor as text, without those that all augmentations have."""
         if isinstance(self._arguments, dict):
             return self._arguments
         args, kwargs = self._arguments
         bound = inspect.signature(type(self).__init__).bind_partial(self, *args, **kwargs)
         bound.apply_defaults()
-        given: dict[str, Any] = {}
+        arguments: dict[str, Any] = {}
         for name, value in list(bound.arguments.items())[1:]:  # the first one is self
             is_options = bound.signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD
-            given.update(value if is_options else {name: value})
+            arguments.update(value if is_options else {name: value})
         common = ("p", "p_batch", "same_on_batch", "keepdim", "generator", "return_transform")
-        return {name: _shown(value) for name, value in given.items() if name not in common}
+        return {name: _shown(value) for name, value in arguments.items() if name not in common}
 
     # --- what was drawn ---
 

@@ -242,35 +242,35 @@ def _permutation(words: _Words, numbers: Sequence[float]) -> _Columns:
 
 def _resized_crop(words: _Words, numbers: Sequence[float]) -> _Columns:
     """The first try that lies in the image; else the largest crop of an allowed aspect, in the center."""
-    least, most, log_least, log_most, height, width = numbers
-    w, h = (torch.full_like(unit(words()[0]), side) for side in _largest_crop(height, width, log_least, log_most))
+    min_area, max_area, log_min, log_max, height, width = numbers
+    w, h = (torch.full_like(unit(words()[0]), side) for side in _largest_crop(height, width, log_min, log_max))
     x, y = ((width - w) / 2).floor(), ((height - h) / 2).floor()
-    found = torch.zeros_like(w, dtype=torch.bool)
+    is_drawn = torch.zeros_like(w, dtype=torch.bool)
     for attempt in range(TRIES):
         a, b, c, d = words(attempt)
-        area, aspect = _between(a, least, most) * (height * width), _between(b, log_least, log_most).exp()
+        area, aspect = _between(a, min_area, max_area) * (height * width), _between(b, log_min, log_max).exp()
         new_w, new_h = (area * aspect).sqrt().round(), (area / aspect).sqrt().round()
-        fits = ~found & (new_w >= 1) & (new_w <= width) & (new_h >= 1) & (new_h <= height)
+        fits = ~is_drawn & (new_w >= 1) & (new_w <= width) & (new_h >= 1) & (new_h <= height)
         new = _offset(c, width, new_w), _offset(d, height, new_h), new_w, new_h
         x, y, w, h = (torch.where(fits, tried, kept) for tried, kept in zip(new, (x, y, w, h)))
-        found = found | fits
+        is_drawn = is_drawn | fits
     return [(x, 0.0), (y, 0.0), (w, width), (h, height)]
 
 
-def _largest_crop(height: float, width: float, log_least: float, log_most: float) -> tuple[float, float]:
+def _largest_crop(height: float, width: float, log_min: float, log_max: float) -> tuple[float, float]:
     """Width and height."""
-    least, most = torch.tensor([log_least, log_most], dtype=torch.float64).exp().tolist()
-    if width / height < least:
-        return width, max(float(round(width / least)), 1.0)
-    if width / height > most:
-        return max(float(round(height * most)), 1.0), height
+    min_aspect, max_aspect = torch.tensor([log_min, log_max], dtype=torch.float64).exp().tolist()
+    if width / height < min_aspect:
+        return width, max(float(round(width / min_aspect)), 1.0)
+    if width / height > max_aspect:
+        return max(float(round(height * max_aspect)), 1.0), height
     return width, height
 
 
 def _rectangle(words: _Words, numbers: Sequence[float]) -> _Columns:
-    least, most, low, high, height, width = numbers
+    min_area, max_area, low, high, height, width = numbers
     a, b, c, d = words()
-    area, u = _between(a, least, most) * (height * width), unit(b)
+    area, u = _between(a, min_area, max_area) * (height * width), unit(b)
     if low < 1 < high:  # as often wide as high
         aspect = torch.where(u < 0.5, low + 2 * u * (1 - low), 1 + (2 * u - 1) * (high - 1))
     else:
@@ -291,15 +291,15 @@ def _log_gamma_variate(words: _Words, alpha: float, block: int) -> Tensor:
     d = (alpha + 1 if alpha < 1 else alpha) - 1 / 3
     c = 1 / math.sqrt(9 * d)
     log_v = torch.zeros_like(unit(words(block)[0]))
-    found = torch.zeros_like(log_v, dtype=torch.bool)
+    is_drawn = torch.zeros_like(log_v, dtype=torch.bool)
     for attempt in range(GAMMA_TRIES):
         first, second, third, _ = words(block + attempt)
         x = _normal_variate(first, second)
         v = (1 + c * x) ** 3
         log = v.log()
-        accepted = ~found & (v > 0) & (_open_unit(third).log() < 0.5 * x * x + d + d * (log - v))
+        accepted = ~is_drawn & (v > 0) & (_open_unit(third).log() < 0.5 * x * x + d + d * (log - v))
         log_v = torch.where(accepted, log, log_v)
-        found = found | accepted
+        is_drawn = is_drawn | accepted
     boost = _open_unit(words(block)[3]).log() / alpha if alpha < 1 else 0
     return log_v + math.log(d) + boost
 

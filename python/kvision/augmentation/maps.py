@@ -162,8 +162,8 @@ def find_everywhere(displacements: Tensor, coordinates: Tensor) -> tuple[Tensor,
     """
     h, w = coordinates.shape[1:3]
     rows, columns = _coarse(h, w, coordinates)
-    found = find_positions(displacements, coordinates[:, rows][:, :, columns].flatten(1, 2))
-    coarse = found.mT.unflatten(2, (len(rows), len(columns)))
+    positions = find_positions(displacements, coordinates[:, rows][:, :, columns].flatten(1, 2))
+    coarse = positions.mT.unflatten(2, (len(rows), len(columns)))
     start = F.interpolate(coarse, (h, w), mode="bilinear", align_corners=True).movedim(1, -1)
     at = _newton(displacements, coordinates, start)
     return at, (read_positions(displacements, at) - coordinates).abs().amax(-1) < 0.5

@@ -62,8 +62,8 @@ def _parse(plan: Sequence[int], numbers: Sequence[float]) -> _Plan:
     while at < len(chain):
         count += counts[chain[at]]
         at += 1 + counts[chain[at]]
-    how = (interpolation, padding, bool(align_corners))
-    return _Plan(dtype, layout, how, chain, steps, columns, rest, numbers[:count], numbers[count:])
+    sampling = (interpolation, padding, bool(align_corners))
+    return _Plan(dtype, layout, sampling, chain, steps, columns, rest, numbers[:count], numbers[count:])
 
 
 # --- the reference --------------------------------------------------------------------------------------------------
@@ -345,14 +345,14 @@ def make_pass(
     output: Output = SAME,
 ) -> Pass:
     """The pass of a chain of transforms, None for no warp, and then of the steps of several augmentations."""
-    how = [0, 0, 0]
+    sampling = [0, 0, 0]
     transform_plan: list[int] = []
     numbers: list[float] = []
     before: Sequence[Transform] = ()
     if chain is not None:
         assert resampling is not None
         padding = PADDING.get(resampling.padding, PADDING["fill"])
-        how = [INTERPOLATION[resampling.mode], padding, int(resampling.align_corners)]
+        sampling = [INTERPOLATION[resampling.mode], padding, int(resampling.align_corners)]
         if len(chain) > MAX_TRANSFORMS:
             assert not parts  # whose columns would be others
             before, chain = chain, [Transform("matrix", [0.0] * 9, range(9))]
@@ -376,7 +376,7 @@ def make_pass(
     head = [
         -1 if output.dtype is None else program._DTYPES.index(output.dtype),
         program.LAYOUTS[output.memory_format],
-        *how,
+        *sampling,
     ]
     plan = [*head, len(transform_plan), *transform_plan, len(steps), *steps, len(columns), *columns, *order]
     has_fill = resampling is not None and resampling.padding == "fill" and resampling.fill is not None

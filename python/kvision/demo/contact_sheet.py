@@ -48,10 +48,10 @@ def cells() -> list[Image.Image]:
     """The results of CELLS."""
     names, photos = load([])
     results = {"photo": photos}
-    wanted = {title for _, title in CELLS}
+    titles = {title for _, title in CELLS}
     for sheet in SHEETS:
         for step in sheet.steps:
-            if step.title in wanted:
+            if step.title in titles:
                 source = photos if step.input is None else step.input.make(photos)
                 results[step.title] = step.show(step.call(source)).clamp(0, 1)
     results["blurred"] = blur(photos)

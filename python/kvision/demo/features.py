@@ -56,8 +56,8 @@ def another_view(photos: Tensor) -> tuple[Tensor, Tensor]:
     """The photos turned by 25 degrees, at 0.8 of their size, in perspective and darker; and the homography."""
     height, width = photos.shape[2:]
     center = photos.new_tensor([[(width - 1) / 2, (height - 1) / 2]])
-    turn = geometry.get_rotation_matrix2d(center, photos.new_tensor([25.0]), photos.new_tensor([[0.8, 0.8]]))
-    homography = F.pad(turn, (0, 0, 0, 1))
+    rotation = geometry.get_rotation_matrix2d(center, photos.new_tensor([25.0]), photos.new_tensor([[0.8, 0.8]]))
+    homography = F.pad(rotation, (0, 0, 0, 1))
     homography[:, 2] = photos.new_tensor([2e-4, -3e-4, 1])
     matrices = homography.expand(len(photos), -1, -1)
     return 0.75 * geometry.warp_perspective(photos, matrices, (height, width)), homography
@@ -94,10 +94,10 @@ def at(points: Tensor) -> Image:
     return (((points.cpu() + 0.5) * LARGER - 0.5).round()).to(torch.int32).numpy()
 
 
-def draw_key_points(found: KeyPoints) -> Tensor:
+def draw_key_points(detected: KeyPoints) -> Tensor:
     """The frames of the strongest key points as circles, with a line from the center along their orientation."""
     pictures = []
-    for photo, lafs in zip(found.photos, found.lafs):
+    for photo, lafs in zip(detected.photos, detected.lafs):
         image = enlarged(photo)
         lafs = lafs[None, :SHOWN_KEY_POINTS]
         lafs = lafs[:, feature.laf_is_filled(lafs)[0]]
@@ -108,16 +108,16 @@ def draw_key_points(found: KeyPoints) -> Tensor:
     return torch.stack(pictures)
 
 
-def draw_matches(found: Matches) -> Tensor:
+def draw_matches(matched: Matches) -> Tensor:
     """Photos and views side by side with lines between matches, of which those off by more than CLOSE are red."""
     pictures = []
-    for i, (photo, view) in enumerate(zip(found.photos.photos, found.views.photos)):
+    for i, (photo, view) in enumerate(zip(matched.photos.photos, matched.views.photos)):
         image = np.concatenate([enlarged(photo), enlarged(view)], 1)
-        of_photo = (found.pairs[:, 0] == i).nonzero()[:, 0]
+        of_photo = (matched.pairs[:, 0] == i).nonzero()[:, 0]
         of_photo = of_photo[:: max(1, -(-len(of_photo) // SHOWN_MATCHES))]
-        pairs, is_right = found.pairs[of_photo], found.is_right[of_photo].tolist()
-        x = at(feature.get_laf_center(found.photos.lafs)[i, pairs[:, 1]])
-        y = at(feature.get_laf_center(found.views.lafs)[i, pairs[:, 2]])
+        pairs, is_right = matched.pairs[of_photo], matched.is_right[of_photo].tolist()
+        x = at(feature.get_laf_center(matched.photos.lafs)[i, pairs[:, 1]])
+        y = at(feature.get_laf_center(matched.views.lafs)[i, pairs[:, 2]])
         y[:, 0] += LARGER * photo.shape[2]
         for start, end, right in sorted(zip(x.tolist(), y.tolist(), is_right), key=lambda line: not line[2]):
             color = RIGHT if right else WRONG

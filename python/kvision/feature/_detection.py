@@ -69,8 +69,8 @@ def weighted(scores: Tensor, weights: Tensor) -> Tensor:
     """Scores moved towards the worst by weights in (0, 1]; no candidates where a weight is not above 0."""
     weights = weights.to(scores.dtype)
     positive = torch.where(weights > 0, weights, 1)
-    least = torch.finfo(scores.dtype).min  # still ahead of empty slots
-    scores = torch.where(scores >= 0, scores * positive, (scores / positive).clamp(min=least))
+    lowest = torch.finfo(scores.dtype).min  # still ahead of empty slots
+    scores = torch.where(scores >= 0, scores * positive, (scores / positive).clamp(min=lowest))
     return torch.where(weights > 0, scores, EMPTY)
 
 
@@ -96,13 +96,13 @@ def filled_slots(image: Tensor, scores: Tensor, lafs: Tensor, count: int) -> tup
 
     A constant image has no features: what its levels differ by is rounding.
     """
-    least, most = image.detach().flatten(1).aminmax(dim=1)
+    darkest, brightest = image.detach().flatten(1).aminmax(dim=1)
     missing = count - scores.shape[1]
     if missing > 0:
         scores = F.pad(scores, (0, missing), value=EMPTY)
         lafs = F.pad(lafs, (0, 0, 0, 0, 0, missing))
     best, index = strongest(scores, count)
-    filled = (best > EMPTY) & (least != most)[:, None]
+    filled = (best > EMPTY) & (darkest != brightest)[:, None]
     return slots_of(filled, best, gather_frames(lafs, index))
 
 
@@ -112,9 +112,9 @@ def slots_of(filled: Tensor, scores: Tensor, lafs: Tensor) -> tuple[Tensor, Tens
     return torch.where(filled, scores, zero), torch.where(filled[..., None, None], lafs, zero)
 
 
-def compiled(op: str, modules: dict[str, nn.Module], wanted: bool | Collection[str]) -> dict[str, nn.Module]:
-    """The modules, those whose names are wanted with torch.compile around them; True wants all."""
-    names = set(modules) if wanted is True else set(wanted or ())
+def compiled(op: str, modules: dict[str, nn.Module], selected: bool | Collection[str]) -> dict[str, nn.Module]:
+    """The modules; those with selected names are wrapped in torch.compile. True selects all."""
+    names = set(modules) if selected is True else set(selected or ())
     unknown = names - set(modules)
     if unknown:
         raise _check.ValueCheckError(

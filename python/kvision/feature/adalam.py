@@ -24,7 +24,7 @@ DEFAULTS: dict[str, Any] = {
 LARGEST_SEED_RATIO = 0.8  # of the nearest distance to the second, for seeds
 LARGEST_FALLBACK_RATIO = math.sqrt(0.95)  # where nothing can be verified
 # The least squared residual, as a part of the neighborhood's: an exact fit has a finite confidence.
-LEAST_RESIDUAL = 2.0**-24
+MIN_RESIDUAL = 2.0**-24
 NUMBERS_AT_ONCE = 1 << 23  # of distances between key points and of residuals
 
 
@@ -226,7 +226,7 @@ def _count_inliers(squares: Tensor, counts: Tensor, min_confidence: float) -> tu
     If matches were spread over the neighborhood, a part r^2 of them would have a residual below r. The confidence of the
     k-th smallest residual is k over that number.
     """
-    ordered = squares.sort(-1)[0].clamp(min=LEAST_RESIDUAL)
+    ordered = squares.sort(-1)[0].clamp(min=MIN_RESIDUAL)
     rank = torch.arange(1, squares.shape[-1] + 1, device=squares.device, dtype=squares.dtype)
     confidence = rank / (counts[:, None] * ordered)
     is_confident = confidence >= min_confidence
@@ -282,7 +282,7 @@ def _verify(x: _Putative, areas: Sequence[Tensor], options: Mapping[str, Any]) -
     squares = _residuals(best_maps[None], offsets1, offsets2, valid)
     inliers, limit, confidence = _count_inliers(squares, counts, options["min_confidence"])
     if options["refit"]:
-        weights = (squares.clamp(min=LEAST_RESIDUAL) <= limit[..., None]).to(offsets1.dtype)[0, ..., None]
+        weights = (squares.clamp(min=MIN_RESIDUAL) <= limit[..., None]).to(offsets1.dtype)[0, ..., None]
         refitted = _residuals(_maps(weights * offsets1, weights * offsets2)[None], offsets1, offsets2, valid)
         of_refit = _count_inliers(refitted, counts, options["min_confidence"])
         is_better = of_refit[0] >= inliers
@@ -291,7 +291,7 @@ def _verify(x: _Putative, areas: Sequence[Tensor], options: Mapping[str, Any]) -
             torch.where(is_better, new, old) for new, old in zip(of_refit, (inliers, limit, confidence))
         )
     is_accepted = inliers[0] + 1 >= options["min_inliers"]
-    is_inlier = is_accepted[:, None] & (squares[0].clamp(min=LEAST_RESIDUAL) <= limit[0, :, None]) & valid
+    is_inlier = is_accepted[:, None] & (squares[0].clamp(min=MIN_RESIDUAL) <= limit[0, :, None]) & valid
     # A match has the confidence of its best seed; a seed is one of its own inliers.
     values = (1 / confidence[0])[:, None].expand_as(squares[0])
     values = torch.where(is_inlier, values, math.inf)

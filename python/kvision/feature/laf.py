@@ -679,9 +679,9 @@ def laf_is_inside_image(laf: Tensor, images: Tensor, border: int = 0) -> Tensor:
     height, width = images.shape[-2:]
     laf = as_dtype(laf, compute_dtype(laf))
     extent = torch.linalg.vector_norm(laf[..., :2], dim=-1)
-    least, most = laf[..., 2] - extent, laf[..., 2] + extent
-    inside = (least >= room).all(-1) & (most[..., 0] <= width - 1 - room)
-    return inside & (most[..., 1] <= height - 1 - room)
+    lowest, highest = laf[..., 2] - extent, laf[..., 2] + extent
+    inside = (lowest >= room).all(-1) & (highest[..., 0] <= width - 1 - room)
+    return inside & (highest[..., 1] <= height - 1 - room)
 
 
 def perspective_transform_lafs(trans_01: Tensor, lafs_1: Tensor) -> Tensor:

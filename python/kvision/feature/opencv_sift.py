@@ -21,7 +21,8 @@ from kvision.geometry.transform.resize import resize
 _LEVELS, _SIGMA, _CONTRAST, _EDGE_RATIO = 3, 1.6, 0.04, 10.0
 _BORDER = 5  # pixels of an octave without key points
 _FITS, _LARGEST_SHIFT = 5, 0.5
-_BINS, _PEAKS, _SHARE = 36, 4, 0.8  # of the histogram of directions; OpenCV has no limit to the number of its peaks
+_BINS, _PEAKS = 36, 4  # of the histogram of directions; OpenCV has no limit to the number of its peaks
+_PEAK_RATIO = 0.8  # of a peak's height to the highest one's
 _CELLS, _ANGLES, _CLIP, _UNIT = 4, 8, 0.2, 512.0  # of descriptors, whose length is about _UNIT
 _OF_FRAME = 6.0  # scale of a frame over the blur of its level: the side of the 4 x 4 cells is twice that
 # Windows around key points: half their side over the blur, which is refined by at most half a level.
@@ -142,8 +143,8 @@ def _find(octaves: _Octaves, count: int, threshold: float, mask: Tensor | None) 
         }
         inside = (layer >= 1) & (layer <= _LEVELS) & (voxels >= 0) & is_refined
         off_edges = _are_off_edges(levels.detach(), layer.clamp(0, depth - 2), row, column)
-        found = inside & off_edges & ~_is_repeated((layer * height + row) * width + column, inside)
-        point["score"] = torch.where(found, contrast.detach(), detection.EMPTY)
+        is_kept = inside & off_edges & ~_is_repeated((layer * height + row) * width + column, inside)
+        point["score"] = torch.where(is_kept, contrast.detach(), detection.EMPTY)
         parts.append(point)
         start += _LEVELS * _Gradients.pixels(height, width)
     points = _KeyPoints({name: torch.cat([p[name] for p in parts], 1) for name in parts[0]})
@@ -194,7 +195,7 @@ def _directions(points: _KeyPoints, gradients: _Gradients, largest: int) -> tupl
         counts = counts.scatter_add(2, bin_of_vote, votes)
     smooth = (6 * counts + 4 * (counts.roll(1, 2) + counts.roll(-1, 2)) + counts.roll(2, 2) + counts.roll(-2, 2)) / 16
     left, right = smooth.roll(1, 2), smooth.roll(-1, 2)
-    is_peak = (smooth > left) & (smooth > right) & (smooth >= _SHARE * smooth.amax(2, keepdim=True))
+    is_peak = (smooth > left) & (smooth > right) & (smooth >= _PEAK_RATIO * smooth.amax(2, keepdim=True))
     # The peaks in the order of their bins.
     bins = torch.arange(_BINS, device=votes.device).expand_as(is_peak)
     order = torch.where(is_peak, bins, _BINS).sort(2)[0][..., :_PEAKS]

@@ -71,8 +71,8 @@ def _reference_backward(grad: Tensor, pyramid: Tensor, laf: Tensor, *args: Any) 
 
 
 def _fake_backward(grad: Tensor, pyramid: Tensor, laf: Tensor, *args: Any) -> list[Tensor]:
-    wanted = ((pyramid, args[-2]), (laf, args[-1]))
-    sizes = [(grad.shape[0], x.shape[1] if wants else 0, *x.shape[2:]) for x, wants in wanted]
+    inputs = ((pyramid, args[-2]), (laf, args[-1]))
+    sizes = [(grad.shape[0], x.shape[1] if wants else 0, *x.shape[2:]) for x, wants in inputs]
     return [pyramid.new_empty(s, dtype=compute_dtype(pyramid)) for s in sizes]
 
 

@@ -158,8 +158,8 @@ class ScaleSpaceDetector(nn.Module):
                 continue
             levels, are_levels = self._response(op, detection.with_finite_gradient(octave), sigma)
             levels = detection.with_finite_gradient(levels)
-            found = self._strongest_of_octave(levels, are_levels, scale, image.shape[2:], num_feats, mask)
-            for every, of_octave in zip((lafs, scores, voxels), found):
+            strongest = self._strongest_of_octave(levels, are_levels, scale, image.shape[2:], num_feats, mask)
+            for every, of_octave in zip((lafs, scores, voxels), strongest):
                 every.append(of_octave)
         candidates = torch.cat(scores, 1).masked_fill(torch.cat(voxels, 1) < 0, detection.EMPTY)
         return detection.filled_slots(image, candidates, torch.cat(lafs, 1), num_feats)

@@ -56,21 +56,21 @@ def strongest_peaks(
     refine: Refine,
 ) -> tuple[Tensor, Tensor]:
     """The operator for a response (B, 1, D, H, W) and any refinement."""
-    coords, values, found = _refined(response, minima, refine)
+    coords, values, is_peak = _refined(response, minima, refine)
     level, x, y = coords[:, 0].unbind(1)
     height, width = response.shape[3:]
     with torch.no_grad():
         room = margin + scales[:, None, None, None] * torch.exp2(level / levels_of_octave) / 2
         if edge_ratio > 0:
-            found = found & _are_off_edges(response, edge_ratio)
-        found = found[:, 0] & (x >= room) & (y >= room) & (x + room <= width - 1) & (y + room <= height - 1)
+            is_peak = is_peak & _are_off_edges(response, edge_ratio)
+        is_peak = is_peak[:, 0] & (x >= room) & (y >= room) & (x + room <= width - 1) & (y + room <= height - 1)
         scores = values.detach()[:, 0]
         if weights is not None:
             allowed = weights[:, None].expand(len(response), -1, -1, -1)
             scores = detection.weighted(scores, allowed)
-            found = found & _is_allowed(allowed, x, y)
-        found = found & (scores > threshold)
-        ranked = torch.where(found, scores, detection.EMPTY).flatten(1)
+            is_peak = is_peak & _is_allowed(allowed, x, y)
+        is_peak = is_peak & (scores > threshold)
+        ranked = torch.where(is_peak, scores, detection.EMPTY).flatten(1)
         voxels = detection.strongest(ranked, count)[1]
         filled = ranked.gather(1, voxels) > detection.EMPTY
     peaks = torch.where(filled[..., None], _at_voxels(coords, values, voxels), 0)
@@ -163,13 +163,13 @@ def _reference_backward(grad: Tensor, levels: Tensor, voxels: Tensor, difference
         at = voxels.clamp(min=0, max=flat.shape[1] - 2)
         is_maximum = flat.gather(1, at) > flat.gather(1, at + 1)
         total: Any = 0
-        for sign, wanted in ((1, is_maximum & (voxels >= 0)), (-1, ~is_maximum & (voxels >= 0))):
-            chosen = torch.zeros_like(flat, dtype=torch.uint8).scatter_reduce(1, at, wanted.to(torch.uint8), "amax")
+        for sign, selected in ((1, is_maximum & (voxels >= 0)), (-1, ~is_maximum & (voxels >= 0))):
+            chosen = torch.zeros_like(flat, dtype=torch.uint8).scatter_reduce(1, at, selected.to(torch.uint8), "amax")
             marked = chosen.view(response.shape)[:, None] != 0
             refined = conv_quad_interp3d(
                 sign * response[:, None], steps, None, largest_shift, marked, radius, along_scale
             )
-            total = total + torch.where(wanted[..., None], _at_voxels(*refined, at), 0)
+            total = total + torch.where(selected[..., None], _at_voxels(*refined, at), 0)
         return total
 
     x = as_dtype(levels, compute_dtype(levels)).expand(len(grad), -1, -1, -1)

@@ -126,11 +126,11 @@ def fit_line(points: Tensor, weights: Tensor | None = None) -> ParametrizedLine:
     if weights is not None:
         _check.shape("fit_line", "weights", weights, *points.shape[:2])
         _check.same_device("fit_line", points=points, weights=weights)
-    return ParametrizedLine(*_least_line(floats(points), weights))
+    return ParametrizedLine(*_fit_line(floats(points), weights))
 
 
 @with_kernel_casts
-def _least_line(points: Tensor, weights: Tensor | None) -> tuple[Tensor, Tensor]:
+def _fit_line(points: Tensor, weights: Tensor | None) -> tuple[Tensor, Tensor]:
     if weights is None:
         mean = points.mean(1, keepdim=True)
     else:

@@ -110,11 +110,11 @@ def fit_plane(points: Vector3 | Tensor) -> Hyperplane:
     _check.trailing_shape("fit_plane", "points", points, 3)
     if points.dim() < 2 or points.shape[-2] < 3:
         raise ShapeError(f"fit_plane: expected points of shape (*, N, 3), N of at least 3, got {tuple(points.shape)}")
-    return Hyperplane(*_least_plane(floats(points)))
+    return Hyperplane(*_fit_plane(floats(points)))
 
 
 @with_kernel_casts
-def _least_plane(points: Tensor) -> tuple[Tensor, Tensor]:
+def _fit_plane(points: Tensor) -> tuple[Tensor, Tensor]:
     mean = points.mean(-2, keepdim=True)
     normal = dominant_eigenvector(adjugate(scatter_of(points - mean))).to(points.dtype)
     return normal, -(normal * mean.squeeze(-2)).sum(-1)

@@ -94,7 +94,7 @@ def mean_bad_pixel_error(
     """
     mask = _checked("mean_bad_pixel_error", input, target, valid_mask, reduction)
     threshold = _check.number("mean_bad_pixel_error", "threshold", threshold)
-    return _share_of_bad(input, target, mask, threshold, 0.0, reduction)
+    return _fraction_of_bad(input, target, mask, threshold, 0.0, reduction)
 
 
 def kitti_d1_error(
@@ -131,7 +131,7 @@ def kitti_d1_error(
     mask = _checked("kitti_d1_error", input, target, valid_mask, reduction)
     absolute = _check.number("kitti_d1_error", "abs_threshold", abs_threshold)
     relative = _check.number("kitti_d1_error", "rel_threshold", rel_threshold)
-    return _share_of_bad(input, target, mask, absolute, relative, reduction)
+    return _fraction_of_bad(input, target, mask, absolute, relative, reduction)
 
 
 def _checked(op: str, input: Tensor, target: Tensor, mask: Tensor | None, reduction: str) -> Tensor | None:
@@ -175,7 +175,7 @@ def _root_mean_squared(input: Tensor, target: Tensor, mask: Tensor | None, reduc
 
 
 @with_kernel_casts
-def _share_of_bad(
+def _fraction_of_bad(
     input: Tensor, target: Tensor, mask: Tensor | None, absolute: float, relative: float, reduction: str
 ) -> Tensor:
     error = (input - target).abs()

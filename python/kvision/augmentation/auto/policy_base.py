@@ -127,8 +127,8 @@ class PolicyAugmentBase(ImageSequential):
             self._plans.keep(key, plan)
         return plan
 
-    def _given(self, params: Sequence[ParamItem], x: Tensor) -> list[tuple[Tensor, Tensor]]:
-        """The same from the parameters of an earlier call."""
+    def _replayed_steps(self, params: Sequence[ParamItem], x: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """Operations and magnitudes of each step, from the parameters of an earlier call."""
         if len(params) != self.count * self._length:
             raise ValueCheckError(
                 f"{type(self).__name__}: expected params of {self.count * self._length} steps, got {len(params)}"
@@ -161,7 +161,7 @@ class PolicyAugmentBase(ImageSequential):
     # --- execution ---
 
     def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> Tensor:
-        steps = self._draw(x, source) if params is None else self._given(params, x)
+        steps = self._draw(x, source) if params is None else self._replayed_steps(params, x)
         self._shape, self._steps, self._given_params = tuple(x.shape), steps, None
         x, self._stages = self._run_steps(x, steps)
         return x
@@ -186,13 +186,14 @@ class PolicyAugmentBase(ImageSequential):
         if params is None and not recompute:
             return self.transform_matrix
         x = self.transform_tensor(input)
-        return product(identity_of(tuple(x.shape)), self._run_steps(x, self._given(params or self._params, x))[1])
+        steps = self._replayed_steps(params or self._params, x)
+        return product(identity_of(tuple(x.shape)), self._run_steps(x, steps)[1])
 
     def inverse(
         self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
     ) -> Tensor:
         x = self.transform_tensor(input)
-        stages = self._stages if params is None else self._run_steps(x, self._given(params, x))[1]
+        stages = self._stages if params is None else self._run_steps(x, self._replayed_steps(params, x))[1]
         return self._restored(invert(x, stages), input)
 
     def is_intensity_only(self, strict: bool = True) -> bool:

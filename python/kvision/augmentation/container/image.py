@@ -77,7 +77,7 @@ class ImageSequentialBase(nn.Sequential):
             self.add_module(name, copy.deepcopy(module) if known else module)
         self._same_on_batch, self._keepdim = same_on_batch, keepdim
         self._plans = Plans()
-        self._share()
+        self._set_options_of_children()
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in _STATE:
@@ -89,7 +89,7 @@ class ImageSequentialBase(nn.Sequential):
         # Copies and pickles have the settings, not the last call.
         return {name: value for name, value in self.__dict__.items() if name not in _STATE}
 
-    def _share(self) -> None:
+    def _set_options_of_children(self) -> None:
         for child in self.children():
             for name in ("same_on_batch", "keepdim"):
                 value = getattr(self, f"_{name}")
@@ -104,7 +104,7 @@ class ImageSequentialBase(nn.Sequential):
     @same_on_batch.setter
     def same_on_batch(self, value: bool | None) -> None:
         self._same_on_batch = value
-        self._share()
+        self._set_options_of_children()
 
     @property
     def keepdim(self) -> bool | None:
@@ -114,7 +114,7 @@ class ImageSequentialBase(nn.Sequential):
     @keepdim.setter
     def keepdim(self, value: bool | None) -> None:
         self._keepdim = value
-        self._share()
+        self._set_options_of_children()
 
     def clear_state(self) -> None:
         """Forget the last call."""

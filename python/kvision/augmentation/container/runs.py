@@ -467,7 +467,7 @@ class _Pending:
             if parts or output != SAME:
                 self.steps.append(_Joined(make_pass(None, parts=parts, output=output), (), (), (0, 0), (0, 0), None))
             return
-        source, size, resampling = _ends(geometric)
+        source, size, resampling = _sizes_and_resampling(geometric)
         chain = _chain(geometric)
         own = make_pass(chain, size, resampling, parts, output)
         self.steps.append(_Joined(own, [g.number for g in geometric], chain, source, size, resampling))
@@ -484,7 +484,7 @@ class _Pending:
             links += [chain, g.number] if chain else [g.number]
             chain = []
         links += [chain] if chain else []
-        self.steps.append(_Composition(links, *_ends(geometric), samples))
+        self.steps.append(_Composition(links, *_sizes_and_resampling(geometric), samples))
 
     def finish(self, output: Output) -> list[_Step]:
         self._flush(output)
@@ -502,7 +502,7 @@ def _chain(geometric: Sequence[_Geometric]) -> list[Transform]:
     return [t for g in geometric for t in g.chain or ()]
 
 
-def _ends(geometric: Sequence[_Geometric]) -> tuple[tuple[int, int], tuple[int, int], Resampling]:
+def _sizes_and_resampling(geometric: Sequence[_Geometric]) -> tuple[tuple[int, int], tuple[int, int], Resampling]:
     """The sizes before and behind neighbors, and how the images are read: as by the first one that interpolates."""
     first, last = geometric[0], geometric[-1]
     height, width = first.execution.shape[-2:]

@@ -136,8 +136,8 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
             TypeError: no input is a tensor.
             ValueError: an augmentation changes the size of the images.
         """
-        given = inputs[0] if len(inputs) == 1 and isinstance(inputs[0], dict) else None
-        values = list(given.values()) if given is not None else list(inputs)
+        named = inputs[0] if len(inputs) == 1 and isinstance(inputs[0], dict) else None
+        values = list(named.values()) if named is not None else list(inputs)
         images = next((x for x in values if isinstance(x, Tensor)), None)
         if images is None:
             got = type(values[0]).__name__ if values else "nothing"
@@ -156,10 +156,10 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
             chosen = columns.values[:, 0] < self.p
             outputs = super().forward(*inputs, data_keys=data_keys, seed=seed, generator=generator)
             self._given_params = [*self._params, ParamItem("share", {"batch_prob": chosen.float()})]
-        after = list(outputs.values()) if given is not None else outputs if isinstance(outputs, list) else [outputs]
+        after = list(outputs.values()) if named is not None else outputs if isinstance(outputs, list) else [outputs]
         mixed = [_where(chosen, new, old) for new, old in zip(after, values)]
-        if given is not None:
-            return dict(zip(given, mixed))
+        if named is not None:
+            return dict(zip(named, mixed))
         return mixed[0] if len(mixed) == 1 else mixed
 
 

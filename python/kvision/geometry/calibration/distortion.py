@@ -197,12 +197,18 @@ def undistort_points(
 
 
 def _through_lens(
-    operator: Operator, points: Tensor, camera: Tensor, wanted: Tensor, dist: Tensor, tilt: Tensor | None, *plain: int
+    operator: Operator,
+    points: Tensor,
+    camera: Tensor,
+    new_camera: Tensor,
+    dist: Tensor,
+    tilt: Tensor | None,
+    *options: int,
 ) -> Tensor:
     """Call an operator on points (B, N, 2) and lenses (B or 1, ...) with inputs of any leading axes."""
     leading: Sequence[int] = points.shape[:-2]
-    if not camera.dim() == wanted.dim() == dist.dim() + 1 == 2:
-        leading = broadcast_shapes(leading, camera.shape[:-2], wanted.shape[:-2], dist.shape[:-1])
+    if not camera.dim() == new_camera.dim() == dist.dim() + 1 == 2:
+        leading = broadcast_shapes(leading, camera.shape[:-2], new_camera.shape[:-2], dist.shape[:-1])
 
     def of_problems(x: Tensor, axes: int) -> Tensor:
         x = as_dtype(x, points.dtype)
@@ -215,7 +221,8 @@ def _through_lens(
     else:
         flat = points[None] if not leading else _of_all(points, leading, 2)
     tilts = None if tilt is None else of_problems(tilt, 2)
-    result: Tensor = operator(flat, of_problems(camera, 2), of_problems(wanted, 2), of_problems(dist, 1), tilts, *plain)
+    cameras = of_problems(camera, 2), of_problems(new_camera, 2)
+    result: Tensor = operator(flat, *cameras, of_problems(dist, 1), tilts, *options)
     if len(leading) == 1:
         return result
     return result[0] if not leading else result.reshape(*leading, *points.shape[-2:])
@@ -223,8 +230,8 @@ def _through_lens(
 
 def _of_all(x: Tensor, leading: Sequence[int], axes: int) -> Tensor:
     """Broadcast all axes before the last `axes` to `leading` and flatten them: (B, ...)."""
-    ends = x.shape[-axes:]
-    return x.expand(*leading, *ends).reshape(math.prod(leading), *ends)
+    trailing = x.shape[-axes:]
+    return x.expand(*leading, *trailing).reshape(math.prod(leading), *trailing)
 
 
 def _undistorted(points: Tensor, K: Tensor, new_K: Tensor, dist: Tensor, tilt: Tensor | None, num_iters: int) -> Tensor:

@@ -63,7 +63,7 @@ def find_essential(points1: Tensor, points2: Tensor, weights: Tensor | None = No
         >>> E.shape, bool(torch.linalg.det(E).nan_to_num().abs().max() < 1e-9)
         (torch.Size([1, 10, 3, 3]), True)
     """
-    check_correspondences("find_essential", points1, points2, weights, least=5)
+    check_correspondences("find_essential", points1, points2, weights, min_points=5)
     if points1.shape[1] == 5:
         return minimal_solver(points1, points2, None, "essential")
     return five_points(points1, points2)

@@ -59,7 +59,7 @@ def find_fundamental(points1: Tensor, points2: Tensor, weights: Tensor | None = 
     """
     op = "find_fundamental"
     _check.choice(op, "method", method, ("8POINT", "7POINT"))
-    check_correspondences(op, points1, points2, weights, least=8 if method == "8POINT" else 7)
+    check_correspondences(op, points1, points2, weights, min_points=8 if method == "8POINT" else 7)
     if method == "7POINT":
         if points1.shape[1] != 7:
             raise ShapeError(f"{op}: expected points1 of shape (B, 7, 2), got {tuple(points1.shape)}")

@@ -54,7 +54,7 @@ def find_homography_dlt(points1: Tensor, points2: Tensor, weights: Tensor | None
                  [0., 2., 1.],
                  [0., 0., 1.]]])
     """
-    check_correspondences("find_homography_dlt", points1, points2, weights, least=4)
+    check_correspondences("find_homography_dlt", points1, points2, weights, min_points=4)
     _check.choice("find_homography_dlt", "solver", solver, ("lu", "svd"), _check.UnknownChoiceError)
     return homography_of(points1, points2, weights)
 
@@ -114,7 +114,7 @@ def find_homography_dlt_iterated(
         tensor(True)
     """
     op = "find_homography_dlt_iterated"
-    check_correspondences(op, points1, points2, weights, least=4)
+    check_correspondences(op, points1, points2, weights, min_points=4)
     scale = 2 * _check_iterations(op, soft_inl_th, n_iter) ** 2
     H = homography_of(points1, points2, weights)
     for _ in range(n_iter - 1):
@@ -156,14 +156,14 @@ def find_homography_lines_dlt(ls1: Tensor, ls2: Tensor, weights: Tensor | None =
 
 def _lines_reference(ls1: Tensor, ls2: Tensor, weights: Tensor | None) -> Tensor:
     w = None if weights is None else promoted(weights)
-    of_ends = None if w is None else w.repeat_interleave(2, 1)
-    x, T1 = normalized(promoted(ls1).flatten(1, 2), of_ends)
-    y, T2 = normalized(promoted(ls2).flatten(1, 2), of_ends)
-    ends = torch.cat([y, torch.ones_like(y[..., :1])], -1).unflatten(1, (-1, 2))
-    line = torch.linalg.cross(*ends.unbind(2))
+    endpoint_weights = None if w is None else w.repeat_interleave(2, 1)
+    x, T1 = normalized(promoted(ls1).flatten(1, 2), endpoint_weights)
+    y, T2 = normalized(promoted(ls2).flatten(1, 2), endpoint_weights)
+    endpoints = torch.cat([y, torch.ones_like(y[..., :1])], -1).unflatten(1, (-1, 2))
+    line = torch.linalg.cross(*endpoints.unbind(2))
     p = torch.cat([x, torch.ones_like(x[..., :1])], -1)
     rows = (line.repeat_interleave(2, 1)[..., None] * p[..., None, :]).flatten(-2)
-    return _homography(rows, of_ends, T1, T2, ls1.dtype)
+    return _homography(rows, endpoint_weights, T1, T2, ls1.dtype)
 
 
 # Takes segments (B, N, 2, 2).
@@ -217,7 +217,7 @@ def _batched(op: str, ls1: Tensor, ls2: Tensor, weights: Tensor | None) -> tuple
     _check.numbers(op, "ls1", ls1)
     _check.numbers(op, "ls2", ls2)
     ls1, ls2 = (ls[None] if ls.dim() == 3 else ls for ls in (ls1, ls2))
-    check_correspondences(op, ls1, ls2, weights, least=4, names=("ls1", "ls2"), axes=(2, 2))
+    check_correspondences(op, ls1, ls2, weights, min_points=4, names=("ls1", "ls2"), axes=(2, 2))
     return ls1, ls2
 
 

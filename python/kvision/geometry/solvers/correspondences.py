@@ -17,19 +17,20 @@ def check_correspondences(
     points1: Tensor,
     points2: Tensor,
     weights: Tensor | None,
-    least: int,
+    min_points: int,
     names: tuple[str, str] = ("points1", "points2"),
     axes: tuple[int, ...] = (2,),
 ) -> None:
-    """Raise unless both are (B, N, *axes) of one shape and device with N of at least `least`, and weights (B, N)."""
+    """Raise unless both are (B, N, *axes) of one shape and device with N of at least `min_points`, and weights (B, N)."""
     for name, x in zip(names, (points1, points2)):
         _check.shape(op, name, x, "B", "N", *axes)
         _check.floating(op, name, x)
     _check.same_shape(op, **dict(zip(names, (points1, points2))))
     _check.same_device(op, **dict(zip(names, (points1, points2))))
-    if points1.shape[1] < least:
+    if points1.shape[1] < min_points:
         raise ShapeError(
-            f"{op}: expected {names[0]} of shape (B, N, ...) with N of at least {least}, got {tuple(points1.shape)}",
+            f"{op}: expected {names[0]} of shape (B, N, ...) with N of at least {min_points}, "
+            f"got {tuple(points1.shape)}",
             actual_shape=points1.shape,
         )
     if weights is not None:

@@ -176,11 +176,11 @@ def _in_unit(p: Tensor) -> Tensor:
 def _between(p: Tensor, critical: Tensor) -> Tensor:
     """Roots of p in [-1, 1] from those of its derivative. Both are ascending, with NaN at the end."""
     one = p.new_ones(*p.shape[:-1], 1)
-    ends = torch.cat([-one, critical.nan_to_num(1.0), one], -1)
-    value = _value_and_derivative(p, ends)[0]
-    flat = value.abs() <= _TOUCH * _value_and_derivative(p.abs(), ends.abs())[0]
+    bounds = torch.cat([-one, critical.nan_to_num(1.0), one], -1)
+    value = _value_and_derivative(p, bounds)[0]
+    flat = value.abs() <= _TOUCH * _value_and_derivative(p.abs(), bounds.abs())[0]
     sign = torch.where(flat, 0.0, value.sign())
-    low, high = ends[..., :-1], ends[..., 1:]
+    low, high = bounds[..., :-1], bounds[..., 1:]
     crosses = sign[..., :-1] * sign[..., 1:] < 0
     rising = sign[..., 1:] > 0
     x = (low + high) / 2
@@ -194,6 +194,6 @@ def _between(p: Tensor, critical: Tensor) -> Tensor:
     # A root of the derivative that is also a root of p has a multiplicity one higher in p.
     touches = flat[..., 1:-1] & critical.isfinite()
     repeated = torch.where(touches, critical, torch.nan)
-    again = torch.where(touches & (critical != ends[..., :-2]), critical, torch.nan)
-    rims = torch.where(flat & (ends.abs() == 1), ends, torch.nan)[..., [0, -1]]
-    return torch.cat([simple, repeated, again, rims], -1).sort(-1).values[..., : p.shape[-1] - 1]
+    again = torch.where(touches & (critical != bounds[..., :-2]), critical, torch.nan)
+    at_bounds = torch.where(flat & (bounds.abs() == 1), bounds, torch.nan)[..., [0, -1]]
+    return torch.cat([simple, repeated, again, at_bounds], -1).sort(-1).values[..., : p.shape[-1] - 1]

@@ -49,13 +49,13 @@ def _grid(x):
 
 def _search(x, chosen, steps, largest_shift, radius, along_scale):
     """The voxel (scale, x, y) at which the search from each voxel ends, and whether the search converges there."""
-    start, ends = _grid(x), (x.shape[2] - 2, x.shape[4] - 2, x.shape[3] - 2)
+    start, last = _grid(x), (x.shape[2] - 2, x.shape[4] - 2, x.shape[3] - 2)
     center = [g.expand(x.shape) for g in start]
     searching = nms3d(x, (3, 3, 3), mask_only=True) if chosen is None else chosen != 0
     settled = torch.zeros_like(searching)
-    final = [c.clamp(1, n) for c, n in zip(center, ends)]
+    final = [c.clamp(1, n) for c, n in zip(center, last)]
     for _ in range(steps):
-        inside = [c.clamp(1, n) for c, n in zip(center, ends)]
+        inside = [c.clamp(1, n) for c, n in zip(center, last)]
         for c, i, s in zip(center, inside, start):
             searching = searching & (c == i) & ((c - s).abs() <= radius)
         _, gradient, hessian = _quadratic(x, inside)
@@ -94,16 +94,16 @@ def _quadratic(x, center):
     return value, gradient, hessian
 
 
-def _solve(hessian, right, wanted):
-    """Solve a symmetric system where `wanted`, else return 0; and return whether the solution exists."""
+def _solve(hessian, right, mask):
+    """Solve a symmetric system where `mask` is set, else return 0; and return whether the solution exists."""
     h = hessian
     largest = torch.stack([abs(h[i][j]) for i in range(3) for j in range(i + 1)]).amax(0).detach()
-    unit = torch.where(wanted & (largest > 0), largest, 1)
-    h = [[torch.where(wanted, v, 0) / unit for v in row] for row in h]
+    unit = torch.where(mask & (largest > 0), largest, 1)
+    h = [[torch.where(mask, v, 0) / unit for v in row] for row in h]
     after = (1, 2, 0), (2, 0, 1)
     cofactors = [[h[i1][j1] * h[i2][j2] - h[i1][j2] * h[i2][j1] for j1, j2 in zip(*after)] for i1, i2 in zip(*after)]
     determinant = sum(v * c for v, c in zip(h[0], cofactors[0]))
-    solved = wanted & (determinant.abs() > 1e-7)
+    solved = mask & (determinant.abs() > 1e-7)
     scale = torch.where(solved, 1, 0) / (torch.where(solved, determinant, 1) * unit)
     right = [torch.where(solved, r, 0) for r in right]
     return [sum(c * r for c, r in zip(row, right)) * scale for row in cofactors], solved

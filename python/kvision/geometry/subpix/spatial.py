@@ -245,7 +245,7 @@ def _gaussian_backward(needs, grad, mean, std, height, width, normalized):
     return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, grads, (mean, std))]
 
 
-def _gaussian_slopes_reference(grad: Tensor, mean: Tensor, std: Tensor, normalized: bool) -> tuple[Tensor, ...]:
+def _gaussian_backward_reference(grad: Tensor, mean: Tensor, std: Tensor, normalized: bool) -> tuple[Tensor, ...]:
     def maps(mean: Tensor, std: Tensor) -> Tensor:
         return _gaussian_reference(mean, std, grad.shape[1], grad.shape[2], normalized)
 
@@ -259,7 +259,7 @@ _gaussian_maps = register(
     backward=_gaussian_backward,
 )
 _gaussian_maps_backward = register(
-    "render_gaussian2d_backward", _gaussian_slopes_reference, fake=lambda grad, *_: [(grad.shape[0], 2)] * 2
+    "render_gaussian2d_backward", _gaussian_backward_reference, fake=lambda grad, *_: [(grad.shape[0], 2)] * 2
 )
 
 

@@ -14,7 +14,7 @@ __all__ = ["Hflip", "Rot180", "Vflip", "hflip", "rot180", "vflip"]
 
 
 def _reference(input, columns, rows):
-    return input.flip([axis for axis, wanted in ((2, rows), (3, columns)) if wanted])
+    return input.flip([axis for axis, flips in ((2, rows), (3, columns)) if flips])
 
 
 def _backward(needs, grad, sizes, columns, rows):
@@ -99,7 +99,7 @@ def _flip(op: str, input: Tensor, columns: bool, rows: bool) -> Tensor:
     # The kernel is for half types and bytes, and for CUDA.
     torch_is_fast = input.is_cpu and input.dtype in (torch.float32, torch.float64)
     if torch_is_fast or input.dtype not in flipped.dtypes or 0 in input.shape[-2:]:
-        return input.flip([axis for axis, wanted in ((-2, rows), (-1, columns)) if wanted])
+        return input.flip([axis for axis, flips in ((-2, rows), (-1, columns)) if flips])
     if input.dim() == 4:
         return flipped(input, columns, rows)
     images = input.reshape(-1, *input.shape[-3:]) if input.dim() > 2 else input[None, None]

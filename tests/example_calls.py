@@ -48,9 +48,9 @@ class Call:
 
     def defaults(self) -> dict[str, Any]:
         """The defaults of the arguments that are not given."""
-        given = self.by_name()
+        named = self.by_name()
         missing = [p for p in self.parameters() if p.default is not p.empty and p.kind is not p.VAR_KEYWORD]
-        return {p.name: p.default for p in missing if p.name not in given}
+        return {p.name: p.default for p in missing if p.name not in named}
 
     def replaced(self, key: str | int, value: Any) -> Any:
         """The result with one argument replaced; the others are copies, so that calls share nothing."""

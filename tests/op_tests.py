@@ -314,11 +314,11 @@ class OpTests:
         try:
             for n in (1, 2, 2):
                 torch.set_num_threads(n)
-                found = list(as_tuple(self.call(x, kwargs)))
+                result = list(as_tuple(self.call(x, kwargs)))
                 if self.differentiable:
-                    weights = [torch.ones_like(o) for o in found]
-                    found += self.gradients(x, kwargs, weights)
-                outputs.append(found)
+                    weights = [torch.ones_like(o) for o in result]
+                    result += self.gradients(x, kwargs, weights)
+                outputs.append(result)
         finally:
             torch.set_num_threads(threads)
         for other in outputs[1:]:
@@ -362,13 +362,13 @@ class OpTests:
             layouts = FAKE_LAYOUTS if x.dim() == 4 else ("contiguous",)
             with recorded() as calls:
                 for layout, grad_layout in itertools.product(layouts, GRADIENT_LAYOUTS):
-                    given = with_layout(x, layout).requires_grad_(self.differentiable)
-                    outputs = as_tuple(self.call(given, kwargs))
+                    leaf = with_layout(x, layout).requires_grad_(self.differentiable)
+                    outputs = as_tuple(self.call(leaf, kwargs))
                     if not self.differentiable:
                         break
                     results = [y for y in outputs if y.requires_grad]
                     grads = [gradient_like(y.detach(), grad_layout) for y in results]
-                    torch.autograd.grad(results, given, grads)
+                    torch.autograd.grad(results, leaf, grads)
             for name, args in calls:
                 if name in differing or (key := call_signature(name, args)) in compared:
                     continue

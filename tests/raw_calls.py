@@ -81,7 +81,7 @@ def wrong_values(kind: str, value: Any, is_image: bool) -> Iterator[tuple[str, A
 def taken(operator: Any, calls: Sequence[Call]) -> list[str]:
     """The calls that do not raise a RuntimeError that starts with the operator's name, and their outcomes."""
     if any(isinstance(a, Tensor) and a.is_cuda for _, args in calls for a in args):
-        return [f"{what}: {end}" for what, args in calls if (end := how_it_ends(operator, args))]
+        return [f"{what}: {end}" for what, args in calls if (end := outcome(operator, args))]
     reader, writer = os.pipe()
     child = os.fork()
     if child == 0:
@@ -90,7 +90,7 @@ def taken(operator: Any, calls: Sequence[Call]) -> list[str]:
         signal.alarm(60)
         for what, args in calls:
             os.write(writer, f"{what}: ".encode())
-            os.write(writer, f"{how_it_ends(operator, args)}\n".encode())
+            os.write(writer, f"{outcome(operator, args)}\n".encode())
         os._exit(0)
     os.close(writer)
     with open(reader) as pipe:
@@ -99,7 +99,7 @@ def taken(operator: Any, calls: Sequence[Call]) -> list[str]:
     return [line for line in lines if not line.endswith(": ")] + ([f"{lines[-1]}status {status}"] if status else [])
 
 
-def how_it_ends(operator: Any, args: Sequence[Any]) -> str:
+def outcome(operator: Any, args: Sequence[Any]) -> str:
     """The outcome of a call. Empty if the call is rejected as expected."""
     name = operator._schema.name.removeprefix("kvision::")
     try:

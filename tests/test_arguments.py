@@ -73,7 +73,7 @@ def test_what_is_no_tensor_is_named(home):
 def test_nearly_all_public_names_have_examples():
     """All but base classes, features that want weights, and the function that replaces those of Kornia."""
     examples = {name: doctest.DocTestFinder(recurse=False).find(x, name) for name, x in public_objects().items()}
-    without = [name for name, found in examples.items() if not any(example.examples for example in found)]
+    without = [name for name, actual in examples.items() if not any(example.examples for example in actual)]
     assert len(without) < 0.05 * len(examples), without
 
 
@@ -123,12 +123,12 @@ def test_scalars_of_numpy_and_torch_are_numbers(home):
     for call, key, value in numeric_arguments(home):
         expected = result(call, key, value)
         for x in scalars_like(value):
-            found = result(call, key, x)
+            actual = result(call, key, x)
             if isinstance(expected, Tensor):
                 said = f"{call.name}, {key}: {x!r}"
-                assert found.dtype == expected.dtype and found.shape == expected.shape, said
+                assert actual.dtype == expected.dtype and actual.shape == expected.shape, said
                 torch.testing.assert_close(
-                    found, expected, rtol=1e-5, atol=1e-5, equal_nan=True, msg=lambda m, said=said: f"{said}: {m}"
+                    actual, expected, rtol=1e-5, atol=1e-5, equal_nan=True, msg=lambda m, said=said: f"{said}: {m}"
                 )
 
 
@@ -176,9 +176,9 @@ def tensor_parameters(home: str) -> Iterator[tuple[Call, str]]:
     for calls in example_calls(home).values():
         seen = set()
         for call in calls:
-            given = call.by_name()
-            names = [name for name, value in given.items() if isinstance(value, Tensor)]
-            if not names or inspect.isclass(call.function) or names[0] not in IMAGES or given[names[0]].dim() < 3:
+            args = call.by_name()
+            names = [name for name, value in args.items() if isinstance(value, Tensor)]
+            if not names or inspect.isclass(call.function) or names[0] not in IMAGES or args[names[0]].dim() < 3:
                 continue
             for name in names[1:]:
                 if (call.name, name) not in seen:
@@ -196,16 +196,16 @@ def elsewhere(device: torch.device) -> torch.device:
 def test_parameters_follow_the_images_and_data_does_not(home, elsewhere):
     for call, name in tensor_parameters(home):
         function = call.function.to(elsewhere) if isinstance(call.function, nn.Module) else call.function
-        given = {
+        args = {
             key: value.to(elsewhere) if isinstance(value, Tensor) and key != name else value
             for key, value in call.by_name().items()
         }
         if name in DATA:
             with pytest.raises(DeviceError, match=r"expected all tensors on one device, got .*\bon cpu\b"):
-                function(**given)
+                function(**args)
                 pytest.fail(f"{call.name} accepts {name} on another device")
         elif elsewhere.type == "cuda" or call.name not in READ:
-            result = function(**given)
+            result = function(**args)
             first = next(iter(result if isinstance(result, tuple) else (result,)))
             assert first.device.type == elsewhere.type, f"{call.name}, {name}"
 
@@ -258,11 +258,11 @@ FOLLOWING = {
 @pytest.mark.parametrize("name", FOLLOWING)
 def test_parameters_in_cpu_memory_follow_the_images(name, elsewhere):
     p = torch.tensor([0.5, 0.75])
-    found = FOLLOWING[name](x.to(elsewhere), p)
+    actual = FOLLOWING[name](x.to(elsewhere), p)
     expected = FOLLOWING[name](x, p)
-    assert found.device.type == elsewhere.type and found.shape == expected.shape and found.dtype == expected.dtype
+    assert actual.device.type == elsewhere.type and actual.shape == expected.shape and actual.dtype == expected.dtype
     if elsewhere.type == "cuda":
-        torch.testing.assert_close(found.cpu(), expected, rtol=1e-4, atol=1e-4)
+        torch.testing.assert_close(actual.cpu(), expected, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize(

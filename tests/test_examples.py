@@ -40,9 +40,9 @@ def test_registration_of_a_photograph(solver, iterations, device):
     pytest.importorskip("skimage")
     registration = example("image_registration")
     pair = next(registration.synthetic(device))
-    found, levels = registration.register(pair, solver, iterations)
+    result, levels = registration.register(pair, solver, iterations)
     assert registration.corner_error(pair.start, pair) > 5
-    assert registration.corner_error(found, pair) < pair.limit
+    assert registration.corner_error(result, pair) < pair.limit
     assert len(levels) == registration.LEVELS
 
 
@@ -50,8 +50,8 @@ def test_registration_of_real_pairs(data, device):
     registration = example("image_registration")
     pairs = list(registration.real(data / "homography", device))
     for pair in pairs:
-        found, _ = registration.register(pair, "gauss-newton", 20)
-        assert registration.corner_error(found, pair) < pair.limit, pair.name
+        result, _ = registration.register(pair, "gauss-newton", 20)
+        assert registration.corner_error(result, pair) < pair.limit, pair.name
     assert pairs
 
 
@@ -59,11 +59,11 @@ def test_depth_of_a_stereo_pair(device):
     pytest.importorskip("skimage")
     depth = example("depth_estimation")
     scene = depth.motorcycle(device, width=160)
-    found = [depth.quality(depth.errors(scene, d)) for d, _ in depth.descend(scene, 40, 4)]
+    results = [depth.quality(depth.errors(scene, d)) for d, _ in depth.descend(scene, 40, 4)]
     start = depth.quality(depth.errors(scene, depth.depth_of(scene, 0.5 * torch.ones_like(scene.truth))))
-    assert found[-1][1] > max(0.6, start[1])
-    assert found[-1][0] < start[0]
-    assert found[-1][1] > found[0][1]
+    assert results[-1][1] > max(0.6, start[1])
+    assert results[-1][0] < start[0]
+    assert results[-1][1] > results[0][1]
 
 
 def test_depth_of_a_room(data, device, tmp_path: Path):

@@ -144,10 +144,10 @@ LARGE_NETWORKS = re.compile(r"VisualPrompter|sold2_detector\.SOLD2|DeFMO|SigLip2
 def docstring_examples() -> Examples:
     """The examples of Kornia's modules with the module whose names they see, but for the large networks."""
     examples = []
-    for found in pkgutil.walk_packages(kornia.__path__, "kornia."):
+    for result in pkgutil.walk_packages(kornia.__path__, "kornia."):
         with contextlib.suppress(ImportError):  # of packages that Kornia does not require
-            module = importlib.import_module(found.name)
-            tests = doctest.DocTestFinder().find(module, found.name)
+            module = importlib.import_module(result.name)
+            tests = doctest.DocTestFinder().find(module, result.name)
             examples += [(module, test) for test in tests if test.examples and not LARGE_NETWORKS.search(test.name)]
     return examples
 
@@ -207,8 +207,8 @@ def examples(tmp_path_factory) -> Iterator[tuple[Examples, dict[str, str]]]:
         patch.setattr(time, "sleep", lambda _: None)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = docstring_examples()
-            yield found, failures(found)
+            result = docstring_examples()
+            yield result, failures(result)
 
 
 @pytest.mark.slow

@@ -232,10 +232,10 @@ def test_jpeg_files_go_to_the_decoder_of_the_gpu(pictures: Path) -> None:
 
     apply = process.Apply(["nn.Identity()"], "cpu", "opencv", True)
     apply.decode = decode
-    found = dict(apply(batch))
+    result = dict(apply(batch))
     expected = K.io.load_image(pictures / "a/0.jpg", K.io.ImageLoadType.RGB8)
-    assert torch.equal(found[0], expected) and found[1] == "cannot decode" and found[2].shape == (3, 60, 64)
-    assert isinstance(found[3], str) and isinstance(found[4], str)
+    assert torch.equal(result[0], expected) and result[1] == "cannot decode" and result[2].shape == (3, 60, 64)
+    assert isinstance(result[3], str) and isinstance(result[4], str)
 
 
 def test_a_rotated_jpeg_is_left_to_opencv(data) -> None:

@@ -91,9 +91,9 @@ def surface() -> list[str]:
 
 
 def test_the_public_api_is_the_listed_one() -> None:
-    listed, found = LIST.read_text().splitlines(), surface()
-    gone = sorted(set(listed) - set(found))
-    new = sorted(set(found) - set(listed))
+    listed, result = LIST.read_text().splitlines(), surface()
+    gone = sorted(set(listed) - set(result))
+    new = sorted(set(result) - set(listed))
     assert not gone and not new, "\n".join(
         ["gone or changed:", *gone, "new or changed:", *new, "", "If that is meant, see the top of this file."]
     )

@@ -71,9 +71,9 @@ def test_traced_program_has_gradients(device: torch.device, tmp_path: Path) -> N
     image = torch.rand(2, 3, 16, 20, device=device, requires_grad=True)
     module = nn.Sequential(K.filters.GaussianBlur2d((5, 5), (1.0, 1.0)), K.filters.Sobel())
     program = traced(module, image, path=tmp_path / "program.pt")
-    (found,) = torch.autograd.grad(program(image).square().sum(), image)
+    (result,) = torch.autograd.grad(program(image).square().sum(), image)
     (expected,) = torch.autograd.grad(module(image).square().sum(), image)
-    assert_close(found, expected)
+    assert_close(result, expected)
 
 
 @pytest.mark.parametrize(

@@ -126,8 +126,8 @@ class ViewTests(CompositionTests):
         for v, new in zip(values, self.values(case, device)):
             v.copy_(new)
         graph.replay()
-        for found, expected in zip(captured, self.derivatives(case, values)):
-            assert_close(found, expected, 1e-6, 1e-6)
+        for result, expected in zip(captured, self.derivatives(case, values)):
+            assert_close(result, expected, 1e-6, 1e-6)
 
 
 def finite_gradients(function, *args: Tensor) -> Tensor:

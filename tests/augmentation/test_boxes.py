@@ -57,8 +57,8 @@ def test_boxes_that_stay(options: dict[str, Any], kept: list[bool], format: str,
     boxes = as_format(BOXES, format).to(dtype)
     augment = container(keys=("image", format, "class"), **options)
     _, moved, classes = augment(IMAGE.to(device), boxes.to(device), CLASSES.to(device))
-    (found,) = augment.kept_boxes
-    assert found.tolist() == [kept] and moved.dtype == dtype and moved.shape == boxes.shape
+    (result,) = augment.kept_boxes
+    assert result.tolist() == [kept] and moved.dtype == dtype and moved.shape == boxes.shape
     expected = MOVED.clone()
     if options.get("clip_boxes"):
         expected = torch.stack([*expected.unbind(-1)], -1)

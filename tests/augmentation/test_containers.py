@@ -172,11 +172,12 @@ def test_boxes_of_every_kind() -> None:
 def test_keys() -> None:
     augment = A.AugmentationSequential(A.RandomHorizontalFlip(p=1.0), data_keys=None)
     x, label = images(), torch.arange(6)
-    given = {"image": x, "mask": x[:, :1], "mask_2": x[:, :1].long(), "class": label, "keypoints": torch.zeros(6, 1, 2)}
-    before = dict(given)
-    out = augment(given)
-    assert list(out) == list(given) and out["class"] is label
-    assert all(given[name] is value for name, value in before.items())
+    masks = {"mask": x[:, :1], "mask_2": x[:, :1].long()}
+    inputs = {"image": x, **masks, "class": label, "keypoints": torch.zeros(6, 1, 2)}
+    before = dict(inputs)
+    out = augment(inputs)
+    assert list(out) == list(inputs) and out["class"] is label
+    assert all(inputs[name] is value for name, value in before.items())
     assert torch.equal(out["mask"], x[:, :1].flip(-1)) and torch.equal(
         out["keypoints"][..., 0], torch.full((6, 1), 19.0)
     )

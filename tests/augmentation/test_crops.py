@@ -23,11 +23,11 @@ def test_antialiased_crops(
     x = (255 * x).to(dtype) if dtype == torch.uint8 else x.to(dtype)
     crop = A.RandomResizedCrop(size, resample=mode, align_corners=align_corners, antialias=True)
     y = crop(x, seed=4)
-    for image, found, corners in zip(x, y, crop._params["src"].long()):
+    for image, result, corners in zip(x, y, crop._params["src"].long()):
         (left, top), (right, bottom) = corners[0].tolist(), corners[2].tolist()
         window = image[None, :, top : bottom + 1, left : right + 1]
         expected = K.geometry.resize(window, size, mode, align_corners=align_corners, antialias=True)[0]
-        torch.testing.assert_close(found, expected, rtol=0, atol=1 if dtype == torch.uint8 else 1e-5)
+        torch.testing.assert_close(result, expected, rtol=0, atol=1 if dtype == torch.uint8 else 1e-5)
     assert torch.equal(crop(x, params=crop._params), y)
     monkeypatch.setattr("kvision.augmentation.crop.is_compiling", lambda: True)
     torch.testing.assert_close(crop(x, seed=4), y, rtol=0, atol=1 if dtype == torch.uint8 else 1e-5)

@@ -85,10 +85,10 @@ def test_known_answers_of_philox():
 def test_words_of_the_operator_are_those_of_philox(device):
     key, position = int(KEYS[1]), 5
     plan = make_plan([Request([uniform(0, 1), uniform(0, 2.0**20)])], True, position)
-    found = draw_parameters(images(3, device), KEYS[1:2], None, plan.plan, plan.numbers).cpu()
+    result = draw_parameters(images(3, device), KEYS[1:2], None, plan.plan, plan.numbers).cpu()
     for sample, index in itertools.product(range(3), (1, 2)):
         unit = philox(key, (index, 0, sample, position))[0] / 2**32
-        assert found[sample, index - 1] == torch.tensor(unit * (1, 2.0**20)[index - 1], dtype=torch.float32)
+        assert result[sample, index - 1] == torch.tensor(unit * (1, 2.0**20)[index - 1], dtype=torch.float32)
 
 
 def test_kernel_equals_reference(device, backend):
@@ -148,16 +148,16 @@ def test_seeds_belong_to_samples(device):
 def test_positions_tell_equal_requests_apart(device):
     requests = [Request([uniform(0, 1)])] * 3
     plan = make_plan(requests, True)
-    found = draw_parameters(images(5, device), KEYS[:1], None, plan.plan, plan.numbers)
-    assert found.flatten().unique().numel() == 15
+    result = draw_parameters(images(5, device), KEYS[:1], None, plan.plan, plan.numbers)
+    assert result.flatten().unique().numel() == 15
     later = make_plan(requests[1:], True, 1)
-    assert torch.equal(draw_parameters(images(5, device), KEYS[:1], None, later.plan, later.numbers), found[:, 1:])
+    assert torch.equal(draw_parameters(images(5, device), KEYS[:1], None, later.plan, later.numbers), result[:, 1:])
 
 
 def test_same_on_batch(device):
-    found = drawn([Request([uniform(0, 1), CROP], 0.5, 1.0, True)], 20, device, KEYS[1:2])
-    assert torch.equal(found, found[:1].expand(20, -1))
-    assert torch.equal(found[:1], drawn([Request([uniform(0, 1), CROP], 0.5)], 1, device, KEYS[1:2]))
+    result = drawn([Request([uniform(0, 1), CROP], 0.5, 1.0, True)], 20, device, KEYS[1:2])
+    assert torch.equal(result, result[:1].expand(20, -1))
+    assert torch.equal(result[:1], drawn([Request([uniform(0, 1), CROP], 0.5)], 1, device, KEYS[1:2]))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -195,8 +195,8 @@ LEVEL = 1e-4 / TESTS
 
 def columns(device: torch.device, *draws: Draw, p: float = 1.0, key: int = 0) -> list[Tensor]:
     plan = make_plan([Request(draws, p)])
-    found = draw_parameters(images(N, device), torch.tensor([key]), None, plan.plan, plan.numbers)
-    return list(found.double().cpu().unbind(1))
+    result = draw_parameters(images(N, device), torch.tensor([key]), None, plan.plan, plan.numbers)
+    return list(result.double().cpu().unbind(1))
 
 
 def follows(values: Tensor, distribution) -> bool:
@@ -221,8 +221,8 @@ def test_exponential_of_uniform(device):
 
 def test_integer(device):
     (values,) = columns(device, integer(-3, 12, step=3))
-    found, counts = values.unique(return_counts=True)
-    assert found.tolist() == [-3, 0, 3, 6, 9, 12] and evenly(counts)
+    result, counts = values.unique(return_counts=True)
+    assert result.tolist() == [-3, 0, 3, 6, 9, 12] and evenly(counts)
 
 
 def test_uniform_and_affine(device):
@@ -241,8 +241,8 @@ def test_chosen(p, device):
 def test_permutation(device):
     orders = torch.stack(columns(device, Draw("permutation", (4, 0, 1))), 1)
     assert torch.equal(orders.sort(1).values, torch.arange(4.0, dtype=torch.float64).expand(N, 4))
-    found, counts = orders.unique(dim=0, return_counts=True)
-    assert len(found) == 24 and evenly(counts)
+    result, counts = orders.unique(dim=0, return_counts=True)
+    assert len(result) == 24 and evenly(counts)
 
 
 def test_resized_crop(device):
@@ -370,8 +370,8 @@ def test_replays_of_a_graph_read_new_keys(device):
     draw_parameters(x, keys, None, plan.plan, plan.numbers)
     graph = torch.cuda.CUDAGraph()
     with torch.cuda.graph(graph):
-        found = draw_parameters(x, keys, None, plan.plan, plan.numbers)
+        result = draw_parameters(x, keys, None, plan.plan, plan.numbers)
     for new in (KEYS, KEYS + 1):
         keys.copy_(new)
         graph.replay()
-        assert torch.equal(found, drawn(EXACT, 9, device, new))
+        assert torch.equal(result, drawn(EXACT, 9, device, new))

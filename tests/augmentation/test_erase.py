@@ -37,13 +37,13 @@ class TestEraseRectangles(OpTests):
 def test_rectangles(device):
     x = torch.ones(5, 2, 6, 8, device=device)
     values = torch.tensor([0.0, 0.25, 0.5, 0.75, 2.0], device=device)
-    found = erase_rectangles(x, boxes(x).float().to(device), values)
+    result = erase_rectangles(x, boxes(x).float().to(device), values)
     expected = torch.ones(5, 2, 6, 8)
     expected[0, :, 2:6, 1:4] = 0
     expected[1, :, 1:3, :2] = 0.25
     expected[2, :, 5:, 6:] = 0.5
     expected[4] = 2
-    assert torch.equal(found.cpu(), expected)
+    assert torch.equal(result.cpu(), expected)
     assert torch.equal(erase_rectangles(x, boxes(x)[:1].float().to(device), values[:1])[4].cpu(), expected[0])
 
 
@@ -58,24 +58,24 @@ def test_nan_erases_nothing(device):
 @pytest.mark.parametrize("dtype", [torch.int64, torch.int32, torch.bool, torch.int16], ids=str)
 def test_masks_of_integers(dtype, device):
     mask = torch.ones(2, 1, 5, 5, dtype=dtype, device=device)
-    found = erase_rectangles(
+    result = erase_rectangles(
         mask, torch.tensor([[1.0, 1.0, 2.0, 3.0]], device=device).expand(2, 4), torch.zeros(2, device=device)
     )
-    assert found.dtype == dtype and found.sum() == 2 * (25 - 6) and not found[:, :, 1:4, 1:3].any()
+    assert result.dtype == dtype and result.sum() == 2 * (25 - 6) and not result[:, :, 1:4, 1:3].any()
 
 
 def test_bytes_are_rounded_and_saturated(device):
     x = torch.full((3, 1, 2, 2), 7, dtype=torch.uint8, device=device)
     values = torch.tensor([-3.0, 2.5, 300.0], device=device)
-    found = erase_rectangles(x, torch.tensor([[0.0, 0, 1, 1]], device=device).expand(3, 4), values)
-    assert found[:, 0, 0, 0].tolist() == [0, 2, 255] and (found.flatten(1)[:, 1:] == 7).all()
+    result = erase_rectangles(x, torch.tensor([[0.0, 0, 1, 1]], device=device).expand(3, 4), values)
+    assert result[:, 0, 0, 0].tolist() == [0, 2, 255] and (result.flatten(1)[:, 1:] == 7).all()
 
 
 def test_gradients(device):
     x = torch.rand(5, 2, 6, 8, dtype=torch.float64, device=device, requires_grad=True)
     values = torch.rand(5, dtype=torch.float64, device=device, requires_grad=True)
     erased = erase_rectangles(torch.zeros_like(x), boxes(x).float().to(device), torch.ones_like(values))
-    found = erase_rectangles(x, boxes(x).float().to(device), values)
-    to_x, to_values = torch.autograd.grad(found.sum(), (x, values))
+    result = erase_rectangles(x, boxes(x).float().to(device), values)
+    to_x, to_values = torch.autograd.grad(result.sum(), (x, values))
     assert_close(to_x, 1 - erased.detach())
     assert_close(to_values, erased.sum((1, 2, 3)).detach())

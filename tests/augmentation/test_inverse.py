@@ -37,8 +37,8 @@ def test_maps_are_undone(name: str, device: torch.device) -> None:
         assert ((back[0] - image).abs() * known).max() < 0.06
         assert (back[0] * ~known)[..., 8:-8, 8:-8].numel() and ((back[1] != mask) & known).float().mean() < 0.03
         torch.testing.assert_close(back[2], points, rtol=0, atol=0.02)
-        found = back[3] - box  # around what was around the moved one
-        assert (found[..., :2] < 0.05).all() and (found[..., 2:] > -0.05).all() and found.abs().max() < 12
+        result = back[3] - box  # around what was around the moved one
+        assert (result[..., :2] < 0.05).all() and (result[..., 2:] > -0.05).all() and result.abs().max() < 12
         assert augment.visible_points[0].all()
         for a, b in zip(augment.inverse(*moved, params=augment._params), back):
             torch.testing.assert_close(a, b)
@@ -67,9 +67,9 @@ def test_boxes_hold_what_was_in_them(name: str, device: torch.device) -> None:
     filled[..., 10:38, 14:50] = 1
     augment = A.AugmentationSequential(MAPS[name](p=1.0), data_keys=["input", "bbox_xyxy", "bbox"])
     for seed in range(5):
-        moved, found, quadrangle = augment(filled, box, corners, seed=seed)
+        moved, result, quadrangle = augment(filled, box, corners, seed=seed)
         rows, columns = (moved[0, 0] > 0.5).nonzero().float().unbind(1)
-        x0, y0, x1, y1 = found[0, 0]
+        x0, y0, x1, y1 = result[0, 0]
         assert x0 - 0.6 <= columns.min() and columns.max() + 1 <= x1 + 0.6
         assert y0 - 0.6 <= rows.min() and rows.max() + 1 <= y1 + 0.6
         assert (x1 - x0 - (columns.max() - columns.min() + 1)).abs() < 2
@@ -78,10 +78,10 @@ def test_boxes_hold_what_was_in_them(name: str, device: torch.device) -> None:
         first, last = quadrangle[0, 0], quadrangle[0, 0].roll(-1, 0)
         along = (last - first) / (last - first).norm(dim=-1, keepdim=True)
         pixels = torch.stack([columns, rows], -1)
-        beside = along[:, 0, None] * (pixels[:, 1] - first[:, 1, None]) - along[:, 1, None] * (
+        offset = along[:, 0, None] * (pixels[:, 1] - first[:, 1, None]) - along[:, 1, None] * (
             pixels[:, 0] - first[:, 0, None]
         )
-        assert beside.min() > -0.6 and beside.amin(1).max() < 1.1
+        assert offset.min() > -0.6 and offset.amin(1).max() < 1.1
 
 
 def test_known_pixels_of_crops_and_turns(device: torch.device) -> None:

@@ -70,8 +70,8 @@ MIDDLE = torch.tensor([[0.1, 0.4]])
 
 
 def noisy(operator, x: Tensor, keys: Tensor = KEYS, seeds: Tensor | None = None, plan: list[int] = PLAN) -> Tensor:
-    given = MIDDLE.to(x.device, torch.float64 if x.dtype == torch.float64 else torch.float32)
-    return operator(x, given, keys, seeds, None, plan)
+    columns = MIDDLE.to(x.device, torch.float64 if x.dtype == torch.float64 else torch.float32)
+    return operator(x, columns, keys, seeds, None, plan)
 
 
 @pytest.mark.parametrize("operator", OPERATORS, ids=lambda o: o.name)
@@ -105,18 +105,18 @@ def test_samples_that_are_not_chosen_keep_their_bits(operator, dtype, device):
     x = (255 * torch.rand(3, 3, 7, 9)).to(dtype).to(device)
     if dtype != torch.uint8:
         x[1, 0, 0, :4] = torch.tensor([float("nan"), float("inf"), -0.0, 1e-7], dtype=dtype)
-    given = MIDDLE.to(device, torch.float64 if dtype == torch.float64 else torch.float32)
+    columns = MIDDLE.to(device, torch.float64 if dtype == torch.float64 else torch.float32)
     mask = torch.tensor([1.0, 0.0, 1.0], device=device)
-    found = operator(x, given, KEYS, None, mask, PLAN)
-    assert torch.equal(found[1].view(torch.uint8), x[1].view(torch.uint8))
-    assert torch.equal(found[2], operator(x, given, KEYS, None, None, PLAN)[2]) and not torch.equal(found[2], x[2])
+    result = operator(x, columns, KEYS, None, mask, PLAN)
+    assert torch.equal(result[1].view(torch.uint8), x[1].view(torch.uint8))
+    assert torch.equal(result[2], operator(x, columns, KEYS, None, None, PLAN)[2]) and not torch.equal(result[2], x[2])
 
 
 def test_devices_give_the_same_noise(device):
     zeros = torch.zeros(2, 3, 61, 67)
     expected = gaussian_noise(zeros, torch.tensor([[0.0, 1.0]]), KEYS, None, None, PLAN)
-    found = gaussian_noise(zeros.to(device), torch.tensor([[0.0, 1.0]], device=device), KEYS, None, None, PLAN)
-    torch.testing.assert_close(found.cpu(), expected, rtol=2e-6, atol=1e-9)
+    result = gaussian_noise(zeros.to(device), torch.tensor([[0.0, 1.0]], device=device), KEYS, None, None, PLAN)
+    torch.testing.assert_close(result.cpu(), expected, rtol=2e-6, atol=1e-9)
     x = torch.rand(2, 3, 61, 67)
     assert torch.equal(noisy(salt_and_pepper, x.to(device)).cpu(), noisy(salt_and_pepper, x))
     standard = torch.tensor([[0.0, 1.0]])
@@ -129,32 +129,32 @@ def test_instruction_sets_give_the_same_noise(isa, device, backend):
     if backend == "reference" or device.type != "cpu":
         pytest.skip("this test is about the kernels of the CPU")
     x = torch.rand(2, 3, 61, 67)
-    given = torch.tensor([[0.0, 1.0]], dtype=torch.float64)
+    columns = torch.tensor([[0.0, 1.0]], dtype=torch.float64)
     with K.backend("reference"):
-        expected = gaussian_noise(torch.zeros_like(x, dtype=torch.float64), given, KEYS, None, None, PLAN)
+        expected = gaussian_noise(torch.zeros_like(x, dtype=torch.float64), columns, KEYS, None, None, PLAN)
         hits, uniform = noisy(salt_and_pepper, x), noisy(uniform_noise, x)
     with instruction_set(isa):
-        found = gaussian_noise(torch.zeros_like(x), given.float(), KEYS, None, None, PLAN)
+        result = gaussian_noise(torch.zeros_like(x), columns.float(), KEYS, None, None, PLAN)
         assert torch.equal(noisy(salt_and_pepper, x), hits)
         torch.testing.assert_close(noisy(uniform_noise, x), uniform, rtol=0, atol=1.3e-7)  # sums may be rounded once
-    torch.testing.assert_close(found.double(), expected, rtol=1e-6, atol=1e-9)
+    torch.testing.assert_close(result.double(), expected, rtol=1e-6, atol=1e-9)
 
 
 def test_words_are_those_of_philox(device):
     """Of the block of four pixels, which all channels of salt and pepper share."""
     x = torch.full((1, 2, 3, 3), 0.5, device=device)
-    found = salt_and_pepper(x, MIDDLE.to(device) + 0.4, KEYS, None, None, PLAN)[0].cpu()
+    result = salt_and_pepper(x, MIDDLE.to(device) + 0.4, KEYS, None, None, PLAN)[0].cpu()
     for pixel in range(9):
         word = philox(int(KEYS[1]), (PLAN[2], pixel // 4, 0, PLAN[1]))[pixel % 4] / 2**32
         expected = 0.5 if word >= 0.5 else 1.0 if word < 0.5 * 0.8 else 0.0
-        assert found.flatten(1)[:, pixel].tolist() == [expected] * 2
+        assert result.flatten(1)[:, pixel].tolist() == [expected] * 2
     zero, unit = torch.zeros(1, 2, 3, 3, dtype=torch.float64, device=device), torch.tensor([[0.0, 1.0]], device=device)
-    found = uniform_noise(zero, unit.double(), KEYS, None, None, PLAN)[0].cpu()
+    result = uniform_noise(zero, unit.double(), KEYS, None, None, PLAN)[0].cpu()
     for channel in range(2):
         for pixel in range(9):
             word = philox(int(KEYS[1]), (PLAN[2], 3 * channel + pixel // 4, 0, PLAN[1]))[pixel % 4]
             signed = word if word < 2**31 else word - 2**32
-            assert found[channel].flatten()[pixel] == signed / 2**31
+            assert result[channel].flatten()[pixel] == signed / 2**31
 
 
 # --- statistics ---
@@ -162,23 +162,23 @@ def test_words_are_those_of_philox(device):
 
 def test_noise_is_uniform(device):
     x = torch.full((2, 3, 80, 100), 5.0, device=device)
-    given = torch.tensor([[1.0, 0.5], [-2.0, 3.0]], device=device)
-    found = uniform_noise(x, given, KEYS, None, None, PLAN).cpu()
-    for sample, (mean, half) in zip(found, given.tolist()):
+    columns = torch.tensor([[1.0, 0.5], [-2.0, 3.0]], device=device)
+    result = uniform_noise(x, columns, KEYS, None, None, PLAN).cpu()
+    for sample, (mean, half) in zip(result, columns.tolist()):
         assert stats.kstest(sample.flatten(), stats.uniform(5 + mean - half, 2 * half).cdf).pvalue > LEVEL
-    flat = ((found - 5 - given[:, 0, None, None, None].cpu()) / given[:, 1, None, None, None].cpu()).flatten(2)
+    flat = ((result - 5 - columns[:, 0, None, None, None].cpu()) / columns[:, 1, None, None, None].cpu()).flatten(2)
     for a, b in [(flat[:, 0], flat[:, 1]), (flat[0], flat[1]), (flat[..., 1:], flat[..., :-1])]:
         assert stats.spearmanr(a.flatten(), b.flatten()).pvalue > LEVEL
 
 
 def test_noise_is_normal(device):
     x = torch.full((2, 3, 80, 100), 5.0, dtype=torch.float64, device=device)
-    given = torch.tensor([[1.0, 0.5], [-2.0, 3.0]], dtype=torch.float64, device=device)
-    found = gaussian_noise(x, given, KEYS, None, None, PLAN).cpu()
-    for sample, (mean, deviation) in zip(found, given.tolist()):
+    columns = torch.tensor([[1.0, 0.5], [-2.0, 3.0]], dtype=torch.float64, device=device)
+    result = gaussian_noise(x, columns, KEYS, None, None, PLAN).cpu()
+    for sample, (mean, deviation) in zip(result, columns.tolist()):
         assert stats.kstest(sample.flatten(), stats.norm(5 + mean, deviation).cdf).pvalue > LEVEL
     # Neighbors of a block share words. Neither they nor channels nor samples depend on each other, nor do their squares.
-    flat = ((found - 5 - given[:, 0, None, None, None].cpu()) / given[:, 1, None, None, None].cpu()).flatten(2)
+    flat = ((result - 5 - columns[:, 0, None, None, None].cpu()) / columns[:, 1, None, None, None].cpu()).flatten(2)
     pairs = [(flat[..., i::4], flat[..., k::4]) for i in range(4) for k in range(i)]
     pairs += [(flat[:, 0], flat[:, 1]), (flat[0], flat[1]), (flat[..., 1:], flat[..., :-1])]
     for a, b in pairs:
@@ -189,15 +189,15 @@ def test_noise_is_normal(device):
 @pytest.mark.parametrize("amount, share", [(0.05, 0.5), (0.3, 0.9), (1.0, 0.25)])
 def test_shares_of_salt_and_pepper(amount, share, device):
     x = torch.full((1, 3, 200, 200), 0.5, device=device)
-    given = torch.tensor([[amount, share]], device=device)
-    found = salt_and_pepper(x, given, KEYS, None, None, PLAN)
-    assert torch.equal(found, found[:, :1].expand_as(found))
-    salt, pepper = int((found[:, 0] == 1).sum()), int((found[:, 0] == 0).sum())
+    columns = torch.tensor([[amount, share]], device=device)
+    result = salt_and_pepper(x, columns, KEYS, None, None, PLAN)
+    assert torch.equal(result, result[:, :1].expand_as(result))
+    salt, pepper = int((result[:, 0] == 1).sum()), int((result[:, 0] == 0).sum())
     assert amount == 1 or stats.binomtest(salt + pepper, 40000, amount).pvalue > LEVEL
     assert stats.binomtest(salt, salt + pepper, share).pvalue > LEVEL
-    bytes_ = salt_and_pepper((255 * x).byte(), given, KEYS, None, None, PLAN)
-    assert torch.equal(bytes_ == 255, found == 1) and torch.equal(bytes_ == 0, found == 0)
-    assert torch.equal(salt_and_pepper(x, 0 * given, KEYS, None, None, PLAN), x)
+    bytes_ = salt_and_pepper((255 * x).byte(), columns, KEYS, None, None, PLAN)
+    assert torch.equal(bytes_ == 255, result == 1) and torch.equal(bytes_ == 0, result == 0)
+    assert torch.equal(salt_and_pepper(x, 0 * columns, KEYS, None, None, PLAN), x)
 
 
 # --- gradients ---
@@ -206,14 +206,15 @@ def test_shares_of_salt_and_pepper(amount, share, device):
 @pytest.mark.parametrize("operator", [gaussian_noise, uniform_noise], ids=lambda o: o.name)
 def test_gradients_of_added_noise(operator, device):
     x = torch.rand(3, 2, 5, 7, dtype=torch.float64, device=device)
-    given = torch.rand(3, 2, dtype=torch.float64, device=device, requires_grad=True)
+    columns = torch.rand(3, 2, dtype=torch.float64, device=device, requires_grad=True)
     mask = torch.tensor([1.0, 0.0, 1.0], device=device)
-    found = operator(x, given, KEYS, None, mask, PLAN)
+    result = operator(x, columns, KEYS, None, mask, PLAN)
     noise = operator(
         torch.zeros_like(x), torch.tensor([[0.0, 1.0]], dtype=x.dtype, device=device), KEYS, None, mask, PLAN
     )
-    assert_close(found, x + mask[:, None, None, None] * given[:, :1, None, None] + given[:, 1:, None, None] * noise)
-    (grad,) = torch.autograd.grad(found.sum(), given)
+    mean, deviation = columns[:, :1, None, None], columns[:, 1:, None, None]
+    assert_close(result, x + mask[:, None, None, None] * mean + deviation * noise)
+    (grad,) = torch.autograd.grad(result.sum(), columns)
     assert_close(grad, torch.stack([70 * mask.double(), noise.sum((1, 2, 3))], 1))
     shared = torch.rand(1, 2, dtype=torch.float64, device=device, requires_grad=True)
     (of_one,) = torch.autograd.grad(operator(x, shared, KEYS, None, mask, PLAN).sum(), shared)
@@ -222,15 +223,15 @@ def test_gradients_of_added_noise(operator, device):
 
 def test_pixels_that_are_hit_get_no_gradient(device):
     x = torch.full((2, 3, 9, 9), 0.5, device=device, requires_grad=True)
-    found = noisy(salt_and_pepper, x)
-    (grad,) = torch.autograd.grad(found.sum(), x)
-    assert torch.equal(grad, (found == 0.5).float())
+    result = noisy(salt_and_pepper, x)
+    (grad,) = torch.autograd.grad(result.sum(), x)
+    assert torch.equal(grad, (result == 0.5).float())
 
 
 @pytest.mark.native
 @pytest.mark.parametrize("operator", OPERATORS, ids=lambda o: o.name)
 def test_plans_are_checked(operator, device):
-    x, given = torch.zeros(2, 1, 2, 2, device=device), MIDDLE.to(device)
+    x, columns = torch.zeros(2, 1, 2, 2, device=device), MIDDLE.to(device)
     for plan, message in (([2, 0, 1, 0], "no key 2"), ([0, 0, 1], "four numbers"), ([0, -1, 1, 0], "out of range")):
         with pytest.raises(RuntimeError, match=f"{operator.name}: .*{message}"):
-            operator(x, given, KEYS, None, None, plan)
+            operator(x, columns, KEYS, None, None, plan)

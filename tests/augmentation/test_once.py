@@ -176,7 +176,7 @@ def test_nothing_is_composed_without_need(device: torch.device) -> None:
         [A.RandomHorizontalFlip(), elastic(), A.CenterCrop((20, 20)), A.RandomInvert()],
         [A.RandomHorizontalFlip(), A.RandomResizedCrop((16, 16), antialias=True), A.RandomVerticalFlip()],
     ):
-        each, once = (A.ImageSequential(*children, resample=how) for how in ("each", "once"))
+        each, once = (A.ImageSequential(*children, resample=resample) for resample in ("each", "once"))
         assert torch.equal(each(x, seed=4), once(x, seed=4))
     augment = A.AugmentationSequential(*CHAINS["pipeline B"](), resample="once", data_keys=["image", "mask"])
     augment(x, x)

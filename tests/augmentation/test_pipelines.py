@@ -97,9 +97,9 @@ def test_boxes_follow_mixed_images(name: str, nested: bool, device: torch.device
         for (x, y, right, bottom), label in zip(own, names):
             painted[b, :, y:bottom, x:right] = label
     for seed in range(4):
-        moved, found, classes, mask = augment(painted, boxes, labels, painted.long(), seed=seed)
-        assert torch.equal(moved.long(), mask) and found.shape[:2] == classes.shape
-        for image, own, names in zip(moved[:, 0], found.round().long(), classes):
+        moved, result, classes, mask = augment(painted, boxes, labels, painted.long(), seed=seed)
+        assert torch.equal(moved.long(), mask) and result.shape[:2] == classes.shape
+        for image, own, names in zip(moved[:, 0], result.round().long(), classes):
             covered = torch.zeros_like(image, dtype=torch.bool)
             for (x, y, right, bottom), label in zip(own.tolist(), names.tolist()):
                 inside = image[max(y, 0) : max(bottom, 0), max(x, 0) : max(right, 0)]
@@ -113,9 +113,9 @@ def test_labels_of_mixed_images(device: torch.device) -> None:
     """As the operation gives them by itself; an operation that cannot mix labels refuses them."""
     x, labels = images(device), torch.arange(4, device=device)
     augment = A.AugmentationSequential(A.RandomHorizontalFlip(), A.RandomMixUpV2(p=1.0), data_keys=["image", "class"])
-    mixed, given = augment(x, labels)
-    partners, weights = given[:, 1].long(), given[:, 2, None, None, None]
-    assert torch.equal(given[:, 0], labels.float())
+    mixed, mixed_labels = augment(x, labels)
+    partners, weights = mixed_labels[:, 1].long(), mixed_labels[:, 2, None, None, None]
+    assert torch.equal(mixed_labels[:, 0], labels.float())
     flipped = augment.get_submodule("RandomHorizontalFlip_0")(x, params=augment._params[0].data)
     torch.testing.assert_close(mixed, flipped * (1 - weights) + flipped[partners] * weights)
     for key, label in {"bbox_xyxy": BOXES.to(device), "keypoints": BOXES[..., :2].to(device)}.items():

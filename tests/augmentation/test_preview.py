@@ -24,9 +24,9 @@ def square(device: torch.device) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return 0.5 + 0.5 * mask.expand(3, -1, -1).float(), mask, box.to(device), center.to(device)
 
 
-def extent(found: Tensor) -> list[int]:
+def extent(result: Tensor) -> list[int]:
     """First column, first row, and the ends of both, of the pixels that are found (H, W)."""
-    rows, columns = (found.any(axis).nonzero().flatten() for axis in (1, 0))
+    rows, columns = (result.any(axis).nonzero().flatten() for axis in (1, 0))
     return [int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1]
 
 

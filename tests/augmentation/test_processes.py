@@ -40,20 +40,20 @@ def batch() -> Tensor:
 def train(model: nn.Module, optimizer: Any, steps: range, folder: Path | None = None) -> dict[str, Any]:
     """Losses, and the augmented images of each step; the state is saved after step SAVED."""
     augment, images = pipeline(), batch().chunk(PROCESSES)[dist.get_rank()]
-    found: dict[str, Any] = {"losses": [], "images": [], "crops": []}
+    result: dict[str, Any] = {"losses": [], "images": [], "crops": []}
     for step in steps:
         augmented = augment(images)
         optimizer.zero_grad()
         loss = (model(augmented) - 1).square().mean()
         loss.backward()
         optimizer.step()
-        found["losses"].append(loss.item())
-        found["images"].append(augmented)
-        found["crops"].append(augment._params[0].data["src"])
+        result["losses"].append(loss.item())
+        result["images"].append(augmented)
+        result["crops"].append(augment._params[0].data["src"])
         if folder is not None and step + 1 == SAVED:
             state = {"model": model.module.state_dict(), "optimizer": optimizer.state_dict()}
             torch.save({**state, "generator": torch.get_rng_state()}, folder / f"state{dist.get_rank()}.pt")
-    return found
+    return result
 
 
 def network() -> tuple[nn.Module, Any]:
@@ -75,13 +75,13 @@ def work(folder: Path, rank: int, again: bool) -> None:
         model.module.load_state_dict(state["model"])
         optimizer.load_state_dict(state["optimizer"])
         torch.set_rng_state(state["generator"])
-        found = train(model, optimizer, range(SAVED, STEPS))
+        result = train(model, optimizer, range(SAVED, STEPS))
     else:
         torch.manual_seed(17 + rank)
-        found = train(model, optimizer, range(STEPS), folder)
+        result = train(model, optimizer, range(STEPS), folder)
     seeds = torch.arange(8).chunk(PROCESSES)[rank]
-    found["seeded"] = pipeline()(batch().chunk(PROCESSES)[rank], seed=seeds)
-    torch.save(found, folder / f"found{rank}{int(again)}.pt")
+    result["seeded"] = pipeline()(batch().chunk(PROCESSES)[rank], seed=seeds)
+    torch.save(result, folder / f"found{rank}{int(again)}.pt")
     del model  # before its process group, as train() of examples/train_distributed.py says
     dist.destroy_process_group()
 
@@ -145,8 +145,8 @@ def test_workers_that_are_spawned() -> None:
     samples = Samples(True)
     expected = [samples[i] for i in range(len(samples))]
     loaded = DataLoader(samples, 5, num_workers=1, multiprocessing_context="spawn")
-    for found, wanted in zip(zip(*loaded), zip(*expected)):
-        assert torch.equal(torch.cat(found), torch.stack(wanted))
+    for result, each in zip(zip(*loaded), zip(*expected)):
+        assert torch.equal(torch.cat(result), torch.stack(each))
 
 
 @pytest.mark.parametrize("workers", [0, 1, 2])

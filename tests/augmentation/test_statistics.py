@@ -59,8 +59,8 @@ class Integers(NamedTuple):
     step: int = 1
 
     def p_value(self, values: Tensor) -> float:
-        found, counts = values.unique(return_counts=True)
-        assert found.tolist() == list(range(self.low, self.high + 1, self.step))
+        result, counts = values.unique(return_counts=True)
+        assert result.tolist() == list(range(self.low, self.high + 1, self.step))
         return float(stats.chisquare(counts.numpy()).pvalue)
 
 
@@ -70,8 +70,8 @@ class Permutations(NamedTuple):
     n: int
 
     def p_value(self, values: Tensor) -> float:
-        found, counts = values.unique(return_counts=True)
-        assert len(found) == math.factorial(self.n)
+        result, counts = values.unique(return_counts=True)
+        assert len(result) == math.factorial(self.n)
         return float(stats.chisquare(counts.numpy()).pvalue)
 
 

@@ -73,53 +73,53 @@ def test_identity_is_exact(dtype, device):
             Transform("crop", (0, 0, w, h, w, h, 1), (2, 3, -1, -1, -1, -1, -1)),
             *(unmoved._replace(inputs=(*c, *c), columns=[-1] * 16) for c in ((corners, shifted) if h > 1 else ())),
         )
-        found = matrices([[0.0, 1.0, 0.0, 0.0], [-0.0, 1.0, 0.0, 0.0]], *chain, device=device, dtype=dtype)
-        assert torch.equal(found, torch.eye(3, dtype=dtype, device=device).expand(2, 3, 3))
-        assert not found.signbit().any()
+        result = matrices([[0.0, 1.0, 0.0, 0.0], [-0.0, 1.0, 0.0, 0.0]], *chain, device=device, dtype=dtype)
+        assert torch.equal(result, torch.eye(3, dtype=dtype, device=device).expand(2, 3, 3))
+        assert not result.signbit().any()
 
 
 def test_flips_and_quarter_turns_are_exact(device):
     turn = affine((3.5, 3.5), angle=0)
-    found = matrices([[90.0], [180.0], [270.0], [-90.0], [360.0]], turn, device=device)
+    result = matrices([[90.0], [180.0], [270.0], [-90.0], [360.0]], turn, device=device)
     quarter = [[0, 1, 0], [-1, 0, 7], [0, 0, 1]]  # counter-clockwise, with the y axis down
     half, three = [[-1, 0, 7], [0, -1, 7], [0, 0, 1]], [[0, -1, 7], [1, 0, 0], [0, 0, 1]]
     expected = torch.tensor([quarter, half, three, three, [[1, 0, 0], [0, 1, 0], [0, 0, 1]]])
-    assert torch.equal(found.cpu(), expected.float())
+    assert torch.equal(result.cpu(), expected.float())
     scale = affine((100.5, 20.0), scale=(0, 1))
-    found = matrices([[-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]], scale, device=device)
-    assert found[:, 0, 2].tolist() == [201, 0, 201] and found[:, 1, 2].tolist() == [0, 40, 40]
-    assert torch.equal(found[:, :2, :2].diagonal(0, 1, 2).cpu(), torch.tensor([[-1.0, 1], [1, -1], [-1, -1]]))
+    result = matrices([[-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]], scale, device=device)
+    assert result[:, 0, 2].tolist() == [201, 0, 201] and result[:, 1, 2].tolist() == [0, 40, 40]
+    assert torch.equal(result[:, :2, :2].diagonal(0, 1, 2).cpu(), torch.tensor([[-1.0, 1], [1, -1], [-1, -1]]))
 
 
 def test_affine_is_a_rotation_counter_clockwise_about_the_center(device):
-    found = matrices([[30.0]], affine(CENTER, angle=0), device=device, dtype=torch.float64)
+    result = matrices([[30.0]], affine(CENTER, angle=0), device=device, dtype=torch.float64)
     expected = K.geometry.get_rotation_matrix2d(
         torch.tensor([CENTER], dtype=torch.float64, device=device),
         torch.tensor([30.0], dtype=torch.float64, device=device),
         torch.ones(1, 2, dtype=torch.float64, device=device),
     )
-    assert_close(found[:, :2], expected)
+    assert_close(result[:, :2], expected)
 
 
 def test_affine_shears_then_scales_then_rotates_then_translates(device):
     columns = [[25.0, 3.0, -2.0, 1.2, 0.8, 10.0, -20.0]]
     about = affine(CENTER, angle=0, translation=(1, 2), scale=(3, 4), shear=(5, 6))
-    found = matrices(columns, about, device=device, dtype=torch.float64)[0].cpu()
+    result = matrices(columns, about, device=device, dtype=torch.float64)[0].cpu()
     a, b, t = math.tan(math.radians(10)), math.tan(math.radians(-20)), math.radians(25)
     shear = torch.tensor([[1, 0], [-b, 1]], dtype=torch.float64) @ torch.tensor([[1, -a], [0, 1]], dtype=torch.float64)
     rotation = torch.tensor([[math.cos(t), math.sin(t)], [-math.sin(t), math.cos(t)]], dtype=torch.float64)
     linear = rotation @ torch.diag(torch.tensor([1.2, 0.8], dtype=torch.float64)) @ shear
     center = torch.tensor(CENTER, dtype=torch.float64)
-    assert_close(found[:2, :2], linear)
-    assert_close(found[:2, 2], center + torch.tensor([3.0, -2.0], dtype=torch.float64) - linear @ center)
+    assert_close(result[:2, :2], linear)
+    assert_close(result[:2, 2], center + torch.tensor([3.0, -2.0], dtype=torch.float64) - linear @ center)
 
 
 def test_perspective_takes_points_to_points(device):
     columns = torch.stack([quads() for _ in range(3)]).to(device)
-    found = transform_matrix(columns, [MOVING])
+    result = transform_matrix(columns, [MOVING])
     source, destination = columns.view(3, 2, 4, 2).unbind(1)
-    assert_close(K.geometry.transform_points(found, source), destination)
-    assert_close(found, K.geometry.get_perspective_transform(source, destination))
+    assert_close(K.geometry.transform_points(result, source), destination)
+    assert_close(result, K.geometry.get_perspective_transform(source, destination))
 
 
 def test_crops_take_corners_to_corners(device):
@@ -132,8 +132,8 @@ def test_crops_take_corners_to_corners(device):
 
 def test_crops_of_a_pixel_can_be_inverted(device):
     single = Transform("crop", (5, 6, 1, 1, 4, 1, 1), [-1] * 7)
-    found = matrices([[0.0]], single, device=device, dtype=torch.float64)
-    assert found.inverse().isfinite().all()
+    result = matrices([[0.0]], single, device=device, dtype=torch.float64)
+    assert result.inverse().isfinite().all()
 
 
 def test_chains_are_products(device):
@@ -153,16 +153,16 @@ def test_chains_are_products(device):
 @pytest.mark.native  # the reference does not read columns that no transform takes
 def test_an_empty_chain_is_the_identity(device):
     columns = torch.rand(2, 3, device=device, requires_grad=True)
-    found = transform_matrix(columns, [])
-    assert torch.equal(found, torch.eye(3, device=device).expand(2, 3, 3))
-    assert not torch.autograd.grad(found.sum(), columns)[0].any()
+    result = transform_matrix(columns, [])
+    assert torch.equal(result, torch.eye(3, device=device).expand(2, 3, 3))
+    assert not torch.autograd.grad(result.sum(), columns)[0].any()
 
 
 def test_float32_columns_are_computed_in_double(device):
     """A rotation and its inverse about a far center leave nothing of float32's rounding."""
     there, back = affine((1e5, 1e5), angle=0), affine((1e5, 1e5), angle=1)
-    found = matrices([[33.0, -33.0]], there, back, device=device)
-    assert (found - torch.eye(3, device=device)).abs().max() < 1e-6
+    result = matrices([[33.0, -33.0]], there, back, device=device)
+    assert (result - torch.eye(3, device=device)).abs().max() < 1e-6
 
 
 def test_gradient_of_a_column_that_is_used_twice(device):
@@ -189,7 +189,7 @@ def test_plans_are_checked(device):
     operator = torch.ops.kvision.transform_matrix
     columns = torch.zeros(2, 9, device=device)
     plan, numbers = make_plan([AFFINE])
-    for bad, given, message in (
+    for bad_plan, bad_numbers, message in (
         ([9, *plan[1:]], numbers, "no kind of transform 9"),
         ([*plan[:-1], 9], numbers, "no column 9"),
         (plan[:-1], numbers, "9 columns of inputs"),
@@ -197,4 +197,4 @@ def test_plans_are_checked(device):
         (plan * (MAX_TRANSFORMS + 1), numbers * (MAX_TRANSFORMS + 1), "at most 16 transforms"),
     ):
         with pytest.raises(RuntimeError, match=f"transform_matrix: .*{message}"):
-            operator(columns, bad, given)
+            operator(columns, bad_plan, bad_numbers)

@@ -36,58 +36,58 @@ def children(format: str, same: bool = True) -> list[Any]:
 @pytest.mark.parametrize("format", ["BTCHW", "BCTHW"])
 @pytest.mark.parametrize("same", [True, False])
 def test_labels_follow_their_frames(format: str, same: bool, device: torch.device) -> None:
-    given = sample(format, device)
+    inputs = sample(format, device)
     augment = A.AugmentationSequential(*children(format, same), data_keys=KEYS)
-    moved = augment(*given)
-    assert [m.shape for m in moved] == [x.shape for x in given]
+    moved = augment(*inputs)
+    assert [m.shape for m in moved] == [x.shape for x in inputs]
     video, mask, points, _, boxes, _ = moved
 
     # Each frame moved by its matrix, as one image would.
     matrix = augment.transform_matrix.view(2, 3, 3, 3)
     assert torch.equal(matrix[:, :1].expand_as(matrix), matrix) == same
-    here = given[2] @ matrix[..., :2, :2].mT + matrix[..., None, :2, 2]
+    here = inputs[2] @ matrix[..., :2, :2].mT + matrix[..., None, :2, 2]
     torch.testing.assert_close(points, here)
     frames = A.AugmentationSequential(A.RandomInvert(p=0.0), data_keys=["input", "keypoints"])
-    assert torch.equal(frames(given[0].flatten(0, 1), given[2].flatten(0, 1))[1], given[2].flatten(0, 1))
+    assert torch.equal(frames(inputs[0].flatten(0, 1), inputs[2].flatten(0, 1))[1], inputs[2].flatten(0, 1))
 
-    for a, b in zip(augment(*given, params=augment._params), moved):
+    for a, b in zip(augment(*inputs, params=augment._params), moved):
         assert torch.equal(a, b)
     back = augment.inverse(*moved)
-    torch.testing.assert_close(back[2], given[2], rtol=0, atol=1e-4)
+    torch.testing.assert_close(back[2], inputs[2], rtol=0, atol=1e-4)
     known = augment.known_pixels(video)
     assert known.dtype == torch.bool and known.shape == mask.shape and known.float().mean() > 0.5
-    assert (back[1] == given[1])[known].float().mean() > 0.7
-    assert augment.visible_points[0].shape == points.shape[:-1] and boxes.shape == given[4].shape
+    assert (back[1] == inputs[1])[known].float().mean() > 0.7
+    assert augment.visible_points[0].shape == points.shape[:-1] and boxes.shape == inputs[4].shape
 
 
 def test_seeds_of_videos(device: torch.device) -> None:
     """A seed a video, whatever the batch; frames with parameters of their own have seeds made of it."""
-    given = sample("BTCHW", device)
+    inputs = sample("BTCHW", device)
     seeds = torch.tensor([5, 9], device=device)
     for same in (True, False):
         augment = A.AugmentationSequential(*children("BTCHW", same), data_keys=KEYS)
-        both, last = augment(*given, seed=seeds), augment(*[x[1:] for x in given], seed=seeds[1:])
+        both, last = augment(*inputs, seed=seeds), augment(*[x[1:] for x in inputs], seed=seeds[1:])
         assert all(torch.equal(a[1:], b) for a, b in zip(both, last))
         alone = A.VideoSequential(A.RandomAffine(10.0, p=1.0), same_on_frame=same)
-        still = given[0][:, :1].expand(-1, 3, -1, -1, -1)
+        still = inputs[0][:, :1].expand(-1, 3, -1, -1, -1)
         y = alone(still, seed=seeds)
         assert torch.equal(alone(still[1:], seed=seeds[1:]), y[1:])
         assert torch.equal(y[:, 0], y[:, 1]) == same and not torch.equal(y[0], y[1])
 
 
 def test_removed_boxes_and_masks_without_channels(device: torch.device) -> None:
-    given = sample("BTCHW", device)
+    inputs = sample("BTCHW", device)
     augment = A.AugmentationSequential(*children("BTCHW"), data_keys=KEYS, clip_boxes=True)
-    *_, boxes, classes = augment(*given)
+    *_, boxes, classes = augment(*inputs)
     assert [kept.shape for kept in augment.kept_boxes] == [(2, 3, 1), (2, 3, 2)]
     assert augment.kept_boxes[1][..., 0].all() and not augment.kept_boxes[1][..., 1].any()
     assert (
-        (classes[..., 1] == -1).all() and torch.equal(classes[..., 0], given[-1][..., 0]) and boxes[0, 0, 1].sum() == 0
+        (classes[..., 1] == -1).all() and torch.equal(classes[..., 0], inputs[-1][..., 0]) and boxes[0, 0, 1].sum() == 0
     )
-    flat = augment(given[0], given[1][:, :, 0], torch.tensor([4, 7]), data_keys=["input", "mask", "class"])
+    flat = augment(inputs[0], inputs[1][:, :, 0], torch.tensor([4, 7]), data_keys=["input", "mask", "class"])
     assert flat[1].shape == (2, 3, 16, 20) and flat[2].tolist() == [4, 7]
-    points = augment(given[2], data_keys=["keypoints"])  # by the last call
-    torch.testing.assert_close(augment.inverse(points, data_keys=["keypoints"]), given[2], rtol=0, atol=1e-4)
+    points = augment(inputs[2], data_keys=["keypoints"])  # by the last call
+    torch.testing.assert_close(augment.inverse(points, data_keys=["keypoints"]), inputs[2], rtol=0, atol=1e-4)
 
 
 def test_errors() -> None:

@@ -215,8 +215,8 @@ def test_gradients_of_warps_that_keep_rows(padding, size, device):
             torch.full((1, 1, 1, 1), 0.7, device=device).expand_as(y),
         ):
             (result,) = torch.autograd.grad(y, x, grad, retain_graph=True)
-            (wanted,) = torch.autograd.grad(expected, x, grad, retain_graph=True)
-            assert_close(result, wanted, 1e-4, 1e-4)
+            (expected_grad,) = torch.autograd.grad(expected, x, grad, retain_graph=True)
+            assert_close(result, expected_grad, 1e-4, 1e-4)
 
 
 @pytest.mark.parametrize("size", [(24, 20), (23, 21)], ids=str)
@@ -310,15 +310,15 @@ def test_gradients_of_learned_ranges(device):
     """Of an augmentation in a pass with others, they equal those of separate calls."""
     grads = []
     x = torch.rand(3, 3, 16, 16, device=device)
-    for together in (True, False):
+    for joined in (True, False):
         angle = torch.nn.Parameter(torch.tensor([-20.0, 20.0], device=device))
         bright = torch.nn.Parameter(torch.tensor([0.8, 1.2], device=device))
         augment = A.ImageSequential(A.RandomRotation(angle, p=1.0), A.ColorJitter(brightness=bright))
         torch.manual_seed(3)
-        y = augment(x) if together else one_by_one(augment, x, 3)
+        y = augment(x) if joined else one_by_one(augment, x, 3)
         grads.append(torch.autograd.grad((y**2).sum(), [angle, bright]))
-    for together, alone in zip(*grads):
-        assert_close(together, alone, 1e-4, 1e-4)
+    for joined, alone in zip(*grads):
+        assert_close(joined, alone, 1e-4, 1e-4)
 
 
 BYTE_STEPS = {

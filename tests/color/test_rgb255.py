@@ -24,8 +24,8 @@ def test_clamped_at_both_ends(device):
 
 def test_normals(device):
     n = torch.nn.functional.normalize(torch.randn(2, 3, 5, 6, dtype=torch.float64, device=device), dim=1)
-    found = C.rgb255_to_normals(C.normals_to_rgb255(n))
-    assert_close(found, n)
+    result = C.rgb255_to_normals(C.normals_to_rgb255(n))
+    assert_close(result, n)
     unequal = C.rgb255_to_normals(torch.rand(2, 3, 5, 6, dtype=torch.float64, device=device) * 255)
     assert_close(unequal.norm(dim=1), torch.ones_like(unequal[:, 0]))
 

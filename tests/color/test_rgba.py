@@ -46,8 +46,8 @@ def test_backgrounds(shape, device):
 def test_background_numbers(device):
     x = torch.rand(4, 4, 5, device=device)
     color = torch.tensor([0.1, 0.2, 0.3], device=device)[:, None, None]
-    for given in ((0.1, 0.2, 0.3), [0.1, 0.2, 0.3]):
-        assert_close(C.rgba_to_rgb(x, given), C.rgba_to_rgb(x, color))
+    for background in ((0.1, 0.2, 0.3), [0.1, 0.2, 0.3]):
+        assert_close(C.rgba_to_rgb(x, background), C.rgba_to_rgb(x, color))
     assert_close(C.rgba_to_bgr(x), C.rgba_to_rgb(x, (1, 1, 1)).flip(0))
 
 

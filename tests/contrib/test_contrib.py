@@ -296,8 +296,8 @@ class TestConnectedComponents(OpTests):
 
 def test_histogram_matching_maps_over_batches_and_takes_empty_ones(device):
     source, template = torch.rand(2, 4, 3, 5, 6, device=device)
-    found = torch.vmap(C.histogram_matching)(source, template)
-    assert_close(found, torch.stack([C.histogram_matching(s, t) for s, t in zip(source, template)]))
+    result = torch.vmap(C.histogram_matching)(source, template)
+    assert_close(result, torch.stack([C.histogram_matching(s, t) for s, t in zip(source, template)]))
     assert C.histogram_matching(source[:0], template[:0]).shape == (0, 3, 5, 6)
 
 

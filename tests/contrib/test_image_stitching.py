@@ -35,9 +35,9 @@ def shift(x, y=0.0):
 def test_cut_images_are_whole_again(estimator, wrong, channels, device):
     wide = torch.rand(2, channels, 30, 90, device=device)
     stitch = K.contrib.ImageStitcher(Matches(shift(30.0), wrong), estimator)
-    found = stitch(wide[..., :50], wide[..., 30:])
-    assert found.shape[:3] == wide.shape[:3] and abs(found.shape[3] - 90) <= 1
-    torch.testing.assert_close(found[..., 1:88], wide[..., 1:88], atol=2e-2, rtol=0)
+    result = stitch(wide[..., :50], wide[..., 30:])
+    assert result.shape[:3] == wide.shape[:3] and abs(result.shape[3] - 90) <= 1
+    torch.testing.assert_close(result[..., 1:88], wide[..., 1:88], atol=2e-2, rtol=0)
 
 
 def test_three_images_and_gradients(device):

@@ -167,9 +167,9 @@ def test_parameters_as_they_are(dtype, device):
     assert_close(E.normalize(x, mean, std), expected, 1e-6, 1e-6)
     if dtype.is_floating_point:
         leaf = mean.clone().requires_grad_()
-        (found,) = torch.autograd.grad(E.normalize(x, leaf, std).sum(), leaf)
-        assert found.dtype == dtype
-        assert_close(found.float(), -35 / std.float(), 1e-2, 0)
+        (result,) = torch.autograd.grad(E.normalize(x, leaf, std).sum(), leaf)
+        assert result.dtype == dtype
+        assert_close(result.float(), -35 / std.float(), 1e-2, 0)
 
 
 def test_more_tensors_than_the_kernels_take(image, device):
@@ -228,11 +228,11 @@ def test_several_means_in_any_order(image, device):
     program, x = E.ColorProgram(*steps), image.double().requires_grad_()
     for x_of_one, y, positions, on in zip(x, program(x, None, order, enabled), order.tolist(), enabled.tolist()):
         assert_close(y, one_after_the_other(x_of_one, tuple(steps[i] for i in positions if on[i])), 2e-5, 1e-5)
-    found = []
+    results = []
     for name in ("auto", "reference"):
         with K.backend(name):
-            found.append(torch.autograd.grad(program(x, None, order, enabled).square().sum(), x)[0])
-    assert_close(*found, 1e-9, 1e-9)
+            results.append(torch.autograd.grad(program(x, None, order, enabled).square().sum(), x)[0])
+    assert_close(*results, 1e-9, 1e-9)
 
 
 def test_gradients_with_order(image, device):

@@ -76,9 +76,9 @@ def test_what_a_shift_of_all_orientations_and_scales_changes(device):
     expected = K.feature.match_adalam(*inputs)
     desc1, desc2, lafs1, lafs2 = inputs
     lafs1 = K.feature.rotate_laf(K.feature.scale_laf(lafs1, 1.5), torch.full((1, len(desc1), 1), 130.0).to(lafs1))
-    found = K.feature.match_adalam(desc1, desc2, lafs1, lafs2)
-    assert torch.equal(found[1], expected[1])
-    assert_close(found[0], expected[0])
+    result = K.feature.match_adalam(desc1, desc2, lafs1, lafs2)
+    assert torch.equal(result[1], expected[1])
+    assert_close(result[0], expected[0])
 
 
 def test_same_every_call_and_from_distances(device):

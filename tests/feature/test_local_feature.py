@@ -273,8 +273,8 @@ def test_the_example_of_the_paper(device):
         points.append(lafs[..., 2])
     scores, tentatives = K.match_smnn(*descriptors, 0.95)
     assert len(tentatives) > 15
-    found = [x[:, tentatives[:, i]] for i, x in enumerate(points)]
-    homography = K.find_homography_dlt_iterated(*found, 1 - scores.view(1, -1), 3.0)
+    results = [x[:, tentatives[:, i]] for i, x in enumerate(points)]
+    homography = K.find_homography_dlt_iterated(*results, 1 - scores.view(1, -1), 3.0)
     assert homography.shape == (1, 3, 3) and homography.isfinite().all()
 
 

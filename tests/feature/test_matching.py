@@ -48,30 +48,30 @@ MODES = {
 }
 
 
-@pytest.mark.parametrize("given", [False, True], ids=["", "dm"])
+@pytest.mark.parametrize("uses_dm", [False, True], ids=["", "dm"])
 @pytest.mark.parametrize("sizes", [(60, 60), (40, 90), (90, 40), (2, 2)], ids=str)
 @pytest.mark.parametrize("mode", MODES)
-def test_equals_kornia(mode, sizes, given, device):
+def test_equals_kornia(mode, sizes, uses_dm, device):
     x, y = (t.to(device, torch.float32).requires_grad_() for t in pair(*sizes))
-    dm = torch.cdist(x, y).detach() if given else None
+    dm = torch.cdist(x, y).detach() if uses_dm else None
     scores, indices = MODES[mode](K.feature, x, y, dm)
     expected_scores, expected_indices = MODES[mode](KF, x, y, dm)
     assert torch.equal(indices, expected_indices)
     torch.testing.assert_close(scores, expected_scores, atol=2e-5, rtol=2e-5)
     if sizes != (2, 2):
         assert len(indices) > 0
-    if len(indices) and not given:
+    if len(indices) and not uses_dm:
         grads, expected = (torch.autograd.grad(s.square().sum(), (x, y)) for s in (scores, expected_scores))
         torch.testing.assert_close(grads, expected, atol=1e-3, rtol=1e-3)
 
 
 @pytest.mark.parametrize("masked", [False, True])
-@pytest.mark.parametrize("given", [False, True], ids=["", "dm"])
-def test_batches_equal_kornia(masked, given, device):
+@pytest.mark.parametrize("uses_dm", [False, True], ids=["", "dm"])
+def test_batches_equal_kornia(masked, uses_dm, device):
     x, y = (torch.stack(t).to(device) for t in zip(*(pair(50, 45, seed=s) for s in range(3))))
     masks = {"mask1": torch.rand(3, 50) < 0.8, "mask2": torch.rand(3, 45) < 0.8} if masked else {}
     masks = {name: mask.to(device) for name, mask in masks.items()}
-    dm = torch.cdist(x, y) if given else None
+    dm = torch.cdist(x, y) if uses_dm else None
     ours = K.feature.match_smnn_batched(x, y, 0.97, dm, **masks)
     theirs = KF.match_smnn_batched(x, y, 0.97, dm, **masks)
     assert len(ours[1]) > 20 and torch.equal(ours[1], theirs[1])
@@ -195,10 +195,10 @@ def test_all_sizes_and_instruction_sets(isa, device, backend):
             for dtype in SINGLE_AND_DOUBLE:
                 x, y = descriptors(2, n, width).to(dtype), descriptors(2, m, width, seed=1).to(dtype)
                 args = (x, y, None, None, None, None, 0.0, True)
-                found = _two_nearest(*args)
+                result = _two_nearest(*args)
                 with K.backend("reference"):
                     expected = _two_nearest(*args)
-                for a, b in zip(found, expected):
+                for a, b in zip(result, expected):
                     torch.testing.assert_close(a, b, atol=2e-6, rtol=1e-5)
 
 

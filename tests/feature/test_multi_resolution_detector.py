@@ -58,9 +58,9 @@ def test_levels_do_not_shift_positions(device):
         config = {**F.get_default_detector_config(), "pyramid_levels": 0, **levels}
         detector = F.MultiResolutionDetector(Magnitude(F.BlobDoGSingle(1.6, 2.6)), 12, config)
         lafs, responses = detector(image)
-        found = F.get_laf_center(lafs)[0][responses[0] > 0.3 * responses[0, 0]].cpu()
-        assert len(found) >= 2
-        assert torch.cdist(found, centers).amin(1).max() < 0.1
+        result = F.get_laf_center(lafs)[0][responses[0] > 0.3 * responses[0, 0]].cpu()
+        assert len(result) >= 2
+        assert torch.cdist(result, centers).amin(1).max() < 0.1
 
 
 def test_samples_do_not_depend_on_each_other(device):

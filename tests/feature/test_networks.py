@@ -116,9 +116,9 @@ def test_published_affnet(preserve_orientation, data, device):
     theirs = KF.LAFAffNetShapeEstimator(False, preserve_orientation).eval().to(device)
     theirs.load_state_dict(torch.load(path, map_location=device, weights_only=True)["state_dict"])
     lafs, image = frames(device)
-    found = K.feature.LAFAffNetShapeEstimator(path, preserve_orientation).to(device)(lafs, image)
-    torch.testing.assert_close(found[:, :20], theirs(lafs[:, :20], image), atol=1e-2, rtol=1e-3)
-    assert torch.equal(found[:, 20:], lafs[:, 20:])  # Kornia makes NaN of empty slots
+    result = K.feature.LAFAffNetShapeEstimator(path, preserve_orientation).to(device)(lafs, image)
+    torch.testing.assert_close(result[:, :20], theirs(lafs[:, :20], image), atol=1e-2, rtol=1e-3)
+    assert torch.equal(result[:, 20:], lafs[:, 20:])  # Kornia makes NaN of empty slots
 
 
 def test_affnet_adapts_frames(device):
@@ -126,12 +126,12 @@ def test_affnet_adapts_frames(device):
     network = K.feature.LAFAffNetShapeEstimator(pretrained=False).eval().to(device)
     image.requires_grad_()
     lafs.requires_grad_()
-    found = network(lafs, image)
+    result = network(lafs, image)
     for value in (K.feature.get_laf_center, K.feature.get_laf_scale):
-        torch.testing.assert_close(value(found), value(lafs), atol=1e-3, rtol=1e-3)
-    turned = K.feature.get_laf_orientation(found[:, :20]) - K.feature.get_laf_orientation(lafs[:, :20])
+        torch.testing.assert_close(value(result), value(lafs), atol=1e-3, rtol=1e-3)
+    turned = K.feature.get_laf_orientation(result[:, :20]) - K.feature.get_laf_orientation(lafs[:, :20])
     assert ((turned + 180) % 360 - 180).abs().max() < 0.01
-    found.square().sum().backward()
+    result.square().sum().backward()
     assert image.grad.isfinite().all() and image.grad.abs().sum() > 0 and lafs.grad.isfinite().all()
     assert network(lafs[:, :0], image).shape == (1, 0, 2, 3)
     with pytest.raises(ValueError, match="LAFAffNetShapeEstimator: expected "):

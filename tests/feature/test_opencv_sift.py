@@ -29,7 +29,7 @@ def picture(name: str, request: pytest.FixtureRequest) -> np.ndarray:
 @pytest.mark.parametrize("name", ["astronaut", "coffee", "camera", *SEQUENCES])
 def test_key_points_and_descriptors_are_those_of_opencv(name, request, device):
     image, count = picture(name, request), 2000
-    found, theirs = cv2.SIFT_create(count).detectAndCompute(image, None)
+    result, theirs = cv2.SIFT_create(count).detectAndCompute(image, None)
     theirs = torch.from_numpy(theirs)
     feature = K.feature.SIFTFeature(count, rootsift=False, device=device, descriptor_layout="opencv", opencv=True)
     with torch.no_grad():
@@ -37,11 +37,11 @@ def test_key_points_and_descriptors_are_those_of_opencv(name, request, device):
     filled = responses[0] > 0
     xy, size, angle = (x[0, filled] for x in opencv_key_points(lafs))
     ours = ours[0, filled]
-    assert abs(len(xy) - len(found)) <= 2  # OpenCV keeps all key points of the response of the last one
-    close = torch.cdist(torch.tensor([k.pt for k in found]), xy) < 0.5
-    close &= (size / torch.tensor([k.size for k in found])[:, None] - 1).abs() < 0.05
+    assert abs(len(xy) - len(result)) <= 2  # OpenCV keeps all key points of the response of the last one
+    close = torch.cdist(torch.tensor([k.pt for k in result]), xy) < 0.5
+    close &= (size / torch.tensor([k.size for k in result])[:, None] - 1).abs() < 0.05
     assert close.any(1).float().mean() >= 0.99
-    turn = (angle - torch.tensor([k.angle for k in found])[:, None] + 180) % 360 - 180
+    turn = (angle - torch.tensor([k.angle for k in result])[:, None] + 180) % 360 - 180
     same = close & (turn.abs() < 1)
     # Both round directions to bins, OpenCV after an approximation of the arc tangent.
     assert same.any(1).sum() >= 0.985 * close.any(1).sum()

@@ -101,8 +101,8 @@ class TestLAFOrienter:
         for patch, angle in zip(*ramps(96, 9, device)):
             image = patch[None] / 96
             turned = K.feature.LAFOrienter()(self.frames(image), image)
-            found = torch.deg2rad(K.feature.get_laf_orientation(turned))
-            assert difference(found, angle).abs().max() < math.radians(1)
+            result = torch.deg2rad(K.feature.get_laf_orientation(turned))
+            assert difference(result, angle).abs().max() < math.radians(1)
 
     def test_against_kornia(self, device):
         image = torch.nn.functional.interpolate(

@@ -47,9 +47,9 @@ def test_blobs_are_found_where_they_are(device):
     centers = torch.tensor([[30.25, 40.75], [90.5, 60.0]], dtype=torch.float64)
     detector = F.ScaleSpaceDetector(2, mr_size=1.0, scale_pyr_module=K.ScalePyramid(3, 1.6, 16, double_image=True))
     lafs, _ = detector(blobs(centers, 4.0, 128).to(device))
-    found = F.get_laf_center(lafs)[0].cpu()
-    found = found[found[:, 0].argsort()]
-    assert (found - centers).abs().max() < 0.06  # a pixel of the octave has a width of 2
+    result = F.get_laf_center(lafs)[0].cpu()
+    result = result[result[:, 0].argsort()]
+    assert (result - centers).abs().max() < 0.06  # a pixel of the octave has a width of 2
     assert (F.get_laf_scale(lafs) - 4).abs().max() < 0.4
 
 

@@ -34,10 +34,10 @@ def peaks(
     scales = torch.full(levels.shape[:1], 0.5, dtype=wide, device=levels.device)
     weights = None if weights is None else weights.to(wide).clamp(max=8) / 8
     filters = (3.0, border, edge_ratio, threshold)
-    found, voxels = scale_space_peaks(
+    result, voxels = scale_space_peaks(
         levels, weights, scales, differences, minima, count, *filters, 5, 0.6, radius, True
     )
-    return found, voxels.to(wide)  # the suite weighs results by random numbers, which integers have none of
+    return result, voxels.to(wide)  # the suite weighs results by random numbers, which integers have none of
 
 
 def blobs(shape: tuple[int, ...]) -> Tensor:
@@ -76,8 +76,8 @@ class TestScaleSpacePeaks(OpTests):
     def expected(self, x, kwargs):
         wide = {k: v.double() if isinstance(v, Tensor) else v for k, v in kwargs.items()}
         with K.backend("reference"):
-            found, voxels = self.call(x.double(), wide)
-        return tuple(y.to(compute_dtype(floats(x))) for y in (found, voxels))
+            result, voxels = self.call(x.double(), wide)
+        return tuple(y.to(compute_dtype(floats(x))) for y in (result, voxels))
 
     @pytest.fixture(autouse=True)
     def on_the_cpu(self, device):
@@ -111,12 +111,12 @@ def test_a_blob_is_found_between_voxels(device):
     z, y, x = torch.meshgrid(*[torch.arange(n, dtype=torch.float64, device=device) for n in (5, 20, 24)], indexing="ij")
     volume = -((x - 11.3) ** 2 + 2 * (y - 8.8) ** 2 + (z - 2.1) ** 2)[None]
     for sign, minima in ((1, False), (-1, True)):
-        found, voxels = peaks(sign * (volume + 1), minima=minima, count=2)
+        result, voxels = peaks(sign * (volume + 1), minima=minima, count=2)
         # A minimum has its negative value.
         expected = torch.tensor([2.1, 11.3, 8.8, 1.0], dtype=torch.float64, device=device)
-        assert_close(found[0, 0], expected, 1e-9, 1e-9)
+        assert_close(result[0, 0], expected, 1e-9, 1e-9)
         assert voxels.long().tolist() == [[(2 * 20 + 9) * 24 + 11, -1]]
-        assert (found[0, 1] == 0).all()
+        assert (result[0, 1] == 0).all()
 
 
 @pytest.mark.native  # torch.topk, by which the reference chooses, gives equal ones in any order
@@ -135,7 +135,7 @@ def test_what_is_not_finite_is_no_peak(device):
     levels = blobs((2, 6, 10, 14)).to(device)
     levels[0, :, :, 5:] = torch.nan
     levels.requires_grad_()
-    found, voxels = peaks(levels)
-    assert found.isfinite().all() and (voxels[0] >= 0).sum() == 1 and (voxels[1] >= 0).sum() == 2
-    (grad,) = torch.autograd.grad(found.sum(), levels)
+    result, voxels = peaks(levels)
+    assert result.isfinite().all() and (voxels[0] >= 0).sum() == 1 and (voxels[1] >= 0).sum() == 2
+    (grad,) = torch.autograd.grad(result.sum(), levels)
     assert grad.isfinite().all() and (grad != 0).any()

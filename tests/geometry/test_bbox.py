@@ -66,8 +66,8 @@ def test_bbox_functions_are_those_of_kornia(theirs, device):
     flip = torch.tensor([[[-2.0, 0, 10], [0, 1, 3], [0, 0, 1]]], dtype=torch.float64)
     for mode, restore in itertools.product(("xyxy", "xywh"), (None, False)):
         boxes = xyxy(1, 5)
-        found = G.transform_bbox(flip.to(device), boxes.to(device), mode, restore)
-        assert_close(found.cpu(), theirs.transform_bbox(flip, boxes, mode, restore))
+        result = G.transform_bbox(flip.to(device), boxes.to(device), mode, restore)
+        assert_close(result.cpu(), theirs.transform_bbox(flip, boxes, mode, restore))
     M = rigid(2)
     assert_close(
         G.transform_bbox(M.to(device), xyxy(2, 5, 4, axes=1).to(device)).cpu(),
@@ -78,9 +78,9 @@ def test_bbox_functions_are_those_of_kornia(theirs, device):
 def test_a_turned_box_is_around_its_corners(device):
     turn = torch.eye(3, dtype=torch.float64)[None]
     turn[:, :2, :2] = G.angle_to_rotation_matrix(torch.tensor([45.0], dtype=torch.float64))
-    found = G.transform_bbox(turn.to(device), torch.tensor([[0.0, 0, 1, 1]], dtype=torch.float64, device=device))
+    result = G.transform_bbox(turn.to(device), torch.tensor([[0.0, 0, 1, 1]], dtype=torch.float64, device=device))
     half = 0.5**0.5
-    assert_close(found, torch.tensor([[0, -half, 2 * half, half]], dtype=torch.float64, device=device))
+    assert_close(result, torch.tensor([[0, -half, 2 * half, half]], dtype=torch.float64, device=device))
 
 
 def test_validation():
@@ -114,10 +114,10 @@ def greedy(boxes: Tensor, scores: Tensor, threshold: float) -> list[int]:
 @pytest.mark.parametrize("n", [0, 1, 2, 50, 300])
 def test_nms_is_greedy(n, threshold, device, monkeypatch):
     boxes, scores = xyxy(n), (10 * rand(n, seed=6)).round()
-    found = G.nms(boxes.to(device), scores.to(device), threshold)
-    assert found.tolist() == greedy(boxes, scores, threshold)
+    result = G.nms(boxes.to(device), scores.to(device), threshold)
+    assert result.tolist() == greedy(boxes, scores, threshold)
     monkeypatch.setattr("kvision.geometry.bbox.NMS_BLOCK", 37)
-    assert G.nms(boxes.to(device), scores.to(device), threshold).tolist() == found.tolist()
+    assert G.nms(boxes.to(device), scores.to(device), threshold).tolist() == result.tolist()
 
 
 def test_nms_of_a_chain(device):

@@ -52,28 +52,28 @@ class TestBoxes(CompositionTests):
 
 def every_form(boxes: Tensor, pads: Tensor, M: Tensor) -> list[Tensor]:
     """Of Boxes and VideoBoxes."""
-    found = []
+    results = []
     for mode in MODES:
-        found.append(G.Boxes.from_tensor(G.Boxes(boxes).to_tensor(mode), mode, validate_boxes=False).to_tensor(mode))
-        found.append(G.VideoBoxes.from_tensor(boxes[:, None], False).to_tensor(mode))
+        results.append(G.Boxes.from_tensor(G.Boxes(boxes).to_tensor(mode), mode, validate_boxes=False).to_tensor(mode))
+        results.append(G.VideoBoxes.from_tensor(boxes[:, None], False).to_tensor(mode))
     there = G.Boxes(boxes).transform_boxes(M).pad(pads).unpad(pads).translate(pads[:, :2])
     kept = there.clamp(pads[:, :2], (9, 9)).merge(there).filter_boxes_by_area(1.0, 9.0).trim(True)
     there[:1] = there[1:]
     for some in (there, kept, kept.clone()[0], there.to(dtype=torch.float32)):
-        found += [some.data, some.compute_area(), *some.get_boxes_shape()]
-    return [*found, there.to_mask(7, 8)]
+        results += [some.data, some.compute_area(), *some.get_boxes_shape()]
+    return [*results, there.to_mask(7, 8)]
 
 
 def every_form3d(boxes: Tensor, points: Tensor, M: Tensor) -> list[Tensor]:
     """Of Boxes3D and Keypoints."""
-    found = []
+    results = []
     for mode in MODES3D:
         there = G.Boxes3D.from_tensor(G.Boxes3D(boxes).to_tensor(mode), mode, validate_boxes=False).transform_boxes(M)
-        found += [there.to_tensor(mode), *there.get_boxes_shape()]
+        results += [there.to_tensor(mode), *there.get_boxes_shape()]
     for kind, pads, matrix in ((G.Keypoints, M[:, 0], M[:, 1:, 1:]), (G.Keypoints3D, M.flatten(1)[:, :6], None)):
         there = kind.from_tensor(points[..., : pads.shape[1] // 2]).pad(pads).unpad(pads)
-        found += [there[0].data, (there if matrix is None else there.transform_keypoints(matrix)).to_tensor()]
-    return [*found, G.Boxes3D(boxes).to_mask(3, 4, 5)]
+        results += [there[0].data, (there if matrix is None else there.transform_keypoints(matrix)).to_tensor()]
+    return [*results, G.Boxes3D(boxes).to_mask(3, 4, 5)]
 
 
 @pytest.mark.tracing
@@ -83,8 +83,8 @@ def test_all_of_it_compiles_without_a_break(device):
     calls = (every_form, corners, rand(2, 4), rigid(2)), (every_form3d, corners3d, rand(2, 5, 3), rigid(2, 3))
     for call, *args in calls:
         values = [v.to(device) for v in args]
-        for found, expected in zip(torch.compile(call, fullgraph=True, backend="eager")(*values), call(*values)):
-            assert_close(found, expected)
+        for result, expected in zip(torch.compile(call, fullgraph=True, backend="eager")(*values), call(*values)):
+            assert_close(result, expected)
 
 
 @pytest.mark.tracing
@@ -94,9 +94,9 @@ def test_containers_go_into_and_come_out_of_compiled_functions(device):
     moved = torch.compile(
         lambda b, k: (b.transform_boxes(M), k.transform_keypoints(M)), fullgraph=True, backend="eager"
     )
-    for found, expected in zip(moved(boxes, points), (boxes.transform_boxes(M), points.transform_keypoints(M))):
-        assert type(found) is type(expected)
-        assert_close(found.data, expected.data)
+    for result, expected in zip(moved(boxes, points), (boxes.transform_boxes(M), points.transform_keypoints(M))):
+        assert type(result) is type(expected)
+        assert_close(result.data, expected.data)
 
 
 @pytest.fixture(scope="module")
@@ -111,9 +111,9 @@ def theirs():
 @pytest.mark.parametrize("batch", [(), (2,)], ids=["one", "batch"])
 @pytest.mark.parametrize("source, target", [*itertools.product(MODES, MODES)])
 def test_forms_are_those_of_kornia(source, target, batch, theirs, device):
-    given = theirs.Boxes.from_tensor(xyxy(*batch, 5)).to_tensor(source)
-    ours = G.Boxes.from_tensor(given.to(device), source)
-    his = theirs.Boxes.from_tensor(given, source)
+    tensor = theirs.Boxes.from_tensor(xyxy(*batch, 5)).to_tensor(source)
+    ours = G.Boxes.from_tensor(tensor.to(device), source)
+    his = theirs.Boxes.from_tensor(tensor, source)
     assert_close(ours.data.cpu(), his.data)
     assert_close(ours.to_tensor(target).cpu(), his.to_tensor(target))
     assert ours.mode == source
@@ -122,8 +122,8 @@ def test_forms_are_those_of_kornia(source, target, batch, theirs, device):
 
 @pytest.mark.parametrize("source, target", [*itertools.product(MODES3D[:3], MODES3D)])
 def test_forms_in_space_are_those_of_kornia(source, target, theirs, device):
-    given = theirs.Boxes3D.from_tensor(xyxy(2, 5, axes=3)).to_tensor(source)
-    ours, his = G.Boxes3D.from_tensor(given.to(device), source), theirs.Boxes3D.from_tensor(given, source)
+    tensor = theirs.Boxes3D.from_tensor(xyxy(2, 5, axes=3)).to_tensor(source)
+    ours, his = G.Boxes3D.from_tensor(tensor.to(device), source), theirs.Boxes3D.from_tensor(tensor, source)
     assert_close(ours.data.cpu(), his.data)
     assert_close(ours.to_tensor(target).cpu(), his.to_tensor(target))
     assert_close([x.cpu() for x in ours.get_boxes_shape()], list(his.get_boxes_shape()))
@@ -136,16 +136,16 @@ def test_forms_in_space_are_those_of_kornia(source, target, theirs, device):
 
 @pytest.mark.parametrize("batch", [(), (2,)], ids=["one", "batch"])
 def test_methods_are_those_of_kornia(batch, theirs, device):
-    given, more = xyxy(*batch, 5), xyxy(*batch, 3, seed=7)
-    ours, his = G.Boxes.from_tensor(given.to(device)), theirs.Boxes.from_tensor(given)
+    tensor, more = xyxy(*batch, 5), xyxy(*batch, 3, seed=7)
+    ours, his = G.Boxes.from_tensor(tensor.to(device)), theirs.Boxes.from_tensor(tensor)
     n = batch[0] if batch else 1
     M, move, rim = rigid(n), rand(n, 2), 5 * rand(n, 4)
     low, high = torch.full((n, 2), 8.0, dtype=torch.float64), torch.full((n, 2), 19.0, dtype=torch.float64)
     index = (torch.tensor([0]),)
 
     def both(call):
-        found, expected = call(ours.clone(), lambda x: x.to(device)), call(his.clone(), lambda x: x)
-        for a, b in zip(*((y,) if not isinstance(y, tuple) else y for y in (found, expected)), strict=True):
+        result, expected = call(ours.clone(), lambda x: x.to(device)), call(his.clone(), lambda x: x)
+        for a, b in zip(*((y,) if not isinstance(y, tuple) else y for y in (result, expected)), strict=True):
             a, b = (y if isinstance(y, Tensor) else y.data for y in (a, b))
             assert_close(a.cpu(), b, 1e-9, 1e-9)
 

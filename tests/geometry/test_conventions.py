@@ -19,12 +19,12 @@ def test_defaults_of_align_corners():
     """The table names every function that has the argument, and its default."""
     rows = re.findall(r"^\| `(True|False|None)`[^|]*\| (.*) \|$", PAGE, re.MULTILINE)
     stated = {name: default for default, names in rows for name in re.findall(r"`(\w+)`", names)}
-    found = {}
+    results = {}
     for name in dir(K.geometry.transform):
         value = getattr(K.geometry.transform, name)
         if inspect.isfunction(value) and not name.startswith("_"):
             parameter = inspect.signature(value).parameters.get("align_corners")
             if parameter is not None:
-                found[name] = str(parameter.default)
-    found["Rescale"] = str(inspect.signature(K.geometry.Rescale).parameters["align_corners"].default)
-    assert stated == found
+                results[name] = str(parameter.default)
+    results["Rescale"] = str(inspect.signature(K.geometry.Rescale).parameters["align_corners"].default)
+    assert stated == results

@@ -37,13 +37,13 @@ def rand(*shape: int, seed: int = 5) -> Tensor:
 def test_fitted_lines_are_those_of_a_decomposition(axes, weighted, device):
     points = rand(7, 20, axes) + 3 * rand(7, 20, 1, seed=6) * rand(7, 1, axes, seed=7)
     weights = rand(7, 20, seed=8).abs() if weighted else None
-    found = G.fit_line(points.to(device), None if weights is None else weights.to(device))
+    result = G.fit_line(points.to(device), None if weights is None else weights.to(device))
     w = torch.ones(7, 20, dtype=torch.float64) if weights is None else weights
     mean = (w[..., None] * points).sum(1, keepdim=True) / w.sum(1)[:, None, None]
     _, _, V = torch.linalg.svd((points - mean) * w.sqrt()[..., None])
-    assert_close(found.origin.cpu(), mean[:, 0])
-    assert_close((found.direction.cpu() * V[:, 0]).sum(-1).abs(), torch.ones(7, dtype=torch.float64))
-    assert_close(found.direction.norm(dim=-1).cpu(), torch.ones(7, dtype=torch.float64))
+    assert_close(result.origin.cpu(), mean[:, 0])
+    assert_close((result.direction.cpu() * V[:, 0]).sum(-1).abs(), torch.ones(7, dtype=torch.float64))
+    assert_close(result.direction.norm(dim=-1).cpu(), torch.ones(7, dtype=torch.float64))
 
 
 def test_degenerate_fits_have_finite_gradients(device):
@@ -52,9 +52,9 @@ def test_degenerate_fits_have_finite_gradients(device):
     for points, fit in itertools.product(
         (same, along), (lambda p: G.fit_line(p).direction, lambda p: G.fit_plane(p).n)
     ):
-        found = fit(points)
-        (grad,) = torch.autograd.grad(found.sum(), points)
-        assert found.isfinite().all()
+        result = fit(points)
+        (grad,) = torch.autograd.grad(result.sum(), points)
+        assert result.isfinite().all()
         assert grad.isfinite().all()
     assert_close(G.fit_line(along).direction, torch.full((1, 3), 3**-0.5, device=device))
     assert not G.fit_line(same).direction.any()

@@ -27,13 +27,13 @@ def rand(*shape: int, seed: int = 5) -> Tensor:
 def test_fitted_planes_are_those_of_a_decomposition(device):
     points = rand(7, 20, 3) * torch.tensor([1, 0.5, 0.01], dtype=torch.float64)
     points = points @ G.axis_angle_to_rotation_matrix(rand(7, 3, seed=9)).mT + 100
-    found = G.fit_plane(points.to(device))
+    result = G.fit_plane(points.to(device))
     _, S, V = torch.linalg.svd(points - points.mean(1, keepdim=True))
-    assert_close((found.normal.data.cpu() * V[:, 2]).sum(-1).abs(), torch.ones(7, dtype=torch.float64))
-    distances = found.abs_distance(points.to(device).transpose(0, 1)).data
+    assert_close((result.normal.data.cpu() * V[:, 2]).sum(-1).abs(), torch.ones(7, dtype=torch.float64))
+    distances = result.abs_distance(points.to(device).transpose(0, 1)).data
     assert_close(distances.square().sum(0).cpu(), S[:, 2] ** 2, 1e-8, 1e-8)
     single = G.fit_plane(Vector3(points[0].float().to(device)))
-    assert_close(single.normal.data.double().cpu().abs(), found.normal.data[0].cpu().abs(), 1e-2, 1e-2)
+    assert_close(single.normal.data.double().cpu().abs(), result.normal.data[0].cpu().abs(), 1e-2, 1e-2)
 
 
 BAD = [

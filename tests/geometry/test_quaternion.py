@@ -62,8 +62,8 @@ def test_quaternions_are_those_of_kornia(device):
     for name in ("real", "scalar", "vec", "q", "w", "x", "y", "z", "polar_angle"):
         assert_close(getattr(a, name).cpu(), getattr(b, name))
     for name in ("matrix", "to_axis_angle", "norm", "squared_norm", "to_euler"):
-        found, expected = getattr(a, name)(), getattr(b, name)()
-        assert_close([x.cpu() for x in found] if isinstance(found, tuple) else found.cpu(), expected)
+        result, expected = getattr(a, name)(), getattr(b, name)()
+        assert_close([x.cpu() for x in result] if isinstance(result, tuple) else result.cpu(), expected)
     assert a.shape == (6, 4)
     assert len(a.coeffs) == 4
     assert a.norm(keepdim=True).shape == (6, 1)
@@ -110,8 +110,8 @@ def test_average(device):
     turns = 0.3 * (torch.rand(200, 3, dtype=torch.float64, device=device) - 0.5)
     around = center * Q.from_axis_angle(torch.cat([turns, -turns]))
     signs = torch.where(torch.rand(400, 1, device=device) > 0.5, 1.0, -1.0)
-    found = average_quaternions(Q(around.data * signs))
-    assert_close(found.matrix(), center.matrix(), 0, 1e-12)
+    result = average_quaternions(Q(around.data * signs))
+    assert_close(result.matrix(), center.matrix(), 0, 1e-12)
     weights = torch.cat([torch.ones(1), torch.zeros(399)]).to(device)
     assert_close(average_quaternions(around, weights).matrix()[0], around.matrix()[0], 0, 1e-12)
     same = center.data.expand(5, 4).clone().requires_grad_()

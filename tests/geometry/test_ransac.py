@@ -57,11 +57,11 @@ MODELS = [
 def test_finds_who_is_right(model, dtype, device):
     x, y, right, threshold = correspondences(model)
     x, y = x.to(device, dtype), y.to(device, dtype)
-    found, inliers = K.geometry.RANSAC(model, threshold, seed=0)(x, y)
+    result, inliers = K.geometry.RANSAC(model, threshold, seed=0)(x, y)
     inliers = inliers.cpu()
     assert (inliers & right).sum() >= 0.97 * right.sum()
     assert (inliers & ~right).sum() <= 0.2 * (~right).sum()  # some are right by chance
-    assert found.shape == (3, 3) and found.dtype == dtype and found.isfinite().all()
+    assert result.shape == (3, 3) and result.dtype == dtype and result.isfinite().all()
     theirs = kornia.geometry.RANSAC(model, threshold, seed=0)(x.cpu(), y.cpu())[1]
     assert inliers.sum() >= 0.98 * theirs.sum()
 
@@ -146,14 +146,14 @@ def test_minimal_models_are_the_references(model, device):
     size, count = SIZES[model]
     draws = torch.cat([rand(64, size), torch.full((64, 1), float(x.shape[1])).double()], 1)
     x, y, draws = (v.to(device) for v in (x, y, draws))
-    found = minimal_solver(x, y, draws, model)
+    result = minimal_solver(x, y, draws, model)
     with K.backend("reference"):
         expected = minimal_solver(x, y, draws, model)
-    assert found.shape == expected.shape == (64, count, 3, 3)
-    assert torch.equal(found.isnan().flatten(2).any(-1).sum(1), expected.isnan().flatten(2).any(-1).sum(1))
+    assert result.shape == expected.shape == (64, count, 3, 3)
+    assert torch.equal(result.isnan().flatten(2).any(-1).sum(1), expected.isnan().flatten(2).any(-1).sum(1))
     if model == "affine":
-        found, expected = found.clamp(-1e3, 1e3), expected.clamp(-1e3, 1e3)
-    assert_close(invariant(found), invariant(expected), 1e-4, 1e-4)
+        result, expected = result.clamp(-1e3, 1e3), expected.clamp(-1e3, 1e3)
+    assert_close(invariant(result), invariant(expected), 1e-4, 1e-4)
 
 
 @pytest.mark.parametrize("model", ["affine", "homography", "lines", "fundamental", "essential"])
@@ -163,11 +163,11 @@ def test_consensus_is_the_references(model, dtype, device):
     x, y = (rand(numbers, 77, high=9, seed=s).to(device, dtype) for s in (1, 2))
     models = rand(40, 3, 3, low=-1, seed=3).to(device, dtype)
     models[7, 1, 1] = float("nan")
-    found = _consensus(models, x, y, 3.0, MODEL[model])
+    result = _consensus(models, x, y, 3.0, MODEL[model])
     with K.backend("reference"):
         expected = _consensus(models, x, y, 3.0, MODEL[model])
-    assert_close(found[:, 1], expected[:, 1])
-    assert_close(found, expected, 1e-4, 1e-3)
+    assert_close(result[:, 1], expected[:, 1])
+    assert_close(result, expected, 1e-4, 1e-3)
 
 
 @pytest.mark.parametrize("model", ["homography", "lines", "essential"])
@@ -180,11 +180,11 @@ def test_merge_top_k_is_the_references(model, dtype, device):
     scores, other_scores = (_consensus(m, x, y, 3.0, MODEL[model]) for m in (models, others))
     for by_count, count in ((False, 8), (True, 1), (False, 40)):
         args = (models, scores, others, other_scores, x, y, 3.0, 0.2, count, by_count, MODEL[model])
-        found = _merge_top_k(*args)
+        result = _merge_top_k(*args)
         with K.backend("reference"):
             expected = _merge_top_k(*args)
-        assert_close(found[:2], expected[:2], 0, 0)
-        assert_close(found[2], expected[2], 1e-4, 1e-4)
+        assert_close(result[:2], expected[:2], 0, 0)
+        assert_close(result[2], expected[2], 1e-4, 1e-4)
     alone = _merge_top_k(models, scores, others[:0], other_scores[:0], x, y, 3.0, 0.0, 3, False, MODEL[model])
     assert_close(alone[1][:, 0], scores[:, 0].sort(descending=True).values[:3], 0, 0)
     assert_close(alone[2].sum(-1), alone[1][:, 1], 0, 0)
@@ -197,16 +197,16 @@ def test_top_k_and_final_models_are_the_references(count, dtype, device):
     weights = (rand(2500, 1500, low=-1) * (rand(2500, 1) > 0.5)).clamp(min=0)
     models, scores, weights = (x.to(device, dtype) for x in (models, scores, weights))
     for by_count in (False, True):
-        found = _top_k_models(models, scores, count, by_count)
+        result = _top_k_models(models, scores, count, by_count)
         with K.backend("reference"):
-            assert_close(found, _top_k_models(models, scores, count, by_count), 0, 0)
+            assert_close(result, _top_k_models(models, scores, count, by_count), 0, 0)
     models[5, 2, 2] = 0
     for i in range(8):
         for kind in ("essential", "homography"):
             args = models[i:], weights[i:], 7 if i else 1499, MODEL[kind]
-            found = _finalize_model(*args)
+            result = _finalize_model(*args)
             with K.backend("reference"):
-                assert_close(found, _finalize_model(*args), 1e-6, 1e-6)
+                assert_close(result, _finalize_model(*args), 1e-6, 1e-6)
 
 
 def test_one_set_of_points_serves_all_weights(device):
@@ -333,10 +333,10 @@ def test_opencv_essential():
 def test_opencv_affine():
     """Of all points, and of those that its RANSAC keeps: what OpenCV refines to is the least squares of its inliers."""
     x, y, right, threshold = correspondences("affine")
-    found, mask = cv2.estimateAffine2D(x.numpy(), y.numpy(), method=cv2.RANSAC, ransacReprojThreshold=threshold)
+    result, mask = cv2.estimateAffine2D(x.numpy(), y.numpy(), method=cv2.RANSAC, ransacReprojThreshold=threshold)
     inliers = torch.from_numpy(mask[:, 0] > 0)
     least = K.geometry.find_affine(x[None, inliers], y[None, inliers])[0]
-    assert_close(least[:2], torch.from_numpy(found), 1e-6, 1e-4)
+    assert_close(least[:2], torch.from_numpy(result), 1e-6, 1e-4)
     model, ours = K.geometry.RANSAC("affine", inl_th=threshold, seed=0)(x, y)
     assert (ours == inliers).double().mean() > 0.99 and (ours & right).sum() > 0.99 * right.sum()
     assert_close(moved(x[None, right], model[None]), moved(x[None, right], least[None]), 0, 0.1)

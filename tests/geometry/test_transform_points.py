@@ -102,10 +102,10 @@ KINDS = [
 def test_numbers_of_points(kind, axes, sizes, count, device):
     """Fours and what is left of them, one part and several, one matrix and one for each."""
     for batch, own in itertools.product((1, 3), (False, True)):
-        given = [torch.rand(batch, count, axes) + 0.2, torch.rand(batch if own else 1, *sizes) + 0.3]
+        inputs = [torch.rand(batch, count, axes) + 0.2, torch.rand(batch if own else 1, *sizes) + 0.3]
         if kind.startswith("unproject"):
-            given.append(torch.rand(batch, count, 1) + 0.2)
-        leaves = [x.to(device).requires_grad_() for x in given]
+            inputs.append(torch.rand(batch, count, 1) + 0.2)
+        leaves = [x.to(device).requires_grad_() for x in inputs]
 
         def both(leaves):
             y = _transform_points(leaves[0], leaves[2] if len(leaves) > 2 else None, leaves[1], POINT_MAP[kind])
@@ -175,13 +175,13 @@ def test_cameras_of_any_axes(device):
 def test_projections_of_space_to_the_plane(batch, device):
     projection = torch.rand(*batch, 3, 4, dtype=torch.float64, device=device, requires_grad=True)
     points = torch.rand(2, 5, 3, dtype=torch.float64, device=device, requires_grad=True)
-    found = G.transform_points(projection, points)
+    result = G.transform_points(projection, points)
     homogeneous = torch.cat([points, torch.ones_like(points[..., :1])], -1) @ projection.mT
-    assert_close(found, homogeneous[..., :2] / homogeneous[..., 2:])
+    assert_close(result, homogeneous[..., :2] / homogeneous[..., 2:])
     assert torch.autograd.gradcheck(G.transform_points, (projection, points))
     kornia = pytest.importorskip("kornia").geometry
     if batch:
-        assert_close(found, kornia.transform_points(projection, points))
+        assert_close(result, kornia.transform_points(projection, points))
 
 
 @pytest.mark.parametrize("n", [1, 4])

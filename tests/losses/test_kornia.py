@@ -25,7 +25,7 @@ MASK = torch.arange(40) % 7 < 5
 
 def compare(name: str, *args, **kwargs):
     """Values, and gradients to all floating-point tensors."""
-    found = []
+    results = []
     for module in (L, kornia):
         leaves = [a.clone().requires_grad_() if torch.is_tensor(a) and a.is_floating_point() else a for a in args]
         mapped = {k: getattr(module.MIKernel, v.name) if isinstance(v, L.MIKernel) else v for k, v in kwargs.items()}
@@ -34,8 +34,8 @@ def compare(name: str, *args, **kwargs):
         gradients = torch.autograd.grad(
             (y * weights).sum(), [a for a in leaves if torch.is_tensor(a) and a.requires_grad]
         )
-        found.append((y.detach(), *gradients))
-    for ours, theirs in zip(*found):
+        results.append((y.detach(), *gradients))
+    for ours, theirs in zip(*results):
         assert_close(ours, theirs, 1e-7, 1e-9)
 
 

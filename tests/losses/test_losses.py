@@ -257,8 +257,8 @@ class TestMutualInformation(OpTests):
 
     def call(self, x, kwargs):
         integers = isinstance(x, Tensor) and x.dtype in (torch.uint8, torch.int32)  # which the loss refuses
-        found = self.function(x.float() if integers else x, **kwargs)
-        return found if integers else found.to(x.dtype)  # not the target's
+        result = self.function(x.float() if integers else x, **kwargs)
+        return result if integers else result.to(x.dtype)  # not the target's
 
     def expected(self, x, kwargs):
         """The least that a bin counts is that of the type that computes."""
@@ -279,14 +279,14 @@ def test_mutual_information_of_many_bins(kernel, bins, device):
     y, x[0, 0, 0], x[1, 1] = y + x, x.amin(), 0.3
     for normalized in (False, True):
         loss = L.normalized_mutual_information_loss_2d if normalized else L.mutual_information_loss_2d
-        found = []
+        results = []
         for backend in ("auto", "reference"):
             with K.backend(backend):
                 leaves = [x.clone().requires_grad_(), y.clone().requires_grad_()]
                 value = loss(*leaves, kernel_function=kernel, num_bins=bins)
                 rectangular = kernel is L.MIKernel.rectangular  # whose loss has no gradient
-                found.append([value] if rectangular else [value, *torch.autograd.grad(value.square().sum(), leaves)])
-        assert_close(*found, 1e-8, 1e-10)
+                results.append([value] if rectangular else [value, *torch.autograd.grad(value.square().sum(), leaves)])
+        assert_close(*results, 1e-8, 1e-10)
 
 
 @pytest.mark.parametrize("spoil", [torch.nan, torch.inf, None])
@@ -295,9 +295,9 @@ def test_mutual_information_of_spoilt_signals(spoil, device):
     mask = None if spoil else torch.zeros(50, dtype=torch.bool, device=device)
     if spoil:
         x[0, 3] = spoil
-    found = L.mutual_information_loss(x.requires_grad_(), y, mask)
-    assert found.isnan().tolist() == [True, not spoil]
-    found.sum().backward()
+    result = L.mutual_information_loss(x.requires_grad_(), y, mask)
+    assert result.isnan().tolist() == [True, not spoil]
+    result.sum().backward()
     assert spoil is None or x.grad[1].isfinite().all()
 
 
@@ -460,8 +460,8 @@ def test_pos_weights_that_broadcast(shape, reduction, device):
     no = -0.75 * p**2 * (1 - target) * F.logsigmoid(-pred)
     expected = classes.reshape(3, 1, 1) * (yes + no)
     expected = expected if reduction == "none" else getattr(expected, reduction)()
-    found = L.binary_focal_loss_with_logits(pred, target, 0.25, 2.0, reduction, weight, classes)
-    assert_close(found, expected, 1e-5, 1e-5)
+    result = L.binary_focal_loss_with_logits(pred, target, 0.25, 2.0, reduction, weight, classes)
+    assert_close(result, expected, 1e-5, 1e-5)
 
 
 def test_pos_weights_that_do_not_broadcast():

@@ -154,14 +154,14 @@ def test_hausdorff_of_many_pixels(axes, reduction, device):
     target = torch.randint(0, 2, (3, 1, *size), device=device)
     x[1], target[1] = 0.25, 0
     loss = (L.HausdorffERLoss if axes == 2 else L.HausdorffERLoss3D)(k=5, reduction=reduction)
-    found = []
+    results = []
     for name in ("auto", "reference"):
         with K.backend(name):
             leaf = x.clone().requires_grad_()
             y = loss(leaf, target)
             weights = torch.linspace(0, 1, y.numel(), dtype=torch.float64, device=device).view(y.shape)
-            found.append((y.detach(), torch.autograd.grad((y * (1 + weights)).sum(), leaf)[0]))
-    for actual, expected in zip(*found):
+            results.append((y.detach(), torch.autograd.grad((y * (1 + weights)).sum(), leaf)[0]))
+    for actual, expected in zip(*results):
         assert_close(actual, expected, 1e-8, 1e-8 * float(expected.abs().max()))
     target[0, 0, ..., 3] = 2
     assert loss(x, target).isnan().any()
@@ -174,13 +174,13 @@ def test_lovasz_of_many_pixels(dtype, labels, device):
     x = (torch.randint(-999, 999, (3, 1, 70, 131)) / 256).to(device, dtype)
     target = torch.randint(0, 2, (3, 70, 131), device=device)
     target[1] = 0
-    found = []
+    results = []
     for name, mask in (("auto", target.to(labels)), ("reference", target)):
         with K.backend(name):
             leaf = x.clone().requires_grad_()
             y = L.lovasz_hinge_loss(leaf, mask)
-            found.append((y.detach(), torch.autograd.grad(y, leaf)[0]))
-    assert_close(*found, 1e-5, 1e-7)
+            results.append((y.detach(), torch.autograd.grad(y, leaf)[0]))
+    assert_close(*results, 1e-5, 1e-7)
 
 
 @pytest.mark.parametrize("classes", [1, 2, 21, 100, 1500])
@@ -192,11 +192,11 @@ def test_classes_and_pieces(classes, size, device):
     x = 20 * torch.rand(2, classes, *size, device=device) - 10
     target = torch.randint(0, classes, (2, *size), device=device)
     for loss in (L.dice_loss, lambda x, t: L.focal_loss(x, t, reduction="mean")):
-        found = []
+        results = []
         for name, value in (("auto", x), ("reference", x.double())):
             with K.backend(name):
                 leaf = value.clone().requires_grad_()
                 y = loss(leaf, target)
-                found.append((y.detach(), torch.autograd.grad(y, leaf)[0]))
-        for actual, expected in zip(*found):
+                results.append((y.detach(), torch.autograd.grad(y, leaf)[0]))
+        for actual, expected in zip(*results):
             assert_close(actual, expected.float(), 2e-5, 1e-6 * float(expected.abs().max()) + 1e-8)

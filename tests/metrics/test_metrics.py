@@ -96,9 +96,9 @@ def test_instruction_sets(isa, device, backend):
     calls = (lambda: M.mean_iou(pred, target, 6), lambda: M.mean_iou_bbox(boxes, boxes[:5], "cxcywh"))
     for call in calls:
         with instruction_set(isa), K.backend("native"):
-            found = call()
+            result = call()
         with K.backend("reference"):
-            assert_close(found, call())
+            assert_close(result, call())
 
 
 def test_operators_of_labels_and_boxes(device, backend):

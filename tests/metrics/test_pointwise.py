@@ -51,7 +51,7 @@ class TestDivergence(Pointwise):
     variants = [{"target": lambda x: other(x) + 0.5, "reduction": "none"}]
 
     def input(self, shape, dtype, device):
-        return (super().input(shape, dtype, device) + 1).to(dtype)  # slopes of logarithms have no bound at 0
+        return (super().input(shape, dtype, device) + 1).to(dtype)  # derivatives of logarithms have no bound at 0
 
 
 class TestDecibels(Pointwise):
@@ -72,7 +72,7 @@ def test_mean_of_nothing(loss, device):
 @pytest.mark.parametrize("kind", DIFFERENCES + DIVERGENCES)
 @pytest.mark.parametrize("size", [3, 8192, 20001])
 def test_kinds(kind, size, device):
-    """Values and both slopes, of small and of large differences, and of probabilities with zeros."""
+    """Values and both gradients, of small and of large differences, and of probabilities with zeros."""
     x, y = torch.rand(2, size, dtype=torch.float64, device=device)
     if kind in DIVERGENCES:
         x, y = x * (x > 0.1), y * (y < 0.9)
@@ -83,14 +83,14 @@ def test_kinds(kind, size, device):
     with K.backend("reference"):
         leaves = x.clone().requires_grad_(), y.clone().requires_grad_()
         expected = pointwise.pointwise(kind, *leaves, "none")
-        slopes = torch.autograd.grad(expected.nan_to_num(0, 0, 0).sum(), leaves)
+        gradients = torch.autograd.grad(expected.nan_to_num(0, 0, 0).sum(), leaves)
     for dtype, tolerance in ((torch.float64, 1e-11), (torch.float32, 3e-6)):
         leaves = x.to(dtype).requires_grad_(), y.to(dtype).requires_grad_()
         loss = pointwise.pointwise(kind, *leaves, "none")
         small = tolerance if kind in DIVERGENCES else 0.0
         assert_close(loss.detach(), expected.detach().to(dtype), tolerance, small)
-        found = torch.autograd.grad(loss.nan_to_num(0, 0, 0).sum(), leaves)
-        assert_close(found, tuple(s.to(dtype) for s in slopes), tolerance, 3 * tolerance)
+        result = torch.autograd.grad(loss.nan_to_num(0, 0, 0).sum(), leaves)
+        assert_close(result, tuple(s.to(dtype) for s in gradients), tolerance, 3 * tolerance)
         total = pointwise.pointwise(kind, x.to(dtype), y.to(dtype), "mean")
         assert_close(total, expected.detach().mean().to(dtype), 10 * tolerance, 1e-9)
 
@@ -99,18 +99,18 @@ def test_kinds(kind, size, device):
 def test_differences_out_of_all_proportion(kind, device):
     """Squares that no float32 holds, and NaN."""
     x = torch.tensor([1e30, -1e30, 1e12, math.nan], device=device)
-    found = pointwise.pointwise(kind, x, torch.zeros_like(x), "none")
+    result = pointwise.pointwise(kind, x, torch.zeros_like(x), "none")
     with K.backend("reference"):
-        assert_close(found, pointwise.pointwise(kind, x, torch.zeros_like(x), "none"))
+        assert_close(result, pointwise.pointwise(kind, x, torch.zeros_like(x), "none"))
 
 
 @pytest.mark.parametrize("kind", DIVERGENCES)
 def test_what_is_no_probability(kind, device):
     x = torch.tensor([0.0, 0.0, -1.0, math.nan, 0.5, 0.0], device=device)
     y = torch.tensor([0.0, 0.5, 0.0, 0.0, 0.0, -1.0], device=device)
-    found = pointwise.pointwise(kind, x, y, "none")
+    result = pointwise.pointwise(kind, x, y, "none")
     with K.backend("reference"):
-        assert_close(found, pointwise.pointwise(kind, x, y, "none"))
+        assert_close(result, pointwise.pointwise(kind, x, y, "none"))
 
 
 class TestEndpointError(OpTests):

@@ -97,7 +97,7 @@ def test_scales_of_large_images(sigmas, size, device):
     """Tiles, both gradients, one of the images for all others; more scales than the kernels take."""
     x = torch.rand(2, 2, *size, device=device)
     for y in (other(x), other(x[:1])):
-        found = []
+        results = []
         for name, dtype in (("auto", torch.float32), ("reference", torch.float64)):
             with K.backend(name):
                 leaves = x.to(dtype).requires_grad_(), y.to(dtype).requires_grad_()
@@ -105,8 +105,8 @@ def test_scales_of_large_images(sigmas, size, device):
                 both = torch.autograd.grad((loss**2).sum(), leaves)
                 swapped = K.losses.MS_SSIMLoss(sigmas, alpha=0.5)(leaves[1], leaves[0])
                 alone = torch.autograd.grad(swapped, leaves[1])
-                found.append([loss.detach(), *both, swapped.detach(), *alone])
-        for actual, expected in zip(*found):
+                results.append([loss.detach(), *both, swapped.detach(), *alone])
+        for actual, expected in zip(*results):
             assert_close(actual, expected.float(), 1e-3, 1e-4 * float(expected.abs().max()))
 
 
@@ -121,7 +121,7 @@ def test_blocks_and_strips(window, size, padding, layout, device):
     x = torch.rand(1, 2, *size, device=device).contiguous(memory_format=layout)
     y = other(x)
     weight = torch.rand(K.metrics.ssim(x, y, window, padding=padding).shape, device=device)
-    found = []
+    results = []
     for name, dtype in (("auto", torch.float32), ("reference", torch.float64)):
         with K.backend(name):
             leaves = x.to(dtype).requires_grad_(), y.to(dtype).requires_grad_()
@@ -131,8 +131,8 @@ def test_blocks_and_strips(window, size, padding, layout, device):
             of_loss = torch.autograd.grad(loss * 1e4, leaves)
             mixed = K.losses.l1_ssim_loss(*leaves, window)
             of_mixed = torch.autograd.grad(mixed * 1e4, leaves[0])
-            found.append([similar.detach(), *gradients, loss.detach(), *of_loss, mixed.detach(), *of_mixed])
-    for actual, expected in zip(*found):
+            results.append([similar.detach(), *gradients, loss.detach(), *of_loss, mixed.detach(), *of_mixed])
+    for actual, expected in zip(*results):
         assert_close(actual, expected.float(), 1e-3, 2e-4 * float(expected.abs().max()))
 
 
@@ -147,7 +147,7 @@ def test_volumes(window, size, padding, dtype, device):
     x = torch.rand(2, 2, *size, device=device, dtype=dtype)
     y = other(x).to(dtype)
     weight = torch.rand(K.metrics.ssim3d(x, y, window, padding=padding).shape, device=device, dtype=torch.float64)
-    found = []
+    results = []
     for name, computed in (("auto", dtype), ("reference", torch.float64)):
         with K.backend(name):
             leaves = x.to(computed).requires_grad_(), y.to(computed).requires_grad_()
@@ -155,8 +155,8 @@ def test_volumes(window, size, padding, dtype, device):
             gradients = torch.autograd.grad((similar * weight).sum(), leaves)
             loss = K.losses.ssim3d_loss(*leaves, window, padding=padding)
             of_loss = torch.autograd.grad(loss * 1e4, leaves)
-            found.append([similar.detach(), *gradients, loss.detach(), *of_loss])
-    for actual, expected in zip(*found):
+            results.append([similar.detach(), *gradients, loss.detach(), *of_loss])
+    for actual, expected in zip(*results):
         small = 2e-4 if dtype == torch.float32 else 1e-9
         assert_close(actual, expected.to(dtype), 5 * small, small * float(expected.abs().max()))
 
@@ -179,13 +179,13 @@ def test_a_window_of_hundreds_of_pixels(device):
     """Larger than the kernels of other windows take."""
     x = torch.rand(1, 2, 205, 207, device=device)
     y = other(x)
-    found = []
+    results = []
     for name, dtype in (("auto", torch.float32), ("reference", torch.float64)):
         with K.backend(name):
             leaves = x.to(dtype).requires_grad_(), y.to(dtype).requires_grad_()
             loss = K.losses.ssim_loss(*leaves, 403)
-            found.append([loss.detach(), *torch.autograd.grad(loss * 1e4, leaves)])
-    for actual, expected in zip(*found):
+            results.append([loss.detach(), *torch.autograd.grad(loss * 1e4, leaves)])
+    for actual, expected in zip(*results):
         assert_close(actual, expected.float(), 1e-3, 2e-4 * float(expected.abs().max()))
 
 
@@ -208,11 +208,11 @@ def test_thin_volumes(size, device):
     x, y = torch.rand(2, 1, 2, *size, dtype=torch.float64, device=device)
     border = (3,) * 6
     wide = [torch.nn.functional.pad(z, border, mode="replicate") for z in (x, y)]
-    found = K.metrics.ssim3d(x, y, 7)
-    assert_close(found, K.metrics.ssim3d(*wide, 7, padding="valid"))
-    assert found.shape == x.shape and (K.metrics.ssim3d(x, x, 7) == 1).all()
-    assert_close(K.losses.ssim3d_loss(x, y, 7), ((1 - found) / 2).clamp(0, 1).mean(), 1e-9, 1e-9)
-    assert_close(K.losses.ssim3d_loss(x, y, 7, reduction="none"), (1 - found) / 2, 1e-9, 1e-9)
+    result = K.metrics.ssim3d(x, y, 7)
+    assert_close(result, K.metrics.ssim3d(*wide, 7, padding="valid"))
+    assert result.shape == x.shape and (K.metrics.ssim3d(x, x, 7) == 1).all()
+    assert_close(K.losses.ssim3d_loss(x, y, 7), ((1 - result) / 2).clamp(0, 1).mean(), 1e-9, 1e-9)
+    assert_close(K.losses.ssim3d_loss(x, y, 7, reduction="none"), (1 - result) / 2, 1e-9, 1e-9)
 
 
 @pytest.mark.parametrize("function", [K.metrics.ssim, K.losses.ssim_loss])

@@ -63,11 +63,11 @@ def test_windows_of_many_sizes(function, size, flat, device):
     x = torch.rand(1, 2, 69, 261, device=device).mul(20).round().div(20)
     x[0, 1, 5:9, 20] = torch.inf
     weight = torch.rand_like(x) - 0.3
-    found = []
+    results = []
     for name, values in (("auto", x), ("reference", x.double())):
         with K.backend(name):
             leaf = values.clone().requires_grad_()
             y = function(leaf, kernel, **more)
             y.backward(weight.to(y.dtype).where(y.isfinite(), 0))
-            found.append((y.detach().float(), leaf.grad.float()))
-    assert_close(found[0], found[1], 1e-5, 1e-4)
+            results.append((y.detach().float(), leaf.grad.float()))
+    assert_close(results[0], results[1], 1e-5, 1e-4)

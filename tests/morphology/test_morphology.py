@@ -89,21 +89,21 @@ CODES = {
 def test_bytes_are_opencvs(name, kernel, device):
     x = torch.randint(0, 256, (2, 3, 61, 83), dtype=torch.uint8, device=device)
     y = getattr(M, name)(x, kernel)
-    for planes, found in zip(x.flatten(0, 1).cpu(), y.flatten(0, 1).cpu()):
+    for planes, result in zip(x.flatten(0, 1).cpu(), y.flatten(0, 1).cpu()):
         expected = cv2.morphologyEx(planes.numpy(), CODES[name], kernel.numpy().astype(np.uint8))
-        assert torch.equal(found, torch.from_numpy(expected))
+        assert torch.equal(result, torch.from_numpy(expected))
 
 
 def test_differences_of_bytes_saturate(device):
     """A kernel without its center: the dilation is below the image somewhere."""
     x = torch.randint(0, 256, (1, 2, 20, 30), dtype=torch.uint8, device=device)
-    beside = torch.tensor([[1, 0, 0]])
+    kernel = torch.tensor([[1, 0, 0]])
     terms = {"gradient": (M.dilation, M.erosion), "top_hat": (None, M.opening), "bottom_hat": (M.closing, None)}
     for name, functions in terms.items():
-        larger, smaller = (x if f is None else f(x, beside) for f in functions)
+        larger, smaller = (x if f is None else f(x, kernel) for f in functions)
         assert name != "gradient" or (larger < smaller).any()  # by definition the others are not negative
         expected = (larger.int() - smaller.int()).clamp(min=0).byte()
-        assert torch.equal(getattr(M, name)(x, beside), expected)
+        assert torch.equal(getattr(M, name)(x, kernel), expected)
 
 
 def test_bytes_with_heights_saturate(device):

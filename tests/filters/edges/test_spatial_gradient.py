@@ -64,8 +64,8 @@ class TestSpatialGradient(OpTests):
             ("sobel", 2, (15, 16, 15)),
             ("diff", 2, (3, 4, 3)),
         ]:
-            found = K.filters.spatial_gradient(x, mode, order)[0, 0].isnan().sum((1, 2))
-            assert tuple(found.tolist()) == spoilt, (mode, order)
+            result = K.filters.spatial_gradient(x, mode, order)[0, 0].isnan().sum((1, 2))
+            assert tuple(result.tolist()) == spoilt, (mode, order)
 
 
 class TestSpatialGradient3d(OpTests):

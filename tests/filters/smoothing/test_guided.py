@@ -83,7 +83,7 @@ def test_bad_input(arguments, error, message):
 def test_keeps_channels_last(subsample, device):
     x = torch.rand(2, 3, 8, 9, device=device)
     last = x.to(memory_format=torch.channels_last)
-    found = K.filters.guided_blur(last, last, 3, 0.1, subsample=subsample)
-    assert found.is_contiguous(memory_format=torch.channels_last)
-    assert_close(found, K.filters.guided_blur(x, x, 3, 0.1, subsample=subsample))
+    result = K.filters.guided_blur(last, last, 3, 0.1, subsample=subsample)
+    assert result.is_contiguous(memory_format=torch.channels_last)
+    assert_close(result, K.filters.guided_blur(x, x, 3, 0.1, subsample=subsample))
     assert K.filters.guided_blur(x, x, 3, 0.1, subsample=subsample).is_contiguous()

@@ -29,22 +29,22 @@ def lenses(count: int, batch: int = 2) -> list[Tensor | None]:
     return [IMAGE_CAMERA + 0.1 * torch.arange(batch)[:, None, None], dist, tilt]
 
 
-def on(device, given, dtype=DOUBLE):
-    return [None if x is None else x.to(dtype).to(device) for x in given]
+def on(device, lens, dtype=DOUBLE):
+    return [None if x is None else x.to(dtype).to(device) for x in lens]
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, DOUBLE], ids=str)
 @pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
 def test_values_and_gradients(count, dtype, device):
-    given = on(device, lenses(count), dtype)
+    lens = on(device, lenses(count), dtype)
     for size in ([1, 1], [7, 33], [90, 61]):  # the last one has two parts of sums
         grad = torch.rand(2, 2, *size, device=device, dtype=DOUBLE) - 0.5
         with K.backend("reference"):
-            wide = on(device, given)
-            expected, slopes = _map(*wide, size), _map_gradient(grad, *wide)
-        assert_close(_map(*given, size), expected.to(dtype), 1e-6, 1e-4 if dtype == torch.float32 else 1e-11)
-        found = _map_gradient(grad.to(dtype), *given)
-        for a, e in zip(found, slopes, strict=True):
+            wide = on(device, lens)
+            expected, gradients = _map(*wide, size), _map_gradient(grad, *wide)
+        assert_close(_map(*lens, size), expected.to(dtype), 1e-6, 1e-4 if dtype == torch.float32 else 1e-11)
+        result = _map_gradient(grad.to(dtype), *lens)
+        for a, e in zip(result, gradients, strict=True):
             near = (2e-4 if dtype == torch.float32 else 1e-10) * (1 + float(e.abs().max())) if e.numel() else 0.0
             assert_close(a, e.to(dtype), 0, near)
 
@@ -60,8 +60,8 @@ def test_instruction_sets(isa, device, backend):
 @pytest.mark.derivatives
 @pytest.mark.parametrize("count", [5, 14])
 def test_derivatives(count, device):
-    given = on(device, lenses(count))
-    leaves = [x.requires_grad_() for x in given if x is not None]
+    lens = on(device, lenses(count))
+    leaves = [x.requires_grad_() for x in lens if x is not None]
 
     def of_lens(camera: Tensor, dist: Tensor, tilt: Tensor | None = None) -> Tensor:
         return _map(camera, dist, tilt, [3, 4])
@@ -87,32 +87,32 @@ def test_undistorted_images_and_their_gradients(count, device):
     image = torch.rand(2, 3, 13, 15, dtype=DOUBLE, device=device).requires_grad_()
     camera, dist, _ = on(device, lenses(count))
     leaves = [image, camera.requires_grad_(), dist.requires_grad_()]
-    found = G.undistort_image(*leaves)
+    result = G.undistort_image(*leaves)
     with K.backend("reference"):
         expected = G.undistort_image(*leaves)
-    assert_close(found, expected)
-    weight = torch.rand_like(found)
-    for ours, theirs in zip(*(torch.autograd.grad((y * weight).sum(), leaves) for y in (found, expected))):
+    assert_close(result, expected)
+    weight = torch.rand_like(result)
+    for ours, theirs in zip(*(torch.autograd.grad((y * weight).sum(), leaves) for y in (result, expected))):
         assert_close(ours, theirs, 1e-8, 1e-8)
     one = G.undistort_image(image[:1], camera[0], dist[0])
-    assert_close(one, found[:1])
+    assert_close(one, result[:1])
 
 
 def test_undistortion_is_a_map_and_a_sampling(device, backend):
     if backend == "reference":
         pytest.skip("this test is about the kernels")
-    image, given = torch.rand(2, 3, 9, 8, device=device), on(device, lenses(5), torch.float32)[:2]
+    image, lens = torch.rand(2, 3, 9, 8, device=device), on(device, lenses(5), torch.float32)[:2]
     with torch.profiler.profile() as profile:
-        G.undistort_image(image, *given)
+        G.undistort_image(image, *lens)
     names = [e.key for e in profile.key_averages() if e.key.startswith("kvision::")]
     assert sorted(names) == ["kvision::remap", "kvision::undistort_map"]
 
 
 @pytest.mark.tracing
 def test_compiled(device):
-    image, given = torch.rand(2, 3, 9, 8, device=device), on(device, lenses(14), torch.float32)[:2]
+    image, lens = torch.rand(2, 3, 9, 8, device=device), on(device, lenses(14), torch.float32)[:2]
     compiled = torch.compile(G.undistort_image, fullgraph=True, backend="aot_eager")
-    assert_close(compiled(image, *given), G.undistort_image(image, *given))
+    assert_close(compiled(image, *lens), G.undistort_image(image, *lens))
 
 
 QUADS = torch.tensor([[0.0, 0], [40, 3], [42, 41], [1, 44], [20, 9], [33, 27]]).double()
@@ -150,11 +150,11 @@ def test_undistortion_broadcasts(count, dtype, device):
     camera, lens = CAMERA.to(device, dtype), LENS[:count].to(device, dtype)
     lenses = lens * torch.tensor([[1.0], [0.5], [0.1]], device=device, dtype=dtype)
     for seen, K_, dist in ((many, camera, lens), (many[0], camera, lenses), (many, camera.expand(3, 3, 3), lenses)):
-        found = G.undistort_points(seen, K_, dist, 2 * camera)
+        result = G.undistort_points(seen, K_, dist, 2 * camera)
         with K.backend("reference"):
-            assert_close(found, G.undistort_points(seen, K_, dist, 2 * camera), 1e-5, 1e-4)
+            assert_close(result, G.undistort_points(seen, K_, dist, 2 * camera), 1e-5, 1e-4)
         differentiated = G.undistort_points(seen.clone().requires_grad_(), K_, dist, 2 * camera)
-        assert_close(found, differentiated.detach(), 1e-5, 1e-4)
+        assert_close(result, differentiated.detach(), 1e-5, 1e-4)
     assert G.undistort_points(many[:, :0], camera, lens).shape == (3, 0, 2)
     assert G.undistort_points(many[:0], camera, lens).shape == (0, 37, 2)
 
@@ -214,9 +214,9 @@ class TestDistortionOperators(PointOpTests):
 def test_bytes_are_undistorted_as_opencv_does(device):
     image = torch.randint(0, 256, (1, 3, 30, 40), dtype=torch.uint8, device=device)
     K_, dist = torch.tensor([[30.0, 0, 20], [0, 30, 15], [0, 0, 1]]), torch.tensor([0.1, -0.05, 0.01, 0.0])
-    found = G.undistort_image(image, K_.to(device), dist.to(device))
+    result = G.undistort_image(image, K_.to(device), dist.to(device))
     exact = G.undistort_image(image.double(), K_.to(device), dist.to(device))
-    assert found.dtype == torch.uint8 and (found - exact).abs().max() <= 0.53  # the CPU samples bytes in fixed point
+    assert result.dtype == torch.uint8 and (result - exact).abs().max() <= 0.53  # the CPU samples bytes in fixed point
     expected = cv2.undistort(image[0].permute(1, 2, 0).cpu().numpy(), K_.double().numpy(), dist.double().numpy())
     inside = torch.from_numpy(expected).permute(2, 0, 1)[:, 3:-3, 3:-3].int()  # OpenCV rounds coordinates to 1/32 pixel
-    assert (found.cpu()[0, :, 3:-3, 3:-3].int() - inside).abs().max() <= 16
+    assert (result.cpu()[0, :, 3:-3, 3:-3].int() - inside).abs().max() <= 16

@@ -65,9 +65,9 @@ def test_fisheye_is_that_of_opencv(device):
     space = torch.cat([points, torch.ones(50, 1, dtype=torch.float64)], -1)
     zero = torch.zeros(3, 1, dtype=torch.float64).numpy()
     expected, _ = cv2.fisheye.projectPoints(space[:, None].numpy(), zero, zero, matrix.numpy(), FISHEYE[4:].numpy())
-    found = C.distort_points_kannala_brandt(points.to(device), FISHEYE.to(device))
-    assert_close(found.cpu(), torch.from_numpy(expected[:, 0]), 1e-10, 1e-8)
-    assert_close(C.undistort_points_kannala_brandt(found, FISHEYE.to(device)).cpu(), points, 1e-9, 1e-9)
+    result = C.distort_points_kannala_brandt(points.to(device), FISHEYE.to(device))
+    assert_close(result.cpu(), torch.from_numpy(expected[:, 0]), 1e-10, 1e-8)
+    assert_close(C.undistort_points_kannala_brandt(result, FISHEYE.to(device)).cpu(), points, 1e-9, 1e-9)
 
 
 @pytest.mark.parametrize("position", [[0.0, 0.0], [1e-30, 0.0], [1e-6, 1e-6], [0.3, -0.4], [3.0, 4.0]])

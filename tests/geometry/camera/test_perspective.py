@@ -37,9 +37,9 @@ CALLS = [
 @pytest.mark.parametrize("name, args", CALLS, ids=[f"{i}-{c[0]}" for i, c in enumerate(CALLS)])
 def test_values_are_those_of_kornia(name, args, device):
     theirs = pytest.importorskip("kornia").geometry
-    found = getattr(G, name)(*(a.to(device) if isinstance(a, Tensor) else a for a in args))
+    result = getattr(G, name)(*(a.to(device) if isinstance(a, Tensor) else a for a in args))
     expected = getattr(theirs, name)(*args)
-    for ours, his in zip(*((y,) if isinstance(y, Tensor) else y for y in (found, expected)), strict=True):
+    for ours, his in zip(*((y,) if isinstance(y, Tensor) else y for y in (result, expected)), strict=True):
         assert_close(ours.cpu(), his, 1e-7, 1e-9)
 
 
@@ -58,11 +58,11 @@ def test_projection_is_that_of_opencv(device):
     points = rand(2, 50, 3)
     points[..., 2] += 1
     moved = G.transform_points(extrinsics.to(device), points.to(device))
-    found = G.project_points(moved, intrinsics[:, :3, :3].to(device))
+    result = G.project_points(moved, intrinsics[:, :3, :3].to(device))
     for i in range(2):
         turn, move = extrinsics[i, :3, :3].numpy(), extrinsics[i, :3, 3].numpy()
         expected, _ = cv2.projectPoints(points[i].numpy(), turn, move, intrinsics[i, :3, :3].numpy(), None)
-        assert_close(found[i].cpu(), torch.from_numpy(expected[:, 0]), 1e-12, 1e-10)
+        assert_close(result[i].cpu(), torch.from_numpy(expected[:, 0]), 1e-12, 1e-10)
 
 
 EYE, ONES = torch.eye(3), torch.ones(2, 4, 3)

@@ -63,9 +63,9 @@ def test_stereo_depth(device):
     (u, v), (u2, _) = (G.convert_points_from_homogeneous(p)[0] for p in seen)
     x, y = int(u.round()), int(v.round())
     disparity = (u - u2).reshape(1, 1, 1, 1).expand(1, 40, 64, 1)
-    found = G.StereoCamera(left, right).reproject_disparity_to_3D(disparity)[0, y, x]
-    assert_close(found[2], point[0, 2])
-    assert (found - point[0]).abs().max() < 0.5 * 4 / 90
+    result = G.StereoCamera(left, right).reproject_disparity_to_3D(disparity)[0, y, x]
+    assert_close(result[2], point[0, 2])
+    assert (result - point[0]).abs().max() < 0.5 * 4 / 90
 
 
 LEFT, RIGHT = cameras(1)

@@ -45,21 +45,21 @@ CALLS = [
 @pytest.mark.parametrize("name, args", CALLS, ids=[f"{i}-{c[0]}" for i, c in enumerate(CALLS)])
 def test_values_are_those_of_kornia(name, args, device):
     theirs = pytest.importorskip("kornia").geometry
-    found = getattr(G, name)(*(a.to(device) if isinstance(a, Tensor) else a for a in args))
+    result = getattr(G, name)(*(a.to(device) if isinstance(a, Tensor) else a for a in args))
     expected = getattr(theirs, name)(*args)
-    for ours, his in zip(*((y,) if isinstance(y, Tensor) else y for y in (found, expected)), strict=True):
+    for ours, his in zip(*((y,) if isinstance(y, Tensor) else y for y in (result, expected)), strict=True):
         assert_close(ours.cpu(), his, 1e-7, 1e-9)
 
 
 def test_points_at_infinity_stay_undivided(device):
     p = torch.tensor([[1.0, 2, 0], [3, 4, 1e-9], [4, 2, -2]], device=device, requires_grad=True)
-    found = G.convert_points_from_homogeneous(p)
-    assert_close(found, torch.tensor([[1.0, 2], [3, 4], [-2, -1]], device=device))
+    result = G.convert_points_from_homogeneous(p)
+    assert_close(result, torch.tensor([[1.0, 2], [3, 4], [-2, -1]], device=device))
     look = torch.eye(3, device=device)
-    assert_close(G.project_points(p, look), found)
+    assert_close(G.project_points(p, look), result)
     flat = torch.eye(4, device=device)[None] * torch.tensor([1.0, 1, 1, 0], device=device)
     assert_close(G.transform_points(flat, p[None]), p[None])
-    (grad,) = torch.autograd.grad(found.sum() + G.project_points(p, look).sum(), p)
+    (grad,) = torch.autograd.grad(result.sum() + G.project_points(p, look).sum(), p)
     assert grad.isfinite().all()
 
 

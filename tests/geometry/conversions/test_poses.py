@@ -49,9 +49,9 @@ CALLS = [
 @pytest.mark.parametrize("name, args", CALLS, ids=[f"{i}-{c[0]}" for i, c in enumerate(CALLS)])
 def test_values_are_those_of_kornia(name, args, device):
     theirs = pytest.importorskip("kornia").geometry
-    found = getattr(G, name)(*(a.to(device) if isinstance(a, Tensor) else a for a in args))
+    result = getattr(G, name)(*(a.to(device) if isinstance(a, Tensor) else a for a in args))
     expected = getattr(theirs, name)(*args)
-    for ours, his in zip(*((y,) if isinstance(y, Tensor) else y for y in (found, expected)), strict=True):
+    for ours, his in zip(*((y,) if isinstance(y, Tensor) else y for y in (result, expected)), strict=True):
         assert_close(ours.cpu(), his, 1e-7, 1e-9)
 
 

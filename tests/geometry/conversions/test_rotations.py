@@ -101,10 +101,10 @@ def test_values_are_those_of_kornia(device):
         assert_close(getattr(G, name)(x.to(device)).cpu()[known], getattr(theirs, name)(x)[known], 1e-7, 1e-9)
     t = torch.rand(len(v), 3, 1, dtype=torch.float64)
     for name in ("ARKitQTVecs_to_ColmapQTVecs", "ColmapQTVecs_to_ARKitQTVecs"):
-        found = [x.cpu() for x in getattr(G, name)(q.to(device), t.to(device))]
+        results = [x.cpu() for x in getattr(G, name)(q.to(device), t.to(device))]
         expected = getattr(theirs, name)(q, t)
-        assert up_to_sign(found[0], expected[0]) < 1e-12
-        assert_close(found[1], expected[1], 0, 1e-12)
+        assert up_to_sign(results[0], expected[0]) < 1e-12
+        assert_close(results[1], expected[1], 0, 1e-12)
 
 
 def test_rodrigues_is_that_of_opencv():

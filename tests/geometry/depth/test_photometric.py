@@ -77,9 +77,9 @@ def test_is_the_mean_over_the_warped_views(distance, device):
         difference, seen = warped - y, (seen > 1 - 1e-9).double()
         value = {"l1": difference.abs(), "l2": difference**2, "charbonnier": (difference**2 + 1e-6).sqrt()}[distance]
         total, terms = total + (value * seen).sum((1, 2, 3)), terms + seen.sum((1, 2, 3))
-    found, expected = G.photometric_depth_loss(views, y, d, projections, distance), total / terms.detach()
-    assert_close(found, expected)
-    for a, e in zip(*(torch.autograd.grad(loss.sum(), (d, projections)) for loss in (found, expected))):
+    result, expected = G.photometric_depth_loss(views, y, d, projections, distance), total / terms.detach()
+    assert_close(result, expected)
+    for a, e in zip(*(torch.autograd.grad(loss.sum(), (d, projections)) for loss in (result, expected))):
         assert_close(a, e, 1e-7, 1e-7)
 
 

@@ -71,8 +71,8 @@ def test_gradients_to_cameras(function, dtype, device):
             results = []
             for backend in ("auto", "auto", "reference"):
                 wide = backend == "reference"
-                given = [v.to(device).to(torch.float64 if wide else dtype) for v in (x, k)]
-                leaves = [v.requires_grad_() for v in given]
+                inputs = [v.to(device).to(torch.float64 if wide else dtype) for v in (x, k)]
+                leaves = [v.requires_grad_() for v in inputs]
                 with K.backend(backend):
                     y = function(*leaves, distance)
                     results.append([g.to(dtype) for g in torch.autograd.grad(y, leaves, weights.to(y.dtype))])
@@ -113,8 +113,8 @@ def test_normals_of_a_plane_are_its_normal(device):
     k = camera(normal)
     uv = torch.stack(torch.meshgrid(torch.arange(9.0), torch.arange(7.0), indexing="xy"), -1).reshape(1, -1, 2).double()
     d = G.depth_from_plane_equation(normal, torch.tensor([[2.0]]).double(), uv, k).view(1, 1, 7, 9)
-    found = G.depth_to_normals(d.to(device), k.to(device))[:, :, 1:-1, 1:-1]
-    assert_close(found, normal.to(device)[..., None, None].expand_as(found), 1e-9, 1e-9)
+    result = G.depth_to_normals(d.to(device), k.to(device))[:, :, 1:-1, 1:-1]
+    assert_close(result, normal.to(device)[..., None, None].expand_as(result), 1e-9, 1e-9)
 
 
 @pytest.mark.parametrize("normalize", [True, False])
@@ -131,8 +131,8 @@ def test_is_kornias(normalize, device):
     pair = [module.warp_frame_depth(x, d, m, k, normalize) for module in (G, kornia)]
     assert_close(*pair)
     weights = torch.rand_like(pair[0])
-    for found, expected in zip(*(torch.autograd.grad(y, leaves, weights) for y in pair)):
-        assert_close(found, expected, 1e-7, 1e-7)
+    for result, expected in zip(*(torch.autograd.grad(y, leaves, weights) for y in pair)):
+        assert_close(result, expected, 1e-7, 1e-7)
 
 
 def test_true_depth_and_poses_explain_the_pictures(data: Path, device):

@@ -72,10 +72,10 @@ def test_what_is_behind_the_camera_is_outside_and_has_no_gradient(device):
     values = torch.tensor([-1.0, 0, float("nan"), float("inf"), -float("inf"), 1e-30, 1], device=device)
     d = values.expand(1, 1, 6, 7).clone().requires_grad_()
     moved = torch.eye(4, device=device)[None].clone().requires_grad_()
-    found = G.warp_frame_depth(image, d, moved, torch.eye(3, device=device)[None])
-    assert not found[..., :5].any()
-    assert_close(found[..., 5:], image[..., 5:])
-    found.sum().backward()
+    result = G.warp_frame_depth(image, d, moved, torch.eye(3, device=device)[None])
+    assert not result[..., :5].any()
+    assert_close(result[..., 5:], image[..., 5:])
+    result.sum().backward()
     assert all(x.grad.isfinite().all() for x in (image, d, moved))
     assert not d.grad[..., :5].any()
 
@@ -83,9 +83,9 @@ def test_what_is_behind_the_camera_is_outside_and_has_no_gradient(device):
 def test_singular_cameras_are_harmless(device):
     image = torch.rand(1, 2, 6, 7, device=device, requires_grad=True)
     d = torch.ones(1, 1, 6, 7, device=device, requires_grad=True)
-    found = G.warp_frame_depth(image, d, torch.eye(4, device=device)[None], torch.zeros(1, 3, 3, device=device))
-    found.sum().backward()
-    assert not found.any()
+    result = G.warp_frame_depth(image, d, torch.eye(4, device=device)[None], torch.zeros(1, 3, 3, device=device))
+    result.sum().backward()
+    assert not result.any()
     assert d.grad.isfinite().all()
     assert image.grad.isfinite().all()
 

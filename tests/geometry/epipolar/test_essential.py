@@ -46,8 +46,8 @@ def test_elimination_solves_without_a_library(device):
     """What GPUs run in place of the solver of the CPU."""
     left, right = torch.rand(5, 10, 10, dtype=torch.float64), torch.rand(5, 10, 10, dtype=torch.float64)
     with NoSolvers():
-        found = eliminated(left.to(device), right.to(device))
-    assert_close(found.cpu(), torch.linalg.solve(left, right), 1e-9, 1e-9)
+        result = eliminated(left.to(device), right.to(device))
+    assert_close(result.cpu(), torch.linalg.solve(left, right), 1e-9, 1e-9)
     assert not eliminated(torch.zeros(1, 3, 3, device=device), torch.ones(1, 3, 1, device=device)).isfinite().any()
 
 
@@ -75,10 +75,10 @@ def test_the_choice_of_a_motion_is_the_references(device):
     mask = rand(3, 40) > 0.5
     args = [x.to(device) for x in (E, CAMERA.expand(3, 3, 3), CAMERA.expand(3, 3, 3), scene.x1, scene.x2)]
     for chosen in (None, mask.to(device)):
-        found = G.motion_from_essential_choose_solution(*args, chosen)
+        result = G.motion_from_essential_choose_solution(*args, chosen)
         with K.backend("reference"):
-            assert_close(found, G.motion_from_essential_choose_solution(*args, chosen), 1e-9, 1e-9)
-        assert found[3].tolist() == ([40] * 3 if chosen is None else mask.sum(1).tolist())
+            assert_close(result, G.motion_from_essential_choose_solution(*args, chosen), 1e-9, 1e-9)
+        assert result[3].tolist() == ([40] * 3 if chosen is None else mask.sum(1).tolist())
 
 
 def test_no_candidates_for_points_on_a_line(device):
@@ -91,10 +91,10 @@ def test_opencv_essential_and_pose():
     x, y = scene.x1[0].numpy(), scene.x2[0].numpy()
     E, _ = cv2.findEssentialMat(x, y, CAMERA.numpy())
     _, R, t, _ = cv2.recoverPose(E, x, y, CAMERA.numpy())
-    found = G.motion_from_essential_choose_solution(scene.E, CAMERA, CAMERA, scene.x1[0], scene.x2[0])
-    assert_close(found[0], torch.from_numpy(R), 1e-4, 1e-4)
-    assert_close(found[1], torch.from_numpy(t), 1e-4, 1e-4)
-    assert found[3] == 40
+    result = G.motion_from_essential_choose_solution(scene.E, CAMERA, CAMERA, scene.x1[0], scene.x2[0])
+    assert_close(result[0], torch.from_numpy(R), 1e-4, 1e-4)
+    assert_close(result[1], torch.from_numpy(t), 1e-4, 1e-4)
+    assert result[3] == 40
     candidates = G.find_essential(*(p[:, :5] for p in scene.normalized()))[0]
     E = torch.from_numpy(E) / torch.from_numpy(E).norm()
     apart = torch.minimum((candidates - E).flatten(1).norm(dim=1), (candidates + E).flatten(1).norm(dim=1))

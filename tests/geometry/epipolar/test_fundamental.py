@@ -35,9 +35,9 @@ def test_fundamental_matrices_of_degenerate_points(device):
     line = torch.arange(9.0).double()[None, :, None].expand(1, 9, 2)
     for x, y in ((scene.x1, scene.x2), plane[:2], (line, line), (torch.ones_like(line), torch.ones_like(line))):
         weights = torch.ones(1, 9).double().to(device)
-        found = finite_gradients(G.find_fundamental, x.to(device), y.to(device), weights)
-        found = found.cpu()
-        assert found.isfinite().all() and torch.linalg.det(found).abs() < 1e-9 * found.norm() ** 3 + 1e-12
+        result = finite_gradients(G.find_fundamental, x.to(device), y.to(device), weights)
+        result = result.cpu()
+        assert result.isfinite().all() and torch.linalg.det(result).abs() < 1e-9 * result.norm() ** 3 + 1e-12
 
 
 def test_opencv_fundamental():

@@ -62,9 +62,9 @@ def test_values(home, name, args, kwargs, device):
 
 
 def test_seven_points(device):
-    found = K.geometry.find_fundamental(X1[:, :7].to(device), X2[:, :7].to(device), method="7POINT").cpu()
+    result = K.geometry.find_fundamental(X1[:, :7].to(device), X2[:, :7].to(device), method="7POINT").cpu()
     expected = kornia.geometry.epipolar.find_fundamental(X1[:, :7], X2[:, :7], method="7POINT")
-    for a, e in zip(found, expected):
+    for a, e in zip(result, expected):
         e = e[e.isfinite().flatten(1).all(1) & (e != 0).any(-1).any(-1)]
         assert len(e) == (a[:, 2, 2] != 0).sum()
         assert_close(a[: len(e)][a[: len(e), 0, 0].argsort()], e[e[:, 0, 0].argsort()], 1e-6, 1e-8)
@@ -75,30 +75,30 @@ def test_decomposition(essential, device):
     """Signs and the order of both rotations are open."""
     theirs = kornia.geometry.epipolar.decompose_essential_matrix(essential)
     for function in (K.geometry.decompose_essential_matrix, K.geometry.decompose_essential_matrix_no_svd):
-        found = [y.cpu().reshape(-1, 9 if y.shape[-1] == 3 else 3) for y in function(essential.to(device))]
+        results = [y.cpu().reshape(-1, 9 if y.shape[-1] == 3 else 3) for y in function(essential.to(device))]
         expected = [y.reshape(-1, 9 if y.shape[-1] == 3 else 3) for y in theirs]
-        straight = ((found[0] - expected[0]).abs() + (found[1] - expected[1]).abs()).amax(-1)
-        crossed = ((found[0] - expected[1]).abs() + (found[1] - expected[0]).abs()).amax(-1)
+        straight = ((results[0] - expected[0]).abs() + (results[1] - expected[1]).abs()).amax(-1)
+        crossed = ((results[0] - expected[1]).abs() + (results[1] - expected[0]).abs()).amax(-1)
         assert torch.minimum(straight, crossed).max() < 1e-9
-        assert_close(found[2].abs(), expected[2].abs())
+        assert_close(results[2].abs(), expected[2].abs())
 
 
 def test_projections_from_fundamental(device):
     """The epipole's sign is open."""
-    found = K.geometry.projections_from_fundamental(F[None].to(device)).cpu()
+    result = K.geometry.projections_from_fundamental(F[None].to(device)).cpu()
     expected = kornia.geometry.epipolar.projections_from_fundamental(F[None])
-    assert_close(found.abs(), expected.abs(), 1e-7, 1e-9)
-    assert_close(K.geometry.fundamental_from_projections(*found.unbind(-1)) / F, torch.ones_like(F)[None] * (
-        K.geometry.fundamental_from_projections(*found.unbind(-1)) / F)[:, 2:, 2:], 1e-6, 1e-9)  # fmt: skip
+    assert_close(result.abs(), expected.abs(), 1e-7, 1e-9)
+    assert_close(K.geometry.fundamental_from_projections(*result.unbind(-1)) / F, torch.ones_like(F)[None] * (
+        K.geometry.fundamental_from_projections(*result.unbind(-1)) / F)[:, 2:, 2:], 1e-6, 1e-9)  # fmt: skip
 
 
 def test_five_points(device):
     x, y = Scene(3, 20).normalized()
     for count in (5, 8, 20):
-        found = K.geometry.find_essential(x[:, :count].to(device), y[:, :count].to(device)).cpu()
+        result = K.geometry.find_essential(x[:, :count].to(device), y[:, :count].to(device)).cpu()
         expected = kornia.geometry.epipolar.find_essential(x[:, :count], y[:, :count])
-        assert found.shape == expected.shape
-        for ours, theirs in zip(found, expected):
+        assert result.shape == expected.shape
+        for ours, theirs in zip(result, expected):
             theirs = theirs[theirs.isfinite().flatten(1).all(1)]
             ours = ours[ours.isfinite().flatten(1).all(1)]
             assert len(ours) == len(theirs)

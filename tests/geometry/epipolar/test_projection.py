@@ -24,10 +24,10 @@ class TestProjection(ViewTests):
 
 def test_opencv_decomposition():
     camera, R, center = cv2.decomposeProjectionMatrix(SCENE.P2.numpy())[:3]
-    found = G.KRt_from_projection(SCENE.P2[None])
-    assert_close(found[0][0] / found[0][0, 2, 2], torch.from_numpy(camera), 1e-9, 1e-9)
-    assert_close(found[1][0], torch.from_numpy(R), 1e-9, 1e-9)
-    assert_close(-found[1][0].T @ found[2][0], torch.from_numpy(center[:3] / center[3]), 1e-9, 1e-9)
+    result = G.KRt_from_projection(SCENE.P2[None])
+    assert_close(result[0][0] / result[0][0, 2, 2], torch.from_numpy(camera), 1e-9, 1e-9)
+    assert_close(result[1][0], torch.from_numpy(R), 1e-9, 1e-9)
+    assert_close(-result[1][0].T @ result[2][0], torch.from_numpy(center[:3] / center[3]), 1e-9, 1e-9)
 
 
 P, Q, M = torch.rand(2, 8, 2), torch.rand(2, 8, 2), torch.rand(2, 3, 3)
@@ -54,10 +54,10 @@ def test_focal_lengths_of_images(device):
     """A tensor of one number or one a sample, with gradient, from any device; a number where all agree."""
     images = torch.zeros(2, 3, 20, 30, dtype=torch.float64, device=device)
     focal = torch.tensor([100.0, 50.0], requires_grad=True)
-    found = G.intrinsics_like(focal, images)
+    result = G.intrinsics_like(focal, images)
     expected = torch.cat([G.intrinsics_like(f, images[:1]) for f in (100.0, 50.0)])
-    assert_close(found, expected)
-    found.sum().backward()
+    assert_close(result, expected)
+    result.sum().backward()
     assert focal.grad.tolist() == [2, 2]
     assert_close(G.intrinsics_like(torch.tensor(100), images)[0], expected[0])
     with pytest.raises(ValueError, match=r"intrinsics_like: expected focal of shape \(\) or \(2,\), got \(3,\)"):

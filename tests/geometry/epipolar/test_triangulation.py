@@ -29,9 +29,9 @@ def test_points_at_infinity(device):
     P2[0, 3] = -1
     x = torch.tensor([[0.5, 0.25], [0.5, 0.25]], device=device)
     y = torch.tensor([[0.5, 0.25], [0.25, 0.25]], device=device)
-    found = finite_gradients(lambda x, y: G.triangulate_points(P1, P2, x, y), x, y)
-    assert found[0].isnan().all()
-    assert_close(found[1], torch.tensor([2.0, 1, 4], device=device), 1e-5, 1e-5)
+    result = finite_gradients(lambda x, y: G.triangulate_points(P1, P2, x, y), x, y)
+    assert result[0].isnan().all()
+    assert_close(result[1], torch.tensor([2.0, 1, 4], device=device), 1e-5, 1e-5)
 
 
 def test_triangulation_of_many_points_of_one_pair(device):
@@ -42,8 +42,8 @@ def test_triangulation_of_many_points_of_one_pair(device):
     for backend in ("auto", "auto", "reference"):
         leaves = [x.to(device).requires_grad_() for x in (scene.P1, scene.P2, scene.x1, scene.x2)]
         with K.backend(backend):
-            found = G.triangulate_points(*leaves)
-            results.append([found.detach(), *torch.autograd.grad(found, leaves, weights)])
+            result = G.triangulate_points(*leaves)
+            results.append([result.detach(), *torch.autograd.grad(result, leaves, weights)])
     assert all(torch.equal(a, b) for a, b in zip(*results[:2]))
     assert_close(results[0], results[2], 1e-8, 1e-8)
 

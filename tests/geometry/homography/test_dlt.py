@@ -44,16 +44,16 @@ def test_homographies_of_degenerate_points(device):
         finite_gradients(G.find_homography_dlt, same, same + 1)
     weights = torch.tensor([[1.0, 1, 1, 1, 0]], device=device)
     outlier = torch.cat([square, square[:, :1] + 50], 1), torch.cat([2 * square, square[:, :1]], 1)
-    found = finite_gradients(lambda x, y: G.find_homography_dlt(x, y, weights), *outlier)
-    assert_close(found, torch.diag(torch.tensor([2.0, 2, 1], device=device))[None], 0, 1e-4)
+    result = finite_gradients(lambda x, y: G.find_homography_dlt(x, y, weights), *outlier)
+    assert_close(result, torch.diag(torch.tensor([2.0, 2, 1], device=device))[None], 0, 1e-4)
 
 
 def test_not_finite_points_stay_in_their_sample(device):
     x, y, H = (v.to(device) for v in on_planes(2, 8))
     x[1, 3, 0] = float("nan")
-    found = G.find_homography_dlt(x, y)
-    assert_close(found[0], (H / H[:, 2:, 2:])[0], 1e-6, 1e-6)
-    assert found[1].isnan().all()
+    result = G.find_homography_dlt(x, y)
+    assert_close(result[0], (H / H[:, 2:, 2:])[0], 1e-6, 1e-6)
+    assert result[1].isnan().all()
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16], ids=str)
@@ -64,24 +64,24 @@ def test_half_types_are_rounded_once(dtype, device):
         lambda x, y: G.sampson_epipolar_distance(x, y, torch.ones(1, 3, 3, dtype=dtype, device=device)),
         lambda x, y: G.normalize_points(x)[0],
     ):
-        found = call(x, y)
-        assert found.dtype == dtype
-        assert_close(found, call(x.float(), y.float()).to(dtype), 1e-2, 1e-2)
+        result = call(x, y)
+        assert result.dtype == dtype
+        assert_close(result, call(x.float(), y.float()).to(dtype), 1e-2, 1e-2)
 
 
 def test_float32_is_as_good_as_it_can_be(device):
     x, y, H = (v.to(device) for v in on_planes(8, 9))
     expected = H / H[:, 2:, 2:]
-    found = G.find_homography_dlt(x.float(), y.float())
-    assert_close(found.double(), G.find_homography_dlt(x.float().double(), y.float().double()), 1e-5, 1e-6)
-    assert_close(found.double(), expected, 1e-3, 1e-4)
+    result = G.find_homography_dlt(x.float(), y.float())
+    assert_close(result.double(), G.find_homography_dlt(x.float().double(), y.float().double()), 1e-5, 1e-6)
+    assert_close(result.double(), expected, 1e-3, 1e-4)
 
 
 def test_opencv_homography():
     x, y, _ = on_planes(3, 30, noise=0.5)
-    for a, b, found in zip(x, y, G.find_homography_dlt(x, y)):
+    for a, b, result in zip(x, y, G.find_homography_dlt(x, y)):
         expected = torch.from_numpy(cv2.findHomography(a.numpy(), b.numpy(), 0)[0])
-        there, them = (G.oneway_transfer_error(a[None], b[None], h[None]).mean() for h in (found, expected))
+        there, them = (G.oneway_transfer_error(a[None], b[None], h[None]).mean() for h in (result, expected))
         assert there < 1.05 * them  # which is the least there is: OpenCV goes on from the same by Levenberg-Marquardt
 
 

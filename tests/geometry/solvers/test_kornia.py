@@ -29,6 +29,6 @@ def test_values(home, name, args, kwargs, device):
 @pytest.mark.parametrize("name, count", [("solve_cubic", 4), ("solve_quartic", 5)])
 def test_roots(name, count, device):
     coeffs = rand(500, count, low=-1)
-    found = getattr(K.geometry, name)(coeffs.to(device)).cpu()
+    result = getattr(K.geometry, name)(coeffs.to(device)).cpu()
     expected = getattr(kornia.geometry.solvers, name)(coeffs)
-    assert_close(found.sort(-1).values, expected.sort(-1).values, 1e-9, 1e-9)
+    assert_close(result.sort(-1).values, expected.sort(-1).values, 1e-9, 1e-9)

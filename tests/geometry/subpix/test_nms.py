@@ -62,8 +62,8 @@ def test_nms_is_kornias(window, device):
     x = torch.rand(2, 2, 17, 19, device=device)
     assert torch.equal(G.nms2d(x, window), kornia.geometry.nms2d(x, window))
     volume = x[:, :, None].repeat(1, 1, 4, 1, 1) + torch.rand(2, 2, 4, 17, 19, device=device)
-    for found, expected in zip(G.nms3d_minmax(volume), kornia.geometry.nms3d_minmax(volume)):
-        assert torch.equal(found, expected)
+    for result, expected in zip(G.nms3d_minmax(volume), kornia.geometry.nms3d_minmax(volume)):
+        assert torch.equal(result, expected)
     size = (3, *window)
     assert torch.equal(G.nms3d(volume, size, True), kornia.geometry.nms3d(volume, size, True))
 

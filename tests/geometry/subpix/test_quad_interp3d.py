@@ -76,8 +76,8 @@ class TestQuadraticFunctions(CompositionTests):
 def test_refined_peaks_are_kornias(name, device):
     x = torch.rand(2, 2, 9, 24, 27, dtype=torch.float64, device=device)
     x = torch.nn.functional.avg_pool3d(torch.nn.functional.avg_pool3d(x, 3, 1), 3, 1).requires_grad_()
-    for how in [{}, {"n_iters": 1}, {"n_iters": 10, "max_subpixel_shift": 0.5}, {"allow_scale_steps": False}]:
-        pairs = [getattr(module, name)(x, **how) for module in (G, kornia.geometry.subpix)]
+    for options in [{}, {"n_iters": 1}, {"n_iters": 10, "max_subpixel_shift": 0.5}, {"allow_scale_steps": False}]:
+        pairs = [getattr(module, name)(x, **options) for module in (G, kornia.geometry.subpix)]
         assert_close(*pairs)
         weights = [torch.randn_like(y) for y in pairs[0]]
         assert_close(*(torch.autograd.grad(pair, x, weights)[0] for pair in pairs), 1e-7, 1e-7)

@@ -60,11 +60,12 @@ class TestSoftArgmaxFunctions(CompositionTests):
 @pytest.mark.parametrize("normalized", [True, False])
 def test_soft_argmax_is_kornias(normalized, device):
     x = (3 * torch.randn(2, 2, 9, 11, dtype=torch.float64, device=device)).requires_grad_()
-    for how in [((5, 5), (1, 1), (2, 2), 0.3), ((2, 4), (2, 1), (1, 2), 2.0)]:
-        pairs = [module.conv_soft_argmax2d(x, *how, normalized, output_value=True) for module in (G, kornia.geometry)]
+    for options in [((5, 5), (1, 1), (2, 2), 0.3), ((2, 4), (2, 1), (1, 2), 2.0)]:
+        modules = (G, kornia.geometry)
+        pairs = [module.conv_soft_argmax2d(x, *options, normalized, output_value=True) for module in modules]
         assert_close(*pairs)
         weights = [torch.randn_like(y) for y in pairs[0]]
         assert_close(*(torch.autograd.grad(pair, x, weights)[0] for pair in pairs))
     volume = torch.randn(1, 2, 4, 7, 8, dtype=torch.float64, device=device)
-    how = {"stride": (1, 2, 1), "normalized_coordinates": normalized}
-    assert_close(G.conv_soft_argmax3d(volume, **how), kornia.geometry.conv_soft_argmax3d(volume, **how))
+    options = {"stride": (1, 2, 1), "normalized_coordinates": normalized}
+    assert_close(G.conv_soft_argmax3d(volume, **options), kornia.geometry.conv_soft_argmax3d(volume, **options))

@@ -70,10 +70,10 @@ def test_gaussians(size, dtype, device):
         (torch.rand(2) + 2, False),
         (torch.rand(3, 2) + 0.5, True),
     ):
-        given = [x.to(dtype).to(device) for x in (mean, std)]
+        args = [x.to(dtype).to(device) for x in (mean, std)]
         with K.backend("reference"):
-            expected = gaussians(*(x.double() for x in given), size, normalized)
-        for a, e in zip(gaussians(*given, size, normalized), expected, strict=True):
+            expected = gaussians(*(x.double() for x in args), size, normalized)
+        for a, e in zip(gaussians(*args, size, normalized), expected, strict=True):
             relative, absolute = TOLERANCES[dtype]
             assert_close(a, e.to(dtype), 4 * relative, 4 * absolute * max(float(e.abs().max()), 0.02))
 
@@ -89,10 +89,10 @@ def test_gaussians_by_instruction_sets(isa, device, backend):
 def test_gaussians_far_away_or_narrow(device):
     """All of the weight is on the nearest pixels, and gradients are finite."""
     mean = torch.tensor([[2.0, 3], [-1e6, 1e6], [1e6, 3], [4.0, 0]], device=device)
-    maps, *slopes = gaussians(mean, torch.full_like(mean, 1e-3), (6, 7), False)
+    maps, *gradients = gaussians(mean, torch.full_like(mean, 1e-3), (6, 7), False)
     positions = [int(m.argmax()) for m in maps]
     assert positions == [23, 35, 27, 4]
-    assert (maps.flatten(1).amax(1) == 1).all() and all(g.isfinite().all() for g in slopes)
+    assert (maps.flatten(1).amax(1) == 1).all() and all(g.isfinite().all() for g in gradients)
     assert G.render_gaussian2d(mean, 0 * mean, (6, 7)).isnan().all()
     assert G.render_gaussian2d(mean[:0], mean[:0], (6, 7)).shape == (0, 6, 7)
 
@@ -102,10 +102,10 @@ def test_spatial_is_kornias(device):
     mean, std = torch.rand(2, 4, 2, device=device).double() - 0.5, torch.rand(2, 4, 2, device=device).double() + 0.1
     for normalized in (True, False):
         for function in ("spatial_soft_argmax2d", "spatial_expectation2d"):
-            found, expected = (
+            result, expected = (
                 getattr(module, function)(x, normalized_coordinates=normalized) for module in (G, kornia.geometry)
             )
-            assert_close(found, expected)
+            assert_close(result, expected)
         assert_close(
             *(module.render_gaussian2d(mean, std, (7, 8), normalized) for module in (G, kornia.geometry.subpix))
         )

@@ -13,8 +13,8 @@ from op_tests import assert_close
 from warp_tests import FormulaWarpTests, degrees, one, point
 
 G = K.geometry
-HOW = INTERPOLATION["bilinear"], PADDING["fill"], True, True, False
-HOW3 = INTERPOLATION["bilinear"], PADDING["border"], True, False, False
+OPTIONS = INTERPOLATION["bilinear"], PADDING["fill"], True, True, False
+OPTIONS3 = INTERPOLATION["bilinear"], PADDING["border"], True, False, False
 QUADS = torch.tensor([[[1.3, 1.1], [5.2, 0.7], [4.9, 3.8], [0.9, 4.2]]])
 CUBE = torch.tensor([[0.0, 1, 1, 0] * 2, [0.0, 0, 1, 1] * 2, [0.0] * 4 + [1.0] * 4]).T[None]
 
@@ -61,25 +61,25 @@ def test_gives_what_a_matrix_and_a_warp_do(name, dtype, device):
     """The same bits on the CPU; on CUDA the compiler may round a sum of double numbers otherwise."""
     tensors, plain = CALLS[name]
     wide = torch.float64 if dtype == torch.float64 else torch.float32
-    given = [None if x is None else x.to(wide).to(device) for x in tensors]
+    inputs = [None if x is None else x.to(wide).to(device) for x in tensors]
     formula = getattr(matrices, name)
-    rest = [None] * (6 - len(given))
+    rest = [None] * (6 - len(inputs))
     shears = [None] * (6 if name == "affine_matrix3d" else 0)
-    matrix = formula(*given, *shears, *plain, *ROWS.get(name, ()))
+    matrix = formula(*inputs, *shears, *plain, *ROWS.get(name, ()))
     if name.endswith("3d"):
         if dtype == torch.uint8:
             pytest.skip("volumes are numbers")
         x = torch.rand(2, 2, 4, 5, 6).to(dtype).to(device)
-        expected = warp3d._warp3d(x, matrix, [5, 4, 7], *HOW3)
-        found = warp3d._warp3d_by_formula(x, *given, *rest, WARP_FORMULA[name], plain, [5, 4, 7], *HOW3)
+        expected = warp3d._warp3d(x, matrix, [5, 4, 7], *OPTIONS3)
+        result = warp3d._warp3d_by_formula(x, *inputs, *rest, WARP_FORMULA[name], plain, [5, 4, 7], *OPTIONS3)
     else:
         x = (torch.rand(2, 3, 8, 9) * (255 if dtype == torch.uint8 else 1)).to(dtype).to(device)
-        expected = sampling.warp(x, matrix, None, None, [7, 10], *HOW)
-        found = sampling.warp_by_formula(x, *given, *rest, None, WARP_FORMULA[name], plain, [7, 10], *HOW)
+        expected = sampling.warp(x, matrix, None, None, [7, 10], *OPTIONS)
+        result = sampling.warp_by_formula(x, *inputs, *rest, None, WARP_FORMULA[name], plain, [7, 10], *OPTIONS)
     if device.type == "cpu":
-        assert torch.equal(found, expected)
+        assert torch.equal(result, expected)
     else:
-        assert_close(found, expected)
+        assert_close(result, expected)
 
 
 @pytest.mark.parametrize("channels_last", [False, True])
@@ -91,10 +91,10 @@ def test_crops_between_pixels_and_their_gradient(channels_last, device):
     x.requires_grad_()
     mean = (x[..., :-1, :] + x[..., 1:, :]) / 2
     expected = ((mean[..., :-1] + mean[..., 1:]) / 2)[..., 1:4, 1:5]
-    found = G.center_crop(x, (3, 4))
-    assert_close(found, expected)
-    weight = torch.rand_like(found)
-    for ours, theirs in zip(*(torch.autograd.grad((y * weight).sum(), x) for y in (found, expected))):
+    result = G.center_crop(x, (3, 4))
+    assert_close(result, expected)
+    weight = torch.rand_like(result)
+    for ours, theirs in zip(*(torch.autograd.grad((y * weight).sum(), x) for y in (result, expected))):
         assert_close(ours, theirs)
     volume = x[:1, :1, None].detach().requires_grad_()
     assert torch.autograd.gradcheck(
@@ -108,11 +108,11 @@ def test_unknown_formulas(wrong, device, backend):
         pytest.skip("this test is about the kernels")
     x = torch.rand(1, 1, 4, 4, device=device)
     with pytest.raises(RuntimeError, match="warp_by_formula: no formula of images has the number"):
-        torch.ops.kvision.warp_by_formula(x, x[:, 0, 0, :2], *[None] * 6, wrong, [], [4, 4], *HOW)
+        torch.ops.kvision.warp_by_formula(x, x[:, 0, 0, :2], *[None] * 6, wrong, [], [4, 4], *OPTIONS)
 
 
 @pytest.mark.parametrize(
-    "given, plain, message",
+    "shapes, plain, message",
     [
         ([(1, 2), (1, 2)], [0.0, 0.0], "expected 0 to 1 tensors"),
         ([(1, 3)], [0.0, 0.0], r"expected tensor 1 of shape \(B, 2\)"),
@@ -121,14 +121,14 @@ def test_unknown_formulas(wrong, device, backend):
         ([(1, 2)], [0.0] * 9, "expected 2 scalars, got 9"),
     ],
 )
-def test_wrong_inputs_of_a_formula(given, plain, message, device, backend):
+def test_wrong_inputs_of_a_formula(shapes, plain, message, device, backend):
     if backend == "reference":
         pytest.skip("this test is about the kernels")
-    tensors = [torch.ones(s, device=device) for s in given]
+    tensors = [torch.ones(s, device=device) for s in shapes]
     seven = [*tensors, *[None] * (7 - len(tensors))]  # with the index of images
     with pytest.raises(RuntimeError, match="^warp_by_formula: " + message):
         torch.ops.kvision.warp_by_formula(
-            torch.rand(2, 1, 4, 4, device=device), *seven, WARP_FORMULA["translation_matrix2d"], plain, [4, 4], *HOW
+            torch.rand(2, 1, 4, 4, device=device), *seven, WARP_FORMULA["translation_matrix2d"], plain, [4, 4], *OPTIONS
         )
 
 
@@ -162,14 +162,14 @@ def test_types(dtype, device):
         lambda s: G.center_crop(s, (5, 8)),
         lambda s: G.elastic_transform2d(s, torch.zeros(1, 2, 12, 14, device=device) + 0.1, (3, 3), (1.0, 1.0)),
     ):
-        found = call(x)
+        result = call(x)
         expected = call(wide)
-        assert found.dtype == stored
+        assert result.dtype == stored
         if dtype == torch.uint8:
             # Fixed point rounds to another level only next to the middle of two.
-            assert (found.float() - expected).abs().max() <= 0.53
+            assert (result.float() - expected).abs().max() <= 0.53
         else:
-            assert_close(found, expected.to(stored))
+            assert_close(result, expected.to(stored))
 
 
 IMAGE = torch.rand(1, 2, 5, 6, generator=torch.Generator().manual_seed(1)).double()

@@ -34,8 +34,8 @@ def test_matrices_take_corners_to_corners(device):
     matrix = matrix_of(QUADS.to(device), (5, 7), first)
     corners = torch.tensor([[0.0, 0, 1], [6, 0, 1], [6, 4, 1], [0, 4, 1]], dtype=torch.float64, device=device)
     corners = corners + torch.nn.functional.pad(first, (0, 1))[:, None]
-    found = corners @ matrix.mT
-    assert_close(found[..., :2] / found[..., 2:], QUADS.to(device), 0, 1e-12)
+    result = corners @ matrix.mT
+    assert_close(result[..., :2] / result[..., 2:], QUADS.to(device), 0, 1e-12)
 
 
 @pytest.mark.parametrize("call", [G.crop_and_resize, G.crop_by_boxes], ids=lambda call: call.__name__)
@@ -67,9 +67,9 @@ def test_whole_boxes_are_slices(device):
     boxes = torch.tensor([[101, 37, 900, 600], [3, 11, 802, 574]], device=device)
     x0, y0, x1, y1 = boxes.unbind(1)
     corners = torch.stack([x0, y0, x1, y0, x1, y1, x0, y1], 1).reshape(2, 4, 2).float()
-    found = G.crop_and_resize(x, corners, (564, 800))
+    result = G.crop_and_resize(x, corners, (564, 800))
     for i, (left, top, right, bottom) in enumerate(boxes.tolist()):
-        assert torch.equal(found[i], x[i, :, top : bottom + 1, left : right + 1])
+        assert torch.equal(result[i], x[i, :, top : bottom + 1, left : right + 1])
 
 
 QUAD = torch.tensor([[[1.3, 1.1], [5.2, 0.7], [4.9, 3.8], [0.9, 4.2]]])

@@ -38,6 +38,6 @@ def test_errors(call, error, message):
 
 def test_one_noise_for_all_images(device):
     images, noise = torch.rand(3, 2, 7, 8, device=device), torch.rand(1, 2, 7, 8, device=device) - 0.5
-    found = G.elastic_transform2d(images, noise, (3, 3), (2.0, 2.0))
+    result = G.elastic_transform2d(images, noise, (3, 3), (2.0, 2.0))
     expected = G.elastic_transform2d(images, noise.expand(3, -1, -1, -1), (3, 3), (2.0, 2.0))
-    torch.testing.assert_close(found, expected)
+    torch.testing.assert_close(result, expected)

@@ -29,8 +29,8 @@ class FlipTests(OpTests):
         """Nothing becomes of them: flips are of any type, and of any number of axes."""
         for shape in [(2, 3, 5, 37), (2, 2, 3, 4, 5), (3, 64, 48), (4, 5), (1, 1, 0, 4)]:
             x = (torch.rand(shape, device=device) * 100).to(dtype)
-            found = self.function(x)
-            assert found.dtype == dtype and torch.equal(found, x.flip(self.axes))
+            result = self.function(x)
+            assert result.dtype == dtype and torch.equal(result, x.flip(self.axes))
 
 
 class TestHflip(FlipTests):
@@ -69,13 +69,13 @@ def test_crops_of_whole_pixels_are_slices(dtype, device):
     for size in ((8, 16), (20, 40), (2, 2), (18, 30), (40, 56)):
         h, w = size
         y0, x0 = (40 - h) // 2, (56 - w) // 2
-        found = G.center_crop(x, size)
-        assert torch.equal(found, x[..., y0 : y0 + h, x0 : x0 + w]) and found.is_contiguous()
+        result = G.center_crop(x, size)
+        assert torch.equal(result, x[..., y0 : y0 + h, x0 : x0 + w]) and result.is_contiguous()
         last = x.contiguous(memory_format=torch.channels_last)
-        assert torch.equal(G.center_crop(last, size), found)
+        assert torch.equal(G.center_crop(last, size), result)
         if dtype != torch.uint8:
             x.requires_grad_()
-            weights = torch.rand_like(found)
+            weights = torch.rand_like(result)
             (grad,) = torch.autograd.grad(G.center_crop(x, size), x, weights)
             x.requires_grad_(False)
             assert (

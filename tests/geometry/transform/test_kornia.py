@@ -112,8 +112,8 @@ CALLS = [
 def test_function(name, args, kwargs, device):
     expected = getattr(theirs, name)(*args, **kwargs)
     moved = [a.to(device) if isinstance(a, Tensor) else a for a in args]
-    found = getattr(G, name)(*moved, **{k: v.to(device) if isinstance(v, Tensor) else v for k, v in kwargs.items()})
-    for ours, his in zip(*(x if isinstance(x, (list, tuple)) else [x] for x in (found, expected)), strict=True):
+    result = getattr(G, name)(*moved, **{k: v.to(device) if isinstance(v, Tensor) else v for k, v in kwargs.items()})
+    for ours, his in zip(*(x if isinstance(x, (list, tuple)) else [x] for x in (result, expected)), strict=True):
         assert_close(ours.cpu(), his, 1e-6, 1e-6)
 
 
@@ -146,8 +146,8 @@ def test_module(name, args, device):
 def test_scale_pyramid(double_image, device):
     x = rand(1, 1, 50, 64).float()
     expected = theirs.ScalePyramid(3, 1.6, 10, double_image)(x)
-    found = G.ScalePyramid(3, 1.6, 10, double_image)(x.to(device))
-    for ours, his in zip(found, expected, strict=True):
+    result = G.ScalePyramid(3, 1.6, 10, double_image)(x.to(device))
+    for ours, his in zip(result, expected, strict=True):
         for a, b in zip(ours, his, strict=True):
             assert_close(a.cpu(), b, 1e-4, 1e-5)
 

@@ -52,9 +52,9 @@ def test_is_the_mean_over_the_warped_image(distance, device):
     value = {"l1": difference.abs(), "l2": difference**2, "charbonnier": (difference**2 + 1e-6).sqrt()}[distance]
     seen = (G.homography_warp(torch.ones_like(x), M, (30, 45)) > 1 - 1e-9).double()
     expected = (value * seen).sum((1, 2, 3)) / seen.sum((1, 2, 3))
-    found = G.photometric_homography_loss(x, y, M, distance)
-    assert_close(found, expected)
-    assert_close(*(torch.autograd.grad(loss.sum(), M)[0] for loss in (found, expected)), 1e-7, 1e-7)
+    result = G.photometric_homography_loss(x, y, M, distance)
+    assert_close(result, expected)
+    assert_close(*(torch.autograd.grad(loss.sum(), M)[0] for loss in (result, expected)), 1e-7, 1e-7)
 
 
 def test_where_nothing_is_seen(device):
@@ -76,7 +76,7 @@ def test_normal_equations(distance, align_corners, normalized, device, backend):
             torch.tensor(d).double().diag().to(device) for d in ([25, 20, 1], [1 / 22, 1 / 15, 1])
         )
         M = to_source @ (M + torch.tensor([[0, 0, 0.9], [0, 0, 0.9], [0, 0, 0]], device=device)) @ from_target
-    how = (align_corners, normalized)
+    options = (align_corners, normalized)
 
     def residuals(m: Tensor) -> Tensor:
         if normalized:
@@ -84,14 +84,14 @@ def test_normal_equations(distance, align_corners, normalized, device, backend):
         return (G.warp_perspective(x, torch.linalg.inv(m), (30, 45)) - y).flatten(1)
 
     M.requires_grad_()
-    loss = G.photometric_homography_loss(x, y, M, distance, 0.01, *how)
-    normal, gradient, same = G.photometric_normal_equations(x, y, M, distance, 0.01, *how)
+    loss = G.photometric_homography_loss(x, y, M, distance, 0.01, *options)
+    normal, gradient, same = G.photometric_normal_equations(x, y, M, distance, 0.01, *options)
     assert_close(same, loss.detach())
     assert_close(gradient, torch.autograd.grad(loss.sum(), M)[0].flatten(1)[:, :8], 1e-7, 1e-7)
     jacobian = torch.autograd.functional.jacobian(lambda m: residuals(m).sum(0), M.detach(), vectorize=True)
     jacobian = jacobian.flatten(2)[..., :8].movedim(1, 0)
     ones = torch.ones_like(x)
-    seen = G.photometric_homography_loss(ones, torch.zeros_like(y), M.detach(), "l2", 0.01, *how)
+    seen = G.photometric_homography_loss(ones, torch.zeros_like(y), M.detach(), "l2", 0.01, *options)
     assert_close(seen, torch.ones_like(seen))
     r = residuals(M.detach())
     weight = {"l1": 1 / r.abs(), "l2": 2 + 0 * r, "charbonnier": (r * r + 1e-4).rsqrt()}[distance]

@@ -69,12 +69,12 @@ def test_launches(call, device, backend):
 
     class Recorder(TorchDispatchMode):
         def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-            found = func(*args, **(kwargs or {}))
-            values = found if isinstance(found, (tuple, list)) else [found]
+            result = func(*args, **(kwargs or {}))
+            values = result if isinstance(result, (tuple, list)) else [result]
             inputs = [a.untyped_storage().data_ptr() for a in args if isinstance(a, Tensor)]
             if any(v.untyped_storage().data_ptr() not in inputs for v in values):
                 launched.append(str(func))
-            return found
+            return result
 
     f, most = LAUNCHES[call]
     given = [x.to(device) for x in (torch.rand(1, 3, 9, 9), ANGLE, PAIR)]

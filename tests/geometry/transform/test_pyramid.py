@@ -56,33 +56,33 @@ def test_pyramids_are_a_blur_and_a_resize(border, device):
 @pytest.mark.parametrize("border", ["reflect", "constant", "replicate"])
 @pytest.mark.parametrize("size", [(5, 7), (24, 136)], ids=str)
 def test_details_are_differences(size, border, device, backend):
-    how = (False, BORDER[border])
+    options = (False, BORDER[border])
     smaller = torch.rand(2, 3, *size, device=device)
     image = torch.rand(2, 3, *(2 * n for n in size), device=device)
     for dtype in (torch.float32, torch.float64, torch.float16, torch.bfloat16):
         a, b = smaller.to(dtype), image.to(dtype)
         expected = b.float() - G.pyrup(a.float(), border)
         for layout in (torch.contiguous_format, torch.channels_last):
-            found = _detail(a.contiguous(memory_format=layout), b, *how)
+            result = _detail(a.contiguous(memory_format=layout), b, *options)
             rounded = {torch.float16: 1e-3, torch.bfloat16: 8e-3}.get(dtype, 1e-6)
-            assert found.dtype == dtype and (found.float() - expected).abs().max() <= rounded
-        assert_close(_detail(a, b.mT.contiguous().mT, *how), _detail(a, b, *how), 0, 0)
+            assert result.dtype == dtype and (result.float() - expected).abs().max() <= rounded
+        assert_close(_detail(a, b.mT.contiguous().mT, *options), _detail(a, b, *options), 0, 0)
         moved = torch.empty(b.numel() + 1, dtype=dtype, device=device)[1:].view(b.shape).copy_(b)
         assert_close(
-            _detail(a, moved, *how),
-            _detail(a, b, *how),
+            _detail(a, moved, *options),
+            _detail(a, b, *options),
             0,
             1e-2 if dtype == torch.bfloat16 else 2e-3 if dtype == torch.float16 else 2e-6,
         )
     a, b = (x[:1, :1, :4, :6].double().requires_grad_() for x in (smaller[..., :2, :3], image))
-    assert torch.autograd.gradcheck(lambda a, b: _detail(a, b, *how), (a, b))
-    assert torch.autograd.gradgradcheck(lambda a, b: _detail(a, b, *how), (a, b))
-    each = torch.func.vmap(lambda a, b: _detail(a[None], b[None], *how)[0])(smaller, image)
-    assert_close(each, _detail(smaller, image, *how))
+    assert torch.autograd.gradcheck(lambda a, b: _detail(a, b, *options), (a, b))
+    assert torch.autograd.gradgradcheck(lambda a, b: _detail(a, b, *options), (a, b))
+    each = torch.func.vmap(lambda a, b: _detail(a[None], b[None], *options)[0])(smaller, image)
+    assert_close(each, _detail(smaller, image, *options))
     if backend != "reference":
-        torch.library.opcheck(torch.ops.kvision.pyramid_detail.default, (a, b, *how))
+        torch.library.opcheck(torch.ops.kvision.pyramid_detail.default, (a, b, *options))
         with pytest.raises(RuntimeError, match="^pyramid_detail: image differs"):
-            torch.ops.kvision.pyramid_detail(smaller, image[..., 1:], *how)
+            torch.ops.kvision.pyramid_detail(smaller, image[..., 1:], *options)
 
 
 def test_a_pyramid_of_a_constant_is_constant(device):

@@ -45,9 +45,9 @@ def test_registration_finds_the_transform(model, device):
     target = G.homography_warp(source, truth, (64, 64))
     rate = 2e-3 if model == "homography" else 5e-3
     registrator = G.ImageRegistrator(model, pyramid_levels=3, lr=rate, num_iterations=80, tolerance=0).to(device)
-    found, levels = registrator.register(source, target, output_intermediate_models=True)
+    result, levels = registrator.register(source, target, output_intermediate_models=True)
     corners = torch.tensor([[-1.0, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], device=device).T
-    moved, expected = found[0] @ corners, truth[0] @ corners
+    moved, expected = result[0] @ corners, truth[0] @ corners
     error = (moved[:2] / moved[2] - expected[:2] / expected[2]).norm(dim=0).mean() * 32
     assert len(levels) == 3
     assert error < 0.5  # pixels

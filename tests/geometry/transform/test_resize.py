@@ -68,11 +68,11 @@ def test_values_and_gradients_of_torch(name, align_corners, antialias, device):
         x = torch.rand(2, 3, 33, 40, dtype=torch.float64)
         a, b = x.clone().requires_grad_(), x.to(device, copy=True).requires_grad_()
         expected = F.interpolate(a, size, mode=name, antialias=antialias, **corners)
-        found = G.resize(b, size, name, align_corners, antialias=antialias)
-        assert_close(found.cpu(), expected, 1e-12, 1e-12)
+        result = G.resize(b, size, name, align_corners, antialias=antialias)
+        assert_close(result.cpu(), expected, 1e-12, 1e-12)
         weights = torch.rand(expected.shape, dtype=torch.float64)
         (expected * weights).sum().backward()
-        (found * weights.to(device)).sum().backward()
+        (result * weights.to(device)).sum().backward()
         assert_close(b.grad.cpu(), a.grad, 1e-11, 1e-11)
 
 
@@ -91,8 +91,8 @@ def test_antialias_is_that_of_pillow(name, size, device):
     x = np.random.default_rng(0).random((33, 40), np.float32)
     filter = getattr(pillow.Resampling, name.upper())
     expected = torch.from_numpy(np.asarray(pillow.fromarray(x).resize(size[::-1], filter)).copy())
-    found = G.resize(torch.from_numpy(x).to(device), size, name, antialias=True)
-    assert_close(found.cpu(), expected, 0, 2e-6)
+    result = G.resize(torch.from_numpy(x).to(device), size, name, antialias=True)
+    assert_close(result.cpu(), expected, 0, 2e-6)
 
 
 @pytest.mark.parametrize("size", [(25, 20), (9, 50), (50, 77), (100, 80)])
@@ -108,8 +108,8 @@ def test_values_of_opencv(name, flag, tolerance, size, device):
     """OpenCV's coordinates are float32 numbers; ours are fractions."""
     x = np.random.default_rng(0).random((50, 40), np.float32)
     expected = cv2.resize(x, size[::-1], interpolation=flag)
-    found = G.resize(torch.from_numpy(x).to(device), size, name)
-    assert_close(found.cpu(), torch.from_numpy(expected), 0, tolerance)
+    result = G.resize(torch.from_numpy(x).to(device), size, name)
+    assert_close(result.cpu(), torch.from_numpy(expected), 0, tolerance)
 
 
 @pytest.mark.parametrize("size", [(17, 13), (9, 50), (50, 77), (100, 80)])
@@ -119,16 +119,16 @@ def test_nearest_exact_is_that_of_opencv(size, device):
     expected = cv2.resize(x, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
     between = [(2 * np.arange(n) + 1) * m % (2 * n) == 0 for n, m in zip(size, x.shape)]
     unsure = between[0][:, None] | between[1]
-    found = G.resize(torch.from_numpy(x).to(device), size, "nearest-exact").cpu().numpy()
-    assert (found == expected)[~unsure].all() and unsure.mean() < 0.3
+    result = G.resize(torch.from_numpy(x).to(device), size, "nearest-exact").cpu().numpy()
+    assert (result == expected)[~unsure].all() and unsure.mean() < 0.3
 
 
 @pytest.mark.parametrize("factor", [2, 3, 5])
 def test_area_of_whole_factors_is_that_of_opencv(factor, device):
     x = np.random.default_rng(0).random((60, 30), np.float32)
     expected = cv2.resize(x, (30 // factor, 60 // factor), interpolation=cv2.INTER_AREA)
-    found = G.resize(torch.from_numpy(x).to(device), (60 // factor, 30 // factor), "area")
-    assert_close(found.cpu(), torch.from_numpy(expected))
+    result = G.resize(torch.from_numpy(x).to(device), (60 // factor, 30 // factor), "area")
+    assert_close(result.cpu(), torch.from_numpy(expected))
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.37, 1.5])
@@ -137,8 +137,8 @@ def test_bytes_of_opencv(factor, device):
     x = np.random.default_rng(0).integers(0, 256, (64, 48, 3), np.uint8)
     size = (int(64 * factor), int(48 * factor))
     expected = torch.from_numpy(cv2.resize(x, size[::-1])).permute(2, 0, 1)
-    found = G.resize(torch.from_numpy(x).permute(2, 0, 1).to(device), size)
-    assert (found.cpu().int() - expected.int()).abs().max() <= 1
+    result = G.resize(torch.from_numpy(x).permute(2, 0, 1).to(device), size)
+    assert (result.cpu().int() - expected.int()).abs().max() <= 1
 
 
 @pytest.mark.parametrize("name", ["bilinear", "bicubic", "lanczos", "nearest", "nearest-exact", "area"])
@@ -147,8 +147,8 @@ def test_the_same_size_is_the_same_image(name, align_corners, device):
     x = torch.rand(2, 3, 37, 41, device=device)
     x[0, 0, 3, 4], x[1, 1, 5, 6] = float("nan"), float("inf")
     for antialias in (False, True):
-        found = G.resize(x, (37, 41), name, align_corners, antialias=antialias)
-        assert_close(found, x, 0, 0)
+        result = G.resize(x, (37, 41), name, align_corners, antialias=antialias)
+        assert_close(result, x, 0, 0)
 
 
 def test_nearest_is_exact_at_any_size(device):
@@ -157,10 +157,10 @@ def test_nearest_is_exact_at_any_size(device):
         for result in (3, 98, 147, 6141):
             x = torch.arange(float(source), device=device).expand(1, 1, 1, source)
             i = torch.arange(result, device=device)
-            found = G.resize(x, (1, result), "nearest")[0, 0, 0].long()
-            assert torch.equal(found, i * source // result)
-            found = G.resize(x, (1, result), "nearest-exact")[0, 0, 0].long()
-            assert torch.equal(found, (2 * i + 1) * source // (2 * result))
+            actual = G.resize(x, (1, result), "nearest")[0, 0, 0].long()
+            assert torch.equal(actual, i * source // result)
+            actual = G.resize(x, (1, result), "nearest-exact")[0, 0, 0].long()
+            assert torch.equal(actual, (2 * i + 1) * source // (2 * result))
 
 
 def test_places_in_long_rows_are_exact(device):
@@ -176,9 +176,9 @@ def test_large_windows(size, device):
     """Thousands of pixels for one: beyond what a block of threads has memory for on CUDA."""
     x = torch.rand(1, 2, 40, 12007, device=device)
     for name in ("bilinear", "area"):
-        found = G.resize(x, size, name, antialias=name == "bilinear")
+        result = G.resize(x, size, name, antialias=name == "bilinear")
         with K.backend("reference"):
-            assert_close(found, G.resize(x.double(), size, name, antialias=name == "bilinear").float(), 2e-5)
+            assert_close(result, G.resize(x.double(), size, name, antialias=name == "bilinear").float(), 2e-5)
 
 
 def test_one_operator_a_call(device, backend):
@@ -211,7 +211,7 @@ def test_half_and_twice_the_size(size, down, dtype, device):
     x = torch.rand(2, 3, *size, device=device)
     x = (x * 255).to(dtype) if dtype == torch.uint8 else x.to(dtype)
     result = [n // 2 if down else 2 * n for n in size]
-    calls = [lambda x, how=how: G.resize(x, result, how[0], antialias=how[1]) for how in OCTAVES]
+    calls = [lambda x, options=options: G.resize(x, result, options[0], antialias=options[1]) for options in OCTAVES]
     pyramid = G.pyrdown if down else G.pyrup
     calls += [lambda x, border=border: pyramid(x, border) for border in ("reflect", "replicate", "constant")]
     for call in calls:
@@ -219,9 +219,9 @@ def test_half_and_twice_the_size(size, down, dtype, device):
     if dtype == torch.float32:
         x[0, 0, 5, 7], x[1, 2, -1, -1] = float("nan"), float("inf")
         for call in calls:
-            found = call(x)
+            actual = call(x)
             with K.backend("reference"):
-                assert torch.equal(found.isfinite(), call(x).isfinite())
+                assert torch.equal(actual.isfinite(), call(x).isfinite())
 
 
 WINDOWS_OF_ANY_FACTOR = [
@@ -269,26 +269,26 @@ def test_numbers_out_of_a_window_are_harmless(name, antialias, device):
     x = torch.rand(1, 2, 120, 301, device=device)
     x[0, 0, 60, 150], x[0, 1, 119, 300] = float("inf"), float("nan")
     for size in ((53, 140), (120, 90), (200, 500)):
-        found = G.resize(x, size, name, antialias=antialias)
+        result = G.resize(x, size, name, antialias=antialias)
         with K.backend("reference"):
             expected = G.resize(x, size, name, antialias=antialias)
-        assert torch.equal(found.isfinite(), expected.isfinite())
-        assert_close(found.nan_to_num(0, 0, 0), expected.nan_to_num(0, 0, 0), 0, 4e-6)
+        assert torch.equal(result.isfinite(), expected.isfinite())
+        assert_close(result.nan_to_num(0, 0, 0), expected.nan_to_num(0, 0, 0), 0, 4e-6)
 
 
 def check_like_reference(call, x):
     """Values and gradients."""
     tolerance = {torch.float32: 2e-6, torch.float16: 2e-3, torch.uint8: 1}[x.dtype]
     inputs = [x.clone().requires_grad_(x.is_floating_point()) for _ in range(2)]
-    found = call(inputs[0])
+    result = call(inputs[0])
     with K.backend("reference"):
         expected = call(inputs[1])
         if x.is_floating_point():
-            weights = torch.rand(found.shape, device=x.device).to(x.dtype)
+            weights = torch.rand(result.shape, device=x.device).to(x.dtype)
             (expected_grad,) = torch.autograd.grad(expected, inputs[1], weights)
-    assert_close(found.detach().float(), expected.detach().float(), 1e-3 if x.dtype == torch.float16 else 0, tolerance)
+    assert_close(result.detach().float(), expected.detach().float(), 1e-3 if x.dtype == torch.float16 else 0, tolerance)
     if x.is_floating_point():
-        (grad,) = torch.autograd.grad(found, inputs[0], weights)
+        (grad,) = torch.autograd.grad(result, inputs[0], weights)
         assert_close(grad.float(), expected_grad.float(), 1e-3 if x.dtype == torch.float16 else 1e-6, 2 * tolerance)
 
 

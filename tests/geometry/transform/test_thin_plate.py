@@ -51,16 +51,16 @@ CALLS = {
 @pytest.mark.parametrize("name", CALLS)
 def test_kernels_against_the_reference(name, dtype, isa, device):
     operator, shapes, plain = CALLS[name]
-    given = [rand(*shape, seed=i).to(dtype).to(device).requires_grad_() for i, shape in enumerate(shapes)]
+    leaves = [rand(*shape, seed=i).to(dtype).to(device).requires_grad_() for i, shape in enumerate(shapes)]
     with instruction_set(isa) if device.type == "cpu" else contextlib.nullcontext():
-        found = operator(*given, *plain)
-        grad = rand(*found.shape).to(dtype).to(device)
-        gradients = torch.autograd.grad(found, given, grad)
-    wide = [x.detach().double().requires_grad_() for x in given]
+        result = operator(*leaves, *plain)
+        grad = rand(*result.shape).to(dtype).to(device)
+        gradients = torch.autograd.grad(result, leaves, grad)
+    wide = [x.detach().double().requires_grad_() for x in leaves]
     with K.backend("reference"):
         expected = operator(*wide, *plain)
         theirs = torch.autograd.grad(expected, wide, grad.double())
-    for actual, reference in zip((found, *gradients), (expected, *theirs)):
+    for actual, reference in zip((result, *gradients), (expected, *theirs)):
         size = 1 + reference.abs().max().item() if reference.numel() else 1
         assert_close(actual, reference.to(dtype), 0, (1e-11 if dtype == torch.float64 else 1e-5) * size)
 

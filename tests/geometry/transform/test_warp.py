@@ -242,11 +242,11 @@ def test_identities(mode, align_corners, device):
     x = torch.rand(2, 3, 16, 32, device=device)
     y, columns = torch.meshgrid(torch.arange(16.0), torch.arange(32.0), indexing="ij")
     eye = torch.eye(3, device=device)[None]
-    how = {"mode": mode, "align_corners": align_corners}
-    assert torch.equal(G.remap(x, columns[None].to(device), y[None].to(device), **how), x)
-    assert_close(G.homography_warp(x, eye, (16, 32), **how), x, 0, 1e-6)
-    assert torch.equal(G.homography_warp(x, eye, (16, 32), normalized_homography=False, **how), x)
-    assert torch.equal(G.warp_perspective(x, -3 * eye, (16, 32), **how), x)  # a homography has no scale
+    options = {"mode": mode, "align_corners": align_corners}
+    assert torch.equal(G.remap(x, columns[None].to(device), y[None].to(device), **options), x)
+    assert_close(G.homography_warp(x, eye, (16, 32), **options), x, 0, 1e-6)
+    assert torch.equal(G.homography_warp(x, eye, (16, 32), normalized_homography=False, **options), x)
+    assert torch.equal(G.warp_perspective(x, -3 * eye, (16, 32), **options), x)  # a homography has no scale
 
 
 # --- coords and pixels that are no numbers --------------------------------------------------------------------------
@@ -260,14 +260,14 @@ def test_coords_at_infinity(mode, padding, device):
         [[[float("nan"), float("inf"), -float("inf"), 1e30, -1e30, 3e9]]], device=device
     ).requires_grad_()
     for map_x, map_y in ((far, torch.ones_like(far)), (torch.ones_like(far), far)):
-        found = G.remap(x, map_x, map_y, mode, padding)
-        assert found.isfinite().all()
-        assert padding != "zeros" or not found.any()
-        assert all(g.isfinite().all() for g in torch.autograd.grad(found.sum(), (x, far)))
+        result = G.remap(x, map_x, map_y, mode, padding)
+        assert result.isfinite().all()
+        assert padding != "zeros" or not result.any()
+        assert all(g.isfinite().all() for g in torch.autograd.grad(result.sum(), (x, far)))
     horizon = torch.tensor([[[1.0, 0, 0], [0, 1, 0], [0.5, 0, -1]]], device=device).requires_grad_()  # w = 0 at x = 2
-    found = G.homography_warp(x, horizon, (5, 6), mode, padding, normalized_homography=False)
-    assert found.isfinite().all()
-    assert all(g.isfinite().all() for g in torch.autograd.grad(found.sum(), (x, horizon)))
+    result = G.homography_warp(x, horizon, (5, 6), mode, padding, normalized_homography=False)
+    assert result.isfinite().all()
+    assert all(g.isfinite().all() for g in torch.autograd.grad(result.sum(), (x, horizon)))
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
@@ -307,8 +307,8 @@ def test_image_gradients_of_maps(map, padding, mode, device):  # coords that sha
 def test_singular_matrices(device):
     x = torch.rand(1, 1, 4, 4, device=device, requires_grad=True)
     M = torch.zeros(1, 3, 3, device=device, requires_grad=True)
-    found = G.warp_perspective(x, M, (4, 4))
-    assert all(g.isfinite().all() for g in torch.autograd.grad(found.sum(), (x, M)))
+    result = G.warp_perspective(x, M, (4, 4))
+    assert all(g.isfinite().all() for g in torch.autograd.grad(result.sum(), (x, M)))
 
 
 # --- precision, layouts, batches ------------------------------------------------------------------------------------
@@ -328,9 +328,9 @@ def test_coords_in_wide_images(device):
     ramp = torch.arange(2048, device=device) % 64
     M = torch.tensor([[[0.9, 0.0, 100.3], [0, 1, 0]]], device=device)
     exact = (torch.arange(1900, device=device).double() - M[0, 0, 2].double()) / M[0, 0, 0].double()
-    found = G.warp_affine(ramp.float().expand(1, 1, 2, -1), M, (2, 1900), padding_mode="border")[0, 0, 0]
+    result = G.warp_affine(ramp.float().expand(1, 1, 2, -1), M, (2, 1900), padding_mode="border")[0, 0, 0]
     plain = (exact > 0) & (exact % 64 < 63) & (exact < 2047)
-    assert (found - exact % 64)[plain].abs().max() < 1e-4
+    assert (result - exact % 64)[plain].abs().max() < 1e-4
 
 
 @pytest.mark.slow
@@ -396,9 +396,9 @@ def test_large_images_of_odd_rows(mode, padding, device):
     results = []
     for image in (x, x.float()):
         image.requires_grad_()
-        found = G.warp_affine(image, M.to(image.dtype), (300, 481), mode, padding)
-        (grad,) = torch.autograd.grad((found * weight.to(found.dtype)).sum(), image)
-        results.append((found.detach().double(), grad.double()))
+        result = G.warp_affine(image, M.to(image.dtype), (300, 481), mode, padding)
+        (grad,) = torch.autograd.grad((result * weight.to(result.dtype)).sum(), image)
+        results.append((result.detach().double(), grad.double()))
     differs = (results[0][0] - results[1][0]).abs() > 1e-4
     assert differs.double().mean() < (1e-3 if mode == "nearest" else 1e-9)  # coords between two pixels
     differs = (results[0][1] - results[1][1]).abs() > 1e-3
@@ -496,10 +496,10 @@ def test_gradients_that_are_no_numbers(device):
     y = G.warp_perspective(x, M, (8, 8))
     weight = torch.rand_like(y)
     weight[1, 1, 3, 4] = float("nan")
-    found = torch.autograd.grad(y, x, weight, retain_graph=True)[0]
-    assert found.isnan().sum() == 2 and found[0, 1, 3, 24:26].isnan().all()
+    result = torch.autograd.grad(y, x, weight, retain_graph=True)[0]
+    assert result.isnan().sum() == 2 and result[0, 1, 3, 24:26].isnan().all()
     plain = torch.autograd.grad(y, x, weight.nan_to_num(), retain_graph=True)[0]
-    assert_close(found[~found.isnan()], plain[~found.isnan()])
+    assert_close(result[~result.isnan()], plain[~result.isnan()])
 
 
 @pytest.mark.parametrize("images", [1, 2])
@@ -548,10 +548,10 @@ def test_vmap_over_samples(images, rows, mapped, indexed, device):
     dims = tuple(0 if name in mapped.split(", ") else None for name in ("image", "M", "index"))
     args = [a if dim == 0 else a[0] for a, dim in zip((x, M, index), dims)]
     for function in (call, gradients):
-        found = torch.func.vmap(function, dims)(*args)
+        result = torch.func.vmap(function, dims)(*args)
         each = [function(*(a[i] if dim == 0 else a for a, dim in zip(args, dims))) for i in range(n)]
         expected = torch.stack(each) if function is call else tuple(torch.stack(g) for g in zip(*each))
-        assert_close(found, expected)
+        assert_close(result, expected)
 
 
 def test_no_samples(device):
@@ -600,10 +600,10 @@ def test_memory_of_many_patches(device, backend):
     """2,048 patches of an image, and their gradient, take the memory of the patches: less than three images."""
     if backend == "reference":
         pytest.skip("this test is about the kernels")
-    found = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", MANY_PATCHES, device.type], capture_output=True, text=True, check=True
     )
-    assert float(found.stdout) < 3, found.stdout
+    assert float(result.stdout) < 3, result.stdout
 
 
 def test_vmap_over_matrices(device):

@@ -48,7 +48,7 @@ def test_native_says_what_is_missing(backend):
         K.filters.sobel(x)
 
 
-def test_serves(device, backend):
+def test_serves_names_the_backend(device, backend):
     x = torch.zeros(1, 1, 4, 4, device=device)
     assert _ops.serves("sobel", x) == ("reference" if backend == "reference" else "native")
     assert _ops.serves("sobel", x.to("meta")) == "reference"

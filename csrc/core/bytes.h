@@ -153,7 +153,7 @@ KV_HD Lanes<int32_t, N> pair_products(Lanes<int16_t, 2 * N> a, Lanes<int16_t, 2 
   return sum;
 }
 
-// Byte index[i] of the 16 bytes in whose place byte i stands; 0 where index[i] is kNoByte.
+// Byte i of the result is byte index[i] of the same 16-byte group of v, or 0 where index[i] is kNoByte.
 constexpr uint8_t kNoByte = 0x80;
 template <class V>
 KV_HD V permuted_bytes(V v, V index) {

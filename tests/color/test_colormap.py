@@ -27,7 +27,7 @@ def test_tables_are_kornias(name, count):
     assert torch.equal(C.ColorMap(C.ColorMapType[name], count, dtype=torch.float64).colors, table.colors)
 
 
-def test_colors_of_ones_own():
+def test_custom_colors():
     table = C.ColorMap([(0.0, 0.0, 0.0), (1.0, 0.5, 0)], num_colors=4)
     assert table.name == "custom" and table.colors.dtype == torch.float32
     assert table.colors.T.tolist() == [[0, 0, 0], [0.25, 0.125, 0], [0.75, 0.375, 0], [1, 0.5, 0]]
@@ -42,7 +42,7 @@ def test_levels_are_kornias(count, device):
         assert_close(C.apply_colormap(x, table), kornia.color.apply_colormap(x, theirs), 0, 1e-6)
 
 
-def test_which_color(device):
+def test_levels_map_to_colors(device):
     """The first and the last color are for 0 and 1 alone."""
     table = C.ColorMap([[i / 4, 0, 0] for i in range(5)], 5, device=device)
     values = [-1, 0, 1e-6, 0.33, 0.34, 0.66, 0.67, 0.999, 1]
@@ -125,7 +125,7 @@ def test_errors(device):
             call()
 
 
-def test_tables_of_their_own(device):
+def test_vmap_over_tables(device):
     x = torch.rand(2, 3, 2, 4, 5, device=device)
     tables = torch.rand(2, 3, 7, device=device)
 

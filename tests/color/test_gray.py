@@ -75,7 +75,7 @@ def test_weights_of_bytes_round_and_saturate(device):
         assert gray.dtype == torch.uint8 and gray.item() == expected
 
 
-def test_weights_elsewhere(device):
+def test_weights_on_another_device(device):
     with pytest.raises(K.core.exceptions.DeviceError, match="^rgb_to_grayscale: "):
         C.rgb_to_grayscale(torch.rand(3, 4, 5, device=device), torch.ones(3, device="meta"))
 

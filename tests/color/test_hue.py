@@ -37,7 +37,7 @@ def pixel(*values: float, dtype: torch.dtype = torch.float64) -> torch.Tensor:
 
 @pytest.mark.parametrize("rgb, sixths", WHEEL, ids=str)
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.float16, torch.bfloat16], ids=str)
-def test_wheel(rgb, sixths, dtype, device):
+def test_hsv_and_hls_of_primary_colors(rgb, sixths, dtype, device):
     x = pixel(*rgb, dtype=dtype).to(device)
     colored = float(max(rgb) > min(rgb))
     hsv = pixel(sixths * TURN / 6, colored, max(rgb)).to(dtype).to(device)
@@ -106,7 +106,7 @@ def test_gradient_at_the_seam(convert, device):
 
 @pytest.mark.parametrize("convert", [C.rgb_to_hsv, C.rgb_to_hls])
 @pytest.mark.parametrize("level", [0.0, 0.25, 0.5, 1.0])
-def test_grays_have_no_hue_and_no_slope_of_it(convert, level, device):
+def test_grays_have_hue_zero_and_gradient_zero(convert, level, device):
     x = pixel(level, level, level).to(device).requires_grad_()
     y = convert(x)
     assert y[0].item() == 0

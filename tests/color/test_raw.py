@@ -81,7 +81,7 @@ class TestRawToRgb(OpTests):
         """Of even height and width."""
         return super().input((*shape[:-2], *(n + n % 2 for n in shape[-2:])), dtype, device)
 
-    test_nan_stays_in_its_window = None  # of two channels; test_nan_reaches_what_is_made_of_it below
+    test_nan_stays_in_its_window = None  # of two channels; test_nan_reaches_the_pixels_around_it below
 
     def test_wrong_kinds(self, variant, device):
         """test_errors below; any number of leading axes is right."""
@@ -111,7 +111,7 @@ CONVERSIONS = [
 
 
 @pytest.mark.parametrize("convert, module, channels", CONVERSIONS)
-def test_what_all_keep(convert, module, channels, cfa, device):
+def test_batches_types_layouts_and_gradients(convert, module, channels, cfa, device):
     x = torch.rand(3, 2, channels, 4, 6, dtype=torch.float64, device=device)
     y = convert(x, cfa)
     assert_close(convert(x[0], cfa), y[0])
@@ -127,7 +127,7 @@ def test_what_all_keep(convert, module, channels, cfa, device):
     assert torch.autograd.gradgradcheck(lambda s: convert(s, cfa), leaf)
 
 
-def test_nan_reaches_what_is_made_of_it(cfa, device):
+def test_nan_reaches_the_pixels_around_it(cfa, device):
     x = torch.rand(1, 1, 8, 8, device=device)
     x[..., 3, 4] = float("nan")
     bad = C.raw_to_rgb(x, cfa).isnan()

@@ -30,7 +30,7 @@ def test_normals(device):
     assert_close(unequal.norm(dim=1), torch.ones_like(unequal[:, 0]))
 
 
-def test_no_direction(device):
+def test_normals_of_length_zero(device):
     x = torch.full((3, 1, 1), 127.5, device=device, requires_grad=True)
     y = C.rgb255_to_normals(x)
     (gradient,) = torch.autograd.grad(y.sum(), x)

@@ -51,7 +51,7 @@ def test_background_numbers(device):
     assert_close(C.rgba_to_bgr(x), C.rgba_to_rgb(x, (1, 1, 1)).flip(0))
 
 
-def test_ends_of_alpha(device):
+def test_alpha_of_zero_and_one(device):
     x = torch.rand(1, 4, 4, 5, device=device)
     x[:, 3, :2], x[:, 3, 2:] = 0, 1
     y = C.rgba_to_rgb(x, (0.1, 0.2, 0.3))
@@ -59,7 +59,7 @@ def test_ends_of_alpha(device):
     assert_close(y[0, :, 0, 0], torch.tensor([0.1, 0.2, 0.3], device=device))
 
 
-def test_tensors_elsewhere(device):
+def test_tensors_on_another_device(device):
     x = torch.rand(2, 3, 4, 5, device=device)
     with pytest.raises(DeviceError, match="^rgb_to_rgba: "):
         C.rgb_to_rgba(x, torch.ones(2, 1, 4, 5, device="meta"))

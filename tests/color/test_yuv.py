@@ -26,7 +26,7 @@ def test_opencv_with_the_chroma_in_its_order(device):
     )
 
 
-def test_luma_is_one_thing(device):
+def test_all_conversions_have_the_same_luma(device):
     x = torch.rand(2, 3, 4, 5, dtype=torch.float64, device=device)
     for y in (C.rgb_to_y(x), C.rgb_to_ycbcr(x)[:, :1], C.rgb_to_yuv(x)[:, :1]):
         assert_close(y, C.rgb_to_grayscale(x))

@@ -133,7 +133,7 @@ def test_posterize_keeps_the_bytes_of_every_type(device):
             assert torch.equal((255 * y.double()).round().long(), levels >> (8 - bits) << (8 - bits))
 
 
-def test_sharpness_of_images_that_are_all_rim(device):
+def test_sharpness_of_images_that_are_all_border(device):
     for size in ((1, 1), (2, 5), (5, 2)):
         x = torch.rand(2, 3, *size, device=device)
         assert torch.equal(E.sharpness(x, 3.0), x)

@@ -77,7 +77,7 @@ class TestEqualize(LevelTests):
         x[0, 0, 5, 6] = torch.nan
         assert_close(E.equalize(x), self.expected(x, {}))
 
-    def test_gradient_of_what_stays(self, device):
+    def test_gradient_reaches_unchanged_pixels_only(self, device):
         """Nothing but NaN and planes that come back as they are."""
         x = torch.rand(2, 1, 20, 20, device=device)
         x[0] = 0.5

@@ -26,7 +26,7 @@ def test_counts_of_a_wide_kernel_sum_to_the_pixels(device):
     assert_close(pdf.sum(-1), torch.ones(2, 3, device=device))
 
 
-def test_narrow_kernels_count(device):
+def test_narrow_kernels_count_exactly(device):
     x = torch.randint(0, 10, (2, 50), device=device)
     expected = torch.stack([row.bincount(minlength=10) for row in x]) / 50.0
     bins, width = torch.arange(10.0, device=device), torch.tensor(0.05, device=device)
@@ -45,7 +45,7 @@ def test_numbers_on_bin_edges(device):
 
 
 @pytest.mark.parametrize("kernel", ["triangular", "uniform", "epanechnikov"])
-def test_a_kernel_that_ends_reaches_few_bins(kernel):
+def test_compact_kernels_reach_few_bins(kernel):
     """The same counts as with the centers given, which takes all bins."""
     x = torch.rand(2, 1, 9, 9, dtype=torch.float64, requires_grad=True)
     centers = (torch.arange(20, dtype=torch.float64) + 0.5) / 20
@@ -143,7 +143,7 @@ def test_counts_against_the_reference(samples, width, centers, device):
             assert_close(a, e.to(dtype), 0, tolerance * max(float(e.abs().max()), unit / 100))
 
 
-def test_kernels_of_strange_numbers(device):
+def test_extreme_centers_and_bandwidths(device):
     x = torch.rand(2, 300, device=device)
     for centers in ([0.1, torch.nan], [torch.inf, 0.5], [3e38, -3e38], []):
         for width in (0.1, 0.0, -0.1, torch.nan, torch.inf, 1e-44):

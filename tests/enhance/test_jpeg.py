@@ -65,14 +65,14 @@ def test_real_jpeg(quality):
     assert (ours - real).abs().mean() < 0.6 * (x - real).abs().mean()
 
 
-def test_coarser_is_worse(device):
+def test_the_error_falls_with_quality(device):
     x = torch.rand(5, 3, 32, 32, device=device)[:1].expand(5, -1, -1, -1)
     quality = torch.tensor([5.0, 20.0, 50.0, 80.0, 100.0], device=device)
     loss = (E.jpeg_codec_differentiable(x, quality) - x).square().mean((1, 2, 3))
     assert (loss.diff() < 0).all()
 
 
-def test_sizes_that_are_no_blocks(device):
+def test_sizes_that_are_no_multiples_of_blocks(device):
     for h, w in ((1, 1), (15, 17), (16, 33)):
         x = torch.rand(2, 3, h, w, device=device)
         y = E.jpeg_codec_differentiable(x, 70.0)

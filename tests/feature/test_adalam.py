@@ -40,7 +40,7 @@ def scene(n: int = 800, right: float = 0.5, seed: int = 0, noise: float = 0.5) -
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
-def test_keeps_who_is_right(dtype, device):
+def test_correct_matches_are_kept(dtype, device):
     *inputs, is_right = (x.to(device, dtype if x.is_floating_point() else None) for x in scene())
     scores, indices = K.feature.match_adalam(*inputs, hw1=(400, 600), hw2=(400, 600))
     assert scores.dtype == torch.float32 and scores.shape == (len(indices), 1) and scores.max() <= 1 / 200
@@ -52,7 +52,7 @@ def test_keeps_who_is_right(dtype, device):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("config", [None, {"area_ratio": 30, "refit": False}, {"force_seed_mnn": False}], ids=str)
-def test_finds_what_kornia_finds(config, seed, device):
+def test_matches_are_those_of_kornia(config, seed, device):
     *inputs, is_right = (x.to(device) for x in scene(seed=seed))
     sizes = {"hw1": (400, 600), "hw2": (400, 600)}
     ours, theirs = (k.match_adalam(*inputs, config=config, **sizes)[1] for k in (K.feature, KF))
@@ -71,7 +71,7 @@ def test_identical_images(sizes, device):
     assert scores.isfinite().all() and scores.max() <= 1 / 200
 
 
-def test_what_a_shift_of_all_orientations_and_scales_changes(device):
+def test_a_common_rotation_and_scale_change_nothing(device):
     *inputs, _ = (x.to(device) for x in scene())
     expected = K.feature.match_adalam(*inputs)
     desc1, desc2, lafs1, lafs2 = inputs
@@ -99,7 +99,7 @@ def test_few_descriptors(sizes, device):
     assert len(indices) == (sizes[0] if min(sizes) >= 2 else 0)  # the fallback
 
 
-def test_nan_and_all_at_one_place(device):
+def test_nan_and_coinciding_points(device):
     desc1, desc2, lafs1, lafs2, _ = (x.to(device) for x in scene(300))
     desc1[5], desc2[7], lafs2[0, 9] = torch.nan, torch.nan, torch.nan
     scores, indices = K.feature.match_adalam(desc1, desc2, lafs1, lafs2)

@@ -186,7 +186,7 @@ def test_score_thresholds_of_sift_features(config, device):
 
 
 @pytest.mark.parametrize("name", ["SIFTFeature", "SIFTFeatureScaleSpace"])
-def test_no_room_and_constant_images(name, device):
+def test_small_and_constant_images_give_empty_slots(name, device):
     feature = getattr(F, name)(5, device=device)
     for image in (torch.rand(1, 1, 9, 12, device=device), torch.full((1, 1, 70, 70), 0.5, device=device)):
         image.requires_grad_()

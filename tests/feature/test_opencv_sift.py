@@ -88,7 +88,7 @@ def test_samples_do_not_depend_on_each_other_and_masks_hold(device):
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 3, 4), (2, 1, 5, 30), (0, 1, 40, 40)], ids=str)
-def test_no_room_gives_empty_slots(shape, device):
+def test_small_images_give_empty_slots(shape, device):
     lafs, responses, descriptors = K.feature.SIFTFeature(7, device=device, opencv=True)(
         torch.rand(shape, device=device)
     )

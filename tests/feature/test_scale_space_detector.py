@@ -66,7 +66,7 @@ def test_samples_do_not_depend_on_each_other(device):
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1, 1), (2, 1, 5, 40), (1, 1, 16, 16), (0, 1, 40, 40)], ids=str)
-def test_no_room_gives_empty_slots_and_zero_gradients(shape, device):
+def test_small_images_give_empty_slots_and_zero_gradients(shape, device):
     image = torch.rand(shape, device=device, requires_grad=True)
     lafs, responses = F.ScaleSpaceDetector(7)(image)
     assert lafs.shape == (shape[0], 7, 2, 3) and responses.shape == (shape[0], 7)

@@ -108,8 +108,8 @@ def test_gradients(case: Case, bad: float, device: torch.device) -> None:
     assert_close(actual[~seen], expected[~seen])
 
 
-def test_infinite_centre_of_a_laplacian(device: torch.device) -> None:
-    """inf - inf: the sum of the window is infinite, and so is what the centre takes away from it."""
+def test_infinite_center_of_a_laplacian(device: torch.device) -> None:
+    """inf - inf: the sum of the window is infinite, and so is what the center takes away from it."""
     x = torch.zeros(1, 1, 7, 7, device=device)
     x[..., 3, 3] = float("inf")
     y = F.laplacian(x, 3)

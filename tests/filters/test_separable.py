@@ -107,7 +107,7 @@ class TestFilter2dSeparable(OpTests):
         expected = scipy.ndimage.correlate(image, column[:, None] * row, mode="mirror")
         assert_close(ours[0, 0].cpu(), torch.from_numpy(expected))
 
-    def test_even_kernels_have_their_centre_at_the_front(self, device):
+    def test_even_kernels_have_their_center_at_the_front(self, device):
         x = torch.arange(4.0, device=device).expand(1, 1, 4, 4)
         first = torch.tensor([[1.0, 0.0]], device=device)
         assert torch.equal(K.filters.filter2d_separable(x, first, first), x)

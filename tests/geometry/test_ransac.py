@@ -54,7 +54,7 @@ MODELS = [
 
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
-def test_finds_who_is_right(model, dtype, device):
+def test_inliers_are_correct(model, dtype, device):
     x, y, right, threshold = correspondences(model)
     x, y = x.to(device, dtype), y.to(device, dtype)
     result, inliers = K.geometry.RANSAC(model, threshold, seed=0)(x, y)

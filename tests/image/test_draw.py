@@ -22,7 +22,7 @@ def on(device, *tensors):
 
 
 def random_points(generator, *shape):
-    """Points inside the picture: half of them pixel centres, half between, often exactly half-way."""
+    """Points inside the picture: half of them pixel centers, half between, often exactly half-way."""
     size = torch.tensor([W, H])
     whole = torch.rand(*shape, 2, generator=generator).mul(size).floor()
     offset = torch.randint(-2, 2, (*shape, 2), generator=generator) / 4
@@ -86,7 +86,7 @@ def test_polygon_agrees_with_kornia(device, seed, vertices):
 
 
 @given(SEEDS)
-def test_polygon_fills_the_centres_inside(seed):
+def test_polygon_fills_the_centers_inside(seed):
     """A triangle against its three half-planes, vertices on quarters so that the comparison is exact."""
     a, b, c = torch.randint(-8, 100, (3, 2), generator=torch.Generator().manual_seed(seed)).double() / 4
     y, x = torch.meshgrid(torch.arange(H).double(), torch.arange(W).double(), indexing="ij")

@@ -20,7 +20,7 @@ def test_agrees_with_kornia(channels, dtype, device):
     assert K.image.image_to_string(image.to(device)) == kornia.image.image_to_string(image)
 
 
-def test_every_grey_agrees_with_kornia():
+def test_every_gray_agrees_with_kornia():
     image = torch.arange(256, dtype=torch.uint8).reshape(1, 16, 16)
     assert K.image.image_to_string(image) == kornia.image.image_to_string(image)
 

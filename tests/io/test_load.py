@@ -93,7 +93,7 @@ def test_16_bits_are_scaled_not_cut(tmp_path):
     assert np.array_equal(K.io.load_image(path, ImageLoadType.GRAY32)[0], levels.astype(np.float32) / 65535)
 
 
-def test_grey_is_opencvs_bit_for_bit(tmp_path):
+def test_gray_is_opencvs_bit_for_bit(tmp_path):
     rgb = picture(3, height=200, width=300)
     got = K.io.load_image(save(tmp_path / "x.png", rgb), ImageLoadType.GRAY8)
     assert np.array_equal(got[0], cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))

@@ -71,7 +71,7 @@ def test_mean_of_nothing(loss, device):
 
 @pytest.mark.parametrize("kind", DIFFERENCES + DIVERGENCES)
 @pytest.mark.parametrize("size", [3, 8192, 20001])
-def test_kinds(kind, size, device):
+def test_kinds_of_losses(kind, size, device):
     """Values and both gradients, of small and of large differences, and of probabilities with zeros."""
     x, y = torch.rand(2, size, dtype=torch.float64, device=device)
     if kind in DIVERGENCES:

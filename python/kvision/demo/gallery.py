@@ -1,4 +1,4 @@
-"""Lays pictures out on a page: titled sections of labelled columns and rows, and a curve."""
+"""Lays pictures out on a page: titled sections of labeled columns and rows, and a curve."""
 
 from __future__ import annotations
 

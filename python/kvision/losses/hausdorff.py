@@ -82,7 +82,7 @@ def _loss(pred: Tensor, target: Tensor, alpha: float, k: int, reduction: str) ->
 
 
 class HausdorffERLoss(FunctionModule):
-    """Estimate the Hausdorff distance of predicted and labelled regions by eroding their difference.
+    """Estimate the Hausdorff distance of predicted and labeled regions by eroding their difference.
 
     Each class is compared with its own labels: (pred - target)^2 is eroded k times, softly and with a cross. After each
     erosion it is normalized to [0, 1]. The loss sums the results, the i-th one with weight i ** alpha.

@@ -55,8 +55,8 @@ def _sums(pred: Tensor, target: Tensor, ignored: int | None) -> Tensor:
 
 
 def _score(sums: Tensor, alpha: float, beta: float, eps: float) -> Tensor:
-    both, predicted, labelled = sums.unbind(-1)
-    divisor = both + alpha * (predicted - both) + beta * (labelled - both) + eps
+    both, predicted, labeled = sums.unbind(-1)
+    divisor = both + alpha * (predicted - both) + beta * (labeled - both) + eps
     nothing = divisor == 0
     return torch.where(nothing, 0, both / torch.where(nothing, 1, divisor))
 

@@ -23,7 +23,7 @@ class TestLaplacian(OpTests):
         {"kernel_size": (11, 3), "border_type": "constant"},
         {"kernel_size": (9, 11), "border_type": "replicate"},
     ]
-    # Unnormalised, the sum of up to 31 x 31 pixels is near n times the centre, and their rounding is left.
+    # Unnormalized, the sum of up to 31 x 31 pixels is near n times the center, and their rounding is left.
     tolerances = {torch.float32: (2e-5, 2e-4)}
     errors = [
         ({"kernel_size": 4}, ValueError, "odd"),

@@ -83,7 +83,7 @@ def test_is_the_mean_over_the_warped_views(distance, device):
         assert_close(a, e, 1e-7, 1e-7)
 
 
-def test_where_nothing_is_seen(device):
+def test_no_pixel_in_view_gives_nan(device):
     x = torch.ones(1, 1, 4, 4, device=device)
     d = torch.zeros_like(x, requires_grad=True)
     loss = G.photometric_depth_loss(x[:, None], x, d, torch.eye(3, 4, device=device)[None, None])

@@ -55,7 +55,7 @@ class TestDepthToNormals(TestDepthTo3d):
     def input(self, shape, dtype, device):
         return 4 * super().input(shape, dtype, device)
 
-    # Differences of neighbours, whose last digits are lost: the points are of a size of 1 and differ by some hundredths.
+    # Differences of neighbors, whose last digits are lost: the points are of a size of 1 and differ by some hundredths.
     tolerances = {torch.float32: (1e-4, 2e-5), torch.float16: (2e-3, 4e-3), torch.bfloat16: (1.6e-2, 4e-2)}
 
 

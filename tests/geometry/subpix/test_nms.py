@@ -68,7 +68,7 @@ def test_nms_is_kornias(window, device):
     assert torch.equal(G.nms3d(volume, size, True), kornia.geometry.nms3d(volume, size, True))
 
 
-def test_equal_neighbours_and_nan_are_no_maxima(device):
+def test_equal_neighbors_and_nan_are_no_maxima(device):
     x = torch.zeros(1, 1, 5, 5, device=device)
     x[0, 0, 2, 2:4] = 1
     assert not G.nms2d(x, (3, 3)).any()

@@ -105,7 +105,7 @@ def test_a_peak_between_voxels_is_found(device):
     assert_close(values[0, 0, 3, 3, 3], torch.zeros_like(values[0, 0, 0, 0, 0]), 1e-9, 1e-9)
 
 
-def test_the_old_bonus_warns():
+def test_strict_maxima_bonus_is_deprecated():
     x = torch.rand(1, 1, 3, 4, 5)
     for call in (
         lambda: G.conv_quad_interp3d(x, strict_maxima_bonus=10.0),

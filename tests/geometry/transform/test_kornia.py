@@ -1,6 +1,6 @@
 """Every function of geometry.transform against Kornia 0.9, which defines names, arguments and conventions.
 
-docs/differences.md has what is not compared here: shears about a centre in space, and the weights of thin-plate splines.
+docs/differences.md has what is not compared here: shears about a center in space, and the weights of thin-plate splines.
 """
 
 import kornia

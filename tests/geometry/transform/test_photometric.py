@@ -57,7 +57,7 @@ def test_is_the_mean_over_the_warped_image(distance, device):
     assert_close(*(torch.autograd.grad(loss.sum(), M)[0] for loss in (result, expected)), 1e-7, 1e-7)
 
 
-def test_where_nothing_is_seen(device):
+def test_no_pixel_in_view_gives_nan(device):
     far = torch.tensor([[[1.0, 0, 9], [0, 1, 0], [0, 0, 1]]], device=device)
     assert G.photometric_homography_loss(
         torch.ones(1, 1, 4, 4, device=device), torch.ones(1, 1, 4, 4, device=device), far

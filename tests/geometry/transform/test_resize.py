@@ -163,7 +163,7 @@ def test_nearest_is_exact_at_any_size(device):
             assert torch.equal(actual, (2 * i + 1) * source // (2 * result))
 
 
-def test_places_in_long_rows_are_exact(device):
+def test_coordinates_in_long_rows_are_exact(device):
     """As good at the far end as at the near one: coordinates in float32 would be off by 1e-3 of a pixel there."""
     teeth = (torch.arange(20000, dtype=torch.float64, device=device) % 16).expand(1, 1, 1, -1)
     with K.backend("reference"):

@@ -33,7 +33,7 @@ class TestSplines(CompositionTests):
 
 # --- kernels --------------------------------------------------------------------------------------------------------
 
-# More points than one part has, more centres than are summed at once, and systems that do not fit shared memory.
+# More points than one part has, more centers than are summed at once, and systems that do not fit shared memory.
 CALLS = {
     "points": (_points, [(2, 1500, 2), (2, 40, 2), (2, 40, 2), (2, 3, 2)], ()),
     "one_spline": (_points, [(3, 5, 2), (1, 1, 2), (3, 1, 2), (1, 3, 2)], ()),

@@ -116,7 +116,7 @@ def test_values_and_gradients_are_those_of_grid_sample(mode, padding, align_corn
 @pytest.mark.parametrize("align_corners", [True, False])
 @pytest.mark.parametrize("padding", PADDINGS)
 @pytest.mark.parametrize("mode", MODES)
-def test_a_warp_is_the_map_of_its_places(mode, padding, align_corners, device):
+def test_warp_perspective_equals_remap_of_its_coordinates(mode, padding, align_corners, device):
     x = torch.rand(2, 3, 9, 12, dtype=torch.float64, device=device, requires_grad=True)
     M = homography(x).to(device).requires_grad_()
     x_, y_ = torch.arange(14.0, device=device).double(), torch.arange(10.0, device=device).double()[:, None]
@@ -133,7 +133,7 @@ def test_a_warp_is_the_map_of_its_places(mode, padding, align_corners, device):
 @pytest.mark.parametrize("isa", ["avx512", "avx2", "baseline"])
 @pytest.mark.parametrize("align_corners", [True, False])
 @pytest.mark.parametrize("mode", MODES)
-def test_moves_are_coords_beside_the_pixels(mode, align_corners, isa, device):
+def test_displacements_equal_absolute_coordinates(mode, align_corners, isa, device):
     like = {"dtype": torch.float64, "device": device}
     x = torch.rand(2, 3, 17, 133, **like, requires_grad=True)
     moves = (torch.rand(2, 2, 17, 133, **like) * 0.2 - 0.1).requires_grad_()

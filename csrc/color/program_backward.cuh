@@ -2,8 +2,8 @@
 // each step is computed again and kept by the thread. The input of the last step is still in registers, so a program of
 // one step keeps nothing.
 //
-// Around a mean a first run sums its gradient, for which it computes the gradient behind the contrast. It leaves that
-// in the result, if it can, and the second run begins there.
+// Contrast around a mean takes two runs. The first one computes the gradient of the contrast's result and sums that of
+// the mean. It stores the former in the result, if it can, and the second run begins there.
 #pragma once
 
 #include "program.cuh"

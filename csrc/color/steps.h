@@ -1,8 +1,8 @@
-// The steps of color programs. Their formulas, by subject in hue.h, cie.h and adjustments.h, are on a pixel c of a
-// value type V: a number, Lanes, or Duals of either, whose derivatives are those of the step. Parameters that can be
-// learnt have a type U: a number, or V to differentiate along one of them. Included by program_cpu.cpp and program.cuh,
-// which first define, for numbers and Lanes, log2_of, exp2_of, floor_of, absolute, reciprocal, and nan_max and nan_min,
-// which return NaN if either argument is NaN.
+// The steps of color programs. Their formulas are in hue.h, cie.h and adjustments.h, by subject. They take a pixel c of
+// a value type V: a number, Lanes, or Duals of either, whose derivatives are those of the step. Parameters that can be
+// learned have a type U: a number, or V to differentiate along one of them. Included by program_cpu.cpp and
+// program.cuh, which first define, for numbers and Lanes, log2_of, exp2_of, floor_of, absolute, reciprocal, and nan_max
+// and nan_min, which return NaN if either argument is NaN.
 //
 // Derivatives stay finite: in a branch that is not taken, divisors and bases of powers are replaced first.
 //

@@ -1,6 +1,6 @@
 // Arithmetic of doubles with the same bits on every device and instruction set. Compilers may contract a * b + c to one
-// instruction where there is one, so formulas that are to give the same bits everywhere say where they do, by `fused`;
-// sums and products alone, divisions and square roots are rounded the same way on all devices.
+// instruction where the processor has one. Formulas that must give the same bits everywhere write `fused` instead. Sums
+// and products alone, divisions and square roots are rounded the same way on all devices.
 #pragma once
 
 #include "hd.h"

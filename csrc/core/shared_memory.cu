@@ -1,4 +1,4 @@
-// The definition is apart, so that operators, which are not compiled by nvcc, can ask as well.
+// Defined in a file of its own, because operators call it as well and nvcc does not compile them.
 #include <cuda_runtime_api.h>
 
 #include <cstdlib>

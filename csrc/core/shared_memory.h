@@ -1,5 +1,5 @@
-// How much shared memory the current GPU gives a block. Its CUDA kernels take smaller tiles, or other kernels serve,
-// where it is less than what they were tuned for.
+// How much shared memory the current GPU gives a block. Where it is less than what kernels were tuned for, they take
+// smaller tiles, or other kernels serve the call.
 #pragma once
 
 #include "hd.h"

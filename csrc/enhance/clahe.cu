@@ -1,6 +1,6 @@
-// CLAHE on CUDA. The first launch builds the tables, one block per tile. The second one maps the pixels: a block has
-// the rows of a row of cells, some columns wide, and interleaves the four tables of each cell in shared memory, four
-// bytes per entry.
+// CLAHE on CUDA. The first launch builds the tables, one block per tile. The second one maps the pixels: a block
+// takes some columns of a row of cells, and interleaves the four tables of each cell in shared memory, four bytes per
+// entry.
 #include "byte_histogram.cuh"
 #include "clahe.h"
 

@@ -9,8 +9,9 @@
 //
 // Distances are computed in tiles and never stored. A tile leaves the two smallest of its rows and columns; another
 // kernel merges those of all tiles. Squares are sums of squared differences, so that equal descriptors have distance 0.
-// Equal distances are ordered by index, so the results do not depend on the tiles. NaN is no distance: a descriptor
-// with NaN has no neighbors and is none. Included by matching_cpu.cpp, matching.cu and matching_op.cpp.
+// Equal distances are ordered by index, so the results do not depend on the tiles. Distances that are NaN
+// do not count: a descriptor with NaN has no neighbors and is nobody's neighbor. Included by matching_cpu.cpp,
+// matching.cu and matching_op.cpp.
 #pragma once
 
 #include "core/hd.h"

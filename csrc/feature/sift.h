@@ -10,7 +10,7 @@
 // Gradients are central differences; g is a Gaussian of sigma n / sqrt(2); ()+ is 0 for negative numbers.
 //
 // The descriptor is h over its length, clipped from above, over its length again; RootSIFT takes the square roots of
-// its shares of the sum (R. Arandjelovic and A. Zisserman, "Three things everyone should know to improve object
+// its fractions of the sum (R. Arandjelovic and A. Zisserman, "Three things everyone should know to improve object
 // retrieval", 2012). Included by sift_cpu.cpp, sift.cu and sift_op.cpp.
 #pragma once
 

@@ -5,8 +5,8 @@
 //   dilation  y(q) = max over members i, j of x(q - (i, j) + origin) + height(i, j)
 //
 // Both are computed as the maximum over a window of x(q + (i - top, j - left)) + offset(i, j): a dilation with the
-// reflected element, an erosion with -x. The offset of what is no member is minus infinity. A window whose offsets are
-// all 0 is flat; large flat windows are computed one axis after the other. NaN propagates.
+// reflected element, an erosion with -x. The offset of pixels that are no members is minus infinity. A window whose
+// offsets are all 0 is flat; large flat windows are computed one axis after the other. NaN propagates.
 //
 // The gradient of a maximum is divided evenly among the taps of its window that equal it:
 //

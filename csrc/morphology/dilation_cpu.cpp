@@ -1,7 +1,7 @@
-// Dilation and erosion on the CPU. Full windows, rectangles without heights, cost three maxima a pixel along y,
-// whatever their height, and the logarithm of their width along x. Windows whose rows are runs of members cost that
-// logarithm for every kind of run and one maximum a row, others one maximum a tap. Bytes are compared as bytes, unless
-// heights are added to them. Compiled once per instruction set.
+// Dilation and erosion on the CPU. Full windows are rectangles without heights: they cost three maxima a pixel along y,
+// at any height, and as many as the logarithm of their width along x. Windows whose rows are runs of members cost that
+// logarithm for each different run, and one maximum a row. Other windows cost one maximum a tap. Bytes are compared as
+// bytes, unless heights are added to them. Compiled once per instruction set.
 #include "core/bytes.h"
 #include "core/scratch.h"
 #include "dilation.h"

@@ -161,7 +161,7 @@ def test_module(name, arguments, function, device):
     assert repr(module).startswith(name) and not module.state_dict()
 
 
-def test_parameters_of_modules_are_learnt(device):
+def test_parameters_of_modules_are_learned(device):
     module = E.AdjustGamma(torch.nn.Parameter(torch.tensor(1.0))).to(device)
     x = torch.rand(2, 3, 5, 6, device=device)
     (module(x) - x.square()).square().mean().backward()

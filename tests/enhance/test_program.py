@@ -292,7 +292,7 @@ def test_types_and_layouts(dtype, memory_format, image, device):
     assert (actual.double() / unit - wide).abs().max() <= (0.51 / 255 if dtype == torch.uint8 else 4e-3)
 
 
-def test_parameters_are_learnt(image, device):
+def test_parameters_are_learned(image, device):
     target = E.adjust_hue(image, 0.5)
     program = E.ColorProgram(("hue", torch.nn.Parameter(torch.tensor(0.0, device=device))))
     assert dict(program.named_parameters()).keys() == {"angle_0"}

@@ -99,7 +99,7 @@ class TestGaussianBlur2d(OpTests):
         x = torch.rand(1, 1, 9, 9, device=device)
         assert torch.equal(K.filters.gaussian_blur2d(x, 5, 1e-30), x)
 
-    def test_learnt_sigma(self, device):
+    def test_learned_sigma(self, device):
         module = K.filters.GaussianBlur2d(7, torch.nn.Parameter(torch.tensor([[1.0, 2.0]]))).to(device)
         module(torch.rand(2, 1, 9, 9, device=device)).square().sum().backward()
         (sigma,) = module.parameters()

@@ -107,16 +107,16 @@ def has_gradient(augment: Callable[[Tensor], Tensor], leaf: Tensor) -> bool:
 
 
 def libraries() -> dict[str, dict[str, Make]]:
-    found = {"kvision": kornia_pipeline(A)}
+    pipelines_of = {"kvision": kornia_pipeline(A)}
     for name, module, pipelines in (
         ("kornia", "kornia.augmentation", kornia_pipeline),
         ("torchvision", "torchvision.transforms.v2", torchvision_pipeline),
     ):
         try:
-            found[name] = pipelines(importlib.import_module(module))
+            pipelines_of[name] = pipelines(importlib.import_module(module))
         except (ImportError, RuntimeError) as error:
             print(f"{name} is not measured: {str(error).splitlines()[0]}")
-    return found
+    return pipelines_of
 
 
 def measure_pipeline_b(images: Tensor, stopwatch: Clock, bandwidth: float) -> None:
@@ -179,12 +179,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         measure_pipeline_b(images, stopwatch, bandwidth)
         return 0
     leaf, one = images.clone().requires_grad_(), images[:1].contiguous()
-    found = libraries()
-    head = "".join(f"{name:>14}{'f+b':>9}{'host':>8}" for name in found)
+    pipelines_of = libraries()
+    head = "".join(f"{name:>14}{'f+b':>9}{'host':>8}" for name in pipelines_of)
     print(f"{'ms':34}{'floor':>8}{head}")
-    for name in found["kvision"]:
+    for name in pipelines_of["kvision"]:
         line = f"{name:34}"
-        for library, pipelines in found.items():
+        for library, pipelines in pipelines_of.items():
             augment = pipelines[name]()
             result = augment(images)
             if library == "kvision":

@@ -48,10 +48,10 @@ def worst_ratios(rows: Iterable[Row], awkward: Sequence[Size]) -> list[Ratio]:
     neighbor = {size_name(size): size_name(aligned(size)) for size in awkward}
     worst: dict[tuple[str, str, str], Ratio] = {}
     for (case, dtype, stage, size), cost in ours.items():
-        beside = ours.get((case, dtype, stage, neighbor.get(size, size)))
-        if size not in neighbor or neighbor[size] == size or beside is None:
+        neighboring = ours.get((case, dtype, stage, neighbor.get(size, size)))
+        if size not in neighbor or neighbor[size] == size or neighboring is None:
             continue
-        ratio = Ratio(case, dtype, stage, size, cost / beside)
+        ratio = Ratio(case, dtype, stage, size, cost / neighboring)
         key = (case, dtype, stage)
         if key not in worst or worst[key].factor < ratio.factor:
             worst[key] = ratio

@@ -48,13 +48,13 @@ def check(cases: Iterable[Case], rows: Sequence[Row], cuda: bool) -> list[Checke
     bars_of = {case.name: case.bars for case in cases}
     checked = []
     for name, size in dict.fromkeys((row.case, row.size) for row in rows):
-        found = {(r.library, r.stage, r.dtype): r for r in rows if (r.case, r.size) == (name, size) and not r.failure}
-        row = found.get((KVISION, FORWARD, "float32"))
+        row_of = {(r.library, r.stage, r.dtype): r for r in rows if (r.case, r.size) == (name, size) and not r.failure}
+        row = row_of.get((KVISION, FORWARD, "float32"))
         if row is None:
             continue
         bars = bars_of[name]
-        both, back = (found.get((KVISION, stage, "float32")) for stage in (BOTH, BACKWARD))
-        half = found.get((KVISION, FORWARD, "float16"))
+        both, back = (row_of.get((KVISION, stage, "float32")) for stage in (BOTH, BACKWARD))
+        half = row_of.get((KVISION, FORWARD, "float16"))
         if cuda:
             figures = [
                 ("floor", row.value / row.floor, bars.floor),
@@ -67,7 +67,7 @@ def check(cases: Iterable[Case], rows: Sequence[Row], cuda: bool) -> list[Checke
             ]
         else:
             limits = {"opencv": bars.opencv, "kornia": bars.kornia}
-            peers = {name: found.get((name, FORWARD, "float32")) for name in limits}
+            peers = {name: row_of.get((name, FORWARD, "float32")) for name in limits}
             figures = [(f"of {p}'s time", peer and row.value / peer.value, limits[p]) for p, peer in peers.items()]
         checked += [
             CheckedBar(name, size, row.dtype, what, measured, limit, least=what == "float16 speed-up")

@@ -127,8 +127,8 @@ def opencv(count: int, root: bool) -> Method:
     sift = cv2.SIFT_create(count)
 
     def detect(image: Tensor) -> Features:
-        found, descriptors = sift.detectAndCompute((255 * image[0, 0].cpu().numpy()).round().astype(np.uint8), None)
-        points = torch.tensor([k.pt for k in found]).reshape(-1, 2)
+        keypoints, descriptors = sift.detectAndCompute((255 * image[0, 0].cpu().numpy()).round().astype(np.uint8), None)
+        points = torch.tensor([k.pt for k in keypoints]).reshape(-1, 2)
         x = torch.tensor(np.zeros((0, 128), np.float32) if descriptors is None else descriptors)
         if root:
             x = torch.nn.functional.normalize(x, p=1, dim=1).sqrt()
@@ -163,7 +163,7 @@ def learned(count: int, weights: Path, descriptor: str, device: torch.device) ->
 
 def methods(count: int, folder: Path | None, device: torch.device) -> dict[str, Callable[[], Method]]:
     """What makes each method, by its name."""
-    found: dict[str, Callable[[], Method]] = {
+    constructors: dict[str, Callable[[], Method]] = {
         "kvision SIFT": lambda: of_module(K.feature.SIFTFeature(count, device=device)),
         "kvision Hessian-affine SIFT": lambda: sift_of(K.feature, count, device),
         "OpenCV SIFT": lambda: opencv(count, False),
@@ -172,14 +172,14 @@ def methods(count: int, folder: Path | None, device: torch.device) -> dict[str, 
     try:
         import kornia.feature as KF
 
-        found["Kornia SIFT"] = lambda: of_module(KF.SIFTFeature(count, device=device))
-        found["Kornia Hessian-affine SIFT"] = lambda: sift_of(KF, count, device)
+        constructors["Kornia SIFT"] = lambda: of_module(KF.SIFTFeature(count, device=device))
+        constructors["Kornia Hessian-affine SIFT"] = lambda: sift_of(KF, count, device)
     except ImportError:
         print("Kornia is not installed: no rows of it")
     if folder is not None and (weights := folder / "weights").is_dir():
-        found["kvision Key.Net SIFT"] = lambda: learned(count, weights, "SIFT", device)
-        found["kvision Key.Net TFeat"] = lambda: learned(count, weights, "TFeat", device)
-    return found
+        constructors["kvision Key.Net SIFT"] = lambda: learned(count, weights, "SIFT", device)
+        constructors["kvision Key.Net TFeat"] = lambda: learned(count, weights, "TFeat", device)
+    return constructors
 
 
 # --- measures -------------------------------------------------------------------------------------------------------

@@ -50,7 +50,7 @@ def calls(count: int) -> Calls:
     }
 
 
-def least(contestants: tuple[Callable[[], Any], ...], seconds: float = 0.5) -> list[float]:
+def minimum_times(contestants: tuple[Callable[[], Any], ...], seconds: float = 0.5) -> list[float]:
     """The minimum time of each call in microseconds; calls alternate."""
     best = [float("inf")] * len(contestants)
     end = time.perf_counter() + seconds
@@ -68,7 +68,7 @@ def main() -> None:
     print(f"{'points':>8} {'':18} {'kvision us':>12} {'OpenCV us':>12}")
     for count in COUNTS:
         for name, pair in calls(count).items():
-            ours, theirs = least(pair)
+            ours, theirs = minimum_times(pair)
             print(f"{count:8} {name:18} {ours:12.1f} {theirs:12.1f}")
 
 

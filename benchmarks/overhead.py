@@ -62,13 +62,13 @@ CALLS = [
 def microseconds(call: Call, calls: int, blocks: int) -> float:
     """Mean time of `calls` calls in the fastest of `blocks` blocks, because other load only adds time."""
     call()
-    found = []
+    seconds = []
     for _ in range(blocks):
         start = time.perf_counter()
         for _ in range(calls):
             call()
-        found.append((time.perf_counter() - start) / calls)
-    return min(found) * 1e6
+        seconds.append((time.perf_counter() - start) / calls)
+    return min(seconds) * 1e6
 
 
 def overhead(call: Callable[[Tensor], Tensor], size: Sequence[int], calls: int, blocks: int) -> dict[str, float]:

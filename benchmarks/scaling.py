@@ -109,9 +109,9 @@ def work(rank: int, ranks: int, options: Options, folder: str) -> None:
     def figure(name: str, measure: Callable[[], Any]) -> Any:
         """What `measure` gives; the bar says meanwhile what that is, so that a rank that hangs is seen where it does."""
         progress.set_postfix_str(name)
-        found = measure()
+        result = measure()
         progress.update()
-        return found
+        return result
 
     alone, slowest = figure("augmentation alone", partial(augmentation, train, setup, pictures, options.seconds))
     plain = replace(setup, augment=False)
@@ -221,29 +221,29 @@ def on_devices(devices: Sequence[torch.device], threads: int) -> Devices:
 
     def differences(device: torch.device) -> dict[str, str]:
         if device.type == "cpu":
-            found = {name: compared(expected[name], partial(run, name, device)) for name in ALL}
+            differences_of = {name: compared(expected[name], partial(run, name, device)) for name in ALL}
         else:
             with torch.cuda.stream(torch.cuda.Stream(device)):
                 torch.cuda.set_device(devices[0])  # of this thread; entering the stream made `device` current
-                found = {name: compared(expected[name], partial(run, name, device)) for name in ALL}
-        return {name: difference for name, difference in found.items() if difference}
+                differences_of = {name: compared(expected[name], partial(run, name, device)) for name in ALL}
+        return {name: difference for name, difference in differences_of.items() if difference}
 
     other = differences(devices[-1])
     with ThreadPoolExecutor(threads) as pool:
-        found = list(pool.map(differences, [devices[i % len(devices)] for i in range(threads)]))
-    together = {name: said for result in found for name, said in result.items()}
-    return Devices([str(d) for d in devices], threads, len(ALL), other, together)
+        differences_of = list(pool.map(differences, [devices[i % len(devices)] for i in range(threads)]))
+    differing = {name: said for result in differences_of for name, said in result.items()}
+    return Devices([str(d) for d in devices], threads, len(ALL), other, differing)
 
 
 def compared(expected: list[Tensor], run: Callable[[], list[Tensor]]) -> str:
     """What is different, empty where every bit is the same."""
     try:
-        found = run()
+        results = run()
     except Exception as error:  # any failure is a result
         return f"{type(error).__name__}: {error}".splitlines()[0]
-    if all(torch.equal(x.nan_to_num(), y.nan_to_num()) for x, y in zip(found, expected)):
+    if all(torch.equal(x.nan_to_num(), y.nan_to_num()) for x, y in zip(results, expected)):
         return ""
-    worst = max(float((x.double() - y.double()).nan_to_num().abs().max()) for x, y in zip(found, expected) if x.numel())
+    worst = max(float((x.double() - y.double()).nan_to_num().abs().max()) for x, y in zip(results, expected) if x.numel())
     return f"differs by {worst:.2g}"
 
 
@@ -310,13 +310,13 @@ def agreement(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def said(found: Devices) -> list[str]:
+def said(devices: Devices) -> list[str]:
     where = {
-        "current device is the first": found.other_device,
-        f"{found.threads} threads at once": found.from_threads,
+        "current device is the first": devices.other_device,
+        f"{devices.threads} threads at once": devices.from_threads,
     }
     return [
-        f"{found.cases} cases on {', '.join(found.devices)}, {what}: "
+        f"{devices.cases} cases on {', '.join(devices.devices)}, {what}: "
         + ("the same bits" if not different else "; ".join(f"{name} {why}" for name, why in different.items()))
         for what, different in where.items()
     ]
@@ -382,10 +382,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     numbers = options.ranks or [n for n in (1, 2, 4, 8) if n <= there]
     if options.device == "cuda" and numbers[-1] > there:
         parse.error(f"--ranks {numbers[-1]}: expected at most {there}, the number of GPUs")
-    found = importlib.util.find_spec("torchvision") is not None
-    model = options.model or ("resnet50" if options.device == "cuda" and found else "small")
+    has_torchvision = importlib.util.find_spec("torchvision") is not None
+    model = options.model or ("resnet50" if options.device == "cuda" and has_torchvision else "small")
 
-    about = machine.describe(torch.device(options.device), ["torchvision"] if found else [])
+    about = machine.describe(torch.device(options.device), ["torchvision"] if has_torchvision else [])
     head = f"{max(numbers)} x {about['hardware']}  torch {about['torch']}  {about['date']}  kvision {about['commit']}"
     task = f"{options.batch}x3x{options.size}x{options.size} uint8 a rank to {options.crop}x{options.crop}; {model}"
     print(f"{head}\n$ {about['command']}\n{task}\n", flush=True)

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 import kvision.geometry as G
-from benchmarks.few_points import least
+from benchmarks.few_points import minimum_times
 
 MANY = 100_000
 Call = Callable[[], Any]
@@ -102,7 +102,7 @@ def main() -> None:
                 pair = [waiting(call, device) for call in pair]
                 for call in pair:  # warm-up: modules, allocator
                     call()
-                ours, theirs = least(tuple(pair), 0.2)
+                ours, theirs = minimum_times(tuple(pair), 0.2)
                 print(f"{count:8} {name + ' ' + kind:44} {ours:12.1f} {theirs:12.1f}", flush=True)
 
 

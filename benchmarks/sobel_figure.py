@@ -28,7 +28,7 @@ from benchmarks.table import number
 from benchmarks.timing import Call
 
 CASE = ALL["sobel"]
-LEAST = 3  # minimum number of repeats for slow libraries
+MIN_REPEATS = 3  # minimum number of repeats for slow libraries
 
 
 def contestants(batch: int, side: int) -> Iterator[tuple[str, Call]]:
@@ -47,13 +47,13 @@ def contestants(batch: int, side: int) -> Iterator[tuple[str, Call]]:
 def wall_times(call: Call, repeats: int, seconds: float) -> list[float]:
     """Wall time of each of `repeats` calls, or of as many as fit in `seconds`."""
     call()
-    found: list[float] = []
+    times: list[float] = []
     deadline = time.perf_counter() + seconds
-    while len(found) < repeats and (len(found) < LEAST or time.perf_counter() < deadline):
+    while len(times) < repeats and (len(times) < MIN_REPEATS or time.perf_counter() < deadline):
         start = time.perf_counter()
         call()
-        found.append(time.perf_counter() - start)
-    return found
+        times.append(time.perf_counter() - start)
+    return times
 
 
 def plot(rows: Sequence[dict[str, Any]], title: str, path: Path) -> None:

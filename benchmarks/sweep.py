@@ -116,13 +116,13 @@ def stages(
     tensors = call.tensors(size, device)
     yield "forward", *((lambda library=library: call.call(library, tensors)) for library in (K, kornia))
     leaves = {k: v.detach().requires_grad_(v.is_floating_point()) for k, v in tensors.items()}
-    wanted = [leaf for leaf in leaves.values() if leaf.requires_grad]
+    inputs = [leaf for leaf in leaves.values() if leaf.requires_grad]
 
     def both(library: Any) -> Any:
         outputs = [y for y in flat(call.call(library, leaves)) if y.requires_grad]
         if not outputs:
             raise NoGradientError
-        return torch.autograd.grad(outputs, wanted, [torch.ones_like(y) for y in outputs], allow_unused=True)
+        return torch.autograd.grad(outputs, inputs, [torch.ones_like(y) for y in outputs], allow_unused=True)
 
     with contextlib.suppress(NoGradientError, RuntimeError):
         both(K), both(kornia)

@@ -106,15 +106,15 @@ def array(n: int) -> np.ndarray:
 
 def quickest(calls: Sequence[Callable[[], Any]], seconds: float) -> list[float]:
     """The least time of each call, in milliseconds, while they take turns."""
-    least = [float("inf")] * len(calls)
+    minima = [float("inf")] * len(calls)
     end, turns = time.perf_counter() + seconds, 0
     while (start := time.perf_counter()) < end or turns < 10:
         turns += 1
         for i, call in enumerate(calls):
             call()
             now = time.perf_counter()
-            least[i], start = min(least[i], 1e3 * (now - start)), now
-    return least
+            minima[i], start = min(minima[i], 1e3 * (now - start)), now
+    return minima
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -76,9 +76,9 @@ class Outcome(NamedTuple):
 # --- pictures and homographies --------------------------------------------------------------------------------------
 
 
-def pictures(given: list[Tensor], height: int, device: torch.device) -> tuple[Tensor, Tensor]:
+def pictures(originals: list[Tensor], height: int, device: torch.device) -> tuple[Tensor, Tensor]:
     """Two photographs, those of scikit-image unless some are given, in gray: (1, 1, height, 4 / 3 height)."""
-    both = given
+    both = originals
     if not both:
         from skimage import data
 
@@ -176,8 +176,8 @@ def place_targets(
         if len(chosen) == count or cost[i] == math.inf:
             break
         others = torch.tensor(chosen, dtype=torch.long)
-        least = 5 / SCALE * (scales[i] * scales[others]).sqrt()
-        if bool(((points[i] - points[others]).norm(dim=1) > least).all()):
+        min_distance = 5 / SCALE * (scales[i] * scales[others]).sqrt()
+        if bool(((points[i] - points[others]).norm(dim=1) > min_distance).all()):
             chosen.append(i)
     index = torch.tensor(chosen, device=a.device)
     shapes = [response.shape for response in extractor.responses(first)]
@@ -190,13 +190,13 @@ def windows_of(frames: Tensor, shapes: list[torch.Size], size: tuple[int, int]) 
     octaves = torch.log2(scale / SCALE / 1.6)
     octave = (octaves - 1 / 6).floor().clamp(0, len(shapes) - 1)
     level = ((octaves - octave) * 3).round().clamp(1, 3).long()
-    near, beside = (torch.arange(-r, r + 1, device=frames.device) for r in (WINDOW, 1))
+    near, adjacent = (torch.arange(-r, r + 1, device=frames.device) for r in (WINDOW, 1))
     windows = []
     for i, (_, h, w) in enumerate(shapes):
         here = octave == i
         column = (x[here] * (w - 1) / (size[1] - 1)).round().long().clamp(WINDOW, w - 1 - WINDOW)
         row = (y[here] * (h - 1) / (size[0] - 1)).round().long().clamp(WINDOW, h - 1 - WINDOW)
-        planes = (level[here][:, None] + beside)[:, :, None, None] * h
+        planes = (level[here][:, None] + adjacent)[:, :, None, None] * h
         rows = (planes + (row[:, None] + near)[:, None, :, None]) * w
         windows.append((rows + (column[:, None] + near)[:, None, None, :]).flatten(1))
     return windows
@@ -211,8 +211,8 @@ def location_loss(extractor: Extractor, image: Tensor, targets: Targets, thresho
     windows = torch.cat(values) / threshold
     middle = windows.shape[1] // 2
     temperature = 0.1
-    share = torch.log_softmax(windows / temperature, 1)[:, middle]
-    return F.relu(1.3 - windows[:, middle]).mean() - temperature * share.mean()
+    log_probability = torch.log_softmax(windows / temperature, 1)[:, middle]
+    return F.relu(1.3 - windows[:, middle]).mean() - temperature * log_probability.mean()
 
 
 def descriptor_loss(

@@ -72,9 +72,9 @@ def doubled(inputs: int, outputs: int) -> tuple[nn.Module, nn.Module]:
     return nn.Upsample(scale_factor=2), nn.Conv2d(inputs, outputs, 3, padding=1, padding_mode="replicate")
 
 
-def errors(found: Tensor, images: Tensor) -> tuple[Tensor, Tensor]:
+def errors(decoded: Tensor, images: Tensor) -> tuple[Tensor, Tensor]:
     """The L1 error, and that of the edges: the mean difference of the magnitudes of Sobel's gradients."""
-    return F.l1_loss(found, images), F.l1_loss(K.filters.sobel(found), K.filters.sobel(images))
+    return F.l1_loss(decoded, images), F.l1_loss(K.filters.sobel(decoded), K.filters.sobel(images))
 
 
 @dataclass(frozen=True)

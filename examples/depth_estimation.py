@@ -239,9 +239,9 @@ def draw(scene: Scene, levels: list[tuple[Tensor, Tensor]], path: Path) -> None:
     if not (scene.truth > 0).any():
         range_of_depth["vmax"] = float(levels[-1][0].quantile(0.95))
 
-    def show(axis, image: Tensor, title: str, **how) -> None:
+    def show(axis, image: Tensor, title: str, **options) -> None:
         pixels = image[0].permute(1, 2, 0).squeeze(-1).cpu()
-        axis.imshow(pixels if how else pixels.clamp(0, 1), **how)
+        axis.imshow(pixels if options else pixels.clamp(0, 1), **options)
         axis.set_title(title, fontsize=9)
 
     pictures = [(scene.picture, "picture"), *((v[None], "view") for v in scene.views[:shown])]
@@ -273,10 +273,10 @@ def estimate(
 
     begin = time.perf_counter()
     with tqdm(total=iterations * levels, desc=f"{scene.name}, {library.__name__}", unit="step", leave=False) as bar:
-        found = list(descend(scene, iterations, levels, library, bar.update))
+        estimates = list(descend(scene, iterations, levels, library, bar.update))
     if scene.picture.is_cuda:
         torch.cuda.synchronize()
-    return found, time.perf_counter() - begin
+    return estimates, time.perf_counter() - begin
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -321,15 +321,15 @@ def main(arguments: list[str] | None = None) -> int:
     missed = 0
     for scene in scenes:
         if not (scene.truth > 0).any():
-            found, seconds = estimate(scene, options.iterations, options.levels, K)
-            depth = found[-1][0]
+            estimates, seconds = estimate(scene, options.iterations, options.levels, K)
+            depth = estimates[-1][0]
             middle = float(depth.median())
             print(
                 f"{scene.name}: depth from {float(depth.min()):.3g} to {float(depth.max()):.3g}, median {middle:.3g}",
                 end="; ",
             )
             print(f"searched from {scene.near:.3g} to {scene.far:.3g}; {seconds:.1f} s")
-            draw(scene, found, options.out / f"{scene.name}.png")
+            draw(scene, estimates, options.out / f"{scene.name}.png")
             continue
         constant = depth_of(scene, torch.full_like(scene.truth, 0.5))
         print(

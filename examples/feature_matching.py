@@ -122,8 +122,8 @@ class Features(nn.Module):
         gray = image if image.shape[1] == 1 else K.color.rgb_to_grayscale(image)
         lafs, _ = self.detector(gray)
         patches = K.feature.extract_patches_from_pyramid(gray, lafs, PATCH)
-        found = K.feature.laf_is_filled(lafs)[0]
-        return K.feature.get_laf_center(lafs)[0, found], self.descriptor(patches[0, found])
+        filled = K.feature.laf_is_filled(lafs)[0]
+        return K.feature.get_laf_center(lafs)[0, filled], self.descriptor(patches[0, filled])
 
 
 class Matcher(nn.Module):
@@ -147,19 +147,19 @@ class Matcher(nn.Module):
 def match(matcher: Matcher, first: Tensor, second: Tensor) -> Matches:
     """The matches of two images, and the homography that most of them agree with."""
     with torch.no_grad():
-        found = matcher({"image0": first, "image1": second})
-        x, y = found["keypoints0"], found["keypoints1"]
+        matches = matcher({"image0": first, "image1": second})
+        x, y = matches["keypoints0"], matches["keypoints1"]
         if len(x) < 4:
             return Matches(x, y, torch.eye(3, device=x.device), torch.zeros(len(x), dtype=torch.bool))
         homography, inliers = K.geometry.RANSAC("homography", LIMIT, max_iter=20, seed=0)(x, y)
         return Matches(x, y, homography, inliers)
 
 
-def corner_error(found: Tensor, pair: Pair) -> float:
+def corner_error(homography: Tensor, pair: Pair) -> float:
     """Mean distance of where the corners of the first image go in the second, in pixels."""
     h, w = pair.first.shape[2:]
-    corners = torch.tensor([[[0.0, 0], [w - 1, 0], [w - 1, h - 1], [0, h - 1]]], device=found.device)
-    at, expected = (K.geometry.transform_points(m, corners) for m in (found[None], pair.truth))
+    corners = torch.tensor([[[0.0, 0], [w - 1, 0], [w - 1, h - 1], [0, h - 1]]], device=homography.device)
+    at, expected = (K.geometry.transform_points(m, corners) for m in (homography[None], pair.truth))
     return float((at - expected).norm(dim=-1).mean())
 
 

@@ -115,19 +115,19 @@ def normalized(image: Tensor) -> Tensor:
     return (image - mean) / (spread + 1e-3).sqrt()
 
 
-def corner_error(found: Tensor, pair: Pair) -> float:
+def corner_error(homography: Tensor, pair: Pair) -> float:
     """Mean distance of where the corners go, in pixels of the original source."""
     h, w = pair.source.shape[2:]
-    at, expected = (K.geometry.warp_grid(corners(m.device)[:, None], m)[0, 0] for m in (found, pair.truth))
-    scale = torch.tensor([w / 2, h / 2], device=found.device) * pair.pixels
+    at, expected = (K.geometry.warp_grid(corners(m.device)[:, None], m)[0, 0] for m in (homography, pair.truth))
+    scale = torch.tensor([w / 2, h / 2], device=homography.device) * pair.pixels
     return float(((at - expected) * scale).norm(dim=-1).mean())
 
 
-def correlation(found: Tensor, pair: Pair) -> float:
+def correlation(homography: Tensor, pair: Pair) -> float:
     """Of the local contrasts of both images, where the warped one has pixels."""
     size = tuple(pair.target.shape[2:])
-    warped = K.homography_warp(pair.source, found, size, padding_mode="border")
-    inside = K.homography_warp(torch.ones_like(pair.source), found, size) > 0.99
+    warped = K.homography_warp(pair.source, homography, size, padding_mode="border")
+    inside = K.homography_warp(torch.ones_like(pair.source), homography, size) > 0.99
     x, y = (normalized(image)[inside] for image in (warped, pair.target))
     x, y = x - x.mean(), y - y.mean()
     return float((x * y).sum() / (x.norm() * y.norm()).clamp_min(1e-9)) if inside.float().mean() > 0.1 else 0.0
@@ -141,20 +141,20 @@ def adam(source: Tensor, target: Tensor, iterations: int) -> tuple[Tensor, list[
     registrator = K.geometry.ImageRegistrator(
         "homography", loss_fn=F.l1_loss, pyramid_levels=LEVELS, lr=1e-3, num_iterations=iterations, tolerance=0
     ).to(source.device)
-    found, levels = registrator.register(source, target, output_intermediate_models=True)
-    return found.detach(), levels
+    homography, levels = registrator.register(source, target, output_intermediate_models=True)
+    return homography.detach(), levels
 
 
 def gauss_newton(source: Tensor, target: Tensor, iterations: int) -> tuple[Tensor, list[Tensor]]:
     """Reweighted least squares: the same loss, near enough, from its normal equations."""
-    found = torch.eye(3, device=source.device)[None]
+    homography = torch.eye(3, device=source.device)[None]
     levels = []
     pyramids = (K.geometry.build_pyramid(image, LEVELS) for image in (source, target))
     for small_source, small_target in reversed(list(zip(*pyramids))):
         for _ in range(iterations):
-            found = gauss_newton_step(small_source, small_target, found)
-        levels.append(found)
-    return found, levels
+            homography = gauss_newton_step(small_source, small_target, homography)
+        levels.append(homography)
+    return homography, levels
 
 
 def gauss_newton_step(source: Tensor, target: Tensor, homography: Tensor) -> Tensor:
@@ -175,21 +175,21 @@ SOLVERS = {"adam": (adam, 200), "gauss-newton": (gauss_newton, 20)}
 def register(pair: Pair, solver: str, iterations: int) -> tuple[Tensor, list[Tensor]]:
     """The homography of a pair, and that after each level."""
     closer = K.homography_warp(pair.source, pair.start, tuple(pair.target.shape[2:]), padding_mode="border")
-    found, levels = SOLVERS[solver][0](normalized(closer), normalized(pair.target), iterations)
-    return pair.start @ found, [pair.start @ level for level in levels]
+    homography, levels = SOLVERS[solver][0](normalized(closer), normalized(pair.target), iterations)
+    return pair.start @ homography, [pair.start @ level for level in levels]
 
 
 def draw(pair: Pair, levels: list[Tensor], path: Path) -> None:
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(len(levels), 4, figsize=(12, 2.4 * len(levels)), squeeze=False)
-    for row, found in zip(axes, levels):
-        warped = K.homography_warp(pair.source, found, tuple(pair.target.shape[2:]))
+    for row, homography in zip(axes, levels):
+        warped = K.homography_warp(pair.source, homography, tuple(pair.target.shape[2:]))
         pictures = (pair.source, pair.target, warped, (warped - pair.target).abs())
         for axis, picture, title in zip(row, pictures, ("source", "destination", "warped", "error")):
             axis.imshow(picture[0, 0].cpu(), cmap="gray", vmin=0, vmax=1)
             axis.set_title(
-                title if title != "warped" else f"warped, corners {corner_error(found, pair):.2f} px off", fontsize=9
+                title if title != "warped" else f"warped, corners {corner_error(homography, pair):.2f} px off", fontsize=9
             )
             axis.axis("off")
     figure.tight_layout()
@@ -220,10 +220,10 @@ def main(arguments: list[str] | None = None) -> int:
     pairs = [*synthetic(device, own or None), *(real(options.data, device) if options.data else ())]
     for i, pair in enumerate(pairs):
         begin = time.perf_counter()
-        found, levels = register(pair, options.solver, iterations)
-        error = corner_error(found, pair)
+        homography, levels = register(pair, options.solver, iterations)
+        error = corner_error(homography, pair)
         seconds = time.perf_counter() - begin
-        agreement = correlation(found, pair)
+        agreement = correlation(homography, pair)
         remarks = "" if error <= pair.limit else "  MISSED"
         remarks += "" if agreement >= CONVERGED else "  did not converge"
         missed += error > pair.limit

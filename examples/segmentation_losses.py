@@ -95,9 +95,9 @@ def train(
         schedule.step()
         if step % max(1, steps // 10) == 0:
             with torch.no_grad():
-                found = model(unseen[0]).argmax(1)
+                predicted = model(unseen[0]).argmax(1)
             # The classes of all images together: an image may lack one.
-            curve.append(float(K.metrics.mean_iou(found.view(1, -1), unseen[1].view(1, -1), CLASSES).mean()))
+            curve.append(float(K.metrics.mean_iou(predicted.view(1, -1), unseen[1].view(1, -1), CLASSES).mean()))
     return curve, model
 
 

@@ -379,13 +379,13 @@ def process_group(device: torch.device) -> Iterator[None]:
 
 def pictures_of(parser: argparse.ArgumentParser, options: argparse.Namespace, device: torch.device) -> Any:
     """The pictures to train on; too few of them end the program in one line."""
-    together = options.batch * dist.get_world_size()
+    global_batch = options.batch * dist.get_world_size()
     if options.data is None:
-        return Textures(max(options.count, together), options.size, device)
+        return Textures(max(options.count, global_batch), options.size, device)
     pictures = Folder(options.data, options.size) if options.data.is_dir() else ()
-    if len(pictures) < together or len(pictures.classes) < 2:
+    if len(pictures) < global_batch or len(pictures.classes) < 2:
         parser.error(
-            f"--data {options.data}: expected a folder with {together} pictures or more in a folder of each class, got "
+            f"--data {options.data}: expected a folder with {global_batch} pictures or more in a folder of each class, got "
             f"{len(pictures)} in {len(getattr(pictures, 'classes', ()))}"
         )
     return pictures
@@ -406,14 +406,14 @@ def train(setup: Setup, pictures: Textures | Folder, options: argparse.Namespace
     """
     training = Training(setup, pictures)
     first = dist.get_rank() == 0
-    found = training.load(options.checkpoint) if options.checkpoint else ""
+    loaded = training.load(options.checkpoint) if options.checkpoint else ""
     if first:
         backend = dist.get_backend()
         print(
             f"{dist.get_world_size()} ranks by {backend}, {options.model}, {options.batch} images a rank",
             flush=True,
         )
-        print(found, end="\n" if found else "", flush=True)
+        print(loaded, end="\n" if loaded else "", flush=True)
     for report in training.run():
         if options.checkpoint:
             training.save(options.checkpoint)

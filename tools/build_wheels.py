@@ -81,7 +81,7 @@ def run(*command: object, **options: object) -> None:
 def other_pythons(chosen: list[str] | None) -> list[str]:
     """The interpreters besides this one, one of each version that has headers."""
     candidates = chosen if chosen is not None else [name for v in VERSIONS for name in pythons_of(f"3.{v}")]
-    found: dict[str, str] = {}
+    python_of: dict[str, str] = {}
     question = (
         "import os, sys, sysconfig as s; headers = s.get_path('include') + '/Python.h'; "
         "print(sys.version_info[:2] if os.path.exists(headers) else '')"
@@ -89,9 +89,9 @@ def other_pythons(chosen: list[str] | None) -> list[str]:
     for name in candidates:
         answer = subprocess.run([name, "-c", question], capture_output=True, text=True).stdout.strip()
         if answer and answer != str(sys.version_info[:2]):
-            found.setdefault(answer, name)
-    print("kvision._C for", ", ".join([sys.executable, *found.values()]), flush=True)
-    return list(found.values())
+            python_of.setdefault(answer, name)
+    print("kvision._C for", ", ".join([sys.executable, *python_of.values()]), flush=True)
+    return list(python_of.values())
 
 
 def pythons_of(version: str) -> list[str]:
@@ -99,10 +99,10 @@ def pythons_of(version: str) -> list[str]:
     home = os.environ.get("PYENV_ROOT", str(Path.home() / ".pyenv"))
     folders = [f"/opt/python/cp{version.replace('.', '')}-cp*/bin/python", f"{home}/versions/{version}.*/bin/python3"]
     on_path = shutil.which(f"python{version}")
-    places = [
+    paths = [
         path for pattern in folders for path in sorted(glob.glob(pattern)) if not path.split("/bin/")[0].endswith("t")
     ]
-    return [*([on_path] if on_path else []), *places]
+    return [*([on_path] if on_path else []), *paths]
 
 
 def make_sdist(folder: Path) -> Path:

@@ -79,17 +79,17 @@ def declared() -> dict[str, Path]:
 def owner(name: str, references: dict[str, Path]) -> Path | None:
     """The file that registers an operator, by its name or by the name without a suffix that a helper adds."""
     for suffix in ("", "_backward", "_kernel_backward", "_by_formula"):
-        if found := references.get(name.removesuffix(suffix)):
-            return found
+        if file := references.get(name.removesuffix(suffix)):
+            return file
     return None
 
 
 def page(reference: Path) -> Path | None:
     """The page of the file, of its folder, or of a parent folder."""
     for folder in (reference, *reference.parents[:-1]):
-        for found in (PAGES / f"{folder}.md", PAGES / folder / "README.md", PAGES / folder / "index.md"):
-            if found.exists():
-                return found
+        for file in (PAGES / f"{folder}.md", PAGES / folder / "README.md", PAGES / folder / "index.md"):
+            if file.exists():
+                return file
     return None
 
 
@@ -98,25 +98,25 @@ def test(reference: Path) -> Path:
 
 
 def problems() -> list[str]:
-    found, references, kernels = [], registered(), declared()
+    messages, references, kernels = [], registered(), declared()
     for name, kernel in kernels.items():
         reference = owner(name, references)
         if reference is None:
-            found.append(f"{name}: declared by csrc/{kernel}_op.cpp, registered by no Python file")
+            messages.append(f"{name}: declared by csrc/{kernel}_op.cpp, registered by no Python file")
         elif reference.parent != kernel.parent and "formula" not in kernel.name:  # one table serves several folders
-            found.append(f"{name}: kernel in csrc/{kernel.parent}, reference in python/kvision/{reference.parent}")
+            messages.append(f"{name}: kernel in csrc/{kernel.parent}, reference in python/kvision/{reference.parent}")
     for name in sorted(set(references) - set(kernels)):
         if not name.startswith("_"):
-            found.append(f"{name}: registered by python/kvision/{references[name]}.py, declared by no C++ file")
+            messages.append(f"{name}: registered by python/kvision/{references[name]}.py, declared by no C++ file")
     for reference in sorted(set(references.values())):
         if not test(reference).exists():
-            found.append(f"{reference}: no test {test(reference).relative_to(ROOT)}")
+            messages.append(f"{reference}: no test {test(reference).relative_to(ROOT)}")
         if page(reference) is None:
-            found.append(f"{reference}: no page below docs/reference")
+            messages.append(f"{reference}: no page below docs/reference")
     for tree in (KERNELS, REFERENCES, TESTS, PAGES, ROOT / "include"):
         files = Counter(p.parent for p in tree.rglob("*") if p.suffix in SOURCES)
-        found += [f"{f.relative_to(ROOT)}: {n} files, at most {MAX_FILES}" for f, n in files.items() if n > MAX_FILES]
-    return found
+        messages += [f"{f.relative_to(ROOT)}: {n} files, at most {MAX_FILES}" for f, n in files.items() if n > MAX_FILES]
+    return messages
 
 
 def show(word: str) -> None:
@@ -131,9 +131,9 @@ def main() -> int:
     if len(sys.argv) > 1:
         show(sys.argv[1])
         return 0
-    found = problems()
-    new = [p for p in found if p.split(": ")[0] not in EXCEPTIONS]
-    stale = set(EXCEPTIONS) - {p.split(": ")[0] for p in found}
+    messages = problems()
+    new = [p for p in messages if p.split(": ")[0] not in EXCEPTIONS]
+    stale = set(EXCEPTIONS) - {p.split(": ")[0] for p in messages}
     print(*new, *(f"{name}: an exception that is none any more" for name in sorted(stale)), sep="\n")
     print(f"{len(declared())} operators mapped, {len(EXCEPTIONS)} exceptions, {len(new) + len(stale)} problems")
     return 1 if new or stale else 0

@@ -117,18 +117,18 @@ def attempt(call: SampleCall) -> Row:
         try:
             session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
             # What the function only takes the type or the size of is no input of the program.
-            given = {f"tensors_{i}": value for i, value in enumerate(values)} if len(values) > 1 else {}
+            named = {f"tensors_{i}": value for i, value in enumerate(values)} if len(values) > 1 else {}
             inputs = session.get_inputs()
-            feed = {x.name: (given[x.name] if x.name in given else values[0]).numpy() for x in inputs}
+            feed = {x.name: (named[x.name] if x.name in named else values[0]).numpy() for x in inputs}
             results = [torch.from_numpy(result) for result in session.run(None, feed)]
         except Exception as error:
             return Row(call.name, "not run", root(error))
     if len(results) != len(expected):
         return Row(call.name, "differs", f"{len(results)} results, {len(expected)} in Python")
-    for result, wanted in zip(results, expected):
+    for result, reference in zip(results, expected):
         try:
             torch.testing.assert_close(
-                result, wanted.detach(), rtol=RELATIVE, atol=ABSOLUTE, equal_nan=True, check_dtype=False
+                result, reference.detach(), rtol=RELATIVE, atol=ABSOLUTE, equal_nan=True, check_dtype=False
             )
         except AssertionError as error:
             return Row(call.name, "differs", " ".join(str(error).split()))

@@ -40,8 +40,8 @@ def of_pixels(*args: Any) -> tuple[Tensor, ...]:
 
 def with_pose(*args: Any) -> tuple[Tensor, ...]:
     p = points(*args)
-    turn = kvision.geometry.axis_angle_to_rotation_matrix(p.new_tensor([[0.1, 0.2, 0.3]]))
-    return p, kvision.geometry.Rt_to_matrix4x4(turn, p.new_ones(1, 3, 1)).repeat(len(p), 1, 1)
+    rotation = kvision.geometry.axis_angle_to_rotation_matrix(p.new_tensor([[0.1, 0.2, 0.3]]))
+    return p, kvision.geometry.Rt_to_matrix4x4(rotation, p.new_ones(1, 3, 1)).repeat(len(p), 1, 1)
 
 
 def case(name: str, call: Callable[..., Any], inputs: Callable[..., Any]) -> Case:

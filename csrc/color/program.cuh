@@ -7,6 +7,7 @@
 
 #include "core/block_reduce.cuh"
 #include "core/launch.cuh"
+#include "core/nan_min_max.cuh"
 
 namespace kv::color {
 
@@ -27,24 +28,8 @@ __device__ __forceinline__ float reciprocal(float x) {
   return y;
 }
 __device__ __forceinline__ double reciprocal(double x) { return 1 / x; }
-__device__ __forceinline__ float nan_max(float a, float b) {
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
-  return b <= a ? a : a == a ? b : a;
-#else
-  float y;
-  asm("max.NaN.f32 %0, %1, %2;" : "=f"(y) : "f"(a), "f"(b));
-  return y;
-#endif
-}
-__device__ __forceinline__ float nan_min(float a, float b) {
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
-  return -nan_max(-a, -b);
-#else
-  float y;
-  asm("min.NaN.f32 %0, %1, %2;" : "=f"(y) : "f"(a), "f"(b));
-  return y;
-#endif
-}
+using kv::nan_max;
+using kv::nan_min;
 __device__ __forceinline__ double nan_max(double a, double b) { return b <= a ? a : a == a ? b : a; }
 __device__ __forceinline__ double nan_min(double a, double b) { return -nan_max(-a, -b); }
 

@@ -4,6 +4,7 @@
 #pragma once
 
 #include "core/launch.cuh"
+#include "core/nan_min_max.cuh"
 #include "dilation.h"
 
 namespace kv::morphology::cuda {
@@ -14,16 +15,7 @@ __device__ __forceinline__ F minus_infinity() {
   return -F(__int_as_float(0x7f800000));
 }
 
-// maximum() in one instruction where the device has one.
-__device__ __forceinline__ float combine(float a, float b) {
-#if __CUDA_ARCH__ >= 800
-  float most;
-  asm("max.NaN.f32 %0, %1, %2;" : "=f"(most) : "f"(a), "f"(b));
-  return most;
-#else
-  return maximum(a, b);
-#endif
-}
+__device__ __forceinline__ float combine(float a, float b) { return nan_max(a, b); }
 __device__ __forceinline__ double combine(double a, double b) { return maximum(a, b); }
 template <class F>
 __device__ __forceinline__ Ties<F> combine(Ties<F> const& a, Ties<F> const& b) {

@@ -18,6 +18,9 @@
 #include "core/border.h"
 #include "core/isa.h"
 #include "core/view.h"
+#ifdef __CUDACC__
+#include "core/nan_min_max.cuh"
+#endif
 
 namespace kv::filters {
 
@@ -71,16 +74,8 @@ KV_HD V upper(V a, V b) {
 #endif
 }
 #if defined(__CUDA_ARCH__)
-KV_HD float lower(float a, float b) {
-  float low;
-  asm("min.NaN.f32 %0, %1, %2;" : "=f"(low) : "f"(a), "f"(b));
-  return low;
-}
-KV_HD float upper(float a, float b) {
-  float high;
-  asm("max.NaN.f32 %0, %1, %2;" : "=f"(high) : "f"(a), "f"(b));
-  return high;
-}
+KV_HD float lower(float a, float b) { return nan_min(a, b); }
+KV_HD float upper(float a, float b) { return nan_max(a, b); }
 #endif
 
 template <class V>

@@ -1,6 +1,7 @@
 // Local maxima on CUDA. For windows of 3 x 3, 5 x 5 and 3 x 3 x 3, threads traverse the rows from above and keep the
 // state in registers. For other windows, and for channels-last images, a thread reads the window of one element.
 #include "core/launch.cuh"
+#include "core/nan_min_max.cuh"
 #include "geometry/subpix/nms.h"
 
 namespace kv::geometry::cuda {
@@ -42,17 +43,6 @@ __global__ void __launch_bounds__(kThreads)
   if (p.minima.data) p.minima.row(plane, y)[at] = below;
 }
 
-// The larger number, NaN if either one is NaN.
-__device__ __forceinline__ float larger(float a, float b) {
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
-  float y;
-  asm("max.NaN.f32 %0, %1, %2;" : "=f"(y) : "f"(a), "f"(b));
-  return y;
-#else
-  return a > b || a != a ? a : b;
-#endif
-}
-
 // The state of P neighboring pixels while their windows of (2R + 1)^2 pixels move down one plane or, with D = 1, three
 // planes: `next` takes one row after the other, from above.
 template <int R, int D, int P>
@@ -69,20 +59,20 @@ struct Climb {
 #pragma unroll
       for (int k = 0; k <= 2 * D; ++k) {
         auto const at = [&](int i) { return sign * v[k][n + i]; };
-        adjacent[k] = larger(at(0), at(2 * R));
+        adjacent[k] = nan_max(at(0), at(2 * R));
         if (R == 2)
-          adjacent[k] = larger(larger(at(0), at(1)), larger(at(3), at(4)));  // two neighboring pixels share a pair
-        row[k] = larger(adjacent[k], at(R));
+          adjacent[k] = nan_max(nan_max(at(0), at(1)), nan_max(at(3), at(4)));  // two neighboring pixels share a pair
+        row[k] = nan_max(adjacent[k], at(R));
       }
       if (D == 1) {
-        float const others = larger(row[0], row[2 * D]);
-        adjacent[D] = larger(adjacent[D], others), row[D] = larger(row[D], others);
+        float const others = nan_max(row[0], row[2 * D]);
+        adjacent[D] = nan_max(adjacent[D], others), row[D] = nan_max(row[D], others);
       }
 #pragma unroll
       for (int j = 0; j < R; ++j) candidates[j][n] = candidates[j + 1][n];
       float const middle = sign * v[D][n + R];
-      candidates[R][n] = middle > larger(adjacent[D], above[n]) ? middle : __uint_as_float(0x7fc00000);
-      above[n] = R == 1 ? row[D] : larger(row[D], previous[n]);
+      candidates[R][n] = middle > nan_max(adjacent[D], above[n]) ? middle : __uint_as_float(0x7fc00000);
+      above[n] = R == 1 ? row[D] : nan_max(row[D], previous[n]);
       previous[n] = row[D];
     }
   }

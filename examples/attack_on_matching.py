@@ -82,7 +82,7 @@ def pictures(originals: list[Tensor], height: int, device: torch.device) -> tupl
     if not both:
         from skimage import data
 
-        both = [K.image_to_tensor(x, keepdim=False).float() / 255 for x in (data.coffee(), data.rocket())]
+        both = [K.image_to_tensor(x, keepdim=False).float() / 255 for x in (data.chelsea(), data.hubble_deep_field())]
     size = (height, height * 4 // 3)
     first, second = (K.color.rgb_to_grayscale(x.to(device)) for x in both)
     return cropped(first, size), cropped(second, size)

@@ -224,6 +224,12 @@ def flag(op: str, name: str, value: Any) -> None:
         raise TypeCheckError(f"{op}: expected {name} to be a bool, got {value!r}", actual_type=type(value))
 
 
+def function(op: str, name: str, value: Any) -> None:
+    """Raise TypeCheckError unless `value` can be called, as modules and functions can."""
+    if not callable(value):
+        raise TypeCheckError(f"{op}: expected {name} to be a module or function, got {value!r}", actual_type=type(value))
+
+
 def scalar(op: str, name: str, value: Any) -> Any:
     """A NumPy scalar or a tensor of no axes as Python's number; everything else as it is.
 

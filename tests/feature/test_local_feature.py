@@ -278,6 +278,14 @@ def test_the_example_of_the_paper(device):
     assert homography.shape == (1, 3, 3) and homography.isfinite().all()
 
 
+def test_a_function_describes_patches(device):
+    image, lafs = torch.rand(1, 1, 40, 40, device=device), LAFS.to(device)
+    descriptors = F.LAFDescriptor(lambda patches: patches.flatten(1), 8)(image, lafs)
+    assert torch.equal(descriptors, F.get_laf_descriptors(image, lafs, nn.Flatten(), 8))
+    assert descriptors.shape == (*lafs.shape[:2], 64)
+
+
+MATCHER = F.LocalFeatureMatcher(F.SIFTFeature(5), F.DescriptorMatcher("mnn"))
 BAD = [
     (lambda: F.LocalFeature(nn.Identity(), nn.Identity(), 0.0), ValueError, "scaling_coef above 0"),
     (lambda: F.SIFTFeature(10, descriptor_backend="fast"), ValueError, "descriptor_backend must be one of"),
@@ -285,6 +293,26 @@ BAD = [
     (lambda: F.get_laf_descriptors([1], LAFS, nn.Identity()), TypeError, "expected img to be a Tensor"),
     (lambda: F.get_laf_descriptors(torch.rand(2, 1, 9, 9), LAFS, nn.Identity()), ValueError, "expected lafs of shape"),
     (lambda: F.SIFTFeature(10)([1]), TypeError, "SIFTFeature: expected img to be a Tensor"),
+    (
+        lambda: F.get_laf_descriptors(torch.rand(1, 1, 9, 9), LAFS, 3),
+        TypeError,
+        "get_laf_descriptors: expected patch_descriptor to be a module or function, got 3",
+    ),
+    (lambda: F.LAFDescriptor(3), TypeError, "LAFDescriptor: expected patch_descriptor_module to be a module or .*, got 3"),
+    (lambda: F.LAFDescriptor(nn.Identity(), -1), ValueError, "LAFDescriptor: expected patch_size .* at least 1, got -1"),
+    (lambda: F.LocalFeature(3, 4), TypeError, "LocalFeature: expected detector to be a module or function, got 3"),
+    (lambda: F.LocalFeature(nn.Identity(), 4), TypeError, "LocalFeature: expected descriptor to be .*, got 4"),
+    (lambda: F.SIFTFeature(-1), ValueError, "^SIFTFeature: expected num_features to be an int of at least 1, got -1"),
+    (lambda: F.SIFTFeatureScaleSpace("a"), TypeError, "^SIFTFeatureScaleSpace: expected num_features to be an int, got"),
+    (lambda: F.LocalFeatureMatcher({}, nn.Identity()), TypeError, "LocalFeatureMatcher: expected local_feature to be a m"),
+    (lambda: F.LocalFeatureMatcher(nn.Identity(), None), TypeError, "expected matcher to be a module or .*, got None"),
+    (lambda: MATCHER(3), TypeError, "LocalFeatureMatcher: expected data to be a dict, got int"),
+    (lambda: MATCHER({}), ValueError, "expected data with image0, or lafs0 and descriptors0, got nothing"),
+    (
+        lambda: MATCHER({"image0": torch.rand(1, 1, 40, 40)}),
+        ValueError,
+        "LocalFeatureMatcher: expected data with image1, or lafs1 and descriptors1, got image0",
+    ),
 ]
 
 

@@ -94,6 +94,8 @@ BAD = [
     (lambda: F.hessian_response(SMALL, sigmas=torch.ones(3)), ValueError, r"sigmas of shape \(2,\)"),
     (lambda: F.hessian_response(SMALL, sigmas=1.0), TypeError, "sigmas to be a Tensor"),
     (lambda: F.dog_response(SMALL), ValueError, r"expected input of shape \(B, C, D, H, W\)"),
+    (lambda: F.dog_response_single(SMALL, sigma1=-1), ValueError, "dog_response_single: expected sigma1 .*, got -1"),
+    (lambda: F.dog_response_single(SMALL, sigma2=float("inf")), ValueError, "expected sigma2 above 0 and .*, got inf"),
     (lambda: F.dog_response_single(SMALL, 0.0), ValueError, "expected sigma1 above 0"),
 ]
 

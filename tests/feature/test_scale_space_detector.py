@@ -144,6 +144,8 @@ BAD = [
     (lambda: F.ScaleSpaceDetector(edge_threshold=0.5), ValueError, "edge_threshold"),
     (lambda: F.ScaleSpaceDetector(score_threshold="low"), TypeError, "score_threshold"),
     (lambda: F.ScaleSpaceDetector(compile_modules=["x"]), ValueError, "compile_modules must be of scale_pyr"),
+    (lambda: F.ScaleSpaceDetector(resp_module=3), TypeError, "ScaleSpaceDetector: expected resp_module to be .*, got 3"),
+    (lambda: F.ScaleSpaceDetector(ori_module="x"), TypeError, "expected ori_module to be a module or function, got 'x'"),
     (lambda: F.ScaleSpaceDetector()([1]), TypeError, "expected img to be a Tensor, got list"),
     (lambda: F.ScaleSpaceDetector()(torch.rand(40, 40)), ValueError, r"expected img of shape \(B, C, H, W\)"),
     (lambda: F.ScaleSpaceDetector()(torch.rand(1, 3, 40, 40)), ValueError, "one response for each image"),

@@ -149,6 +149,8 @@ class LAFAffineShapeEstimator(nn.Module):
         _check.ints("LAFAffineShapeEstimator", "patch_size", patch_size, 1)
         _check.flag("LAFAffineShapeEstimator", "preserve_orientation", preserve_orientation)
         self.patch_size = patch_size
+        if affine_shape_detector is not None:
+            _check.function("LAFAffineShapeEstimator", "affine_shape_detector", affine_shape_detector)
         self.affine_shape_detector = affine_shape_detector or PatchAffineShapeEstimator(patch_size)
         self.preserve_orientation = preserve_orientation
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
 
 import torch
@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision._dtype import as_dtype, floats
 from kvision.color import rgb_to_grayscale
-from kvision.core.exceptions import ShapeError
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.feature._detection import EMPTY, gather_frames, slots_of
 from kvision.feature.affnet import LAFAffNetShapeEstimator
 from kvision.feature.hardnet import HardNet
@@ -53,7 +53,11 @@ Device = str | torch.device | None
 
 
 def get_laf_descriptors(
-    img: Tensor, lafs: Tensor, patch_descriptor: nn.Module, patch_size: int = 32, grayscale_descriptor: bool = True
+    img: Tensor,
+    lafs: Tensor,
+    patch_descriptor: Callable[[Tensor], Tensor],
+    patch_size: int = 32,
+    grayscale_descriptor: bool = True,
 ) -> Tensor:
     """Describe frames by the patches that they cover.
 
@@ -63,7 +67,7 @@ def get_laf_descriptors(
     Args:
         img: images (B, C, H, W); integers give float32.
         lafs: frames (B, N, 2, 3) in pixels.
-        patch_descriptor: a module from patches (n, C, patch_size, patch_size) to descriptors (n, D).
+        patch_descriptor: a module or function from patches (n, C, patch_size, patch_size) to descriptors (n, D).
         patch_size: side of the patches.
         grayscale_descriptor: convert images of three channels to gray.
 
@@ -85,6 +89,7 @@ def get_laf_descriptors(
     _check.images(op, "img", img)
     frames = check_lafs(op, lafs, "lafs")
     _check.same_device(op, img=img, lafs=lafs)
+    _check.function(op, "patch_descriptor", patch_descriptor)
     _check.ints(op, "patch_size", patch_size, 1)
     if img.shape[0] != lafs.shape[0]:
         raise ShapeError(f"{op}: expected lafs of shape ({img.shape[0]}, N, 2, 3), got {tuple(lafs.shape)}")
@@ -100,7 +105,9 @@ def get_laf_descriptors(
     return torch.where(laf_is_filled(frames)[..., None], descriptors, 0)
 
 
-def _described(module: nn.Module, patches: Tensor) -> Tensor:
+def _described(module: Callable[[Tensor], Tensor], patches: Tensor) -> Tensor:
+    if not isinstance(module, nn.Module):
+        return module(patches)
     parameters = itertools.chain(module.parameters(), module.buffers())
     dtype = next((x.dtype for x in parameters if x.is_floating_point()), patches.dtype)
     with _evaluating(module):
@@ -128,6 +135,10 @@ class LAFDescriptor(nn.Module):
         patch_size: side of the patches.
         grayscale_descriptor: convert images of three channels to gray.
 
+    Raises:
+        TypeCheckError: `patch_descriptor_module` is no module or function, `patch_size` no int.
+        ValueCheckError: `patch_size` is below 1.
+
     Example:
         >>> import torch, kvision as K
         >>> laf = torch.tensor([[[[12.0, 0, 32], [0, 12, 32]]]])
@@ -137,11 +148,14 @@ class LAFDescriptor(nn.Module):
 
     def __init__(
         self,
-        patch_descriptor_module: nn.Module | None = None,
+        patch_descriptor_module: Callable[[Tensor], Tensor] | None = None,
         patch_size: int = 32,
         grayscale_descriptor: bool = True,
     ) -> None:
         super().__init__()
+        if patch_descriptor_module is not None:
+            _check.function("LAFDescriptor", "patch_descriptor_module", patch_descriptor_module)
+        _check.ints("LAFDescriptor", "patch_size", patch_size, 1)
         self.descriptor = HardNet(True) if patch_descriptor_module is None else patch_descriptor_module
         self.patch_size = patch_size
         self.grayscale_descriptor = grayscale_descriptor
@@ -167,7 +181,7 @@ class LocalFeature(nn.Module):
     `forward(img, mask=None)` returns frames, responses and descriptors.
 
     Raises:
-        TypeCheckError: `scaling_coef` is not a number.
+        TypeCheckError: `detector` or `descriptor` is no module or function, `scaling_coef` no number.
         ValueCheckError: `scaling_coef` is not above 0.
 
     Example:
@@ -180,11 +194,13 @@ class LocalFeature(nn.Module):
 
     def __init__(self, detector: nn.Module, descriptor: nn.Module, scaling_coef: float = 1.0) -> None:
         super().__init__()
+        _check.function("LocalFeature", "detector", detector)
+        _check.function("LocalFeature", "descriptor", descriptor)
         self.detector = detector
         self.descriptor = descriptor
         self.scaling_coef = _check.number("LocalFeature", "scaling_coef", scaling_coef)
         if self.scaling_coef <= 0:
-            raise _check.ValueCheckError(f"LocalFeature: expected scaling_coef above 0, got {scaling_coef!r}")
+            raise ValueCheckError(f"LocalFeature: expected scaling_coef above 0, got {scaling_coef!r}")
 
     def forward(self, img: Tensor, mask: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
         lafs, responses = self.detector(img, mask)
@@ -296,7 +312,7 @@ class SIFTFeature(_SIFT):
         opencv: find the features of cv2.SIFT; without a `config`, and with the backend 'patch'.
 
     Raises:
-        ValueCheckError: an unknown backend or layout, or options that `opencv` does not have.
+        ValueCheckError: `num_features` is below 1, a backend or layout unknown, or `opencv` does not have an option.
 
     Example:
         >>> import torch, kvision as K
@@ -319,16 +335,15 @@ class SIFTFeature(_SIFT):
         opencv: bool = False,
     ) -> None:
         detector: nn.Module
+        _check.ints("SIFTFeature", "num_features", num_features, 1)
         _check.flag("SIFTFeature", "opencv", opencv)
         if opencv:
             if config is not None or descriptor_backend != "patch":
-                raise _check.ValueCheckError(
-                    "SIFTFeature: opencv takes no config, and no descriptor_backend but 'patch'"
-                )
+                raise ValueCheckError("SIFTFeature: opencv takes no config, and no descriptor_backend but 'patch'")
             detector, scale = OpenCVSIFT(num_features, upright, score_threshold), 1.0
         elif config is None:
             options = {"edge_threshold": 10.0, "score_threshold": score_threshold}
-            detector = _dog_detector(num_features, ("resp",) if compile_model else False, **options)
+            detector = _dog_detector("SIFTFeature", num_features, ("resp",) if compile_model else False, **options)
             detector, scale = detector if upright else _SeveralOrientations(detector), 1.5
         else:
             detector, scale = (
@@ -358,8 +373,9 @@ class SIFTFeature(_SIFT):
         return lafs, responses, descriptors
 
 
-def _dog_detector(num_features: int, compile_modules: bool | Collection[str], **modules: Any) -> nn.Module:
+def _dog_detector(op: str, num_features: int, compile_modules: bool | Collection[str], **modules: Any) -> nn.Module:
     """Extrema of differences of Gaussians over position and scale, from twice the image on."""
+    _check.ints(op, "num_features", num_features, 1)
     return ScaleSpaceDetector(
         num_features,
         resp_module=BlobDoG(),
@@ -373,9 +389,10 @@ def _dog_detector(num_features: int, compile_modules: bool | Collection[str], **
 
 
 def _keynet_detector(
-    num_features: int, upright: bool, compile_model: bool, score_threshold: float, **modules: Any
+    op: str, num_features: int, upright: bool, compile_model: bool, score_threshold: float, **modules: Any
 ) -> nn.Module:
     """Maxima of Key.Net's response, with OriNet's orientations."""
+    _check.ints(op, "num_features", num_features, 1)
     return KeyNetDetector(
         True,
         num_features,
@@ -418,7 +435,8 @@ class SIFTFeatureScaleSpace(_SIFT):
         descriptor_backend: str = "patch",
         descriptor_layout: str = "kornia",
     ) -> None:
-        detector = _dog_detector(num_features, compile_modules, ori_module=_orienter(upright))
+        op = "SIFTFeatureScaleSpace"
+        detector = _dog_detector(op, num_features, compile_modules, ori_module=_orienter(upright))
         super().__init__(detector, rootsift, device, descriptor_backend, descriptor_layout)
 
 
@@ -437,8 +455,9 @@ def _affine() -> nn.Module:
 
 
 def _affine_detector(
-    response: nn.Module, num_features: int, upright: bool, compile_modules: bool | Collection[str]
+    op: str, response: nn.Module, num_features: int, upright: bool, compile_modules: bool | Collection[str]
 ) -> nn.Module:
+    _check.ints(op, "num_features", num_features, 1)
     return ScaleSpaceDetector(
         num_features,
         resp_module=response,
@@ -474,7 +493,8 @@ class GFTTAffNetHardNet(_WithHardNet):
         device: Device = None,
         compile_modules: bool | Collection[str] = False,
     ) -> None:
-        super().__init__(_affine_detector(CornerGFTT(), num_features, upright, compile_modules), device)
+        op = "GFTTAffNetHardNet"
+        super().__init__(_affine_detector(op, CornerGFTT(), num_features, upright, compile_modules), device)
 
 
 class HesAffNetHardNet(_WithHardNet):
@@ -502,7 +522,8 @@ class HesAffNetHardNet(_WithHardNet):
         device: Device = None,
         compile_modules: bool | Collection[str] = False,
     ) -> None:
-        super().__init__(_affine_detector(BlobHessian(), num_features, upright, compile_modules), device)
+        op = "HesAffNetHardNet"
+        super().__init__(_affine_detector(op, BlobHessian(), num_features, upright, compile_modules), device)
 
 
 class DoGHardNet(_WithHardNet):
@@ -530,7 +551,7 @@ class DoGHardNet(_WithHardNet):
         device: Device = None,
         compile_modules: bool | Collection[str] = False,
     ) -> None:
-        detector = _dog_detector(num_features, compile_modules, ori_module=_orienter(upright))
+        detector = _dog_detector("DoGHardNet", num_features, compile_modules, ori_module=_orienter(upright))
         super().__init__(detector, device, scaling_coef=2.0)
 
 
@@ -560,7 +581,8 @@ class DoGAffNetHardNet(_WithHardNet):
         compile_modules: bool | Collection[str] = False,
     ) -> None:
         modules = {"ori_module": _orienter(upright), "aff_module": _affine()}
-        super().__init__(_dog_detector(num_features, compile_modules, **modules), device, scaling_coef=2.0)
+        detector = _dog_detector("DoGAffNetHardNet", num_features, compile_modules, **modules)
+        super().__init__(detector, device, scaling_coef=2.0)
 
 
 class KeyNetHardNet(_WithHardNet):
@@ -592,7 +614,7 @@ class KeyNetHardNet(_WithHardNet):
         compile_model: bool = False,
         score_threshold: float = 0.0,
     ) -> None:
-        detector = _keynet_detector(num_features, upright, compile_model, score_threshold)
+        detector = _keynet_detector("KeyNetHardNet", num_features, upright, compile_model, score_threshold)
         super().__init__(detector, device, scale_laf)
 
 
@@ -625,7 +647,8 @@ class KeyNetAffNetHardNet(_WithHardNet):
         compile_model: bool = False,
         score_threshold: float = 0.0,
     ) -> None:
-        detector = _keynet_detector(num_features, upright, compile_model, score_threshold, aff_module=_affine())
+        op, affine = "KeyNetAffNetHardNet", _affine()
+        detector = _keynet_detector(op, num_features, upright, compile_model, score_threshold, aff_module=affine)
         super().__init__(detector, device, scale_laf)
 
 
@@ -646,6 +669,8 @@ class LocalFeatureMatcher(nn.Module):
     distances, and `batch_indexes` (K,). Empty slots do not match.
 
     Raises:
+        TypeCheckError: `local_feature` or `matcher` is no module or function, `data` no dict.
+        ValueCheckError: `data` lacks an image and its features.
         ShapeError: the numbers of frames and of descriptors of an image differ.
 
     Example:
@@ -660,6 +685,8 @@ class LocalFeatureMatcher(nn.Module):
 
     def __init__(self, local_feature: nn.Module, matcher: nn.Module) -> None:
         super().__init__()
+        _check.function("LocalFeatureMatcher", "local_feature", local_feature)
+        _check.function("LocalFeatureMatcher", "matcher", matcher)
         self.local_feature = local_feature
         self.matcher = matcher
         self.eval()
@@ -683,6 +710,8 @@ class LocalFeatureMatcher(nn.Module):
         }
 
     def forward(self, data: dict[str, Tensor]) -> dict[str, Tensor]:
+        if not isinstance(data, Mapping):
+            raise TypeCheckError(f"LocalFeatureMatcher: expected data to be a dict, got {type(data).__name__}")
         lafs, descriptors = zip(*(self._features(data, i) for i in "01"))
         matches = []
         filled = [laf_is_filled(x) for x in lafs]
@@ -711,6 +740,11 @@ class LocalFeatureMatcher(nn.Module):
         if f"lafs{i}" in data and f"descriptors{i}" in data:
             lafs, descriptors = data[f"lafs{i}"], data[f"descriptors{i}"]
         else:
+            if f"image{i}" not in data:
+                raise ValueCheckError(
+                    f"LocalFeatureMatcher: expected data with image{i}, or lafs{i} and descriptors{i}, "
+                    f"got {', '.join(map(str, data)) or 'nothing'}"
+                )
             mask = data.get(f"mask{i}")
             if mask is not None and mask.dim() == 3:
                 mask = mask[:, None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, TypedDict
 
 import torch
@@ -95,7 +96,7 @@ class MultiResolutionDetector(nn.Module):
     responses (B, num_features), strongest first. Empty slots are 0. Frames of half-type images are float32.
 
     Raises:
-        TypeCheckError: a mask or an image is not a tensor of real numbers.
+        TypeCheckError: a mask or an image is not a tensor of real numbers, `config` no dict, a module cannot be called.
         ShapeError: another shape of an image, of a mask or of a response.
         ValueCheckError: `num_features` is below 1, `score_threshold` negative, or `config` lacks an option.
 
@@ -125,6 +126,8 @@ class MultiResolutionDetector(nn.Module):
         super().__init__()
         op = "MultiResolutionDetector"
         options = get_default_detector_config() if config is None else config
+        if not isinstance(options, Mapping):
+            raise _check.TypeCheckError(f"{op}: expected config to be a dict, got {config!r}")
         missing = get_default_detector_config().keys() - options.keys()
         if missing:
             raise _check.ValueCheckError(f"{op}: expected config with {', '.join(sorted(missing))}, got {config!r}")
@@ -135,11 +138,14 @@ class MultiResolutionDetector(nn.Module):
         self.scale_factor_levels = options["scale_factor_levels"]
         self.mr_size = options["s_mult"]
         self.score_threshold = _check.number(op, "score_threshold", score_threshold, 0)
+        _check.function(op, "model", model)
         modules = {"model": model, "nms": NonMaximaSuppression2d((self.nms_size, self.nms_size))}
         for name, module in detection.compiled(op, modules, compile_model).items():
             setattr(self, name, module)
         self.ori = ori_module or PassLAF()
         self.aff = aff_module or PassLAF()
+        _check.function(op, "ori_module", self.ori)
+        _check.function(op, "aff_module", self.aff)
 
     def forward(self, img: Tensor, mask: Tensor | None = None) -> tuple[Tensor, Tensor]:
         responses, lafs = self.detect(img, mask)

@@ -194,6 +194,8 @@ class LAFOrienter(nn.Module):
         _check.ints(op, "num_angular_bins", num_angular_bins, 1, minimum=3)
         self.patch_size = patch_size
         self.num_ang_bins = num_angular_bins
+        if angle_detector is not None:
+            _check.function(op, "angle_detector", angle_detector)
         self.angle_detector = angle_detector or PatchDominantGradientOrientation(patch_size, num_angular_bins)
 
     def extra_repr(self) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -212,8 +214,8 @@ def dog_response_single(input: Tensor, sigma1: float = 1.0, sigma2: float = 1.6)
     x = floats(input)
     blurred = []
     for name, sigma in (("sigma1", sigma1), ("sigma2", sigma2)):
-        if _check.number(op, name, sigma, 0) == 0:
-            raise _check.ValueCheckError(f"{op}: expected {name} above 0, got {sigma!r}")
+        if not 0 < _check.number(op, name, sigma) < math.inf:
+            raise _check.ValueCheckError(f"{op}: expected {name} above 0 and finite, got {sigma!r}")
         size = [min(int(8 * sigma + 1) // 2 * 2 + 1, 2 * side - 1) for side in x.shape[2:]]
         blurred.append(gaussian_blur2d(x, (size[0], size[1]), (float(sigma), float(sigma))))
     return blurred[1] - blurred[0]

@@ -75,7 +75,7 @@ class ScaleSpaceDetector(nn.Module):
     octave inside of the image. Frames of half-type images are float32.
 
     Raises:
-        TypeCheckError: a mask or an image is not a tensor of real numbers.
+        TypeCheckError: a mask or an image is not a tensor of real numbers, a module cannot be called.
         ShapeError: another shape of an image, of a mask or of a response.
         ValueCheckError: `num_features` is below 1, `edge_threshold` below 1, or an unknown name in
             `compile_modules`.
@@ -124,6 +124,8 @@ class ScaleSpaceDetector(nn.Module):
             "ori": ori_module or PassLAF(),
             "aff": aff_module or PassLAF(),
         }
+        for name, module in modules.items():
+            _check.function(op, f"{name}_module", module)
         for name, module in detection.compiled(op, modules, compile_modules).items():
             setattr(self, name, module)
         self.minima_are_also_good = minima_are_also_good

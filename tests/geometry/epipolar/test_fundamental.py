@@ -86,3 +86,19 @@ class TestFundamentalDltOperators(PointOpTests):
             ),
         ],
     }
+
+
+@pytest.mark.parametrize("lines, points", [((7, 3), (2, 7, 2)), ((2, 7, 3), (2, 7, 3)), ((2, 1, 3), (7, 2)), ((0, 3), (0, 2))])
+def test_perpendicular_lines(lines, points, device):
+    lines, points = torch.randn(lines, device=device).double(), torch.randn(points, device=device).double()
+    result = G.get_perpendicular(lines, points)
+    homogeneous = torch.cat([points, torch.ones_like(points)], -1)[..., :3]
+    assert result.shape == (*torch.broadcast_shapes(lines.shape[:-1], points.shape[:-1]), 3)
+    assert_close((result * homogeneous).sum(-1), torch.zeros_like(result[..., 0]), 0, 1e-12)  # through the point
+    turned = homogeneous[..., 2:] * torch.stack([-lines[..., 1], lines[..., 0]], -1)
+    assert_close(result[..., :2], turned.expand_as(result[..., :2]), 0, 1e-12)
+    inputs = lines.requires_grad_(), points.requires_grad_()
+    torch.autograd.gradcheck(G.get_perpendicular, inputs, check_forward_ad=True)
+    torch.autograd.gradgradcheck(G.get_perpendicular, inputs)
+    of_vmap = torch.func.vmap(G.get_perpendicular)(lines.expand(3, *lines.shape), points.expand(3, *points.shape))
+    assert_close(of_vmap, result.expand_as(of_vmap), 0, 1e-12)

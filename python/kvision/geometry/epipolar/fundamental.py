@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError
@@ -233,18 +234,12 @@ def get_perpendicular(lines: Tensor, points: Tensor) -> Tensor:
     _check.floating_trailing_shape("get_perpendicular", "lines", lines, "N", 3)
     check_points("get_perpendicular", "points", points)
     _check.same_device("get_perpendicular", lines=lines, points=points)
-    return _perpendicular(lines, points)
-
-
-def _perpendicular(line: Tensor, points: Tensor) -> Tensor:
-    """The cross product of the point and the direction (a, b, 0), a point at infinity."""
-    a, b, _ = line.unbind(-1)
-    x, y, *w = points.unbind(-1)
-    first, second = (w[0] * a, w[0] * b) if w else (a, b)
-    last = x * b - y * a
-    if first.shape != last.shape:
-        first, second = first.expand_as(last), second.expand_as(last)
-    return torch.stack((0 - second, first, last), -1)  # no negative zeros
+    direction = pad(lines[..., :2], (0, 1))  # a point at infinity
+    if points.shape[-1] == 2:
+        points = pad(points, (0, 1), value=1.0)
+    if direction.dim() != points.dim():
+        direction, points = torch.broadcast_tensors(direction, points)
+    return torch.linalg.cross(points, direction)
 
 
 @in_full_precision

@@ -1,5 +1,5 @@
-// What GCC's libstdc++.a takes from a glibc newer than 2.28, for libraries that must run there; tools/older_glibc.py
-// compiles it. Hidden: nothing but the library it is linked into sees these.
+// What GCC's libstdc++.a takes from a glibc newer than 2.28, for libraries that must run there, and what glibc itself links
+// statically; tools/older_glibc.py compiles it. Hidden: nothing but the library it is linked into sees these.
 #define _GNU_SOURCE
 #include <stdint.h>
 #include <sys/random.h>
@@ -22,3 +22,9 @@ KV_HIDDEN uint32_t arc4random(void) {
   }
   return value;
 }
+
+// Of libc_nonshared.a, which the stubs lack: the static CUDA runtime registers its end, which must run when this library
+// is unloaded.
+extern void* __dso_handle KV_HIDDEN;
+int __cxa_atexit(void (*function)(void*), void* argument, void* library);
+KV_HIDDEN int atexit(void (*function)(void)) { return __cxa_atexit((void (*)(void*))function, 0, __dso_handle); }

@@ -26,6 +26,7 @@ from __future__ import annotations
 import argparse
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -41,6 +42,7 @@ SCALE = 6.0  # of a frame, over the blur of its level
 WINDOW = 2  # pixels of a level around a target in which its response is to be the largest
 RATIO, LIMIT = 0.8, 4.0  # of the ratio test, and pixels of an inlier
 WANTED_INLIERS, WANTED_PSNR = 100, 28.0
+ITERATIONS, ALPHA, BETA = 100, 3.0, 0.1
 
 
 class Features(NamedTuple):
@@ -117,6 +119,7 @@ class Extractor(nn.Module):
 
     def __init__(self, count: int) -> None:
         super().__init__()
+        self.count = count
         self.pyramid = K.ScalePyramid(3, 1.6, 16, extra_levels=2)
         self.response = K.BlobHessian()
         soft_maxima = K.geometry.ConvSoftArgmax3d((3, 3, 3), (1, 1, 1), (1, 1, 1), normalized_coordinates=False)
@@ -232,27 +235,43 @@ def descriptor_loss(
     return F.relu(apart / nearest - 0.5).mean()
 
 
+def progress(done: int, total: int) -> None:
+    print(f"\r[{'#' * (30 * done // max(total, 1)):30}] {done}/{total}", end="", flush=True)
+
+
 def attack(
-    extractor: Extractor, first: Tensor, second: Tensor, homography: Tensor, count: int, options: argparse.Namespace
+    extractor: Extractor,
+    first: Tensor,
+    second: Tensor,
+    homography: Tensor,
+    *,
+    iterations: int = ITERATIONS,
+    alpha: float = ALPHA,
+    beta: float = BETA,
+    progress: Callable[[int, int], None] = progress,
 ) -> Outcome:
+    """Let the first image match the second under the homography, by as many targets as a third of the features.
+
+    `progress` is told how many iterations are done, of how many.
+    """
     originals = (first, second)
-    targets = place_targets(extractor, first, second, homography, count)
+    targets = place_targets(extractor, first, second, homography, extractor.count // 3)
     images = tuple(x.clone().requires_grad_() for x in originals)
     optimizer = torch.optim.Adam(images, lr=0.003)
     largest = 10 ** (-(WANTED_PSNR + 0.1) / 10)  # mean squared change; rounding adds a little
     others: list[Features] = []
     begin = time.perf_counter()
-    for iteration in range(options.iterations):
+    for iteration in range(iterations):
         if iteration % 10 == 0:
             others = [extractor(x.detach())[1] for x in images]
             # A target that is as strong as this stays among the features that are detected.
-            thresholds = [f.responses[min(len(f.responses) - 1, int(0.7 * options.features))] for f in others]
-            progress(iteration, options.iterations)
+            thresholds = [f.responses[min(len(f.responses) - 1, int(0.7 * extractor.count))] for f in others]
+            progress(iteration, iterations)
         location = sum(location_loss(extractor, *x) for x in zip(images, targets, thresholds))
         described = tuple(extractor.describe(x, t.frames) for x, t in zip(images, targets))
         apart = descriptor_loss(described, targets, others)  # type: ignore[arg-type]
         distance = sum(F.mse_loss(x, original) for x, original in zip(images, originals)) / largest
-        loss = location + options.alpha * apart + options.beta * distance
+        loss = location + alpha * apart + beta * distance
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -260,8 +279,8 @@ def attack(
             for image, original in zip(images, originals):
                 change = image.clamp(0, 1) - original
                 image.copy_(original + change * (largest / change.square().mean()).sqrt().clamp(max=1))
-    seconds = (time.perf_counter() - begin) / max(options.iterations, 1)
-    progress(options.iterations, options.iterations)
+    seconds = (time.perf_counter() - begin) / max(iterations, 1)
+    progress(iterations, iterations)
     return verified([(255 * x.detach()).round() / 255 for x in images], originals, extractor, homography, seconds)
 
 
@@ -279,10 +298,6 @@ def verified(
         inliers = inliers & ((moved - y).norm(dim=1) <= LIMIT)
     psnr = tuple(float(K.metrics.psnr(image, original, 1.0)) for image, original in zip(images, originals))
     return Outcome(*images, (x[inliers], y[inliers]), len(x), psnr, seconds)  # type: ignore[arg-type]
-
-
-def progress(done: int, total: int) -> None:
-    print(f"\r[{'#' * (30 * done // max(total, 1)):30}] {done}/{total}", end="", flush=True)
 
 
 # --- output ---------------------------------------------------------------------------------------------------------
@@ -320,9 +335,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, help="folder with a.png and b.png")
     parser.add_argument("--height", type=int, default=240, help="of the images; their width is 4 / 3 of it")
     parser.add_argument("--features", type=int, default=500, help="of each image")
-    parser.add_argument("--iterations", type=int, default=100)
-    parser.add_argument("--alpha", type=float, default=3.0, help="weight of the descriptors")
-    parser.add_argument("--beta", type=float, default=0.1, help="weight of the distance from the originals")
+    parser.add_argument("--iterations", type=int, default=ITERATIONS)
+    parser.add_argument("--alpha", type=float, default=ALPHA, help="weight of the descriptors")
+    parser.add_argument("--beta", type=float, default=BETA, help="weight of the distance from the originals")
     parser.add_argument("--seeds", type=int, default=3, help="number of homographies")
     parser.add_argument("--out", type=Path, default=Path("out/attack"), help="where the figures go")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
@@ -339,7 +354,9 @@ def main(arguments: list[str] | None = None) -> int:
     for seed in range(options.seeds):
         homography = wanted_homography(seed, originals[0])
         before = verified(list(originals), originals, extractor, homography, 0.0)
-        outcome = attack(extractor, *originals, homography, options.features // 3, options)
+        outcome = attack(
+            extractor, *originals, homography, iterations=options.iterations, alpha=options.alpha, beta=options.beta
+        )
         outcomes.append(outcome)
         draw(originals, outcome, options.out / f"seed{seed}.png")
         print(

@@ -17,7 +17,7 @@ pytest.importorskip("PIL")
 pytest.importorskip("tqdm")
 
 from kvision.demo import __main__ as demo
-from kvision.demo import augmentation, contact_sheet
+from kvision.demo import attack, augmentation, contact_sheet
 from kvision.demo.restore import restore
 from kvision.io import load_image, write_image
 
@@ -34,6 +34,8 @@ OPERATORS += ["key points", "matches"]
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(demo, "SIDE", 48)
     monkeypatch.setattr(demo, "STEPS", 10)
+    for name, value in (("HEIGHT", 60), ("FEATURES", 60), ("ITERATIONS", 2)):
+        monkeypatch.setattr(attack, name, value)
 
 
 @pytest.fixture
@@ -65,6 +67,7 @@ def test_makes_a_gallery_a_file_per_result_and_a_table(photos, tmp_path, device,
     assert {row[0] for row in rows if row[3] == "-"} == without_opencv
     before, after = map(float, re.search(r"loss (\S+) -> (\S+),", printed).groups())
     assert after < before
+    assert re.search(r"^attacked: \d+ matches under a homography of our choice, PSNR [\d.]+ dB$", printed, re.MULTILINE)
     assert printed.rstrip().endswith(str(out / "gallery.png"))
 
 

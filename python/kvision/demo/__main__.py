@@ -21,7 +21,7 @@ from kvision.io import get_sample_images, load_image, write_image
 try:
     from tqdm import tqdm
 
-    from kvision.demo import augmentation, color, features, filters, gallery, geometry, morphology
+    from kvision.demo import attack, augmentation, color, features, filters, gallery, geometry, morphology
     from kvision.demo.restore import Restoration, blur, restore
     from kvision.demo.sheet import Column, Sheet, run
 except ModuleNotFoundError as error:
@@ -53,7 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(about)
     done: list[tuple[Sheet, list[Column]]] = []
     pipelines = augmentation.rows(SIDE)
-    with tqdm(total=sum(len(sheet.steps) for sheet in SHEETS) + len(pipelines) + STEPS, unit="step") as bar:
+    attacks = attack.ITERATIONS if attack.PROGRAM.is_file() and len(names) > 1 else 0
+    steps = sum(len(sheet.steps) for sheet in SHEETS) + len(pipelines) + STEPS + attacks
+    with tqdm(total=steps, unit="step") as bar:
         for sheet in SHEETS:
             columns = []
             for step in sheet.steps:
@@ -68,11 +70,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             bar.update()
         bar.set_description(f"{'restoring':14}")
         restored = restore(photos[:2], counted(bar, STEPS))
+        attacked = None
+        if attacks:
+            bar.set_description(f"{'attacking':14}")
+            before = bar.n
+            attacked = attack.attack(list(photos) if options.images else [], device, lambda i, _: bar.update(before + i - bar.n))
 
     sections = [section(sheet, columns, names, photos) for sheet, columns in done]
     sections.append(augmentation.section(augmented, names[0]))
     width = max(len(section.columns) for section in sections)
     sections += [wheel(photos[0], names[0], width), restoration(restored, names, photos, width)]
+    if attacked is not None:
+        sections.append(attack.section(attacked))
     path = options.out / "gallery.png"
     gallery.page(f"kvision {kvision.__version__}", about, sections).save(path)
     save_results(options.out, names, done, restored)
@@ -81,8 +90,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(
         f"\nrestored through gaussian_blur2d ({backend}) in {STEPS} steps: "
         f"loss {restored.losses[0]:.1e} -> {restored.losses[-1]:.1e}, "
-        f"{decibels(restored)}\nnot shown, because it takes minutes: two photos changed until they match "
-        f"(examples/attack_on_matching.py)\ngallery: {path}"
+        f"{decibels(restored)}\n"
+        + (f"attacked: {attacked.figures}\n" if attacked is not None else "")
+        + f"gallery: {path}"
     )
     return 0
 

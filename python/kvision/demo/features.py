@@ -1,8 +1,4 @@
-"""The sheet of the feature module: key points, and matches of a photo with another view of it.
-
-The attack on matching is no step: its hundred iterations through detector and descriptor take minutes on a CPU, and a step runs
-at least five times, to be timed. examples/attack_on_matching.py shows it, and the demo says so.
-"""
+"""The sheet of the feature module: key points, and matches of a photo with another view of it."""
 
 from __future__ import annotations
 

@@ -85,7 +85,8 @@ OPERATORS = (
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark tests by folder: `operators` for the folders above, the files next to this one, and docstring examples.
 
-    Files with slow tests come first, so that no process is left with one of them when the others are done.
+    Files with slow tests come first, then those next to this one, many of which start programs, so that no process is left
+    with one of them when the others are done.
     """
     here = Path(__file__).parent
     for item in items:
@@ -93,7 +94,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if folder is None or folder in OPERATORS or folder == item.path.name:
             item.add_marker(pytest.mark.operators)
     slow = {item.path for item in items if item.get_closest_marker("slow") is not None}
-    items.sort(key=lambda item: item.path not in slow)
+    items.sort(key=lambda item: (item.path not in slow, item.path.parent != here))
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

@@ -15,7 +15,7 @@ import torch
 
 import kvision
 from benchmarks.peers import PEERS
-from kvision._ops import unserved
+from kvision._backend import unserved
 
 
 def describe(device: torch.device, peers: Iterable[str]) -> dict[str, Any]:

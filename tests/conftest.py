@@ -19,7 +19,7 @@ import hypothesis
 import pytest
 import torch
 
-from kvision import _ops
+from kvision import _backend
 from op_tests import OpTests
 
 hypothesis.settings.register_profile("quick", max_examples=30, deadline=None, derandomize=True)
@@ -43,7 +43,7 @@ def device(request: pytest.FixtureRequest) -> torch.device:
 def backend(request: pytest.FixtureRequest) -> str:
     """Run the tests on this backend, in all threads. "native" uses the kernels where they exist."""
     name = request.config.getoption("--backend")
-    _ops.set_default_backend("reference" if name == "reference" else "auto")
+    _backend.set_default_backend("reference" if name == "reference" else "auto")
     return name
 
 

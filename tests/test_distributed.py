@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 import kvision as K
-from kvision import _ops
+from kvision import _backend
 from op_tests import assert_close
 
 pytestmark = pytest.mark.programs
@@ -70,7 +70,7 @@ def work(rank: int, folder: Path) -> None:
 
 def test_processes_learn_what_one_process_learns(tmp_path: Path) -> None:
     command = [sys.executable, __file__, str(tmp_path)]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "KVISION_BACKEND": _ops.current_backend()}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "KVISION_BACKEND": _backend.current_backend()}
     workers = [subprocess.Popen([*command, str(rank)], env=environment) for rank in range(PROCESSES)]
     try:
         model = Model()

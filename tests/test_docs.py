@@ -18,7 +18,7 @@ import pytest
 import torch
 
 import kvision as K
-from kvision import _ops
+from kvision import _backend
 from test_public_api import arguments, public_modules, public_names, surface
 
 pytestmark = pytest.mark.programs
@@ -93,7 +93,7 @@ def test_blocks_that_take_longer_run(package: str, photo: None) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif("cpu" in _ops.unserved, reason="libkvision.so was not built")
+@pytest.mark.skipif("cpu" in _backend.unserved, reason="libkvision.so was not built")
 def test_blocks_of_cpp_compile(cmake: str, tmp_path: Path) -> None:
     """The CMake and C++ of the guides, as one program; that of cpp.md runs, the other one needs files of Python."""
     programs, projects = [], []

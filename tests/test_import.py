@@ -14,7 +14,7 @@ import pytest
 import torch
 
 import kvision as K
-from kvision import _ops
+from kvision import _backend
 
 pytestmark = pytest.mark.programs
 
@@ -97,7 +97,7 @@ def test_pickles_load_first(tmp_path: Path) -> None:
 
 def test_exported_programs_run_and_have_gradients(tmp_path: Path) -> None:
     """Loading one looks its operators up in torch.ops, which registers their shapes and gradients."""
-    if "cpu" in _ops.unserved:
+    if "cpu" in _backend.unserved:
         pytest.skip("torch.ops.kvision needs the libraries")
     x = torch.rand(1, 1, 5, 5, requires_grad=True)
     K.filters.sobel(x).sum().backward()
@@ -115,7 +115,7 @@ print(*x.grad.flatten().tolist())
 
 
 def test_operators_called_directly_are_registered() -> None:
-    if "cpu" in _ops.unserved:
+    if "cpu" in _backend.unserved:
         pytest.skip("torch.ops.kvision needs the libraries")
     program = """
 import torch, kvision

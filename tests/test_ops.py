@@ -13,7 +13,7 @@ import pytest
 import torch
 
 import kvision as K
-from kvision import _ops
+from kvision import _backend, _ops
 from kvision._modes import INTERPOLATION, PADDING
 
 
@@ -24,11 +24,11 @@ def run(code: str, **environment: str) -> subprocess.CompletedProcess:
 
 
 def test_backend_is_restored_after_an_error(backend):
-    before = _ops.current_backend()
+    before = _backend.current_backend()
     with pytest.raises(ZeroDivisionError), K.backend("reference"):
-        assert _ops.current_backend() == "reference"
+        assert _backend.current_backend() == "reference"
         raise ZeroDivisionError
-    assert _ops.current_backend() == before
+    assert _backend.current_backend() == before
 
 
 def test_unknown_backend():
@@ -97,7 +97,7 @@ def test_without_libraries_the_reference_serves():
         "def fail(path): raise OSError('broken')\n"
         "torch.ops.load_library = fail\n"
         "import kvision as K\n"
-        "print(K._ops.unserved['cpu']); print(K.filters.sobel(torch.zeros(1, 1, 1, 1)).item() > 0)"
+        "print(K._backend.unserved['cpu']); print(K.filters.sobel(torch.zeros(1, 1, 1, 1)).item() > 0)"
     )
     result = run(code, KVISION_BACKEND="auto")
     assert result.returncode == 0, result.stderr
@@ -114,7 +114,7 @@ def test_an_older_library_lacks_an_operator():
         "with K.backend('native'): twice(x)"
     )
     result = run(code, KVISION_BACKEND="auto")
-    if "cpu" not in _ops.unserved:
+    if "cpu" not in _backend.unserved:
         assert "twice is not in libkvision.so, which is older: build kvision again" in result.stdout
     assert result.stdout.splitlines()[0] == "8.0 reference"
     assert "twice: backend 'native' was asked for, but" in result.stderr
@@ -123,7 +123,7 @@ def test_an_older_library_lacks_an_operator():
 def test_cuda_library_is_not_loaded_without_cuda():
     if torch.backends.cuda.is_built():
         pytest.skip("this torch has CUDA")
-    assert _ops.unserved["cuda"] == "this torch was built without CUDA"
+    assert _backend.unserved["cuda"] == "this torch was built without CUDA"
 
 
 def test_every_operator_has_a_readable_schema(backend):
@@ -228,20 +228,20 @@ def test_graphs_that_torch_keeps_on_disk_are_of_this_version():
 
 @pytest.fixture
 def default_backend():
-    before = _ops._default_backend
-    _ops.set_default_backend("auto")
+    before = _backend.default_backend
+    _backend.set_default_backend("auto")
     yield "auto"
-    _ops.set_default_backend(before)
+    _backend.set_default_backend(before)
 
 
 def test_threads_choose_their_own_backend(default_backend):
     both_inside, results = threading.Barrier(2), {}
 
     def work(name):
-        before = _ops.current_backend()
+        before = _backend.current_backend()
         with K.backend(name):
             both_inside.wait()
-            results[name] = before, _ops.current_backend(), _ops.serves("sobel", torch.zeros(1, 1, 2, 2, device="cpu"))
+            results[name] = before, _backend.current_backend(), _ops.serves("sobel", torch.zeros(1, 1, 2, 2, device="cpu"))
             both_inside.wait()
 
     threads = [threading.Thread(target=work, args=(name,)) for name in ("reference", "auto")]
@@ -250,10 +250,10 @@ def test_threads_choose_their_own_backend(default_backend):
             thread.start()
         for thread in threads:
             thread.join()
-        assert _ops.current_backend() == "native"
-    kernel = "reference" if "cpu" in _ops.unserved else "native"
+        assert _backend.current_backend() == "native"
+    kernel = "reference" if "cpu" in _backend.unserved else "native"
     assert results == {"reference": ("auto", "reference", "reference"), "auto": ("auto", "auto", kernel)}
-    assert not _ops._ask_backend and _ops._blocks == 0
+    assert not _backend.ask_backend and _backend._blocks == 0
 
 
 def test_tasks_choose_their_own_backend(default_backend):
@@ -262,45 +262,45 @@ def test_tasks_choose_their_own_backend(default_backend):
             await asyncio.sleep(0)
             with K.backend(other):
                 await asyncio.sleep(0)
-                inner = _ops.current_backend()
+                inner = _backend.current_backend()
             await asyncio.sleep(0)
-            return inner, _ops.current_backend()
+            return inner, _backend.current_backend()
 
     async def outside():
         await asyncio.sleep(0)
-        return _ops.current_backend()
+        return _backend.current_backend()
 
     async def main():
         return await asyncio.gather(work("reference", "native"), work("native", "auto"), outside())
 
     assert asyncio.run(main()) == [("native", "reference"), ("auto", "native"), "auto"]
-    assert not _ops._ask_backend and _ops._blocks == 0
+    assert not _backend.ask_backend and _backend._blocks == 0
 
 
 def test_blocks_nest_and_survive_errors(default_backend):
     with K.backend("reference"):
         with pytest.raises(ZeroDivisionError), K.backend("native"):
             raise ZeroDivisionError
-        assert _ops.current_backend() == "reference"
+        assert _backend.current_backend() == "reference"
         with pytest.raises(ValueError, match="expected one of"), K.backend("fast"):
             pass
-        assert _ops.current_backend() == "reference"
-    assert _ops.current_backend() == "auto" and not _ops._ask_backend
+        assert _backend.current_backend() == "reference"
+    assert _backend.current_backend() == "auto" and not _backend.ask_backend
 
 
 def test_a_decorated_function_runs_in_its_backend(default_backend):
-    assert K.backend("reference")(_ops.current_backend)() == "reference"
-    assert _ops.current_backend() == "auto"
+    assert K.backend("reference")(_backend.current_backend)() == "reference"
+    assert _backend.current_backend() == "auto"
 
 
 def test_gradients_are_served_as_their_call(default_backend, device):
     """A backward pass uses the backend of its forward call, on any thread and in any block."""
-    if device.type in _ops.unserved:
+    if device.type in _backend.unserved:
         pytest.skip("this test is about the kernels")
     x = torch.rand(1, 1, 4, 4, device=device, requires_grad=True)
     backward, served = _ops.operators["sobel"], []
     original = backward.backward
-    backward.backward = lambda *args: (served.append(_ops.current_backend()), original(*args))[1]
+    backward.backward = lambda *args: (served.append(_backend.current_backend()), original(*args))[1]
     try:
         with K.backend("native"):
             y = K.filters.sobel(x)
@@ -316,7 +316,7 @@ def test_gradients_are_served_as_their_call(default_backend, device):
 
 
 def test_compiled_functions_follow_the_backend(default_backend):
-    if "cpu" in _ops.unserved:
+    if "cpu" in _backend.unserved:
         pytest.skip("this test is about the kernels")
     graphs = []
 
@@ -337,7 +337,7 @@ def test_compiled_functions_follow_the_backend(default_backend):
     compiled(x)
     assert graphs[:3] == [True, False, True]
     inside(x)
-    assert not graphs[-1] and _ops.current_backend() == "auto"
+    assert not graphs[-1] and _backend.current_backend() == "auto"
     torch.compiler.reset()
 
 
@@ -347,7 +347,7 @@ def _sobel_of_reference(x):
 
 
 def test_an_empty_variable_chooses_auto():
-    code = "import kvision as K; print(K._ops.current_backend())"
+    code = "import kvision as K; print(K._backend.current_backend())"
     result = run(code, KVISION_BACKEND="")
     assert result.stdout.strip() == "auto", result.stderr
 
@@ -378,7 +378,7 @@ UNSUPPORTED = {
 
 @pytest.mark.parametrize("name", UNSUPPORTED)
 def test_native_says_why_no_kernel_serves_the_arguments(name, backend):
-    if backend == "reference" or "cpu" in _ops.unserved:
+    if backend == "reference" or "cpu" in _backend.unserved:
         pytest.skip("this test is about the kernels")
     with K.backend("auto"):
         UNSUPPORTED[name]()
@@ -444,7 +444,7 @@ def made_operator():
 
 @pytest.mark.parametrize("rule", [True, lambda x, *_: x.shape[2] > 4], ids=["always", "predicate"])
 def test_nondeterministic_kernels_give_way_to_the_reference(made_operator, rule, default_backend, device):
-    if device.type in _ops.unserved:
+    if device.type in _backend.unserved:
         pytest.skip("this test is about the kernels")
     operator = made_operator(lambda x, *_: torch.full_like(x, 7), nondeterministic=rule)
     small, large = torch.zeros(1, 1, 2, 2, device=device), torch.zeros(1, 1, 6, 6, device=device)

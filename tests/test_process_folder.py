@@ -17,7 +17,7 @@ import pytest
 import torch
 
 import kvision as K
-from kvision import _ops
+from kvision import _backend
 from test_examples import EXAMPLES, example
 
 pytestmark = pytest.mark.programs
@@ -65,7 +65,7 @@ def start(pictures: Path, out: Path, *options: str) -> subprocess.Popen[str]:
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(sys.path),
-        "KVISION_BACKEND": _ops.current_backend(),
+        "KVISION_BACKEND": _backend.current_backend(),
         "OMP_NUM_THREADS": "1",
     }
     command = [

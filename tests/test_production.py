@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 import kvision as K
-from kvision import _ops
+from kvision import _backend
 from op_tests import assert_close
 
 pytestmark = pytest.mark.programs
@@ -57,7 +57,7 @@ def test_export_with_a_dynamic_batch(
 
 @pytest.mark.tracing
 def test_exported_program_calls_the_operators(program: torch.export.ExportedProgram, backend: str) -> None:
-    if backend == "reference" or _ops.unserved.get("cpu"):
+    if backend == "reference" or _backend.unserved.get("cpu"):
         pytest.skip("the reference is traced into torch's own operators")
     called = {str(node.target) for node in program.graph.nodes if node.op == "call_function"}
     assert "kvision.sobel.default" in called and "kvision.box_blur.default" in called
@@ -79,16 +79,17 @@ case = torch.load(case)
 torch.testing.assert_close(torch._inductor.aoti_load_package(package)(case["image"]), case["expected"])
 assert not any(name.startswith("kvision") for name in sys.modules)
 """
-    libraries = [_ops.LIBRARY_FOLDER / _ops._LIBRARIES[d] for d in {"cpu", device.type} if d not in _ops.unserved]
+    served = {"cpu", device.type} - _backend.unserved.keys()
+    libraries = [_backend.LIBRARY_FOLDER / _backend._LIBRARIES[d] for d in served]
     subprocess.run([sys.executable, "-c", script, package, tmp_path / "case.pt", *sorted(libraries)], check=True)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif("cpu" in _ops.unserved, reason="the program links libkvision.so")
+@pytest.mark.skipif("cpu" in _backend.unserved, reason="the program links libkvision.so")
 def test_pipeline_runs_in_cpp(cmake: str, device: torch.device, tmp_path: Path) -> None:
     """examples/cpp/run_pipeline gives Python's numbers from a package and from a traced module."""
     pytest.importorskip("skimage.data")
-    prefixes = f"{_ops.LIBRARY_FOLDER.parent};{torch.utils.cmake_prefix_path}"
+    prefixes = f"{_backend.LIBRARY_FOLDER.parent};{torch.utils.cmake_prefix_path}"
     build, saved = tmp_path / "build", tmp_path / "saved"
     subprocess.run([cmake, "-S", ROOT / "examples/cpp", "-B", build, f"-DCMAKE_PREFIX_PATH={prefixes}"], check=True)
     subprocess.run([cmake, "--build", build, "--target", "run_pipeline"], check=True)

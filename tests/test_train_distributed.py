@@ -14,7 +14,7 @@ import pytest
 import torch
 
 import kvision as K
-from kvision import _ops
+from kvision import _backend
 from test_examples import EXAMPLES, example
 
 pytestmark = pytest.mark.programs
@@ -34,7 +34,7 @@ def torchrun(folder: Path, *options: str, restarts: int = 0, ranks: int = 2) -> 
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(sys.path),
-        "KVISION_BACKEND": _ops.current_backend(),
+        "KVISION_BACKEND": _backend.current_backend(),
         "OMP_NUM_THREADS": "1",
         "TORCH_DISABLE_SHARE_RDZV_TCP_STORE": "1",  # each start of the ranks gets a store of its own
     }

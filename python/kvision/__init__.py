@@ -13,8 +13,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from kvision import _ops, constants  # constants now: its tensor must not be made inside of a FakeTensorMode
-from kvision._ops import backend
+from kvision import _backend, _ops, constants  # constants now: its tensor must not be made inside of a FakeTensorMode
+from kvision._backend import backend
 from kvision._version import __version__
 
 if TYPE_CHECKING:

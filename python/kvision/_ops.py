@@ -1,4 +1,4 @@
-"""The operator path: the only module that loads kvision's libraries or talks to torch.library.
+"""The operator path: the only module that talks to torch.library.
 
 An operator is its reference, written in plain torch, plus kernels registered under the same name as
 `torch.ops.kvision.<name>`. `register` ties them together and returns the function everything in kvision calls:
@@ -17,25 +17,20 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
-import os
-import threading
-import warnings
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextvars import ContextVar
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
-import torch.compiler.config
 from torch import Tensor, is_grad_enabled
 from torch.compiler import is_compiling
 
+from kvision import _backend
+from kvision._backend import backend, current_backend, unserved_devices
 from kvision._torch_compat import (
     before_first_lookup,
     below_autograd,
     find_operator,
     function_caller,
-    has_kernel,
     in_forward_ad,
     in_function_transform,
     is_tracing,
@@ -43,176 +38,10 @@ from kvision._torch_compat import (
     schema_of,
     unwrap_dead_wrappers,
 )
-from kvision._version import __version__
-from kvision.core.exceptions import ValueCheckError
 
 FLOATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16)
 _HALVES = (torch.float16, torch.bfloat16)
 _PROMOTED = (*_HALVES, torch.float64, torch.uint8)  # before a reference computes; labels and masks stay as they are
-
-# --- libraries ------------------------------------------------------------------------------------------------------
-
-_LIBRARIES = {"cpu": "libkvision.so", "cuda": "libkvision_cuda.so"}
-LIBRARY_FOLDER = Path(__file__).parent / "lib"
-
-# device type -> why its kernels are not there; a device missing here is served.
-unserved: dict[str, str] = {}
-
-
-def _load() -> None:
-    for device, name in _LIBRARIES.items():
-        path = LIBRARY_FOLDER / name
-        if device == "cuda" and not torch.backends.cuda.is_built():
-            unserved[device] = "this torch was built without CUDA"
-        elif device == "cuda" and "cpu" in unserved:
-            unserved[device] = "libkvision.so, which declares the operators, is not loaded"
-        elif not path.exists():
-            unserved[device] = f"{name} was not built: reinstall kvision on a machine with {_compiler(device)}"
-        else:
-            try:
-                torch.ops.load_library(path)
-            except OSError as error:
-                unserved[device] = f"{name} does not load: {error}"
-
-
-def _compiler(device: str) -> str:
-    return "nvcc and a C++20 compiler" if device == "cuda" else "a C++20 compiler"
-
-
-_load()
-
-# torch finds the compiled graphs that it keeps on disk by the names of the operators in them. Those of another kvision may
-# have other arguments and other gradients.
-torch.compiler.config.cache_key_tag += f";kvision {__version__}"
-
-# --- which backend serves a call ------------------------------------------------------------------------------------
-
-_BACKENDS = ("auto", "native", "reference")
-
-
-def _checked_backend(name: str) -> str:
-    if name not in _BACKENDS:
-        raise ValueCheckError(f"backend: expected one of {', '.join(_BACKENDS)}; got {name!r}", actual_value=name)
-    return name
-
-
-def set_default_backend(name: str) -> None:
-    """Choose what serves calls outside of `backend` blocks, in all threads; KVISION_BACKEND is the first choice."""
-    global _default_backend, _ask_backend
-    with _blocks_lock:
-        _default_backend = _checked_backend(name)
-        _ask_backend = _blocks > 0 or _default_backend != "auto"
-
-
-class _ThreadBackend(threading.local):
-    """The backend of the block that a thread entered last. torch.compile can guard on it, but not on a ContextVar."""
-
-    def __init__(self) -> None:
-        self.name: str | None = None
-
-
-_task_backend: ContextVar[str | None] = ContextVar("kvision_backend", default=None)
-_thread_backend = _ThreadBackend()
-_blocks, _blocks_lock = 0, threading.Lock()  # how many blocks are open in the process
-# Whether a call has to ask current_backend(), which costs more than this global. False in a process that chooses nothing.
-_ask_backend = False
-_default_backend = "auto"
-set_default_backend(os.environ.get("KVISION_BACKEND") or "auto")
-
-
-def current_backend() -> str:
-    """What this task has chosen: the name of its innermost `backend` block, else the default of the process."""
-    name = _thread_backend.name if is_compiling() else _task_backend.get()
-    return _default_backend if name is None else name
-
-
-if "cpu" in unserved and _default_backend == "auto":
-    warnings.warn(
-        f"kvision computes everything in plain torch, which is slower: {unserved['cpu']}. `python -m kvision.info` says "
-        "what to do; KVISION_BACKEND=reference in the environment accepts it.",
-        RuntimeWarning,
-        stacklevel=2,
-    )
-
-
-@contextlib.contextmanager
-def backend(name: str) -> Iterator[None]:
-    """Choose what serves kvision's operators inside a `with` block.
-
-    The choice holds for the thread and, under asyncio, the task that entered the block; a thread started inside begins
-    with the default of the process. Gradients are served as the call that they belong to was. A function compiled by
-    torch.compile follows the block that its thread entered last, also where tasks take turns in this thread.
-
-    Args:
-        name: "auto" takes the kernel where there is one and the reference elsewhere; "reference" always takes the
-            pure-torch reference; "native" makes a missing kernel an error that says what is missing. The environment
-            variable KVISION_BACKEND sets the default of the process.
-
-    Returns:
-        A context manager, which is also a decorator of functions.
-
-    Raises:
-        ValueCheckError: `name` is none of the three.
-
-    Example:
-        >>> import torch, kvision as K
-        >>> with K.backend("reference"):
-        ...     K.filters.sobel(torch.zeros(1, 1, 2, 2))
-        tensor([[[[0.0010, 0.0010],
-                  [0.0010, 0.0010]]]])
-    """
-    _checked_backend(name)
-    if is_compiling():
-        with _traced_backend(name):
-            yield
-        return
-    task, thread = _task_backend.get(), _thread_backend.name
-    _count_blocks(1)
-    _task_backend.set(name)
-    _thread_backend.name = name
-    try:
-        yield
-    finally:
-        _task_backend.set(task)  # not reset(): an asynchronous generator may end in another context
-        _thread_backend.name = thread
-        _count_blocks(-1)
-
-
-@contextlib.contextmanager
-def _traced_backend(name: str) -> Iterator[None]:
-    """`backend` in terms that torch.compile traces: neither locks nor ContextVars."""
-    global _ask_backend
-    ask, thread = _ask_backend, _thread_backend.name
-    _ask_backend, _thread_backend.name = True, name
-    try:
-        yield
-    finally:
-        _ask_backend, _thread_backend.name = ask, thread
-
-
-def _count_blocks(change: int) -> None:
-    global _blocks, _ask_backend
-    with _blocks_lock:
-        _blocks += change
-        _ask_backend = _blocks > 0 or _default_backend != "auto"
-
-
-def _unserved(name: str) -> dict[str, str]:
-    """Device type -> why no kernel serves operator `name` there: the whole library, or an older one that lacks it."""
-    reasons = dict(unserved)
-    for device, library in _LIBRARIES.items():
-        if "cpu" in unserved or device in unserved:
-            continue
-        declared = find_operator("kvision", name) is not None
-        if not declared or not has_kernel(f"kvision::{name}", device.upper()):
-            reasons[device] = f"{name} is not in {library}, which is older: build kvision again"
-    return reasons
-
-
-def serves(name: str, x: Tensor) -> str:
-    """What serves operator `name` on tensors of the device and type of `x`: "native" or "reference"."""
-    return "native" if all_operators()[name].is_native(x) else "reference"
-
 
 # --- operators ------------------------------------------------------------------------------------------------------
 
@@ -240,6 +69,11 @@ def all_operators() -> dict[str, Operator]:
     """Those of all modules, by name."""
     import_modules()
     return _registered
+
+
+def serves(name: str, x: Tensor) -> str:
+    """What serves operator `name` on tensors of the device and type of `x`: "native" or "reference"."""
+    return "native" if all_operators()[name].is_native(x) else "reference"
 
 
 # A program of torch.export names operators of modules that nobody may have imported; it looks them up in torch.ops.
@@ -336,7 +170,7 @@ class Operator:
         self._fake_sizes = fake
         self._layout_of = layout_of
         self._flatten = flatten or flatten_batches
-        self.unserved = _unserved(name)
+        self.unserved = unserved_devices(name)
         self.kernel = self._bind()
         self.tensors = self._count_tensors()
         self.function = self._make_function()
@@ -354,7 +188,7 @@ class Operator:
     def __call__(self, *args: Any) -> Any:
         x = args[0]
         served = self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()
-        if _ask_backend or x.dtype not in served:
+        if _backend.ask_backend or x.dtype not in served:
             if not self.is_native(x):
                 return self.reference(*args)
             if x.dtype not in served:
@@ -405,7 +239,7 @@ class Operator:
 
     def _call_reference(self, reason: str, args: Sequence[Any]) -> Any:
         """Call the reference, because of `reason`; raises under backend("native")."""
-        if _ask_backend and current_backend() == "native":
+        if _backend.ask_backend and current_backend() == "native":
             self._refuse(reason)
         return self.reference(*args)
 
@@ -470,7 +304,7 @@ class Operator:
             ctx.save_for_forward(*tensors)
         ctx.plain = inputs[self.tensors :]
         # autograd differentiates on a thread of its own for CUDA, which is in no block.
-        ctx.backend = current_backend() if _ask_backend else None
+        ctx.backend = current_backend() if _backend.ask_backend else None
 
     def _is_linear_map(self, tensors: Sequence[Tensor | None]) -> bool:
         """Whether the result is linear in all the tensors there are, that is, in the first one."""
@@ -489,10 +323,10 @@ class Operator:
         grads, saved = unwrap_dead_wrappers(grads), unwrap_dead_wrappers(ctx.saved_tensors)
         if self._is_linear_map(saved):
             saved = (ctx.sizes, *saved[1:])
-        if ctx.backend is None and not _ask_backend:
+        if ctx.backend is None and not _backend.ask_backend:
             input_grads = self.backward(needs, *grads, *saved, *ctx.plain)
         else:
-            with backend(ctx.backend or _default_backend):
+            with backend(ctx.backend or _backend.default_backend):
                 input_grads = self.backward(needs, *grads, *saved, *ctx.plain)
         return (*input_grads, *(None,) * (len(needs) - len(input_grads)))
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import torch
 
-from kvision import _ops
+from kvision import _backend, _ops
 from kvision._version import __version__
 
 try:
@@ -61,9 +61,9 @@ def _versions() -> Iterator[str]:
 
 def _libraries() -> Iterator[str]:
     yield "Libraries"
-    yield f"  cpu   {_ops.unserved.get('cpu') or _cpu_library()}{_why_pure()}"
-    yield f"  cuda  {_ops.unserved.get('cuda') or _cuda_library()}"
-    if "cuda" not in _ops.unserved:
+    yield f"  cpu   {_backend.unserved.get('cpu') or _cpu_library()}{_why_pure()}"
+    yield f"  cuda  {_backend.unserved.get('cuda') or _cuda_library()}"
+    if "cuda" not in _backend.unserved:
         yield from (f"        {line}" for line in _gpus())
 
 
@@ -79,7 +79,7 @@ def _cpu_library() -> str:
 
 
 def _why_pure() -> str:
-    record = _ops.LIBRARY_FOLDER / "pure_python.txt"  # written by setup.py
+    record = _backend.LIBRARY_FOLDER / "pure_python.txt"  # written by setup.py
     return f"\n        installed as pure Python: {record.read_text()}" if record.exists() else ""
 
 
@@ -89,7 +89,7 @@ def _cuda_library() -> str:
 
 
 def _cuda() -> ctypes.CDLL:
-    library = ctypes.CDLL(str(_ops.LIBRARY_FOLDER / "libkvision_cuda.so"))
+    library = ctypes.CDLL(str(_backend.LIBRARY_FOLDER / "libkvision_cuda.so"))
     library.kvision_cuda_architectures.restype = ctypes.c_char_p
     return library
 
@@ -149,7 +149,7 @@ def _synchronize(device: str) -> None:
 
 def _operator_counts() -> Iterator[str]:
     names = [name for name in _ops.operators if "backward" not in name]
-    yield f"Operators (backend {_ops.current_backend()!r}): python -m kvision.info --operators lists them"
+    yield f"Operators (backend {_backend.current_backend()!r}): python -m kvision.info --operators lists them"
     for device in ("cpu", "cuda"):
         yield f"  {device:5} kernels serve {sum(bool(_served(name, device)) for name in names)} of {len(names)}"
     missing = list(_missing_operators())
@@ -162,13 +162,13 @@ def _operator_counts() -> Iterator[str]:
 def _missing_operators() -> Iterator[str]:
     """Why single operators, those for backward too, have no kernel on a device that others have kernels for."""
     for operator in _ops.operators.values():
-        yield from (f"  {reason}" for device, reason in operator.unserved.items() if device not in _ops.unserved)
+        yield from (f"  {reason}" for device, reason in operator.unserved.items() if device not in _backend.unserved)
 
 
 def _operators() -> Iterator[str]:
     names = sorted(name for name in _ops.operators if "backward" not in name)
     width = max(map(len, names), default=0)
-    yield f"Operators (backend {_ops.current_backend()!r}): what the kernels serve, gradients likewise"
+    yield f"Operators (backend {_backend.current_backend()!r}): what the kernels serve, gradients likewise"
     yield f"  {'':{width}}  {'cpu':42}  cuda"
     for name in names:
         served = [" ".join(_served(name, device)) or "reference" for device in ("cpu", "cuda")]
@@ -183,21 +183,21 @@ def _operators() -> Iterator[str]:
 
 def _served(name: str, device: str) -> list[str]:
     operator = _ops.operators[name]
-    if device in operator.unserved or _ops.current_backend() == "reference":
+    if device in operator.unserved or _backend.current_backend() == "reference":
         return []
     return [str(dtype).removeprefix("torch.") for dtype in _DTYPES if dtype in operator.dtypes]
 
 
 def _next_steps() -> Iterator[str]:
     steps = []
-    if _ops.current_backend() == "reference":
+    if _backend.current_backend() == "reference":
         steps.append("for the kernels, unset KVISION_BACKEND or leave the block `with kvision.backend('reference')`.")
-    if "cpu" in _ops.unserved:
+    if "cpu" in _backend.unserved:
         steps.append(
             "for the kernels, install a C++20 compiler (GCC >= 11 or Clang >= 14) and install kvision again; "
             "KVISION_BUILD=native then makes a build that cannot be done an error that says why."
         )
-    if "cuda" in _ops.unserved:
+    if "cuda" in _backend.unserved:
         if shutil.which("nvidia-smi") is None:
             steps.append("there is no NVIDIA driver here, so nothing is lost without CUDA.")
         elif not torch.backends.cuda.is_built():

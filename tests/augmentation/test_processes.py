@@ -17,7 +17,7 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.utils.data import DataLoader, Dataset
 
 import kvision.augmentation as A
-from kvision import _ops
+from kvision import _backend
 
 PROCESSES, STEPS, SAVED = 2, 4, 2
 LABELED = ["image", "mask", "keypoints"]
@@ -87,7 +87,7 @@ def work(folder: Path, rank: int, again: bool) -> None:
 
 
 def run(folder: Path, again: bool) -> list[dict[str, Any]]:
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "KVISION_BACKEND": _ops.current_backend()}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "KVISION_BACKEND": _backend.current_backend()}
     command = [sys.executable, __file__, str(folder)]
     workers = [subprocess.Popen([*command, str(rank), str(int(again))], env=environment) for rank in range(PROCESSES)]
     try:

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import kvision as K
-from kvision import _ops
+from kvision import _backend
 from op_tests import OpTests
 
 C = K.color
@@ -145,7 +145,7 @@ class TestRgbToGrayscale(ConversionTests):
     ids=str,
 )
 def test_a_program_that_is_none_is_refused(plan, parameters):
-    if "cpu" in _ops.unserved:
+    if "cpu" in _backend.unserved:
         pytest.skip("the operators are declared by libkvision.so")
     with pytest.raises(RuntimeError, match="color_program: "):
         torch.ops.kvision.color_program(torch.rand(1, 3, 4, 4), *[None] * 7, plan, parameters)

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import kvision as K
-from kvision import _ops
+from kvision import _backend
 from kvision.color import program, steps
 from kvision.color.steps import STEPS, Step
 
@@ -74,7 +74,7 @@ PLAN = [-1, -1, 4, 23, 22, 20, 16]
 
 
 @pytest.mark.native
-@pytest.mark.skipif("cpu" in _ops.unserved, reason="the operators are declared by libkvision.so")
+@pytest.mark.skipif("cpu" in _backend.unserved, reason="the operators are declared by libkvision.so")
 def test_exported_programs_outlive_new_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     image = torch.rand(2, 3, 5, 7)
     chain = K.enhance.ColorProgram(*CHAIN)
@@ -98,7 +98,7 @@ def test_exported_programs_outlive_new_steps(monkeypatch: pytest.MonkeyPatch) ->
         torch.testing.assert_close(y, (1.2 * image).clamp(0, 1))
 
 
-@pytest.mark.skipif("cpu" in _ops.unserved, reason="the operators are declared by libkvision.so")
+@pytest.mark.skipif("cpu" in _backend.unserved, reason="the operators are declared by libkvision.so")
 def test_schema_of_programs_never_changes() -> None:
     tensors = ", ".join(f"Tensor? p{i}" for i in range(program.MAX_TENSORS))
     schema = str(torch.ops.kvision.color_program.default._schema)

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 import kvision  # noqa: F401  declares the operators
-from kvision import _ops
+from kvision import _backend, _ops
 from kvision.color.program import STEPS
 
 ROOT = Path(__file__).parents[2]
@@ -31,7 +31,7 @@ BY_NAME = ("linear", "side_by_side", "detail::correlation", "detail::separable",
 DECLARATION = re.compile(r'Operator<\s*"(\w+)",\s*(\w+)\(([^)]*)\)>\s*(\w+)(?:\{\s*([\w:]+))?')
 DECLARED = {m[1]: m.groups()[1:] for m in DECLARATION.finditer(OPERATORS)}
 
-built = pytest.mark.skipif("cpu" in _ops.unserved, reason="the operators are declared by libkvision.so")
+built = pytest.mark.skipif("cpu" in _backend.unserved, reason="the operators are declared by libkvision.so")
 
 
 @built

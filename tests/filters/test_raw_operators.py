@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import kvision as K
-from kvision import _ops
+from kvision import _backend
 from kvision._modes import BORDER, COLOR_DISTANCE, DERIVATIVE_MODE
 from op_tests import assert_close
 
@@ -25,7 +25,7 @@ SCHEMAS = {
 
 @pytest.fixture(autouse=True)
 def needs_kernels(backend: str, device: torch.device) -> None:
-    if backend == "reference" or device.type in _ops.unserved:
+    if backend == "reference" or device.type in _backend.unserved:
         pytest.skip("this test is about the kernels")
 
 

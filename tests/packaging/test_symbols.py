@@ -11,15 +11,15 @@ from pathlib import Path
 
 import pytest
 
-from kvision import _ops
+from kvision import _backend
 
 ROOT = Path(__file__).parents[2]
 spec = importlib.util.spec_from_file_location("audit_symbols", ROOT / "tools/audit_symbols.py")
 audit_symbols = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(audit_symbols)
 
-CPU = _ops.LIBRARY_FOLDER / "libkvision.so"
-CUDA = _ops.LIBRARY_FOLDER / "libkvision_cuda.so"
+CPU = _backend.LIBRARY_FOLDER / "libkvision.so"
+CUDA = _backend.LIBRARY_FOLDER / "libkvision_cuda.so"
 
 built = pytest.mark.skipif(not CPU.exists() or shutil.which("nm") is None, reason="no library, or no nm to read it")
 built_for_cuda = pytest.mark.skipif(not CUDA.exists() or shutil.which("nm") is None, reason="no CUDA library, or no nm")

@@ -89,9 +89,10 @@ __device__ __forceinline__ void copy_start(uint32_t to, T const* from, int count
 
 // The first row of a plane whose last vector of P elements may reach behind the image: that vector needs copy_start.
 template <int P, class T>
-__device__ __forceinline__ int first_unsafe_row(Planes<T const> const& x, T const* plane) {
-  auto const row_end = [&](T const* plane, int64_t y) { return plane + y * x.row_stride + x.row_size(); };
-  T const* const end = row_end(x.plane(x.count() - 1), x.height - 1);
+__device__ __forceinline__ int first_unsafe_row(Planes<T> const& x, std::remove_const_t<T> const* plane,
+                                                int64_t row_size) {
+  auto const row_end = [&](auto* plane, int64_t y) { return plane + y * x.row_stride + row_size; };
+  auto* const end = row_end(x.plane(x.count() - 1), x.height - 1);
   int64_t y = x.height;
   while (y > 0 && row_end(plane, y - 1) + P > end) --y;
   return int(y);
@@ -159,7 +160,7 @@ struct RowPrefetcher {
     auto const address = [&](int x) { return uint32_t(__cvta_generic_to_shared(ring[0] + kHalo - left + x)); };
     column_to = address(column), halo_to = address(halo);
     column_from = in + column, halo_from = in + halo;
-    if constexpr (kPrecede) unsafe_from = first_unsafe_row<P>(x, in);
+    if constexpr (kPrecede) unsafe_from = first_unsafe_row<P>(x, in, x.row_size());
     for (int i = lane; i < Rows * kPitch; i += 32) ring[0][i] = T{};
     __syncwarp();
 

@@ -129,6 +129,7 @@ struct PixelRows {
   uint32_t to;             // where they go in the first group
   int row, bytes, height;  // its row of a group; bytes from the vector to the end of the row
   int next, last;          // its row of the next group; rows after `last` are not needed
+  int unsafe_from = 0;     // the first row whose last vector may reach behind an image
 
   __device__ __forceinline__ PixelRows(Work<K> const& work, BlockPosition<K> const& position, PixelGroup& group,
                                        int first, int last)
@@ -139,33 +140,50 @@ struct PixelRows {
     x = work.x.plane(position.plane) + int64_t(position.left) * size + offset;
     y = work.y.plane(position.plane) + int64_t(position.left) * size + offset;
     to = uint32_t(__cvta_generic_to_shared(&group)) + row * kPitch + offset;
+    if constexpr (!Aligned) {
+      auto const unsafe_row_of = [&](StoredPlanes const& image) {
+        return first_unsafe_row<16>(image, image.plane(position.plane), image.width * size);
+      };
+      unsafe_from = min(unsafe_row_of(work.x), unsafe_row_of(work.y));
+    }
   }
 
   // Starts the copy of the next group, to `groups[at]`.
   __device__ __forceinline__ void copy(PixelGroup* groups, int at) {
-    int from = next;
-    if (from < 0 || from >= height) from = border_index(work.border, from, height);
-    bool const zero = from < 0, needed = next <= last;
-    uint8_t const *const of_x = row_at(x, from, work.x_stride), *const of_y = row_at(y, from, work.y_stride);
+    int source_row = next;
+    if (source_row < 0 || source_row >= height) source_row = border_index(work.border, source_row, height);
+    bool const zero = source_row < 0, needed = next <= last;
+    uint8_t const* const of_x = row_at(x, source_row, work.x_stride);
+    uint8_t const* const of_y = row_at(y, source_row, work.y_stride);
     uint32_t const group = to + at * uint32_t(sizeof(PixelGroup));
     if constexpr (Aligned) {
       copy_async_if<16>(group, of_x, needed, zero);
       copy_async_if<16>(group + kRows * kPitch, of_y, needed, zero);
     } else {
-      auto const copy_row = [&](int image, uint8_t const* from) {
+      // Rows that end where an image does are copied by loads.
+      auto const copy_row = [&](int image, uint8_t const* from, auto unsafe) {
         int const preceding = int(reinterpret_cast<uintptr_t>(from) % 16);
         auto const copy_vector = [&](int i) {
           int const size = bytes + preceding - i;
-          copy_part_async_if<16>(group + image * kRows * kPitch + i, from - preceding + i, needed && size > 0,
-                                 zero ? 0 : min(size, 16));
+          uint32_t const to = group + image * kRows * kPitch + i;
+          bool const enabled = needed && size > 0;
+          if constexpr (!decltype(unsafe)::value)
+            copy_part_async_if<16>(to, from - preceding + i, enabled, zero ? 0 : min(size, 16));
+          else if (enabled)
+            copy_start<8>(to, reinterpret_cast<uint16_t const*>(from - preceding + i), min(size, 16) / 2);
         };
         copy_vector(0);
         if (threadIdx.x % (blockDim.x / kRows) > 0) return;
         copy_vector(16 / kRows * int(blockDim.x));  // float32 may take one vector more than threads
         groups[at].preceding[image][row] = preceding;
       };
-      copy_row(0, of_x);
-      copy_row(1, of_y);
+      if (source_row < unsafe_from) {
+        copy_row(0, of_x, std::false_type{});
+        copy_row(1, of_y, std::false_type{});
+      } else {
+        copy_row(0, of_x, std::true_type{});
+        copy_row(1, of_y, std::true_type{});
+      }
     }
     next += kRows;
     __pipeline_commit();

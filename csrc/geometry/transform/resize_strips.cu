@@ -31,9 +31,9 @@ struct StripOf {
   static constexpr int kColumns = kSpan / 32;                  // of a thread, some of them adjacent
   static constexpr int kVector = 16 / int(sizeof(T)), kRowBytes = kSpan * int(sizeof(T));
   static constexpr int kRing = Shrinks && sizeof(T) == 4 ? 4 : 8, kAhead = Shrinks ? kRing - 2 : kRing - M;
-  static constexpr int kLines = M > 4 ? M : 4;               // rows of sums at a time
-  static constexpr int kSlots = M > 4 ? 8 : M;               // weights of a row
-  static constexpr int kWarpBytes = kRing * kRowBytes + 16;  // of rows; a thread may read a word after the last one
+  static constexpr int kLines = M > 4 ? M : 4;          // rows of sums at a time
+  static constexpr int kSlots = M > 4 ? 8 : M;          // weights of a row
+  static constexpr int kWarpBytes = kRing * kRowBytes;  // of rows
 };
 
 // How the result is divided among blocks and warps.
@@ -139,9 +139,10 @@ __device__ __forceinline__ void read_pixels(T const* row, int past, float (&pixe
 #pragma unroll
       for (int j = 0; j < 4; ++j) pixels[i + j] = vector.v[j];
     } else {
-      constexpr int kWords = int(sizeof(T));  // and some bytes of the next one
+      constexpr int kWords = int(sizeof(T));  // and some bytes of the next one, if the row has one
       Vector<uint32_t, kWords> words = *reinterpret_cast<Vector<uint32_t, kWords> const*>(four);
-      uint32_t const next = reinterpret_cast<uint32_t const*>(four)[kWords];
+      bool const has_next = i + 4 < S::kColumns || threadIdx.x % 32 < 31;
+      uint32_t const next = has_next ? reinterpret_cast<uint32_t const*>(four)[kWords] : 0;
 #pragma unroll
       for (int j = 0; j < kWords; ++j)
         words.v[j] = __funnelshift_r(words.v[j], j + 1 < kWords ? words.v[min(j + 1, kWords - 1)] : next, 8 * past);
@@ -212,7 +213,9 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   auto const past_word = [&](int y) {
     return sizeof(T) == 4 ? 0 : int(reinterpret_cast<uintptr_t>(column) + unsigned(y) * unsigned(stride)) & 3;
   };
-  int const unsafe_from = sizeof(T) < 4 && rows > 0 ? first_unsafe_row<4 / int(sizeof(T))>(p.x, p.x.plane(plane)) : 0;
+  int unsafe_from = 0;
+  if (sizeof(T) < 4 && rows > 0)
+    unsafe_from = first_unsafe_row<4 / int(sizeof(T))>(p.x, p.x.plane(plane), p.x.row_size());
   int next = from_y;
   auto const fetch = [&] {
     if (next < to_y) {

@@ -47,25 +47,32 @@ template <int C, bool L1>
 __device__ __forceinline__ void accumulate_gradient(float space, float const (&p)[C], float const (&p_ab)[C + 1],
                                                     float const (&q)[C], float const (&q_ab)[C + 1], bool is_own,
                                                     float (&grad)[C]) {
-  float const weight = fast_exp2(log_weight<C, L1>(space, p, q));
-  float weight_grad = -p_ab[C], distance = 0;
+  float difference[C], distance;
+#pragma unroll
+  for (int c = 0; c < C; ++c) {
+    difference[c] = q[c] - p[c];
+    float const along = L1 ? fabsf(difference[c]) : difference[c] * difference[c];
+    distance = c == 0 ? along : distance + along;
+  }
+  float const weight = fast_exp2(L1 ? space - distance * distance : space - distance);
+  float weight_grad = -p_ab[C];
   if (is_own) weight_grad -= q_ab[C];
 #pragma unroll
   for (int c = 0; c < C; ++c) {
     weight_grad += p_ab[c] * q[c];
     if (is_own) weight_grad += q_ab[c] * p[c];
-    if (L1) distance += fabsf(q[c] - p[c]);
   }
   weight_grad *= weight * -1.38629436111989061883f;  // -2 log 2
   if (L1) weight_grad *= distance;
 #pragma unroll
   for (int c = 0; c < C; ++c) {
-    float const difference = q[c] - p[c];
-    float const guide_grad = !L1              ? weight_grad * difference
-                             : difference > 0 ? weight_grad
-                             : difference < 0 ? -weight_grad
-                                              : 0.f;
-    grad[c] += weight * p_ab[c] + guide_grad;
+    grad[c] += weight * p_ab[c];
+    if constexpr (!L1) {
+      grad[c] += weight_grad * difference[c];
+    } else {  // with the sign of the difference
+      uint32_t const sign = __float_as_uint(difference[c]) & 0x80000000u;
+      if (difference[c] != 0) grad[c] += __uint_as_float(__float_as_uint(weight_grad) ^ sign);
+    }
   }
 }
 

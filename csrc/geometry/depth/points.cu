@@ -1,5 +1,6 @@
 // Points and normals of depth images on CUDA: a thread takes four adjacent pixels, in accesses of 16 bytes where
 // possible.
+#include "core/block_reduce.cuh"
 #include "core/launch.cuh"
 #include "geometry/depth/points.h"
 
@@ -245,17 +246,8 @@ __global__ void __launch_bounds__(kThreads)
       if (x + i < width) rays.add_gradients(F(x + i), F(y), d[i], g, sums);
     }
   }
-  __shared__ double of_warps[kThreads / 32][4];
-#pragma unroll
-  for (int k = 0; k < 4; ++k) {
-    double const sum = warp_sum(double(sums[k]));
-    if (threadIdx.x % 32 == 0) of_warps[threadIdx.x / 32][k] = sum;
-  }
-  __syncthreads();
-  if (threadIdx.x >= 4) return;
-  double sum = 0;
-  for (int w = 0; w < kThreads / 32; ++w) sum += of_warps[w][threadIdx.x];
-  p.partial[4 * int64_t(blockIdx.x) + threadIdx.x] = sum;
+  double const promoted[] = {sums[0], sums[1], sums[2], sums[3]};
+  store_block_sums<kThreads>(promoted, p.partial + 4 * int64_t(blockIdx.x));
 }
 
 // A block sums the gradient of a camera; each of its warps takes one sum.

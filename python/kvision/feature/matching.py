@@ -473,9 +473,19 @@ def match_fginn(
     neighbors = _Neighbors(desc1[None], desc2[None], _one(dm), both=mutual)
     nearest = neighbors.indices1[..., 0]
     centers = as_dtype(floats(lafs2[..., 2]), neighbors.distances1.dtype)
-    of_nearest = centers.gather(1, nearest.clamp(min=0)[..., None].expand(-1, -1, 2))
-    elsewhere = _Neighbors(desc1[None], desc2[None], _one(dm), positions=(of_nearest, centers, spatial_th), both=False)
-    ratio = torch.where(nearest >= 0, neighbors.distances1[..., 0] / elsewhere.distances1[..., 0], math.nan)
+    of_two = centers[0].index_select(0, neighbors.indices1.clamp(min=0).flatten())
+    first, second = of_two.unflatten(0, (-1, 2)).unbind(1)
+    # Only those whose second neighbor is near the first one look for another.
+    again = ((first - second).square().sum(-1) < spatial_th * spatial_th).nonzero()[:, 0]
+    elsewhere = _Neighbors(
+        desc1.index_select(0, again)[None],
+        desc2[None],
+        None if dm is None else dm.index_select(0, again)[None],
+        positions=(first.index_select(0, again)[None], centers, spatial_th),
+        both=False,
+    )
+    other_distances = neighbors.distances1[..., 1].index_copy(1, again, elsewhere.distances1[..., 0])
+    ratio = torch.where(nearest >= 0, neighbors.distances1[..., 0] / other_distances, math.nan)
     kept = ratio <= th
     if mutual:
         kept = kept & _is_mutual(nearest, neighbors.indices2[..., 0])

@@ -9,7 +9,7 @@ BORDER_NAMES = tuple(BORDER)
 COLOR_DISTANCE = {"l1": 0, "l2": 1}  # ColorDistance in csrc/filters/smoothing/bilateral.h
 DERIVATIVE_MODE = {"sobel": 0, "diff": 1}  # DerivativeMode in csrc/filters/edges/spatial_gradient.h
 DERIVATIVE_MODE_NAMES = tuple(DERIVATIVE_MODE)
-INTERPOLATION = {  # ResizeFilter in csrc/geometry/transform/resize.h; warps take nearest, bilinear and bicubic
+INTERPOLATION = {  # ResizeFilter in csrc/geometry/transform/resize/resize.h; warps take nearest, bilinear and bicubic
     **{"nearest": 0, "nearest-exact": 1, "area": 2, "bilinear": 3, "bicubic": 4, "lanczos": 5},
     **{"pyrdown": 6, "pyrup": 7},
 }

@@ -3,7 +3,7 @@
 #pragma once
 
 #include "geometry/formula_glue.h"
-#include "geometry/transform/resize.h"
+#include "geometry/transform/resize/resize.h"
 #include "geometry/transform/sampling.h"
 #include "glue/batch.h"
 #include "glue/images.h"

@@ -20,7 +20,7 @@ __all__ = ["Rescale", "Resize", "rescale", "resize", "resize_to_be_divisible"]
 _INTERPOLATIONS = ("bilinear", "nearest", "nearest-exact", "bicubic", "area", "lanczos")
 _SIDES = ("short", "long", "vert", "horz")
 
-# --- the definition: csrc/geometry/transform/resize.h has it in a table ---------------------------------------------
+# --- the definition: csrc/geometry/transform/resize/resize.h has it in a table ----------------------------------------
 
 # Indices (n, k) and weights (n, k) of the k source pixels of each pixel of the result.
 Taps = tuple[Tensor, Tensor]

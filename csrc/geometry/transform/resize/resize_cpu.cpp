@@ -5,7 +5,7 @@
 // permutation then read them, and likewise the second taps and so on.
 #include "core/bytes.h"
 #include "core/scratch.h"
-#include "geometry/transform/resize.h"
+#include "geometry/transform/resize/resize.h"
 
 namespace kv::geometry::KV_ISA {
 namespace {

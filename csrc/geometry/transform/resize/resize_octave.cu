@@ -9,7 +9,7 @@
 // The compiler knows the offsets of the windows, and weights are equal everywhere but at the border. A warp traverses a
 // strip of 32 vectors of the larger image downwards; each row is weighted along x once, and along y from registers.
 #include "core/row_prefetcher.cuh"
-#include "geometry/transform/resize.h"
+#include "geometry/transform/resize/resize.h"
 
 namespace kv::geometry::cuda {
 namespace {

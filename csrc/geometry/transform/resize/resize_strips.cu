@@ -15,7 +15,7 @@
 #include "core/block_reduce.cuh"
 #include "core/launch.cuh"
 #include "core/row_prefetcher.cuh"
-#include "geometry/transform/resize.h"
+#include "geometry/transform/resize/resize.h"
 
 namespace kv::geometry::cuda {
 namespace {

@@ -4,7 +4,7 @@
 // keeps the means along x of two rows of the image, which are blended to a row of the result. Where an image grows, its
 // rows are prefetched to shared memory by asynchronous copies; else pixels are loaded a row ahead.
 #include "core/row_prefetcher.cuh"
-#include "geometry/transform/resize.h"
+#include "geometry/transform/resize/resize.h"
 
 namespace kv::geometry::cuda {
 namespace {

@@ -4,7 +4,7 @@
 // gradient adds to those of the source rows above and below its coordinate. A complete sum is written to a line in
 // shared memory, from which the pixels of its row gather along x.
 #include "core/row_prefetcher.cuh"
-#include "geometry/transform/resize.h"
+#include "geometry/transform/resize/resize.h"
 
 namespace kv::geometry::cuda {
 namespace {

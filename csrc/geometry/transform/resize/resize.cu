@@ -6,7 +6,7 @@
 // means of that line. Memory is read and written in order at any size; rows that adjacent bands have in common are in
 // the L1. The weights are computed once for all rows and planes of a block's tile.
 #include "core/launch.cuh"
-#include "geometry/transform/resize.h"
+#include "geometry/transform/resize/resize.h"
 
 namespace kv::geometry::cuda {
 namespace {

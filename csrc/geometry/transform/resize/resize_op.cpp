@@ -1,5 +1,5 @@
 // Resizing: schemas and entry points of the operators, for CPU and CUDA.
-#include "geometry/transform/resize.h"
+#include "geometry/transform/resize/resize.h"
 #include "glue/batch.h"
 #include "glue/glue.h"
 

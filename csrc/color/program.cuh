@@ -30,8 +30,6 @@ __device__ __forceinline__ float reciprocal(float x) {
 __device__ __forceinline__ double reciprocal(double x) { return 1 / x; }
 using kv::nan_max;
 using kv::nan_min;
-__device__ __forceinline__ double nan_max(double a, double b) { return b <= a ? a : a == a ? b : a; }
-__device__ __forceinline__ double nan_min(double a, double b) { return -nan_max(-a, -b); }
 
 }  // namespace kv::color
 

@@ -24,5 +24,8 @@ __device__ __forceinline__ float nan_max(float a, float b) {
 #endif
 }
 
+__device__ __forceinline__ double nan_max(double a, double b) { return b <= a ? a : a == a ? b : a; }
+__device__ __forceinline__ double nan_min(double a, double b) { return -nan_max(-a, -b); }
+
 }  // namespace
 }  // namespace kv

@@ -383,6 +383,14 @@ KV_HD void for_each_chunk(Program<F> const& p, bool backward, bool at_once, int6
   }
 }
 
+// Whether the step's numbers are integers of 16 bits, as LumaOfLevels multiplies them; hsv_u8 has no numbers.
+KV_HD bool has_words(Program<float> const& p) {
+  bool words = true;
+  for (float const* number = p.numbers; number < p.numbers + p.count; ++number)  // a NaN compares false
+    words = words && *number >= -32768 && *number <= 32767 && float(int(*number)) == *number;
+  return words;
+}
+
 // OpenCV's conversions of bytes stay in registers from image to result: they take few instructions, of which chunks in
 // memory would be half.
 KV_HD bool converts_bytes(Program<float> const& p) {
@@ -390,7 +398,7 @@ KV_HD bool converts_bytes(Program<float> const& p) {
     return x.type == DType::uint8 && (x.step == 1 || is_interleaved(x));
   };
   return p.steps == 1 && !p.has_order() && (p.step[0] == Step::luma_u8_fixed_point || p.step[0] == Step::hsv_u8) &&
-         p.x.channels == 3 && has_rows_of_bytes(p.x) && has_rows_of_bytes(p.y);
+         p.x.channels == 3 && has_rows_of_bytes(p.x) && has_rows_of_bytes(p.y) && has_words(p);
 }
 
 // Permutations of parts of 16 bytes, which hold four pixels of three interleaved channels: a channel as ints, and three
@@ -449,7 +457,7 @@ KV_HD void convert_bytes(Pixels const& x, Pixels const& y, int64_t b, int64_t fi
   convert(count - kPartInts);
 }
 
-// luma_u8_fixed_point of levels, with weights in 32768ths.
+// luma_u8_fixed_point of levels, with weights in 32768ths for which has_words holds.
 struct LumaOfLevels {
   Lanes<int16_t, 2 * kPartInts> red_green, blue;
 

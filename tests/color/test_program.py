@@ -9,6 +9,8 @@ import torch
 
 import kvision as K
 from kvision import _backend
+from kvision.color.program import arguments, run
+from kvision.color.steps import STEPS
 from op_tests import OpTests
 
 C = K.color
@@ -149,3 +151,26 @@ def test_a_program_that_is_none_is_refused(plan, parameters):
         pytest.skip("the operators are declared by libkvision.so")
     with pytest.raises(RuntimeError, match="color_program: "):
         torch.ops.kvision.color_program(torch.rand(1, 3, 4, 4), *[None] * 7, plan, parameters)
+
+
+@pytest.mark.parametrize(
+    "weights",
+    [
+        (9798.0, 19235.0, 3735.0),
+        (32767.0, 32767.0, -32768.0),
+        (32768.0, 0.0, 0.0),
+        (-40000.0, 0.0, 60000.0),
+        (9798.5, 19234.75, 3735.75),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("channels_last", [False, True])
+def test_luma_of_bytes_takes_any_weights(weights, channels_last, device):
+    """The kernels that multiply integers of 16 bits leave other weights to those of floating-point numbers."""
+    x = torch.randint(0, 256, (2, 3, 24, 37), dtype=torch.uint8, device=device)
+    if channels_last:
+        x = x.to(memory_format=torch.channels_last)
+    y = run(x, [STEPS["luma_u8_fixed_point"].number], arguments(weights))
+    exact = sum(w * x[:, k : k + 1].double() for k, w in enumerate(weights))
+    expected = ((exact + 16384) / 32768).floor().clamp(0, 255).to(torch.uint8)
+    assert torch.equal(y, expected)

@@ -204,14 +204,15 @@ def dominant_eigenvector(matrix: Tensor) -> Tensor:
     matrix = matrix.reshape(-1, n, n)
     # Of a matrix of trace 1 no eigenvalue is above 1, and the largest one's power, at least n^-(2^squarings), is not 0.
     rounds, squarings = (2, 9) if n <= 3 else (3, 6)
+    tiny = torch.finfo(matrix.dtype).tiny
     for _ in range(rounds):
-        trace = matrix.diagonal(dim1=1, dim2=2).sum(1).clamp(min=torch.finfo(matrix.dtype).tiny)
+        trace = matrix.diagonal(dim1=1, dim2=2).sum(1).clamp_min(tiny)
         matrix = matrix / trace.view(-1, 1, 1)
         for _ in range(squarings):
             matrix = torch.bmm(matrix, matrix)
     square, largest = matrix.diagonal(dim1=1, dim2=2).max(1, keepdim=True)
-    column = matrix.gather(2, largest[:, None].expand(-1, n, 1)).squeeze(2)
-    return (column / square.clamp(min=torch.finfo(square.dtype).tiny).sqrt()).view(shape[:-1])
+    row = matrix.gather(1, largest.unsqueeze(2).expand(-1, 1, n)).view(-1, n)  # also a column: the matrix is symmetric
+    return (row / square.clamp_min(tiny).sqrt()).view(shape[:-1])
 
 
 def product_plus(a: Tensor, b: Tensor, c: Tensor, sign: int = 1) -> Tensor:

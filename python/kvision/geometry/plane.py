@@ -12,7 +12,7 @@ from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.core.tensor_wrapper import TensorWrapper
 from kvision.geometry._precision import promoted
-from kvision.geometry.linalg import adjugate, batched_dot_product, dominant_eigenvector, normalized
+from kvision.geometry.linalg import batched_dot_product, dominant_eigenvector, normalized
 from kvision.geometry.vector import Scalar, Vector3
 
 __all__ = ["Hyperplane", "fit_plane"]
@@ -42,7 +42,8 @@ class Hyperplane(FunctionModule):
         n, d = plain(n), plain(d)
         _check.trailing_shape("Hyperplane", "n", n, 3)
         _check.numbers("Hyperplane", "d", d)
-        _check.broadcastable("Hyperplane", n=n.shape[:-1], d=d.shape)
+        if n.shape[:-1] != d.shape:
+            _check.broadcastable("Hyperplane", n=n.shape[:-1], d=d.shape)
         super().__init__(n=n, d=d)
 
     @classmethod
@@ -116,7 +117,9 @@ def fit_plane(points: Vector3 | Tensor) -> Hyperplane:
 @with_kernel_casts
 def _fit_plane(points: Tensor) -> tuple[Tensor, Tensor]:
     mean = points.mean(-2, keepdim=True)
-    normal = dominant_eigenvector(adjugate(scatter_of(points - mean))).to(points.dtype)
+    scatter = scatter_of(points - mean)
+    adjugates = torch.linalg.cross(scatter.roll(-1, -2), scatter.roll(-2, -2))  # symmetric, as `scatter` is
+    normal = dominant_eigenvector(adjugates).to(points.dtype)
     return normal, -(normal * mean.squeeze(-2)).sum(-1)
 
 
@@ -128,7 +131,7 @@ def scatter_of(offsets: Tensor, weights: Tensor | None = None) -> Tensor:
         scale = offsets.detach().abs().amax((-2, -1), keepdim=True)
         offsets = offsets / scale.clamp(min=torch.finfo(scale.dtype).tiny)
     heavy = offsets if weights is None else offsets * promoted(weights)[..., None]
-    return heavy.mT @ offsets
+    return torch.bmm(heavy.mT, offsets) if offsets.dim() == 3 else heavy.mT @ offsets
 
 
 def plain(x: Tensor | TensorWrapper) -> Tensor:

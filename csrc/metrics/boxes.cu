@@ -1,4 +1,4 @@
-// Intersection over union of boxes on CUDA: one thread per pair.
+// Intersection over union of boxes on CUDA: one thread per pair, and for gradients one warp per box.
 #include "boxes.h"
 #include "core/launch.cuh"
 
@@ -22,6 +22,22 @@ __global__ void __launch_bounds__(kThreads) find_overlaps(__grid_constant__ BoxI
   p.result[i] = round_to<T>(own.overlap(corners_of(p.b + (row / p.n * p.m + k) * 4, p.format)));
 }
 
+template <class T>
+__global__ void __launch_bounds__(kThreads) find_gradients(__grid_constant__ BoxIouBackward<T> const p) {
+  using F = Compute<T>;
+  int64_t const row = (blockIdx.x * int64_t(kThreads) + threadIdx.x) / 32;
+  if (row >= p.batch * p.n) return;
+  Corners<F> const own = corners_of(p.a + 4 * row, p.format);
+  T const *const others = p.b + row / p.n * p.m * 4, *const grad = p.grad_of(row);
+  F sum[4] = {};
+  for (int64_t k = threadIdx.x % 32; k < p.m; k += 32)
+    own.overlap_vjp(corners_of(others + 4 * k, p.format), read(grad[k * p.grad_stride]), sum);
+  for (F& x : sum) x = warp_sum(x);
+  if (threadIdx.x % 32) return;
+  Corners<F>::vjp(p.format, sum);
+  for (int k = 0; k < 4; ++k) p.result[4 * row + k] = round_to<T>(sum[k]);
+}
+
 }  // namespace
 
 template <class T>
@@ -30,6 +46,13 @@ int box_iou(BoxIou<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+template <class T>
+int box_iou_backward(BoxIouBackward<T> const& p, CUstream_st* stream) {
+  find_gradients<<<unsigned(ceil_div(32 * p.batch * p.n, kThreads)), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
 KV_INSTANTIATE(box_iou, BoxIou)
+KV_INSTANTIATE(box_iou_backward, BoxIouBackward)
 
 }  // namespace kv::metrics::cuda

@@ -74,7 +74,7 @@ inline Tensor confusion_matrix(Tensor const& pred, Tensor const& target, int64_t
 inline Tensor mean_iou(Tensor const& pred, Tensor const& target, int64_t num_classes, double eps = 1e-6) {
   return detail::confusion("mean_iou", pred, target, num_classes, 2, eps);
 }
-// (N, M) of boxes (N, 4) and (M, 4). box_format: "xyxy", "xywh" or "cxcywh". C++ has no gradient of it.
+// (N, M) of boxes (N, 4) and (M, 4). box_format: "xyxy", "xywh" or "cxcywh".
 inline Tensor mean_iou_bbox(Tensor const& boxes_1, Tensor const& boxes_2, std::string const& box_format = "xyxy") {
   Tensor const x = detail::floats(detail::shaped("mean_iou_bbox", "boxes_1", boxes_1, 2, "(N, 4)"));
   detail::shaped("mean_iou_bbox", "boxes_2", boxes_2, 2, "(M, 4)");

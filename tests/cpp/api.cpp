@@ -194,8 +194,13 @@ void gradients() {
   }
 
   expect_no_gradient("real_roots", kvision::ops::real_roots(torch::tensor({{1.f, -3.f, 2.f}}).requires_grad_()));
-  Tensor const boxes = torch::tensor({{0.f, 0.f, 2.f, 2.f}}).requires_grad_();
-  expect_no_gradient("box_iou", kvision::mean_iou_bbox(boxes, boxes));
+  // Of an overlap 1 of areas 4 and 4, which grows by 1 with a side, as the area does by 2.
+  Tensor const first = torch::tensor({{0.f, 0.f, 2.f, 2.f}}).requires_grad_(), second = (first + 1).detach();
+  Tensor const to_first = torch::autograd::grad({kvision::mean_iou_bbox(first, second).sum()}, {first})[0];
+  expect_close("the gradient of box_iou", to_first, torch::tensor({{2.f, 2.f, 6.f, 6.f}}) / 49);
+  second.requires_grad_();
+  Tensor const to_second = torch::autograd::grad({kvision::mean_iou_bbox(first, second).sum()}, {second})[0];
+  expect_close("the gradient of box_iou to the other boxes", to_second, -to_first.flip(1));
   Tensor const points = torch::rand({2, 3, 2}).requires_grad_();
   expect_no_gradient("minimal_solver",
                      kvision::ops::minimal_solver(points, points, {}, int64_t(kvision::ops::Model::affine)));

@@ -121,8 +121,10 @@ def test_operators_of_labels_and_boxes(device, backend):
         lambda: torch.ops.kvision.box_iou(boxes[:, :, :3], others, 1),
         lambda: torch.ops.kvision.box_iou(boxes, others.double(), 1),
         lambda: torch.ops.kvision.box_iou(boxes, others, 3),
+        lambda: torch.ops.kvision.box_iou_backward(torch.rand(2, 5, 3, device=device), boxes, others, 1),
+        lambda: torch.ops.kvision.box_iou_backward(torch.rand(2, 3, 5, device=device), boxes, others, 3),
     ):
-        with pytest.raises(RuntimeError, match="confusion_matrix: |box_iou: "):
+        with pytest.raises(RuntimeError, match="confusion_matrix: |box_iou: |box_iou_backward: "):
             wrong()
 
 

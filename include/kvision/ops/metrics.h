@@ -1,6 +1,7 @@
 // Metrics and what losses share with them. Arguments are those of torch.ops.kvision.
 #pragma once
 
+#include <ATen/ExpandUtils.h>
 #include <ATen/Functions.h>
 #include <ATen/TensorOperators.h>
 
@@ -41,6 +42,16 @@ inline constexpr Operator<"endpoint_error",
 inline constexpr Operator<"confusion_matrix",
                           Tensor(Tensor pred, Tensor target, int64_t classes, int64_t statistic, double eps)>
     confusion_matrix{non_differentiable};
-inline constexpr Operator<"box_iou", Tensor(Tensor boxes, Tensor others, int64_t format)> box_iou;
+// Either set of boxes may have a batch of one that serves all of the other's.
+inline constexpr Operator<"box_iou", Tensor(Tensor boxes, Tensor others, int64_t format)> box_iou{
+    [](Backward const& b) -> variable_list {
+      auto const to = [&](size_t i, Tensor const& grad) {
+        if (!b.needs(i)) return Tensor();
+        Tensor const boxes = b.tensor(i), others = b.tensor(1 - i);
+        return at::sum_to(b.call("box_iou_backward", {{"grad", grad}, {"boxes", boxes}, {"others", others}})[0],
+                          boxes.sizes());
+      };
+      return {to(0, b.grad()), to(1, b.grad().mT())};
+    }};
 
 }  // namespace kvision::ops

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._ops import register
+from kvision._ops import register, vjp
 from kvision.core.exceptions import ValueCheckError
 
 BOX_FORMATS = ("xyxy", "xywh", "cxcywh")  # by the numbers of BoxFormat in csrc/metrics/boxes.h
@@ -65,11 +65,28 @@ def _area(size: Tensor) -> Tensor:
     return torch.where((size > 0).all(-1), size[..., 0] * size[..., 1], torch.nan)
 
 
+def _reference_backward(grad: Tensor, a: Tensor, b: Tensor, box_format: int) -> Tensor:
+    """The gradient to the boxes `a` (B, N, 4)."""
+    a = a.expand(max(a.shape[0], b.shape[0], grad.shape[0]), -1, -1)
+    return vjp(_reference)(grad, a, b, box_format)
+
+
+def _backward(needs: Sequence[bool], grad: Tensor, a: Tensor, b: Tensor, box_format: int) -> list[Tensor | None]:
+    of_a = _box_iou_backward(grad, a, b, box_format).sum_to_size(a.shape) if needs[0] else None
+    of_b = _box_iou_backward(grad.mT, b, a, box_format).sum_to_size(b.shape) if needs[1] else None
+    return [of_a, of_b]
+
+
 def _fake(a: Tensor, b: Tensor, box_format: int) -> tuple[int, int, int]:
     return max(a.shape[0], b.shape[0]), a.shape[1], b.shape[1]
 
 
-_box_iou = register("box_iou", _reference, fake=_fake)
+def _fake_backward(grad: Tensor, a: Tensor, b: Tensor, box_format: int) -> tuple[int, int, int]:
+    return max(a.shape[0], b.shape[0]), a.shape[1], 4
+
+
+_box_iou = register("box_iou", _reference, fake=_fake, backward=_backward)
+_box_iou_backward = register("box_iou_backward", _reference_backward, fake=_fake_backward)
 
 
 def mean_average_precision(

@@ -38,19 +38,14 @@ KV_HD RowVector<T> reversed(T const* from) {
   return __builtin_shuffle(*reinterpret_cast<RowVector<T> const*>(from), last_first);
 }
 
-// Copies from both ends at once. On many processors a load waits for an earlier store with the same offset in another
-// page. Where source and result begin at the same offsets, that would be every other load.
+// Stores go upwards in one stream. Two streams from both ends took half as long again in rows that do not begin at
+// multiples of a vector, where every store touches two cache lines.
 template <class T>
 void reverse_row(T const* from, T* to, int64_t size) {
   constexpr int N = kRowLanes<T>;
   int64_t e = 0;
-  for (; e + N <= size - N - e; e += N) {
-    int64_t const f = size - N - e;
-    RowVector<T> const left = reversed(from + e), right = reversed(from + f);
-    *reinterpret_cast<RowVector<T>*>(to + e) = right;
-    *reinterpret_cast<RowVector<T>*>(to + f) = left;
-  }
-  for (int64_t f = size - e; e < f; ++e) to[e] = from[size - 1 - e];
+  for (; e + N <= size; e += N) *reinterpret_cast<RowVector<T>*>(to + e) = reversed(from + size - N - e);
+  for (; e < size; ++e) to[e] = from[size - 1 - e];
 }
 
 }  // namespace

@@ -82,7 +82,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
           if (column < 0) continue;
           StepParameterGradient<F, C, P> gradient{c, g, parameters, i_parameter, 0};
           run_step(step, gradient);
-          F const sum = warp_sum(gradient.sum);
+          F const sum = warp_reduce(gradient.sum, Sum());
           if (threadIdx.x % 32 == 0) partial_grads[threadIdx.x / 32][column] += sum;
         }
         StepInputGradient<F, C, P> input_gradient{c, g, parameters};

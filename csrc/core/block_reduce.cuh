@@ -7,14 +7,6 @@
 namespace kv {
 namespace {
 
-// Combines the numbers of N adjacent threads of a warp by `op`; all of them get the result.
-template <int N = 32, class F, class Op>
-__device__ __forceinline__ F warp_reduce(F x, Op op) {
-#pragma unroll
-  for (int lane = N / 2; lane > 0; lane /= 2) x = op(x, __shfl_xor_sync(0xffffffffu, x, lane));
-  return x;
-}
-
 // The sum of x over the threads of a warp up to this one.
 template <class F>
 __device__ __forceinline__ F warp_prefix_sum(F x) {
@@ -31,7 +23,7 @@ __device__ __forceinline__ F warp_prefix_sum(F x) {
 template <int Threads, class F>
 __device__ __forceinline__ F block_sum(F x, int warps = Threads / 32) {
   __shared__ F warp_sums[Threads / 32];
-  x = warp_sum(x);
+  x = warp_reduce(x, Sum());
   if (threadIdx.x % 32 == 0) warp_sums[threadIdx.x / 32] = x;
   __syncthreads();
   F sum = 0;
@@ -42,7 +34,7 @@ __device__ __forceinline__ F block_sum(F x, int warps = Threads / 32) {
 // The sum over the threads of a block, returned to all of them. `memory` has a number per warp.
 template <int Warps, class F>
 __device__ __forceinline__ F block_sum_to_all(F x, F (&memory)[Warps]) {
-  x = warp_sum(x);
+  x = warp_reduce(x, Sum());
   __syncthreads();  // the memory may be in use for another sum
   if (threadIdx.x % 32 == 0) memory[threadIdx.x / 32] = x;
   __syncthreads();
@@ -59,7 +51,7 @@ __device__ __forceinline__ void store_block_sums(F const (&sums)[N], double* to)
   __syncthreads();  // the memory may be in use for other sums
 #pragma unroll
   for (int i = 0; i < N; ++i) {
-    F const sum = warp_sum(sums[i]);
+    F const sum = warp_reduce(sums[i], Sum());
     if (threadIdx.x % 32 == 0) warp_sums[i][threadIdx.x / 32] = sum;
   }
   __syncthreads();
@@ -82,17 +74,11 @@ __device__ __forceinline__ double* sum_rows(double const* rows, int64_t count) {
   return total;
 }
 
-// Operations for block_reduce.
+// An operation for block_reduce.
 struct NanMax {
   template <class F>
   __device__ __forceinline__ F operator()(F a, F b) const {
     return a != a || a > b ? a : b;  // NaN if either is NaN
-  }
-};
-struct Sum {
-  template <class F>
-  __device__ __forceinline__ F operator()(F a, F b) const {
-    return a + b;
   }
 };
 // Reduces K numbers over the threads of a block, and returns the results to all of them.
@@ -103,8 +89,7 @@ __device__ __forceinline__ void block_reduce(F (&v)[K], Op op) {
   __syncthreads();  // the memory may be in use for another reduction
 #pragma unroll
   for (int k = 0; k < K; ++k) {
-#pragma unroll
-    for (int lane = 16; lane > 0; lane /= 2) v[k] = op(v[k], __shfl_xor_sync(0xffffffffu, v[k], lane));
+    v[k] = warp_reduce(v[k], op);
     if (threadIdx.x % 32 == 0) warp_results[k][threadIdx.x / 32] = v[k];
   }
   __syncthreads();

@@ -1,4 +1,4 @@
-// Shared by all CUDA kernels: conversion of storage types, vector accesses, warp reductions, grid arithmetic. Included
+// Shared by all CUDA kernels: conversion of storage types, vector accesses, grid arithmetic. Included
 // by *.cu files.
 #pragma once
 
@@ -10,6 +10,7 @@
 #include "half.h"
 #include "shared_memory.h"
 #include "view.h"
+#include "warp_reduce.cuh"
 
 namespace kv {
 
@@ -53,35 +54,6 @@ __device__ __forceinline__ T round_to(Compute<T> x) {
     return round_to_half(x);
   else
     return round_to_bfloat16(x);
-}
-
-// --- warp reductions -------------------------------------------------------------------------------------------------
-
-// The sum over the threads of a warp, returned to all of them.
-template <class F>
-__device__ __forceinline__ F warp_sum(F x) {
-#pragma unroll
-  for (int lane = 16; lane > 0; lane /= 2) x += __shfl_xor_sync(0xffffffffu, x, lane);
-  return x;
-}
-
-__device__ __forceinline__ int warp_sum(int x) {
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
-  return __reduce_add_sync(0xffffffffu, x);  // one instruction
-#else
-  return warp_sum<int>(x);
-#endif
-}
-
-// The minimum over the threads of a warp, returned to all of them.
-__device__ __forceinline__ int warp_min(int x) {
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
-  return __reduce_min_sync(0xffffffffu, x);
-#else
-#pragma unroll
-  for (int lane = 16; lane > 0; lane /= 2) x = min(x, __shfl_xor_sync(0xffffffffu, x, lane));
-  return x;
-#endif
 }
 
 // --- vectors ---------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-// Defined in a file of its own, because operators call it as well and nvcc does not compile them.
+// The shared memory of a block, in a file of its own: operators, which nvcc does not compile, call it as well.
 #include <cuda_runtime_api.h>
 
 #include <cstdlib>

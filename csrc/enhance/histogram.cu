@@ -41,7 +41,7 @@ __device__ __forceinline__ void count_directly(T const* x, int samples, T const*
       T const u = (x[i] - center) / h, g = fast_exp2(u * u * T(-kHalfLog2E));
       sum += x[i] == x[i] ? g : T(0);
     }
-    sum = warp_sum(sum);
+    sum = warp_reduce(sum, Sum());
     if (threadIdx.x % 32 == 0) counts[k] = sum;
   }
 }
@@ -61,7 +61,7 @@ struct Moments {
     int m0 = 1, m1 = __float2int_rn(t * kScale1), m2 = __float2int_rn(square * kScale2),
         m3 = __float2int_rn(square * t * kScale3);
     if (uniform) {
-      m0 = 32, m1 = warp_sum(m1), m2 = warp_sum(m2), m3 = warp_sum(m3);
+      m0 = 32, m1 = warp_reduce(m1, Sum()), m2 = warp_reduce(m2, Sum()), m3 = warp_reduce(m3, Sum());
       if (threadIdx.x % 32 != 0) return;
     }
     atomicAdd(sums + cell, m0);
@@ -111,7 +111,7 @@ __device__ __forceinline__ void count_by_cells(float const* x, int samples, floa
         float const u = (grid.middle(part + i) - center) * per;
         sum += fast_exp2(u * u * float(-kHalfLog2E)) * moments.weighted(i, u, w);
       }
-      sum = warp_sum(sum);
+      sum = warp_reduce(sum, Sum());
       if (lane == 0) counts[k] = part == 0 ? sum : counts[k] + sum;
     }
   }

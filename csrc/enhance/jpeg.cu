@@ -220,8 +220,7 @@ __global__ void __launch_bounds__(kThreads) run_blocks_backward(__grid_constant_
   if (!p.gradients) return;
 #pragma unroll
   for (int i = 0; i < 8; ++i) {
-    gradients[i] += __shfl_xor_sync(0xffffffffu, gradients[i], 8);
-    gradients[i] += __shfl_xor_sync(0xffffffffu, gradients[i], 16);
+    gradients[i] = warp_reduce<32, 8>(gradients[i], Sum());
     if (four.lane < 8) sums[threadIdx.x / 32][8 * i + four.lane] = gradients[i];
   }
   __syncthreads();

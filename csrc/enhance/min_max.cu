@@ -8,7 +8,6 @@ namespace kv::enhance::cuda {
 namespace {
 
 constexpr int kThreads = 256, kWarps = kThreads / 32;
-constexpr unsigned kAll = 0xffffffffu;
 
 // The smaller one of both, or NaN.
 template <class F>
@@ -23,7 +22,6 @@ __device__ __forceinline__ F larger(F a, F b) {
 template <class F>
 struct Range {
   F smallest, largest;
-  static constexpr int kValues = 2;
   __device__ __forceinline__ static Range none() {
     return {F(__int_as_float(0x7f800000)), -F(__int_as_float(0x7f800000))};
   }
@@ -34,7 +32,6 @@ struct Range {
 
 template <class F>
 struct Sums : RangeSums<F> {
-  static constexpr int kValues = 4;
   __device__ __forceinline__ static Sums none() { return {}; }
   __device__ __forceinline__ void add(Sums const& other) {
     this->grad += other.grad, this->product += other.product;
@@ -43,18 +40,13 @@ struct Sums : RangeSums<F> {
 };
 
 // Combines the results of all threads of a block in a fixed order.
-template <class S, class F>
+template <class S>
 __device__ __forceinline__ S of_block(S mine) {
-  static_assert(sizeof(S) == S::kValues * sizeof(F));
   __shared__ S warps[kWarps];
-#pragma unroll
-  for (int d = 16; d > 0; d /= 2) {
-    S other;
-#pragma unroll
-    for (int i = 0; i < S::kValues; ++i)
-      reinterpret_cast<F*>(&other)[i] = __shfl_xor_sync(kAll, reinterpret_cast<F const*>(&mine)[i], d);
-    mine.add(other);
-  }
+  mine = warp_reduce(mine, [](S a, S const& b) {
+    a.add(b);
+    return a;
+  });
   if (threadIdx.x % 32 == 0) warps[threadIdx.x / 32] = mine;
   __syncthreads();
   S all = warps[0];
@@ -68,7 +60,7 @@ template <class S, class F>
 __device__ __forceinline__ S of_plane(F const* partial, int64_t chunks) {
   S mine = S::none();
   for (int64_t i = threadIdx.x; i < chunks; i += kThreads) mine.add(reinterpret_cast<S const*>(partial)[i]);
-  return of_block<S, F>(mine);
+  return of_block(mine);
 }
 
 struct ChunkPosition {
@@ -90,7 +82,7 @@ __global__ void __launch_bounds__(kThreads) find_range(MinMax<T> p) {
 #pragma unroll
     for (T const x : vector.v) range.add({read(x), read(x)});
   });
-  range = of_block<Range<F>, F>(range);
+  range = of_block(range);
   if (threadIdx.x == 0) reinterpret_cast<Range<F>*>(p.partial)[blockIdx.x] = range;
 }
 
@@ -130,7 +122,7 @@ __global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
       sums.add({{g, g * (x - smallest), F(x == smallest), F(x == largest)}});
     }
   });
-  sums = of_block<Sums<F>, F>(sums);
+  sums = of_block(sums);
   if (threadIdx.x == 0) reinterpret_cast<Sums<F>*>(p.partial)[blockIdx.x] = sums;
 }
 

@@ -154,7 +154,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
     here = after;
   }
   if (!p.gradients) return;
-  derivative = warp_sum(derivative);
+  derivative = warp_reduce(derivative, Sum());
   unsigned const chunk = unsigned(y0) / strips.rows * strips.across + unsigned(x) / kStripWidth;
   if (threadIdx.x % 32 == 0) p.gradients[plane * p.chunks + chunk] = derivative;
 }

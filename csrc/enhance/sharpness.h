@@ -9,6 +9,9 @@
 
 #include "core/isa.h"
 #include "core/view.h"
+#if defined(__CUDACC__)
+#include "core/nan_min_max.cuh"
+#endif
 
 namespace kv::enhance {
 
@@ -58,12 +61,8 @@ KV_HD V smoothed(V const& sum_of_nine, V const& x, F) {
 }
 template <class V, class F>
 KV_HD V clipped(V const& x, F) {
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
-  if constexpr (sizeof(V) == sizeof(float)) {
-    V y;
-    asm("{max.NaN.f32 %0, %1, 0f00000000; min.NaN.f32 %0, %0, 0f3f800000;}" : "=f"(y) : "f"(x));
-    return y;
-  }
+#if defined(__CUDA_ARCH__)
+  if constexpr (sizeof(V) == sizeof(float)) return nan_min(nan_max(x, 0.f), 1.f);  // two instructions
 #endif
   V const none = x * F(0);  // NaN stays NaN
   return x < F(0) ? none : x > F(1) ? none + F(1) : x;

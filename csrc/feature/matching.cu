@@ -43,20 +43,13 @@ struct TileReader {
   }
 };
 
-// Merges the neighbors of lanes that differ in the bits of `lanes`.
-template <int From, int To, class T>
-__device__ __forceinline__ void merge_lanes(Neighbors<T>& x) {
-#pragma unroll
-  for (int lane = From; lane >= To; lane /= 2) {
-    Neighbors<T> other;
-#pragma unroll
-    for (int k = 0; k < 2; ++k) {
-      other.square[k] = __shfl_xor_sync(kAllLanes, x.square[k], lane);
-      other.index[k] = __shfl_xor_sync(kAllLanes, x.index[k], lane);
-    }
-    x.merge(other);
+struct MergeNeighbors {
+  template <class T>
+  __device__ __forceinline__ Neighbors<T> operator()(Neighbors<T> a, Neighbors<T> const& b) const {
+    a.merge(b);
+    return a;
   }
-}
+};
 
 template <class T>
 __global__ void __launch_bounds__(kThreads, sizeof(T) == 4 ? 2 : 1) find(__grid_constant__ TwoNearest<T> const p) {
@@ -130,7 +123,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 4 ? 2 : 1) find(__grid_
       if (!__any_sync(kAllLanes, is_near)) continue;
 #pragma unroll
       for (int j = 0; j < R; ++j) neighbors.insert(square[i][j], start2 + in_tile<kTile>(tx, j));
-      merge_lanes<8, 1>(neighbors);
+      neighbors = warp_reduce<16>(neighbors, MergeNeighbors());
       __syncwarp();  // all lanes have read `farthest`
       if (tx == 0) of_rows[row].merge(neighbors);
       __syncwarp();
@@ -143,7 +136,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 4 ? 2 : 1) find(__grid_
         Neighbors<T> neighbors = Neighbors<T>::none();
 #pragma unroll
         for (int i = 0; i < R; ++i) neighbors.insert(square[i][j], start1 + in_tile<kTile>(ty, i));
-        merge_lanes<16, 16>(neighbors);
+        neighbors = warp_reduce<32, 16>(neighbors, MergeNeighbors());
         if (threadIdx.x % 32 < 16) of_columns[threadIdx.x / 32][in_tile<kTile>(tx, j)] = neighbors;
       }
       __syncthreads();
@@ -174,7 +167,7 @@ template <class T>
 __device__ __forceinline__ void add_gradient(T const* x, T const* y, T grad, int width, T* grad_x) {
   T square = 0;
   for (int d = threadIdx.x % 32; d < width; d += 32) square += (x[d] - y[d]) * (x[d] - y[d]);
-  T const weight = distance_vjp(grad, warp_sum(square));
+  T const weight = distance_vjp(grad, warp_reduce(square, Sum()));
   for (int d = threadIdx.x % 32; d < width; d += 32) grad_x[d] += weight * (x[d] - y[d]);
 }
 

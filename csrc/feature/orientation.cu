@@ -46,23 +46,19 @@ struct OrientationPatch {
     for (int b = threadIdx.x / 32; b < bins; b += kThreads / 32) {
       F sum = 0;
       for (int i = lane; i < kThreads; i += 32) sum += columns[b * kThreads + i];
-      sum = warp_sum(sum);
+      sum = warp_reduce(sum, Sum());
       if (lane == 0) histogram[b] = sum;
     }
     __syncthreads();
     for (int b = threadIdx.x; b < bins; b += kThreads) smoothed[b] = smoothed_bin(histogram, b, bins);
     __syncthreads();
     if (threadIdx.x < 32) {  // the first of the largest bins
-      F largest = -1;
+      F own = -1;
       int at = bins;
       for (int b = lane; b < bins; b += 32)
-        if (smoothed[b] > largest) largest = smoothed[b], at = b;
-#pragma unroll
-      for (int step = 16; step > 0; step /= 2) {
-        F const other = __shfl_xor_sync(0xffffffffu, largest, step);
-        int const other_at = __shfl_xor_sync(0xffffffffu, at, step);
-        if (other > largest || (other == largest && other_at < at)) largest = other, at = other_at;
-      }
+        if (smoothed[b] > own) own = smoothed[b], at = b;
+      F const largest = warp_reduce(own, Max());
+      at = warp_reduce(own == largest ? at : bins, Min());
       if (lane == 0) peak = at < bins ? at : 0;
     }
     __syncthreads();

@@ -12,11 +12,10 @@ __device__ __forceinline__ float warp_sums(float (&v)[8]) {
 #pragma unroll
     for (int i = 0; i < n; ++i) {
       float const sent = upper ? v[i] : v[i + n];
-      v[i] = (upper ? v[i + n] : v[i]) + __shfl_xor_sync(0xffffffffu, sent, n);
+      v[i] = (upper ? v[i + n] : v[i]) + shuffle_xor(sent, n);
     }
   }
-  float sum = v[0] + __shfl_xor_sync(0xffffffffu, v[0], 8);
-  return sum + __shfl_xor_sync(0xffffffffu, sum, 16);
+  return warp_reduce<32, 8>(v[0], Sum());
 }
 
 // One block for each part. It goes through the tiles of the gradient, whose pixels it has in registers, and reads the
@@ -123,7 +122,7 @@ __global__ void __launch_bounds__(256)
   __shared__ F warp_totals[kTapsPerThread][8];
 #pragma unroll
   for (int t = 0; t < kTapsPerThread; ++t) {
-    sums[t] = warp_sum(sums[t]);
+    sums[t] = warp_reduce(sums[t], Sum());
     if (threadIdx.x % 32 == 0) warp_totals[t][threadIdx.x / 32] = sums[t];
   }
   __syncthreads();
@@ -142,7 +141,7 @@ __global__ void sum_partials_kernel(SumPartials<F> p) {
   F const* const terms = p.terms + i / p.size * p.parts * p.size + i % p.size;
   double sum = 0;
   for (int64_t part = threadIdx.x % 32; part < p.parts; part += 32) sum += terms[part * p.size];
-  sum = warp_sum(sum);
+  sum = warp_reduce(sum, Sum());
   if (threadIdx.x % 32 == 0) p.sums[i] = F(sum);
 }
 

@@ -309,7 +309,7 @@ __global__ void __launch_bounds__(kThreads) weights_backward_tiles(SeparableWeig
     __syncthreads();
   }
   for (int t = thread / 32; t < taps; t += kThreads / 32) {
-    F const sum = warp_sum(sums[32 * t + lane]);
+    F const sum = warp_reduce(sums[32 * t + lane], Sum());
     if (lane == 0) p.sums[tile * taps + t] = sum;
   }
 }

@@ -64,7 +64,7 @@ struct alignas(16) WarpMemory {
 template <class F>
 __device__ __forceinline__ F weight_of_lane(Taps<F> const& taps, int64_t sample, int lane) {
   F const weight = lane < taps.size ? tap_weight(taps, sample, lane) : F(0);
-  return taps.gaussian ? weight / warp_sum(weight) : weight;
+  return taps.gaussian ? weight / warp_reduce(weight, Sum()) : weight;
 }
 
 // Reads `weights` four at a time, in an unrolled loop over i.

@@ -26,8 +26,8 @@ __global__ void __launch_bounds__(kThreads) score_models(Consensus<T> p, int thr
     T const e = squared_error_at(p, m, i);
     if (e <= p.squared_threshold) score += 1 - e / p.squared_threshold, count += 1;
   }
-  score = warp_sum(score);
-  count = warp_sum(count);
+  score = warp_reduce(score, Sum());
+  count = warp_reduce(count, Sum());
   if (threads == kThreads) {
     if (threadIdx.x % 32 == 0) parts[0][threadIdx.x / 32] = score, parts[1][threadIdx.x / 32] = count;
     __syncthreads();
@@ -63,19 +63,12 @@ __global__ void __launch_bounds__(kMaxThreads) find_top_k(__grid_constant__ TopK
   int64_t last = -1;
   for (int64_t rank = 0; rank < p.top_k; ++rank) {
     int64_t best = p.next_best(last, threadIdx.x, kMaxThreads);
-    auto const reduce_warp = [&] {
-      for (int lane = 16; lane > 0; lane /= 2) {
-        int64_t const competitor = __shfl_xor_sync(0xffffffffu, best, lane);
-        if (p.is_better(competitor, best)) best = competitor;
-      }
-    };
-    reduce_warp();
+    auto const better = [&](int64_t a, int64_t b) { return p.is_better(b, a) ? b : a; };
+    best = warp_reduce(best, better);
     __syncthreads();  // other threads may still read the last rank's model
     if (threadIdx.x % 32 == 0) warp_best[threadIdx.x / 32] = best;
     __syncthreads();
-    best = warp_best[threadIdx.x % 32];
-    reduce_warp();
-    last = best;
+    last = warp_reduce(warp_best[threadIdx.x % 32], better);
     if (threadIdx.x == 0) p.copy(last, rank);
   }
 }
@@ -85,10 +78,10 @@ __global__ void __launch_bounds__(kMaxThreads) finalize(__grid_constant__ Finali
   __shared__ int parts[kMaxThreads / 32];
   int num_inliers = 0;
   for (int64_t i = threadIdx.x; i < p.count; i += kMaxThreads) num_inliers += p.weights[i] > 0;
-  num_inliers = warp_sum(num_inliers);
+  num_inliers = warp_reduce(num_inliers, Sum());
   if (threadIdx.x % 32 == 0) parts[threadIdx.x / 32] = num_inliers;
   __syncthreads();
-  bool const has_consensus = warp_sum(parts[threadIdx.x % 32]) > p.min_inliers;
+  bool const has_consensus = warp_reduce(parts[threadIdx.x % 32], Sum()) > p.min_inliers;
   for (int64_t i = threadIdx.x; i < p.count; i += kMaxThreads) p.inliers[i] = has_consensus && p.weights[i] > 0;
   if (threadIdx.x == 0) p.store_model(has_consensus);
 }

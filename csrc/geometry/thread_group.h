@@ -7,6 +7,9 @@
 #pragma once
 
 #include "core/hd.h"
+#if defined(__CUDACC__)
+#include "core/warp_reduce.cuh"
+#endif
 
 namespace kv::geometry {
 
@@ -56,8 +59,7 @@ struct ThreadBlock {
   __device__ __forceinline__ double const* sums(double (&x)[K]) const {
     __shared__ double warp_sums[kMaxThreads / 32][K];
 #pragma unroll
-    for (double& v : x)
-      for (int lane = 16; lane > 0; lane /= 2) v += __shfl_xor_sync(0xffffffffu, v, lane);
+    for (double& v : x) v = warp_reduce(v, Sum());
     __syncthreads();  // other threads may still read the last sums
     if (threadIdx.x % 32 == 0)
 #pragma unroll

@@ -41,7 +41,7 @@ __global__ void __launch_bounds__(kThreads)
   if (!p.partial) return;
 #pragma unroll
   for (int e = 0; e < Map::entries; ++e) {
-    F const sum = warp_sum(sums[e]);
+    F const sum = warp_reduce(sums[e], Sum());
     if (threadIdx.x % 32 == 0) shared[e][threadIdx.x / 32] = sum;
   }
   __syncthreads();
@@ -58,7 +58,7 @@ __global__ void add_parts(F const* partial, int64_t parts, int entries, F* sums)
   int64_t const matrix = blockIdx.x / entries, e = blockIdx.x - matrix * entries;
   F sum = 0;
   for (int64_t i = threadIdx.x; i < parts; i += 32) sum += partial[(matrix * parts + i) * entries + e];
-  sum = warp_sum(sum);
+  sum = warp_reduce(sum, Sum());
   if (threadIdx.x == 0) sums[blockIdx.x] = sum;
 }
 

@@ -253,7 +253,7 @@ __global__ void __launch_bounds__(kThreads) compute_gradients(Ranked<F> const* r
     unsigned const count = counts[i];
     mine += count, before += i < chunk ? count : 0;
   }
-  mine = warp_sum(mine), before = warp_sum(before);
+  mine = warp_reduce(mine, Sum()), before = warp_reduce(before, Sum());
   Ranked<F> element[kRows];
   unsigned inside[kRows], of_warp = 0;
 #pragma unroll

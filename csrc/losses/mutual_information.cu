@@ -101,7 +101,7 @@ __global__ void __launch_bounds__(kFinalizeThreads) find_information(__grid_cons
   for (int k = threadIdx.x / 32; k < bins; k += kFinalizeThreads / 32) {
     double sum = 0;
     for (int m = lane; m < bins; m += 32) sum += count_of(k * bins + m);
-    sum = warp_sum(sum);
+    sum = warp_reduce(sum, Sum());
     if (lane == 0) of_x[k] = F(sum), of_all[0] += sum;
   }
   // If there are more threads than columns, several threads split a column.

@@ -165,7 +165,7 @@ __global__ void __launch_bounds__(kThreads) sum_classes(__grid_constant__ Overla
   for (int i = threadIdx.x / 32; i < 3 * classes; i += threads / 32) {
     F sum = 0;
     for (int t = lane; t < threads; t += 32) sum += sums[i * threads + t];
-    sum = warp_sum(sum);
+    sum = warp_reduce(sum, Sum());
     if (lane == 0) p.partial[blockIdx.x * int64_t(3 * classes) + i] = sum;
   }
 }
@@ -175,9 +175,10 @@ template <class F>
 __device__ __forceinline__ OverlapTotals<F> totals_of(OverlapTerms<F> const& terms, F const* sums, int classes,
                                                       int64_t loss) {
   OverlapTotals<F> const own = OverlapTotals<F>::of(terms, sums, classes, loss, threadIdx.x % 32, 32);
-  return {{warp_sum(own.all.both), warp_sum(own.all.predicted), warp_sum(own.all.labelled)},
-          warp_sum(own.weight),
-          warp_sum(own.score)};
+  return {
+      {warp_reduce(own.all.both, Sum()), warp_reduce(own.all.predicted, Sum()), warp_reduce(own.all.labelled, Sum())},
+      warp_reduce(own.weight, Sum()),
+      warp_reduce(own.score, Sum())};
 }
 
 // One block per loss sums the chunks, with one warp per sample.

@@ -67,7 +67,7 @@ __global__ void __launch_bounds__(kSumming, sizeof(T) == 4 ? 3 : 1)
     sum = block_sum<kSumming>(sum);
     if (threadIdx.x == 0) p.sums[blockIdx.x] = sum;
   } else {
-    sum = warp_sum(sum);
+    sum = warp_reduce(sum, Sum());
     if (threadIdx.x % 32 == 0 && first + warp < end) p.partial[first + warp] = sum;
   }
 }

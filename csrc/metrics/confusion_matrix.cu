@@ -54,7 +54,7 @@ __global__ void __launch_bounds__(kThreads) finalize_counts(__grid_constant__ Co
   uint32_t labelled = 0, predicted = 0;
   if (p.statistic != ConfusionStatistic::counts) {
     for (int64_t k = lane; k < n; k += 32) labelled += own[k], predicted += column[k * n];
-    labelled = warp_sum(labelled), predicted = warp_sum(predicted);
+    labelled = warp_reduce(labelled, Sum()), predicted = warp_reduce(predicted, Sum());
   }
   if (p.statistic == ConfusionStatistic::iou) {
     if (lane == 0) p.result[row] = p.overlap(float(own[row - sample * n]), float(labelled), float(predicted));

@@ -384,7 +384,7 @@ __global__ void __launch_bounds__(kThreads, 3) ssim_forward(__grid_constant__ Wo
     write_row(work, position, out + (q - work.offset) * work.result.row_stride, similarity);
   }
   if (!out) {
-    float const sum = warp_sum(work.loss.structure * unlike + work.loss.absolute * apart);
+    float const sum = warp_reduce(work.loss.structure * unlike + work.loss.absolute * apart, Sum());
     if (threadIdx.x % 32 == 0) work.partial[blockIdx.x * (blockDim.x / 32) + threadIdx.x / 32] = sum;
   }
 }

@@ -184,7 +184,7 @@ __global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Wo
     finish(q - deep, y, sums);
   }
   if (!Back && p.partial) {
-    of_losses = warp_sum(of_losses);
+    of_losses = warp_reduce(of_losses, Sum());
     if (lane == 0) p.partial[blockIdx.x * rows + r] = of_losses;
   }
 }

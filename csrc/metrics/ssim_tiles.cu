@@ -265,7 +265,7 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles(__grid_c
       if (position.x + j < p.width) to[j] = result[j];
   }
   if (p.partial) {
-    F const sum = warp_sum(result[0]);
+    F const sum = warp_reduce(result[0], Sum());
     if (threadIdx.x % 32 == 0) p.partial[blockIdx.x * (threads / 32) + threadIdx.x / 32] = sum;
   }
 }

@@ -178,7 +178,7 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Wo
     });
   }
   if (!Back && p.partial) {
-    of_losses = warp_sum(of_losses);
+    of_losses = warp_reduce(of_losses, Sum());
     if (thread % 32 == 0) p.partial[blockIdx.x * (kThreads / 32) + thread / 32] = of_losses;
   }
 }

@@ -41,7 +41,7 @@ __global__ void __launch_bounds__(kThreads) bilateral_sigma_sums(BilateralSigmas
   }
   __shared__ F partials[3][kThreads / 32];
   for (int i = 0; i < 3; ++i) {
-    for (int lanes = 16; lanes > 0; lanes /= 2) sums[i] += __shfl_down_sync(0xffffffffu, sums[i], lanes);
+    sums[i] = warp_reduce(sums[i], Sum());
     if (threadIdx.x % 32 == 0) partials[i][threadIdx.x / 32] = sums[i];
   }
   __syncthreads();

@@ -146,7 +146,7 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
       __syncwarp();
       F s = 0;
       for (int i = from + lane; i < to; i += 32) s += row[i - first_x];
-      s = warp_sum(s);
+      s = warp_reduce(s, Sum());
       __syncwarp();
       if (lane == 0) row[pixel - first_x] = s;
     };

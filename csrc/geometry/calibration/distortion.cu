@@ -47,7 +47,7 @@ __global__ void __launch_bounds__(kThreads) undistort_map_backward_parts(__grid_
   }
 #pragma unroll
   for (int i = 0; i < kLensSums; ++i) {
-    T const sum = warp_sum(sums[i]);
+    T const sum = warp_reduce(sums[i], Sum());
     if (threadIdx.x % 32 == 0) warps[threadIdx.x / 32][i] = sum;
   }
   __syncthreads();

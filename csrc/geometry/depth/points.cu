@@ -258,7 +258,7 @@ __global__ void __launch_bounds__(128) finish_cameras(__grid_constant__ DepthPoi
   __shared__ double sums[4];
   double sum = 0;
   for (int64_t part = threadIdx.x % 32; part < p.parts; part += 32) sum += p.partial[4 * (b * p.parts + part) + k];
-  sum = warp_sum(sum);
+  sum = warp_reduce(sum, Sum());
   if (threadIdx.x % 32 == 0) sums[k] = sum;
   __syncthreads();
   if (threadIdx.x == 0)

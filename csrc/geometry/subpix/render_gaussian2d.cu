@@ -17,7 +17,7 @@ template <int K, class F>
 __device__ __forceinline__ void over_block(F (&v)[K]) {
   __shared__ F of_warps[kThreads / 32][K];
 #pragma unroll
-  for (F& x : v) x = warp_sum(x);
+  for (F& x : v) x = warp_reduce(x, Sum());
   __syncthreads();  // other threads may still read the last sums
   if (threadIdx.x % 32 == 0)
 #pragma unroll

@@ -146,11 +146,8 @@ struct ImageStrip {
       for (int i = 0; i < kRun; ++i)
         maximum = ::fmax(maximum, v.v[i]), minimum = ::fmin(minimum, v.v[i]);  // fmax and fmin ignore NaN
     }
-#pragma unroll
-    for (int step = 16; step > 0; step /= 2) {
-      maximum = ::fmax(maximum, __shfl_xor_sync(0xffffffffu, maximum, step));
-      minimum = ::fmin(minimum, __shfl_xor_sync(0xffffffffu, minimum, step));
-    }
+    maximum = warp_reduce(maximum, [](float a, float b) { return ::fmax(a, b); });
+    minimum = warp_reduce(minimum, [](float a, float b) { return ::fmin(a, b); });
     from = maximum * sharpness;
     return (maximum - minimum) * sharpness <= kMaxExponent && ::fabs(from) <= 0x1p24f;
   }

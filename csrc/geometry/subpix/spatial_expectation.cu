@@ -22,14 +22,10 @@ template <class F>
 __device__ __forceinline__ ExpectationSums<F> over_block(ExpectationSums<F> sums, bool softmax,
                                                          ScaledExp<F> const& exp) {
   __shared__ ExpectationSums<F> of_warps[kThreads / 32];
-#pragma unroll
-  for (int lane = 16; lane > 0; lane /= 2) {
-    ExpectationSums<F> other;
-    other.maximum = __shfl_xor_sync(0xffffffffu, sums.maximum, lane),
-    other.sum = __shfl_xor_sync(0xffffffffu, sums.sum, lane);
-    other.x = __shfl_xor_sync(0xffffffffu, sums.x, lane), other.y = __shfl_xor_sync(0xffffffffu, sums.y, lane);
-    sums.add(other, softmax, exp);
-  }
+  sums = warp_reduce(sums, [softmax, exp](ExpectationSums<F> a, ExpectationSums<F> b) {
+    a.add(b, softmax, exp);
+    return a;
+  });
   if (threadIdx.x % 32 == 0) of_warps[threadIdx.x / 32] = sums;
   __syncthreads();
   if (threadIdx.x == 0)

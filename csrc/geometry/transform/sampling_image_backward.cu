@@ -39,7 +39,7 @@ struct GatherTile {
     Homography<double> const way = homography(p.coords.matrices + tile.b * p.coords.matrix_stride, use);
     Homography<double> whole;
 #pragma unroll
-    for (int i = 0; i < 9; ++i) whole.m[i] = __shfl_xor_sync(0xffffffffu, way.m[i], 16);
+    for (int i = 0; i < 9; ++i) whole.m[i] = shuffle_xor(way.m[i], 16);
     whole.affine = way.affine;  // both ways
     tile.bind(way, use.source);
     b = tile.b;
@@ -64,13 +64,17 @@ struct GatherTile {
       low = min(low, back.weight(to_x, to_y));
       high = max(high, back.weight(to_x, to_y));
     }
-#pragma unroll
-    for (int lane = 1; lane < 4; lane *= 2) {
-      reach_x = max(reach_x, __shfl_xor_sync(0xffffffffu, reach_x, lane));
-      reach_y = max(reach_y, __shfl_xor_sync(0xffffffffu, reach_y, lane));
-      low = min(low, __shfl_xor_sync(0xffffffffu, low, lane));
-      high = max(high, __shfl_xor_sync(0xffffffffu, high, lane));
-    }
+    struct Corners {
+      F reach_x, reach_y, low, high;
+    };
+    auto const of_all =
+        warp_reduce<4>(Corners{reach_x, reach_y, low, high}, [](Corners const& a, Corners const& b) -> Corners {
+          return {max(a.reach_x, b.reach_x), max(a.reach_y, b.reach_y), min(a.low, b.low), max(a.high, b.high)};
+        });
+    reach_x = of_all.reach_x;
+    reach_y = of_all.reach_y;
+    low = of_all.low;
+    high = of_all.high;
     // A distance that goes from p to p + d is a linear function of p over the weights at both: so much it may be more
     // between the corners.
     F const min_weight = min(vabs(low), vabs(high)), max_weight = max(vabs(low), vabs(high));
@@ -519,7 +523,8 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
       far |= beyond;
       box = {min(box.left, column), min(box.top, row), max(box.right, column), max(box.bottom, row)};
     }
-    box = {warp_min(box.left), warp_min(box.top), -warp_min(-box.right), -warp_min(-box.bottom)};
+    box = {warp_reduce(box.left, Min()), warp_reduce(box.top, Min()), -warp_reduce(-box.right, Min()),
+           -warp_reduce(-box.bottom, Min())};
     if (box.left > box.right) continue;  // none
     far = __any_sync(0xffffffffu, far) || box.right - box.left > 64 || box.bottom - box.top > 64;
     // Vectors of four begin where those of the image do. Rows are an odd multiple of four: those of a run in other

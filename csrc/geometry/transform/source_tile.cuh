@@ -54,13 +54,9 @@ struct TapBounds {
   // The bounding box of those of N adjacent threads.
   template <int N>
   __device__ __forceinline__ void merge_lanes() {
-#pragma unroll
-    for (int lane = N / 2; lane > 0; lane /= 2) {
-      left = min(left, __shfl_xor_sync(0xffffffffu, left, lane));
-      top = min(top, __shfl_xor_sync(0xffffffffu, top, lane));
-      right = max(right, __shfl_xor_sync(0xffffffffu, right, lane));
-      bottom = max(bottom, __shfl_xor_sync(0xffffffffu, bottom, lane));
-    }
+    *this = warp_reduce<N>(*this, [](TapBounds const& a, TapBounds const& b) -> TapBounds {
+      return {min(a.left, b.left), min(a.top, b.top), max(a.right, b.right), max(a.bottom, b.bottom)};
+    });
   }
 };
 

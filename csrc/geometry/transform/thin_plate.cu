@@ -104,7 +104,7 @@ __global__ void __launch_bounds__(kThreads)
   }
   // The sums of a warp, by its first thread; of the block, to `to(i)`.
   auto const put = [&](int i, T value) {
-    value = warp_sum(value);
+    value = warp_reduce(value, Sum());
     if (lane == 0) shared_sums[warp][i] = value;
   };
   auto const add = [&](int count, auto to) {

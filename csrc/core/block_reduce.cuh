@@ -44,9 +44,10 @@ __device__ __forceinline__ F block_sum_to_all(F x, F (&memory)[Warps]) {
   return total;
 }
 
-// Stores the sums of N numbers over the threads of a block, which all call it. The sums of warps are added in double.
-template <int Threads, int N, class F>
-__device__ __forceinline__ void store_block_sums(F const (&sums)[N], double* to) {
+// Stores the sums of N numbers over the threads of a block, which all call it. The sums of warps are added in the type
+// of the results.
+template <int Threads, int N, class F, class R>
+__device__ __forceinline__ void store_block_sums(F const (&sums)[N], R* to) {
   __shared__ F warp_sums[N][Threads / 32];
   __syncthreads();  // the memory may be in use for other sums
 #pragma unroll
@@ -56,7 +57,7 @@ __device__ __forceinline__ void store_block_sums(F const (&sums)[N], double* to)
   }
   __syncthreads();
   if (threadIdx.x < N) {
-    double sum = 0;
+    R sum = 0;
     for (F const part : warp_sums[threadIdx.x]) sum += part;
     to[threadIdx.x] = sum;
   }

@@ -1,5 +1,5 @@
 // Lens distortion on CUDA. A thread maps one point; for the gradient of a map, a block sums over a chunk of its pixels.
-#include "core/launch.cuh"
+#include "core/block_reduce.cuh"
 #include "geometry/calibration/distortion.h"
 
 namespace kv::geometry::cuda {
@@ -33,7 +33,6 @@ __global__ void __launch_bounds__(kThreads) through_lens(LensPoints<T> p) {
 
 template <class T>
 __global__ void __launch_bounds__(kThreads) undistort_map_backward_parts(__grid_constant__ LensBackward<T> const p) {
-  __shared__ T warps[kThreads / 32][kLensSums];
   int64_t const b = blockIdx.x / p.parts, part = blockIdx.x - b * p.parts;
   int64_t const last = min(p.count, (part + 1) * kLensChunk);
   T const* const grad = p.grad + 2 * b * p.count;
@@ -45,16 +44,7 @@ __global__ void __launch_bounds__(kThreads) undistort_map_backward_parts(__grid_
     pixel_at(p, unsigned(i), x, y);
     lens.accumulate_grads(x, y, grad[i], grad[p.count + i], sums);
   }
-#pragma unroll
-  for (int i = 0; i < kLensSums; ++i) {
-    T const sum = warp_reduce(sums[i], Sum());
-    if (threadIdx.x % 32 == 0) warps[threadIdx.x / 32][i] = sum;
-  }
-  __syncthreads();
-  if (threadIdx.x >= kLensSums) return;
-  T sum = 0;
-  for (auto const& warp : warps) sum += warp[threadIdx.x];
-  p.sums[int64_t(blockIdx.x) * kLensSums + threadIdx.x] = sum;
+  store_block_sums<kThreads>(sums, p.sums + int64_t(blockIdx.x) * kLensSums);
 }
 
 // One warp per sample.

@@ -25,7 +25,7 @@ EVEN = ("rgb_to_yuv420", "rgb_to_yuv422", "yuv420_to_rgb", "yuv422_to_rgb")  # h
 
 # What depends on more than the sizes, and why; at most 5% of the public names.
 SIZE_OF_DATA = "the size of the result depends on the values"
-NUMBERS = "gives Python's numbers, or none but an error, for the values"
+NUMBERS = "gives a bool, a float or a list of floats of Python, computed from the values: a graph holds tensors"
 LEFT_OUT = {
     **dict.fromkeys(("geometry.crop_by_boxes", "geometry.crop_by_boxes3d", "geometry.crop_by_indices"), SIZE_OF_DATA),
     "geometry.nms": SIZE_OF_DATA,
@@ -38,8 +38,6 @@ LEFT_OUT = {
         ),
         NUMBERS,
     ),
-    # Written as a sum of comparisons, it keeps torch.export's symbolic shapes busy for more than ten minutes.
-    "geometry.build_laplacian_pyramid": "pads to the next power of two, which symbolic sizes have no operation for",
 }
 CALLS = {call.name: call for call in sample_calls() if call.makers}
 

@@ -93,6 +93,21 @@ def test_a_pyramid_of_a_constant_is_constant(device):
         assert detail.abs().max() < 1e-6
 
 
+@pytest.mark.tracing
+@pytest.mark.slow
+def test_one_laplacian_pyramid_serves_images_that_are_padded_and_others(device):
+    class Pyramid(torch.nn.Module):
+        def forward(self, x):
+            return G.build_laplacian_pyramid(x, 3)
+
+    x = torch.rand(7, 6, 22, 38, device=device)  # padded to 32 x 64
+    program = torch.export.export(Pyramid(), (x,), dynamic_shapes=((torch.export.Dim.AUTO,) * 4,)).module()
+    for size in ((34, 52), (36, 44), (33, 35), (64, 52), (64, 128)):  # padded, but for the last two
+        other = torch.rand(2, 5, *size, device=device)
+        for result, expected in zip(program(other), Pyramid()(other), strict=True):
+            assert_close(result, expected)
+
+
 IMAGE = torch.rand(1, 2, 5, 6, generator=torch.Generator().manual_seed(1)).double()
 FUNCTIONS = {
     "pyrdown": (G.pyrdown, (IMAGE,)),

@@ -197,13 +197,25 @@ def build_laplacian_pyramid(
     (count,) = _check.ints(op, "max_level", max_level, 1)
     image = input if input.is_floating_point() else input.float()
     h, w = _check.sizes_as_numbers(image)[2:]
-    powers = [1 << (side - 1).bit_length() for side in (h, w)]
+    powers = [_next_power_of_2(side) for side in (h, w)]
     halved = 2 ** (count - 1)
-    if h % halved or w % halved or (powers[0] != h and powers[1] != w):
+    is_padded = (h % halved != 0) | (w % halved != 0) | ((powers[0] != h) & (powers[1] != w))
+    if _check.is_symbolic(h, w):  # a branch would make a program for images of one kind
+        powers = [torch.sym_ite(is_padded, power, side) for power, side in zip(powers, (h, w))]
+        is_padded = True
+    if is_padded:
         image = F.pad(image, (0, powers[1] - w, 0, powers[0] - h), "reflect")
     levels = build_pyramid(image, count, border_type, align_corners)
     details = [_level(level, next_, border_type, align_corners) for level, next_ in pairwise(levels)]
     return [*details, levels[-1]]
+
+
+def _next_power_of_2(n: int) -> int:
+    """Of all bits below the highest one of n - 1, plus one: operations that graphs have for symbolic sizes."""
+    bits = n - 1
+    for shift in (1, 2, 4, 8, 16):
+        bits = bits | (bits >> shift)
+    return bits + 1
 
 
 def _level(image: Tensor, smaller: Tensor, border_type: str, align_corners: bool) -> Tensor:

@@ -22,7 +22,7 @@ struct Fixed<double> {
 };
 
 template <class T>
-__device__ __forceinline__ void place_of(ImageHistogram2d<T> const& p, T x, int& bin, T& t) {
+__device__ __forceinline__ void bin_of(ImageHistogram2d<T> const& p, T x, int& bin, T& t) {
   T const position = (x - p.low) * p.inverse + T(0.5), whole = floor(position);
   t = position - whole;
   bin = whole >= 0 && whole <= T(p.bins + 1) ? int(whole) - 1 : -2;  // NaN is in no bin
@@ -59,7 +59,7 @@ __global__ void __launch_bounds__(kThreads) count_chunk(ImageHistogram2d<T> p, i
         if (i + k * kThreads >= samples) break;
         int bin;
         T t;
-        place_of(p, v[k], bin, t);
+        bin_of(p, v[k], bin, t);
         if (bin < -1) continue;
         Between<T> const b(t, p.kernel);
         add(bin, b.first_weight);
@@ -88,7 +88,7 @@ __global__ void __launch_bounds__(kThreads) differentiate(ImageHistogram2dBackwa
   for (int i = threadIdx.x; i < samples; i += kThreads) {
     int bin;
     T t;
-    place_of(p, p.x[at + i], bin, t);
+    bin_of(p, p.x[at + i], bin, t);
     T const before = t == 0 ? grad_of(bin - 1) : T(0);
     b.grad_x[at + i] =
         bin < -1 ? T(0) : p.inverse * between_backward(t, p.kernel, before, grad_of(bin), grad_of(bin + 1));

@@ -56,10 +56,10 @@ struct VotesOfRow {
     using V = Lanes<F, N>;
     V position = polar.angle * (F(bins) / F(2 * kPi)) + offset;
     position = position < 0 ? V(position + F(bins)) : position;
-    V const whole = vfloor(position), share = polar.magnitude * (position - whole);
+    V const whole = vfloor(position), later_vote = polar.magnitude * (position - whole);
     store<N>(first + x, V(whole >= F(bins) ? V(whole - F(bins)) : whole));
-    store<N>(earlier + x, V(polar.magnitude - share));
-    store<N>(later + x, share);
+    store<N>(earlier + x, V(polar.magnitude - later_vote));
+    store<N>(later + x, later_vote);
   }
 };
 

@@ -75,8 +75,8 @@ KV_HD void normalize_sift(F* h, F clip, bool root, Entries all) {
   F const second = 1 / max(sqrt(all.sum([&](int i) { return h[i] * h[i]; })), F(kSmallestLength));
   all.each([&](int i) { h[i] *= second; });
   if (!root) return;
-  F const share = 1 / max(all.sum([&](int i) { return h[i]; }), F(kSmallestLength));
-  all.each([&](int i) { h[i] = sqrt(h[i] * share + F(kSiftEpsilon)); });
+  F const scale = 1 / max(all.sum([&](int i) { return h[i]; }), F(kSmallestLength));
+  all.each([&](int i) { h[i] = sqrt(h[i] * scale + F(kSiftEpsilon)); });
 }
 
 // g, the gradient to the descriptor, becomes that to h. Of a patch without gradients it is 0.
@@ -86,10 +86,10 @@ KV_HD void normalize_sift_vjp(F const* h, F* g, F clip, bool root, Entries all) 
   auto const clipped = [&](int i) { return min(h[i] * first, clip); };
   F const second = 1 / max(sqrt(all.sum([&](int i) { return clipped(i) * clipped(i); })), F(kSmallestLength));
   if (root) {
-    F const share = 1 / max(all.sum([&](int i) { return clipped(i) * second; }), F(kSmallestLength));
-    all.each([&](int i) { g[i] *= F(0.5) / sqrt(clipped(i) * second * share + F(kSiftEpsilon)); });
-    F const along = all.sum([&](int i) { return g[i] * clipped(i) * second * share; });
-    all.each([&](int i) { g[i] = (g[i] - along) * share; });
+    F const scale = 1 / max(all.sum([&](int i) { return clipped(i) * second; }), F(kSmallestLength));
+    all.each([&](int i) { g[i] *= F(0.5) / sqrt(clipped(i) * second * scale + F(kSiftEpsilon)); });
+    F const along = all.sum([&](int i) { return g[i] * clipped(i) * second * scale; });
+    all.each([&](int i) { g[i] = (g[i] - along) * scale; });
   }
   F const along = all.sum([&](int i) { return g[i] * clipped(i) * second; });
   all.each([&](int i) { g[i] = h[i] * first <= clip ? (g[i] - along * clipped(i) * second) * second : F(0); });

@@ -148,9 +148,9 @@ __device__ __noinline__ void gather_unstaged(SampleImageBackward<T> const& p, Ga
   int const width = int(p.grad.width), height = int(p.grad.height);
   for (int v = max(v0, -tile.v); v < min(v0 + tile.rows, height - tile.v); ++v)
     for (int u = max(u0, -tile.u); u < min(u0 + tile.columns, width - tile.u); ++u) {
-      F place_x, place_y;
-      tile.map.apply(F(u), F(v), place_x, place_y);
-      F const weight = weight_at<K>(place_x, x) * weight_at<K>(place_y, y);
+      F coord_x, coord_y;
+      tile.map.apply(F(u), F(v), coord_x, coord_y);
+      F const weight = weight_at<K>(coord_x, x) * weight_at<K>(coord_y, y);
       if (weight == 0) continue;
       T const* const grad = p.grad.row(tile.b, first, v + tile.v) + (u + tile.u) * p.grad.step;
 #pragma unroll
@@ -160,23 +160,16 @@ __device__ __noinline__ void gather_unstaged(SampleImageBackward<T> const& p, Ga
   for (int k = 0; k < N; ++k) put<kAdds>(out.row(tile.image, first + k, tile.y + y)[tile.x + x], sums[k]);
 }
 
-// Zeros for a tile of all channels. `aligned`: rows are vectors of 16 bytes.
+// Zeros for a tile of all channels. `aligned`: rows are vectors of 16 bytes; a warp writes adjacent pixels otherwise.
 template <class T>
 __device__ __forceinline__ void clear_tile(Images<T> const& to, int64_t b, int x0, int y0, bool aligned) {
-  constexpr int kVectorSize = 16 / int(sizeof(T)), kAcross = kTile / kVectorSize;
-  int const x = x0 + threadIdx.x % kAcross * kVectorSize, width = int(to.width),
-            bottom = min(y0 + kTile, int(to.height));
-  for (int y = y0 + threadIdx.x / kAcross; x < width && y < bottom; y += kThreads / kAcross)
-    for (int c = 0; c < to.channels; ++c) {
-      T* const row = to.row(b, c, y) + x;
-      if (aligned) {
-        *reinterpret_cast<Vector<T, kVectorSize>*>(row) = {};
-      } else {
-#pragma unroll
-        for (int i = 0; i < kVectorSize; ++i)
-          if (x + i < width) row[i] = T{};
-      }
-    }
+  auto const clear = [&](auto zero) {
+    constexpr int kPixels = int(sizeof(zero) / sizeof(T)), kAcross = kTile / kPixels;
+    int const x = x0 + threadIdx.x % kAcross * kPixels, width = int(to.width), bottom = min(y0 + kTile, int(to.height));
+    for (int y = y0 + threadIdx.x / kAcross; x < width && y < bottom; y += kThreads / kAcross)
+      for (int c = 0; c < to.channels; ++c) *reinterpret_cast<decltype(zero)*>(to.row(b, c, y) + x) = zero;
+  };
+  aligned ? clear(Vector<T, 16 / int(sizeof(T))>{}) : clear(T{});
 }
 
 // The gradients of a tile by one sample: `channels` of them from `begin` on, to `out`.
@@ -218,18 +211,18 @@ __device__ __forceinline__ void gather_tile(SampleImageBackward<T> const& p, Gat
         F from_weight = first_u * m[6] + (first_v * m[7] + m[8]);
 #pragma unroll 1
         for (int j = 0; j < tile.rows; ++j, row += pitch) {
-          F place_x = from_x, place_y = from_y, weight = from_weight;
+          F coord_x = from_x, coord_y = from_y, weight = from_weight;
           T const* grad = row;
 #pragma unroll 1
           for (int i = 0; i < tile.columns; i += kCandidatesPerStep<K>)
 #pragma unroll
             for (int n = 0; n < kCandidatesPerStep<K>; ++n, ++grad) {
               F const scale = affine.value ? F(1) : reciprocal_or_nan(weight);
-              F const share = weight_at<K>(place_x * scale, pixel_x) * weight_at<K>(place_y * scale, pixel_y);
+              F const tap_weight = weight_at<K>(coord_x * scale, pixel_x) * weight_at<K>(coord_y * scale, pixel_y);
 #pragma unroll
-              for (int k = 0; k < N; ++k) sums[k] += share * F(read(grad[k * plane]));
-              place_x += m[0];
-              place_y += m[3];
+              for (int k = 0; k < N; ++k) sums[k] += tap_weight * F(read(grad[k * plane]));
+              coord_x += m[0];
+              coord_y += m[3];
               if constexpr (!affine.value) weight += m[6];
             }
           from_x += m[1];
@@ -408,7 +401,7 @@ __device__ __noinline__ F reflected_near(Axis<F> const& axis, F x, int origin) {
 
 // Adds N channels of one output pixel directly to the sums in memory.
 template <int K, int N, class T, class F>
-__device__ __forceinline__ void scatter_place(SampleImageBackward<T> const& p, F* sums, F u, F v, Tile<F> const& tile,
+__device__ __forceinline__ void scatter_pixel(SampleImageBackward<T> const& p, F* sums, F u, F v, Tile<F> const& tile,
                                               F const (&g)[N]) {
   F wx[K], wy[K], tx, ty;
   int const column = first_tap<K, F>(u, tx) + tile.u, row = first_tap<K, F>(v, ty) + tile.v;
@@ -515,12 +508,12 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
       v[run] = vclamp(v[run], first_v, last_v);
       F t;
       int const column = near_tap<K>(u[run], t), row = near_tap<K>(v[run], t);
-      bool const beyond = max(vabs(u[run]), vabs(v[run])) >= F(1 << 20);  // where near_tap is none
+      bool const is_far = max(vabs(u[run]), vabs(v[run])) >= F(1 << 20);  // where near_tap is none
       bool const has_taps = !filled || (unsigned(column + tile.u + K - 1) < unsigned(p.x_axis.size + K - 1) &&
                                         unsigned(row + tile.v + K - 1) < unsigned(p.y_axis.size + K - 1));
-      if (x_of(run) >= width || y_of(run) >= height || !(has_taps || beyond)) continue;
+      if (x_of(run) >= width || y_of(run) >= height || !(has_taps || is_far)) continue;
       count |= 1u << run;
-      far |= beyond;
+      far |= is_far;
       box = {min(box.left, column), min(box.top, row), max(box.right, column), max(box.bottom, row)};
     }
     box = {warp_reduce(box.left, Min()), warp_reduce(box.top, Min()), -warp_reduce(-box.right, Min()),
@@ -558,7 +551,7 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
       if (!fits) {
 #pragma unroll 1
         for (int run = 0; run < kCoordsPerLane; ++run, next_run())
-          if (count >> run & 1) scatter_place<K, N>(p, to, to_u[0], to_v[0], tile, g[0]);
+          if (count >> run & 1) scatter_pixel<K, N>(p, to, to_u[0], to_v[0], tile, g[0]);
         return;
       }
       __syncwarp();  // before the previous sums are overwritten

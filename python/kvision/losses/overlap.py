@@ -71,10 +71,10 @@ def _backward(needs, grad, _, loss, sums, pred, target, weight, *plain):
     grad_weight = None
     if needs[2]:
         only_weight = (False, False, True, *(False for _ in plain))
-        pulled = _overlap.differentiate_reference(
+        gradients = _overlap.differentiate_reference(
             only_weight, grad, torch.zeros_like(sums), pred, target, weight, *plain
         )
-        grad_weight = pulled[2]
+        grad_weight = gradients[2]
     return [_overlap_backward(grad, sums, pred, target, weight, *plain) if needs[0] else None, None, grad_weight]
 
 

@@ -52,23 +52,32 @@ struct OctaveWeights {
   for (int i = 0; i < border_rows * taps; ++i) at[rows * taps - 1 - i] = at[i];
 }
 
-template <class T, int P>
-using Ring = T[4][32 * P + 2 * kHalo];  // three rows are in flight
+template <class T, int P, class Aligned>
+using Ring = T[4][kRingPitch<T, P, Aligned>];  // three rows are in flight
 
-template <class T, int K>
+// Stores a thread's P pixels, those at x ... of a row of `width`, to `to`. Called by all 32 threads.
+template <class T, int P, class Aligned>
+__device__ __forceinline__ void store_row_part(T* to, float const (&v)[P], int x, int width, Aligned aligned) {
+  if constexpr (!Aligned::value && sizeof(T) == 4)
+    store_striped<P, kWarps>(to, v, x, width);
+  else
+    store_pixels(to, v, x, width, aligned);
+}
+
+template <class T, int K, class Aligned>
 __global__ void __launch_bounds__(32 * kWarps)
     halve(__grid_constant__ Planes<T const> const x, __grid_constant__ Planes<T> const y,
-          __grid_constant__ OctaveWeights<false, K> const weights, Strips<kVectorSize<T> / 2> strips) {
+          __grid_constant__ OctaveWeights<false, K> const weights, Strips<kVectorSize<T> / 2> strips, Aligned aligned) {
   constexpr int P = kVectorSize<T>, C = P / 2, R = K / 2 - 1, kFirst = kBefore<2 * R + 1, P> - R,
                 kEnd = border_of(false);
-  __shared__ Ring<T, P> rings[kWarps];
+  __shared__ __align__(16) Ring<T, P, Aligned> rings[kWarps];
   int64_t plane;
   int column, top;
   if (!strips.locate(plane, column, top)) return;
   int const lane = threadIdx.x % 32, width = int(y.width), height = int(y.height);
   int const bottom = min(top + int(strips.rows), height);
-  RowPrefetcher<T, P, R, 4, std::true_type> rows(rings[threadIdx.x / 32], x, plane, Border::constant, Border::constant,
-                                                 {}, 2 * (column - C * lane), 2 * top - R, 2 * (bottom - top + R));
+  RowPrefetcher<T, P, R, 4, Aligned> rows(rings[threadIdx.x / 32], x, plane, Border::constant, Border::constant,
+                                          aligned, 2 * (column - C * lane), 2 * top - R, 2 * (bottom - top + R));
   float weights_x[C][K], weights_y[R + 1][2];
 #pragma unroll
   for (int c = 0; c < C; ++c) {
@@ -87,7 +96,7 @@ __global__ void __launch_bounds__(32 * kWarps)
 #pragma unroll
     for (int r = 0; r < 2; ++r) {
       float v[P + 2 * kBefore<2 * R + 1, P>];
-      read_windows<2 * R + 1, P>(rows.row(2 * (i - top) + r), v);
+      read_windows<2 * R + 1, P>(rows.row(2 * (i - top) + r), v, aligned);
 #pragma unroll
       for (int c = 0; c < C; ++c) {
         along_x[r][c] = weights_x[c][0] * v[kFirst + 2 * c];
@@ -111,25 +120,25 @@ __global__ void __launch_bounds__(32 * kWarps)
       }
     }
     if (i < top + R) continue;
-    if (column < width) store_vector(out, sums[R]);
+    store_row_part(out, sums[R], column, width, aligned);
     out += y.row_stride;
   }
 }
 
-template <class T, int M>
+template <class T, int M, class Aligned>
 __global__ void __launch_bounds__(32 * kWarps)
     doubled(__grid_constant__ Planes<T const> const x, __grid_constant__ Planes<T> const y,
-            __grid_constant__ OctaveWeights<true, M> const weights, Strips<kVectorSize<T> / 2> strips,
-            T const* minuend) {
+            __grid_constant__ OctaveWeights<true, M> const weights, Strips<kVectorSize<T> / 2> strips, T const* minuend,
+            Aligned aligned) {
   constexpr int P = kVectorSize<T>, C = P / 2, R = M / 2, kMiddle = kBefore<2 * R + 1, C>, kEnd = border_of(true);
-  __shared__ Ring<T, C> rings[kWarps];
+  __shared__ __align__(16) Ring<T, C, Aligned> rings[kWarps];
   int64_t plane;
   int column, top;
   if (!strips.locate(plane, column, top)) return;
   int const lane = threadIdx.x % 32, width = int(y.width), height = int(y.height);
   int const bottom = min(top + int(strips.rows), int(x.height));
-  RowPrefetcher<T, C, R, 4, std::true_type> rows(rings[threadIdx.x / 32], x, plane, Border::constant, Border::constant,
-                                                 {}, column - C * lane, top - R, bottom - top + 2 * R);
+  RowPrefetcher<T, C, R, 4, Aligned> rows(rings[threadIdx.x / 32], x, plane, Border::constant, Border::constant,
+                                          aligned, column - C * lane, top - R, bottom - top + 2 * R);
   float weights_x[P][M], weights_y[2][M];
 #pragma unroll
   for (int p = 0; p < P; ++p) {
@@ -143,7 +152,7 @@ __global__ void __launch_bounds__(32 * kWarps)
 #pragma unroll 1
   for (int i = top - 2 * R; i < bottom; ++i) {
     float v[C + 2 * kMiddle];
-    read_windows<2 * R + 1, C>(rows.row(i - top + 2 * R), v);
+    read_windows<2 * R + 1, C>(rows.row(i - top + 2 * R), v, aligned);
 #pragma unroll
     for (int p = 0; p < P; ++p) {
 #pragma unroll
@@ -173,11 +182,18 @@ __global__ void __launch_bounds__(32 * kWarps)
         for (int k = 1; k < M; ++k) sums[p] += weights_y[odd][k] * along_x[from + k][p];
       }
       if (M == 4 && minuend && 2 * column < width) {  // M: pyrup's
-        Vector<T, P> const from = *reinterpret_cast<Vector<T, P> const*>(minuend + (out - y.data));
+        T const* const at = minuend + (out - y.data);
+        Vector<T, P> from;
+        if (aligned) {
+          from = *reinterpret_cast<Vector<T, P> const*>(at);
+        } else {
+#pragma unroll
+          for (int p = 0; p < P; ++p) from.v[p] = at[min(p, width - 1 - 2 * column)];
+        }
 #pragma unroll
         for (int p = 0; p < P; ++p) sums[p] = read(from.v[p]) - sums[p];
       }
-      if (2 * column < width) store_vector(out, sums);
+      store_row_part(out, sums, 2 * column, width, aligned);
       out += y.row_stride;
     }
   }
@@ -195,10 +211,10 @@ template <class T, bool Doubles, int Taps>
 int launch(Resize<T> const& p, CUstream_st* stream) {
   constexpr int P = kVectorSize<T>, C = P / 2;
   if (p.x.row_stride * int64_t(sizeof(T)) > INT32_MAX) return kUnsupported;
-  if (!(Doubles ? is_vectorizable<C>(p.x) && is_vectorizable<P>(p.y)
-                : is_vectorizable<P>(p.x) && is_vectorizable<C>(p.y)))
-    return kUnsupported;
-  if (reinterpret_cast<uintptr_t>(p.minuend) % alignof(Vector<T, P>) != 0) return kUnsupported;
+  if (p.x.step != 1 || p.y.step != 1) return kUnsupported;
+  bool const aligned = (Doubles ? is_vectorizable<C>(p.x) && is_vectorizable<P>(p.y)
+                                : is_vectorizable<P>(p.x) && is_vectorizable<C>(p.y)) &&
+                       reinterpret_cast<uintptr_t>(p.minuend) % alignof(Vector<T, P>) == 0;
   int64_t const height = Doubles ? p.x.height : p.y.height, width = Doubles ? p.x.width : p.y.width;
   // Long strips read fewer rows twice, but there must be enough strips to fill the device.
   int rows = 32;
@@ -206,10 +222,13 @@ int launch(Resize<T> const& p, CUstream_st* stream) {
   Strips<C> const strips(p.y.count(), height, width, rows);
   OctaveWeights<Doubles, Taps> weights;
   write_weights(weights.at[0], Doubles, Taps, p.rows);
-  if constexpr (Doubles)
-    doubled<T, Taps><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips, p.minuend);
-  else
-    halve<T, Taps><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips);
+  with_alignment<T>(aligned, [&](auto aligned) {
+    if constexpr (Doubles)
+      doubled<T, Taps>
+          <<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips, p.minuend, aligned);
+    else
+      halve<T, Taps><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips, aligned);
+  });
   return cudaGetLastError();
 }
 

@@ -71,6 +71,7 @@ def test_makes_a_gallery_a_file_per_result_and_a_table(photos, tmp_path, device,
     assert printed.rstrip().endswith(str(out / "gallery.png"))
 
 
+@pytest.mark.slow
 def test_says_which_backend_served(photos, tmp_path, capsys):
     with K.backend("reference"):
         demo.main([str(photos[0]), "--out", str(tmp_path / "out"), "--device", "cpu"])
@@ -94,7 +95,14 @@ def test_a_bad_file_is_named_without_a_traceback(content, photos, tmp_path, caps
     assert message.startswith("kvision.demo: ") and str(bad) in message and message.count("\n") == 1
 
 
-@pytest.mark.parametrize("package, name", [("tqdm", "tqdm"), ("PIL", "PIL"), ("skimage", "scikit-image")])
+@pytest.mark.parametrize(
+    "package, name",
+    [
+        ("tqdm", "tqdm"),
+        pytest.param("PIL", "PIL", marks=pytest.mark.slow),
+        pytest.param("skimage", "scikit-image", marks=pytest.mark.slow),
+    ],
+)
 def test_a_missing_package_is_said_with_how_to_get_it(package: str, name: str, tmp_path: Path) -> None:
     program = f"""
 import runpy, sys

@@ -48,6 +48,7 @@ def test_import_loads_only_what_all_calls_need() -> None:
     assert not set(unused) & set(loaded)
 
 
+@pytest.mark.slow
 def test_any_module_can_be_the_first() -> None:
     """A program may use any module first; no order of imports is needed."""
     each = "import kvision; assert kvision.{0}.__name__ == 'kvision.{0}'; import kvision.{0}"

@@ -62,6 +62,7 @@ BYTES_ON_CPU = {
 }
 
 
+@pytest.mark.tracing
 @pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=str)
 @pytest.mark.parametrize("name", BYTES_ON_CPU)
 def test_bytes_go_through_kernels_of_floats(name, layout, backend, monkeypatch):
@@ -177,6 +178,7 @@ def test_module_can_be_pickled(tmp_path):
     assert torch.equal(loaded(x), module(x))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_memory_of_large_results_is_used_again(backend):
     if backend == "reference":
@@ -198,6 +200,7 @@ print(megabytes() - before, y.data_ptr() % 64)
         assert float(grown) < 30 and int(misaligned) == 0  # a result is 12 MB
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(12, 3, 250, 318), (1, 3, 480, 640), (1, 1, 200, 200)], ids=str)
 def test_memory_of_results_does_not_fault_anew(shape, backend):
     if backend == "reference":

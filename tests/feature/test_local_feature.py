@@ -89,7 +89,7 @@ DETECTORS = {
 }
 
 
-@pytest.mark.parametrize("backend", ["auto", "reference"])
+@pytest.mark.parametrize("backend", ["auto", pytest.param("reference", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("detector", DETECTORS)
 def test_results_and_gradients_are_finite_whatever_the_image_is(detector, backend, device):
     """A NaN pixel leaves features and gradients where it is not read; where all are NaN or equal there are none."""
@@ -335,6 +335,7 @@ print((peak() - before) * 1024 / (4 * 6 * 960 * 1280 * 4 / 3))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.native
 @pytest.mark.parametrize("opencv", [False, True])
 def test_memory_is_a_few_times_the_pyramid(opencv, device):

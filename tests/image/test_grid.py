@@ -56,6 +56,7 @@ def test_layouts_gradient_and_untouched_input(device):
     assert torch.autograd.gradcheck(K.image.make_grid, images.requires_grad_())
 
 
+@pytest.mark.tracing
 def test_compiles_for_any_batch():
     compiled = torch.compile(K.image.make_grid, fullgraph=True, dynamic=True, backend="eager")
     for batch in (2, 3, 10):

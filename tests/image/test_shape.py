@@ -32,6 +32,7 @@ def test_empty_batches_pass():
     assert K.image.perform_keep_shape_image(halve)(torch.zeros(2, 0, 3, 4, 6)).shape == (2, 0, 3, 2, 3)
 
 
+@pytest.mark.tracing
 def test_compiles_for_any_shape():
     crop = K.image.perform_keep_shape_image(lambda input: input[..., :2, ::2])
     compiled = torch.compile(crop, fullgraph=True, dynamic=True, backend="eager")

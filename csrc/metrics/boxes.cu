@@ -32,7 +32,7 @@ __global__ void __launch_bounds__(kThreads) find_gradients(__grid_constant__ Box
   F sum[4] = {};
   for (int64_t k = threadIdx.x % 32; k < p.m; k += 32)
     own.overlap_vjp(corners_of(others + 4 * k, p.format), read(grad[k * p.grad_stride]), sum);
-  for (F& x : sum) x = warp_sum(x);
+  for (F& x : sum) x = warp_reduce(x, Sum());
   if (threadIdx.x % 32) return;
   Corners<F>::vjp(p.format, sum);
   for (int k = 0; k < 4; ++k) p.result[4 * row + k] = round_to<T>(sum[k]);

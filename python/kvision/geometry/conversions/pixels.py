@@ -466,15 +466,13 @@ def denormalize_points_with_intrinsics(point_2d_norm: Tensor, camera_matrix: Ten
 def check_camera(op: str, name: str, points: Tensor, camera_matrix: Tensor) -> None:
     """Raise unless `camera_matrix` (*, 3, 3) fits points (*, D)."""
     _check.trailing_shape(op, "camera_matrix", camera_matrix, 3, 3)
-    _check.same_device(op, **{name: points, "camera_matrix": camera_matrix})
-    leading = camera_matrix.shape[:-2]
-    _check.broadcastable(
-        op,
-        **{
-            name: points.shape[:-1],
-            "camera_matrix": (*leading, 1) if len(leading) < points.dim() - 1 else leading,
-        },
-    )
+    if camera_matrix.device != points.device:
+        _check.same_device(op, **{name: points, "camera_matrix": camera_matrix})
+    leading, of_points = camera_matrix.shape[:-2], points.shape[:-1]
+    if leading in (of_points, of_points[:-1]):  # a camera for each point, or one for all points of a sample
+        return
+    padded = (*leading, 1) if len(leading) < points.dim() - 1 else leading
+    _check.broadcastable(op, **{name: of_points, "camera_matrix": padded})
 
 
 @with_kernel_casts
@@ -491,7 +489,7 @@ def _denormalized(points: Tensor, camera_matrix: Tensor) -> Tensor:
 
 def focal_and_center(points: Tensor, camera_matrix: Tensor) -> tuple[Tensor, Tensor]:
     """Focal lengths and principal points, (*, 2), for points (*, D)."""
-    focal, center = camera_matrix[..., :2, :2].diagonal(dim1=-2, dim2=-1), camera_matrix[..., :2, 2]
-    if center.dim() < points.dim():
-        focal, center = focal.unsqueeze(-2), center.unsqueeze(-2)
-    return focal, center
+    diagonal, last = camera_matrix.diagonal(dim1=-2, dim2=-1), camera_matrix.select(-1, 2)
+    if last.dim() < points.dim():
+        return diagonal[..., None, :2], last[..., None, :2]
+    return diagonal[..., :2], last[..., :2]

@@ -300,7 +300,7 @@ int64_t rows_in_cluster(int64_t height) {
 }
 
 // With fewer blocks on a multiprocessor at once than two, separate kernels are faster.
-constexpr size_t kMostShared = 112 << 10;
+constexpr size_t kMaxShared = 112 << 10;
 
 }  // namespace
 
@@ -309,7 +309,7 @@ bool keeps_samples(int64_t height, int64_t width) {
     int device = 0, bytes = 0;
     cudaGetDevice(&device);
     cudaDeviceGetAttribute(&bytes, cudaDevAttrMaxSharedMemoryPerBlockOptin, device);
-    return min(kMostShared, size_t(bytes) - 2048);  // what is not dynamic
+    return min(kMaxShared, size_t(bytes) - 2048);  // what is not dynamic
   }();
   return supports_clusters(warp_rows<float, true>) && shared_bytes<true>(width, rows_in_cluster(height)) <= most;
 }

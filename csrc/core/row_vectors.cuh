@@ -15,7 +15,7 @@ namespace kv {
 
 // Whether vectors of P elements that are aligned in one image are so in the other, pixel by pixel.
 template <int P, class A, class B>
-inline bool are_aligned_alike(Planes<A> const& a, Planes<B> const& b) {
+inline bool are_equally_aligned(Planes<A> const& a, Planes<B> const& b) {
   static_assert(sizeof(A) == sizeof(B));
   int64_t const apart = int64_t(reinterpret_cast<uintptr_t>(a.data) - reinterpret_cast<uintptr_t>(b.data));
   int64_t const elements = (a.outer > 1 ? a.outer_stride - b.outer_stride : 0) |
@@ -49,8 +49,8 @@ struct AlignedBody {
 // Calls f with the number of elements of a thread's vectors as a constant: P, or 1 unless all rows have the same
 // alignment.
 template <int P, class F>
-void with_row_vectors(bool aligned_alike, F f) {
-  if (P > 1 && aligned_alike)
+void with_row_vectors(bool equally_aligned, F f) {
+  if (P > 1 && equally_aligned)
     f(std::integral_constant<int, P>{});
   else
     f(std::integral_constant<int, 1>{});

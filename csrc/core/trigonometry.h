@@ -104,8 +104,8 @@ template <class V, int N>
 KV_HD Dual<V, N> arctan2(Dual<V, N> const& y, Dual<V, N> const& x) {
   Dual<V, N> angle;
   angle.value = arctan2(y.value, x.value);
-  V const square = x.value * x.value + y.value * y.value, to_y = x.value / square, to_x = -y.value / square;
-  for (int i = 0; i < N; ++i) angle.d[i] = to_y * y.d[i] + to_x * x.d[i];
+  V const square = x.value * x.value + y.value * y.value, along_y = x.value / square, along_x = -y.value / square;
+  for (int i = 0; i < N; ++i) angle.d[i] = along_y * y.d[i] + along_x * x.d[i];
   return angle;
 }
 // As a plain value: its derivative is 0.

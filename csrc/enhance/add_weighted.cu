@@ -48,8 +48,8 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ AddWeighted<T>
 template <class T>
 int add_weighted(AddWeighted<T> const& p, CUstream_st* stream) {
   constexpr int P = sizeof(T) == 8 ? 1 : kPixels<T>;
-  bool const aligned_alike = are_aligned_alike<P>(p.result, p.x) && are_aligned_alike<P>(p.result, p.y);
-  with_row_vectors<P>(aligned_alike, [&](auto pixels) {
+  bool const equally_aligned = are_equally_aligned<P>(p.result, p.x) && are_equally_aligned<P>(p.result, p.y);
+  with_row_vectors<P>(equally_aligned, [&](auto pixels) {
     constexpr int N = pixels.value;
     dim3 const blocks(unsigned(ceil_div(p.x.width, kAtOnce<N> * kThreads * N)),
                       unsigned(min(p.x.count(), int64_t(65535))));

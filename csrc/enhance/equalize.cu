@@ -234,7 +234,7 @@ int equalize_planes(Equalize<T> const& p, CUstream_st* stream) {
 template <class T>
 int equalize(Equalize<T> const& p, CUstream_st* stream) {
   int error = 0;
-  with_row_vectors<kRowVector<T>>(are_aligned_alike<kPixels<T>>(p.x, p.y),
+  with_row_vectors<kRowVector<T>>(are_equally_aligned<kPixels<T>>(p.x, p.y),
                                   [&](auto pixels) { error = equalize_planes<pixels.value>(p, stream); });
   return error;
 }
@@ -243,9 +243,9 @@ template <class T>
 int equalize_backward(EqualizeBackward<T> const& p, CUstream_st* stream) {
   int64_t const planes = p.grad.count(), each = kThreads * kPixels<T> * 8;
   unsigned const chunks = unsigned(ceil_div(p.grad.width, each)), blocks = unsigned(planes) * chunks;
-  bool const aligned_alike =
-      are_aligned_alike<kPixels<T>>(p.grad_x, p.grad) && are_aligned_alike<kPixels<T>>(p.grad_x, p.output);
-  with_row_vectors<kRowVector<T>>(aligned_alike, [&](auto pixels) {
+  bool const equally_aligned =
+      are_equally_aligned<kPixels<T>>(p.grad_x, p.grad) && are_equally_aligned<kPixels<T>>(p.grad_x, p.output);
+  with_row_vectors<kRowVector<T>>(equally_aligned, [&](auto pixels) {
     equalize_gradients<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p, chunks, int(each));
   });
   return cudaGetLastError();

@@ -40,12 +40,12 @@ KV_HD void cells_of(MomentGrid const& grid, float const* x, int64_t n, int32_t* 
     using V = Lanes<float, N>;
     V const position = load<N>(x + i) * grid.inverse, whole = vfloor(position), at = whole - float(grid.first);
     auto const inside = (at >= 0) & (at < float(grid.cells));
-    V const place_or_behind = inside ? at : broadcast<N>(float(grid.cells));
+    V const cell_or_end = inside ? at : broadcast<N>(float(grid.cells));
     store<N>(t + i, inside ? V(position - whole - 0.5f) : broadcast<N>(0.f));
     if constexpr (N == 1)
-      cell[i] = int32_t(place_or_behind);
+      cell[i] = int32_t(cell_or_end);
     else
-      *reinterpret_cast<Lanes<int32_t, N>*>(cell + i) = __builtin_convertvector(place_or_behind, Lanes<int32_t, N>);
+      *reinterpret_cast<Lanes<int32_t, N>*>(cell + i) = __builtin_convertvector(cell_or_end, Lanes<int32_t, N>);
   });
 }
 

@@ -146,8 +146,8 @@ __global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
 #pragma unroll
     for (int k = 0; k < N; ++k) {
       F const x = read(vector.v[k]);
-      v[k] = product(read(grads.v[k]), to.factor) + (x == smallest ? to.to_smallest : F(0)) +
-             (x == largest ? to.to_largest : F(0));
+      v[k] = product(read(grads.v[k]), to.factor) + (x == smallest ? to.grad_smallest : F(0)) +
+             (x == largest ? to.grad_largest : F(0));
     }
     store_vector(grad_x + i * p.grad_x.step, v);
   });
@@ -158,7 +158,7 @@ __global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
 template <class T>
 int min_max(MinMax<T> const& p, CUstream_st* stream) {
   unsigned const blocks = unsigned(p.x.count() * p.chunks);
-  with_row_vectors<kRowVector<T>>(are_aligned_alike<kPixels<T>>(p.x, p.y), [&](auto pixels) {
+  with_row_vectors<kRowVector<T>>(are_equally_aligned<kPixels<T>>(p.x, p.y), [&](auto pixels) {
     find_range<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p);
     map_range<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p);
   });
@@ -169,7 +169,7 @@ template <class T>
 int min_max_backward(MinMaxBackward<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   unsigned const blocks = unsigned(p.x.count() * p.chunks);
-  with_row_vectors<kRowVector<T>>(are_aligned_alike<P>(p.x, p.grad) && are_aligned_alike<P>(p.x, p.grad_x),
+  with_row_vectors<kRowVector<T>>(are_equally_aligned<P>(p.x, p.grad) && are_equally_aligned<P>(p.x, p.grad_x),
                                   [&](auto pixels) {
                                     find_sums<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p);
                                     map_gradient<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p);

@@ -42,13 +42,13 @@ struct RangeSums {
 
 template <class F>
 struct RangeGradient {
-  F factor, to_smallest, to_largest;
+  F factor, grad_smallest, grad_largest;
   KV_HD RangeGradient(RangeSums<F> const& sums, F smallest, F largest, F scale, F eps) {
     F const span = largest - smallest + eps;
     factor = scale / span;
     F const of_span = factor * sums.product / span;
-    to_smallest = (of_span - factor * sums.grad) / sums.smallest;
-    to_largest = -of_span / sums.largest;
+    grad_smallest = (of_span - factor * sums.grad) / sums.smallest;
+    grad_largest = -of_span / sums.largest;
   }
 };
 

@@ -102,13 +102,13 @@ void min_max_backward(MinMaxBackward<T> const& p, int64_t begin, int64_t end) {
     });
     add_up();
     RangeGradient<double> const to(all, smallest, largest, p.scale, p.eps);
-    F const factor = F(to.factor), to_smallest = F(to.to_smallest), to_largest = F(to.to_largest);
+    F const factor = F(to.factor), grad_smallest = F(to.grad_smallest), grad_largest = F(to.grad_largest);
     for_each_pixel<T>(n, step, [&](auto width, int64_t i) {
       constexpr int M = decltype(width)::value;
       auto const v = load<M>(x + i);
       auto const zero = broadcast<M>(F(0));
-      store<M>(grad_x + i, load<M>(g + i) * factor + (v == smallest ? broadcast<M>(to_smallest) : zero) +
-                               (v == largest ? broadcast<M>(to_largest) : zero));
+      store<M>(grad_x + i, load<M>(g + i) * factor + (v == smallest ? broadcast<M>(grad_smallest) : zero) +
+                               (v == largest ? broadcast<M>(grad_largest) : zero));
     });
   }
 }

@@ -82,8 +82,8 @@ template <class V, class F>
 KV_HD SharpenedVjp<V> sharpened_vjp(V const& x, V const& smooth, V const& g, F factor) {
   V const none = g * F(0), apart = x - clipped(smooth, F(0)), y = x + apart * (factor - F(1));
   V const within = y >= F(0) ? (y <= F(1) ? g : none) : none;
-  V const to_smooth = smooth >= F(0) ? (smooth <= F(1) ? within : none) : none;
-  return {within * factor, to_smooth * (F(1) - factor), within * apart};
+  V const grad_smooth = smooth >= F(0) ? (smooth <= F(1) ? within : none) : none;
+  return {within * factor, grad_smooth * (F(1) - factor), within * apart};
 }
 template <class V, class F>
 KV_HD V clipped_vjp(V const& x, V const& g, F) {

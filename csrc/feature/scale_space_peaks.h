@@ -171,16 +171,16 @@ KV_HD void peak_vjp(ScaleSpacePeaksBackward<T> const& p, int64_t k, T const* lev
   if (voxel < 0 || voxel >= depth * plane) return;
   int const z = int(voxel / plane), y = int(voxel / width % height), x = int(voxel % width);
   if (z < 1 || z > depth - 2 || y < 1 || y > height - 2 || x < 1 || x > width - 2) return;
-  F const to_shift[] = {p.grad[4 * k + 1], p.grad[4 * k + 2], p.grad[4 * k]};
-  F const to_value = is_maximum_at(levels, voxel, read) ? p.grad[4 * k + 3] : -p.grad[4 * k + 3];
+  F const grad_shift[] = {p.grad[4 * k + 1], p.grad[4 * k + 2], p.grad[4 * k]};
+  F const grad_value = is_maximum_at(levels, voxel, read) ? p.grad[4 * k + 3] : -p.grad[4 * k + 3];
   bool moves = false;
   find_peak(p.search, levels, z, y, x, read, [&](int const(&c)[3], geometry::Quadratic<F> const& q) {
     int64_t const center = c[2] * plane + int64_t(c[1]) * width + c[0];
-    q.vjp(to_shift, to_value,
+    q.vjp(grad_shift, grad_value,
           [&](int dx, int dy, int dz, F number) { add(center + dz * plane + dy * width + dx, number); });
     moves = true;
   });
-  if (!moves) add(voxel, to_value);
+  if (!moves) add(voxel, grad_value);
 }
 
 // The strongest of the peaks that are added, at most `capacity`: a binary heap whose root is the weakest. Of equal

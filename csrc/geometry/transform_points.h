@@ -34,8 +34,8 @@ template <class T>
 struct TransformPointsBackward {
   T const *grad, *points, *depth;
   Compute<T> const* matrices;
-  T *to_points, *to_depth;
-  Compute<T>*partial, *to_matrix;  // (matrices, chunks, entries) and their sums; null without a gradient to matrices
+  T *grad_points, *grad_depth;
+  Compute<T>*partial, *grad_matrix;  // (matrices, chunks, entries) and their sums; null without a gradient to matrices
   int64_t matrix_stride, count, matrices_count, part;  // part: points of a chunk, which one block or thread sums
   PointMap map;
   bool distance;
@@ -86,7 +86,7 @@ struct Transform {
     apply(m, p, y, divides);
   }
   template <class F, class V>
-  KV_HD static void vjp(F const* m, bool, V const (&p)[In], V const (&g)[Out], V (&to_p)[In], V (&to_m)[entries]) {
+  KV_HD static void vjp(F const* m, bool, V const (&p)[In], V const (&g)[Out], V (&grad_p)[In], V (&grad_m)[entries]) {
     V y[Out], divides, row[Out + 1];
     V const inverse = apply(m, p, y, divides);
     row[Out] = V{};
@@ -94,13 +94,13 @@ struct Transform {
       row[r] = g[r] * inverse;
       row[Out] = row[Out] - row[r] * y[r] * divides;
     }
-    for (int c = 0; c < In; ++c) to_p[c] = V{};
+    for (int c = 0; c < In; ++c) grad_p[c] = V{};
     for (int r = 0; r <= Out; ++r) {
       for (int c = 0; c < In; ++c) {
-        to_p[c] = to_p[c] + row[r] * m[r * (In + 1) + c];
-        to_m[r * (In + 1) + c] = row[r] * p[c];
+        grad_p[c] = grad_p[c] + row[r] * m[r * (In + 1) + c];
+        grad_m[r * (In + 1) + c] = row[r] * p[c];
       }
-      to_m[r * (In + 1) + In] = row[r];
+      grad_m[r * (In + 1) + In] = row[r];
     }
   }
 };
@@ -117,15 +117,15 @@ struct Project {
     y[1] = p[1] * inverse * k[4] + k[5];
   }
   template <class F, class V>
-  KV_HD static void vjp(F const* k, bool, V const (&p)[3], V const (&g)[2], V (&to_p)[3], V (&to_k)[9]) {
+  KV_HD static void vjp(F const* k, bool, V const (&p)[3], V const (&g)[2], V (&grad_p)[3], V (&grad_k)[9]) {
     V divides;
     V const inverse = divider(p[2], divides), x = p[0] * inverse, y = p[1] * inverse;
-    to_p[0] = g[0] * k[0] * inverse;
-    to_p[1] = g[1] * k[4] * inverse;
-    to_p[2] = -(to_p[0] * x + to_p[1] * y) * divides;
-    for (int i = 0; i < 9; ++i) to_k[i] = V{};
-    to_k[0] = g[0] * x, to_k[2] = g[0];
-    to_k[4] = g[1] * y, to_k[5] = g[1];
+    grad_p[0] = g[0] * k[0] * inverse;
+    grad_p[1] = g[1] * k[4] * inverse;
+    grad_p[2] = -(grad_p[0] * x + grad_p[1] * y) * divides;
+    for (int i = 0; i < 9; ++i) grad_k[i] = V{};
+    grad_k[0] = g[0] * x, grad_k[2] = g[0];
+    grad_k[4] = g[1] * y, grad_k[5] = g[1];
   }
 };
 
@@ -146,15 +146,15 @@ struct Unproject {
     y[0] = r[0] * z, y[1] = r[1] * z, y[2] = z;
   }
   template <class F, class V>
-  KV_HD static void vjp(F const* k, bool distance, V const (&p)[3], V const (&g)[3], V (&to_p)[3], V (&to_k)[9]) {
+  KV_HD static void vjp(F const* k, bool distance, V const (&p)[3], V const (&g)[3], V (&grad_p)[3], V (&grad_k)[9]) {
     V r[2];
     V const scale = ray(k, distance, p, r), z = scale * p[2], along = g[0] * r[0] + g[1] * r[1] + g[2];
     V const shortens = distance ? V(along * z * scale * scale) : V{};
     V const x = (g[0] * z - shortens * r[0]) / k[0], y = (g[1] * z - shortens * r[1]) / k[4];
-    to_p[0] = x, to_p[1] = y, to_p[2] = along * scale;
-    for (int i = 0; i < 9; ++i) to_k[i] = V{};
-    to_k[0] = -x * r[0], to_k[2] = -x;
-    to_k[4] = -y * r[1], to_k[5] = -y;
+    grad_p[0] = x, grad_p[1] = y, grad_p[2] = along * scale;
+    for (int i = 0; i < 9; ++i) grad_k[i] = V{};
+    grad_k[0] = -x * r[0], grad_k[2] = -x;
+    grad_k[4] = -y * r[1], grad_k[5] = -y;
   }
 };
 
@@ -177,17 +177,17 @@ struct Meet {
     y[0] = m[7] / along(m, p, r, varies);
   }
   template <class F, class V>
-  KV_HD static void vjp(F const* m, bool, V const (&p)[2], V const (&g)[1], V (&to_p)[2], V (&to_m)[9]) {
+  KV_HD static void vjp(F const* m, bool, V const (&p)[2], V const (&g)[1], V (&grad_p)[2], V (&grad_m)[9]) {
     V r[2], varies;
-    V const inverse = 1 / along(m, p, r, varies), to_d = g[0] * inverse, to_divisor = -to_d * inverse * m[7];
-    V const to_along = to_divisor * varies, to_eps = to_divisor - to_along;
-    to_p[0] = to_along * m[4] / m[0];
-    to_p[1] = to_along * m[5] / m[1];
-    to_m[0] = -to_p[0] * r[0], to_m[1] = -to_p[1] * r[1];
-    to_m[2] = -to_p[0], to_m[3] = -to_p[1];
-    to_m[4] = to_along * r[0], to_m[5] = to_along * r[1], to_m[6] = to_along;
-    to_m[7] = to_d;
-    to_m[8] = inverse < 0 ? -to_eps : to_eps;
+    V const inverse = 1 / along(m, p, r, varies), grad_d = g[0] * inverse, grad_divisor = -grad_d * inverse * m[7];
+    V const grad_along = grad_divisor * varies, grad_eps = grad_divisor - grad_along;
+    grad_p[0] = grad_along * m[4] / m[0];
+    grad_p[1] = grad_along * m[5] / m[1];
+    grad_m[0] = -grad_p[0] * r[0], grad_m[1] = -grad_p[1] * r[1];
+    grad_m[2] = -grad_p[0], grad_m[3] = -grad_p[1];
+    grad_m[4] = grad_along * r[0], grad_m[5] = grad_along * r[1], grad_m[6] = grad_along;
+    grad_m[7] = grad_d;
+    grad_m[8] = inverse < 0 ? -grad_eps : grad_eps;
   }
 };
 

@@ -20,22 +20,22 @@ __global__ void __launch_bounds__(kThreads)
   for (int64_t at = begin + threadIdx.x * kRun; at < end; at += blockDim.x * kRun) {
     int64_t const first = matrix * p.count + at;
     int const n = int(min(end - at, int64_t(kRun)));
-    F points[kRun][Map::in], grad[kRun][Map::out], to_points[kRun][Map::in];
+    F points[kRun][Map::in], grad[kRun][Map::out], grad_points[kRun][Map::in];
     load_arguments<Map>(p.points, p.depth, first, n, vectorized, points);
     load_points<Map::out>(p.grad, first, n, vectorized, grad);
 #pragma unroll
     for (int i = 0; i < kRun; ++i) {
-      F to_m[Map::entries];
-      Map::vjp(m, p.distance, points[i], grad[i], to_points[i], to_m);
+      F grad_m[Map::entries];
+      Map::vjp(m, p.distance, points[i], grad[i], grad_points[i], grad_m);
 #pragma unroll
       for (int e = 0; e < Map::entries; ++e)
-        if (i < n && p.partial) sums[e] += to_m[e];
+        if (i < n && p.partial) sums[e] += grad_m[e];
     }
     if constexpr (__is_same(Map, Unproject)) {
-      store_points<2>(p.to_points, first, n, vectorized, to_points);
-      store_points<1>(p.to_depth, first, n, vectorized, to_points, 2);
+      store_points<2>(p.grad_points, first, n, vectorized, grad_points);
+      store_points<1>(p.grad_depth, first, n, vectorized, grad_points, 2);
     } else {
-      store_points<Map::in>(p.to_points, first, n, vectorized, to_points);
+      store_points<Map::in>(p.grad_points, first, n, vectorized, grad_points);
     }
   }
   if (!p.partial) return;
@@ -69,13 +69,13 @@ int transform_points_backward(TransformPointsBackward<T> const& p, CUstream_st* 
   int64_t const parts = p.parts(), wanted = ceil_div(ceil_div(min(p.part, p.count), kRun), 32) * 32;
   unsigned const threads = unsigned(min(wanted, int64_t(kThreads))), blocks = unsigned(p.matrices_count * parts);
   bool const vectorized = is_vectorizable_by_4(p.count, p.points, p.depth, p.grad) &&
-                          is_vectorizable_by_4<T>(p.count, p.to_points, p.to_depth, nullptr);
+                          is_vectorizable_by_4<T>(p.count, p.grad_points, p.grad_depth, nullptr);
   with_map(p.map, [&](auto map) {
     using Map = decltype(map);
     gradients_of<Map><<<blocks, threads, 0, stream>>>(p, parts, vectorized);
     if (p.partial)
       add_parts<<<unsigned(p.matrices_count * Map::entries), 32, 0, stream>>>(p.partial, parts, Map::entries,
-                                                                              p.to_matrix);
+                                                                              p.grad_matrix);
   });
   return cudaGetLastError();
 }

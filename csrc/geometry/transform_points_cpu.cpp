@@ -79,22 +79,22 @@ void transform_points_backward(TransformPointsBackward<T> const& p, int64_t begi
       Lanes<F, kLanes<T>> sums[Map::entries] = {};
       for_each_once<T>(from, to, [&](auto lanes, int64_t first) {
         constexpr int N = decltype(lanes)::value;
-        Lanes<F, N> points[Map::in], grad[Map::out], to_points[Map::in], to_m[Map::entries];
+        Lanes<F, N> points[Map::in], grad[Map::out], grad_points[Map::in], grad_m[Map::entries];
         load_arguments<Map, N>(p.points, p.depth, first, points);
         load_points<N, Map::out>(p.grad + first * Map::out, grad);
-        Map::vjp(m, p.distance, points, grad, to_points, to_m);
+        Map::vjp(m, p.distance, points, grad, grad_points, grad_m);
         if constexpr (__is_same(Map, Unproject)) {
-          store_points<N, 2>(p.to_points + first * 2, to_points);
-          store_points<N, 1>(p.to_depth + first, to_points, 2);
+          store_points<N, 2>(p.grad_points + first * 2, grad_points);
+          store_points<N, 1>(p.grad_depth + first, grad_points, 2);
         } else {
-          store_points<N, Map::in>(p.to_points + first * Map::in, to_points);
+          store_points<N, Map::in>(p.grad_points + first * Map::in, grad_points);
         }
         if (!p.partial) return;
         for (int e = 0; e < Map::entries; ++e) {
           if constexpr (N == 1)
-            sums[e][0] += to_m[e];
+            sums[e][0] += grad_m[e];
           else
-            sums[e] += to_m[e];
+            sums[e] += grad_m[e];
         }
       });
       if (!p.partial) continue;

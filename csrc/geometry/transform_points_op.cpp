@@ -75,7 +75,7 @@ void add_parts(TransformPointsBackward<T> const& p, int64_t entries) {
   for (int64_t i = 0; i < p.matrices_count * entries; ++i) {
     double sum = 0;
     for (int64_t k = 0; k < parts; ++k) sum += p.partial[(i / entries * parts + k) * entries + i % entries];
-    p.to_matrix[i] = Compute<T>(sum);
+    p.grad_matrix[i] = Compute<T>(sum);
   }
 }
 #endif
@@ -101,7 +101,7 @@ Tensor transform_points(Tensor const& points, std::optional<Tensor> const& depth
 
 std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad, Tensor const& points,
                                                              std::optional<Tensor> const& depth, Tensor const& matrix,
-                                                             int64_t kind, bool to_matrix) {
+                                                             int64_t kind, bool grad_matrix) {
   char const* const op = "transform_points_backward";
   PointTransform const args(op, points, depth, matrix, kind);
   KV_CHECK(grad.dim() == 3 && grad.size(0) == points.size(0) && grad.size(1) == points.size(1) &&
@@ -120,10 +120,10 @@ std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad,
 #endif
   int64_t const parts = (count + part - 1) / part;
   ScalarType const type = compute_dtype(points);
-  Tensor const to_points = empty({matrices, count, points.size(2)}, points),
-               to_depth = empty({matrices, count, depth ? 1 : 0}, points),
-               partial = empty({to_matrix ? matrices : 0, parts, entries}, points, Layout::planar, type);
-  Tensor sums = empty({matrices, to_matrix ? matrix.size(1) : 0, matrix.size(2)}, points, Layout::planar, type);
+  Tensor const grad_points = empty({matrices, count, points.size(2)}, points),
+               grad_depth = empty({matrices, count, depth ? 1 : 0}, points),
+               partial = empty({grad_matrix ? matrices : 0, parts, entries}, points, Layout::planar, type);
+  Tensor sums = empty({matrices, grad_matrix ? matrix.size(1) : 0, matrix.size(2)}, points, Layout::planar, type);
   dispatch_floating(op, points, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
@@ -131,10 +131,10 @@ std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad,
                                             data_ptr<T const>(args.points),
                                             data_ptr<T const>(args.depth),
                                             data_ptr<F const>(args.matrix),
-                                            data_ptr<T>(to_points),
-                                            data_ptr<T>(to_depth),
-                                            to_matrix ? data_ptr<F>(partial) : nullptr,
-                                            to_matrix ? data_ptr<F>(sums) : nullptr,
+                                            data_ptr<T>(grad_points),
+                                            data_ptr<T>(grad_depth),
+                                            grad_matrix ? data_ptr<F>(partial) : nullptr,
+                                            grad_matrix ? data_ptr<F>(sums) : nullptr,
                                             args.matrices() == 1 ? 0 : entries,
                                             count,
                                             matrices,
@@ -143,20 +143,21 @@ std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad,
                                             args.distance};
     KV_RUN(transform_points_backward, points, params, matrices * parts, 16 * part);
 #if !defined(KV_CUDA)
-    if (to_matrix) add_parts(params, entries);
+    if (grad_matrix) add_parts(params, entries);
 #endif
   });
 #if defined(KV_CUDA)
   if (parts == 0) torch::stable::zero_(sums);
 #endif
-  return {to_points, to_depth, sums};
+  return {grad_points, grad_depth, sums};
 }
 
 }  // namespace
 
 KV_OPERATOR(transform_points, "(Tensor points, Tensor? depth, Tensor matrix, int kind) -> Tensor")
-KV_OPERATOR(transform_points_backward,
-            "(Tensor grad, Tensor points, Tensor? depth, Tensor matrix, int kind, bool to_matrix) -> (Tensor, Tensor, "
-            "Tensor)")
+KV_OPERATOR(
+    transform_points_backward,
+    "(Tensor grad, Tensor points, Tensor? depth, Tensor matrix, int kind, bool grad_matrix) -> (Tensor, Tensor, "
+    "Tensor)")
 
 }  // namespace kv::geometry

@@ -36,7 +36,7 @@ __global__ void __launch_bounds__(kSumThreads)
 template <class T>
 int binary_focal_sum(BinaryFocalSum<T> const& p, CUstream_st* stream) {
   int64_t const rows = p.pair.rows;
-  with_row_vectors<kVectorSize<T>>(are_aligned_alike<T>(p.pair, nullptr), [&](auto size) {
+  with_row_vectors<kVectorSize<T>>(are_equally_aligned<T>(p.pair, nullptr), [&](auto size) {
     sum_binary_focal<T, size.value><<<unsigned(rows * p.chunks), kSumThreads, 0, stream>>>(p);
   });
   return sum_chunks(p.partial, rows, p.chunks, p.sums, stream);
@@ -45,7 +45,7 @@ int binary_focal_sum(BinaryFocalSum<T> const& p, CUstream_st* stream) {
 template <class T>
 int binary_focal_map(BinaryFocalMap<T> const& p, CUstream_st* stream) {
   int64_t const chunks = point_chunks(p.pair.size);
-  with_row_vectors<kVectorSize<T>>(are_aligned_alike<T>(p.pair, p.out), [&](auto size) {
+  with_row_vectors<kVectorSize<T>>(are_equally_aligned<T>(p.pair, p.out), [&](auto size) {
     map_binary_focal<T, size.value><<<unsigned(p.pair.rows * chunks), kSumThreads, 0, stream>>>(p, chunks);
   });
   return cudaGetLastError();

@@ -152,7 +152,7 @@ __global__ void __launch_bounds__(kThreads) sample_gradients(__grid_constant__ M
   F const inverse = 1 / (range.high - range.low);
   EndSums<F> ends{};
   for (int64_t i = at.first + threadIdx.x; i < at.last; i += kThreads) {
-    F const grad_fraction = flat ? F(0) : p.to_share(at.row, i);
+    F const grad_fraction = flat ? F(0) : p.grad_fraction_at(at.row, i);
     if (own.counts(at.row, i)) {
       F const x = own.at(at.row, i);
       ends.add(grad_fraction, range.fraction(x, p.binning.epsilon));
@@ -178,11 +178,11 @@ __global__ void __launch_bounds__(kThreads) add_to_ends(__grid_constant__ Mutual
     for (int k = 0; k < 4; ++k) ends[k] += p.partial[4 * (at.row * p.chunks + i) + k];
   block_reduce<kSumThreads>(ends, Sum());
   F const inverse = 1 / (range.high - range.low);
-  F const to_low = F(ends[0] / ends[2]) * inverse, to_high = F(ends[1] / ends[3]) * inverse;
+  F const grad_low = F(ends[0] / ends[2]) * inverse, grad_high = F(ends[1] / ends[3]) * inverse;
   for (int64_t i = at.first + threadIdx.x; i < at.last; i += kThreads) {
     F const x = own.at(at.row, i);
     if (!own.counts(at.row, i) || (x != range.low && x != range.high)) continue;
-    p.out[at.row * p.samples + i] += (x == range.low ? to_low : F(0)) + (x == range.high ? to_high : F(0));
+    p.out[at.row * p.samples + i] += (x == range.low ? grad_low : F(0)) + (x == range.high ? grad_high : F(0));
   }
 }
 

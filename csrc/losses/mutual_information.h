@@ -117,7 +117,7 @@ struct MutualInformationBackward {
     return {result[0], result[1]};
   }
   // The gradient with respect to the position of sample i, a fraction in [0, 1] of its range.
-  KV_HD F to_share(int64_t row, int64_t i) const {
+  KV_HD F grad_fraction_at(int64_t row, int64_t i) const {
     if (!x.counts(row, i) || !y.counts(row, i)) return 0;
     SignalRange<F> const of_x = range(row, false), of_y = range(row, true);
     F const fraction_x = of_x.fraction(x.at(row, i), binning.epsilon),

@@ -86,19 +86,19 @@ void mutual_information_backward(MutualInformationBackward<F> const& p, int64_t 
     F const inverse = 1 / (range.high - range.low);
     EndSums<F> ends{};
     for (int64_t i = 0; i < p.samples; ++i) {
-      F const x = own.at(row, i), grad_fraction = p.to_share(row, i);
+      F const x = own.at(row, i), grad_fraction = p.grad_fraction_at(row, i);
       if (own.counts(row, i)) {
         ends.add(grad_fraction, range.fraction(x, epsilon));
         ends.count(x == range.low, x == range.high);
       }
       out[i] = grad_fraction * inverse;
     }
-    F const to_low = F(ends.low / ends.lowest) * inverse, to_high = F(ends.high / ends.highest) * inverse;
+    F const grad_low = F(ends.low / ends.lowest) * inverse, grad_high = F(ends.high / ends.highest) * inverse;
     for (int64_t i = 0; i < p.samples; ++i) {
       if (!own.counts(row, i)) continue;
       F const x = own.at(row, i);
-      if (x == range.low) out[i] += to_low;
-      if (x == range.high) out[i] += to_high;
+      if (x == range.low) out[i] += grad_low;
+      if (x == range.high) out[i] += grad_high;
     }
   }
 }

@@ -56,8 +56,8 @@ struct Corners {
     F const both = width > 0 && height > 0 ? width * height : F(0);
     return both / (area() + other.area() - both);
   }
-  // Adds g times the gradient of overlap to x0, y0, x1, y1. Boxes that share an edge share its gradient, and boxes that
-  // touch have that of a growing overlap, as torch differentiates the reference.
+  // Adds g times the gradient of overlap to x0, y0, x1, y1. Boxes that edge_fraction an edge edge_fraction its
+  // gradient, and boxes that touch have that of a growing overlap, as torch differentiates the reference.
   KV_HD void overlap_vjp(Corners const& other, F g, F (&to)[4]) const {
     F const raw_width = min(x1, other.x1) - max(x0, other.x0), raw_height = min(y1, other.y1) - max(y0, other.y0);
     F const width = max(raw_width, F(0)), height = max(raw_height, F(0)), both = width * height;
@@ -65,10 +65,10 @@ struct Corners {
     F const of_all = -g / all * (both / all), of_both = g / all - of_all;
     F const of_width = raw_width >= 0 ? of_both * height : F(0), of_height = raw_height >= 0 ? of_both * width : F(0);
     F const of_own = own == own ? of_all : F(0);
-    to[0] -= (x0 < other.x0 ? F(0) : of_width * share(x0, other.x0)) + of_own * (y1 - y0);
-    to[1] -= (y0 < other.y0 ? F(0) : of_height * share(y0, other.y0)) + of_own * (x1 - x0);
-    to[2] += (x1 > other.x1 ? F(0) : of_width * share(x1, other.x1)) + of_own * (y1 - y0);
-    to[3] += (y1 > other.y1 ? F(0) : of_height * share(y1, other.y1)) + of_own * (x1 - x0);
+    to[0] -= (x0 < other.x0 ? F(0) : of_width * edge_fraction(x0, other.x0)) + of_own * (y1 - y0);
+    to[1] -= (y0 < other.y0 ? F(0) : of_height * edge_fraction(y0, other.y0)) + of_own * (x1 - x0);
+    to[2] += (x1 > other.x1 ? F(0) : of_width * edge_fraction(x1, other.x1)) + of_own * (y1 - y0);
+    to[3] += (y1 > other.y1 ? F(0) : of_height * edge_fraction(y1, other.y1)) + of_own * (x1 - x0);
   }
   // Of a gradient to x0, y0, x1, y1 that to the box.
   KV_HD static void vjp(BoxFormat format, F (&g)[4]) {
@@ -80,7 +80,7 @@ struct Corners {
   }
 
  private:
-  KV_HD static F share(F edge, F other) { return edge == other ? F(0.5) : F(1); }
+  KV_HD static F edge_fraction(F edge, F other) { return edge == other ? F(0.5) : F(1); }
 };
 
 }  // namespace kv::metrics

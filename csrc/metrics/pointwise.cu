@@ -41,7 +41,7 @@ __global__ void __launch_bounds__(kSumThreads) map_points(__grid_constant__ Poin
 template <class T>
 int pointwise_sum(PointwiseSum<T> const& p, CUstream_st* stream) {
   int64_t const rows = p.pair.rows;
-  with_row_vectors<kVectorSize<T>>(are_aligned_alike<T>(p.pair, nullptr), [&](auto size) {
+  with_row_vectors<kVectorSize<T>>(are_equally_aligned<T>(p.pair, nullptr), [&](auto size) {
     sum_points<T, size.value><<<unsigned(rows * p.chunks), kSumThreads, 0, stream>>>(p);
   });
   return sum_chunks(p.partial, rows, p.chunks, p.sums, stream, p.finalize);
@@ -50,7 +50,7 @@ int pointwise_sum(PointwiseSum<T> const& p, CUstream_st* stream) {
 template <class T>
 int pointwise_map(PointwiseMap<T> const& p, CUstream_st* stream) {
   int64_t const chunks = ceil_div(p.pair.size, kPointChunk);
-  with_row_vectors<kVectorSize<T>>(are_aligned_alike<T>(p.pair, p.out), [&](auto size) {
+  with_row_vectors<kVectorSize<T>>(are_equally_aligned<T>(p.pair, p.out), [&](auto size) {
     map_points<T, size.value><<<unsigned(p.pair.rows * chunks), kSumThreads, 0, stream>>>(p, chunks);
   });
   return cudaGetLastError();

@@ -92,13 +92,13 @@ __device__ __forceinline__ void map_chunk(Pair<T> const& pair, int64_t row, int6
 
 // Whether vectors of both tensors, and of a result like them or null, have the same alignment in every row.
 template <class T>
-bool are_aligned_alike(Pair<T> const& pair, T const* result) {
+bool are_equally_aligned(Pair<T> const& pair, T const* result) {
   auto const view = [&](T const* data, int64_t stride) {
     return Planes<T const>{data, pair.rows, 1, stride, 0, 0, 1, pair.size, 1};
   };
   auto const x = view(pair.x, pair.x_stride);
-  return kv::are_aligned_alike<kVectorSize<T>>(x, view(pair.y, pair.y_stride)) &&
-         (!result || kv::are_aligned_alike<kVectorSize<T>>(x, view(result, pair.size)));
+  return kv::are_equally_aligned<kVectorSize<T>>(x, view(pair.y, pair.y_stride)) &&
+         (!result || kv::are_equally_aligned<kVectorSize<T>>(x, view(result, pair.size)));
 }
 
 }  // namespace

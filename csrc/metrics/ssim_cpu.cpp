@@ -223,7 +223,7 @@ struct GradientRows {
         weights(size) {}
 
   // D of the transpose in ssim.h.
-  KV_HD bool at_rim(int64_t i, int64_t n) const { return mirrored && (i == 0 || i == n - 1); }
+  KV_HD bool at_border(int64_t i, int64_t n) const { return mirrored && (i == 0 || i == n - 1); }
   KV_HD void scale_ends(F* row, int64_t n, F factor) const {
     for (int64_t c = 0; mirrored && c < step; ++c) {
       row[c] *= factor;
@@ -239,8 +239,8 @@ struct GradientRows {
     int64_t const columns = p.grad.width;
     T const* const g = p.grad.data ? p.grad.row(plane, q) : nullptr;
     F const of_pixel = -p.loss.structure * of_loss(plane);
-    bool const at_end = images.volumes && at_rim(plane % images.slices(), images.slices());
-    F const twice = (at_rim(q, p.grad.height) ? F(2) : F(1)) * (at_end ? F(2) : F(1));
+    bool const at_end = images.volumes && at_border(plane % images.slices(), images.slices());
+    F const twice = (at_border(q, p.grad.height) ? F(2) : F(1)) * (at_end ? F(2) : F(1));
     means.row(plane, q);
     for_each_vector<T>(0, means.count, [&](auto n, int64_t e) {
       constexpr int N = decltype(n)::value;
@@ -270,7 +270,7 @@ struct GradientRows {
       int64_t const q = border_index(images.border, i - lead + t, rows);
       if (q < 0) continue;
       pointers.data[taps] = row(q);
-      weights.data[taps++] = images.weights[t] * (at_rim(i, n) ? F(0.5) : F(1));
+      weights.data[taps++] = images.weights[t] * (at_border(i, n) ? F(0.5) : F(1));
     }
     sum_rows(pointers.data, weights.data, taps, count, out);
   }

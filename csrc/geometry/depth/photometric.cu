@@ -15,7 +15,7 @@ __global__ void __launch_bounds__(kThreads)
   tiles.locate(b, y, x);
   bool const in_bounds = x < p.target.width && y < p.target.height;
   int64_t const row = p.x.row_stride, step = p.x.step;
-  F to_depth = 0;
+  F grad_depth = 0;
 #pragma unroll 1
   for (int i = 0; i < p.views; ++i) {
     F sums[kProjectionSums] = {};
@@ -24,7 +24,7 @@ __global__ void __launch_bounds__(kThreads)
       DepthCoords<T> const coords(p, projection, b, y, x);
       TapWindow<2, F> const window(p, coords.u, coords.v);
       if (window.inside) {
-        F wx[2], wy[2], to_u = 0, to_v = 0;
+        F wx[2], wy[2], grad_u = 0, grad_v = 0;
         tap_weights(window.tx, wx);
         tap_weights(window.ty, wy);
         T const* from = p.x.row(b, 0, window.y) + i * p.view_stride + window.x * step;
@@ -35,20 +35,20 @@ __global__ void __launch_bounds__(kThreads)
           F const value = (a00 * wx[0] + a01 * wx[1]) * wy[0] + (a10 * wx[0] + a11 * wx[1]) * wy[1];
           F derivative;
           sums[12] += distance_of(p.distance, value - F(read(*target)), p.eps, derivative);
-          to_u += derivative * ((a01 - a00) * wy[0] + (a11 - a10) * wy[1]);
-          to_v += derivative * ((a10 - a00) * wx[0] + (a11 - a01) * wx[1]);
+          grad_u += derivative * ((a01 - a00) * wy[0] + (a11 - a10) * wy[1]);
+          grad_v += derivative * ((a10 - a00) * wx[0] + (a11 - a01) * wx[1]);
           from += p.x.channel_stride;
           target += p.target.channel_stride;
         }
         sums[13] = 1;
         F g[3];
-        to_depth += projection.vjp(coords.x, coords.y, coords.u, coords.v, coords.scale, to_u, to_v, g);
+        grad_depth += projection.vjp(coords.x, coords.y, coords.u, coords.v, coords.scale, grad_u, grad_v, g);
         add_to_projection(g, coords.x, coords.y, coords.d, sums);
       }
     }
     store_block_sums<kThreads>(sums, p.sums + (int64_t(blockIdx.x) * p.views + i) * kProjectionSums);
   }
-  if (in_bounds) p.to_depth[(b * p.target.height + y) * p.target.width + x] = to_depth;
+  if (in_bounds) p.grad_depth[(b * p.target.height + y) * p.target.width + x] = grad_depth;
 }
 
 }  // namespace

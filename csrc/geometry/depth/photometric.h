@@ -19,8 +19,8 @@ struct PhotometricDepth : DepthSampling<T> {  // x is the first view of each sam
   int views;
   Distance distance;
   Compute<T> eps;
-  Compute<T>* to_depth;  // (B, h, w), gradient of the sum, not of the mean
-  double* sums;          // (B, chunks, views, 14)
+  Compute<T>* grad_depth;  // (B, h, w), gradient of the sum, not of the mean
+  double* sums;            // (B, chunks, views, 14)
   int64_t parts;
 
   // View i as the only source.

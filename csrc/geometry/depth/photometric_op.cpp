@@ -26,7 +26,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> photometric_depth(Tensor const& views
   SamplingOptions const options(op, Interpolation::bilinear, Padding::fill, true, views, {});
   int64_t const parts = projection_parts(output);
   Tensor const loss = empty({batch}, depths.depth), inverse_terms = empty({batch}, depths.depth);
-  Tensor const to_depth = empty({batch, 1, output.height, output.width}, depths.depth);
+  Tensor const grad_depth = empty({batch, 1, output.height, output.width}, depths.depth);
   Tensor const to_projections = empty({batch, count, 3, 4}, depths.depth);
   Tensor const sums = empty({batch, parts, count, kProjectionSums}, views, Layout::planar, ScalarType::Double);
   dispatch_floating(op, views, [&](auto type) {
@@ -50,7 +50,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> photometric_depth(Tensor const& views
     params.views = int(count);
     params.distance = parse_distance(op, distance);
     params.eps = F(eps);
-    params.to_depth = data_ptr<F>(to_depth);
+    params.grad_depth = data_ptr<F>(grad_depth);
     params.sums = data_ptr<double>(sums);
     params.parts = parts;
     KV_RUN(photometric_depth, views, params, batch * output.height, 8 * count * channels * output.width);
@@ -64,7 +64,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> photometric_depth(Tensor const& views
                                    data_ptr<F>(inverse_terms)};
     KV_RUN(projection_total, views, total, batch, 14 * count * parts);
   });
-  return {loss, to_depth, inverse_terms, to_projections};
+  return {loss, grad_depth, inverse_terms, to_projections};
 }
 
 }  // namespace

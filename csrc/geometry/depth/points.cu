@@ -97,7 +97,7 @@ __global__ void __launch_bounds__(kThreads)
     rays.at(F(x + i), F(y), ray);
     sums[i] = ray[0] * grad[0][i] + ray[1] * grad[1][i] + ray[2] * grad[2][i];
   }
-  store_run(p.to_depth.row(b, 0, y), p.to_depth.step, x, width, write_fours, sums);
+  store_run(p.grad_depth.row(b, 0, y), p.grad_depth.step, x, width, write_fours, sums);
 }
 
 template <class T>
@@ -156,7 +156,7 @@ __global__ void __launch_bounds__(kThreads)
 #pragma unroll 1
   for (int n = threadIdx.x; n < kHigh * kWide; n += kThreads) {
     int const row = n / kWide, column = n - row * kWide, x = x0 - 1 + column, y = y0 - 1 + row;
-    F to_x[3] = {}, to_y[3] = {};
+    F grad_x[3] = {}, grad_y[3] = {};
     if (x >= 0 && x < width && y >= 0 && y < height) {
       F along_x[3], along_y[3], grad[3];
       F down[3];
@@ -178,10 +178,10 @@ __global__ void __launch_bounds__(kThreads)
       tangents_of(column_at(0), column_at(1), column_at(2), along_x, along_y);
 #pragma unroll
       for (int k = 0; k < 3; ++k) grad[k] = read(p.grad.row(b, k, y)[x * p.grad.step]);
-      normal_vjp(along_x, along_y, grad, to_x, to_y);
+      normal_vjp(along_x, along_y, grad, grad_x, grad_y);
     }
 #pragma unroll
-    for (int k = 0; k < 3; ++k) gradients[k][row][column] = to_x[k], gradients[3 + k][row][column] = to_y[k];
+    for (int k = 0; k < 3; ++k) gradients[k][row][column] = grad_x[k], gradients[3 + k][row][column] = grad_y[k];
   }
   __syncthreads();
   int const left = threadIdx.x % 32, x = x0 + left, top = int(threadIdx.x / 32) * kRows;
@@ -204,18 +204,18 @@ __global__ void __launch_bounds__(kThreads)
     int const y = y0 + top + j;
     if (y >= height) return;
     Taken<F> const above(y, height);
-    F to_point[3] = {};
+    F grad_point[3] = {};
 #pragma unroll
     for (int k = 0; k < 3; ++k)
 #pragma unroll
       for (int i = 0; i < 3; ++i)
-        to_point[k] += above.mean[i] * differences[j + i][k] + above.difference[i] * means[j + i][k];
+        grad_point[k] += above.mean[i] * differences[j + i][k] + above.difference[i] * means[j + i][k];
     if (p.to_points) {
 #pragma unroll
-      for (int k = 0; k < 3; ++k) p.to.row(b, k, y)[x * p.to.step] = round_to<T>(to_point[k]);
+      for (int k = 0; k < 3; ++k) p.to.row(b, k, y)[x * p.to.step] = round_to<T>(grad_point[k]);
     } else {
       rays.at(F(x), F(y), ray);
-      p.to.row(b, 0, y)[x * p.to.step] = round_to<T>(dot3(ray, to_point));
+      p.to.row(b, 0, y)[x * p.to.step] = round_to<T>(dot3(ray, grad_point));
     }
   }
 }
@@ -262,7 +262,7 @@ __global__ void __launch_bounds__(128) finish_cameras(__grid_constant__ DepthPoi
   if (threadIdx.x % 32 == 0) sums[k] = sum;
   __syncthreads();
   if (threadIdx.x == 0)
-    Rays<Compute<T>>(p.cameras + b * p.camera_stride, p.distance).store_gradients(sums, p.to_camera + 9 * b);
+    Rays<Compute<T>>(p.cameras + b * p.camera_stride, p.distance).store_gradients(sums, p.grad_camera + 9 * b);
 }
 
 }  // namespace
@@ -278,8 +278,8 @@ int depth_points(DepthPoints<T> const& p, CUstream_st* stream) {
 template <class T>
 int depth_points_backward(DepthPointsBackward<T> const& p, CUstream_st* stream) {
   Runs const runs(p.grad.batch, p.grad.height, p.grad.width);
-  points_backward<T>
-      <<<runs.blocks(), kThreads, 0, stream>>>(p, runs, is_vectorizable_by_4(p.grad), is_vectorizable_by_4(p.to_depth));
+  points_backward<T><<<runs.blocks(), kThreads, 0, stream>>>(p, runs, is_vectorizable_by_4(p.grad),
+                                                             is_vectorizable_by_4(p.grad_depth));
   return cudaGetLastError();
 }
 

@@ -31,7 +31,7 @@ struct DepthPoints {
 template <class T>
 struct DepthPointsBackward {
   Images<T const> grad;
-  Images<T> to_depth;
+  Images<T> grad_depth;
   Compute<T> const* cameras;
   int64_t camera_stride;
   bool distance;
@@ -53,9 +53,9 @@ struct DepthPointsCameraBackward {
   Compute<T> const* cameras;
   int64_t camera_stride;
   bool distance;
-  int64_t parts;          // chunks of an image: of groups of pixels on CUDA, rows on the CPU
-  double* partial;        // (B, chunks, 4)
-  Compute<T>* to_camera;  // (B, 3, 3), set by the CUDA kernel; on the CPU the operator sums them
+  int64_t parts;            // chunks of an image: of groups of pixels on CUDA, rows on the CPU
+  double* partial;          // (B, chunks, 4)
+  Compute<T>* grad_camera;  // (B, 3, 3), set by the CUDA kernel; on the CPU the operator sums them
 };
 
 KV_KERNEL(depth_points, DepthPoints)
@@ -103,14 +103,14 @@ struct Rays {
   KV_HD void add_gradients(V x, F y, V d, V const (&g)[3], V (&sums)[4]) const {
     V const u = across(x), v = V{} + down(y), z = z_of(u, down(y), V(V{} + 1));
     V const along = unit ? V((g[0] * u + g[1] * v + g[2]) * z * z) : V{};
-    V const to_u = d * z * (g[0] - along * u), to_v = d * z * (g[1] - along * v);
-    sums[0] = sums[0] + to_u * u, sums[1] = sums[1] + to_v * v;
-    sums[2] = sums[2] + to_u, sums[3] = sums[3] + to_v;
+    V const grad_u = d * z * (g[0] - along * u), grad_v = d * z * (g[1] - along * v);
+    sums[0] = sums[0] + grad_u * u, sums[1] = sums[1] + grad_v * v;
+    sums[2] = sums[2] + grad_u, sums[3] = sums[3] + grad_v;
   }
-  KV_HD void store_gradients(double const* sums, F* to_camera) const {
-    for (int i = 0; i < 9; ++i) to_camera[i] = 0;
-    to_camera[0] = F(-fx * sums[0]), to_camera[4] = F(-fy * sums[1]);
-    to_camera[2] = F(-fx * sums[2]), to_camera[5] = F(-fy * sums[3]);
+  KV_HD void store_gradients(double const* sums, F* grad_camera) const {
+    for (int i = 0; i < 9; ++i) grad_camera[i] = 0;
+    grad_camera[0] = F(-fx * sums[0]), grad_camera[4] = F(-fy * sums[1]);
+    grad_camera[2] = F(-fx * sums[2]), grad_camera[5] = F(-fy * sums[3]);
   }
 };
 
@@ -154,13 +154,14 @@ KV_HD V normal_of(V const (&along_x)[3], V const (&along_y)[3], V (&normal)[3]) 
   return scale;
 }
 template <class V>
-KV_HD void normal_vjp(V const (&along_x)[3], V const (&along_y)[3], V const (&grad)[3], V (&to_x)[3], V (&to_y)[3]) {
+KV_HD void normal_vjp(V const (&along_x)[3], V const (&along_y)[3], V const (&grad)[3], V (&grad_x)[3],
+                      V (&grad_y)[3]) {
   V normal[3], g[3];
   V const scale = normal_of(along_x, along_y, normal);
   V const along = scale < V(V{} + kSteepest) ? dot3(normal, grad) : V{};
   for (int k = 0; k < 3; ++k) g[k] = (grad[k] - normal[k] * along) * (scale * (1.f / 64));
-  cross3(along_y, g, to_x);
-  cross3(g, along_x, to_y);
+  cross3(along_y, g, grad_x);
+  cross3(g, along_x, grad_y);
 }
 
 // The coefficients of the point at i in the derivatives at i - 1, i, i + 1 along an axis: in their differences and in

@@ -69,12 +69,12 @@ void depth_points_backward(DepthPointsBackward<T> const& p, int64_t begin, int64
   for (int64_t r = begin; r < end; ++r) {
     int64_t const b = r / p.grad.height, y = r % p.grad.height;
     Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
-    for_each_pixel<T>(p.grad, p.to_depth, 0, p.grad.width, [&](auto lanes, int64_t x) {
+    for_each_pixel<T>(p.grad, p.grad_depth, 0, p.grad.width, [&](auto lanes, int64_t x) {
       constexpr int N = decltype(lanes)::value;
       Lanes<F, N> ray[3], sum{};
       rays.at(iota<N, F>(x), F(y), ray);
       for (int k = 0; k < 3; ++k) sum += ray[k] * load<N>(p.grad.row(b, k, y) + x * p.grad.step);
-      store<N>(p.to_depth.row(b, 0, y) + x, sum);
+      store<N>(p.grad_depth.row(b, 0, y) + x, sum);
     });
   }
 }
@@ -107,10 +107,11 @@ void depth_normals_backward(DepthNormalsBackward<T> const& p, int64_t begin, int
     }
     for_each_tangents<T>(p, p.grad, b, y, [&](auto lanes, int64_t x, auto const& along_x, auto const& along_y) {
       constexpr int N = decltype(lanes)::value;
-      Lanes<F, N> grad[3], to_x[3], to_y[3];
+      Lanes<F, N> grad[3], grad_x[3], grad_y[3];
       for (int k = 0; k < 3; ++k) grad[k] = load<N>(p.grad.row(b, k, y) + x * p.grad.step);
-      normal_vjp(along_x, along_y, grad, to_x, to_y);
-      for (int k = 0; k < 3; ++k) store<N>(gradients(y, k) + x, to_x[k]), store<N>(gradients(y, 3 + k) + x, to_y[k]);
+      normal_vjp(along_x, along_y, grad, grad_x, grad_y);
+      for (int k = 0; k < 3; ++k)
+        store<N>(gradients(y, k) + x, grad_x[k]), store<N>(gradients(y, 3 + k) + x, grad_y[k]);
     });
   };
   for (int64_t r = begin; r < end; ++r) {
@@ -120,19 +121,19 @@ void depth_normals_backward(DepthNormalsBackward<T> const& p, int64_t begin, int
     Taken<F> const down(y, height);
     auto const pixel = [&](auto lanes, int64_t x, Taken<F> const& across) {
       constexpr int N = decltype(lanes)::value;
-      Lanes<F, N> ray[3], to_point[3] = {};
+      Lanes<F, N> ray[3], grad_point[3] = {};
       for (int k = 0; k < 3; ++k)
         for (int j = 0; j < 3; ++j) {
-          F const *const to_x = gradients(y - 1 + j, k) + x, *const to_y = gradients(y - 1 + j, 3 + k) + x;
+          F const *const grad_x = gradients(y - 1 + j, k) + x, *const grad_y = gradients(y - 1 + j, 3 + k) + x;
           for (int i = 0; i < 3; ++i)
-            to_point[k] += load<N>(to_x + i - 1) * (across.difference[i] * down.mean[j]) +
-                           load<N>(to_y + i - 1) * (across.mean[i] * down.difference[j]);
+            grad_point[k] += load<N>(grad_x + i - 1) * (across.difference[i] * down.mean[j]) +
+                             load<N>(grad_y + i - 1) * (across.mean[i] * down.difference[j]);
         }
       if (p.to_points) {
-        for (int k = 0; k < 3; ++k) store<N>(p.to.row(b, k, y) + x * p.to.step, to_point[k]);
+        for (int k = 0; k < 3; ++k) store<N>(p.to.row(b, k, y) + x * p.to.step, grad_point[k]);
       } else {
         rays.at(iota<N, F>(x), F(y), ray);
-        store<N>(p.to.row(b, 0, y) + x * p.to.step, dot3(ray, to_point));
+        store<N>(p.to.row(b, 0, y) + x * p.to.step, dot3(ray, grad_point));
       }
     };
     pixel(Width<1>{}, 0, Taken<F>(0, width));

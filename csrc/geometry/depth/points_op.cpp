@@ -48,14 +48,14 @@ Tensor depth_points_backward(Tensor const& grad, Tensor const& camera, bool dist
   checked_size(op, grad);
   Tensor const cameras = cameras_of(op, camera, grad);
   int64_t const batch = grad.size(0);
-  Tensor const to_depth = empty({batch, 1, grad.size(2), grad.size(3)}, grad);
+  Tensor const grad_depth = empty({batch, 1, grad.size(2), grad.size(3)}, grad);
   dispatch_floating(op, grad, [&](auto type) {
     using T = typename decltype(type)::type;
-    DepthPointsBackward<T> const params{images<T const>(grad, batch), images<T>(to_depth, batch),
+    DepthPointsBackward<T> const params{images<T const>(grad, batch), images<T>(grad_depth, batch),
                                         data_ptr<Compute<T> const>(cameras), stride_of(cameras), distance};
     KV_RUN(depth_points_backward, grad, params, batch * params.grad.height, 4 * params.grad.width);
   });
-  return to_depth;
+  return grad_depth;
 }
 
 Tensor depth_normals(Tensor const& depth, Tensor const& camera, bool distance) {
@@ -111,7 +111,7 @@ Tensor depth_points_camera_backward(Tensor const& grad, Tensor const& depth, Ten
   constexpr char const* op = "depth_points_camera_backward";
   Tensor const cameras = checked_gradient(op, grad, depth, camera);
   int64_t const batch = grad.size(0), height = grad.size(2), width = grad.size(3);
-  Tensor const to_camera = empty({batch, 3, 3}, cameras);
+  Tensor const grad_camera = empty({batch, 3, 3}, cameras);
 #if defined(KV_CUDA)
   int64_t const parts =
       ((width + 3) / 4 * height + 1023) / 1024;  // a chunk: 256 threads, four groups of four pixels each
@@ -129,18 +129,18 @@ Tensor depth_points_camera_backward(Tensor const& grad, Tensor const& depth, Ten
                                               distance,
                                               parts,
                                               data_ptr<double>(partial),
-                                              data_ptr<F>(to_camera)};
+                                              data_ptr<F>(grad_camera)};
     KV_RUN(depth_points_camera_backward, depth, params, batch * parts, 8 * width);
 #if !defined(KV_CUDA)
     for (int64_t b = 0; b < batch; ++b) {
       double sums[4] = {};
       for (int64_t part = 0; part < parts; ++part)
         for (int k = 0; k < 4; ++k) sums[k] += params.partial[4 * (b * parts + part) + k];
-      Rays<F>(params.cameras + b * params.camera_stride, distance).store_gradients(sums, params.to_camera + 9 * b);
+      Rays<F>(params.cameras + b * params.camera_stride, distance).store_gradients(sums, params.grad_camera + 9 * b);
     }
 #endif
   });
-  return to_camera;
+  return grad_camera;
 }
 
 }  // namespace

@@ -52,7 +52,7 @@ __global__ void __launch_bounds__(kThreads)
     DepthCoords<T> const coords(p, projection, b, y, x);
     auto const window = coords.window(p);
     int64_t const row = p.x.row_stride, step = p.x.step;
-    F wx[2], wy[2], to_u = 0, to_v = 0;
+    F wx[2], wy[2], grad_u = 0, grad_v = 0;
     tap_weights(window.tx, wx);
     tap_weights(window.ty, wy);
     T const* plane = p.x.row(b, 0, 0);
@@ -70,15 +70,15 @@ __global__ void __launch_bounds__(kThreads)
         });
       }
       F const g = read(*grad);
-      to_u += g * ((a[0][1] - a[0][0]) * wy[0] + (a[1][1] - a[1][0]) * wy[1]);
-      to_v += g * ((a[1][0] - a[0][0]) * wx[0] + (a[1][1] - a[0][1]) * wx[1]);
+      grad_u += g * ((a[0][1] - a[0][0]) * wy[0] + (a[1][1] - a[1][0]) * wy[1]);
+      grad_v += g * ((a[1][0] - a[0][0]) * wx[0] + (a[1][1] - a[0][1]) * wx[1]);
       plane += p.x.channel_stride;
       grad += p.grad.channel_stride;
     }
-    if (p.interpolation == Interpolation::nearest) to_u = to_v = 0;
+    if (p.interpolation == Interpolation::nearest) grad_u = grad_v = 0;
     F g[3];
-    p.to_depth[(b * p.grad.height + y) * p.grad.width + x] =
-        projection.vjp(coords.x, coords.y, coords.u, coords.v, coords.scale, to_u, to_v, g);
+    p.grad_depth[(b * p.grad.height + y) * p.grad.width + x] =
+        projection.vjp(coords.x, coords.y, coords.u, coords.v, coords.scale, grad_u, grad_v, g);
     add_to_projection(g, coords.x, coords.y, coords.d, sums);
   }
   store_block_sums<kThreads>(sums, p.sums + int64_t(blockIdx.x) * kProjectionSums);

@@ -33,16 +33,16 @@ struct Reprojection {
   }
   // Converts the gradient to (u, v) into that to (U, V, W), 0 if it is not finite, and returns the gradient to d.
   template <class V>
-  KV_HD V vjp(V x, F y, V u, V v, V scale, V to_u, V to_v, V (&g)[3]) const {
-    g[0] = to_u * scale;
-    g[1] = to_v * scale;
-    g[2] = -(to_u * u + to_v * v) * scale;
-    V to_d{};
+  KV_HD V vjp(V x, F y, V u, V v, V scale, V grad_u, V grad_v, V (&g)[3]) const {
+    g[0] = grad_u * scale;
+    g[1] = grad_v * scale;
+    g[2] = -(grad_u * u + grad_v * v) * scale;
+    V grad_d{};
     for (int k = 0; k < 3; ++k) {
       g[k] = g[k] - g[k] == 0 ? g[k] : V{};
-      to_d += g[k] * ray(k, x, y);
+      grad_d += g[k] * ray(k, x, y);
     }
-    return to_d - to_d == 0 ? to_d : V{};  // the projection may be NaN
+    return grad_d - grad_d == 0 ? grad_d : V{};  // the projection may be NaN
   }
 };
 
@@ -68,8 +68,8 @@ struct DepthWarp : DepthSampling<T> {
 template <class T>
 struct DepthWarpCoordsBackward : DepthSampling<T> {
   Images<T const> grad;
-  Compute<T>* to_depth;  // (B, h, w)
-  double* sums;          // (B, chunks, 14)
+  Compute<T>* grad_depth;  // (B, h, w)
+  double* sums;            // (B, chunks, 14)
   int64_t parts;
 };
 

@@ -73,7 +73,7 @@ void depth_warp_coords_backward(DepthWarpCoordsBackward<T> const& p, int64_t beg
       using V = Lanes<F, N>;
       DepthCoords<N, T> const coords(p, projection, b, y, x);
       auto const window = coords.window(p);
-      V to_u{}, to_v{}, wx[2], wy[2];
+      V grad_u{}, grad_v{}, wx[2], wy[2];
       tap_weights(window.tx, wx);
       tap_weights(window.ty, wy);
       if (!window.outside && p.interpolation != Interpolation::nearest)
@@ -86,12 +86,12 @@ void depth_warp_coords_backward(DepthWarpCoordsBackward<T> const& p, int64_t beg
             for (int n = 0; n < N; ++n) grad[n] = load<1>(from + n * p.grad.step);
           }
           read_taps(p, window, p.x.row(b, c, 0), a);
-          to_u += grad * ((a[0][1] - a[0][0]) * wy[0] + (a[1][1] - a[1][0]) * wy[1]);
-          to_v += grad * ((a[1][0] - a[0][0]) * wx[0] + (a[1][1] - a[0][1]) * wx[1]);
+          grad_u += grad * ((a[0][1] - a[0][0]) * wy[0] + (a[1][1] - a[1][0]) * wy[1]);
+          grad_v += grad * ((a[1][0] - a[0][0]) * wx[0] + (a[1][1] - a[0][1]) * wx[1]);
         }
       V g[3];
-      V const to_d = projection.vjp(coords.x, F(y), coords.u, coords.v, coords.scale, to_u, to_v, g);
-      store<N>(p.to_depth + (b * height + y) * width + x, to_d);
+      V const grad_d = projection.vjp(coords.x, F(y), coords.u, coords.v, coords.scale, grad_u, grad_v, g);
+      store<N>(p.grad_depth + (b * height + y) * width + x, grad_d);
       sums.template add<N>(g, coords.x, coords.d);
     });
     sums.add_row(y, p.sums + kProjectionSums * (b * height + y));

@@ -75,8 +75,8 @@ std::tuple<Tensor, Tensor> depth_warp_coords_backward(Tensor const& grad, Tensor
                grad.scalar_type() == image.scalar_type() && grad.device() == image.device() &&
                grad.size(2) == output.height && grad.size(3) == output.width,
            op, ": grad does not fit the image or the depth");
-  Tensor const to_depth = empty({batch, 1, output.height, output.width}, depths.depth);
-  Tensor const to_projection = empty({batch, 3, 4}, depths.projection);
+  Tensor const grad_depth = empty({batch, 1, output.height, output.width}, depths.depth);
+  Tensor const grad_projection = empty({batch, 3, 4}, depths.projection);
   Tensor const sums = empty({batch, parts, kProjectionSums}, grad, Layout::planar, ScalarType::Double);
   dispatch_floating(op, image, [&](auto type) {
     using T = typename decltype(type)::type;
@@ -85,15 +85,15 @@ std::tuple<Tensor, Tensor> depth_warp_coords_backward(Tensor const& grad, Tensor
     depths.set(params, options, source, batch);
     params.x = images<T const>(image, batch);
     params.grad = images<T const>(grad, batch);
-    params.to_depth = data_ptr<F>(to_depth);
+    params.grad_depth = data_ptr<F>(grad_depth);
     params.sums = data_ptr<double>(sums);
     params.parts = parts;
     KV_RUN(depth_warp_coords_backward, image, params, batch * output.height, 16 * image.size(1) * output.width);
     ProjectionTotal<F> const total{data_ptr<double const>(sums), parts,   batch,  1, int(image.size(1)),
-                                   data_ptr<F>(to_projection),   nullptr, nullptr};
+                                   data_ptr<F>(grad_projection), nullptr, nullptr};
     KV_RUN(projection_total, image, total, batch, 12 * parts);
   });
-  return {to_depth, to_projection};
+  return {grad_depth, grad_projection};
 }
 
 }  // namespace

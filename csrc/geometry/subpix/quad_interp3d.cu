@@ -63,18 +63,18 @@ __global__ void __launch_bounds__(kThreads)
   at_voxel(f, tiles, [&](int64_t volume, int z, int y, int x) {
     int64_t const width = f.size[2], plane = f.size[1] * width, size = f.size[0] * plane;
     int64_t const at = z * plane + y * width + x, number = volume * size + at;
-    F const to_value = read(p.grad_values[number]);
+    F const grad_value = read(p.grad_values[number]);
     F* const grad_x = p.grad_x + volume * size;
     bool refined = false;
     at_peak(f, f.x + volume * size, number, z, y, x, [&](int const(&c)[3], Quadratic<F> const& q) {
       refined = true;
       auto const coord = [&](int a) { return F(read(p.grad_coords[(3 * volume + a) * size + at])); };
-      F const to_shift[] = {coord(1), coord(2), coord(0)};
+      F const grad_shift[] = {coord(1), coord(2), coord(0)};
       F* const center = grad_x + c[2] * plane + c[1] * width + c[0];
-      q.vjp(to_shift, to_value,
+      q.vjp(grad_shift, grad_value,
             [&](int dx, int dy, int dz, F number) { atomicAdd(center + dz * plane + dy * width + dx, number); });
     });
-    if (!refined) atomicAdd(grad_x + at, to_value);
+    if (!refined) atomicAdd(grad_x + at, grad_value);
   });
 }
 

@@ -92,25 +92,25 @@ struct Quadratic {
     F u[3];
     bool done;
     solve(grad_shift, u, done);
-    F to_g[3];
-    for (int a = 0; a < 3; ++a) to_g[a] = grad_value * shift[a] - u[a];
-    F to_center = grad_value;
+    F grad_g[3];
+    for (int a = 0; a < 3; ++a) grad_g[a] = grad_value * shift[a] - u[a];
+    F grad_center = grad_value;
     for (int a = 0; a < 3; ++a) {
-      F const to_h = (grad_value * shift[a] * F(0.5) - u[a]) * shift[a];
+      F const grad_h = (grad_value * shift[a] * F(0.5) - u[a]) * shift[a];
       int const x = a == 0, y = a == 1, z = a == 2;
-      add(x, y, z, to_h + to_g[a] * F(0.5));
-      add(-x, -y, -z, to_h - to_g[a] * F(0.5));
-      to_center -= 2 * to_h;
+      add(x, y, z, grad_h + grad_g[a] * F(0.5));
+      add(-x, -y, -z, grad_h - grad_g[a] * F(0.5));
+      grad_center -= 2 * grad_h;
     }
-    add(0, 0, 0, to_center);
+    add(0, 0, 0, grad_center);
     for (int a = 0; a < 3; ++a) {
       int const i = (a + 1) % 3, j = (a + 2) % 3;
-      F const to_h = (grad_value * shift[i] * shift[j] - u[i] * shift[j] - u[j] * shift[i]) * F(0.25);
+      F const grad_h = (grad_value * shift[i] * shift[j] - u[i] * shift[j] - u[j] * shift[i]) * F(0.25);
       for (int sign_i = -1; sign_i <= 1; sign_i += 2)
         for (int sign_j = -1; sign_j <= 1; sign_j += 2) {
           int d[3] = {};
           d[i] = sign_i, d[j] = sign_j;
-          add(d[0], d[1], d[2], sign_i * sign_j > 0 ? to_h : -to_h);
+          add(d[0], d[1], d[2], sign_i * sign_j > 0 ? grad_h : -grad_h);
         }
     }
   }

@@ -61,10 +61,11 @@ void conv_quad_interp3d_backward(ConvQuadInterp3dBackward<T> const& p, int64_t b
         for_each_peak(f, volume, z, y, [&](int i, int const(&c)[3], Quadratic<F> const& q) {
           int64_t const at = z * plane + y * width + i;
           auto const coord = [&](int number) { return load<1>(p.grad_coords + (3 * volume + number) * size + at); };
-          F const to_shift[] = {coord(1), coord(2), coord(0)}, to_value = load<1>(p.grad_values + volume * size + at);
+          F const grad_shift[] = {coord(1), coord(2), coord(0)},
+                  grad_value = load<1>(p.grad_values + volume * size + at);
           F* const center = grad_x + c[2] * plane + c[1] * width + c[0];
-          grad_x[at] -= to_value;
-          q.vjp(to_shift, to_value,
+          grad_x[at] -= grad_value;
+          q.vjp(grad_shift, grad_value,
                 [&](int dx, int dy, int dz, F number) { center[dz * plane + dy * width + dx] += number; });
         });
   }

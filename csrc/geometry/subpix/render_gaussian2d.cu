@@ -101,7 +101,7 @@ __global__ void __launch_bounds__(kThreads)
   if (chunks > 1)
     p.partial[4 * blockIdx.x + threadIdx.x] = gradient;
   else
-    (threadIdx.x < 2 ? p.to_mean : p.to_std)[2 * plane + threadIdx.x % 2] = round_to<T>(gradient);
+    (threadIdx.x < 2 ? p.grad_mean : p.grad_std)[2 * plane + threadIdx.x % 2] = round_to<T>(gradient);
 }
 
 template <class T>
@@ -114,7 +114,7 @@ __global__ void __launch_bounds__(kThreads)
   over_block(sums);
   if (threadIdx.x != 0) return;
 #pragma unroll
-  for (int k = 0; k < 4; ++k) (k < 2 ? p.to_mean : p.to_std)[2 * blockIdx.x + k % 2] = round_to<T>(sums[k]);
+  for (int k = 0; k < 4; ++k) (k < 2 ? p.grad_mean : p.grad_std)[2 * blockIdx.x + k % 2] = round_to<T>(sums[k]);
 }
 
 }  // namespace

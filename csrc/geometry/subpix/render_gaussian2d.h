@@ -24,8 +24,8 @@ struct RenderGaussian2d {
   T* maps;  // (planes, height, width)
   // For the gradient only:
   T const* grad;
-  F* partial;           // (planes, chunks, 4): gradients to the mean, x before y, then to the standard deviation
-  T *to_mean, *to_std;  // (planes, 2), set by the CUDA kernel; on the CPU the operator sums them
+  F* partial;               // (planes, chunks, 4): gradients to the mean, x before y, then to the standard deviation
+  T *grad_mean, *grad_std;  // (planes, 2), set by the CUDA kernel; on the CPU the operator sums them
 
   KV_HD int64_t chunks() const { return (height + rows - 1) / rows; }
 };

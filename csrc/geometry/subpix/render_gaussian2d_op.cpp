@@ -64,22 +64,22 @@ std::tuple<Tensor, Tensor> render_gaussian2d_backward(Tensor const& grad, Tensor
            ": expected grad of shape (P, H, W), of mean's type and device");
   Gaussians const gaussians(op, mean, std, grad.size(1), grad.size(2), normalized);
   KV_CHECK(grad.size(0) == gaussians.planes, op, ": expected grad of ", gaussians.planes, " maps, got ", grad.size(0));
-  Tensor const g = dense(grad), to_mean = empty({gaussians.planes, 2}, gaussians.mean),
-               to_std = empty({gaussians.planes, 2}, gaussians.mean);
+  Tensor const g = dense(grad), grad_mean = empty({gaussians.planes, 2}, gaussians.mean),
+               grad_std = empty({gaussians.planes, 2}, gaussians.mean);
   dispatch_floating(op, gaussians.mean, [&](auto type) {
     using T = typename decltype(type)::type;
     RenderGaussian2d<T> p = gaussians.params<T>();
     Tensor const partial = empty({p.planes, p.chunks(), 4}, g, Layout::planar, compute_dtype(g));
     p.grad = data_ptr<T const>(g);
     p.partial = data_ptr<Compute<T>>(partial);
-    p.to_mean = data_ptr<T>(to_mean);
-    p.to_std = data_ptr<T>(to_std);
+    p.grad_mean = data_ptr<T>(grad_mean);
+    p.grad_std = data_ptr<T>(grad_std);
     KV_RUN(render_gaussian2d_backward, g, p, p.planes * p.chunks(), 2 * p.rows * p.width);
 #if !defined(KV_CUDA)
     for (int64_t i = 0; i < 4 * p.planes; ++i) {
       Compute<T> sum = 0;
       for (int64_t k = 0; k < p.chunks(); ++k) sum += p.partial[4 * (i / 4 * p.chunks() + k) + i % 4];
-      T* const to = (i % 4 < 2 ? p.to_mean : p.to_std) + i / 4 * 2 + i % 2;
+      T* const to = (i % 4 < 2 ? p.grad_mean : p.grad_std) + i / 4 * 2 + i % 2;
       if constexpr (sizeof(T) > 2)
         *to = sum;
       else if constexpr (std::is_same_v<T, Half>)
@@ -89,7 +89,7 @@ std::tuple<Tensor, Tensor> render_gaussian2d_backward(Tensor const& grad, Tensor
     }
 #endif
   });
-  return {to_mean, to_std};
+  return {grad_mean, grad_std};
 }
 
 }  // namespace

@@ -287,9 +287,9 @@ __global__ void __launch_bounds__(kThreads) voxels_of(__grid_constant__ SoftArgm
         F const* const from = p.records + volume * w.coords() + (int64_t(z) * w.out[1] + y) * w.out[2] + x;
         WindowRecord<F> const record{
             from[0], {from[count], from[2 * count], from[3 * count]}, from[4 * count], from[5 * count]};
-        sum += share_of<F, F>(record, v, fast_exp2((v - record.maximum) * sharpness),
-                              F(vz + w.before[0] - z * w.stride[0]), F(vy + w.before[1] - y * w.stride[1]),
-                              F(vx + w.before[2] - x * w.stride[2]), per_temperature);
+        sum += contribution_of<F, F>(record, v, fast_exp2((v - record.maximum) * sharpness),
+                                     F(vz + w.before[0] - z * w.stride[0]), F(vy + w.before[1] - y * w.stride[1]),
+                                     F(vx + w.before[2] - x * w.stride[2]), per_temperature);
       }
   p.grad_x[at] = round_to<T>(sum);
 }
@@ -306,8 +306,8 @@ __device__ __forceinline__ float one_pixel(SoftArgmaxBackward<float> const& p, i
       float const* const grads = p.grad_coords + 2 * plane * w.coords() + int64_t(y) * w.out[2] + x;
       float const grad[] = {0, grads[w.coords()] * p.scale[1], grads[0] * p.scale[2]};
       auto const record = record_of<float, float>(sums_at(w, image, p.temperature, 0, y, x), grad, 0.f);
-      sum += share_of<float, float>(record, v, fast_exp2((v - record.maximum) * sharpness), 0,
-                                    float(vy + w.before[1] - y), float(vx + w.before[2] - x), 1 / p.temperature);
+      sum += contribution_of<float, float>(record, v, fast_exp2((v - record.maximum) * sharpness), 0,
+                                           float(vy + w.before[1] - y), float(vx + w.before[2] - x), 1 / p.temperature);
     }
   return sum;
 }

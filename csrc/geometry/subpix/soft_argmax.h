@@ -135,7 +135,7 @@ KV_HD WindowRecord<V> record_of(WindowSums<V> const& sums, V const (&grad)[3], V
 
 // What a window contributes to the gradient of its voxel (k, j, i), whose value is v and whose exponential is e.
 template <class V, class F>
-KV_HD V share_of(WindowRecord<V> const& r, V v, V e, F k, F j, F i, F per_temperature) {
+KV_HD V contribution_of(WindowRecord<V> const& r, V v, V e, F k, F j, F i, F per_temperature) {
   V const weight_grad = r.coord[0] * k + r.coord[1] * j + r.coord[2] * i + r.value * v + r.rest;
   return e * (r.value + weight_grad * per_temperature);
 }

@@ -133,9 +133,9 @@ void soft_argmax_backward(SoftArgmaxBackward<T> const& p, int64_t begin, int64_t
                                          load<N>(at + 4 * count),
                                          load<N>(at + 5 * count)};
             V const e = vexp2<F, N>(V((v - record.maximum) * sharpness));
-            sum += share_of<V, F>(record, v, e, F(row.z + w.before[0] - z * w.stride[0]),
-                                  F(row.y + w.before[1] - y * w.stride[1]), F(x + w.before[2] - o * w.stride[2]),
-                                  per_temperature);
+            sum += contribution_of<V, F>(record, v, e, F(row.z + w.before[0] - z * w.stride[0]),
+                                         F(row.y + w.before[1] - y * w.stride[1]), F(x + w.before[2] - o * w.stride[2]),
+                                         per_temperature);
           }
       store<N>(p.grad_x + r * w.size[2] + x, sum);
     };

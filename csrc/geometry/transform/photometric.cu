@@ -51,15 +51,15 @@ __global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, 
   TileCoords<F> const coords(p.coords, tile);
   F sums[kPhotometricSums] = {};
   for_each_in_bounds(p, coords, [&](int y, int x, TapWindow<2, F> const& window, F u, F v) {
-    F to_u = 0, to_v = 0;
+    F grad_u = 0, grad_v = 0;
     for_each_channel(p, coords.tile.b, y, x, window, [&](F r, F along_x, F along_y) {
       F derivative;
       sums[9] += distance_of(p.distance, r, p.eps, derivative);
-      to_u += derivative * along_x;
-      to_v += derivative * along_y;
+      grad_u += derivative * along_x;
+      grad_v += derivative * along_y;
     });
     F const scale = reciprocal(coords.weight(y, x));
-    F const g[] = {to_u * scale, to_v * scale, -(to_u * u + to_v * v) * scale};
+    F const g[] = {grad_u * scale, grad_v * scale, -(grad_u * u + grad_v * v) * scale};
 #pragma unroll
     for (int i = 0; i < 3; ++i) {
       sums[3 * i] += g[i] * F(x);

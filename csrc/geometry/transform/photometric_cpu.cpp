@@ -55,12 +55,12 @@ KV_HD void add_gradients(Photometric<T> const& p, Homography<Compute<T>> const& 
                          int64_t b, int64_t y, int64_t first, int64_t e, Totals<Compute<T>>& totals) {
   using F = Compute<T>;
   using V = Lanes<F, N>;
-  V to_u{}, to_v{}, sum{};
+  V grad_u{}, grad_v{}, sum{};
   bool const inside = sample_channels<N>(p, coords, b, y, first, e, [&](V r, V along_x, V along_y) {
     V derivative;
     sum += distance_of(p.distance, r, p.eps, derivative);
-    to_u += derivative * along_x;
-    to_v += derivative * along_y;
+    grad_u += derivative * along_x;
+    grad_v += derivative * along_y;
   });
   if (!inside) {
     if constexpr (N > 1)
@@ -69,7 +69,7 @@ KV_HD void add_gradients(Photometric<T> const& p, Homography<Compute<T>> const& 
   }
   V const u = load<N>(coords.u + e), v = load<N>(coords.v + e);
   V const x = iota<N, F>(first + e), scale = 1 / map.weight(x, F(y));
-  V const g[] = {to_u * scale, to_v * scale, -(to_u * u + to_v * v) * scale};
+  V const g[] = {grad_u * scale, grad_v * scale, -(grad_u * u + grad_v * v) * scale};
   for (int k = 0; k < 3; ++k) {
     add_to<N>(totals.plain[k], g[k]);
     add_to<N>(totals.by_x[k], V(g[k] * x));

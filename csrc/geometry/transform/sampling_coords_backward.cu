@@ -102,14 +102,15 @@ __global__ void __launch_bounds__(kThreads, K == 4 || sizeof(T) == 8 ? 2 : 4)
           }
         }
         if (!p.coords.has_map()) {
-          F const scale = reciprocal(coords.weight(y, x)), to_u = grads.along_x * scale, to_v = grads.along_y * scale;
-          F to_map[] = {to_u, to_v, -(to_u * u + to_v * v)};
+          F const scale = reciprocal(coords.weight(y, x)), grad_u = grads.along_x * scale,
+                  grad_v = grads.along_y * scale;
+          F grad_map[] = {grad_u, grad_v, -(grad_u * u + grad_v * v)};
 #pragma unroll
           for (int i = 0; i < 3; ++i) {
-            if (to_map[i] - to_map[i] != 0) to_map[i] = 0;  // coordinates at infinity have no gradient
-            sums[3 * i] += to_map[i] * F(x);
-            sums[3 * i + 1] += to_map[i] * F(y);
-            sums[3 * i + 2] += to_map[i];
+            if (grad_map[i] - grad_map[i] != 0) grad_map[i] = 0;  // coordinates at infinity have no gradient
+            sums[3 * i] += grad_map[i] * F(x);
+            sums[3 * i + 1] += grad_map[i] * F(y);
+            sums[3 * i + 2] += grad_map[i];
           }
         } else {
           F &to_x = p.grad_x.row(b, 0, y)[x], &to_y = p.grad_y.row(b, 0, y)[x];

@@ -52,7 +52,7 @@ template <class F>
 struct RowChunk {
   int64_t b, image, y, first, count;
   CoordRow<F> coords;
-  F to_u[kTileColumns], to_v[kTileColumns];
+  F grad_u[kTileColumns], grad_v[kTileColumns];
 };
 
 template <int K, int N, class T, class F>
@@ -74,8 +74,8 @@ void coord_grads(SampleCoordsBackward<T> const& p, RowChunk<F>& chunk) {
       sum_x += grad * along_x;
       sum_y += grad * along_y;
     }
-    store<N>(chunk.to_u + e, sum_x);
-    store<N>(chunk.to_v + e, sum_y);
+    store<N>(chunk.grad_u + e, sum_x);
+    store<N>(chunk.grad_v + e, sum_y);
   }
 }
 
@@ -92,7 +92,7 @@ void coord_grads(SampleCoordsBackward<T> const& p, RowChunk<F>& chunk) {
     case Interpolation::bicubic:
       return coord_grads<4>(p, chunk);
     case Interpolation::nearest:
-      for (int64_t i = 0; i < chunk.count; ++i) chunk.to_u[i] = chunk.to_v[i] = 0;
+      for (int64_t i = 0; i < chunk.count; ++i) chunk.grad_u[i] = chunk.grad_v[i] = 0;
   }
 }
 
@@ -101,7 +101,7 @@ template <class F>
 void accumulate_matrix_grad(Homography<F> const& map, RowChunk<F> const& chunk, double* sums) {
   double plain[3] = {}, by_x[3] = {};
   for (int64_t i = 0; i < chunk.count; ++i) {
-    F const x = F(chunk.first + i), u = chunk.to_u[i], v = chunk.to_v[i];
+    F const x = F(chunk.first + i), u = chunk.grad_u[i], v = chunk.grad_v[i];
     F const scale = 1 / map.weight(x, F(chunk.y));
     F const g[] = {u * scale, v * scale, -(u * chunk.coords.u[i] + v * chunk.coords.v[i]) * scale};
     for (int k = 0; k < 3; ++k) {
@@ -140,8 +140,8 @@ void sample_coords_backward(SampleCoordsBackward<T> const& p, int64_t begin, int
       accumulate_matrix_grad(map, chunk, p.sums + 9 * (b * height + y));
     } else {
       for (int64_t i = 0; i < count; ++i) {
-        p.grad_x.row(b, 0, y)[first + i] = chunk.to_u[i] * p.coords.scale[0];
-        p.grad_y.row(b, 0, y)[first + i] = chunk.to_v[i] * p.coords.scale[1];
+        p.grad_x.row(b, 0, y)[first + i] = chunk.grad_u[i] * p.coords.scale[0];
+        p.grad_y.row(b, 0, y)[first + i] = chunk.grad_v[i] * p.coords.scale[1];
       }
     }
   });

@@ -86,15 +86,15 @@ __global__ void __launch_bounds__(kThreads)
   T const* const a = points.affine;
   T* const sums = p.sums + blockIdx.x * (4 * p.center_count + 6);
   int const warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  T u[kEach], v[kEach], to_x[kEach], to_y[kEach], affine[6] = {};
+  T u[kEach], v[kEach], grad_x[kEach], grad_y[kEach], affine[6] = {};
 #pragma unroll
   for (int k = 0; k < kEach; ++k) {
     int64_t const i = points.first + k * kThreads;
     bool const in_bounds = i < p.count;
     u[k] = in_bounds ? p.grad[p.at(points.b, i, 0)] : T(0);
     v[k] = in_bounds ? p.grad[p.at(points.b, i, 1)] : T(0);
-    to_x[k] = u[k] * a[2] + v[k] * a[3];
-    to_y[k] = u[k] * a[4] + v[k] * a[5];
+    grad_x[k] = u[k] * a[2] + v[k] * a[3];
+    grad_y[k] = u[k] * a[4] + v[k] * a[5];
     affine[0] += u[k];
     affine[1] += v[k];
     affine[2] += u[k] * points.x[k];
@@ -134,8 +134,8 @@ __global__ void __launch_bounds__(kThreads)
         T const dx = points.x[k] - at_x, dy = points.y[k] - at_y, square = dx * dx + dy * dy, log = log_of(square);
         T const value = radial_basis<T>(square, log);
         T const along = (u[k] * weight_x + v[k] * weight_y) * radial_basis_derivative<T>(square, log);
-        to_x[k] += along * dx;
-        to_y[k] += along * dy;
+        grad_x[k] += along * dx;
+        grad_y[k] += along * dy;
         terms[0] -= along * dx;
         terms[1] -= along * dy;
         terms[2] += value * u[k];
@@ -154,8 +154,8 @@ __global__ void __launch_bounds__(kThreads)
   for (int k = 0; k < kEach; ++k) {
     int64_t const i = points.first + k * kThreads;
     if (i >= p.count) continue;
-    p.grad_points[2 * (points.b * p.count + i)] = to_x[k];
-    p.grad_points[2 * (points.b * p.count + i) + 1] = to_y[k];
+    p.grad_points[2 * (points.b * p.count + i)] = grad_x[k];
+    p.grad_points[2 * (points.b * p.count + i) + 1] = grad_y[k];
   }
 }
 

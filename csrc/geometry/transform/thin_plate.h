@@ -110,12 +110,12 @@ __device__ __forceinline__ void each(ThreadBlock, int rows, int columns, F f) {
 //
 // by elimination with the largest pivot of each column. `subtract(row, k, rows, width)` subtracts a row with a 1 at k
 // from that many rows below it so that they have a 0 there; of these nothing up to k is read again.
-template <class T, class Team, class Log, class Subtract>
-KV_HD void solve_thin_plate_weights(ThinPlateWeights<T> const& p, int64_t b, T* system, Team team, Log log2,
+template <class T, class Group, class Log, class Subtract>
+KV_HD void solve_thin_plate_weights(ThinPlateWeights<T> const& p, int64_t b, T* system, Group group, Log log2,
                                     Subtract subtract) {
   int64_t const n = p.size(), width = p.width();
   auto const center = [&](int64_t i, int axis) { return p.centers[b * p.center_stride + 2 * i + axis]; };
-  each(team, n, width, [&](int64_t i, int64_t j) {
+  each(group, n, width, [&](int64_t i, int64_t j) {
     int64_t const low = min(i, j), high = max(i, j);
     T value = 0;
     if (j >= n) {
@@ -139,9 +139,9 @@ KV_HD void solve_thin_plate_weights(ThinPlateWeights<T> const& p, int64_t b, T* 
         pivot = other;
       }
     }
-    each(team, 0, 1, [](int64_t, int64_t) {});  // all threads have read the pivot
+    each(group, 0, 1, [](int64_t, int64_t) {});  // all threads have read the pivot
     T *const first = system + k * width, *const other = system + chosen * width;
-    each(team, 1, n + 2 - k, [&](int64_t, int64_t j) {
+    each(group, 1, n + 2 - k, [&](int64_t, int64_t j) {
       T const value = other[k + j] / pivot;
       other[k + j] = first[k + j];
       first[k + j] = value;
@@ -149,9 +149,9 @@ KV_HD void solve_thin_plate_weights(ThinPlateWeights<T> const& p, int64_t b, T* 
     subtract(first, k, n - k - 1, width);
   }
   for (int64_t k = n - 1; k > 0; --k)
-    each(team, k, 2,
+    each(group, k, 2,
          [&](int64_t i, int64_t j) { system[i * width + n + j] -= system[i * width + k] * system[k * width + n + j]; });
-  each(team, n, 2, [&](int64_t i, int64_t j) { p.result.set(2 * (b * n + i) + j, system[i * width + n + j]); });
+  each(group, n, 2, [&](int64_t i, int64_t j) { p.result.set(2 * (b * n + i) + j, system[i * width + n + j]); });
 }
 
 }  // namespace kv::geometry

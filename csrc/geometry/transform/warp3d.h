@@ -179,13 +179,13 @@ KV_HD Homography3<F> homography3(F const* entries, MatrixUse3 const& use) {
 
 template <class F>
 KV_HD void homography3_vjp(F const* entries, MatrixUse3 const& use, double* g, F* grad) {
-  double m[16], inverse[16], to_given[16];
+  double m[16], inverse[16], grad_matrix[16];
   matrix::load4(entries, use.rows, m);
   if (use.normalized) matrix::to_voxels_vjp(g, use);
   if (use.inverse) {
     matrix::invert4(m, inverse);
-    matrix::invert4_vjp(inverse, g, to_given);
-    g = to_given;
+    matrix::invert4_vjp(inverse, g, grad_matrix);
+    g = grad_matrix;
   }
   for (int i = 0; i < 4 * use.rows; ++i) grad[i] = F(g[i]);
 }

@@ -26,10 +26,10 @@ inline Tensor warped(Tensor const& image, SamplingOptions const& a, Matrix const
 inline Tensor with_rows(Tensor const& grad) { return as_layout(grad, layout_of(grad)); }
 
 // The gradient to a batch of images, by the matrices of the samples.
-inline Tensor warp_image_gradient(Tensor const& given_grad, BatchSize const& batch, SamplingOptions const& a,
+inline Tensor warp_image_gradient(Tensor const& grad_output, BatchSize const& batch, SamplingOptions const& a,
                                   Matrix const& m) {
   char const* const op = a.op;
-  Tensor const grad = with_rows(given_grad);
+  Tensor const grad = with_rows(grad_output);
   SampledImages const& sampled = a.images;
   Size const source = m.use.source, output = m.use.output;
   int64_t const channels = grad.size(1);
@@ -48,10 +48,10 @@ inline Tensor warp_image_gradient(Tensor const& given_grad, BatchSize const& bat
 }
 
 // The gradient to the matrices, of samples of an image.
-inline Tensor warp_matrix_gradient(Tensor const& given_grad, Tensor const& image, SamplingOptions const& a,
+inline Tensor warp_matrix_gradient(Tensor const& grad_output, Tensor const& image, SamplingOptions const& a,
                                    Matrix const& m) {
   char const* const op = a.op;
-  Tensor const grad = with_rows(given_grad);
+  Tensor const grad = with_rows(grad_output);
   int64_t const batch = a.images.samples;
   Size const source = m.use.source, output = m.use.output;
   int64_t const parts = coords_backward_parts(output, tiles_per_block(batch, output.height, output.width));

@@ -164,7 +164,7 @@ KV_HD int origin_near(double coord, int64_t size) { return 2 * int((coord > 0 ? 
 // The gradient of the caller's matrix, from that of the entries of homography(entries, use).
 template <class F>
 KV_HD void homography_vjp(F const* entries, MatrixUse const& use, double* g, F* grad) {
-  double m[9], a[9], to_matrix[9];
+  double m[9], a[9], grad_matrix[9];
   matrix::load(entries, use.rows, m);
   if (use.inverse)
     adjugate3(m, a);
@@ -177,10 +177,10 @@ KV_HD void homography_vjp(F const* entries, MatrixUse const& use, double* g, F* 
   for (int i = 0; i < 9; ++i) g[i] *= scale;
   if (use.normalized) matrix::to_pixels_vjp(g, use);
   if (use.inverse)
-    adjugate3_vjp(m, g, to_matrix);
+    adjugate3_vjp(m, g, grad_matrix);
   else
-    for (int i = 0; i < 9; ++i) to_matrix[i] = g[i];
-  for (int i = 0; i < 3 * use.rows; ++i) grad[i] = F(to_matrix[i]);
+    for (int i = 0; i < 9; ++i) grad_matrix[i] = g[i];
+  for (int i = 0; i < 3 * use.rows; ++i) grad[i] = F(grad_matrix[i]);
 }
 
 }  // namespace kv::geometry

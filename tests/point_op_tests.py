@@ -259,10 +259,10 @@ class PointOpTests:
             torch.library.opcheck(operator, tuple(args), test_utils=("test_schema", "test_faketensor"))
             images = [i for i, a in enumerate(args) if isinstance(a, Tensor) and a.dim() == 4]
             for layouts in itertools.product(("contiguous", "channels_last"), repeat=len(images)):
-                laid_out = list(args)
+                in_layouts = list(args)
                 for i, layout in zip(images, layouts):
-                    laid_out[i] = with_layout(args[i], layout)
-                assert not fake_differs(called, laid_out)
+                    in_layouts[i] = with_layout(args[i], layout)
+                assert not fake_differs(called, in_layouts)
             if max(a.dim() for a in args if isinstance(a, Tensor)) < 2:
                 continue  # a wrong shape for rows is valid for numbers
             fine = ("without rows", "without columns", *call.accepted)

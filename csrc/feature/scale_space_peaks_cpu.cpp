@@ -47,9 +47,9 @@ struct ResponseRows {
     }
   }
 
-  // Calls found(x, is_maximum) for the extrema of row y of level z.
-  template <class Found>
-  KV_HD void extrema(int z, int y, bool minima, Found found) const {
+  // Calls visit(x, is_maximum) for the extrema of row y of level z.
+  template <class Visit>
+  KV_HD void extrema(int z, int y, bool minima, Visit visit) const {
     F const* rows[3][3];
     for (int k = 0; k < 3; ++k)
       for (int j = 0; j < 3; ++j) rows[k][j] = row(z + k - 1, y + j - 1);
@@ -78,10 +78,10 @@ struct ResponseRows {
           for (int i = -1; i <= 1; ++i) compare(rows[k][j] + i);
       if (!remain()) return;
       if constexpr (N == 1) {
-        found(int(x), bool(above));
+        visit(int(x), bool(above));
       } else {
         for (int i = 0; i < N; ++i)
-          if (above[i] || (minima && below[i])) found(int(x) + i, above[i] != 0);
+          if (above[i] || (minima && below[i])) visit(int(x) + i, above[i] != 0);
       }
     };
     constexpr int N = kLanes<T>;

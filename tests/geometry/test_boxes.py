@@ -139,7 +139,7 @@ def test_methods_are_those_of_kornia(batch, theirs, device):
     tensor, more = xyxy(*batch, 5), xyxy(*batch, 3, seed=7)
     ours, his = G.Boxes.from_tensor(tensor.to(device)), theirs.Boxes.from_tensor(tensor)
     n = batch[0] if batch else 1
-    M, move, rim = rigid(n), rand(n, 2), 5 * rand(n, 4)
+    M, move, padding = rigid(n), rand(n, 2), 5 * rand(n, 4)
     low, high = torch.full((n, 2), 8.0, dtype=torch.float64), torch.full((n, 2), 19.0, dtype=torch.float64)
     index = (torch.tensor([0]),)
 
@@ -156,8 +156,8 @@ def test_methods_are_those_of_kornia(batch, theirs, device):
     both(lambda x, on: x.transform_boxes(on(M)).to_tensor("xyxy"))
     both(lambda x, on: x.transform_boxes_(on(M)))
     both(lambda x, on: x.translate(on(move)))
-    both(lambda x, on: x.pad(on(rim)))
-    both(lambda x, on: x.unpad(on(rim)))
+    both(lambda x, on: x.pad(on(padding)))
+    both(lambda x, on: x.unpad(on(padding)))
     both(lambda x, on: x.clamp(on(low), on(high)))
     both(lambda x, on: x.merge(type(x).from_tensor(on(more))))
     both(lambda x, on: x.filter_boxes_by_area(30, 90).to_tensor("xyxy"))

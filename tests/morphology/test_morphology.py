@@ -52,9 +52,9 @@ def test_kornia(kornia, name, kernel, options):
 def test_heights(kornia, name):
     x = torch.rand(2, 3, 9, 8, dtype=torch.float64)
     assert_close(getattr(M, name)(x, CROSS, HEIGHTS), getattr(kornia, name)(x, CROSS, HEIGHTS))
-    for ours, grey in ((M.dilation, scipy.ndimage.grey_dilation), (M.erosion, scipy.ndimage.grey_erosion)):
+    for ours, theirs in ((M.dilation, scipy.ndimage.grey_dilation), (M.erosion, scipy.ndimage.grey_erosion)):
         element = {"footprint": CROSS.numpy(), "structure": HEIGHTS.numpy()}
-        expected = grey(x[0, 0].numpy(), **element, mode="constant", cval=-9.0 if ours is M.dilation else 9.0)
+        expected = theirs(x[0, 0].numpy(), **element, mode="constant", cval=-9.0 if ours is M.dilation else 9.0)
         assert_close(ours(x, CROSS, HEIGHTS)[0, 0], torch.from_numpy(expected))
 
 

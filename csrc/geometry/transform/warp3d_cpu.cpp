@@ -43,8 +43,8 @@ struct RowChunk {
         auto const tap = first_tap<K, F>(near_image(p.axis(axis), at), t);
         store<N>(fraction[axis] + i, t);
         for (int k = 0; k < K; ++k) {
-          Lanes<int, N> const found = pixel_at(p.axis(axis), Lanes<int, N>(tap + k));
-          __builtin_memcpy(pixel[axis][k] + i, &found, sizeof(found));
+          Lanes<int, N> const indices = pixel_at(p.axis(axis), Lanes<int, N>(tap + k));
+          __builtin_memcpy(pixel[axis][k] + i, &indices, sizeof(indices));
         }
       }
     });

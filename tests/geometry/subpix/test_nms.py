@@ -28,7 +28,7 @@ class TestNms2d(OpTests):
     ]
 
     def test_all_small_sizes(self, variant, sizes, device):
-        """Maxima too near the rim are none: nothing is left of images as small as the window."""
+        """Peaks too near the border do not count: images as small as the window have none."""
         super().test_all_small_sizes(variant, sizes, device)
         x = torch.rand(1, 1, 2, 9, device=device)
         assert not G.nms2d(x, (3, 3)).any()

@@ -77,6 +77,14 @@ def test_robust(name, reduction):
     compare(name, 5 * rand(2, 3, 4), 5 * rand(2, 3, 4), reduction)
 
 
+@pytest.mark.parametrize("name", ["charbonnier_loss", "welsch_loss", "cauchy_loss", "geman_mcclure_loss"])
+def test_robust_without_a_reduction(name):
+    """None is 'none', as Kornia has it for some of them."""
+    a, b = 5 * rand(2, 3, 4), 5 * rand(2, 3, 4)
+    loss = getattr(L, name)
+    assert torch.equal(loss(a, b, None), loss(a, b, "none"))
+
+
 @pytest.mark.parametrize("reduction", ["none", "mean", "sum"])
 @pytest.mark.parametrize("name", ["kl_div_loss_2d", "js_div_loss_2d"])
 def test_divergences(name, reduction):

@@ -71,6 +71,23 @@ def test_compile_with_dynamic_sizes(device):
     assert len(graphs) == 1
 
 
+@pytest.mark.tracing
+@pytest.mark.parametrize("warp", [G.warp_perspective, G.warp_affine, G.homography_warp])
+def test_compile_with_matrices_of_a_constant_batch(warp, device):
+    """The matrices fit a batch of two, whatever its size; for other batches the error is that of the function."""
+    torch._dynamo.reset()
+    matrices = HOMOGRAPHY.to(device, torch.float32).expand(2, 3, 3)
+    if warp is G.warp_affine:
+        matrices = matrices[:, :2]
+    compiled = torch.compile(lambda x: warp(x, matrices, (8, 9)), dynamic=True, fullgraph=True, backend="eager")
+    for h, w in ((20, 24), (33, 26)):
+        x = torch.rand(2, 3, h, w, device=device)
+        assert_close(compiled(x), warp(x, matrices, (8, 9)))
+    name = warp.__name__
+    with pytest.raises(torch._dynamo.exc.Unsupported, match=rf"ShapeError\(.{name}: expected \w+ with 1 or "):
+        compiled(torch.rand(5, 3, 20, 24, device=device))
+
+
 def test_sizes_may_be_numpy_integers(device):
     x = torch.rand(1, 3, 9, 12, device=device)
     four, five = np.int64(4), np.int32(5)

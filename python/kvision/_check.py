@@ -132,6 +132,11 @@ def is_symbolic(*sizes: int) -> bool:
     return torch.compiler.is_compiling() or not all(type(n) is int for n in sizes)
 
 
+def is_one_or(count: int, samples: int) -> bool:
+    """Whether there is one for all samples or one for each. Dynamo gives False for a number in (1, its symbolic equal)."""
+    return count == 1 or count == samples
+
+
 def values_are_readable(x: Tensor) -> bool:
     """Whether values of `x` can be read without waiting for a device, and without breaking a trace or a transform."""
     return x.device.type == "cpu" and not (torch.compiler.is_compiling() or in_function_transform())

@@ -87,7 +87,7 @@ def _per_plane(
     if not isinstance(value, Tensor):
         return torch.full((b * c, 1, 1, 1), _check.number(op, name, value), device=device, dtype=dtype)
     _check.numbers(op, name, value)
-    if value.numel() not in (1, b):
+    if not _check.is_one_or(value.numel(), b):
         raise ShapeError(f"{op}: expected {name} with 1 or {b} numbers, got {tuple(value.shape)}")
     value = value.to(device=device, dtype=dtype).reshape(-1, 1)
     return value.expand(b, c).reshape(-1, 1, 1, 1)

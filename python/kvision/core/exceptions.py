@@ -1,4 +1,8 @@
-"""The exceptions kvision raises. Each also is the built-in a caller would expect, so `except ValueError` works too."""
+"""The exceptions kvision raises. Each also is the built-in a caller would expect, so `except ValueError` works too.
+
+Exception.__new__ keeps the message. Calls of Exception.__init__ are left out: dynamo cannot trace them, and would report
+that instead of the message where torch.compile(fullgraph=True) meets a wrong argument.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +30,6 @@ class ShapeError(BaseError, ValueError):
     """
 
     def __init__(self, message: str, *, actual_shape: Any = None, expected_shape: Any = None) -> None:
-        super().__init__(message)
         self.actual_shape = actual_shape
         self.expected_shape = expected_shape
 
@@ -40,7 +43,6 @@ class TypeCheckError(BaseError, TypeError):
     """
 
     def __init__(self, message: str, *, actual_type: Any = None, expected_type: Any = None) -> None:
-        super().__init__(message)
         self.actual_type = actual_type
         self.expected_type = expected_type
 
@@ -54,7 +56,6 @@ class ValueCheckError(BaseError, ValueError):
     """
 
     def __init__(self, message: str, *, actual_value: Any = None, expected_range: Any = None) -> None:
-        super().__init__(message)
         self.actual_value = actual_value
         self.expected_range = expected_range
 
@@ -68,7 +69,6 @@ class DeviceError(BaseError, ValueError):
     """
 
     def __init__(self, message: str, *, actual_devices: Any = None, expected_device: Any = None) -> None:
-        super().__init__(message)
         self.actual_devices = actual_devices
         self.expected_device = expected_device
 

@@ -226,7 +226,7 @@ def jpeg_codec_differentiable(
     for name, tensor in options.items():
         tensor = _check.to_device_of(op, x, name, tensor)
         inner = () if name == "jpeg_quality" else (8, 8)
-        if tensor.dim() == 0 or tensor.shape[0] not in (1, x.shape[0]) or tensor.shape[1:] != inner:
+        if tensor.dim() == 0 or not _check.is_one_or(tensor.shape[0], x.shape[0]) or tensor.shape[1:] != inner:
             want = ", ".join(map(str, ("B", *inner)))
             raise ShapeError(
                 f"{op}: expected {name} of shape ({want},) for B = {x.shape[0]}, got {tuple(tensor.shape)}"

@@ -267,7 +267,7 @@ def _fitting(name: str, parameter: str, size: int, value: Value, image: Any) -> 
     if size == 1 and axes <= 1 and (count == 1 or count == batch):
         return value.reshape(-1, 1, 1)
     rows = value if size > 1 and axes > 0 else value[..., None]
-    if rows.dim() > 2 or rows.shape[-1] not in (1, size) or math.prod(rows.shape[:-1]) not in (1, batch):
+    if rows.dim() > 2 or rows.shape[-1] not in (1, size) or not _check.is_one_or(math.prod(rows.shape[:-1]), batch):
         expected = f"() or ({batch},)" if size == 1 else f"({size},) or ({batch}, {size})"
         raise ShapeError(f"ColorProgram: expected {parameter} of {name} of shape {expected}, got {tuple(value.shape)}")
     return rows.expand(*rows.shape[:-1], size).reshape(-1, 1, size)
@@ -282,7 +282,7 @@ def _order(order: Tensor | None, enabled: Tensor | None, steps: int, image: Tens
         if not isinstance(x, Tensor) or x.dtype != kind:
             raise TypeCheckError(f"ColorProgram: expected {name} to be a Tensor of {kind}, got {x!r}")
         _check.same_device("ColorProgram", image=image, **{name: x})
-        if x.dim() not in (1, 2) or x.shape[-1] != steps or math.prod(x.shape[:-1]) not in (1, batch):
+        if x.dim() not in (1, 2) or x.shape[-1] != steps or not _check.is_one_or(math.prod(x.shape[:-1]), batch):
             raise ShapeError(
                 f"ColorProgram: expected {name} of shape ({steps},) or ({batch}, {steps}), got {tuple(x.shape)}"
             )

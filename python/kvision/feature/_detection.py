@@ -52,7 +52,7 @@ def check_mask(op: str, mask: Tensor | None, image: Tensor) -> None:
         return
     _check.shape(op, "mask", mask, "B", 1, *image.shape[2:])
     _check.same_device(op, img=image, mask=mask)
-    if mask.shape[0] not in (1, image.shape[0]):
+    if not _check.is_one_or(mask.shape[0], image.shape[0]):
         raise ShapeError(f"{op}: expected mask with a batch of 1 or {image.shape[0]}, got {tuple(mask.shape)}")
 
 

@@ -335,7 +335,7 @@ def transform_bbox(
             actual_shape=boxes.shape,
         )
     _check.same_device(op, trans_mat=trans_mat, boxes=boxes)
-    if trans_mat.shape[0] not in (1, boxes.shape[0]):
+    if not _check.is_one_or(trans_mat.shape[0], boxes.shape[0]):
         raise ShapeError(
             f"{op}: expected trans_mat with 1 or {boxes.shape[0]} matrices, got {tuple(trans_mat.shape)}",
             actual_shape=trans_mat.shape,

@@ -175,7 +175,7 @@ class Collection:
     def _of_images(self, op: str, name: str, vectors: Tensor) -> Tensor:
         """Reshape vectors (B, D) or (1, D) of images so that they broadcast with the items."""
         images = self._data.shape[0] if self._is_batched else 1
-        if vectors.shape[0] not in (1, images):
+        if not _check.is_one_or(vectors.shape[0], images):
             raise ShapeError(f"{op}: expected {name} with 1 or {images} rows, got {tuple(vectors.shape)}")
         vectors = vectors.to(self._data)
         if not self._is_batched:
@@ -186,7 +186,7 @@ class Collection:
         op, n = f"{type(self).__name__}.{method}", self.item[-1] + 1
         _check.trailing_shape(op, "M", M, n, n)
         images = self._data.shape[0] if self._is_batched else 1
-        if M.dim() > 3 or (M.dim() == 3 and M.shape[0] not in (1, images)):
+        if M.dim() > 3 or (M.dim() == 3 and not _check.is_one_or(M.shape[0], images)):
             raise ShapeError(f"{op}: expected M of shape ({n}, {n}) or ({images}, {n}, {n}), got {tuple(M.shape)}")
         _check.same_device(op, data=self._data, M=M)
         return self._changed(transformed(self._data, M), inplace)

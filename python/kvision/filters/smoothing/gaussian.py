@@ -176,7 +176,7 @@ def sigma_arguments(
 
 def batch_of(op: str, name: str, x: Tensor, values: Tensor) -> Tensor:
     """`values` as images `x` are computed, in type and device; raise unless there is one row, or one for each image."""
-    if values.shape[0] not in (1, x.shape[0]):
+    if not _check.is_one_or(values.shape[0], x.shape[0]):
         raise ShapeError(
             f"{op}: expected {name} with 1 or {x.shape[0]} rows, got {tuple(values.shape)}", actual_shape=values.shape
         )

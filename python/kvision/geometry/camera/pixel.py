@@ -73,7 +73,7 @@ def _check_grid(op: str, name: str, grid: Tensor, matrix_name: str, matrix: Tens
     """The matrix on the device of the grid; raise unless these are a grid and its matrices."""
     _check.shape(op, name, grid, "B", "H", "W", 3)
     _check.shape(op, matrix_name, matrix, "B", 4, 4)
-    if matrix.shape[0] not in (1, grid.shape[0]):
+    if not _check.is_one_or(matrix.shape[0], grid.shape[0]):
         raise ShapeError(f"{op}: expected {matrix_name} with 1 or {grid.shape[0]} matrices, got {tuple(matrix.shape)}")
     return _check.to_device_of(op, grid, matrix_name, matrix, of=name)
 

@@ -118,7 +118,7 @@ class StereoCamera:
         _check.shape(op, "disparity_tensor", disparity_tensor, "B", "H", "W", 1)
         _check.floating(op, "disparity_tensor", disparity_tensor)
         _check.same_device(op, cameras=self.rectified_left_camera, disparity_tensor=disparity_tensor)
-        if self.batch_size not in (1, disparity_tensor.shape[0]):
+        if not _check.is_one_or(self.batch_size, disparity_tensor.shape[0]):
             raise ShapeError(f"{op}: expected {self.batch_size} disparity maps, got {tuple(disparity_tensor.shape)}")
         points, divides = _reprojected(disparity_tensor, self.rectified_left_camera, self.rectified_right_camera)
         if not return_mask:

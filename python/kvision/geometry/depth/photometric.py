@@ -168,7 +168,7 @@ def photometric_depth_loss(
     if stored != target.dtype:
         dtype = torch.promote_types(stored, target.dtype)
         views, target = views.to(dtype), target.to(dtype)
-    if target.shape[1] != views.shape[2] or target.shape[0] not in (1, views.shape[0]):
+    if target.shape[1] != views.shape[2] or not _check.is_one_or(target.shape[0], views.shape[0]):
         raise ShapeError(
             f"{op}: expected target of shape {(views.shape[0], views.shape[2], 'h', 'w')}, got {tuple(target.shape)}",
             actual_shape=target.shape,

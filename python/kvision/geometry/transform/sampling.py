@@ -535,7 +535,11 @@ def padding_and_fill(
     elif len(shape) < 2:
         fill_value = fill_value.reshape(1, -1)
     b, c = image.shape[0] if samples is None else samples, image.shape[1]
-    if fill_value.dim() != 2 or fill_value.shape[0] not in (1, b) or fill_value.shape[1] not in (1, c):
+    if (
+        fill_value.dim() != 2
+        or not _check.is_one_or(fill_value.shape[0], b)
+        or not _check.is_one_or(fill_value.shape[1], c)
+    ):
         raise ShapeError(
             f"{op}: expected fill_value of shape (), ({c},) or ({b}, {c}, 1, 1), got {tuple(shape)}", actual_shape=shape
         )
@@ -556,7 +560,7 @@ def cast_to_image(op: str, image: Tensor, name: str, x: Tensor, samples: int | N
     """
     x = _check.to_device_of(op, image, name, x, of="image")
     samples = image.shape[0] if samples is None else samples
-    if x.shape[0] not in (1, samples):
+    if not _check.is_one_or(x.shape[0], samples):
         raise ShapeError(f"{op}: expected {name} with 1 or {samples} rows, got {tuple(x.shape)}", actual_shape=x.shape)
     return as_dtype(x, compute_dtype(image))
 

@@ -181,7 +181,7 @@ def rotate3d(
     angles = []
     for name, angle in (("yaw", yaw), ("pitch", pitch), ("roll", roll)):
         _check.numbers("rotate3d", name, angle)
-        if angle.numel() not in (1, batch):
+        if not _check.is_one_or(angle.numel(), batch):
             raise ShapeError(f"rotate3d: expected {name} of shape ({batch},), got {tuple(angle.shape)}")
         angle = _check.to_device_of("rotate3d", volumes, name, angle, of="tensor")
         angles.append(as_dtype(angle if angle.dim() == 1 else angle.reshape(-1), dtype))

@@ -300,6 +300,8 @@ def scale_intrinsics(camera_matrix: Tensor, scale_factor: float | Tensor) -> Ten
     _check.floating_trailing_shape("scale_intrinsics", "camera_matrix", camera_matrix, 3, 3)
     if not isinstance(scale_factor, Tensor):
         scale_factor = _check.number("scale_intrinsics", "scale_factor", scale_factor)
-    scaled = camera_matrix.new_tensor([[1, 0, 1], [0, 1, 1], [0, 0, 0]]).bool()
-    factor = scale_factor[..., None, None] if isinstance(scale_factor, Tensor) else scale_factor
-    return torch.where(scaled, camera_matrix * factor, camera_matrix)
+    scaled = camera_matrix * (scale_factor[..., None, None] if isinstance(scale_factor, Tensor) else scale_factor)
+    k = camera_matrix.to(scaled.dtype).expand_as(scaled).flatten(-2).unbind(-1)
+    s = scaled.flatten(-2).unbind(-1)
+    # Of these entries, not by a mask: making one on the GPU would wait for it.
+    return torch.stack([s[0], k[1], s[2], k[3], s[4], s[5], *k[6:]], -1).unflatten(-1, (3, 3))

@@ -242,15 +242,15 @@ __device__ __forceinline__ void spread(JpegLevels<F> const& levels, int64_t imag
   int const n = int(levels.width) / 2, first = x / 2;
   F const *const near = levels.row(image, plane, rows.near) + first, *const far =
                                                                          levels.row(image, plane, rows.far) + first;
-  auto const mix = [&](F a, F b) { return a * rows.near_weight + b * rows.far_weight; };
+  auto const interpolate = [&](F a, F b) { return a * rows.near_weight + b * rows.far_weight; };
   auto const a = *reinterpret_cast<Vector<F, 2> const*>(near), b = *reinterpret_cast<Vector<F, 2> const*>(far);
-  F half[4] = {0, mix(a.v[0], b.v[0]), mix(a.v[1], b.v[1]), 0};
+  F half[4] = {0, interpolate(a.v[0], b.v[0]), interpolate(a.v[1], b.v[1]), 0};
   if (first > 0)
-    half[0] = mix(near[-1], far[-1]);
+    half[0] = interpolate(near[-1], far[-1]);
   else if (replicate)
     half[0] = half[1];
   if (first + 2 < n)
-    half[3] = mix(near[2], far[2]);
+    half[3] = interpolate(near[2], far[2]);
   else if (replicate)
     half[3] = half[2];
 #pragma unroll

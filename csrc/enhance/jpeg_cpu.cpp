@@ -192,7 +192,7 @@ struct HalfRow {
   int64_t const n;
   explicit KV_HD HalfRow(int64_t n) : memory(n + 32), data(memory.data + 16), n(n) {}
 
-  KV_HD void mix(JpegLevels<F> const& levels, int64_t b, int plane, JpegPair<F> const& rows) const {
+  KV_HD void interpolate(JpegLevels<F> const& levels, int64_t b, int plane, JpegPair<F> const& rows) const {
     F const *const near = levels.row(b, plane, rows.near), *const far = levels.row(b, plane, rows.far);
     for (int64_t i = 0; i < n; i += 8)
       store<8>(data + i, load<8>(near + i) * rows.near_weight + load<8>(far + i) * rows.far_weight);
@@ -219,7 +219,7 @@ struct DoubledRow {
   KV_HD void fill(JpegLevels<F> const& levels, int64_t b, int64_t y) const {
     auto const rows = jpeg_doubled<F>(int(y), int(levels.height));
     for (int c = 0; c < 2; ++c) {
-      half.mix(levels, b, 1 + c, rows);
+      half.interpolate(levels, b, 1 + c, rows);
       half.data[-1] = half.data[0];
       half.data[half.n] = half.data[half.n - 1];
       half.spread(rows.near_weight, rows.far_weight, [&](auto const& v, int64_t x) { store<8>(of(c) + x, v); });
@@ -357,7 +357,7 @@ void jpeg_pixels_backward(JpegPixelsBackward<T> const& p, int64_t begin, int64_t
       F const* const luma = levels.row(b, 0, row);
       for (int64_t x = 0; x < width; x += 8) add(0, load<8>(luma + x), x);
       for (int plane = 1; plane < 3; ++plane) {
-        half.mix(levels, b, plane, jpeg_halved_vjp<F>(int(row), int(levels.height)));
+        half.interpolate(levels, b, plane, jpeg_halved_vjp<F>(int(row), int(levels.height)));
         half.data[-1] = half.data[half.n] = 0;
         half.spread(F(kJpegInner), F(kJpegOuter), [&](auto const& v, int64_t x) { add(plane, v, x); });
         sums[plane][1] += half.data[0] * F(kJpegOuter);

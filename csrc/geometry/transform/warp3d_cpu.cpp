@@ -133,11 +133,11 @@ void scatter_planes(Warp3d<T> const& p, int64_t begin, int64_t end) {
 // The gradient of the coordinates of a voxel, of the sums over channels of gradients times taps.
 template <class F>
 KV_HD void grad_of_coords(F const (&sums)[8], F x, F y, F z, F (&grad)[3]) {
-  auto const mix = [](F t, F a, F b) { return a * (1 - t) + b * t; };
+  auto const lerp = [](F t, F a, F b) { return a * (1 - t) + b * t; };
   F const(&s)[8] = sums;
-  grad[0] = mix(z, mix(y, s[1] - s[0], s[3] - s[2]), mix(y, s[5] - s[4], s[7] - s[6]));
-  grad[1] = mix(z, mix(x, s[2] - s[0], s[3] - s[1]), mix(x, s[6] - s[4], s[7] - s[5]));
-  grad[2] = mix(y, mix(x, s[4] - s[0], s[5] - s[1]), mix(x, s[6] - s[2], s[7] - s[3]));
+  grad[0] = lerp(z, lerp(y, s[1] - s[0], s[3] - s[2]), lerp(y, s[5] - s[4], s[7] - s[6]));
+  grad[1] = lerp(z, lerp(x, s[2] - s[0], s[3] - s[1]), lerp(x, s[6] - s[4], s[7] - s[5]));
+  grad[2] = lerp(y, lerp(x, s[4] - s[0], s[5] - s[1]), lerp(x, s[6] - s[2], s[7] - s[3]));
 }
 
 }  // namespace

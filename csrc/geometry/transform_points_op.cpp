@@ -101,7 +101,7 @@ Tensor transform_points(Tensor const& points, std::optional<Tensor> const& depth
 
 std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad, Tensor const& points,
                                                              std::optional<Tensor> const& depth, Tensor const& matrix,
-                                                             int64_t kind, bool grad_matrix) {
+                                                             int64_t kind, bool wants_matrix) {
   char const* const op = "transform_points_backward";
   PointTransform const args(op, points, depth, matrix, kind);
   KV_CHECK(grad.dim() == 3 && grad.size(0) == points.size(0) && grad.size(1) == points.size(1) &&
@@ -122,8 +122,8 @@ std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad,
   ScalarType const type = compute_dtype(points);
   Tensor const grad_points = empty({matrices, count, points.size(2)}, points),
                grad_depth = empty({matrices, count, depth ? 1 : 0}, points),
-               partial = empty({grad_matrix ? matrices : 0, parts, entries}, points, Layout::planar, type);
-  Tensor sums = empty({matrices, grad_matrix ? matrix.size(1) : 0, matrix.size(2)}, points, Layout::planar, type);
+               partial = empty({wants_matrix ? matrices : 0, parts, entries}, points, Layout::planar, type);
+  Tensor sums = empty({matrices, wants_matrix ? matrix.size(1) : 0, matrix.size(2)}, points, Layout::planar, type);
   dispatch_floating(op, points, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
@@ -133,8 +133,8 @@ std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad,
                                             data_ptr<F const>(args.matrix),
                                             data_ptr<T>(grad_points),
                                             data_ptr<T>(grad_depth),
-                                            grad_matrix ? data_ptr<F>(partial) : nullptr,
-                                            grad_matrix ? data_ptr<F>(sums) : nullptr,
+                                            wants_matrix ? data_ptr<F>(partial) : nullptr,
+                                            wants_matrix ? data_ptr<F>(sums) : nullptr,
                                             args.matrices() == 1 ? 0 : entries,
                                             count,
                                             matrices,
@@ -143,7 +143,7 @@ std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad,
                                             args.distance};
     KV_RUN(transform_points_backward, points, params, matrices * parts, 16 * part);
 #if !defined(KV_CUDA)
-    if (grad_matrix) add_parts(params, entries);
+    if (wants_matrix) add_parts(params, entries);
 #endif
   });
 #if defined(KV_CUDA)
@@ -157,7 +157,7 @@ std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad,
 KV_OPERATOR(transform_points, "(Tensor points, Tensor? depth, Tensor matrix, int kind) -> Tensor")
 KV_OPERATOR(
     transform_points_backward,
-    "(Tensor grad, Tensor points, Tensor? depth, Tensor matrix, int kind, bool grad_matrix) -> (Tensor, Tensor, "
+    "(Tensor grad, Tensor points, Tensor? depth, Tensor matrix, int kind, bool wants_matrix) -> (Tensor, Tensor, "
     "Tensor)")
 
 }  // namespace kv::geometry

@@ -299,7 +299,7 @@ inline constexpr Operator<"depth_warp", Tensor(Tensor image, Tensor depth, Tenso
 
 inline constexpr Operator<"transform_points", Tensor(Tensor points, OptionalTensor depth, Tensor matrix, int64_t kind)>
     transform_points{
-        [](Backward const& b) { return b.call("transform_points_backward", {{"to_matrix", b.needs(2)}}); }};
+        [](Backward const& b) { return b.call("transform_points_backward", {{"wants_matrix", b.needs(2)}}); }};
 inline constexpr Operator<"undistort_map", Tensor(Tensor camera, Tensor coefficients, OptionalTensor tilt, Ints size)>
     undistort_map{from<"undistort_map_backward">};
 

@@ -101,6 +101,7 @@ class CompositionTests:
             if case.differentiable:
                 assert_close(*(torch.autograd.grad(y.square().sum(), leaves) for y in (actual, expected)))
 
+    @pytest.mark.interface
     def test_autocast_changes_nothing(self, case, device):
         values = self.values(case, device, torch.float32)
         expected = case.call(*values)
@@ -116,6 +117,7 @@ class CompositionTests:
             y.sum().backward()
             assert values[0].grad.shape == values[0].shape
 
+    @pytest.mark.interface
     def test_input_is_not_modified(self, case, device):
         """A result does not alias its input either."""
         values = self.values(case, device)
@@ -135,6 +137,7 @@ class CompositionTests:
                 values[i] = v.contiguous(memory_format=torch.channels_last)
         assert_close(case.call(*values), expected)
 
+    @pytest.mark.interface
     def test_cuda_graph(self, case, device):
         if device.type != "cuda":
             pytest.skip("needs --device cuda")

@@ -80,10 +80,14 @@ OPERATORS = (
     *("augmentation", "color", "contrib", "enhance", "feature", "filters", "geometry", "losses", "metrics"),
     "morphology",
 )
+# A test that compares with one of them names it.
+PEERS = ("kornia", "opencv", "torchvision", "pil", "scipy", "scikit", "skimage")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark tests by folder: `operators` for the folders above, the files next to this one, and docstring examples.
+
+    `peers` are tests with another library in their name or their file's. Docstring examples are of the `interface`.
 
     Files with slow tests come first, then those next to this one, many of which start programs, so that no process is left
     with one of them when the others are done.
@@ -93,6 +97,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         folder = item.path.relative_to(here).parts[0] if item.path.is_relative_to(here) else None
         if folder is None or folder in OPERATORS or folder == item.path.name:
             item.add_marker(pytest.mark.operators)
+        if folder is None:
+            item.add_marker(pytest.mark.interface)
+        words = f"{item.path.stem}_{item.name.partition('[')[0]}".split("_")
+        if any(word.startswith(PEERS) for word in words):
+            item.add_marker(pytest.mark.peers)
     slow = {item.path for item in items if item.get_closest_marker("slow") is not None}
     items.sort(key=lambda item: (item.path not in slow, item.path.parent != here))
 

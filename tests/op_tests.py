@@ -215,6 +215,7 @@ class OpTests:
         else:
             assert_close(output, as_tuple(self.call(x.float(), kwargs))[0])
 
+    @pytest.mark.interface
     def test_other_integers_become_float32(self, variant, device):
         x, kwargs = self.setup(variant, device, torch.uint8)
         assert_close(self.call(x.to(torch.int32), kwargs), self.call(x.float(), kwargs))
@@ -271,6 +272,7 @@ class OpTests:
         x[0, 1, ..., 6, 7] = float("nan")
         self.check(self.call(x, kwargs), self.expected(x, kwargs))
 
+    @pytest.mark.interface
     def test_input_is_not_modified(self, variant, device):
         x, kwargs = self.setup(variant, device, torch.float32)
         _, values = self.tensors(x, kwargs)
@@ -280,6 +282,7 @@ class OpTests:
         assert versions == [v._version for v in values]
         assert all(torch.equal(a, b) for a, b in zip(before, values))
 
+    @pytest.mark.interface
     def test_module(self, variant, device):
         if self.module is None:
             pytest.skip("no module form")
@@ -324,6 +327,7 @@ class OpTests:
         for other in outputs[1:]:
             assert all(torch.equal(a, b) for a, b in zip(outputs[0], other))
 
+    @pytest.mark.interface
     def test_serves_natively(self, variant, device, backend):
         """Kernels serve all calls: with backend "native" a missing kernel raises an error."""
         self.needs_native(backend)
@@ -349,6 +353,7 @@ class OpTests:
                 checks[name] = ("test_schema", "test_faketensor")
         assert set(checks) == set(self.operators)
 
+    @pytest.mark.interface
     def test_fake_results_are_laid_out_as_real_ones(self, device, backend):
         """Strides of fake and real results agree for all layouts of images and gradients, as torch.compile requires.
 
@@ -433,6 +438,7 @@ class OpTests:
         noise = 0.0 if device.type == "cpu" else 1e-9
         assert torch.autograd.gradgradcheck(f, values, fast_mode=True, nondet_tol=noise)
 
+    @pytest.mark.interface
     def test_only_what_is_asked_for(self, variant, device):
         """Gradients of the parameters alone equal those asked for together."""
         self.needs_gradient()
@@ -449,6 +455,7 @@ class OpTests:
 
     # --- transforms ---
 
+    @pytest.mark.interface
     def test_vmap(self, variant, device):
         x, kwargs = self.setup(variant, device, shape=(2, 2, *self.shape[1:]))
         for in_dim in (0, 1):
@@ -460,6 +467,7 @@ class OpTests:
             each = [as_tuple(self.call(s, kwargs)) for s in x]
             self.check(actual, tuple(torch.stack(parts) for parts in zip(*each)))
 
+    @pytest.mark.interface
     def test_func_grad_and_jvp(self, variant, device):
         self.needs_gradient()
         x, kwargs = self.setup(variant, device, shape=self.small)
@@ -476,6 +484,7 @@ class OpTests:
         per_sample = torch.func.vmap(torch.func.grad(loss))(x[None].repeat(3, *[1] * x.dim()))
         assert_close(per_sample[1], expected)
 
+    @pytest.mark.interface
     def test_pullback_is_differentiable(self, variant, device):
         """The function from torch.func.vjp is called outside of it and differentiated by torch.autograd."""
         self.needs_gradient()
@@ -503,6 +512,7 @@ class OpTests:
             expected = torch.autograd.functional.hessian(loss, x)
         assert_close(torch.func.hessian(loss)(x), expected, 1e-6, 1e-7)
 
+    @pytest.mark.interface
     def test_autocast_changes_nothing(self, variant, device):
         x, kwargs = self.setup(variant, device, torch.float32)
         plain = self.call(x, kwargs)
@@ -549,6 +559,7 @@ class OpTests:
         y = self.input((3, *self.shape[1:]), torch.float32, device) if shared else x
         self.check(program.module()(y), self.call(y, kwargs))
 
+    @pytest.mark.interface
     def test_cuda_graph(self, variant, device):
         if device.type != "cuda":
             pytest.skip("needs --device cuda")
@@ -574,6 +585,7 @@ class OpTests:
         graph.replay()
         assert_close(tuple(c.detach() for c in captured), tuple(e.detach() for e in step()))
 
+    @pytest.mark.interface
     def test_current_stream(self, variant, device):
         """Kernels wait for earlier work on the current stream, and for no other work."""
         if device.type != "cuda":
@@ -591,6 +603,7 @@ class OpTests:
 
     # --- bad input ---
 
+    @pytest.mark.interface
     def test_wrong_kinds(self, variant, device):
         x, kwargs = self.setup(variant, device, torch.float32)
         name = self.function.__name__
@@ -606,6 +619,7 @@ class OpTests:
                 self.call(wrong, kwargs)
             assert isinstance(caught.value, K.core.exceptions.BaseError)
 
+    @pytest.mark.interface
     def test_errors(self, device):
         x = self.input(self.shape, torch.float32, device)
         for kwargs, error, message in self.errors:

@@ -188,6 +188,7 @@ class PointOpTests:
         for a, b in zip(*results):
             assert_close(a, b, 0, 0)
 
+    @pytest.mark.interface
     def test_inputs_are_not_modified(self, name, call, device):
         args = self.rows(call, BATCH, device, call.dtypes[0])
         before = [None if x is None else x.clone() for x in args]
@@ -207,6 +208,7 @@ class PointOpTests:
         # Second derivatives are torch's, whose scattered additions on CUDA have no fixed order.
         assert torch.autograd.gradgradcheck(f, leaves, fast_mode=True, nondet_tol=1e-12 if device.type == "cuda" else 0)
 
+    @pytest.mark.interface
     def test_vmap(self, name, call, device):
         if not call.per_sample:
             pytest.skip("the batch is not one of samples")

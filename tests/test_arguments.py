@@ -23,6 +23,8 @@ from example_calls import HOMES, Call, example_calls
 from kvision.core.exceptions import DeviceError, TypeCheckError
 from test_docstrings import public_objects
 
+pytestmark = pytest.mark.interface
+
 # --- what is no tensor ------------------------------------------------------------------------------------------------
 
 NO_TENSORS = {

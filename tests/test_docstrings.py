@@ -20,6 +20,8 @@ import pytest
 
 from test_public_api import public_modules, public_names
 
+pytestmark = pytest.mark.interface
+
 ROOT = Path(__file__).parents[1]
 SECTIONS = ("Args", "Returns", "Raises", "Example")
 

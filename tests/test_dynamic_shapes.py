@@ -11,6 +11,8 @@ from torch.export import Dim
 import kvision as K
 from op_tests import assert_close
 
+pytestmark = pytest.mark.interface
+
 G = K.geometry
 HOMOGRAPHY = torch.tensor([[[1.0, 0.1, 1.0], [0.05, 1.0, -1.0], [0.0, 0.0, 1.0]]])
 

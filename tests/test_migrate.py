@@ -8,6 +8,8 @@ import pytest
 
 from kvision import migrate
 
+pytestmark = pytest.mark.interface
+
 PAGE = """
 # Where results differ
 

@@ -16,6 +16,8 @@ import kvision as K
 from kvision import _backend, _ops
 from kvision._modes import INTERPOLATION, PADDING
 
+pytestmark = pytest.mark.interface
+
 
 def run(code: str, **environment: str) -> subprocess.CompletedProcess:
     return subprocess.run(

@@ -22,6 +22,8 @@ from torch import Tensor
 import kvision as K
 from benchmarks.sample_calls import Size, sample_calls
 
+pytestmark = pytest.mark.interface
+
 kornia = pytest.importorskip("kornia")
 
 SIZE = Size(2, 3, 20, 24)

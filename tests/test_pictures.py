@@ -23,6 +23,8 @@ from torch import Tensor
 import kvision as K
 from op_tests import TOLERANCES
 
+pytestmark = pytest.mark.interface
+
 F = K.filters
 MIRROR, REPLICATE = cv2.BORDER_REFLECT_101, cv2.BORDER_REPLICATE  # "reflect" and "replicate" here
 FLOAT, EXACT = TOLERANCES[torch.float32], (0, 0)

@@ -17,9 +17,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import pytest
 from torch import nn
 
 import kvision as K
+
+pytestmark = pytest.mark.interface
 
 LIST = Path(__file__).with_name("public_api.txt")
 

@@ -1,9 +1,13 @@
 """Every operator is tested by an inherited suite."""
 
+import pytest
+
 import suites
 from kvision import _ops
 from op_tests import OpTests
 from point_op_tests import PointOpTests
+
+pytestmark = pytest.mark.interface
 
 
 def test_a_suite_claims_every_operator():

@@ -13,6 +13,8 @@ from torch.autograd import forward_ad
 import kvision
 from kvision import _torch_compat
 
+pytestmark = pytest.mark.interface
+
 PACKAGE = Path(kvision.__file__).parent
 
 

@@ -11,6 +11,8 @@ from torch import Tensor
 import kvision as K
 import kvision.augmentation as A
 
+pytestmark = pytest.mark.interface
+
 
 class Shift(A.GeometricAugmentationBase2D):
     """Three columns to the right and a row up."""

@@ -46,6 +46,7 @@ def test_all_classes_have_a_case() -> None:
     assert classes == {case.name for case in CASES}
 
 
+@pytest.mark.interface
 @names
 def test_replay_is_exact(case: Case, device: torch.device) -> None:
     x, augment = images(device), case.make(p=0.7)
@@ -69,6 +70,7 @@ def _saved(params: dict[str, Any]) -> io.BytesIO:
     return stream
 
 
+@pytest.mark.interface
 @names
 def test_manual_seed_reproduces(case: Case, device: torch.device) -> None:
     x, augment = images(device), case.make()
@@ -81,6 +83,7 @@ def test_manual_seed_reproduces(case: Case, device: torch.device) -> None:
     assert torch.equal(case.make(generator=torch.Generator().manual_seed(5))(x), first)
 
 
+@pytest.mark.interface
 @random_names
 def test_a_call_takes_one_word_of_the_generator(case: Case) -> None:
     x, augment = images(), case.make(p=1.0)
@@ -94,6 +97,7 @@ def test_a_call_takes_one_word_of_the_generator(case: Case) -> None:
     assert torch.equal(torch.get_rng_state(), after)
 
 
+@pytest.mark.interface
 @names
 def test_seeds_of_samples_are_independent_of_the_batch(case: Case, device: torch.device) -> None:
     if case.one_kernel:
@@ -109,6 +113,7 @@ def test_seeds_of_samples_are_independent_of_the_batch(case: Case, device: torch
     assert torch.equal(augment(x, seed=7), augment(x, seed=7))
 
 
+@pytest.mark.interface
 @random_names
 def test_parameters_are_those_of_the_cpu(case: Case, device: torch.device) -> None:
     there, here = case.make(p=0.7), case.make(p=0.7)
@@ -135,6 +140,7 @@ def test_samples_not_chosen_are_unchanged(case: Case, device: torch.device) -> N
     assert torch.equal(matrix[~chosen], torch.eye(3).expand(int((~chosen).sum()), 3, 3))
 
 
+@pytest.mark.interface
 @random_names
 def test_same_on_batch(case: Case) -> None:
     if case.changes_size and "same_on_batch" not in inspect.signature(getattr(A, case.name)).parameters:
@@ -157,6 +163,7 @@ def test_small_batches(case: Case, batch: int, device: torch.device) -> None:
     assert y.shape[:2] == x.shape[:2]
 
 
+@pytest.mark.interface
 @names
 def test_ranks(case: Case) -> None:
     x = images()[0]
@@ -198,6 +205,7 @@ def test_channels_last(case: Case, device: torch.device) -> None:
     assert again.is_contiguous(memory_format=torch.channels_last) and torch.equal(again, y)
 
 
+@pytest.mark.interface
 @names
 def test_inputs_are_not_modified(case: Case) -> None:
     x = images()
@@ -215,6 +223,7 @@ def test_any_number_of_channels(case: Case) -> None:
         assert case.make(p=1.0)(x).shape[:2] == (2, channels)
 
 
+@pytest.mark.interface
 @names
 def test_pickles_and_copies(case: Case) -> None:
     x, augment = images(), case.make()
@@ -236,6 +245,7 @@ def test_gradient_of_images(case: Case) -> None:
     assert torch.autograd.gradcheck(lambda x: augment(x, seed=2), x, eps=1e-7, atol=1e-4)
 
 
+@pytest.mark.interface
 @names
 def test_wrong_inputs(case: Case) -> None:
     augment = case.make()
@@ -251,6 +261,7 @@ def test_wrong_inputs(case: Case) -> None:
                 case.make(p=p)
 
 
+@pytest.mark.interface
 @names
 def test_return_transform(case: Case) -> None:
     x = images()
@@ -274,7 +285,10 @@ def test_compiles(case: Case) -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: A.ColorJitter(hue=0.6), r"ColorJitter: expected hue in ascending order within -0\.5 and 0\.5, got 0\.6"),
+        (
+            lambda: A.ColorJitter(hue=0.6),
+            r"ColorJitter: expected hue in ascending order within -0\.5 and 0\.5, got 0\.6",
+        ),
         (lambda: A.ColorJiggle(brightness=3.0), "ColorJiggle: expected brightness in ascending order within 0 and 2"),
         (lambda: A.RandomAffine(400.0), "RandomAffine: expected degrees in ascending order within -360 and 360"),
         (lambda: A.RandomAffine(float("inf")), "RandomAffine: expected degrees"),
@@ -293,7 +307,9 @@ def test_numbers_that_stand_for_ranges_out_of_bounds(make: Any, message: str) ->
 def test_parameters_that_lack_a_name() -> None:
     augment = A.RandomAffine(30.0, p=1.0)
     with pytest.raises(ValueError, match="RandomAffine: expected params with 'shear_x', got angle, "):
-        augment(images(), params={"angle": torch.zeros(6), **{k: v for k, v in _params(augment).items() if k != "shear_x"}})
+        augment(
+            images(), params={"angle": torch.zeros(6), **{k: v for k, v in _params(augment).items() if k != "shear_x"}}
+        )
 
 
 def _params(augment: Any) -> dict[str, Any]:

@@ -8,6 +8,8 @@ from torch import Tensor
 
 import kvision.augmentation as A
 
+pytestmark = pytest.mark.interface
+
 H, W = 48, 64
 MAPS = {
     "elastic": lambda **o: A.RandomElasticTransform((47, 47), (8.0, 8.0), (1.5, 1.5), **o),

@@ -12,6 +12,8 @@ import kvision as K
 import kvision.augmentation as A
 from kvision.augmentation.sheet import draw_samples
 
+pytestmark = pytest.mark.interface
+
 ORANGE = torch.tensor([255, 140, 0])[:, None, None] / 255
 KEYS = ["image", "mask", "bbox_xyxy", "keypoints"]
 

@@ -19,6 +19,8 @@ from torch.utils.data import DataLoader, Dataset
 import kvision.augmentation as A
 from kvision import _backend
 
+pytestmark = pytest.mark.interface
+
 PROCESSES, STEPS, SAVED = 2, 4, 2
 LABELED = ["image", "mask", "keypoints"]
 

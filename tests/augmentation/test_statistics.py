@@ -21,6 +21,8 @@ from augmentation_cases import CASES
 from kvision.augmentation.base import AugmentationBase
 from kvision.augmentation.draws import is_chosen_batch
 
+pytestmark = pytest.mark.interface
+
 N = 12000
 LEVEL = 1e-4 / 2000  # more than there are tests: Bonferroni
 CONSTANT = {

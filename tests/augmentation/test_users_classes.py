@@ -15,6 +15,8 @@ import kvision.augmentation as A
 from kvision import geometry
 from kvision.augmentation import random_generator
 
+pytestmark = pytest.mark.interface
+
 
 def images(batch: int = 8) -> Tensor:
     return torch.rand(batch, 3, 12, 12, generator=torch.Generator().manual_seed(batch))

@@ -108,7 +108,7 @@ def test_a_wrong_result_and_a_failing_peer_show():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("name", [name for name in ALL if name != "match_smnn10000"])  # match_smnn with more points
 def test_the_cases_do_the_same_work_as_their_peers(name):
     case = ALL[name]
     exact = (

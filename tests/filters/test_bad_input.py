@@ -30,6 +30,8 @@ from torch import Tensor
 import kvision as K
 from kvision.core.exceptions import BaseError
 
+pytestmark = pytest.mark.interface
+
 # ----------------------------------------------------------------------------------------------------- kinds of values
 
 

@@ -87,7 +87,7 @@ PEERS = ("kornia", "opencv", "torchvision", "pil", "scipy", "scikit", "skimage")
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark tests by folder: `operators` for the folders above, the files next to this one, and docstring examples.
 
-    `peers` are tests with another library in their name or their file's. Docstring examples are of the `interface`.
+    `peers` are tests with another library in their name or their file's. `docstrings` are their examples.
 
     Files with slow tests come first, then those next to this one, many of which start programs, so that no process is left
     with one of them when the others are done.
@@ -98,7 +98,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if folder is None or folder in OPERATORS or folder == item.path.name:
             item.add_marker(pytest.mark.operators)
         if folder is None:
-            item.add_marker(pytest.mark.interface)
+            item.add_marker(pytest.mark.docstrings)
         words = f"{item.path.stem}_{item.name.partition('[')[0]}".split("_")
         if any(word.startswith(PEERS) for word in words):
             item.add_marker(pytest.mark.peers)

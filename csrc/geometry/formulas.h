@@ -1,7 +1,7 @@
 // The list of all formulas (formula.h), each with the name and the arguments of its operator. The Python references in
-// python/kvision/geometry/{conversions,liegroup,linalg,quaternion,transform,epipolar} and python/kvision/feature define
-// what each computes.
-// Included by formula.cuh, formula_cpu.h, formula_glue.h and transform/matrix_formula.cuh.
+// python/kvision/geometry/{conversions,liegroup,linalg,quaternion,transform,epipolar,solvers} and
+// python/kvision/feature define what each computes. Included by formula.cuh, formula_cpu.h, formula_glue.h and
+// transform/matrix_formula.cuh.
 #pragma once
 
 #include "feature/laf.h"
@@ -11,6 +11,7 @@
 #include "geometry/liegroup/exponential_maps.h"
 #include "geometry/linalg.h"
 #include "geometry/quaternion.h"
+#include "geometry/solvers/polynomials.h"
 #include "geometry/transform/matrices.h"
 
 namespace kv::geometry {
@@ -68,7 +69,10 @@ namespace kv::geometry {
   _(camera_motion, CameraMotion, "Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2") \
   _(essential_from_motions, EssentialFromMotions,                                                                \
     "Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2")                              \
-  _(decompose_projection, DecomposeProjection, "Tensor projection")
+  _(decompose_projection, DecomposeProjection, "Tensor projection")                                              \
+  _(product_of_linear, PolynomialProduct<QuadraticMonomials>, "Tensor a, Tensor b")                              \
+  _(product_of_quadratic, PolynomialProduct<CubicMonomials>, "Tensor a, Tensor b")                               \
+  _(determinant_to_polynomial, DeterminantToPolynomial, "Tensor A")
 
 // Exponential maps of rigid motions.
 #define KV_LIE_GROUP_FORMULAS(_)                                         \

@@ -13,6 +13,7 @@
 
 #include "core/isa.h"
 #include "geometry/small_matrix.h"
+#include "geometry/solvers/polynomials.h"
 
 namespace kv::geometry {
 
@@ -203,25 +204,13 @@ KV_CALLED int fundamental(Points& x, Points& y, int points, double (*models)[9])
 
 // --- five points -----------------------------------------------------------------------------------------------------
 
-// Index tables of monomials. The product of two of x, y, z, 1 is one of x^2, xy, xz, x, y^2, yz, y, z^2, z, 1. The
-// product of one of these ten and one of x, y, z, 1 is one of x^3, y^3, x^2 y, x y^2, x^2 z, x^2, y^2 z, y^2, xyz, xy,
-// x z^2, xz, x, y z^2, yz, y, z^3, z^2, z, 1.
-KV_HD int quadratic_index(int i, int k) {
-  constexpr unsigned char table[] = {0, 1, 2, 3, 1, 4, 5, 6, 2, 5, 7, 8, 3, 6, 8, 9};
-  return table[4 * i + k];
-}
-KV_HD int cubic_index(int i, int k) {
-  constexpr unsigned char table[] = {0, 2, 4,  5,  2, 3, 8,  9,  4,  8,  10, 11, 5,  9,  11, 12, 3,  1,  6,  7,
-                                     8, 6, 13, 14, 9, 7, 14, 15, 10, 13, 16, 17, 11, 14, 17, 18, 12, 15, 18, 19};
-  return table[4 * i + k];
-}
 KV_HD void add_product(double const* a, double const* b, double scale, double* to) {
   for (int i = 0; i < 4; ++i)
-    for (int k = 0; k < 4; ++k) to[quadratic_index(i, k)] += scale * a[i] * b[k];
+    for (int k = 0; k < 4; ++k) to[QuadraticMonomials::index(i, k)] += scale * a[i] * b[k];
 }
 KV_HD void add_cubic(double const* a, double const* b, double* to) {
   for (int i = 0; i < 10; ++i)
-    for (int k = 0; k < 4; ++k) to[cubic_index(i, k)] += a[i] * b[k];
+    for (int k = 0; k < 4; ++k) to[CubicMonomials::index(i, k)] += a[i] * b[k];
 }
 
 // The coefficients of det E = 0 and (E E^T - tr(E E^T) / 2) E = 0, for entries e (9, 4) of E that are linear in x, y,

@@ -433,6 +433,9 @@ inline constexpr Operator<"camera_motion",
                           Tensor(Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2)>
     camera_motion{side_by_side};
 inline constexpr Operator<"decompose_projection", Tensor(Tensor projection)> decompose_projection{side_by_side};
+inline constexpr Operator<"product_of_linear", Tensor(Tensor a, Tensor b)> product_of_linear{side_by_side};
+inline constexpr Operator<"product_of_quadratic", Tensor(Tensor a, Tensor b)> product_of_quadratic{side_by_side};
+inline constexpr Operator<"determinant_to_polynomial", Tensor(Tensor A)> determinant_to_polynomial{side_by_side};
 
 // --- Lie groups
 

@@ -26,16 +26,17 @@ def register_formula(name: str, reference: Callable[..., Tensor], result: Callab
 
     def backward(needs: Any, grad: Tensor, *args: Any) -> list[Tensor | None]:
         joint = backward_op(grad, *args)
+        widths = [math.prod(x.shape[1:]) for x in args if isinstance(x, Tensor)]
+        parts = iter(joint.split(widths, 1) if len(widths) > 1 else (joint,))
         grads: list[Tensor | None] = []
-        offset = 0
         for need, x in zip(needs, args):
-            if not isinstance(x, Tensor):
+            part = next(parts) if isinstance(x, Tensor) else None
+            if part is None or not need:
                 grads.append(None)
                 continue
-            width = math.prod(x.shape[1:])
-            part = joint if width == joint.shape[1] else joint[:, offset : offset + width]
-            offset += width
-            grads.append(part.reshape(-1, *x.shape[1:]).sum_to_size(x.shape) if need else None)
+            if x.dim() != 2:
+                part = part.reshape(-1, *x.shape[1:])
+            grads.append(part if part.shape == x.shape else part.sum_to_size(x.shape))
         return grads
 
     def backward_reference(grad: Tensor, *args: Any) -> Tensor:

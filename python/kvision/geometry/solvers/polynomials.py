@@ -8,19 +8,18 @@ Source: D. Nister, "An Efficient Solution to the Five-Point Relative Pose Proble
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
-import numpy as np
 import torch
 from torch import Tensor
-from torch.compiler import is_compiling
 
 from kvision import _check
-from kvision.geometry._precision import in_full_precision
+from kvision._ops import Operator
+from kvision.geometry._formula import of_all, of_rows, register_formula
 
 __all__ = ["determinant_to_polynomial", "multiply_deg_one_poly", "multiply_deg_two_one_poly"]
 
-_NUMPY_TYPES = {torch.float32: np.float32, torch.float64: np.float64}
 _LINEAR = ("x", "y", "z", "")
 _QUADRATIC = ("xx", "xy", "xz", "x", "yy", "yz", "y", "zz", "z", "")
 _CUBIC = (
@@ -29,101 +28,38 @@ _CUBIC = (
 )
 
 
-class Terms:
-    """The pairs of factors' coefficients that contribute to each monomial of a product, as lists and as matrices.
+def _product(left: Sequence[str], right: Sequence[str], monomials: Sequence[str], a: Tensor, b: Tensor) -> Tensor:
+    """The coefficients of a product along the last axis, from those of its factors."""
+    p, q = a.unbind(-1), b.unbind(-1)
+    terms: dict[str, list[Tensor]] = {monomial: [] for monomial in monomials}
+    for x, of_left in zip(p, left):
+        for y, of_right in zip(q, right):
+            terms["".join(sorted(of_left + of_right))].append(x * y)
+    return torch.stack([torch.stack(term).sum(0) for term in terms.values()], -1)
 
-    Two matrices repeat the coefficients of the factors, so that each pair is one product of their elements, and the third
-    adds these up: three products of matrices take less time than an outer product, which has more axes.
-    """
 
-    def __init__(self, left: Sequence[str], right: Sequence[str], product: Sequence[str]) -> None:
-        factors = [(i, k, "".join(sorted(a + b))) for i, a in enumerate(left) for k, b in enumerate(right)]
-        self.sizes = len(left), len(right)
-        self.pairs = [[(i, k) for i, k, term in factors if term == monomial] for monomial in product]
-        of_left = np.array([[i == row for i, _, _ in factors] for row in range(len(left))])
-        of_right = np.array([[k == row for _, k, _ in factors] for row in range(len(right))])
-        sums = np.array([[term == monomial for monomial in product] for _, _, term in factors])
-        self.matrices = {t: [m.astype(n) for m in (of_left, of_right, sums)] for t, n in _NUMPY_TYPES.items()}
-        self._kept: dict[torch.dtype, list[Tensor]] = {}
-
-    def tensors(self, x: Tensor) -> list[Tensor]:
-        """The matrices in the type of `x`; they are kept, unless `x` belongs to a tracer."""
-        if type(x) is not Tensor:
-            return [torch.from_numpy(m) for m in self.matrices[x.dtype]]
-        if x.dtype not in self._kept:
-            with torch.inference_mode(False):
-                self._kept[x.dtype] = [torch.from_numpy(m) for m in self.matrices[x.dtype]]
-        return self._kept[x.dtype]
-
-    def takes(self, a: Tensor, b: Tensor) -> bool:
-        """Whether `a` and `b` are rows of coefficients that need no conversion: the usual case, which pays for few checks."""
-        return (
-            type(a) is type(b) is Tensor
-            and (a.dtype is b.dtype and a.dtype in _NUMPY_TYPES)
-            and (a.is_cpu and b.is_cpu and a.layout is b.layout is torch.strided)
-            and (a.dim() == b.dim() == 2 and (a.shape[1], b.shape[1]) == self.sizes)
-            and not (torch.is_autocast_enabled("cpu") or is_compiling())
-        )
+_product_of_linear = register_formula(
+    "product_of_linear", functools.partial(_product, _LINEAR, _LINEAR, _QUADRATIC), lambda a, b: (10,)
+)
+_product_of_quadratic = register_formula(
+    "product_of_quadratic", functools.partial(_product, _QUADRATIC, _LINEAR, _CUBIC), lambda a, b: (20,)
+)
 
 
 def _powers(count: int) -> list[str]:
     return ["z" * n for n in range(count)]
 
 
-_TO_QUADRATIC = Terms(_LINEAR, _LINEAR, _QUADRATIC)
-_TO_CUBIC = Terms(_QUADRATIC, _LINEAR, _CUBIC)
+def _determinant_reference(A: Tensor) -> Tensor:
+    first, second, third = A.split([4, 4, 5], -1)
+    next_first, next_second, _ = A.roll(-1, -2).split([4, 4, 5], -1)
+    cubic, quartic, minor = _powers(4)[::-1], _powers(5)[::-1], _powers(7)
+    # Of rows i and i + 1 each, to be multiplied by row i + 2.
+    minors = _product(cubic, cubic, minor, first, next_second) - _product(cubic, cubic, minor, next_first, second)
+    return _product(minor, quartic, _powers(11), minors, third.roll(1, -2)).sum(-2)
 
 
-class _Determinant:
-    """The determinant as sums of products u v w of entries (3, 13), of its first, second and third columns.
-
-    Of each row, u and v are the pairs of the minor of the other two rows. `to_minors` adds them up to coefficients of
-    minors, each as often as there are coefficients w to multiply it by, and `to_powers` adds up these products.
-    """
-
-    def __init__(self) -> None:
-        u: list[int] = []
-        v: list[int] = []
-        w: list[int] = []
-        to_minors, to_powers = np.zeros((96, 105)), np.zeros((105, 11))
-        for row in range(3):
-            one, two = (row + 1) % 3, (row + 2) % 3
-            products = [(7 * row + power, k) for power in range(7) for k in range(5)]
-            for first, second, sign in ((one, two, 1), (two, one, -1)):
-                for i, j in np.ndindex(4, 4):
-                    minor = 7 * row + 6 - i - j
-                    to_minors[len(u), 5 * minor : 5 * minor + 5] = sign
-                    u.append(13 * first + i)
-                    v.append(13 * second + 4 + j)
-            for minor, k in products:
-                to_powers[5 * minor + k, minor % 7 + 4 - k] = 1
-                w.append(13 * row + 8 + k)
-        self.sizes = len(u), len(v), len(w)
-        self.entries = np.array([*u, *v, *w])
-        self.matrices = {t: (to_minors.astype(n), to_powers.astype(n)) for t, n in _NUMPY_TYPES.items()}
-
-    def of(self, A: Tensor) -> Tensor:
-        to_minors, to_powers = map(torch.from_numpy, self.matrices[A.dtype])
-        entries = A.flatten(-2).index_select(-1, torch.from_numpy(self.entries))
-        u, v, w = entries.split(self.sizes, -1)
-        return ((u * v) @ to_minors * w) @ to_powers
-
-
-_DETERMINANT = _Determinant()
-_TO_SIXTH_POWER = Terms(_powers(4)[::-1], _powers(4)[::-1], _powers(7))
-_TO_TENTH_POWER = Terms(_powers(7), _powers(5)[::-1], _powers(11))
-
-
-def product(a: Tensor, b: Tensor, terms: Terms) -> Tensor:
-    """The coefficients of a product, from those of its factors along the last axes."""
-    if a.is_cpu and not is_compiling():
-        of_left, of_right, sums = terms.tensors(a)
-        return (a @ of_left * (b @ of_right)) @ sums
-    p, q = a.unbind(-1), b.unbind(-1)  # elsewhere matrices would be copied from the host, and products rounded to TF32
-    return torch.stack([torch.stack([p[i] * q[k] for i, k in pairs]).sum(0) for pairs in terms.pairs], -1)
-
-
-_precise_product = in_full_precision(product)
+_determinant = register_formula("determinant_to_polynomial", _determinant_reference, lambda A: (11,))
 
 
 def multiply_deg_one_poly(a: Tensor, b: Tensor) -> Tensor:
@@ -146,7 +82,7 @@ def multiply_deg_one_poly(a: Tensor, b: Tensor) -> Tensor:
         >>> K.geometry.multiply_deg_one_poly(x_plus_1, x_plus_1)
         tensor([[1., 0., 0., 2., 0., 0., 0., 0., 0., 1.]])
     """
-    return _multiply("multiply_deg_one_poly", a, b, _TO_QUADRATIC)
+    return _multiply("multiply_deg_one_poly", _product_of_linear, a, b, 4)
 
 
 def multiply_deg_two_one_poly(a: Tensor, b: Tensor) -> Tensor:
@@ -169,20 +105,16 @@ def multiply_deg_two_one_poly(a: Tensor, b: Tensor) -> Tensor:
         >>> K.geometry.multiply_deg_two_one_poly(xy, z).argmax()  # xyz
         tensor(8)
     """
-    return _multiply("multiply_deg_two_one_poly", a, b, _TO_CUBIC)
+    return _multiply("multiply_deg_two_one_poly", _product_of_quadratic, a, b, 10)
 
 
-def _multiply(op: str, a: Tensor, b: Tensor, terms: Terms) -> Tensor:
-    if terms.takes(a, b):
-        of_left, of_right, sums = terms.tensors(a)
-        return torch.mm(torch.mm(a, of_left) * torch.mm(b, of_right), sums)
-    _check.floating_trailing_shape(op, "a", a, terms.sizes[0])
-    _check.floating_trailing_shape(op, "b", b, terms.sizes[1])
+def _multiply(op: str, product: Operator, a: Tensor, b: Tensor, size: int) -> Tensor:
+    _check.floating_trailing_shape(op, "a", a, size)
+    _check.floating_trailing_shape(op, "b", b, 4)
     _check.same_device(op, a=a, b=b)
-    return _precise_product(a, b, terms)
+    return of_all(product, 1, a, b)
 
 
-@in_full_precision
 def determinant_to_polynomial(A: Tensor) -> Tensor:
     """The determinant of a 3 x 3 matrix of polynomials in z.
 
@@ -205,10 +137,4 @@ def determinant_to_polynomial(A: Tensor) -> Tensor:
         tensor([[0., 1., 0., 0., 0., 0., 0., 0., 0., 0., 0.]])
     """
     _check.floating_trailing_shape("determinant_to_polynomial", "A", A, 3, 13)
-    if A.is_cpu and not is_compiling():
-        return _DETERMINANT.of(A)
-    first, second, third = A.split([4, 4, 5], -1)
-    next_first, next_second, _ = A.roll(-1, -2).split([4, 4, 5], -1)
-    # Of rows i and i + 1 each, to be multiplied by row i + 2.
-    minors = product(first, next_second, _TO_SIXTH_POWER) - product(next_first, second, _TO_SIXTH_POWER)
-    return product(minors, third.roll(1, -2), _TO_TENTH_POWER).sum(-2)
+    return of_rows(_determinant, A, 2)

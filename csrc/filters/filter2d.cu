@@ -1,5 +1,5 @@
-// Cross-correlation with any kernel on CUDA. Images that filter2d_strip.cu does not support go by tiles in shared
-// memory, from which all taps read. Volumes, float64 and kernels that are too large for shared memory take one thread
+// Cross-correlation with any kernel on CUDA. Images that filter2d_strip.cu does not support, and volumes, go by tiles
+// in shared memory, from which all taps read. float64 and kernels that are too large for shared memory take one thread
 // for each element.
 #include "filter2d_tile.cuh"
 
@@ -74,44 +74,59 @@ struct BorderPixels {
   __device__ __forceinline__ int at(int i) const { return i < low_count ? low + i : high + i - low_count; }
 };
 
+// Calls f(tap, plane) for the taps along z of every position whose border plane is z. An image has one plane.
+template <class T, class F>
+__device__ __forceinline__ void for_each_plane(Filter2d<T> const& p, int z, F f) {
+  for_each_reader_once(p.accumulation, p.axis_z, z, p.depth, [&](int at) {
+#pragma unroll 1
+    for (int k = 0; k < p.axis_z.size; ++k) {
+      int const plane = border_index(p.border, at + k - p.axis_z.before, p.depth);
+      if (plane >= 0) f(k, plane);
+    }
+  });
+}
+
 template <class T>
 __global__ void __launch_bounds__(kThreads, 5)
     filter_tile(__grid_constant__ Filter2d<T> const p, __grid_constant__ Tiles const tiles) {
   extern __shared__ __align__(16) float shared[];
-  float *const tile = shared, *const weights = tile + tiles.rows * tiles.pitch;
-  int* const sources = reinterpret_cast<int*>(weights + p.taps());
+  float *const tile = shared, *const all_weights = tile + tiles.rows * tiles.pitch;
+  int* const sources = reinterpret_cast<int*>(all_weights + p.taps());
+  float* const border_sums = reinterpret_cast<float*>(sources + tiles.rows);  // of volumes
   int64_t const down = blockIdx.x / tiles.across, slice = down / tiles.down, step = p.y.step;
   int64_t const plane = slice / step, channel = slice - plane * step;
   int const x0 = int(blockIdx.x - down * tiles.across) * kWidth, y0 = int(down - slice * tiles.down) * kHeight;
-  int const width = int(p.y.width), height = int(p.y.height), kx = p.axis_x.size, ky = p.axis_y.size;
+  int const width = int(p.y.width), height = int(p.y.height), z = int(plane % p.depth);
+  int const kx = p.axis_x.size, ky = p.axis_y.size;
+  bool const is_volume = p.axis_z.size > 1, accumulates = p.accumulation != Border::constant;
 
   float const* const kernel = p.kernel_of(plane);
-  for (int i = threadIdx.x; i < kx * ky; i += kThreads) {
-    int const tap = i % ky * kx + i / ky;
-    weights[i] = kernel[p.flip ? kx * ky - 1 - tap : tap];
+  for (int i = threadIdx.x; i < p.taps(); i += kThreads) {
+    int const in_plane = i % (kx * ky), tap = i - in_plane + in_plane % ky * kx + in_plane / ky;
+    all_weights[i] = kernel[p.flip ? p.taps() - 1 - tap : tap];
   }
-  load_tile(tile, sources, tiles, p.x, plane, channel, p.border, x0, y0 - p.axis_y.before);
+
+  // The pixels near the border are computed again, with the sums of positions out of bounds. Corners are computed
+  // twice, with the same result.
+  int const columns_of_tile = min(kWidth, width - x0), rows_of_tile = min(kHeight, height - y0);
+  BorderPixels const rows(p.accumulation, p.axis_y, y0, kHeight, height),
+      columns(p.accumulation, p.axis_x, x0, kWidth, width);
+  int const in_rows = rows.count() * columns_of_tile,
+            border_pixels = accumulates ? in_rows + columns.count() * rows_of_tile : 0;
+  auto const for_each_border_pixel = [&](auto f) {
+#pragma unroll 1
+    for (int i = threadIdx.x; i < border_pixels; i += kThreads) {
+      bool const in_row = i < in_rows;
+      int const k = in_row ? i : i - in_rows, line = k / (in_row ? columns_of_tile : rows_of_tile),
+                along = k - line * (in_row ? columns_of_tile : rows_of_tile);
+      f(i, in_row ? x0 + along : columns.at(line), in_row ? rows.at(line) : y0 + along);
+    }
+  };
+  if (is_volume) for_each_border_pixel([&](int i, int, int) { border_sums[i] = 0; });
 
   int const lane = threadIdx.x % 32, row = threadIdx.x / 32 * kDown;
   float const* const window = tile + tiles.lead - p.axis_x.before;
-  float sums[kDown][kAcross] = {};
-  correlate(window + row * tiles.pitch, tiles.pitch, weights, ky, kx, sums);
-#pragma unroll
-  for (int o = 0; o < kDown; ++o) {
-    if (y0 + row + o >= height) break;
-    T* const out = p.y.row(plane, y0 + row + o) + channel;
-#pragma unroll
-    for (int i = 0; i < kAcross; ++i) {
-      int const x = x0 + 32 * i + lane;
-      if (x < width) out[x * step] = round_to<T>(sums[o][i]);
-    }
-  }
-  if (p.accumulation == Border::constant) return;
-
-  // Compute the pixels near the border again, now with the sums of positions out of bounds. Corners are computed twice,
-  // with the same result.
-  __syncthreads();
-  auto const accumulate_pixel = [&](int x, int y) {
+  auto const border_sum = [&](float const* weights, int x, int y) {
     float sum = 0;
     for_each_reader_once(p.accumulation, p.axis_y, y, height, [&](int at_y) {
       int const first_y = at_y - p.axis_y.before, from_y = max(0, -first_y), to_y = min(ky, height - first_y);
@@ -122,24 +137,37 @@ __global__ void __launch_bounds__(kThreads, 5)
             sum += weights[j * ky + i] * window[(at_y + i - y0) * tiles.pitch + at_x + j - x0];
       });
     });
-    p.y.row(plane, y)[x * step + channel] = round_to<T>(sum);
+    return sum;
   };
-  int const columns_of_tile = min(kWidth, width - x0), rows_of_tile = min(kHeight, height - y0);
-  BorderPixels const rows(p.accumulation, p.axis_y, y0, kHeight, height),
-      columns(p.accumulation, p.axis_x, x0, kWidth, width);
-  int const in_rows = rows.count() * columns_of_tile, pixels = in_rows + columns.count() * rows_of_tile;
-#pragma unroll 1
-  for (int i = threadIdx.x; i < pixels; i += kThreads) {
-    bool const in_row = i < in_rows;
-    int const k = in_row ? i : i - in_rows, line = k / (in_row ? columns_of_tile : rows_of_tile),
-              along = k - line * (in_row ? columns_of_tile : rows_of_tile);
-    accumulate_pixel(in_row ? x0 + along : columns.at(line), in_row ? rows.at(line) : y0 + along);
+
+  float sums[kDown][kAcross] = {};
+  for_each_plane(p, z, [&](int kz, int from_z) {
+    load_tile(tile, sources, tiles, p.x, plane - z + from_z, channel, p.border, x0, y0 - p.axis_y.before);
+    float const* const weights = all_weights + kz * kx * ky;
+    correlate(window + row * tiles.pitch, tiles.pitch, weights, ky, kx, sums);
+    if (is_volume) for_each_border_pixel([&](int i, int x, int y) { border_sums[i] += border_sum(weights, x, y); });
+  });
+#pragma unroll
+  for (int o = 0; o < kDown; ++o) {
+    if (y0 + row + o >= height) break;
+    T* const out = p.y.row(plane, y0 + row + o) + channel;
+#pragma unroll
+    for (int i = 0; i < kAcross; ++i) {
+      int const x = x0 + 32 * i + lane;
+      if (x < width) out[x * step] = round_to<T>(sums[o][i]);
+    }
   }
+  if (!accumulates) return;
+  __syncthreads();
+  for_each_border_pixel([&](int i, int x, int y) {
+    float const sum = is_volume ? border_sums[i] : border_sum(all_weights, x, y);
+    p.y.row(plane, y)[x * step + channel] = round_to<T>(sum);
+  });
 }
 
 template <class T>
-int launch_tiles(Filter2d<T> const& p, Tiles const& tiles, CUstream_st* stream) {
-  int64_t const bytes = tiles.bytes(p.taps()), blocks = p.y.count() * p.y.step * tiles.across * tiles.down;
+int launch_tiles(Filter2d<T> const& p, Tiles const& tiles, int64_t bytes, CUstream_st* stream) {
+  int64_t const blocks = p.y.count() * p.y.step * tiles.across * tiles.down;
   if (int const error = cudaFuncSetAttribute(filter_tile<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
     return error;
   filter_tile<<<unsigned(blocks), kThreads, bytes, stream>>>(p, tiles);
@@ -190,8 +218,12 @@ int filter2d(Filter2d<T> const& p, CUstream_st* stream) {
     auto const reach = [&](KernelAxis axis) { return axis.before + after(axis); };
     bool const fits_tile = !accumulates || (reach(p.axis_x) < 2 * kWidth && reach(p.axis_y) < 2 * kHeight);
     Tiles const tiles(p.x, p.y, p.axis_x.before, after(p.axis_x), reach(p.axis_y));
-    if (p.axis_z.size == 1 && fits_tile && tiles.bytes(p.taps()) <= max_shared_bytes(kMaxSharedBytes))
-      return launch_tiles(p, tiles, stream);
+    auto const border_lines = [&](KernelAxis axis) { return axis.size + 1; };
+    int64_t const border_sums = p.axis_z.size > 1 && accumulates ? min(border_lines(p.axis_y), kHeight) * kWidth +
+                                                                       min(border_lines(p.axis_x), kWidth) * kHeight
+                                                                 : 0,
+                  bytes = tiles.bytes(p.taps() + border_sums);
+    if (fits_tile && bytes <= max_shared_bytes(kMaxSharedBytes)) return launch_tiles(p, tiles, bytes, stream);
   }
   filter_any<<<unsigned(ceil_div(p.y.rows() * p.y.row_size(), 256)), 256, 0, stream>>>(p);
   return cudaGetLastError();

@@ -29,6 +29,8 @@ inline constexpr Operator<"box_blur", Tensor(Tensor input, int64_t ky, int64_t k
 inline constexpr Operator<"gaussian_blur2d", Tensor(Tensor input, OptionalTensor sigma, int64_t ky, int64_t kx,
                                                     double sigma_y, double sigma_x, int64_t border)>
     gaussian_blur2d{linear};
+inline constexpr Operator<"motion_kernel", Tensor(Tensor angle, Tensor direction, int64_t size, int64_t taps)>
+    motion_kernel;
 inline constexpr Operator<"gaussian_levels", Tensor(Tensor input, Ints sizes, Floats sigmas, int64_t border)>
     gaussian_levels{{[](Backward const& b) -> variable_list {
                        Ints const sizes = b.arguments[1].toIntVector();

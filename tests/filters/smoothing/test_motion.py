@@ -9,11 +9,23 @@ import torch
 import kvision as K
 from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
 from op_tests import assert_close
+from point_op_tests import Call, PointOpTests, vector
 
 F, KF = K.filters, kornia.filters
 ANGLES = (0.0, 30.0, 45.0, 90.0, 135.0, 200.0, -77.3, 360.0)
 DIRECTIONS = (-1.0, -0.3, 0.0, 0.5, 1.0, 2.0)
 ANGLES_3D = ((0.0, 0.0, 0.0), (30.0, 0.0, 0.0), (0.0, 90.0, 0.0), (0.0, 0.0, 45.0), (10.0, 20.0, -77.3), (0, 1e-9, 0))
+
+
+class TestMotionKernelOperator(PointOpTests):
+    calls = {
+        "motion_kernel": [
+            Call((vector(1, scale=100), vector(1)), (5, 1), accepted=("taps 0",)),
+            Call((vector(1, scale=100), vector(1)), (5, 2), accepted=("taps 0",)),
+            Call((vector(3, scale=100), vector(1)), (3, 1), accepted=("taps 0",)),
+            Call((vector(3, scale=100), vector(1)), (3, 0), differentiable=False, accepted=("taps 0",)),
+        ]
+    }
 
 
 @pytest.mark.parametrize("mode", ["nearest", "bilinear", "bicubic"])

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype
+from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.filter2d import filter_images
 from kvision.filters.filter3d import filter_volumes
@@ -146,6 +147,7 @@ def motion_blur3d(
     return filter_volumes("motion_blur3d", input, kernel, border_type, False, "corr")
 
 
+_MODES = ("nearest", "bilinear", "bicubic")  # by the numbers of MotionTaps in csrc
 # The taps around a position, as offsets from its whole part, and the weight of a tap at distance d from it; positions
 # are whole for 'nearest'.
 _TAPS = {"nearest": (0,), "bilinear": (0, 1), "bicubic": (-1, 0, 1, 2)}
@@ -174,6 +176,15 @@ def _motion_kernel(
     _check.odd(op, "kernel_size", (size,))
     _check.choice(op, "mode", mode, ("nearest", "bilinear", "bicubic") if axes == 2 else ("nearest", "bilinear"))
     angle, direction, dtype = _parameters(op, angle, direction, axes, image)
+    kernel: Tensor = _motion_kernels(
+        angle.detach() if mode == "nearest" else angle, direction, size, _MODES.index(mode)
+    )
+    return as_dtype(kernel, dtype)
+
+
+def _reference(angle: Tensor, direction: Tensor, size: int, taps: int) -> Tensor:
+    """Kernels (B, size, ...) from angles (B or 1, 1 or 3) and directions (B or 1, 1)."""
+    axes, mode = 2 if angle.shape[1] == 1 else 3, _MODES[taps]
     if mode == "nearest":
         angle = angle.detach().double()  # which of two pixels is nearer can be a matter of the last bits
     center = size // 2
@@ -189,7 +200,14 @@ def _motion_kernel(
         kernel = kernel + torch.where(tap.abs() <= center, weight_on_line * _WEIGHT[mode]((along - tap).abs()), 0)
     for p in across:
         kernel = kernel * _WEIGHT[mode](p.abs())
-    return (kernel / kernel.sum(tuple(range(1, axes + 1)), keepdim=True)).to(dtype)
+    return (kernel / kernel.sum(tuple(range(1, axes + 1)), keepdim=True)).to(direction.dtype)
+
+
+def _sizes(angle: Tensor, direction: Tensor, size: int, _: int) -> tuple[int, ...]:
+    return (direction if angle.shape[0] == 1 else angle).shape[0], *(size,) * (2 if angle.shape[1] == 1 else 3)
+
+
+_motion_kernels = register("motion_kernel", _reference, fake=_sizes)
 
 
 def _parameters(
@@ -238,7 +256,8 @@ def _rows(op: str, name: str, value: object, count: int, device: torch.device | 
         raise TypeCheckError(f"{op}: expected {name} to be a Tensor or numbers, got {value!r}", actual_type=type(value))
     if len(numbers) != count or not all(_check.fits_float(v) and -math.inf < v < math.inf for v in numbers):
         raise ValueCheckError(f"{op}: expected {name} to be {count} finite numbers, got {value!r}", actual_value=value)
-    return torch.stack([torch.full((1,), float(v), device=device, dtype=dtype) for v in numbers], 1)
+    columns = [torch.full((1, 1), float(v), device=device, dtype=dtype) for v in numbers]
+    return columns[0] if count == 1 else torch.cat(columns, 1)
 
 
 def _rotate_back(angle: Tensor, center: int) -> list[Tensor]:

@@ -1,5 +1,5 @@
 // Points and normals of depth images on CUDA: a thread takes four adjacent pixels, in accesses of 16 bytes where
-// possible.
+// possible. Points whose coordinates are adjacent are written by way of shared memory.
 #include "core/block_reduce.cuh"
 #include "core/launch.cuh"
 #include "geometry/depth/points.h"
@@ -77,6 +77,31 @@ __global__ void __launch_bounds__(kThreads)
   }
 #pragma unroll
   for (int k = 0; k < 3; ++k) store_run(p.y.row(b, k, y), p.y.step, x, width, write_fours, points[k]);
+}
+
+// Points (H, W, 3): one thread for each pixel. The block's coordinates go to shared memory first, so that adjacent
+// threads write adjacent elements.
+template <class T>
+__global__ void __launch_bounds__(kThreads)
+    adjacent_points_of(__grid_constant__ DepthPoints<T> const p, unsigned blocks_per_image) {
+  using F = Compute<T>;
+  __shared__ T coordinates[3 * kThreads];
+  unsigned const b = blockIdx.x / blocks_per_image, width = unsigned(p.y.width), pixels = unsigned(p.y.height) * width,
+                 first = (blockIdx.x - b * blocks_per_image) * kThreads, pixel = first + threadIdx.x;
+  if (pixel < pixels) {
+    unsigned const y = pixel / width, x = pixel - y * width;
+    F const d = read(p.depth.row(b, 0, y)[x * p.depth.step]);
+    F ray[3];
+    Rays<F>(p.cameras + b * p.camera_stride, p.distance).at(F(x), F(y), ray);
+#pragma unroll
+    for (int k = 0; k < 3; ++k) coordinates[3 * threadIdx.x + k] = round_to<T>(ray[k] * d);
+  }
+  __syncthreads();
+  T* const out = p.y.row(b, 0, 0) + 3 * int64_t(first);
+  unsigned const count = 3 * min(pixels - first, unsigned(kThreads));
+#pragma unroll
+  for (unsigned i = threadIdx.x; i < 3 * kThreads; i += kThreads)
+    if (i < count) out[i] = coordinates[i];
 }
 
 template <class T>
@@ -270,6 +295,12 @@ __global__ void __launch_bounds__(128) finish_cameras(__grid_constant__ DepthPoi
 template <class T>
 int depth_points(DepthPoints<T> const& p, CUstream_st* stream) {
   Runs const runs(p.y.batch, p.y.height, p.y.width);
+  int64_t const pixels = p.y.height * p.y.width;
+  if (p.y.step == 3 && p.y.channel_stride == 1 && p.y.row_stride == 3 * p.y.width && pixels <= INT32_MAX) {
+    unsigned const blocks_per_image = unsigned(ceil_div(pixels, kThreads));
+    adjacent_points_of<<<unsigned(p.y.batch) * blocks_per_image, kThreads, 0, stream>>>(p, blocks_per_image);
+    return cudaGetLastError();
+  }
   points_of<T>
       <<<runs.blocks(), kThreads, 0, stream>>>(p, runs, is_vectorizable_by_4(p.depth), is_vectorizable_by_4(p.y));
   return cudaGetLastError();

@@ -1,8 +1,12 @@
-// The backward pass of bilinear and nearest upsampling on CUDA: few pixels of the result read a pixel of the source.
+// The backward pass of bilinear and nearest resizing on CUDA. A pixel of the source gathers from the pixels of the
+// result that read it.
 //
-// A warp traverses the gradient downwards; each thread has four columns. Along y it keeps only two sums: a row of the
-// gradient adds to those of the source rows above and below its coordinate. A complete sum is written to a line in
-// shared memory, from which the pixels of its row gather along x.
+// Downsampling of small images: they are at most two along each axis. A block has some rows of 128 adjacent elements,
+// one column of them a thread.
+//
+// Upsampling: a warp traverses the gradient downwards; each thread has four columns. Along y it keeps only two sums: a
+// row of the gradient adds to those of the source rows above and below its coordinate. A complete sum is written to a
+// line in shared memory, from which the pixels of its row gather along x.
 #include "core/row_prefetcher.cuh"
 #include "geometry/transform/resize/resize.h"
 
@@ -22,6 +26,61 @@ __device__ __noinline__ LinearTaps<float> linear_taps_of(ResizeAxis const& axis,
 __device__ __noinline__ Contributors<float> find_contributors(ResizeAxis const& axis, int index) {
   return contributors<float>(axis, index);
 }
+
+// --- downsampling ----------------------------------------------------------------------------------------------------
+
+constexpr int kGatherRows = 8;  // of a block
+
+// The pixels of the result that read a pixel of the source, and their weights. A missing one repeats the first, with
+// weight 0, or is pixel 0.
+struct Readers {
+  int at[2];
+  float weights[2];
+};
+__device__ __forceinline__ Readers find_readers(ResizeAxis const& axis, int index) {
+  Contributors<float> const reads = find_contributors(axis, index);
+  Readers readers;
+#pragma unroll
+  for (int k = 0; k < 2; ++k) {
+    readers.at[k] = k < reads.count ? reads.first + k : reads.count > 0 ? reads.first : 0;
+    readers.weights[k] = k < reads.count ? linear_taps_of(axis, readers.at[k]).weight(index) : 0;
+  }
+  return readers;
+}
+
+template <class T>
+__global__ void __launch_bounds__(32 * kWarps)
+    gather_readers(__grid_constant__ Resize<T> const p, unsigned across, unsigned down) {
+  __shared__ Readers rows[kGatherRows];
+  unsigned const q = blockIdx.x / across, plane = q / down;
+  int const e = int(blockIdx.x - q * across) * 32 * kWarps + threadIdx.x, y0 = int(q - plane * down) * kGatherRows;
+  int const size = int(p.y.row_size()), step = int(p.y.step), height = int(p.y.height);
+  if (threadIdx.x < kGatherRows) rows[threadIdx.x] = find_readers(p.rows, min(y0 + int(threadIdx.x), height - 1));
+  int const x = min(e, size - 1) / step;
+  Readers const columns = find_readers(p.columns, x);
+  __syncthreads();
+  if (e >= size) return;
+  T const* const in = p.x.plane(plane) + (e - x * step);
+  T* const out = p.y.row(plane, y0) + e;
+#pragma unroll
+  for (int r = 0; r < kGatherRows; ++r) {
+    float sum = 0;
+#pragma unroll
+    for (int i = 0; i < 2; ++i) {
+      if (i > 0 && p.rows.max_taps < 2) break;
+      T const* const row = in + rows[r].at[i] * p.x.row_stride;
+#pragma unroll
+      for (int k = 0; k < 2; ++k) {
+        if (k > 0 && p.columns.max_taps < 2) break;
+        float const weight = rows[r].weights[i] * columns.weights[k];
+        if (weight != 0) sum += weight * float(read(row[columns.at[k] * step]));
+      }
+    }
+    if (y0 + r < height) out[r * p.y.row_stride] = round_to<T>(sum);
+  }
+}
+
+// --- upsampling ------------------------------------------------------------------------------------------------------
 
 // The strips: `width` columns of some rows of a plane, a warp each.
 struct SourceStrips {
@@ -136,6 +195,18 @@ __global__ void __launch_bounds__(32 * kWarps)
 template <class T>
 int resize_linear_backward(Resize<T> const& p, CUstream_st* stream) {
   ResizeAxis const &rows = p.rows, &columns = p.columns;
+  auto const shrinks = [](ResizeAxis const& a) {
+    return a.backward && a.num >= a.den && a.filter <= ResizeFilter::bilinear && a.filter != ResizeFilter::area &&
+           !a.antialias && a.max_taps <= 2;
+  };
+  // Strips of more pixels take less time; of fewer, they are too few for the machine.
+  bool const is_small = p.y.rows() * p.y.row_size() <= 1 << 20;
+  if (is_small && shrinks(rows) && shrinks(columns) && !p.minuend) {
+    unsigned const across = unsigned(ceil_div(p.y.row_size(), 32 * kWarps)),
+                   down = unsigned(ceil_div(p.y.height, kGatherRows));
+    gather_readers<<<unsigned(p.y.count() * across * down), 32 * kWarps, 0, stream>>>(p, across, down);
+    return cudaGetLastError();
+  }
   auto const served = [](ResizeAxis const& a) {
     return a.backward && a.num > 0 && a.num <= a.den && a.filter <= ResizeFilter::bilinear &&
            a.filter != ResizeFilter::area;

@@ -93,7 +93,7 @@ def _backward(needs, grad, x, centers, bandwidth):
     """The kernel computes the gradient of x. Those of centers and bandwidth, seldom learned, are computed in torch."""
     grads = [None] * 3
     if any(needs[1:]):
-        if x.is_cpu and not (torch.compiler.is_compiling() or in_function_transform()):
+        if not (torch.compiler.is_compiling() or in_function_transform()):
             grads = [None, *_parameter_grads(grad, x, centers, bandwidth)]
         else:
             grads = _histogram.differentiate_reference((False, *needs[1:]), grad, x, centers, bandwidth)
@@ -102,7 +102,7 @@ def _backward(needs, grad, x, centers, bandwidth):
     return grads
 
 
-_CHUNK = 1 << 16  # samples times centers whose exponentials fit the caches
+_CHUNK = 1 << 16  # samples times centers whose exponentials fit the caches of a CPU
 
 
 def _parameter_grads(grad: Tensor, x: Tensor, centers: Tensor, bandwidth: Tensor) -> tuple[Tensor, Tensor]:
@@ -115,7 +115,10 @@ def _parameter_grads(grad: Tensor, x: Tensor, centers: Tensor, bandwidth: Tensor
         return torch.stack([product.sum(2), (product * u).sum(2)]) * grad
 
     x = torch.where(x.isnan(), torch.finfo(x.dtype).max ** 0.5, x)  # out of reach of every center
-    chunks = x.split(max(1, _CHUNK // max(1, x.shape[0] * centers.shape[1])), 1)
+    if x.is_cpu:
+        chunks = x.split(max(1, _CHUNK // max(1, x.shape[0] * centers.shape[1])), 1)
+    else:
+        chunks = x.chunk(count_chunks(x.shape[1], centers.shape[1]), 1)
     first, second = _total([recomputed(sums, part, grad, centers, inverse) for part in chunks]) * inverse
     return first.sum_to_size(centers.shape), second.sum(1).sum_to_size(bandwidth.shape)
 
@@ -130,11 +133,27 @@ def joint_counts(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor) -> Ten
     gaussian = _KERNELS["gaussian"]
 
     def counts(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor) -> Tensor:
-        k1, k2 = (gaussian((x[:, None] - bins[:, None]) / bandwidth) for x in (x1, x2))
-        return k1 @ k2.mT
+        products = []
+        for pair in zip(_short_rows(x1), _short_rows(x2)):
+            k1, k2 = (gaussian((x[:, :, None] - bins[:, None]) / bandwidth) for x in pair)
+            products.append((k1 @ k2.mT).sum(1))
+        return _total(products)
 
     n = count_chunks(x1.shape[1], bins.shape[0])
     return _total([recomputed(counts, a, b, bins, bandwidth) for a, b in zip(x1.chunk(n, 1), x2.chunk(n, 1))])
+
+
+_SHORT = 256  # samples
+
+
+def _short_rows(x: Tensor) -> list[Tensor]:
+    """(N, P) as (N, P / 256, 256) and what is left (N, 1, P % 256).
+
+    Libraries compute a product of long thin matrices by few threads, and many short ones by many.
+    """
+    count, rest = divmod(x.shape[1], _SHORT)
+    rows = [x[:, : count * _SHORT].unflatten(1, (count, _SHORT))] if count else []
+    return [*rows, x[:, None, count * _SHORT :]] if rest else rows
 
 
 def _total(parts: Sequence[Tensor]) -> Tensor:

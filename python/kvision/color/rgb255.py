@@ -21,9 +21,9 @@ def _unscaled(x: Tensor) -> Tensor:
 
 
 def _normals(x: Tensor) -> Tensor:
-    n = x / 255 * 2 - 1
-    squares = (n * n).sum(1, keepdim=True)
-    return n / torch.where(squares == 0, 1, squares).sqrt()  # the zero vector stays zero
+    n = x - 127.5  # 255 / 2 times the normal
+    length = torch.linalg.vector_norm(n, dim=1, keepdim=True)
+    return n / torch.where(length == 0, 1, length)  # the zero vector stays zero
 
 
 def _colors(n: Tensor) -> Tensor:

@@ -6,6 +6,7 @@ The corners of a 3D box are those of its front face, then those of its back face
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Sequence
 
@@ -284,14 +285,14 @@ def bbox_to_mask3d(boxes: Tensor, size: tuple[int, int, int]) -> Tensor:
 def mask_between(near: Tensor, far: Tensor, size: tuple[int, ...]) -> Tensor:
     """Masks (*, *size) of the pixels between `near` and `far`, inclusive, (*, D) each as (x, y) or (x, y, z)."""
     near, far = near.detach().to(compute_dtype(near)), far.detach().to(compute_dtype(far))
-    mask = near.new_ones((), dtype=torch.bool)
+    of_axes = []
     for axis, n in enumerate(reversed(size)):
-        i = torch.arange(n, device=near.device)
-        inside = (i >= near[..., axis, None]) & (i <= far[..., axis, None])
+        i = torch.arange(n, device=near.device, dtype=near.dtype)  # torch compares numbers of one type faster
         others = [1] * len(size)
         others[-1 - axis] = n
-        mask = mask & inside.unflatten(-1, others)
-    return mask
+        inside = (i >= near[..., axis, None]) & (i <= far[..., axis, None])
+        of_axes.append(inside.unflatten(-1, others))
+    return functools.reduce(torch.logical_and, of_axes)
 
 
 # --- transformations and overlap ------------------------------------------------------------------------------------

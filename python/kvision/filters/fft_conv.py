@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import pixels
@@ -20,8 +21,21 @@ def _correlate(x: Tensor, kernel: Tensor, border: str, same: bool) -> Tensor:
     h, w = x.shape[2:]
     if x.numel() == 0:  # there is no transform of nothing
         return x[..., ky - 1 :, kx - 1 :] * kernel.sum()
-    spectrum = torch.fft.rfft2(x) * torch.fft.rfft2(kernel[:, None], s=(h, w)).conj()
-    return torch.fft.irfft2(spectrum, s=(h, w))[..., : h - ky + 1, : w - kx + 1]  # beyond, the kernel wraps around
+    size = (h, w) if is_compiling() else (_fast_size(h), _fast_size(w))  # a compiled graph keeps sizes symbolic
+    spectrum = torch.fft.rfft2(x, s=size) * torch.fft.rfft2(kernel[:, None], s=size).conj()
+    return torch.fft.irfft2(spectrum, s=size)[..., : h - ky + 1, : w - kx + 1]  # beyond, the kernel wraps around
+
+
+def _fast_size(n: int) -> int:
+    """The smallest size from n on without prime factors above 7, for which Fourier transforms have no fast code."""
+    while True:
+        rest = n
+        for factor in (2, 3, 5, 7):
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return n
+        n += 1
 
 
 def fft_conv(

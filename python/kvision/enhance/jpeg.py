@@ -181,7 +181,7 @@ def jpeg_codec_differentiable(
     are continued to multiples of 16 by their last pixels.
 
     Args:
-        input: (*, 3, H, W), floating point, RGB in [0, 1].
+        input: (*, 3, H, W), floating point, RGB in [0, 1], or uint8, which gives uint8 (rounded half to even).
         jpeg_quality: 0 (coarsest) to 100, one for all images or one each: a number, or a tensor (1,) or (B,), B being
             the product of the axes in front. Below 1 counts as 1, as libjpeg has it.
         quantization_table_y: table for luminance at quality 50, (8, 8) or (B, 8, 8); by default that of the standard.
@@ -191,7 +191,7 @@ def jpeg_codec_differentiable(
         The decoded images, clamped to [0, 1]; differentiable in all four.
 
     Raises:
-        TypeCheckError: input is not a floating-point tensor; another argument is none either.
+        TypeCheckError: input is not a tensor of floats or uint8; another argument is no real tensor or number.
         ImageError: input is not (*, 3, H, W).
         ShapeError: no pixels; a quality or table that does not fit.
         ValueCheckError: a number outside 0 to 100. Tensors are not checked by value; they are clamped.

@@ -36,7 +36,7 @@ def reconstruction(
         (B, C, H, W).
 
     Raises:
-        TypeCheckError: not two floating-point tensors.
+        TypeCheckError: not two tensors of floats or uint8.
         ShapeError: not (B, C, H, W), or different shapes; kernel of other than two axes.
         ValueCheckError: an even kernel; an unknown method or engine; num_iters or check_every too small.
         DeviceError: the tensors are on different devices; parameters in CPU memory are moved.

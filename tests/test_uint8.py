@@ -47,7 +47,9 @@ def result(call: SampleCall, dtype: torch.dtype) -> torch.dtype | None:
 def entry(call: SampleCall) -> str:
     """What the page says of the images."""
     page = inspect.getdoc(call.function()) or ""
-    found = re.search(rf"^    [\w, ]*\b{images(call)[0]}\b[\w, ]*: (.*?)(?=^    \w|^\w|\Z)", page, re.DOTALL | re.MULTILINE)
+    found = re.search(
+        rf"^    [\w, ]*\b{images(call)[0]}\b[\w, ]*: (.*?)(?=^    \w|^\w|\Z)", page, re.DOTALL | re.MULTILINE
+    )
     return " ".join(found[1].split()) if found else ""
 
 

@@ -26,18 +26,15 @@ def register_formula(name: str, reference: Callable[..., Tensor], result: Callab
 
     def backward(needs: Any, grad: Tensor, *args: Any) -> list[Tensor | None]:
         joint = backward_op(grad, *args)
-        widths = [math.prod(x.shape[1:]) for x in args if isinstance(x, Tensor)]
-        parts = iter(joint.split(widths, 1) if len(widths) > 1 else (joint,))
-        grads: list[Tensor | None] = []
-        for need, x in zip(needs, args):
-            part = next(parts) if isinstance(x, Tensor) else None
-            if part is None or not need:
-                grads.append(None)
-                continue
-            if x.dim() != 2:
-                part = part.reshape(-1, *x.shape[1:])
-            grads.append(part if part.shape == x.shape else part.sum_to_size(x.shape))
-        return grads
+        shapes = [x.shape for x in args if isinstance(x, Tensor)]
+        widths = [shape[1] if len(shape) == 2 else math.prod(shape[1:]) for shape in shapes]
+        parts = joint.split_with_sizes(widths, 1) if len(widths) > 1 else (joint,)
+        of_tensors = iter(
+            part if part.shape == shape else part.reshape(-1, *shape[1:]).sum_to_size(shape)
+            for part, shape in zip(parts, shapes)
+        )
+        grads = [next(of_tensors) if isinstance(x, Tensor) else None for x in args]
+        return [g if need else None for need, g in zip(needs, grads)]
 
     def backward_reference(grad: Tensor, *args: Any) -> Tensor:
         where = [i for i, x in enumerate(args) if isinstance(x, Tensor)]

@@ -45,11 +45,10 @@ class Clock:
     and its result is the argument of the call.
     """
 
-    rounds = 3
     least = 2  # minimum number of timed calls a round
 
-    def __init__(self, seconds: float = 0.5) -> None:
-        self.seconds = seconds
+    def __init__(self, seconds: float = 0.5, rounds: int = 3) -> None:
+        self.seconds, self.rounds = seconds, rounds
 
     def race(self, contestants: Sequence[Call | tuple[Call, Callable[[Any], Any]]]) -> list[Timing]:
         pairs = [c if isinstance(c, tuple) else (_nothing, _ignoring(c)) for c in contestants]
@@ -111,8 +110,8 @@ class CudaClock(Clock):
 
     most = 200  # timed calls a round, enough for a median
 
-    def __init__(self, seconds: float = 0.5) -> None:
-        super().__init__(seconds)
+    def __init__(self, seconds: float = 0.5, rounds: int = 3) -> None:
+        super().__init__(seconds, rounds)
         cache = torch.cuda.get_device_properties("cuda").L2_cache_size
         self._flush = torch.empty(max(4 * cache, 64 << 20), dtype=torch.uint8, device="cuda")
         cycles = 20_000_000
@@ -162,8 +161,8 @@ class CudaClock(Clock):
         return begin.elapsed_time(end) * 1e-3
 
 
-def clock(device: torch.device, seconds: float = 0.5) -> Clock:
-    return CudaClock(seconds) if device.type == "cuda" else CpuClock(seconds)
+def clock(device: torch.device, seconds: float = 0.5, rounds: int = 3) -> Clock:
+    return CudaClock(seconds, rounds) if device.type == "cuda" else CpuClock(seconds, rounds)
 
 
 def host_seconds(call: Call, calls: int = 25, blocks: int = 15) -> float:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import warnings
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -109,6 +111,14 @@ def test_compile(name: str, device: torch.device) -> None:
     compiled(first)
     assert_close(compiled(second), expected, 1e-4, 1e-5)
     assert len(graphs) <= 1
+
+
+def test_the_guide_says_what_is_left_out() -> None:
+    page = (Path(__file__).parents[1] / "docs/deployment.md").read_text()
+    (paragraph,) = (
+        p for p in page.split("\n\n") if p.startswith("Every public function that computes on tensors exports")
+    )
+    assert re.findall(r"`(\w+)`", paragraph) == [name.split(".")[1] for name in LEFT_OUT]
 
 
 def test_few_functions_are_left_out() -> None:

@@ -28,8 +28,8 @@ def broadcast_shapes(*shapes: Sequence[int]) -> Sequence[int]:
 
     Equal shapes, the usual case, do not call torch.broadcast_shapes, which takes as long as a kernel on few points.
     """
-    common = shapes[0] or shapes[-1]
-    return common if all(s == common or not s for s in shapes) else torch.broadcast_shapes(*shapes)
+    common = shapes[0] if len(shapes[0]) else shapes[-1]
+    return common if all(s == common or len(s) == 0 for s in shapes) else torch.broadcast_shapes(*shapes)
 
 
 def expand_to_batch(x: Tensor, leading: Sequence[int], axes: int) -> Tensor:

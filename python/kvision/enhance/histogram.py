@@ -151,6 +151,8 @@ def _short_rows(x: Tensor) -> list[Tensor]:
 
     Libraries compute a product of long thin matrices by few threads, and many short ones by many.
     """
+    if torch.compiler.is_compiling():  # a compiled graph keeps sizes symbolic
+        return [x[:, None]]
     count, rest = divmod(x.shape[1], _SHORT)
     rows = [x[:, : count * _SHORT].unflatten(1, (count, _SHORT))] if count else []
     return [*rows, x[:, None, count * _SHORT :]] if rest else rows

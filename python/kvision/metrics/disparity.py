@@ -169,9 +169,15 @@ def _absolute(input: Tensor, target: Tensor, mask: Tensor | None, reduction: str
 
 @with_kernel_casts
 def _root_mean_squared(input: Tensor, target: Tensor, mask: Tensor | None, reduction: str) -> Tensor:
-    square = _reduced((input - target).square(), mask, reduction)
-    perfect = square == 0  # where the root has no derivative
-    return torch.where(perfect, 0, torch.where(perfect, 1, square).sqrt())
+    error = input - target
+    if mask is not None:
+        error = error.masked_fill(~mask, 0)
+    if reduction == "none":
+        return error.abs()
+    length = torch.linalg.vector_norm(error)  # its gradient at 0 is 0
+    if reduction == "sum":
+        return length
+    return length / (error.numel() ** 0.5 if mask is None else mask.sum().to(error.dtype).sqrt())
 
 
 @with_kernel_casts

@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
-from kvision._ops import register
+from kvision._ops import register, wants_derivative
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.filter2d import filter_images
 from kvision.filters.filter3d import filter_volumes
@@ -176,9 +176,10 @@ def _motion_kernel(
     _check.odd(op, "kernel_size", (size,))
     _check.choice(op, "mode", mode, ("nearest", "bilinear", "bicubic") if axes == 2 else ("nearest", "bilinear"))
     angle, direction, dtype = _parameters(op, angle, direction, axes, image)
-    kernel: Tensor = _motion_kernels(
-        angle.detach() if mode == "nearest" else angle, direction, size, _MODES.index(mode)
-    )
+    angle = angle.detach() if mode == "nearest" else angle
+    # The gradient of the operator would compute the reference again.
+    kernels = _motion_kernels.reference if wants_derivative(angle, direction) else _motion_kernels
+    kernel: Tensor = kernels(angle, direction, size, _MODES.index(mode))
     return as_dtype(kernel, dtype)
 
 

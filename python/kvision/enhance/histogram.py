@@ -58,9 +58,18 @@ def recomputed(f: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
     return f(*tensors) if torch.compiler.is_compiling() or is_tracing() else _Recomputed.apply(f, *tensors)
 
 
-def count_chunks(pixels: int, bins: int) -> int:
-    """The number of chunks of pixels; a chunk times the bins has at most the size of a few images."""
-    return max(min(pixels, bins // 8), 1)
+def count_chunks(x: Tensor, bins: int) -> int:
+    """The number of chunks of values (N, P); a chunk times the bins has at most the size of a few images.
+
+    On a GPU, where each operator of a chunk is a launch, it may be larger if it is small; a CPU has caches.
+    """
+    chunks = min(x.shape[1], bins // 8)
+    if x.is_cuda and not torch.compiler.is_compiling():  # a compiled graph keeps sizes symbolic
+        chunks = min(chunks, -(-x.numel() * bins // _SMALL))
+    return max(chunks, 1)
+
+
+_SMALL = 1 << 23  # numbers, 32 MiB
 
 
 def kernel_counts(x: Tensor, centers: Tensor, bandwidth: Tensor, kernel: str) -> Tensor:
@@ -78,7 +87,7 @@ def _counts_in_chunks(shape: Callable[[Tensor], Tensor], x: Tensor, centers: Ten
         return shape((x[:, None] - centers[..., None]).abs() / bandwidth[:, None, None]).sum(2)
 
     x = torch.where(x.isnan(), torch.finfo(x.dtype).max ** 0.5, x)  # out of reach of every center
-    parts = x.chunk(count_chunks(x.shape[1], centers.shape[1]), 1)
+    parts = x.chunk(count_chunks(x, centers.shape[1]), 1)
     return _total([recomputed(counts, part, centers, bandwidth) for part in parts])
 
 
@@ -118,7 +127,7 @@ def _parameter_grads(grad: Tensor, x: Tensor, centers: Tensor, bandwidth: Tensor
     if x.is_cpu:
         chunks = x.split(max(1, _CHUNK // max(1, x.shape[0] * centers.shape[1])), 1)
     else:
-        chunks = x.chunk(count_chunks(x.shape[1], centers.shape[1]), 1)
+        chunks = x.chunk(count_chunks(x, centers.shape[1]), 1)
     first, second = _total([recomputed(sums, part, grad, centers, inverse) for part in chunks]) * inverse
     return first.sum_to_size(centers.shape), second.sum(1).sum_to_size(bandwidth.shape)
 
@@ -139,7 +148,7 @@ def joint_counts(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor) -> Ten
             products.append((k1 @ k2.mT).sum(1))
         return _total(products)
 
-    n = count_chunks(x1.shape[1], bins.shape[0])
+    n = count_chunks(x1, bins.shape[0])
     return _total([recomputed(counts, a, b, bins, bandwidth) for a, b in zip(x1.chunk(n, 1), x2.chunk(n, 1))])
 
 

@@ -36,6 +36,10 @@ def case(name: str, call: Callable[..., Any], bars: Bars, peers: dict[str, Calla
     return Case(name, partial(call, kvision), {"kornia": partial(call, kornia), **peers}, bars, **more)
 
 
+def one_channel(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
+    return photographs((size[0], 1, *size[2:]), dtype, device)
+
+
 def two_images(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
     (x,) = photographs(size, dtype, device)
     return x, x.flip(-1)
@@ -229,6 +233,14 @@ CASES = [
         lambda K, x: K.enhance.image_histogram2d(x, 0.0, 1.0, 256, kernel="gaussian")[0],
         Bars(floor=6.0, launches=None),
         {},
+        **nonlinear,
+    ),
+    case(
+        "histogram_gray",
+        lambda K, x: K.enhance.image_histogram2d(x, 0.0, 1.0, 256)[0],
+        Bars(launches=None),
+        {},
+        inputs=one_channel,
         **nonlinear,
     ),
     case("sharpness", lambda K, x: K.enhance.sharpness(x, 1.5), Bars(), {}, **nonlinear),

@@ -54,6 +54,12 @@ def with_map(images: Size, dtype: torch.dtype, device: torch.device) -> tuple[Te
     return *photographs(images, dtype, device), *maps
 
 
+def with_shared_map(images: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
+    """One map for all images."""
+    x, u, v = with_map(images, dtype, device)
+    return x, u[:1].clone(), v[:1].clone()
+
+
 def with_boxes(images: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
     batch, _, h, w = images
     unit = torch.tensor([[0.0, 0], [1, 0], [1, 1], [0, 1]])
@@ -125,6 +131,7 @@ CASES = [
         lambda x, u, v, out=None: cv2.remap(x, u, v, cv2.INTER_LINEAR, out),
         inputs=with_map,
     ),
+    case("remap_shared", lambda G, x, u, v: G.remap(x, u, v, align_corners=True), Bars(), None, inputs=with_shared_map),
     resized("resize", 0.5, "bilinear", "INTER_LINEAR", Bars(floor=1.15, opencv=1.0)),
     resized("resize_up", 1.5, "bilinear", "INTER_LINEAR", Bars(floor=1.15, opencv=1.0)),
     resized("resize_bicubic", 0.5, "bicubic", "INTER_CUBIC", Bars(opencv=1.0)),

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "byte_histogram.h"
-#include "core/lanes.h"
+#include "core/bytes.h"
 
 namespace kv::enhance::KV_ISA {
 namespace {
@@ -44,6 +44,14 @@ KV_HD T const* gather(T const* x, int64_t step, int64_t n, T* memory) {
 
 template <class T>
 KV_HD void levels_of(T const* x, int64_t n, uint16_t* level) {
+  if constexpr (__is_same(T, uint8_t))
+    return for_each_vector<uint8_t, kByteLanes / 2>(0, n, [&](auto width, int64_t i) {
+      constexpr int N = decltype(width)::value;
+      if constexpr (N == 1)
+        level[i] = x[i];
+      else
+        *reinterpret_cast<Lanes<int16_t, N>*>(level + i) = load_words<N>(x + i);
+    });
   for_each_vector<T>(0, n, [&](auto width, int64_t i) {
     constexpr int N = decltype(width)::value;
     auto const v = levels_of<T, N>(load<N>(x + i));
@@ -57,7 +65,8 @@ KV_HD void levels_of(T const* x, int64_t n, uint16_t* level) {
 // Counts levels in four tables in turn: increments of one counter in a row would each wait for the one before.
 struct LevelCounts {
   int32_t of[4][kLevels + 1];
-  KV_HD void add(uint16_t const* level, int64_t n) {
+  template <class L>
+  KV_HD void add(L const* level, int64_t n) {
     int64_t i = 0;
     for (; i + 4 <= n; i += 4)
       for (int k = 0; k < 4; ++k) ++of[k][level[i + k]];

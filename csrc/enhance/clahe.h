@@ -70,10 +70,18 @@ struct Clahe {
   TileAxis down, across;
   int32_t limit;    // the clip limit of a tile's counts
   bool to_levels;   // the result is rounded to levels
-  uint8_t* tables;  // CUDA: kLevels for every tile of every plane
+  uint8_t* tables;  // kLevels for every tile of every plane; null on the CPU where its rows of work are planes
+  // CPU, besides the tables: whether the tiles of a row of them have a NaN.
+  uint8_t* has_nan = nullptr;
+
+  KV_HD uint8_t* tables_of(int64_t plane) const { return tables + plane * down.count * across.count * kLevels; }
+  KV_HD bool by_cells() const { return tables != nullptr; }
 };
 
+// On the CPU, a row of work is a plane. Where there are few planes it is a row of cells, behind a pass of its own for
+// the tables, whose rows of work are rows of tiles: more threads than planes share the work.
 KV_KERNEL(clahe, Clahe)
+KV_KERNEL(clahe_tables, Clahe)  // CPU
 
 // Redistribution of the counts above the clip limit: an equal amount for every level. OpenCV adds the remainder one by
 // one to levels at equal distances.

@@ -1,6 +1,6 @@
-// CLAHE on the CPU: a plane's tables, then its rows. Pixels are quantized row by row, which is the fastest order for
-// memory, and histograms of tiles count these levels. The four tables of a cell are interleaved, four bytes per entry:
-// a pixel needs one look-up and some vector arithmetic. Compiled once per instruction set.
+// CLAHE on the CPU: tables of tiles, then rows of pixels. Pixels are quantized row by row, which is the fastest order for
+// memory, and histograms of tiles count these levels; bytes are their levels. The four tables of a cell are interleaved,
+// four bytes per entry: a pixel needs one look-up and some vector arithmetic. Compiled once per instruction set.
 #include "byte_histogram_cpu.h"
 #include "clahe.h"
 #include "core/scratch.h"
@@ -39,34 +39,34 @@ KV_HD void make_table(LevelCounts const& counts, int32_t limit, F scale, uint8_t
   }
 }
 
-// Computes the tables of a plane and the levels of its pixels; returns whether a pixel is NaN.
 template <class T>
-KV_HD bool make_tables(Clahe<T> const& p, int64_t plane, uint8_t* tables, uint16_t* levels) {
+KV_HD void quantize_row(Clahe<T> const& p, int64_t plane, int64_t y, uint16_t* levels) {
+  T memory[kChunk];
+  T const* const row = p.x.row(plane, y);
+  for (int64_t x = 0; x < p.across.pixels; x += kChunk) {
+    int64_t const n = min(kChunk, p.across.pixels - x);
+    levels_of(gather(row + x * p.x.step, p.x.step, n, memory), n, levels + x);
+  }
+}
+
+// Computes the tables of a row of tiles; returns whether a pixel is NaN. Row y of the image has its levels at
+// levels_at(y).
+template <class T, class LevelsAt>
+KV_HD bool make_tables(Clahe<T> const& p, int ty, LevelsAt levels_at, uint8_t* tables) {
   using F = Compute<T>;
   F const scale = F(255) / F(int64_t(p.down.size) * p.across.size);
-  int64_t const width = p.across.pixels;
-  T memory[kChunk];
+  int const y0 = ty * p.down.size, y1 = y0 + p.down.size;
   int32_t nan = 0;
-  for (int ty = 0; ty < p.down.count; ++ty) {
-    int const y0 = ty * p.down.size, y1 = y0 + p.down.size;
-    for (int y = y0; y < min(y1, p.down.pixels); ++y) {
-      T const* const row = p.x.row(plane, y);
-      for (int64_t x = 0; x < width; x += kChunk) {
-        int64_t const n = min(kChunk, width - x);
-        levels_of(gather(row + x * p.x.step, p.x.step, n, memory), n, levels + y * width + x);
-      }
+  for (int tx = 0; tx < p.across.count; ++tx) {
+    int const x0 = tx * p.across.size, x1 = x0 + p.across.size, inside = clamp(p.across.pixels, x0, x1);
+    LevelCounts counts{};
+    for (int y = y0; y < y1; ++y) {
+      auto const* const row = levels_at(y);
+      counts.add(row + x0, inside - x0);
+      for (int x = inside; x < x1; ++x) ++counts.of[0][row[p.across.reflected(x)]];
     }
-    for (int tx = 0; tx < p.across.count; ++tx) {
-      int const x0 = tx * p.across.size, x1 = x0 + p.across.size, inside = clamp(p.across.pixels, x0, x1);
-      LevelCounts counts{};
-      for (int y = y0; y < y1; ++y) {
-        uint16_t const* const row = levels + p.down.reflected(y) * width;
-        counts.add(row + x0, inside - x0);
-        for (int x = inside; x < x1; ++x) ++counts.of[0][row[p.across.reflected(x)]];
-      }
-      for (int k = 0; k < 4; ++k) nan += counts.of[k][kNanLevel];
-      make_table(counts, p.limit, scale, tables + (ty * p.across.count + tx) * kLevels);
-    }
+    for (int k = 0; k < 4; ++k) nan += counts.of[k][kNanLevel];
+    make_table(counts, p.limit, scale, tables + (ty * p.across.count + tx) * kLevels);
   }
   return nan > 0;
 }
@@ -109,8 +109,8 @@ struct ClaheRow {
   explicit KV_HD ClaheRow(int64_t width, int64_t across) : weight(width), cells(across * kCell), four(width) {}
 };
 
-template <class T>
-KV_HD void map_row(Clahe<T> const& p, int64_t plane, int y, int cy, uint16_t const* level, bool nan,
+template <class T, class L>
+KV_HD void map_row(Clahe<T> const& p, int64_t plane, int y, int cy, L const* level, bool nan,
                    ClaheRow<Compute<T>> const& memory) {
   using F = Compute<T>;
   uint32_t* const four = memory.four.data;
@@ -144,26 +144,77 @@ KV_HD void map_row(Clahe<T> const& p, int64_t plane, int y, int cy, uint16_t con
 }  // namespace
 
 template <class T>
+void clahe_tables(Clahe<T> const& p, int64_t begin, int64_t end) {
+  int64_t const width = p.across.pixels;
+  Scratch<uint16_t> const levels(width * p.down.size);
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const plane = r / p.down.count;
+    int const ty = int(r % p.down.count), y0 = ty * p.down.size;
+    if constexpr (__is_same(T, uint8_t))
+      if (p.x.step == 1) {
+        auto const row = [&](int y) { return p.x.row(plane, p.down.reflected(y)); };
+        p.has_nan[r] = make_tables(p, ty, row, p.tables_of(plane));
+        continue;
+      }
+    auto const levels_at = [&](int y) { return levels.data + (y - y0) * width; };
+    for (int y = y0; y < y0 + p.down.size; ++y) quantize_row(p, plane, p.down.reflected(y), levels_at(y));
+    p.has_nan[r] = make_tables(p, ty, levels_at, p.tables_of(plane));
+  }
+}
+
+template <class T>
 void clahe(Clahe<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  int64_t const width = p.across.pixels;
-  Scratch<uint8_t> const tables(int64_t(p.down.count) * p.across.count * kLevels);
-  Scratch<uint16_t> const levels(width * p.down.pixels);
+  int64_t const width = p.across.pixels, cells_down = p.down.count + 1;
+  bool const by_cells = p.by_cells();
+  Scratch<uint8_t> const own_tables(by_cells ? 0 : int64_t(p.down.count) * p.across.count * kLevels);
+  Scratch<uint16_t> const levels(by_cells ? width : width * p.down.pixels);
   ClaheRow<F> const memory(width, p.across.count + 1);
   for (int cx = 0; cx <= p.across.count; ++cx)
     for (int x = p.across.cell(cx); x < p.across.cell(cx + 1); ++x)
       memory.weight.data[x] = p.across.template weight<F>(x, cx);
-  for (int64_t plane = begin; plane < end; ++plane) {
-    bool const nan = make_tables(p, plane, tables.data, levels.data);
-    for (int cy = 0; cy <= p.down.count; ++cy) {
-      int const y0 = p.down.cell(cy), y1 = p.down.cell(cy + 1);
-      for (int cx = 0; y0 < y1 && cx <= p.across.count; ++cx)
-        make_cell(p, cy, cx, tables.data, memory.cells.data + cx * memory.kCell);
-      for (int y = y0; y < y1; ++y) map_row(p, plane, y, cy, levels.data + y * width, nan, memory);
+
+  auto const map_cells = [&](int64_t plane, int cy, uint8_t const* tables, bool nan, auto levels_at) {
+    int const y0 = p.down.cell(cy), y1 = p.down.cell(cy + 1);
+    for (int cx = 0; y0 < y1 && cx <= p.across.count; ++cx)
+      make_cell(p, cy, cx, tables, memory.cells.data + cx * memory.kCell);
+    for (int y = y0; y < y1; ++y) map_row(p, plane, y, cy, levels_at(y), nan, memory);
+  };
+  for (int64_t r = begin; r < end; ++r) {
+    if (by_cells) {
+      int64_t const plane = r / cells_down;
+      int const cy = int(r % cells_down);
+      if constexpr (__is_same(T, uint8_t))
+        if (p.x.step == 1) {
+          map_cells(plane, cy, p.tables_of(plane), false, [&](int y) { return p.x.row(plane, y); });
+          continue;
+        }
+      uint8_t const* const has_nan = p.has_nan + plane * p.down.count;
+      map_cells(plane, cy, p.tables_of(plane), has_nan[p.down.before(cy)] || has_nan[p.down.after(cy)], [&](int y) {
+        quantize_row(p, plane, y, levels.data);
+        return levels.data;
+      });
+      continue;
     }
+    if constexpr (__is_same(T, uint8_t))
+      if (p.x.step == 1) {
+        auto const row = [&](int y) { return p.x.row(r, p.down.reflected(y)); };
+        for (int ty = 0; ty < p.down.count; ++ty) make_tables(p, ty, row, own_tables.data);
+        for (int cy = 0; cy < cells_down; ++cy) map_cells(r, cy, own_tables.data, false, row);
+        continue;
+      }
+    auto const levels_at = [&](int y) { return levels.data + p.down.reflected(y) * width; };
+    bool nan = false;
+    for (int ty = 0; ty < p.down.count; ++ty) {
+      for (int y = ty * p.down.size; y < min((ty + 1) * p.down.size, p.down.pixels); ++y)
+        quantize_row(p, r, y, levels.data + y * width);
+      nan |= make_tables(p, ty, levels_at, own_tables.data);
+    }
+    for (int cy = 0; cy < cells_down; ++cy) map_cells(r, cy, own_tables.data, nan, levels_at);
   }
 }
 
+KV_INSTANTIATE_WITH_BYTES(clahe_tables, Clahe)
 KV_INSTANTIATE_WITH_BYTES(clahe, Clahe)
 
 }  // namespace kv::enhance::KV_ISA

@@ -28,17 +28,24 @@ Tensor equalize_clahe(Tensor const& input, double clip_limit, int64_t rows, int6
 
   Layout const layout = layout_of(input);
   Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
+  int64_t const planes = x.size(0) * x.size(1);
 #if defined(KV_CUDA)
-  Tensor const memory = empty({x.size(0) * x.size(1), rows * columns * kLevels}, x, Layout::planar, ScalarType::Byte);
-  auto* const tables = static_cast<uint8_t*>(memory.mutable_data_ptr());
+  bool const by_cells = true;
 #else
-  uint8_t* const tables = nullptr;
+  bool const by_cells = planes < kManyPlanes && h * w >= kLargePlane;
 #endif
+  Tensor const memory =
+      empty({by_cells ? planes : 0, rows * (columns * kLevels + 1)}, x, Layout::planar, ScalarType::Byte);
+  uint8_t *const tables = by_cells ? static_cast<uint8_t*>(memory.mutable_data_ptr()) : nullptr,
+                 *const has_nan = by_cells ? tables + planes * rows * columns * kLevels : nullptr;
   dispatch_floating_and_cpu_uint8(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     Clahe<T> const params{
-        channel_planes<T const>(x, layout), channel_planes<T>(y, layout), down, across, limit, opencv, tables};
-    KV_RUN(clahe, x, params, params.x.count(), 4 * h * w);
+        channel_planes<T const>(x, layout), channel_planes<T>(y, layout), down, across, limit, opencv, tables, has_nan};
+#if !defined(KV_CUDA)
+    if (by_cells) KV_RUN(clahe_tables, x, params, planes * rows, 2 * h * w / rows);
+#endif
+    KV_RUN(clahe, x, params, by_cells ? planes * (rows + 1) : planes, by_cells ? 2 * h * w / rows : 4 * h * w);
   });
   return y;
 }

@@ -15,7 +15,10 @@ struct Equalize {
   Planes<T> y;
   T* changed;  // a Change per plane
   bool opencv;
-  int32_t* counts;  // CUDA: working memory, kLevels per plane
+  int32_t* counts;    // working memory, kLevels per plane; on the CPU per part of a plane, if there are parts
+  int64_t parts = 1;  // CPU: planes are divided into parts, so that more threads than planes share the work
+
+  KV_HD int64_t first_of(int64_t part) const { return x.width * part / parts; }
 };
 
 // Levels have zero gradient; pixels that are returned unchanged pass theirs.
@@ -27,6 +30,7 @@ struct EqualizeBackward {
 };
 
 KV_KERNEL(equalize, Equalize)
+KV_KERNEL(equalize_counts, Equalize)  // CPU: the counts of each part
 KV_KERNEL(equalize_backward, EqualizeBackward)
 
 // The table from level to level. PIL: one output level takes a whole number of pixels, and the brightest level that is

@@ -1,5 +1,7 @@
-// Histogram equalization on the CPU: count, build the table, map. Compiled once per instruction set.
+// Histogram equalization on the CPU: count, build the table, map. Bytes are their levels. Compiled once per instruction
+// set.
 #include "byte_histogram_cpu.h"
+#include "core/bytes.h"
 #include "core/scratch.h"
 #include "equalize.h"
 
@@ -8,10 +10,8 @@ namespace {
 
 // Builds the table from level to value, with an entry for NaN. False if the plane stays unchanged.
 template <class T>
-KV_HD bool make_table(LevelCounts const& counts, bool opencv, T (&table)[kLevels + 1], int32_t& counted) {
+KV_HD bool make_table(int32_t const (&count)[kLevels], bool opencv, T (&table)[kLevels + 1], int32_t& counted) {
   using F = Compute<T>;
-  int32_t count[kLevels];
-  counts.sum_up(count);
   Curve curve{opencv, 0, 0, 0};
   for (int32_t n : count) {
     if (curve.pixels == 0) curve.darkest = n;
@@ -29,37 +29,98 @@ KV_HD bool make_table(LevelCounts const& counts, bool opencv, T (&table)[kLevels
   return true;
 }
 
+template <class T>
+KV_HD bool has_levels(Equalize<T> const& p) {
+  return __is_same(T, uint8_t) && p.x.step == 1 && p.y.step == 1;
+}
+
+// Counts the levels of pixels [first, last) of a plane. Keeps them at `levels`, which holds a chunk or, if `keeps`,
+// all.
+template <class T>
+KV_HD void count_levels(Equalize<T> const& p, int64_t plane, int64_t first, int64_t last, uint16_t* levels, bool keeps,
+                        int32_t (&count)[kLevels]) {
+  T memory[kChunk];
+  T const* const x = p.x.plane(plane);
+  LevelCounts counts{};
+  if constexpr (__is_same(T, uint8_t))
+    if (has_levels(p)) {
+      counts.add(x + first, last - first);
+      return counts.sum_up(count);
+    }
+  for (int64_t i = first; i < last; i += kChunk) {
+    int64_t const n = min(kChunk, last - i);
+    uint16_t* const level = keeps ? levels + i - first : levels;
+    levels_of(gather(x + i * p.x.step, p.x.step, n, memory), n, level);
+    counts.add(level, n);
+  }
+  counts.sum_up(count);
+}
+
+template <class T>
+KV_HD void map_levels(uint16_t const* level, int64_t n, T const (&table)[kLevels + 1], T* y, int64_t step) {
+  int64_t i = 0;
+  for (; step == 1 && i + 4 <= n; i += 4) {  // four independent look-ups in flight
+    T const a = table[level[i]], b = table[level[i + 1]], c = table[level[i + 2]], d = table[level[i + 3]];
+    y[i] = a, y[i + 1] = b, y[i + 2] = c, y[i + 3] = d;
+  }
+  for (; i < n; ++i) y[i * step] = table[level[i]];
+}
+
 }  // namespace
 
+template <class T>
+void equalize_counts(Equalize<T> const& p, int64_t begin, int64_t end) {
+  uint16_t levels[kChunk];
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const plane = r / p.parts, part = r % p.parts;
+    int32_t count[kLevels];
+    count_levels(p, plane, p.first_of(part), p.first_of(part + 1), levels, false, count);
+    __builtin_memcpy(p.counts + r * kLevels, count, sizeof(count));
+  }
+}
+
+// Rows are planes, or parts of them that equalize_counts has counted.
 template <class T>
 void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
   T memory[kChunk], table[kLevels + 1];
   int64_t const pixels = p.x.width, from = p.x.step, to = p.y.step;
-  Scratch<uint16_t> const levels(pixels);  // of a plane: keeping them takes less time than quantizing twice
-  uint16_t const* const level = levels.data;
-  for (int64_t plane = begin; plane < end; ++plane) {
+  // The levels of a plane: keeping them takes less time than quantizing twice.
+  bool const keeps = p.parts == 1 && !has_levels(p);
+  Scratch<uint16_t> const levels(keeps ? pixels : kChunk);
+  bool changed = false;
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const plane = r / p.parts, part = r % p.parts, first = p.first_of(part), last = p.first_of(part + 1);
+    if (r == begin || part == 0) {
+      int32_t count[kLevels] = {}, counted = 0;
+      if (p.parts == 1) count_levels(p, plane, first, last, levels.data, keeps, count);
+      for (int64_t k = 0; p.parts > 1 && k < p.parts; ++k)
+        for (int i = 0; i < kLevels; ++i) count[i] += p.counts[(plane * p.parts + k) * kLevels + i];
+      changed = make_table(count, p.opencv, table, counted);
+      Change const change = !changed ? Change::none : counted == pixels ? Change::all : Change::but_nan;
+      if (part == 0) store<1>(p.changed + plane, Compute<T>(int(change)));
+    }
     T const* const x = p.x.plane(plane);
     T* const y = p.y.plane(plane);
-    LevelCounts counts{};
-    for (int64_t i = 0; i < pixels; i += kChunk) {
-      int64_t const n = min(kChunk, pixels - i);
-      levels_of(gather(x + i * from, from, n, memory), n, levels.data + i);
-      counts.add(level + i, n);
-    }
-    int32_t counted = 0;
-    bool const changed = make_table(counts, p.opencv, table, counted);
-    Change const change = !changed ? Change::none : counted == pixels ? Change::all : Change::but_nan;
-    store<1>(p.changed + plane, Compute<T>(int(change)));
     if (!changed) {
-      for (int64_t i = 0; i < pixels; ++i) y[i * to] = x[i * from];
+      for (int64_t i = first; i < last; ++i) y[i * to] = x[i * from];
       continue;
     }
-    int64_t i = 0;
-    for (; to == 1 && i + 4 <= pixels; i += 4) {  // four independent look-ups in flight
-      T const a = table[level[i]], b = table[level[i + 1]], c = table[level[i + 2]], d = table[level[i + 3]];
-      y[i] = a, y[i + 1] = b, y[i + 2] = c, y[i + 3] = d;
+    if constexpr (__is_same(T, uint8_t))
+      if (has_levels(p)) {
+        ByteTable bytes;
+        __builtin_memcpy(bytes.values, table, sizeof(bytes.values));
+        bytes.map(x + first, y + first, last - first);
+        continue;
+      }
+    if (keeps) {
+      map_levels(levels.data, pixels, table, y, to);
+      continue;
     }
-    for (; i < pixels; ++i) y[i * to] = table[level[i]];
+    for (int64_t i = first; i < last; i += kChunk) {
+      int64_t const n = min(kChunk, last - i);
+      levels_of(gather(x + i * from, from, n, memory), n, levels.data);
+      map_levels(levels.data, n, table, y + i * to, to);
+    }
   }
 }
 
@@ -90,6 +151,7 @@ void equalize_backward(EqualizeBackward<T> const& p, int64_t begin, int64_t end)
 }
 
 KV_INSTANTIATE_WITH_BYTES(equalize, Equalize)
+KV_INSTANTIATE_WITH_BYTES(equalize_counts, Equalize)
 KV_INSTANTIATE(equalize_backward, EqualizeBackward)
 
 }  // namespace kv::enhance::KV_ISA

@@ -9,17 +9,25 @@ std::tuple<Tensor, Tensor> equalize(Tensor const& input, bool opencv) {
   check_planes("equalize", input);
   Layout const layout = layout_of(input);
   Tensor const x = dense_planes(input, layout), y = empty_like(x, layout), changed = empty({x.size(0), x.size(1)}, x);
+  int64_t const planes = x.size(0) * x.size(1), pixels = x.size(2) * x.size(3);
 #if defined(KV_CUDA)
-  Tensor const memory = empty({x.size(0) * x.size(1), kLevels}, x, Layout::planar, ScalarType::Int);
-  auto* const counts = static_cast<int32_t*>(memory.mutable_data_ptr());
+  int64_t const parts = 1;
 #else
-  int32_t* const counts = nullptr;
+  int64_t const parts = planes < kManyPlanes ? max(int64_t(1), pixels / kLargePlane) : 1;
 #endif
+  Tensor const memory = empty({planes * parts, kLevels}, x, Layout::planar, ScalarType::Int);
   dispatch_floating_and_cpu_uint8("equalize", x, [&](auto type) {
     using T = typename decltype(type)::type;
-    Equalize<T> const params{flat_planes<T const>(x, layout), flat_planes<T>(y, layout),
-                             static_cast<T*>(changed.mutable_data_ptr()), opencv, counts};
-    KV_RUN(equalize, x, params, params.x.count(), 2 * params.x.width);
+    Equalize<T> const params{flat_planes<T const>(x, layout),
+                             flat_planes<T>(y, layout),
+                             static_cast<T*>(changed.mutable_data_ptr()),
+                             opencv,
+                             static_cast<int32_t*>(memory.mutable_data_ptr()),
+                             parts};
+#if !defined(KV_CUDA)
+    if (parts > 1) KV_RUN(equalize_counts, x, params, planes * parts, kLargePlane);
+#endif
+    KV_RUN(equalize, x, params, planes * parts, 2 * pixels / parts);
   });
   return {y, changed};
 }

@@ -6,6 +6,9 @@
 
 namespace kv::enhance {
 
+// Threads of the CPU share a plane of that many pixels where there are fewer planes than that.
+constexpr int64_t kLargePlane = 1 << 16, kManyPlanes = 16;
+
 // `x`, copied only if it is not dense: all pixels of a plane then form one row.
 inline Tensor dense_planes(Tensor const& x, Layout layout) {
   bool const last = layout == Layout::channels_last;

@@ -11,8 +11,12 @@ from kvision._dtype import pixels
 from kvision.morphology.dilation import checked, dilated, eroded
 
 
-def _difference(x: Tensor, y: Tensor) -> Tensor:
-    return torch.maximum(x, y) - y if x.dtype == torch.uint8 else x - y  # bytes saturate, they do not wrap
+def _difference(x: Tensor, y: Tensor, *, reuses_x: bool = True) -> Tensor:
+    """`x - y`. Bytes saturate, they do not wrap, and are subtracted in the memory of `x` if `reuses_x`."""
+    if x.dtype != torch.uint8:
+        return x - y
+    most = x.clamp_min_(y) if reuses_x else torch.maximum(x, y)
+    return most.sub_(y)
 
 
 def opening(
@@ -172,7 +176,7 @@ def top_hat(
     element = checked(
         "top_hat", tensor, kernel, structuring_element, origin, border_type, border_value, max_val, engine
     )
-    return _difference(pixels(tensor), dilated(eroded(tensor, *element), *element))
+    return _difference(pixels(tensor), dilated(eroded(tensor, *element), *element), reuses_x=False)
 
 
 def bottom_hat(

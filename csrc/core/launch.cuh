@@ -238,24 +238,26 @@ __device__ __forceinline__ void store_words(T* to, Compute<T> const (&v)[P], int
       words[k] = __funnelshift_rc(k > 0 ? own[max(k - 1, 0)] : previous, own[k], 32 - 8 * int(sizeof(T)) * preceding);
     Vector<T, P> shifted;
     __builtin_memcpy(&shifted, words, sizeof(words));
-    T* const first = to - preceding;
+    char* const first = reinterpret_cast<char*>(to) - preceding * int(sizeof(T));
+    auto const word_at = [&](int k) { return reinterpret_cast<uint32_t*>(first + 4 * k); };
+    auto const element_at = [&](int i) { return reinterpret_cast<T*>(first + i * int(sizeof(T))); };
     int const count = width - x + preceding;  // elements from the first word to the end of the row
     if (count >= P) {
+      if (begin == 0) *word_at(0) = words[0];
 #pragma unroll
-      for (int k = 0; k < N; ++k)
-        if (k > 0 || begin == 0) reinterpret_cast<uint32_t*>(first)[k] = words[k];
+      for (int k = 1; k < N; ++k) *word_at(k) = words[k];
 #pragma unroll
       for (int i = 1; i < W; ++i)
-        if (begin > 0 && i >= begin) first[i] = shifted.v[i];
+        if (begin > 0 && i >= begin) *element_at(i) = shifted.v[i];
+      // The last elements of the last thread.
+#pragma unroll
+      for (int i = 1; i < W; ++i)
+        if (lane == 31 && i <= preceding && x + P - i < width) to[P - i] = vector.v[P - i];
     } else if (count > 0) {
 #pragma unroll
       for (int i = 0; i < P; ++i)
-        if (i >= begin && i < count) first[i] = shifted.v[i];
+        if (i >= begin && i < count) *element_at(i) = shifted.v[i];
     }
-    // The last elements of the last thread.
-#pragma unroll
-    for (int i = 1; i < W; ++i)
-      if (lane == 31 && i <= preceding && x + P - i < width) to[P - i] = vector.v[P - i];
   }
 }
 

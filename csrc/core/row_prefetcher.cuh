@@ -84,6 +84,7 @@ __device__ __forceinline__ void copy_part_async_if(uint32_t to, void const* from
 template <int P, class T>
 __device__ __forceinline__ void copy_start(uint32_t to, T const* from, int count) {
   auto* const elements = static_cast<T*>(__cvta_shared_to_generic(to));
+#pragma unroll 1
   for (int i = 0; i < P; ++i) elements[i] = i < count ? from[i] : T{};
 }
 
@@ -113,7 +114,8 @@ constexpr int kRingPitch = 32 * P + 2 * kHalo + (kMayPrecede<T, Aligned> ? 16 / 
 //
 // Other rows of words are copied word by word, every 32nd one by a thread. Other rows of smaller pixels are copied by
 // vectors all the same: the pixels that precede a row in its first vector are copied with it, so it begins as many
-// pixels later in the ring, and row() points that much further.
+// pixels later in the ring, and row() points that much further. Those that follow it in its last vector are copied,
+// too; row() overwrites them where windows read them.
 template <class T, int P, int Radius, int Rows, class Aligned>
 struct RowPrefetcher {
   static constexpr int kPitch = kRingPitch<T, P, Aligned>, kBytes = P * int(sizeof(T));
@@ -133,6 +135,7 @@ struct RowPrefetcher {
   uint32_t column_to, halo_to;
   [[maybe_unused]] int unsafe_from = 0;     // the first row whose last vector may reach behind the image
   [[maybe_unused]] uint32_t preceding = 0;  // pixels that precede the last four rows, the latest row's in the low byte
+  [[maybe_unused]] int column_key, halo_key;  // see holds_pixel
   T const *column_from, *halo_from;
 
   __device__ __forceinline__ RowPrefetcher(Ring& memory, Planes<T const> const& x, int64_t plane, Border across,
@@ -155,16 +158,20 @@ struct RowPrefetcher {
     int const size = kPrecede || aligned ? P : 1, side = lane < 16 ? left - kHalo : left + 32 * P;
     int const late = kPrecede ? P - 1 : 0;
     halo = side + lane % 16 * size, column = left + lane * size;
-    has_halo = lane < 16 ? halo < left && halo + size > left - Radius && halo + size > 0
-                         : halo < left + 32 * P + Radius + late && halo < in_width + late;
+    has_halo = halo < in_width + late && (lane < 16 ? halo < left && halo + size > left - Radius && halo + size > 0
+                                                    : halo < left + 32 * P + Radius + late);
     auto const address = [&](int x) { return uint32_t(__cvta_generic_to_shared(ring[0] + kHalo - left + x)); };
     column_to = address(column), halo_to = address(halo);
     column_from = in + column, halo_from = in + halo;
-    if constexpr (kPrecede) unsafe_from = first_unsafe_row<P>(x, in, x.row_size());
+    if constexpr (kPrecede) {
+      unsafe_from = first_unsafe_row<P>(x, in, x.row_size());
+      column_key = column + 1 - in_width, halo_key = has_halo ? halo + 1 - in_width : INT32_MAX / 2;
+    }
     for (int i = lane; i < Rows * kPitch; i += 32) ring[0][i] = T{};
     __syncwarp();
 
     filled = lane < 16 ? min(left, 0) - 1 - lane : max(min(left + 32 * P, in_width), left) + lane - 16;
+    if (kPrecede && lane < 16 && left - 1 - lane >= in_width) filled = left - 1 - lane;
     has_filled = filled >= left - Radius && filled < left + 32 * P + Radius && (filled < 0 || filled >= in_width);
     source = has_filled ? border_index(across, filled, in_width) : -1;
     if (!kPrecede) has_filled = source >= 0;  // zeros stay
@@ -185,21 +192,18 @@ struct RowPrefetcher {
     T const* const from = row_at(column_from, max(y, 0), in_stride);
     T const* const from_halo = row_at(halo_from, max(y, 0), in_stride);
     if constexpr (kPrecede) {
-      int const begin = int(reinterpret_cast<uintptr_t>(from) % kBytes);  // bytes, the same for all threads
-      bool const unsafe = max(y, 0) >= unsafe_from;
-      preceding = preceding << 8 | uint32_t(begin / int(sizeof(T)));
-      auto const copy = [&](uint32_t to, T const* from, int x, bool enabled) {
-        int const bytes = (in_width - x) * int(sizeof(T)) + begin;  // from the vector to the end of the row
-        char const* const vector = reinterpret_cast<char const*>(from) - begin;
-        enabled = enabled && more && bytes > 0;
-        if (unsafe && bytes < kBytes) {
-          if (enabled) copy_start<P>(to, reinterpret_cast<T const*>(vector), zero ? 0 : bytes / int(sizeof(T)));
-          enabled = false;
-        }
-        copy_part_async_if<kBytes>(to, vector, enabled, zero ? 0 : min(bytes, kBytes));
-      };
-      copy(column_to + to, from, column, (column + P) * int(sizeof(T)) > begin);
-      copy(halo_to + to, from_halo, halo, has_halo && (halo + P) * int(sizeof(T)) > begin);
+      int const bytes = int(reinterpret_cast<uintptr_t>(from) % kBytes);  // before the row, the same for all threads
+      int const before = bytes / int(sizeof(T));
+      preceding = preceding << 8 | uint32_t(before);
+      T const* const vector = row_at(from, -1, bytes);
+      bool const copies = more && holds_pixel(column_key, before), copies_halo = more && holds_pixel(halo_key, before);
+      if (max(y, 0) >= unsafe_from) {
+        if (copies) copy_start<P>(column_to + to, vector, zero ? 0 : in_width - column + before);
+        if (copies_halo) copy_start<P>(halo_to + to, vector + (halo - column), zero ? 0 : in_width - halo + before);
+      } else {
+        copy_async_if<kBytes>(column_to + to, vector, copies, zero);
+        copy_async_if<kBytes>(halo_to + to, vector + (halo - column), copies_halo, zero);
+      }
     } else if (aligned) {
       copy_async_if<kBytes>(column_to + to, from, more && column < in_width, zero);
       copy_async_if<kBytes>(halo_to + to, from_halo, more && has_halo, zero);
@@ -211,6 +215,12 @@ struct RowPrefetcher {
       copy_async_if<4>(halo_to + to, from_halo, more && has_halo, zero);
     }
     __pipeline_commit();
+  }
+
+  // Whether the vector of column x contains a pixel of a row before whose column x it holds `before` others; key =
+  // x + 1 - in_width. It begins before the end of the row and ends behind its beginning.
+  __device__ __forceinline__ bool holds_pixel(int key, int before) const {
+    return unsigned(before - key) < unsigned(in_width + P - 1);
   }
 
   // Row i; calls are in order. Pixel `left` is at kHalo.
@@ -238,31 +248,56 @@ struct RowPrefetcher {
   }
 };
 
+// Calls f with i, which is the same in all threads of a warp and in [0, N), as a constant.
+template <int N, int Begin = 0, class F>
+__device__ __forceinline__ void with_constant(int i, F f) {
+  if constexpr (N == 1)
+    f(std::integral_constant<int, Begin>{});
+  else if (i < Begin + N / 2)
+    with_constant<N / 2, Begin>(i, f);
+  else
+    with_constant<N - N / 2, Begin + N / 2>(i, f);
+}
+
 // Reads the windows of K pixels around a thread's P pixels from a row. The thread's first pixel is v[kBefore].
 template <int K, int P>
 constexpr int kBefore = (K / 2 + P - 1) / P * P;
 template <int K, int P, class T, class Aligned = std::true_type>
 __device__ __forceinline__ void read_windows(T const* row, float (&v)[P + 2 * kBefore<K, P>], Aligned = {}) {
-  constexpr int N = P + 2 * kBefore<K, P>;
-  T const* const first = row + kHalo + P * (threadIdx.x % 32) - kBefore<K, P>;
-  if constexpr (kMayPrecede<T, Aligned>) {  // words, within which the windows may begin
+  constexpr int N = P + 2 * kBefore<K, P>, R = K / 2, kSkip = kBefore<K, P> - R, kWindows = P + 2 * R;
+  T const* const pixels = row + kHalo + P * (threadIdx.x % 32);
+  if constexpr (!kMayPrecede<T, Aligned>) {
+#pragma unroll
+    for (int j = 0; j < N; j += P) {
+      auto const vector = *reinterpret_cast<Vector<T, P> const*>(pixels - kBefore<K, P> + j);
+#pragma unroll
+      for (int k = 0; k < P; ++k) v[j + k] = read(vector.v[k]);
+    }
+  } else if constexpr (kWindows <= 24) {
+    // Aligned vectors, within the first of which the windows begin: at the same pixel of it in all threads.
+    constexpr int kVectors = (kWindows + 2 * P - 2) / P;
+    using V = Vector<T, P>;
+    int const begin = int(__cvta_generic_to_shared(pixels - R) % sizeof(V)) / int(sizeof(T));
+    auto const* const from = reinterpret_cast<V const*>(pixels - R - begin);
+    V vectors[kVectors];
+#pragma unroll
+    for (int j = 0; j < kVectors; ++j) vectors[j] = from[j];
+    with_constant<P>(begin, [&](auto begin) {
+#pragma unroll
+      for (int i = 0; i < kWindows; ++i) v[kSkip + i] = read(vectors[(i + begin) / P].v[(i + begin) % P]);
+    });
+  } else {  // words, within which the windows may begin: so many vectors would not fit into the registers
     constexpr int W = kPerWord<T>;
+    T const* const first = pixels - kBefore<K, P>;
     int const preceding = preceding_elements(first);
     auto const* const words = reinterpret_cast<uint32_t const*>(first - preceding);
 #pragma unroll
     for (int j = 0; j < N / W; ++j) {
       uint32_t const word = __funnelshift_r(words[j], words[j + 1], 8 * int(sizeof(T)) * preceding);
-      Vector<T, W> pixels;
-      __builtin_memcpy(&pixels, &word, 4);
+      Vector<T, W> shifted;
+      __builtin_memcpy(&shifted, &word, 4);
 #pragma unroll
-      for (int k = 0; k < W; ++k) v[j * W + k] = read(pixels.v[k]);
-    }
-  } else {
-#pragma unroll
-    for (int j = 0; j < N; j += P) {
-      auto const vector = *reinterpret_cast<Vector<T, P> const*>(first + j);
-#pragma unroll
-      for (int k = 0; k < P; ++k) v[j + k] = read(vector.v[k]);
+      for (int k = 0; k < W; ++k) v[j * W + k] = read(shifted.v[k]);
     }
   }
 }

@@ -9,10 +9,11 @@ std::tuple<Tensor, Tensor> equalize(Tensor const& input, bool opencv) {
   check_planes("equalize", input);
   Layout const layout = layout_of(input);
   Tensor const x = dense_planes(input, layout), y = empty_like(x, layout), changed = empty({x.size(0), x.size(1)}, x);
-  int64_t const planes = x.size(0) * x.size(1), pixels = x.size(2) * x.size(3);
+  int64_t const planes = x.size(0) * x.size(1);
 #if defined(KV_CUDA)
   int64_t const parts = 1;
 #else
+  int64_t const pixels = x.size(2) * x.size(3);
   int64_t const parts = planes < kManyPlanes ? max(int64_t(1), pixels / kLargePlane) : 1;
 #endif
   Tensor const memory = empty({planes * parts, kLevels}, x, Layout::planar, ScalarType::Int);

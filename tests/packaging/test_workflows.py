@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -28,15 +29,19 @@ def read(path: Path) -> dict[str, Any]:
     return workflow
 
 
+def program(name: str) -> str:
+    """The path of a program of this environment or of the system; without it the test is skipped."""
+    path = shutil.which(name, path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
+    return path or pytest.skip(f"there is no {name}")
+
+
 def scripts(workflow: dict[str, Any]) -> list[str]:
     return [step["run"] for job in workflow["jobs"].values() for step in job["steps"] if "run" in step]
 
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=NAMES)
 def test_schema(path: Path) -> None:
-    if shutil.which("check-jsonschema") is None:
-        pytest.skip("pip install check-jsonschema")
-    command = ("check-jsonschema", "--builtin-schema", "github-workflows", path)
+    command = (program("check-jsonschema"), "--builtin-schema", "github-workflows", path)
     result = subprocess.run(command, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout + result.stderr
 
@@ -73,16 +78,21 @@ def test_commands_are_here(path: Path) -> None:
                 for files in re.findall(r"TESTS=(\S+)", line):
                     assert (ROOT / files).exists(), line
             if words[0] == "python":
-                program = (sys.executable, ROOT / words[1], "--help")
-                text = subprocess.run(program, check=True, capture_output=True, text=True).stdout
+                command = (sys.executable, ROOT / words[1], "--help")
+                text = subprocess.run(command, check=True, capture_output=True, text=True).stdout
                 assert set(re.findall(r"(--\w+)", line)) <= set(re.findall(r"(--\w+)", text)), line
 
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=NAMES)
 def test_shellcheck(path: Path) -> None:
-    if shutil.which("shellcheck") is None:
-        pytest.skip("there is no shellcheck")
+    shellcheck = program("shellcheck")
     for script in scripts(read(path)):
         text = "#!/bin/bash\n" + re.sub(r"\$\{\{.*?\}\}", "x", script)
-        result = subprocess.run(["shellcheck", "-"], input=text, capture_output=True, text=True)
+        result = subprocess.run([shellcheck, "-"], input=text, capture_output=True, text=True)
         assert result.returncode == 0, result.stdout
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=NAMES)
+def test_actionlint(path: Path) -> None:
+    result = subprocess.run([program("actionlint"), "-no-color", path], capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout

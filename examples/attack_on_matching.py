@@ -35,7 +35,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 import kvision as K
-from kvision.demo.arguments import device_of, images_of
+from kvision.demo.arguments import device_of, images_of, require
 
 PATCH = 32
 SCALE = 6.0  # of a frame, over the blur of its level
@@ -347,7 +347,9 @@ def main(arguments: list[str] | None = None) -> int:
             parser.error(f"--data {options.data}: expected a folder with a.png and b.png")
     device = device_of(parser, options.device)
     paths = options.image or ([options.data / name for name in ("a.png", "b.png")] if options.data else [])
-    originals = pictures(images_of(parser, paths), options.height, device)
+    own = images_of(parser, paths)
+    require(parser, "matplotlib", *(() if own else ("skimage",)))
+    originals = pictures(own, options.height, device)
     extractor = Extractor(options.features).to(device)
     options.out.mkdir(parents=True, exist_ok=True)
     outcomes = []

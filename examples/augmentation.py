@@ -21,11 +21,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
-from tqdm import tqdm
 
 import kvision as K
 import kvision.augmentation as A
-from kvision.demo.arguments import device_of, images_of
+from kvision.demo.arguments import device_of, images_of, require
 
 WINDOW, CROP = 224, 160
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -108,6 +107,8 @@ class Result:
 
 def train(name: str, windows: Windows, augment: nn.Module | None, options: argparse.Namespace) -> Result:
     """Epochs of a new network; `augment` gets whole batches on the device, unless the windows augment themselves."""
+    from tqdm import tqdm
+
     device = options.device
     model = network(len(windows.photographs)).to(device)
     optimizer = torch.optim.Adam(model.parameters(), 3e-3)
@@ -170,10 +171,8 @@ def photographs_of(parser: argparse.ArgumentParser, paths: list[Path]) -> list[T
     """Photographs, uint8 (3, H, W), their shorter side 320; a file that cannot be read ends the program in one line."""
     pictures = [image[0] for image in images_of(parser, paths)]
     if not paths:
-        try:
-            pictures = K.io.get_sample_images()
-        except ImportError:
-            parser.error("without --image, photographs of scikit-image are needed: pip install scikit-image")
+        require(parser, "skimage")
+        pictures = K.io.get_sample_images()
     scaled = [K.geometry.resize(picture[None], 320, antialias=True)[0] for picture in pictures]
     return [(255 * picture).round().clamp(0, 255).byte() for picture in scaled]
 
@@ -195,6 +194,7 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
         parser.error(f"--workers {options.workers}: expected 0 or more")
     options.device = device_of(parser, options.device)
     photographs = photographs_of(parser, options.image)
+    require(parser, "tqdm")
     options.out.mkdir(parents=True, exist_ok=True)
 
     torch.manual_seed(0)

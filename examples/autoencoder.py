@@ -24,7 +24,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 import kvision as K
-from kvision.demo.arguments import device_of, images_of
+from kvision.demo.arguments import device_of, images_of, require
 
 SIZE, LATENT, HELD_OUT = 64, 100, 0.3
 WIDTHS = (32, 64, 128, 256)  # channels of the encoder
@@ -192,7 +192,9 @@ def main(arguments: list[str] | None = None) -> int:
     if options.data and not (options.data / "faces" / "faces_64.png").is_file():
         parser.error(f"--data {options.data}: expected a folder with faces/faces_64.png, there is none")
     pictures = [squared(x) for x in images_of(parser, options.image)]
-    images = faces(options.data or default_folder()).to(device)
+    folder = options.data or default_folder()
+    require(parser, "matplotlib", "tqdm", *(() if folder else ("skimage",)))
+    images = faces(folder).to(device)
     options.out.mkdir(parents=True, exist_ok=True)
     missed = 0
     for seed in range(options.seeds):

@@ -28,7 +28,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
-from kvision.demo.arguments import device_of, images_of
+from kvision.demo.arguments import device_of, images_of, require
 
 LEVELS, ITERATIONS = 5, 120
 RATE, MOMENTUM = 0.001, 0.9
@@ -304,6 +304,7 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(
             f"--image: expected two pictures of one size, got {tuple(own[0].shape[2:])} and {tuple(own[1].shape[2:])}"
         )
+    require(parser, "matplotlib", "tqdm", *(() if own else ("skimage",)), *(("kornia",) if options.kornia else ()))
     options.out.mkdir(parents=True, exist_ok=True)
     if own:
         scenes = [stereo(*own, options.focal, options.baseline, device, options.width)]

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor, nn
 
 import kvision as K
-from kvision.demo.arguments import device_of, images_of
+from kvision.demo.arguments import device_of, images_of, require
 
 # Real pairs: folder, number of the second image.
 REAL = (("graf", 3), ("boat", 3), ("leuven", 4), ("bikes", 3))
@@ -211,6 +211,7 @@ def main(arguments: list[str] | None = None) -> int:
     if options.weights and not options.weights.is_file():
         parser.error(f"--weights {options.weights}: there is no such file")
     own = images_of(parser, options.image or [])
+    require(parser, "matplotlib", *(() if own else ("skimage",)))
     options.out.mkdir(parents=True, exist_ok=True)
     matcher = Matcher(Features(options.features, options.weights)).to(device).eval()
     if options.image:

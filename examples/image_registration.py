@@ -24,7 +24,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 import kvision as K
-from kvision.demo.arguments import device_of, images_of
+from kvision.demo.arguments import device_of, images_of, require
 
 LEVELS = 4
 CONVERGED = 0.7  # least correlation of local contrasts: 0.9 where the homography is right, below 0.1 in other minima
@@ -189,7 +189,8 @@ def draw(pair: Pair, levels: list[Tensor], path: Path) -> None:
         for axis, picture, title in zip(row, pictures, ("source", "destination", "warped", "error")):
             axis.imshow(picture[0, 0].cpu(), cmap="gray", vmin=0, vmax=1)
             axis.set_title(
-                title if title != "warped" else f"warped, corners {corner_error(homography, pair):.2f} px off", fontsize=9
+                title if title != "warped" else f"warped, corners {corner_error(homography, pair):.2f} px off",
+                fontsize=9,
             )
             axis.axis("off")
     figure.tight_layout()
@@ -214,6 +215,7 @@ def main(arguments: list[str] | None = None) -> int:
             f"--data {options.data}: expected a folder with {', '.join(name for name, *_ in REAL)}, there is none"
         )
     own = [(path.stem, picture) for path, picture in zip(options.image, images_of(parser, options.image))]
+    require(parser, "matplotlib", *(() if own else ("skimage",)))
     iterations = options.iterations or SOLVERS[options.solver][1]
     options.out.mkdir(parents=True, exist_ok=True)
     missed = 0

@@ -42,7 +42,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
 import kvision as K
-from kvision.demo.arguments import device_of
+from kvision.demo.arguments import device_of, require
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 BLUR = "K.filters.GaussianBlur2d(5, (1.5, 1.5))"
@@ -506,6 +506,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     options = parser.parse_args(arguments)
     check(parser, options)
+    require(parser, "tqdm")
     from tqdm import tqdm
 
     options.out.mkdir(parents=True, exist_ok=True)

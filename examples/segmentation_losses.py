@@ -15,12 +15,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import torch
-from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor, nn
-from tqdm import tqdm
 
 import kvision as K
-from kvision.demo.arguments import device_of, images_of
+from kvision.demo.arguments import device_of, images_of, require
 
 SIZE, CLASSES, BATCH = 32, 3, 8
 
@@ -81,6 +79,8 @@ def train(
     name: str, loss: Callable[[Tensor, Tensor], Tensor], steps: int, device: torch.device
 ) -> tuple[list[float], nn.Module]:
     """The mean IoU of unseen images, every tenth of the way, and the trained network."""
+    from tqdm import tqdm
+
     generator = torch.Generator().manual_seed(1)
     unseen = shapes(32, torch.Generator().manual_seed(2), device)
     model = network().to(device)
@@ -103,6 +103,8 @@ def train(
 
 def draw(curves: dict[str, list[float]], path: Path) -> None:
     """IoU over training, a line for each loss."""
+    from PIL import Image, ImageDraw, ImageFont
+
     width, height, left, top = 720, 420, 60, 20
     picture = Image.new("RGB", (width + 180, height + 60), "white")
     pen = ImageDraw.Draw(picture)
@@ -143,6 +145,7 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     auto = "cuda" if torch.cuda.is_available() else "cpu"
     device = device_of(parser, auto if options.device == "auto" else options.device)
     pictures = images_of(parser, options.image)
+    require(parser, "PIL", "tqdm")
     options.out.mkdir(parents=True, exist_ok=True)
     curves = {}
     for name, loss in LOSSES.items():

@@ -39,7 +39,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 
 import kvision as K
 import kvision.augmentation as A
-from kvision.demo.arguments import device_of
+from kvision.demo.arguments import device_of, require
 
 MEAN, STD = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
 TEXTURES = ("stripes", "checks", "rings", "dots")
@@ -454,6 +454,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     options = parser.parse_args(arguments)
     device = device_of(parser, options.device, int(os.environ.get("LOCAL_RANK", 0)))
+    if options.model == "resnet50":
+        require(parser, "torchvision")
     if options.deterministic:
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True)

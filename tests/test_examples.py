@@ -219,6 +219,25 @@ def test_a_missing_device_is_said(name: str, capsys: pytest.CaptureFixture[str])
     assert capsys.readouterr().err.endswith("error: --device cuda: torch finds no CUDA device\n")
 
 
+@pytest.mark.parametrize("name", (*NAMES, "train_distributed", "process_folder", "cpp/save_pipeline"))
+def test_a_missing_package_is_said(name: str, tmp_path: Path, monkeypatch, capsys) -> None:
+    """Before anything is computed, also where an example is loaded."""
+    missing = {"PIL", "matplotlib", "ray", "skimage", "torchvision", "tqdm"}
+    for module in missing:
+        monkeypatch.setitem(sys.modules, module, None)
+    find_spec = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda module: None if module in missing else find_spec(module))
+    options = {"train_distributed": ["--model", "resnet50"], "process_folder": [str(tmp_path), str(tmp_path / "out")]}
+    with pytest.raises(SystemExit) as stopped:
+        example(name).main([*options.get(name, ()), "--device", "cpu"])
+    assert stopped.value.code == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    if name == "train_distributed":
+        assert last.endswith("error: needs torchvision: pip install torchvision")
+    else:
+        assert re.search(r'error: needs \w+: pip install "kvision\[examples\]"$', last)
+
+
 @pytest.mark.parametrize(
     "name", ("image_registration", "depth_estimation", "feature_matching", "autoencoder", "attack_on_matching")
 )

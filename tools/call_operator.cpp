@@ -1,4 +1,4 @@
-// Loads libkvision.so into LibTorch, without Python, and compares an operator with torch's own: tools/test_arm.py runs it in an emulator.
+// Loads libkvision.so into LibTorch, without Python, and compares an operator with torch's own; for tools/test_arm.py.
 //
 //     call_operator path/to/libkvision.so
 

@@ -5,8 +5,8 @@
     python tools/test_arm.py --torch FOLDER...         besides, an operator in the LibTorch for ARM of these folders
 
 It needs an aarch64 GCC and qemu-user: apt install g++-aarch64-linux-gnu qemu-user. The library is linked with an empty stand-in for
-libtorch_cpu.so, and the audit finds nothing undefined but torch's stable interface and the runtimes of C and C++. FOLDER is torch/lib
-of the aarch64 wheel of the installed version of torch:
+libtorch_cpu.so, and the audit finds nothing undefined but torch's stable interface and the runtimes of C and C++. FOLDER is
+torch/lib of the aarch64 wheel of the installed version of torch:
 
     pip download --no-deps --platform manylinux_2_28_aarch64 --only-binary=:all: torch==VERSION
     unzip torch-*.whl 'torch/lib/*'

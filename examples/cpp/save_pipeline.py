@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 import kvision as K
+from kvision.demo.arguments import device_of, images_of, require
 
 
 class Pipeline(nn.Module):
@@ -58,18 +59,18 @@ def save(pipeline: nn.Module, image: Tensor, folder: Path) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--image", help="a picture; default: a photograph of scikit-image")
+    parser.add_argument("--image", type=Path, help="a picture; default: a photograph of scikit-image")
     parser.add_argument("--device", default="cpu", help="where the pipeline will run: cpu or cuda")
     parser.add_argument("--out", type=Path, default=Path("build/pipeline"), help="folder for the files")
     options = parser.parse_args(arguments)
+    device = device_of(parser, options.device)
     if options.image is None:
-        from skimage import data
-
-        image = K.image_to_tensor(data.astronaut()).float() / 255
+        require(parser, "skimage")
+        (image,) = K.io.get_sample_images(paths=("astronaut",))
     else:
-        image = K.io.load_image(options.image)
-    batch = torch.stack([image, image.flip(-1)]).to(options.device)
-    save(Pipeline().to(options.device).eval(), batch, options.out)
+        image = images_of(parser, [options.image])[0][0]
+    batch = torch.stack([image, image.flip(-1)]).to(device)
+    save(Pipeline().to(device).eval(), batch, options.out)
     print(f"{options.out} has pipeline.pt2, pipeline.pt and case.pt, {tuple(batch.shape)}")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,6 +27,16 @@ def device_of(parser: argparse.ArgumentParser, name: str, index: int | None = No
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         parser.error(f"--device {name}: torch finds no CUDA device" + (f" {device.index}" if device.index else ""))
     return device
+
+
+EXTRA = {"PIL", "matplotlib", "skimage", "tqdm"}  # modules of the extra `examples`
+
+
+def require(parser: argparse.ArgumentParser, *modules: str) -> None:
+    """Modules that kvision itself does not need; called before a program starts to compute."""
+    for name in modules:
+        if importlib.util.find_spec(name) is None:
+            parser.error(f"needs {name}: pip install " + ('"kvision[examples]"' if name in EXTRA else name))
 
 
 def images_of(parser: argparse.ArgumentParser, paths: Sequence[Path]) -> list[Tensor]:

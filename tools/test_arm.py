@@ -94,7 +94,7 @@ def call_operator(library: Path, torch: list[Path], folder: Path) -> None:
     run(
         *("aarch64-linux-gnu-g++", "-std=c++20", "-w", f"-I{headers}", f"-I{headers}/torch/csrc/api/include"),
         *(ROOT / "tools/call_operator.cpp", "-o", program, f"-L{torch[0]}", "-lc10", "-ltorch_cpu"),
-        "-Wl,--allow-shlib-undefined",
+        *("-Wl,--allow-shlib-undefined", "-rdynamic"),
     )
     path = ":".join(str(part.resolve()) for part in torch)
     run("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu", "-E", f"LD_LIBRARY_PATH={path}", program, library)

@@ -2,6 +2,8 @@
 // sampling_image_backward_cpu.cpp, outside of namespaces.
 #pragma once
 
+#include <cstddef>
+
 #include "core/images.h"
 #include "geometry/transform/reverse_row.h"
 #include "geometry/transform/warp_matrix.h"

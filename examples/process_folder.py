@@ -426,7 +426,8 @@ def compare(tasks: Sequence[Task], options: argparse.Namespace) -> None:
     import cv2
 
     blurs = options.pipeline == [BLUR]
-    quality = [cv2.IMWRITE_JPEG_QUALITY, 80, cv2.IMWRITE_WEBP_QUALITY, 80]  # as kvision.io.write_image
+    qualities = {".jpg": cv2.IMWRITE_JPEG_QUALITY, ".webp": cv2.IMWRITE_WEBP_QUALITY}
+    quality = [qualities[options.format], 80] if options.format in qualities else []  # as kvision.io.write_image
     with tempfile.TemporaryDirectory() as folder:
         whole = [task for task in tasks if os.path.exists(task.target) and "://" not in task.path]
         if not whole:
@@ -526,7 +527,7 @@ def main(arguments: list[str] | None = None) -> int:
             broken = job.broken
     seconds = time.perf_counter() - begin
     print(f"{len(everything)} pictures, {len(everything) - len(tasks)} of them done before", end="; ")
-    print(f"{len(tasks) - broken} done and {broken} broken in {seconds:.1f} s: {len(tasks) / seconds:.0f} images/s")
+    print(f"{len(tasks) - broken} done and {broken} broken in {seconds:.1f} s: {len(tasks) / seconds:.3g} images/s")
     if options.compare and tasks:
         compare(list(itertools.islice(tasks, options.compare)), options)
     print(f"results and broken.csv are in {options.out}")

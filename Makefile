@@ -25,6 +25,7 @@ demo: build
 	$(BIN)/python -m kvision.demo $(ARGS)
 
 test: build $(DEV)
+	@[ -n "$(TESTS)" ] || echo "kvision: all tests take about five minutes on two cores; TESTS=tests/filters chooses some"
 	$(BIN)/python -m pytest --quiet --numprocesses auto --maxprocesses 8 --sizes few -m "not slow and not tracing" $(TESTS) $(ARGS)
 
 bench: build $(DEV)

@@ -78,6 +78,40 @@ inline Tensor perspective_transform_lafs(Tensor const& trans_01, Tensor const& l
   return ops::perspective_transform_laf(each.reshape({-1, 3, 3}), detail::rows_of_frames(x)).view(x.sizes());
 }
 
+// --- responses of corners and blobs (B, C, H, W), times the fourth powers of sigmas (B,)
+
+namespace detail {
+
+inline ops::OptionalTensor sigmas_of(char const* op, ops::OptionalTensor const& sigmas, Tensor const& x) {
+  if (!sigmas) return {};
+  TORCH_CHECK_VALUE(sigmas->dim() == 1 && sigmas->size(0) == x.size(0), op, ": expected sigmas of shape (", x.size(0),
+                    ",), got ", sigmas->sizes());
+  return computed(*sigmas, x);
+}
+inline Tensor corners(char const* op, Tensor const& input, double k, int64_t kind, DerivativeMode mode,
+                      ops::OptionalTensor const& sigmas) {
+  Tensor const x = floats(images(op, "input", input));
+  TORCH_CHECK_VALUE(x.size(2) > 3 && x.size(3) > 3, op, ": expected images of at least 4 pixels along each side, got ",
+                    x.sizes());
+  return ops::corner_response(x, {}, sigmas_of(op, sigmas, x), k, kind, int64_t(mode));
+}
+
+}  // namespace detail
+
+inline Tensor harris_response(Tensor const& input, double k = 0.04, DerivativeMode grads_mode = DerivativeMode::sobel,
+                              std::optional<Tensor> const& sigmas = {}) {
+  return detail::corners("harris_response", input, k, 0, grads_mode, sigmas);
+}
+inline Tensor gftt_response(Tensor const& input, DerivativeMode grads_mode = DerivativeMode::sobel,
+                            std::optional<Tensor> const& sigmas = {}) {
+  return detail::corners("gftt_response", input, 0, 1, grads_mode, sigmas);
+}
+inline Tensor hessian_response(Tensor const& input, DerivativeMode grads_mode = DerivativeMode::sobel,
+                               std::optional<Tensor> const& sigmas = {}) {
+  Tensor const x = detail::floats(detail::images("hessian_response", "input", input));
+  return ops::hessian_response(x, detail::sigmas_of("hessian_response", sigmas, x), int64_t(grads_mode));
+}
+
 // --- matching ------------------------------------------------------------------------------------------------------
 
 // The distances (N, 1) of descriptors (N, D) from their nearest ones of (M, D), and the indices (N, 2) in both.

@@ -6,12 +6,70 @@ import pytest
 import torch
 
 import kvision as K
-from op_tests import assert_close
+from op_tests import OpTests, assert_close
 
 F = K.feature
 SMALL = torch.rand(2, 2, 9, 11, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
 SIGMAS = torch.tensor([0.7, 1.5], dtype=torch.float64)
 OF_IMAGES = ("harris_response", "gftt_response", "hessian_response")
+
+
+def sigmas(x):
+    return 0.5 + torch.rand(x.shape[0])
+
+
+class TestHarris(OpTests):
+    function = staticmethod(F.harris_response)
+    module = F.CornerHarris
+    operators = ("corner_response", "corner_response_backward")
+    forward_arguments = ("sigmas",)
+    variants = [
+        {"k": 0.04},
+        {"k": 0.06, "grads_mode": "diff", "sigmas": sigmas},
+        {"k": lambda x: torch.tensor(0.05), "sigmas": sigmas},
+    ]
+    errors = [
+        ({"grads_mode": "scharr"}, ValueError, "grads_mode must be one of"),
+        ({"k": "a"}, TypeError, "expected k to be a number"),
+        ({"k": lambda x: torch.ones(2)}, ValueError, "expected k to be one number"),
+        ({"sigmas": lambda x: torch.ones(3)}, ValueError, r"sigmas of shape \(2,\)"),
+    ]
+
+
+class TestGFTT(OpTests):
+    function = staticmethod(F.gftt_response)
+    module = F.CornerGFTT
+    operators = ("corner_response", "corner_response_backward")
+    forward_arguments = ("sigmas",)
+    variants = [{}, {"grads_mode": "diff", "sigmas": sigmas}]
+    errors = [({"grads_mode": "scharr"}, ValueError, "grads_mode must be one of")]
+
+
+class TestHessian(OpTests):
+    function = staticmethod(F.hessian_response)
+    module = F.BlobHessian
+    operators = ("hessian_response", "hessian_response_backward")
+    forward_arguments = ("sigmas",)
+    variants = [{}, {"grads_mode": "diff"}, {"sigmas": sigmas}]
+    errors = [
+        ({"grads_mode": "scharr"}, ValueError, "grads_mode must be one of"),
+        ({"sigmas": lambda x: torch.ones(3)}, ValueError, r"sigmas of shape \(2,\)"),
+    ]
+
+
+class TestDifferenceOfGaussians(OpTests):
+    """Where the sigmas' windows have 9 and 13 pixels; others are two blurs."""
+
+    function = staticmethod(F.dog_response_single)
+    module = F.BlobDoGSingle
+    operators = ("difference_of_gaussians", "difference_of_gaussians_backward")
+    small = (1, 2, 7, 8)
+    variants = [{}, {"sigma1": 1.1, "sigma2": 1.5}]
+    errors = [
+        ({"sigma1": -1.0}, ValueError, "expected sigma1 above 0"),
+        ({"sigma2": float("inf")}, ValueError, "expected sigma2 above 0"),
+        ({"sigma2": "1"}, TypeError, "expected sigma2 to be a number"),
+    ]
 
 
 @pytest.mark.parametrize("mode", ["sobel", "diff"])

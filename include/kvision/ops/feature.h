@@ -63,6 +63,17 @@ inline constexpr Operator<"orientation",
 inline constexpr Operator<"affine_shape", Tensor(Tensor patches, double eps)> affine_shape{
     from<"affine_shape_backward">};
 
+// --- responses -----------------------------------------------------------------------------------------------------
+
+// Python alone has the gradients to k and to the sigmas.
+inline constexpr Operator<"corner_response", Tensor(Tensor input, OptionalTensor k, OptionalTensor sigmas,
+                                                    double fixed_k, int64_t kind, int64_t mode)>
+    corner_response{from<"corner_response_backward">};
+inline constexpr Operator<"hessian_response", Tensor(Tensor input, OptionalTensor sigmas, int64_t mode)>
+    hessian_response{from<"hessian_response_backward">};
+inline constexpr Operator<"difference_of_gaussians", Tensor(Tensor input, double sigma1, double sigma2)>
+    difference_of_gaussians{linear};
+
 // --- detection -----------------------------------------------------------------------------------------------------
 
 // Levels (B, L, H, W), weights (B, H, W) and scales (B,) to peaks (B, N, 4), which are level, x, y and value, and

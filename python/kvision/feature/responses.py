@@ -8,12 +8,14 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import as_dtype, floats
-from kvision._modes import DERIVATIVE_MODE
+from kvision._dtype import as_dtype, compute_dtype, floats
+from kvision._modes import DERIVATIVE_MODE, DERIVATIVE_MODE_NAMES
 from kvision._modules import FunctionModule
+from kvision._ops import register, transpose, vjp
 from kvision.core.exceptions import ShapeError
-from kvision.filters.edges.spatial_gradient import spatial_gradient
-from kvision.filters.smoothing.gaussian import gaussian_blur2d
+from kvision.filters.edges.spatial_gradient import derivatives
+from kvision.filters.separable import filter_separably
+from kvision.filters.smoothing.gaussian import axis_kernels, gaussian_blur2d
 from kvision.geometry.linalg import root
 
 __all__ = [
@@ -29,29 +31,115 @@ __all__ = [
     "hessian_response",
 ]
 
-_WINDOW, _SIGMA = (7, 7), (1.0, 1.0)
+_WINDOW, _SIGMA = 7, 1.0
+_HARRIS, _GFTT = 0, 1  # numbers that exported graphs contain
 
 
-def _arguments(op: str, input: Tensor, grads_mode: str, sigmas: Tensor | None) -> Tensor:
-    """The image as floating-point numbers; raise unless all arguments are right."""
-    _check.images(op, "input", input)
-    _check.choice(op, "grads_mode", grads_mode, tuple(DERIVATIVE_MODE))
-    if sigmas is not None:
-        _check.shape(op, "sigmas", sigmas, input.shape[0])
-        _check.same_device(op, input=input, sigmas=sigmas)
-    return floats(input)
+def _corner_reference(
+    x: Tensor, k: Tensor | None, sigmas: Tensor | None, fixed_k: float, kind: int, mode: int
+) -> Tensor:
+    dx, dy = derivatives(x, DERIVATIVE_MODE_NAMES[mode], 1, True).unbind(2)
+    products = torch.cat([dx * dx, dy * dy, dx * dy], 1)
+    kernel_y, kernel_x = axis_kernels(x, None, _WINDOW, _WINDOW, _SIGMA, _SIGMA)
+    xx, yy, xy = filter_separably(products, kernel_x, kernel_y, "reflect").chunk(3, 1)
+    if kind == _GFTT:
+        # The discriminant as a sum of squares is never negative, and its root has a gradient of 0 where it is 0.
+        response = (xx + yy - root((xx - yy) ** 2 + 4 * xy * xy)) / 2
+    else:
+        response = xx * yy - xy * xy - (fixed_k if k is None else _of_samples(k)) * (xx + yy) ** 2
+    return _scaled(response, sigmas)
+
+
+def _hessian_reference(x: Tensor, sigmas: Tensor | None, mode: int) -> Tensor:
+    xx, xy, yy = derivatives(x, DERIVATIVE_MODE_NAMES[mode], 2, True).unbind(2)
+    return _scaled(xx * yy - xy * xy, sigmas)
+
+
+def _of_samples(values: Tensor) -> Tensor:
+    return values[:, None, None, None]
 
 
 def _scaled(response: Tensor, sigmas: Tensor | None) -> Tensor:
-    return response if sigmas is None else response * as_dtype(sigmas, response.dtype).pow(4)[:, None, None, None]
+    return response if sigmas is None else response * _of_samples(sigmas.pow(4))
 
 
-def _structure_tensor(x: Tensor, grads_mode: str) -> tuple[Tensor, Tensor, Tensor]:
-    """The windowed products of the gradients: xx, yy, xy."""
-    dx, dy = spatial_gradient(x, grads_mode).unbind(2)
-    products = torch.cat([dx * dx, dy * dy, dx * dy], 1)
-    xx, yy, xy = gaussian_blur2d(products, _WINDOW, _SIGMA).chunk(3, 1)
-    return xx, yy, xy
+def _corner_backward(needs, grad, x, k, sigmas, fixed_k, kind, mode):
+    grads = [_corner_response_backward(grad, x, k, sigmas, fixed_k, kind, mode) if needs[0] else None, None, None]
+    wide = as_dtype(x, compute_dtype(x))
+    if needs[1] and kind == _GFTT:
+        grads[1] = torch.zeros_like(k)
+    elif needs[1]:  # the response is linear in k
+        of_one, of_zero = (_corner_response(wide, None, sigmas, value, kind, mode) for value in (1.0, 0.0))
+        grads[1] = _sum_samples(grad * (of_one - of_zero), k)
+    if needs[2]:
+        unscaled = _corner_response(wide, k, None, fixed_k, kind, mode)
+        grads[2] = 4 * sigmas**3 * _sum_samples(grad * unscaled, sigmas)
+    return grads
+
+
+def _hessian_backward(needs, grad, x, sigmas, mode):
+    grads = [_hessian_response_backward(grad, x, sigmas, mode) if needs[0] else None, None]
+    if needs[1]:
+        unscaled = _hessian_response(as_dtype(x, compute_dtype(x)), None, mode)
+        grads[1] = 4 * sigmas**3 * _sum_samples(grad * unscaled, sigmas)
+    return grads
+
+
+def _sum_samples(products: Tensor, values: Tensor) -> Tensor:
+    """The sum over each sample, or over all of them where one value serves them."""
+    sums = products.sum((1, 2, 3))
+    return sums if len(values) == len(sums) else sums.sum(0, keepdim=True)
+
+
+_corner_response = register("corner_response", _corner_reference, backward=_corner_backward)
+_corner_response_backward = register("corner_response_backward", vjp(_corner_reference), layout_of=1)
+_hessian_response = register("hessian_response", _hessian_reference, backward=_hessian_backward)
+_hessian_response_backward = register("hessian_response_backward", vjp(_hessian_reference), layout_of=1)
+
+
+_DOG_WINDOWS = 9, 13  # of the kernels: those of the default sigmas
+
+
+def _dog_reference(x: Tensor, sigma1: float, sigma2: float) -> Tensor:
+    def blur(size: int, sigma: float) -> Tensor:
+        kernel_y, kernel_x = axis_kernels(x, None, size, size, sigma, sigma)
+        return filter_separably(x, kernel_x, kernel_y, "reflect")
+
+    return blur(_DOG_WINDOWS[1], sigma2) - blur(_DOG_WINDOWS[0], sigma1)
+
+
+def _dog_backward(needs, grad, x, sigma1, sigma2):
+    return [_difference_of_gaussians_backward(grad, sigma1, sigma2)]
+
+
+def _dog_backward_backward(needs, gradgrad, grad, sigma1, sigma2):
+    return [_difference_of_gaussians(gradgrad, sigma1, sigma2)]
+
+
+_difference_of_gaussians = register("difference_of_gaussians", _dog_reference, backward=_dog_backward, linear=True)
+_difference_of_gaussians_backward = register(
+    "difference_of_gaussians_backward", transpose(_dog_reference), backward=_dog_backward_backward, linear=True
+)
+
+
+def _arguments(op: str, input: Tensor, grads_mode: str, sigmas: Tensor | None) -> tuple[Tensor, Tensor | None, int]:
+    """The image as floating-point numbers, the sigmas in the type that is computed in, and the mode."""
+    _check.images(op, "input", input)
+    _check.choice(op, "grads_mode", grads_mode, tuple(DERIVATIVE_MODE))
+    x = floats(input)
+    if sigmas is not None:
+        _check.shape(op, "sigmas", sigmas, input.shape[0])
+        _check.same_device(op, input=input, sigmas=sigmas)
+        sigmas = as_dtype(sigmas, compute_dtype(x))
+    return x, sigmas, DERIVATIVE_MODE[grads_mode]
+
+
+def _corners(op: str, input: Tensor, k: Tensor | float, kind: int, grads_mode: str, sigmas: Tensor | None) -> Tensor:
+    x, sigmas, mode = _arguments(op, input, grads_mode, sigmas)
+    _check.reflectable(op, x, (_WINDOW // 2, _WINDOW // 2), "reflect", "use hessian_response")
+    if isinstance(k, Tensor):
+        return _corner_response(x, as_dtype(k, compute_dtype(x)).reshape(1), sigmas, 0.0, kind, mode)
+    return _corner_response(x, None, sigmas, float(k), kind, mode)
 
 
 def harris_response(
@@ -87,17 +175,15 @@ def harris_response(
         tensor(40)
     """
     op = "harris_response"
-    x = _arguments(op, input, grads_mode, sigmas)
     if isinstance(k, Tensor):
+        _check.images(op, "input", input)
         _check.numbers(op, "k", k)
         _check.same_device(op, input=input, k=k)
         if k.numel() != 1:
             raise ShapeError(f"{op}: expected k to be one number, got {tuple(k.shape)}")
-        k = as_dtype(k, x.dtype).reshape(())
     else:
         _check.number(op, "k", k)
-    xx, yy, xy = _structure_tensor(x, grads_mode)
-    return _scaled(xx * yy - xy * xy - k * (xx + yy) ** 2, sigmas)
+    return _corners(op, input, k, _HARRIS, grads_mode, sigmas)
 
 
 def gftt_response(input: Tensor, grads_mode: str = "sobel", sigmas: Tensor | None = None) -> Tensor:
@@ -126,10 +212,7 @@ def gftt_response(input: Tensor, grads_mode: str = "sobel", sigmas: Tensor | Non
         >>> K.feature.gftt_response(torch.arange(8.0).expand(1, 1, 8, 8)).max() < 1e-6
         tensor(True)
     """
-    x = _arguments("gftt_response", input, grads_mode, sigmas)
-    xx, yy, xy = _structure_tensor(x, grads_mode)
-    # The discriminant as a sum of squares is never negative, and its root has a gradient of 0 where it is 0.
-    return _scaled((xx + yy - root((xx - yy) ** 2 + 4 * xy * xy)) / 2, sigmas)
+    return _corners("gftt_response", input, 0.0, _GFTT, grads_mode, sigmas)
 
 
 def hessian_response(input: Tensor, grads_mode: str = "sobel", sigmas: Tensor | None = None) -> Tensor:
@@ -157,9 +240,8 @@ def hessian_response(input: Tensor, grads_mode: str = "sobel", sigmas: Tensor | 
         >>> K.feature.hessian_response((x**2 + y**2)[None, None] / 2)[0, 0, 4, 4]
         tensor(1.)
     """
-    x = _arguments("hessian_response", input, grads_mode, sigmas)
-    xx, xy, yy = spatial_gradient(x, grads_mode, 2).unbind(2)
-    return _scaled(xx * yy - xy * xy, sigmas)
+    x, sigmas, mode = _arguments("hessian_response", input, grads_mode, sigmas)
+    return _hessian_response(x, sigmas, mode)
 
 
 def dog_response(input: Tensor) -> Tensor:
@@ -212,13 +294,18 @@ def dog_response_single(input: Tensor, sigma1: float = 1.0, sigma2: float = 1.6)
     op = "dog_response_single"
     _check.images(op, "input", input)
     x = floats(input)
-    blurred = []
+    sizes = []
     for name, sigma in (("sigma1", sigma1), ("sigma2", sigma2)):
         if not 0 < _check.number(op, name, sigma) < math.inf:
             raise _check.ValueCheckError(f"{op}: expected {name} above 0 and finite, got {sigma!r}")
-        size = [min(int(8 * sigma + 1) // 2 * 2 + 1, 2 * side - 1) for side in x.shape[2:]]
-        blurred.append(gaussian_blur2d(x, (size[0], size[1]), (float(sigma), float(sigma))))
-    return blurred[1] - blurred[0]
+        sizes.append([min(int(8 * sigma + 1) // 2 * 2 + 1, 2 * side - 1) for side in x.shape[2:]])
+    if sizes == [[size, size] for size in _DOG_WINDOWS]:
+        return _difference_of_gaussians(x, float(sigma1), float(sigma2))
+    fine, coarse = (
+        gaussian_blur2d(x, (size[0], size[1]), (float(sigma), float(sigma)))
+        for size, sigma in zip(sizes, (sigma1, sigma2))
+    )
+    return coarse - fine
 
 
 class CornerHarris(FunctionModule):

@@ -1,0 +1,201 @@
+// Responses of corners and blobs: how much each pixel of an image looks like one.
+//
+//   corner   first derivatives dx, dy -> the structure tensor M, their products in a 7 x 7 Gaussian window of sigma 1
+//            Harris: det M - k trace(M)^2. Shi and Tomasi: the smaller eigenvalue of M.
+//   hessian  second derivatives -> the determinant of the Hessian
+//   dog      a Gaussian blur in a window of 13 x 13 minus one in a window of 9 x 9
+//
+// The derivatives have the replicate border, the windows that reflects. A window is symmetric, and so is D W along an
+// axis, where W applies the window and D halves the two ends. Its transpose is therefore D W D^-1: the gradient uses
+// the window of the response. Included by responses_cpu.cpp, responses*.cu and responses_op.cpp.
+#pragma once
+
+#include "core/isa.h"
+#include "core/view.h"
+#include "filters/edges/spatial_gradient.h"
+
+namespace kv::feature {
+
+// The numbers are stable: exported graphs contain them.
+enum class CornerKind : int { harris = 0, gftt = 1 };
+
+// Reach of the window, and that of a gradient through derivatives and windows.
+constexpr int kWindowReach = 3, kCornerGradientReach = 2 * kWindowReach + 1;
+
+// One value for each sample, or one for all; without data it is `otherwise`.
+template <class F>
+struct SampleValues {
+  F const* data;
+  int64_t stride;
+  F otherwise;
+  KV_HD F at(int64_t sample) const { return data ? data[sample * stride] : otherwise; }
+};
+
+// What responses need to know besides the pixels. Responses are multiplied by the fourth powers of the sigmas.
+template <class F>
+struct ResponseArguments {
+  SampleValues<F> k, sigmas;
+  int64_t planes_of_sample;
+  CornerKind kind;
+  bool sobel;  // else central differences
+
+  KV_HD F k_of(int64_t plane) const { return k.at(plane / planes_of_sample); }
+  KV_HD F scale_of(int64_t plane) const {
+    F const sigma = sigmas.at(plane / planes_of_sample), square = sigma * sigma;
+    return square * square;
+  }
+};
+
+template <class T>
+struct Response {
+  Planes<T const> x;
+  Planes<T> y;
+  ResponseArguments<Compute<T>> arguments;
+};
+
+template <class T>
+struct ResponseBackward {
+  Planes<T const> grad, x;
+  Planes<T> grad_x;
+  ResponseArguments<Compute<T>> arguments;
+};
+
+// The difference of two blurs, or its transpose. Weights are those of a distance along one axis.
+constexpr int kFineReach = 4, kCoarseReach = 6;
+template <class T>
+struct DifferenceOfGaussians {
+  Planes<T const> x;
+  Planes<T> y;
+  Compute<T> fine[kFineReach + 1], coarse[kCoarseReach + 1];
+  bool transposed;
+};
+
+KV_KERNEL(difference_of_gaussians, DifferenceOfGaussians)
+KV_KERNEL(corner_response, Response)
+KV_KERNEL(corner_response_backward, ResponseBackward)
+KV_KERNEL(hessian_response, Response)
+KV_KERNEL(hessian_response_backward, ResponseBackward)
+
+// Weight t of the window, exp(-d^2 / 2) divided by the sum; the middle is t = kWindowReach.
+template <class F>
+KV_HD constexpr F window_weight(int t) {
+  constexpr double w1 = 0.60653065971263342, w2 = 0.13533528323661270, w3 = 0.011108996538242306;
+  constexpr double sum = 1 + 2 * (w1 + w2 + w3);
+  constexpr F w[] = {F(w3 / sum), F(w2 / sum), F(w1 / sum), F(1 / sum), F(w1 / sum), F(w2 / sum), F(w3 / sum)};
+  return w[t];
+}
+
+// The pixel at position i of an axis of n > 1 pixels that is reflected as often as needed.
+template <class Int>
+KV_HD Int reflected(Int i, Int n) {
+  Int const period = 2 * (n - 1);
+  i = (i < 0 ? -i : i) % period;
+  return i < n ? i : period - i;
+}
+
+// D of pixel i of an axis of n pixels, where the ends are `end`.
+template <class F, class Int>
+KV_HD F end_factor(Int i, Int n, F end) {
+  return n > 1 && (i == 0 || i == n - 1) ? end : F(1);
+}
+
+// --- responses and their gradients -----------------------------------------------------------------------------------
+
+template <class V>
+struct SymmetricMatrix {
+  V xx, yy, xy;
+};
+
+template <class V, class F>
+KV_HD V harris(SymmetricMatrix<V> m, F k) {
+  V const trace = m.xx + m.yy;
+  return m.xx * m.yy - m.xy * m.xy - trace * trace * k;
+}
+template <class V, class F>
+KV_HD SymmetricMatrix<V> harris_vjp(SymmetricMatrix<V> m, F k, V grad) {
+  V const of_trace = (m.xx + m.yy) * (2 * k);
+  return {grad * (m.yy - of_trace), grad * (m.xx - of_trace), grad * m.xy * F(-2)};
+}
+
+// The discriminant is a sum of squares, which is never negative. Where it is 0 its root has the gradient 0.
+template <class V>
+KV_HD V gftt(SymmetricMatrix<V> m, V root) {
+  return (m.xx + m.yy - root) / 2;
+}
+template <class V>
+KV_HD V gftt_discriminant(SymmetricMatrix<V> m) {
+  V const difference = m.xx - m.yy;
+  return difference * difference + m.xy * m.xy * 4;
+}
+// From the inverse of the root, or 0 where that is 0.
+template <class V>
+KV_HD SymmetricMatrix<V> gftt_vjp(SymmetricMatrix<V> m, V inverse_root, V grad) {
+  V const half = grad / 2, of_difference = half * (m.xx - m.yy) * inverse_root;
+  return {half - of_difference, half + of_difference, grad * m.xy * inverse_root * -2};
+}
+
+template <class V>
+KV_HD V determinant(SymmetricMatrix<V> m) {
+  return m.xx * m.yy - m.xy * m.xy;
+}
+template <class V>
+KV_HD SymmetricMatrix<V> determinant_vjp(SymmetricMatrix<V> m, V grad) {
+  return {grad * m.yy, grad * m.xx, grad * m.xy * -2};
+}
+
+// --- first derivatives -----------------------------------------------------------------------------------------------
+
+// The contributions of a column of three pixels to the derivatives, and of three columns to the pixel between them.
+// Pixels under a zero weight are not read: NaN stays within the derivative's kernel.
+template <class V>
+struct GradientColumn {
+  V smooth, difference;
+};
+template <class V>
+KV_HD GradientColumn<V> gradient_column(V above, V middle, V below, bool sobel) {
+  return {sobel ? above + middle * 2 + below : middle, below - above};
+}
+template <class F>
+KV_HD F gradient_scale(bool sobel) {
+  return sobel ? F(0.125) : F(0.5);
+}
+template <class V, class F>
+KV_HD void gradient(GradientColumn<V> left, GradientColumn<V> middle, GradientColumn<V> right, bool sobel, F scale,
+                    V& dx, V& dy) {
+  dx = (right.smooth - left.smooth) * scale;
+  dy = (sobel ? left.difference + middle.difference * 2 + right.difference : middle.difference) * scale;
+}
+
+// The transpose, row by row: the gradient of a pixel from u = dL/d(dx) and v = dL/d(dy) of its neighbors. Out of bounds
+// u is odd in x and even in y, v is even in x and odd in y (filters/edges/sobel.h).
+template <class V>
+struct GradientRow {
+  V across, along;
+};
+template <class V>
+KV_HD GradientRow<V> gradient_row_vjp(V u_left, V u_right, V v_left, V v_middle, V v_right, bool sobel) {
+  return {u_left - u_right, sobel ? v_left + v_middle * 2 + v_right : v_middle};
+}
+template <class V, class F>
+KV_HD V gradient_vjp(GradientRow<V> above, GradientRow<V> middle, GradientRow<V> below, bool sobel, F scale) {
+  V const across = sobel ? above.across + middle.across * 2 + below.across : middle.across;
+  return (across + above.along - below.along) * scale;
+}
+// The row beyond the first or the last one.
+template <class V>
+KV_HD GradientRow<V> row_out_of_bounds(GradientRow<V> row) {
+  return {row.across, -row.along};
+}
+
+// --- second derivatives ----------------------------------------------------------------------------------------------
+
+// Calls f with their kernel.
+template <class F>
+KV_HD auto dispatch_second_derivatives(bool sobel, F f) {
+  if (sobel)
+    f(filters::Sobel2{});
+  else
+    f(filters::Diff2{});
+}
+
+}  // namespace kv::feature

@@ -86,7 +86,15 @@ def of_pairs(name: str, count: int, call: Callable[..., Any], bars: Bars) -> Cas
     return case(name, call, descriptors(count), bars, backward=nonlinear_backward, result=lambda y: y[0], border=0)
 
 
+def of_image(name: str, bars: Bars, **more: Any) -> Case:
+    return case(name, lambda K, x: getattr(K.feature, name)(x), photographs, bars, border=0, **more)
+
+
 CASES = [
+    of_image("harris_response", Bars(floor=2.5, both=4), backward=nonlinear_backward),
+    of_image("gftt_response", Bars(floor=2.5, both=4), backward=nonlinear_backward),
+    of_image("hessian_response", Bars(floor=1.5, both=2), backward=nonlinear_backward),
+    of_image("dog_response_single", Bars(floor=1.5, both=2)),
     case(
         "extract_patches",
         lambda K, x, laf: K.feature.extract_patches_from_pyramid(x, laf, SIDE),

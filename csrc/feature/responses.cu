@@ -1,284 +1,272 @@
-// Responses of corners on CUDA; responses.cuh says how a block goes through an image.
+// Responses of corners on CUDA.
 //
-// Derivatives and the window along y are steps along y: a new row of products is added to the sums of all rows whose
-// windows contain it, and completes the first of them. Rows out of bounds are computed again from the rows that they
-// reflect. The gradient takes two such passes, for the structure tensor and back:
+// A block traverses its columns downwards, row by row. A thread has four columns. It adds the products of their
+// derivatives to the sums of all rows whose windows contain them, in registers, and completes the first of these rows.
+// A completed row goes to shared memory, from where the window along x reads the columns of adjacent threads. Rows out
+// of bounds are computed again from the rows that they reflect.
 //
-//   along y   derivatives, window                 -> products
-//   along x   window, gradient of the response    -> gradient
-//   along x   window                              -> products
-//   along y   window, gradient of the products    -> u, v
-//   along y   gradient of the derivatives
+// The gradient takes two such passes, for the structure tensor and back. Half of a block's warps make the first one,
+// the other half the second one, which reads the rows that the first one wrote before the last barrier:
+//
+//   row y      derivatives, window along y of their products
+//   row y - 4  window along x, gradient of the response
+//   row y - 8  windows along x and y, gradient of the products     (the other warps from here on)
+//   row y - 9  gradient of the derivatives along x
+//   row y - 10 and along y
 #include "responses.cuh"
 
 namespace kv::feature::cuda {
 namespace {
 
-constexpr int R = kWindowReach, kTaps = 2 * R + 1;
-constexpr int kReach = 4, kReachOfGradients = 8;  // columns of a block, see BlockPosition
-constexpr int kMoreRows = 2 * R + 2, kMoreRowsOfGradients = 2 * kCornerGradientReach + 2;
-constexpr int kBlocks = 3, kBlocksOfGradients = 2;  // of a multiprocessor
+constexpr int R = kWindowReach, kTaps = 2 * R + 1, P = kColumns;
+constexpr int kReach = 4, kReachOfGradients = 8;       // columns of a block that are incomplete on either side
+constexpr int kDelay = R + 1, kDelayOfGradients = 10;  // rows from the derivatives to the result
+constexpr int kBlocks = 6, kBlocksOfGradients = 3;     // of a multiprocessor
+constexpr int kUnroll = 2;                             // renames the rows of pixels instead of moving them
+constexpr int kKept = 9;                               // rows of derivatives that the second half of the warps may read
 
-// The running sums along y of a column, for the 2 R rows that are incomplete; a new row completes the first.
+// The running sums along y of a thread's columns, for the 2 R rows that are incomplete; a new row completes the first.
 template <class F>
 struct RunningSums {
-  F sums[3][2 * R] = {};
+  F sums[3][2 * R][P] = {};
 
-  __device__ __forceinline__ F add(int m, F x) {
-    F const complete = sums[m][0] + window_weight<F>(0) * x;
+  __device__ __forceinline__ void add(int m, F const (&x)[P], F (&complete)[P]) {
 #pragma unroll
-    for (int t = 1; t < kTaps; ++t)
-      sums[m][t - 1] = t < 2 * R ? sums[m][t] + window_weight<F>(t) * x : window_weight<F>(t) * x;
-    return complete;
+    for (int j = 0; j < P; ++j) {
+      complete[j] = sums[m][0][j] + window_weight<F>(0) * x[j];
+#pragma unroll
+      for (int t = 1; t < kTaps; ++t)
+        sums[m][t - 1][j] =
+            t < 2 * R ? sums[m][min(t, 2 * R - 1)][j] + window_weight<F>(t) * x[j] : window_weight<F>(t) * x[j];
+    }
   }
 };
 
-// The sums over the windows along x around a thread's columns.
+// The sums in the window along x around the columns from `at` on of a line.
 template <class F>
-__device__ __forceinline__ void sum_across(F const* line, int at, F (&sums)[kRows]) {
-  F v[kRows + 2 * kPad];
+__device__ __forceinline__ void sum_across(F const* line, int at, F (&sums)[P]) {
+  F v[P + 2 * kPad];
   read_window(line, at, v);
 #pragma unroll
-  for (int j = 0; j < kRows; ++j) {
+  for (int j = 0; j < P; ++j) {
     sums[j] = window_weight<F>(0) * v[kPad - R + j];
 #pragma unroll
-    for (int t = 1; t < kTaps; ++t) sums[j] += window_weight<F>(t) * v[kPad - R + j + t];
+    for (int i = 1; i < kTaps; ++i) sums[j] += window_weight<F>(i) * v[kPad - R + j + i];
   }
 }
 
-// The derivatives of a thread's column, row by row.
-template <class F>
+// The derivatives of a thread's columns, not divided by the sum of their weights, row by row. The image continues by
+// reflection, so that each row is read once: where it runs backwards, the derivative along y has the other sign.
+template <class F, bool Vectors>
 struct Derivatives {
-  uint8_t const* column;  // in row 0
-  int64_t left, right;    // to the neighbors, in bytes
-  int64_t row_stride;
-  int height;
-  DType stored;
-  bool sobel;
-  bool has_rows = false;  // whether the two rows before the next ones are known
-  F above[3], middle[3];  // these rows
+  Columns<F, Vectors> const columns;
+  F above[P + 2], middle[P + 2];  // the two rows before the next one
+  F next[P + 2];                  // a row that was read ahead
 
-  __device__ __forceinline__ Derivatives(Work<F> const& work, BlockPosition const& position)
-      : column(work.x.plane(position.plane) + min(position.column, position.width - 1) * work.x.step),
-        left(position.column > 0 ? -work.x.step : 0),
-        right(position.column < position.width - 1 ? work.x.step : 0),
-        row_stride(work.x.row_stride),
-        height(position.height),
-        stored(work.stored),
-        sobel(work.arguments.sobel) {}
+  // The first row is `y`.
+  __device__ __forceinline__ Derivatives(Work<F> const& work, ColumnPosition const& position, int y)
+      : columns(work, work.x, position) {
+    columns.read(row(y - 1), above);
+    columns.read(row(y), middle);
+    columns.read(row(y + 1), next);
+  }
+  __device__ __forceinline__ int height() const { return int(columns.work.x.height); }
+  __device__ __forceinline__ int row(int y) const { return y >= 0 && y < height() ? y : reflected(y, height()); }
 
-  template <class T>
-  __device__ __forceinline__ void read_row(int y, F (&row)[3]) const {
-    uint8_t const* const at = column + y * row_stride;
-    row[0] = read(*reinterpret_cast<T const*>(at + left));
-    row[1] = read(*reinterpret_cast<T const*>(at));
-    row[2] = read(*reinterpret_cast<T const*>(at + right));
-  }
-  __device__ __forceinline__ void differentiate(F const (&a)[3], F const (&b)[3], F const (&c)[3], F& dx, F& dy) const {
-    auto const of_column = [&](int i) { return gradient_column(a[i], b[i], c[i], sobel); };
-    gradient(of_column(0), of_column(1), of_column(2), sobel, gradient_scale<F>(sobel), dx, dy);
-  }
-  // Of the rows from y on.
-  __device__ __forceinline__ void next(int y, F* dx, F* dy) {
-    if (y >= 0 && y + kRows <= height) {
-      F rows[kRows][3];
-      dispatch_floating_dtype<F>(stored, [&](auto type) {
-        using T = decltype(type);
-        if (!has_rows) read_row<T>(max(y - 1, 0), above), read_row<T>(y, middle);
+  // Of row y; the next call is for the row below.
+  __device__ __forceinline__ void advance(int y, F (&dx)[P], F (&dy)[P]) {
+    bool const sobel = columns.work.arguments.sobel;
+    F below[P + 2];
 #pragma unroll
-        for (int r = 0; r < kRows; ++r) read_row<T>(min(y + r + 1, height - 1), rows[r]);
-      });
-      has_rows = true;
+    for (int i = 0; i < P + 2; ++i) below[i] = next[i];
+    columns.read(row(y + 2), next);
+    auto const differentiate = [&](F const(&a)[P + 2], F const(&b)[P + 2], F const(&c)[P + 2]) {
+      GradientColumn<F> of_columns[P + 2];
 #pragma unroll
-      for (int r = 0; r < kRows; ++r) {
-        differentiate(above, middle, rows[r], dx[r], dy[r]);
+      for (int i = 0; i < P + 2; ++i) of_columns[i] = gradient_column(a[i], b[i], c[i], sobel);
 #pragma unroll
-        for (int i = 0; i < 3; ++i) above[i] = middle[i], middle[i] = rows[r][i];
-      }
-      return;
+      for (int j = 0; j < P; ++j)
+        gradient(of_columns[j], of_columns[j + 1], of_columns[j + 2], sobel, F(1), dx[j], dy[j]);
+    };
+    differentiate(above, middle, below);
+    if (y <= 0 || y >= height() - 1) {  // the border of the derivatives repeats the ends
+      int const at = row(y);
+      if (at == 0) differentiate(middle, middle, below);
+      if (at == height() - 1) differentiate(above, middle, middle);
+      bool const backwards = at > 0 && at < height() - 1 && row(y + 1) < at;
+#pragma unroll
+      for (int j = 0; j < P; ++j) dy[j] = backwards ? -dy[j] : dy[j];
     }
-    has_rows = false;
 #pragma unroll
-    for (int r = 0; r < kRows; ++r) {
-      int const at = reflected(y + r, height);
-      F a[3], b[3], c[3];
-      dispatch_floating_dtype<F>(stored, [&](auto type) {
-        using T = decltype(type);
-        read_row<T>(max(at - 1, 0), a), read_row<T>(at, b), read_row<T>(min(at + 1, height - 1), c);
-      });
-      differentiate(a, b, c, dx[r], dy[r]);
-    }
+    for (int i = 0; i < P + 2; ++i) above[i] = middle[i], middle[i] = below[i];
   }
 };
 
-// Along y: adds four rows of products and writes the rows that they complete.
-template <class F>
-__device__ __forceinline__ void add_products(BlockPosition const& position, F const* dx, F const* dy,
-                                             RunningSums<F>& down, RowGroup<F, 3>& rows) {
-  int const at = int(threadIdx.x) + kPad;
+// Adds the products of derivatives to their sums and writes the row that they complete.
+template <class F, bool Vectors>
+__device__ __forceinline__ void add_products(ColumnPosition const& position, F const (&dx)[P], F const (&dy)[P],
+                                             RunningSums<F>& down, Lines<F, 3>& lines) {
+  F products[3][P], complete[P];
 #pragma unroll
-  for (int r = 0; r < kRows; ++r) {
-    F const products[3] = {dx[r] * dx[r], dy[r] * dy[r], dx[r] * dy[r]};
+  for (int j = 0; j < P; ++j)
+    products[0][j] = dx[j] * dx[j], products[1][j] = dy[j] * dy[j], products[2][j] = dx[j] * dy[j];
 #pragma unroll
-    for (int m = 0; m < 3; ++m) rows.values[r][m][at] = down.add(m, products[m]);
+  for (int m = 0; m < 3; ++m) {
+    down.add(m, products[m], complete);
+    write_reflected<R, Vectors>(position, lines.values[m], complete);
   }
-  if (position.is_near_end<R>(position.column, 1))
-    position.for_each_outside<R>(Border::reflect, position.column, [&](int to) {
-#pragma unroll
-      for (int r = 0; r < kRows; ++r)
-#pragma unroll
-        for (int m = 0; m < 3; ++m) rows.values[r][m][to] = rows.values[r][m][at];
-    });
 }
 
-// Along x: the structure tensors of a thread's columns.
+// What unscaled derivatives multiply the response by.
 template <class F>
-__device__ __forceinline__ void structure_tensors(BlockPosition const& position, RowGroup<F, 3> const& rows,
-                                                  SymmetricMatrix<F> (&tensors)[kRows]) {
-  F sums[3][kRows];
-#pragma unroll
-  for (int m = 0; m < 3; ++m) sum_across(rows.values[position.r][m], position.x - position.left, sums[m]);
-#pragma unroll
-  for (int j = 0; j < kRows; ++j) tensors[j] = {sums[0][j], sums[1][j], sums[2][j]};
+__device__ __forceinline__ F derivative_factor(bool sobel, bool is_harris) {
+  F const square = gradient_scale<F>(sobel) * gradient_scale<F>(sobel);
+  return is_harris ? square * square : square;
 }
 
-template <class F>
-__global__ void __launch_bounds__(kThreads<F>, kBlocks) corner_forward(__grid_constant__ Work<F> const work) {
-  __shared__ RowGroup<F, 3> groups[2];
-  BlockPosition const position(work, kReach);
-  Derivatives<F> derivatives(work, position);
+template <class F, bool Vectors>
+__global__ void __launch_bounds__(kColumnThreads<F>, kBlocks) corner_forward(__grid_constant__ Work<F> const work) {
+  __shared__ Lines<F, 3> lines[2];
+  ColumnPosition const position(work, kReach, int(blockDim.x), int(threadIdx.x));
+  Columns<F, Vectors> const columns(work, work.result, position);
+  Derivatives<F, Vectors> derivatives(work, position, position.y0 - R);
   RunningSums<F> down;
-  F const k = work.arguments.k_of(position.plane), scale = work.arguments.scale_of(position.plane);
-  bool const is_harris = work.arguments.kind == CornerKind::harris;
-  int group = 0;
-  for (int y = position.y0 - R; y - R < position.y1; y += kRows, group ^= 1) {
-    if (position.column < position.width) {
-      F dx[kRows], dy[kRows];
-      derivatives.next(y, dx, dy);
-      add_products(position, dx, dy, down, groups[group]);
+  bool const is_harris = work.arguments.kind == CornerKind::harris, writes = position.owns_some();
+  F const k = work.arguments.k_of(position.plane);
+  F const scale = work.arguments.scale_of(position.plane) * derivative_factor<F>(work.arguments.sobel, is_harris);
+  int now = 0;
+#pragma unroll kUnroll
+  for (int y = position.y0 - R; y < position.y1 + kDelay; ++y, now ^= 1) {
+    if (y < position.y1 + R && position.x < position.width) {
+      F dx[P], dy[P];
+      derivatives.advance(y, dx, dy);
+      add_products<F, Vectors>(position, dx, dy, down, lines[now]);
+    }
+    int const row = y - kDelay;
+    if (row >= position.y0 && writes) {
+      F sums[3][P], result[P];
+#pragma unroll
+      for (int m = 0; m < 3; ++m) sum_across(lines[now ^ 1].values[m], position.at, sums[m]);
+#pragma unroll
+      for (int j = 0; j < P; ++j) {
+        SymmetricMatrix<F> const tensor{sums[0][j], sums[1][j], sums[2][j]};
+        result[j] = scale * (is_harris ? harris(tensor, k) : gftt(tensor, fast_sqrt(gftt_discriminant(tensor))));
+      }
+      columns.write(position, row, result);
     }
     __syncthreads();
-    int const row = y - R + position.r;
-    if (row < position.y0 || row >= position.y1 || !position.owns_some()) continue;
-    SymmetricMatrix<F> tensors[kRows];
-    structure_tensors(position, groups[group], tensors);
-    F result[kRows];
-#pragma unroll
-    for (int j = 0; j < kRows; ++j)
-      result[j] =
-          scale * (is_harris ? harris(tensors[j], k) : gftt(tensors[j], fast_sqrt(gftt_discriminant(tensors[j]))));
-    write_row(work, position, row, result);
   }
 }
 
-template <class F>
-__global__ void __launch_bounds__(kThreads<F>, kBlocksOfGradients)
+template <class F, bool Vectors>
+__global__ void __launch_bounds__(2 * kColumnThreads<F>, kBlocksOfGradients)
     corner_backward(__grid_constant__ Work<F> const work) {
-  __shared__ RowGroup<F, 3> products, gradients;
-  __shared__ RowGroup<F, 2> back;  // u and v
-  BlockPosition const position(work, kReachOfGradients);
-  Derivatives<F> derivatives(work, position);
-  RunningSums<F> down, down_back;
-  F const k = work.arguments.k_of(position.plane), scale = work.arguments.scale_of(position.plane);
+  __shared__ Lines<F, 3> products[2], gradients[2];
+  __shared__ Lines<F, 2> kept[kKept], back[2];  // dx and dy; u and v
+  int const threads = int(blockDim.x) / 2;
+  bool const is_first_half = int(threadIdx.x) < threads;
+  ColumnPosition const position(work, kReachOfGradients, threads, int(threadIdx.x) - (is_first_half ? 0 : threads));
   bool const is_harris = work.arguments.kind == CornerKind::harris, sobel = work.arguments.sobel;
-  F const derivative_scale = gradient_scale<F>(sobel);
-  int const height = position.height, width = position.width, column = position.column, at = int(threadIdx.x) + kPad;
-  uint8_t* const pixel = work.result.plane(position.plane) + min(column, width - 1) * work.result.step;
-  auto const is_end = [](int i, int n) { return i == 0 || i == n - 1; };
-  constexpr int kKept = 2 * R;  // rows of derivatives before the latest four
-  F dx[kKept + kRows], dy[kKept + kRows];
-  GradientRow<F> above{}, middle{};
+  int const height = position.height, width = position.width, first = position.y0 - kCornerGradientReach,
+            end = position.y1 + kDelayOfGradients;
+  bool const has_columns = position.x < width;
+  int now = 0, slot = 0;
 
-  for (int y = position.y0 - kCornerGradientReach; y - kRows - kCornerGradientReach + R < position.y1 - 1; y += kRows) {
-    if (column < width) {
+  if (is_first_half) {
+    Derivatives<F, Vectors> derivatives(work, position, first);
+    Columns<F, Vectors> const grads(work, work.grad, position);
+    RunningSums<F> down;
+    F const k = work.arguments.k_of(position.plane);
+    F const scale = work.arguments.scale_of(position.plane) * derivative_factor<F>(sobel, is_harris);
+#pragma unroll kUnroll
+    for (int y = first; y < end; ++y, now ^= 1, slot = slot + 1 == kKept ? 0 : slot + 1) {
+      if (has_columns && y < position.y1 + kCornerGradientReach + 1) {
+        int const row = derivatives.row(y - kDelay);
+        F grad[P];
+        grads.read(row, grad);
+        F dx[P], dy[P];
+        derivatives.advance(y, dx, dy);
+        add_products<F, Vectors>(position, dx, dy, down, products[now]);
+        write_vector(kept[slot].values[0], position.at, dx);
+        write_vector(kept[slot].values[1], position.at, dy);
+        F sums[3][P], result[3][P];
 #pragma unroll
-      for (int i = 0; i < kKept; ++i) dx[i] = dx[i + kRows], dy[i] = dy[i + kRows];
-      derivatives.next(y, dx + kKept, dy + kKept);
-      add_products(position, dx + kKept, dy + kKept, down, products);
-    }
-    __syncthreads();
-    if (position.x < width) {
-      int const row = reflected(y - R + position.r, height);
-      SymmetricMatrix<F> tensors[kRows];
-      structure_tensors(position, products, tensors);
-      F grads[kRows], result[3][kRows];
-      read_gradients(work, position, row, grads);
+        for (int m = 0; m < 3; ++m) sum_across(products[now ^ 1].values[m], position.at, sums[m]);
+        F const of_row = scale * end_factor(row, height, F(2));
 #pragma unroll
-      for (int j = 0; j < kRows; ++j) {
-        F const factor = (is_end(row, height) ? F(2) : F(1)) * (is_end(position.x + j, width) ? F(2) : F(1));
-        F const grad = grads[j] * (scale * factor);
-        SymmetricMatrix<F> of_tensor;
-        if (is_harris) {
-          of_tensor = harris_vjp(tensors[j], k, grad);
-        } else {
-          F const discriminant = gftt_discriminant(tensors[j]);
-          bool const has_root = discriminant > F(1.2e-38);  // the fast root takes smaller ones as 0
-          of_tensor = gftt_vjp(tensors[j], has_root ? fast_rsqrt(discriminant) : F(0), grad);
+        for (int j = 0; j < P; ++j) {
+          SymmetricMatrix<F> const tensor{sums[0][j], sums[1][j], sums[2][j]};
+          F const g = grad[j] * (of_row * end_factor(position.x + j, width, F(2)));
+          SymmetricMatrix<F> of_tensor;
+          if (is_harris) {
+            of_tensor = harris_vjp(tensor, k, g);
+          } else {
+            F const discriminant = gftt_discriminant(tensor);
+            bool const has_root = discriminant > F(1.2e-38);  // the fast root takes smaller ones as 0
+            of_tensor = gftt_vjp(tensor, has_root ? fast_rsqrt(discriminant) : F(0), g);
+          }
+          result[0][j] = of_tensor.xx, result[1][j] = of_tensor.yy, result[2][j] = of_tensor.xy;
         }
-        result[0][j] = of_tensor.xx, result[1][j] = of_tensor.yy, result[2][j] = of_tensor.xy;
+#pragma unroll
+        for (int m = 0; m < 3; ++m) write_reflected<R, Vectors>(position, gradients[now].values[m], result[m]);
       }
-      int const first = position.x - position.left;
+      synchronize_block();
+    }
+    return;
+  }
+
+  Columns<F, Vectors> const columns(work, work.result, position);
+  RunningSums<F> down;
+  GradientRow<F> above[P] = {}, middle[P] = {};
+  F u[P] = {}, v[P] = {};
+#pragma unroll kUnroll
+  for (int y = first; y < end; ++y, now ^= 1, slot = slot + 1 == kKept ? 0 : slot + 1) {
+    if (has_columns && y - kDelay - 1 >= position.y0 - kDelay) {
+      // Of the row before: the gradient of the derivatives. u and v of adjacent threads are in shared memory.
+      F const *const of_u = back[now ^ 1].values[0] + kPad + position.at, *const of_v = back[now ^ 1].values[1] + kPad +
+                                                                                        position.at;
+      F around_u[P + 2], around_v[P + 2], result[P];
+      around_u[0] = of_u[-1], around_u[P + 1] = of_u[P], around_v[0] = of_v[-1], around_v[P + 1] = of_v[P];
+#pragma unroll
+      for (int j = 0; j < P; ++j) around_u[j + 1] = u[j], around_v[j + 1] = v[j];
+      if (position.x == 0) around_u[0] = -u[0], around_v[0] = v[0];
+#pragma unroll
+      for (int j = Vectors ? P - 1 : 0; j < P; ++j)
+        if (position.x + j == width - 1) around_u[j + 2] = -u[j], around_v[j + 2] = v[j];
+      int const row = y - kDelayOfGradients;
+#pragma unroll
+      for (int j = 0; j < P; ++j) {
+        GradientRow<F> const below =
+            gradient_row_vjp(around_u[j], around_u[j + 2], around_v[j], around_v[j + 1], around_v[j + 2], sobel);
+        result[j] = gradient_vjp(row == 0 ? row_out_of_bounds(middle[j]) : above[j], middle[j],
+                                 row == height - 1 ? row_out_of_bounds(middle[j]) : below, sobel, F(1));
+        above[j] = middle[j], middle[j] = below;
+      }
+      if (row >= position.y0 && row < position.y1) columns.write(position, row, result);
+
+      F of_products[3][P];
 #pragma unroll
       for (int m = 0; m < 3; ++m) {
-        F* const line = gradients.values[position.r][m];
-        if (position.x + kRows <= width) {
-          write_vector(line, first, result[m]);
-        } else {
-#pragma unroll
-          for (int j = 0; j < kRows; ++j)
-            if (position.x + j < width) line[kPad + first + j] = result[m][j];
-        }
-        if (position.is_near_end<R>(position.x, kRows))
-#pragma unroll
-          for (int j = 0; j < kRows; ++j)
-            if (position.x + j < width)
-              position.for_each_outside<R>(Border::reflect, position.x + j, [&](int to) { line[to] = result[m][j]; });
+        F sums[P];
+        sum_across(gradients[now ^ 1].values[m], position.at, sums);
+        down.add(m, sums, of_products[m]);
       }
-    }
-    __syncthreads();
-    if (position.x < width) {
-      F sums[kRows];
+      // Slots hold the rows up to y; row y - 8 is in the one after that of row y.
+      Lines<F, 2> const& derivatives = kept[slot + 1 == kKept ? 0 : slot + 1];
+      F dx[P], dy[P];
+      read_vector(derivatives.values[0], position.at, dx);
+      read_vector(derivatives.values[1], position.at, dy);
+      F const of_row = end_factor(y - kDelay - 1 - R, height, F(0.5));
 #pragma unroll
-      for (int m = 0; m < 3; ++m) {
-        sum_across(gradients.values[position.r][m], position.x - position.left, sums);
-        write_vector(products.values[position.r][m], position.x - position.left, sums);
+      for (int j = 0; j < P; ++j) {
+        F const factor = of_row * end_factor(position.x + j, width, F(0.5));
+        u[j] = (2 * dx[j] * of_products[0][j] + dy[j] * of_products[2][j]) * factor;
+        v[j] = (2 * dy[j] * of_products[1][j] + dx[j] * of_products[2][j]) * factor;
       }
+      write_vector(back[now].values[0], position.at, u);
+      write_vector(back[now].values[1], position.at, v);
     }
-    __syncthreads();
-    if (column < width) {
-#pragma unroll
-      for (int r = 0; r < kRows; ++r) {
-        int const row = y - 2 * R + r;
-        F of_products[3];
-#pragma unroll
-        for (int m = 0; m < 3; ++m) of_products[m] = down_back.add(m, products.values[r][m][at]);
-        F const factor = (is_end(row, height) ? F(0.5) : F(1)) * (is_end(column, width) ? F(0.5) : F(1));
-        back.values[r][0][at] = (2 * dx[r] * of_products[0] + dy[r] * of_products[2]) * factor;
-        back.values[r][1][at] = (2 * dy[r] * of_products[1] + dx[r] * of_products[2]) * factor;
-      }
-    }
-    __syncthreads();
-    if (column < width) {
-      F result[kRows];
-      bool const at_left = column == 0, at_right = column == width - 1;
-#pragma unroll
-      for (int r = 0; r < kRows; ++r) {
-        int const row = y - 2 * R + r - 1;  // of the result
-        F const *const u = back.values[r][0] + at, *const v = back.values[r][1] + at;
-        GradientRow<F> const below = gradient_row_vjp(at_left ? -u[0] : u[-1], at_right ? -u[0] : u[1],
-                                                      at_left ? v[0] : v[-1], v[0], at_right ? v[0] : v[1], sobel);
-        result[r] = gradient_vjp(row == 0 ? row_out_of_bounds(middle) : above, middle,
-                                 row == height - 1 ? row_out_of_bounds(middle) : below, sobel, derivative_scale);
-        above = middle, middle = below;
-      }
-      if (position.owns(column))
-#pragma unroll
-        for (int r = 0; r < kRows; ++r) {
-          int const row = y - 2 * R + r - 1;
-          if (row >= position.y0 && row < position.y1)
-            write_pixel(work, pixel + row * work.result.row_stride, result[r]);
-        }
-    }
+    synchronize_block();
   }
 }
 
@@ -286,13 +274,16 @@ __global__ void __launch_bounds__(kThreads<F>, kBlocksOfGradients)
 
 template <class T>
 int corner_response(Response<T> const& p, CUstream_st* stream) {
-  return run(corner_forward<Compute<T>>, work_of(p), kReach, kMoreRows, kBlocks, stream);
+  using F = Compute<T>;
+  return run(corner_forward<F, false>, corner_forward<F, kHasVectors<F>>, work_of(p), 1, kReach, R + kDelay, kBlocks,
+             stream);
 }
 
 template <class T>
 int corner_response_backward(ResponseBackward<T> const& p, CUstream_st* stream) {
-  return run(corner_backward<Compute<T>>, work_of(p), kReachOfGradients, kMoreRowsOfGradients, kBlocksOfGradients,
-             stream);
+  using F = Compute<T>;
+  return run(corner_backward<F, false>, corner_backward<F, kHasVectors<F>>, work_of(p), 2, kReachOfGradients,
+             kCornerGradientReach + kDelayOfGradients, kBlocksOfGradients, stream);
 }
 
 KV_INSTANTIATE(corner_response, Response)

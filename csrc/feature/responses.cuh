@@ -1,10 +1,6 @@
-// Rows of pixels in shared memory, for the responses of corners and blobs on CUDA.
-//
-// A block traverses its columns downwards, four rows at a time. In steps along y each thread has one column, with the
-// rows that its window needs in registers. In steps along x it has four columns of one of the four rows, so that it
-// loads vectors and shares them between its windows. Between the steps rows are in shared memory, with the pixels out
-// of bounds that windows read. Only loads and stores depend on the dtype and the layout of the pixels, which are
-// therefore run-time arguments. Included by responses*.cu.
+// Shared by the responses of corners and blobs on CUDA: blocks of columns, images whose dtype and layout are run-time
+// arguments, and rows in shared memory with the pixels out of bounds that windows read. Only loads and stores depend on
+// dtype and layout. Included by responses*.cu.
 #pragma once
 
 #include "core/dtype.cuh"
@@ -13,10 +9,12 @@
 namespace kv::feature::cuda {
 namespace {
 
-constexpr int kRows = 4;  // processed together; also the columns of a thread along x
-constexpr int kPad = 4;   // elements on either side of a row in shared memory
+constexpr int kColumns = 4;  // of a thread
+constexpr int kPad = 4;      // elements on either side of a row in shared memory
 template <class F>
-constexpr int kThreads = sizeof(F) == 8 ? 128 : 256;  // per block, at most
+constexpr int kBlockColumns = sizeof(F) == 8 ? 128 : 256;  // at most
+template <class F>
+constexpr int kColumnThreads = kBlockColumns<F> / kColumns;  // of a block, at most
 
 // Planes with strides in bytes; the channels of channels-last images are planes, too.
 using StoredPlanes = Planes<uint8_t>;
@@ -34,100 +32,11 @@ template <class F>
 struct Work {
   StoredPlanes x, grad, result;  // the result is the response or the gradient of x
   DType stored;
-  bool vectors;  // what threads with four columns read or write besides x is accessed in vectors
+  bool vectors;  // all images are accessed in vectors of four pixels
   ResponseArguments<F> arguments;
   unsigned across, down;  // blocks per plane
   int rows;               // per block
 };
-
-// M values for each column of four rows.
-template <class F, int M, int Pad = kPad>
-struct RowGroup {
-  alignas(16) F values[kRows][M][kThreads<F> + 2 * Pad];  // column `left` of the block is at Pad
-};
-
-// The position of a block and its threads. Along y each thread has the column `column`; along x it has the columns from
-// `x` on of row `r` of the rows that are processed together. Adjacent blocks overlap by the reach of their windows.
-struct BlockPosition {
-  int64_t plane;
-  int left, column, r, x, y0, y1, width, height, first, last;  // the block writes columns from `first` to before `last`
-
-  // `reach`: columns on either side of the block whose results are incomplete; a multiple of kRows.
-  template <class F>
-  __device__ __forceinline__ BlockPosition(Work<F> const& work, int reach)
-      : width(int(work.x.width)), height(int(work.x.height)) {
-    unsigned const line = blockIdx.x / work.across, block = blockIdx.x - line * work.across;
-    plane = line / work.down;
-    int const columns = int(blockDim.x);
-    left = int(block) * (columns - 2 * reach);
-    column = left + int(threadIdx.x);
-    r = int(threadIdx.x) / (columns / kRows);
-    x = left + kRows * (int(threadIdx.x) - r * (columns / kRows));
-    first = block == 0 ? 0 : left + reach;
-    last = block + 1 == work.across ? width : left + columns - reach;
-    y0 = int(line - unsigned(plane) * work.down) * work.rows;
-    y1 = min(y0 + work.rows, height);
-  }
-  __device__ __forceinline__ bool owns(int c) const { return c >= first && c < last; }
-  // Whether the thread writes some of its columns along x.
-  __device__ __forceinline__ bool owns_some() const { return x + kRows > first && x < last; }
-  // Calls f(index in the block's row) for every position out of bounds within `Reach` that reads column `c`.
-  template <int Reach, int Pad = kPad, class F>
-  __device__ __forceinline__ void for_each_outside(Border border, int c, F f) const {
-    for_each_reader(border, c, width, left == 0 ? Reach : 0, Reach, [&](int i) {
-      if (i != c && i - left < int(blockDim.x) + Pad) f(Pad + i - left);
-    });
-  }
-  template <int Reach>
-  __device__ __forceinline__ bool is_near_end(int c, int count) const {
-    return c < width && (c <= Reach || c + count + Reach >= width);
-  }
-};
-
-// Writes a thread's columns of a row along x, of which only those that the block owns.
-template <class F>
-__device__ __forceinline__ void write_row(Work<F> const& work, BlockPosition const& position, int y,
-                                          F const (&values)[kRows]) {
-  uint8_t* const row = work.result.row(position.plane, y) + position.x * work.result.step;
-  dispatch_floating_dtype<F>(work.stored, [&](auto type) {
-    using T = decltype(type);
-    if (work.vectors && position.x >= position.first && position.x + kRows <= position.last) {
-      store_vector(reinterpret_cast<T*>(row), values);
-      return;
-    }
-#pragma unroll
-    for (int j = 0; j < kRows; ++j)
-      if (position.owns(position.x + j)) *reinterpret_cast<T*>(row + j * work.result.step) = round_to<T>(values[j]);
-  });
-}
-
-// Reads the same columns of a row of gradients, as 0 out of bounds.
-template <class F>
-__device__ __forceinline__ void read_gradients(Work<F> const& work, BlockPosition const& position, int y,
-                                               F (&values)[kRows]) {
-  uint8_t const* const row = work.grad.row(position.plane, y) + position.x * work.grad.step;
-  dispatch_floating_dtype<F>(work.stored, [&](auto type) {
-    using T = decltype(type);
-    if (work.vectors && position.x + kRows <= position.width) {
-      auto const vector = *reinterpret_cast<Vector<T, kRows> const*>(row);
-#pragma unroll
-      for (int j = 0; j < kRows; ++j) values[j] = read(vector.v[j]);
-      return;
-    }
-#pragma unroll
-    for (int j = 0; j < kRows; ++j)
-      values[j] = position.x + j < position.width ? read(*reinterpret_cast<T const*>(row + j * work.grad.step)) : F(0);
-  });
-}
-
-// Writes the thread's column of a row.
-template <class F>
-__device__ __forceinline__ void write_pixel(Work<F> const& work, uint8_t* pixel, F value) {
-  dispatch_floating_dtype<F>(work.stored, [&](auto type) {
-    using T = decltype(type);
-    *reinterpret_cast<T*>(pixel) = round_to<T>(value);
-  });
-}
 
 // Reads the elements of a row in shared memory from `at` on, which is a multiple of 4.
 template <class F, int N>
@@ -140,26 +49,27 @@ __device__ __forceinline__ void read_window(F const* line, int at, F (&v)[N]) {
   }
 }
 template <class F>
-__device__ __forceinline__ void write_vector(F* line, int at, F const (&v)[kRows]) {
+__device__ __forceinline__ void write_vector(F* line, int at, F const (&v)[kColumns]) {
   *reinterpret_cast<Vector<F, 4>*>(line + kPad + at) = {v[0], v[1], v[2], v[3]};
 }
 
 struct Grid {
   unsigned across, down, blocks;
-  int rows, threads;
+  int rows, columns;
 
   // Splits planes into blocks, no wider than their columns need. A block reads `more` rows than it completes, and the
   // number of rows per block minimizes the work of each multiprocessor, which holds `resident` blocks of the most
-  // threads.
-  Grid(int64_t planes, int64_t height, int64_t width, int most_threads, int reach, int more, int resident)
-      : across(0), rows(1), threads(0) {
-    int64_t const fewest = 1 + ceil_div(max(width - most_threads, int64_t(0)), most_threads - 2 * reach);
+  // columns.
+  Grid(int64_t planes, int64_t height, int64_t width, int most_columns, int reach, int more, int resident,
+       int multiple = 32)
+      : across(0), rows(1), columns(0) {
+    int64_t const fewest = 1 + ceil_div(max(width - most_columns, int64_t(0)), most_columns - 2 * reach);
     for (int64_t parts = fewest; parts <= fewest + 2; ++parts) {
-      int64_t const each = ceil_div(ceil_div(width + 2 * reach * (parts - 1), parts), 32) * 32;
-      if (across == 0 || parts * each < int64_t(across) * threads) across = unsigned(parts), threads = int(each);
+      int64_t const each = ceil_div(ceil_div(width + 2 * reach * (parts - 1), parts), multiple) * multiple;
+      if (across == 0 || parts * each < int64_t(across) * columns) across = unsigned(parts), columns = int(each);
     }
     double min_work = INFINITY;
-    int64_t const machine = multiprocessors(), held = resident * most_threads / threads;
+    int64_t const machine = multiprocessors(), held = resident * most_columns / columns;
     for (int64_t parts = 1; parts <= height / 8 + 1; ++parts) {
       int64_t const each = ceil_div(height, parts);
       int64_t const count = ceil_div(planes * across * ceil_div(height, each), machine);
@@ -171,17 +81,13 @@ struct Grid {
   }
 };
 
-// Whether all rows are aligned to vectors of four pixels.
-template <class T>
-bool has_vectors(Planes<T> const& p) {
-  constexpr int64_t size = sizeof(T), bytes = size == 8 ? 16 : kRows * size;
-  return p.step == 1 && reinterpret_cast<uintptr_t>(p.data) % bytes == 0 && p.outer_stride * size % bytes == 0 &&
-         p.inner_stride * size % bytes == 0 && p.row_stride * size % bytes == 0;
-}
-
 template <class T>
 Work<Compute<T>> work_of(DifferenceOfGaussians<T> const& p) {
-  return {stored_planes(p.x), {}, stored_planes(p.y), kDType<T>, has_vectors(p.y)};
+  return {stored_planes(p.x),
+          {},
+          stored_planes(p.y),
+          kDType<T>,
+          is_vectorizable<kColumns>(p.x) && is_vectorizable<kColumns>(p.y)};
 }
 template <class Params>
 auto arguments_of(Params const& p) {
@@ -191,19 +97,188 @@ auto arguments_of(Params const& p) {
 }
 template <class T>
 Work<Compute<T>> work_of(Response<T> const& p) {
-  return {stored_planes(p.x), {}, stored_planes(p.y), kDType<T>, has_vectors(p.y), arguments_of(p)};
+  return {stored_planes(p.x),
+          {},
+          stored_planes(p.y),
+          kDType<T>,
+          is_vectorizable<kColumns>(p.x) && is_vectorizable<kColumns>(p.y),
+          arguments_of(p)};
 }
 template <class T>
 Work<Compute<T>> work_of(ResponseBackward<T> const& p) {
-  return {stored_planes(p.x), stored_planes(p.grad), stored_planes(p.grad_x),
-          kDType<T>,          has_vectors(p.grad),   arguments_of(p)};
+  return {stored_planes(p.x),
+          stored_planes(p.grad),
+          stored_planes(p.grad_x),
+          kDType<T>,
+          is_vectorizable<kColumns>(p.x) && is_vectorizable<kColumns>(p.grad) && is_vectorizable<kColumns>(p.grad_x),
+          arguments_of(p)};
+}
+
+// A row of M values for each column of a block.
+template <class F, int M>
+struct Lines {
+  alignas(16) F values[M][kBlockColumns<F> + 2 * kPad];  // column `left` of the block is at kPad
+};
+
+// The position of a block, and of its thread `t` of `threads`, whose columns begin `at` columns from the block's first.
+// Adjacent blocks overlap by the reach of their windows, a multiple of kColumns.
+struct ColumnPosition {
+  int64_t plane;
+  int at, columns, left, x, y0, y1, width, height, first, last;  // the block writes columns from `first` to `last`
+
+  template <class F>
+  __device__ __forceinline__ ColumnPosition(Work<F> const& work, int reach, int threads, int t)
+      : at(kColumns * t), columns(threads * kColumns), width(int(work.x.width)), height(int(work.x.height)) {
+    unsigned const line = blockIdx.x / work.across, block = blockIdx.x - line * work.across;
+    plane = line / work.down;
+    left = int(block) * (columns - 2 * reach);
+    x = left + at;
+    first = block == 0 ? 0 : left + reach;
+    last = block + 1 == work.across ? width : left + columns - reach;
+    y0 = int(line - unsigned(plane) * work.down) * work.rows;
+    y1 = min(y0 + work.rows, height);
+  }
+  __device__ __forceinline__ bool owns(int c) const { return c >= first && c < last; }
+  __device__ __forceinline__ bool owns_some() const { return x + kColumns > first && x < last; }
+};
+
+// The columns of a thread in one plane. Vectors: rows are vectors of kColumns pixels, see `run`. It refers to the
+// arguments of the kernel, which are constants and cost no registers.
+template <class F, bool Vectors>
+struct Columns {
+  Work<F> const& work;
+  StoredPlanes const& planes;
+  int x;
+  uint8_t* first;  // in row 0
+
+  __device__ __forceinline__ Columns(Work<F> const& work, StoredPlanes const& planes, ColumnPosition const& position)
+      : work(work), planes(planes), x(min(position.x, width() - (Vectors ? kColumns : 1))) {
+    first = planes.plane(position.plane) + x * planes.step;
+  }
+  __device__ __forceinline__ int width() const { return int(work.x.width); }
+  // Whether the thread's columns and their neighbors are adjacent in memory.
+  __device__ __forceinline__ bool is_inside() const {
+    return x > 0 && x + kColumns < width() && planes.step == size_of(work.stored);
+  }
+  // N pixels of a row in bounds, those before the first column included; out of bounds it continues with its ends.
+  template <int N>
+  __device__ __forceinline__ void read(int y, F (&values)[N]) const {
+    constexpr int kBefore = (N - kColumns) / 2;
+    uint8_t const* const at = first + y * planes.row_stride;
+    dispatch_floating_dtype<F>(work.stored, [&](auto type) {
+      using T = decltype(type);
+      if constexpr (Vectors) {
+        auto const vector = *reinterpret_cast<Vector<T, kColumns> const*>(at);
+#pragma unroll
+        for (int j = 0; j < kColumns; ++j) values[kBefore + j] = kv::read(vector.v[j]);
+        if constexpr (kBefore == 1) {
+          T const* const pixels = reinterpret_cast<T const*>(at);
+          values[0] = kv::read(pixels[x > 0 ? -1 : 0]);
+          values[N - 1] = kv::read(pixels[x + kColumns < width() ? kColumns : kColumns - 1]);
+        }
+      } else if (is_inside()) {  // adjacent pixels at any address
+        T const* const pixels = reinterpret_cast<T const*>(at);
+#pragma unroll
+        for (int i = 0; i < N; ++i) values[i] = kv::read(pixels[i - kBefore]);
+      } else {
+#pragma unroll
+        for (int i = 0; i < N; ++i)
+          values[i] =
+              kv::read(*reinterpret_cast<T const*>(at + (clamp(x + i - kBefore, 0, width() - 1) - x) * planes.step));
+      }
+    });
+  }
+  // Writes the columns that the block owns.
+  __device__ __forceinline__ void write(ColumnPosition const& position, int y, F const (&values)[kColumns]) const {
+    uint8_t* const at = first + y * planes.row_stride;
+    dispatch_floating_dtype<F>(work.stored, [&](auto type) {
+      using T = decltype(type);
+      if constexpr (Vectors) {
+        if (position.owns(x)) store_vector(reinterpret_cast<T*>(at), values);
+      } else if (is_inside() && position.owns(x)) {  // then it owns all four
+        T* const pixels = reinterpret_cast<T*>(at);
+#pragma unroll
+        for (int j = 0; j < kColumns; ++j) pixels[j] = round_to<T>(values[j]);
+      } else {
+#pragma unroll
+        for (int j = 0; j < kColumns; ++j)
+          if (position.owns(x + j)) *reinterpret_cast<T*>(at + j * planes.step) = round_to<T>(values[j]);
+      }
+    });
+  }
+};
+
+template <class F>
+__device__ __forceinline__ void read_vector(F const* line, int at, F (&v)[kColumns]) {
+  Vector<F, 4> const vector = *reinterpret_cast<Vector<F, 4> const*>(line + kPad + at);
+#pragma unroll
+  for (int j = 0; j < kColumns; ++j) v[j] = vector.v[j];
+}
+
+// Writes those of a thread's columns that are in the image to a line.
+template <bool Vectors, class F>
+__device__ __forceinline__ void write_line(ColumnPosition const& position, F* line, F const (&v)[kColumns]) {
+  if (Vectors || position.x + kColumns <= position.width) {
+    write_vector(line, position.at, v);
+  } else {
+#pragma unroll
+    for (int j = 0; j < kColumns; ++j)
+      if (position.x + j < position.width) line[kPad + position.at + j] = v[j];
+  }
+}
+
+// The same, and where the reflecting border reads them.
+template <int Reach, bool Vectors, class F>
+__device__ __forceinline__ void write_reflected(ColumnPosition const& position, F* line, F const (&v)[kColumns]) {
+  static_assert(Reach < kColumns && Reach <= kPad);
+  int const x = position.x, last = position.width - 1;
+  F* const own = line + kPad + position.at;
+  write_line<Vectors>(position, line, v);
+#pragma unroll
+  for (int i = 1; i <= Reach; ++i) {
+    if (x == 0) own[-i] = v[i];
+    if (Vectors && x + kColumns - 1 == last) own[kColumns - 1 + i] = v[kColumns - 1 - i];
+  }
+  if (!Vectors && x + kColumns - 1 + Reach >= last)
+#pragma unroll
+    for (int j = 0; j < kColumns; ++j) {
+      int const to = position.at + j + 2 * (last - x - j);
+      if (x + j < last && x + j + Reach >= last && to < position.columns + kPad) line[kPad + to] = v[j];
+    }
+}
+
+// The same, and where the replicating border reads them.
+template <int Reach, bool Vectors, class F>
+__device__ __forceinline__ void write_replicated(ColumnPosition const& position, F* line, F const (&v)[kColumns]) {
+  static_assert(Reach <= kPad);
+  int const x = position.x, last = position.width - 1;
+  F* const own = line + kPad + position.at;
+  write_line<Vectors>(position, line, v);
+#pragma unroll
+  for (int i = 1; i <= Reach; ++i) {
+    if (x == 0) own[-i] = v[0];
+#pragma unroll
+    for (int j = Vectors ? kColumns - 1 : 0; j < kColumns; ++j)
+      if (x + j == last && position.at + j + i < position.columns + kPad) own[j + i] = v[j];
+  }
+}
+
+// The barrier of all threads of a block, for warps that go through different loops.
+__device__ __forceinline__ void synchronize_block() {
+  asm volatile("barrier.sync 1, %0;" ::"r"(blockDim.x) : "memory");
 }
 
 template <class F>
-int run(void (*kernel)(Work<F>), Work<F> work, int reach, int more, int resident, CUstream_st* stream) {
-  Grid const grid(work.x.count(), work.x.height, work.x.width, kThreads<F>, reach, more, resident);
+constexpr bool kHasVectors = sizeof(F) == 4;  // one kernel serves all images of float64
+
+// Launches the kernel for rows of vectors, or the one for all others, with `roles` threads for every four columns.
+template <class F>
+int run(void (*any)(Work<F>), void (*vectors)(Work<F>), Work<F> work, int roles, int reach, int more, int resident,
+        CUstream_st* stream) {
+  Grid const grid(work.x.count(), work.x.height, work.x.width, kBlockColumns<F>, reach, more, resident, 32 * kColumns);
   work.across = grid.across, work.down = grid.down, work.rows = grid.rows;
-  kernel<<<grid.blocks, grid.threads, 0, stream>>>(work);
+  auto* const kernel = work.vectors ? vectors : any;
+  kernel<<<grid.blocks, unsigned(roles * grid.columns / kColumns), 0, stream>>>(work);
   return cudaGetLastError();
 }
 

@@ -1,5 +1,8 @@
-// Differences of two Gaussian blurs on CUDA; responses.cuh says how a block goes through an image. A step along y adds
-// each new row to the running sums of both windows, a step along x sums both and subtracts.
+// Differences of two Gaussian blurs on CUDA.
+//
+// A block traverses its columns downwards, four rows at a time. In steps along y each thread has one column and adds
+// each new row to the running sums of both windows. In steps along x it has four columns of one of the four rows, so
+// that it loads vectors and shares them between its windows; it sums both and subtracts.
 #include "responses.cuh"
 
 namespace kv::feature::cuda {
@@ -7,6 +10,68 @@ namespace {
 
 constexpr int R = kCoarseReach, kWidePad = 8, kReach = 8, kMoreRows = 2 * R + 2;
 constexpr int kBlocks = 3;  // of a multiprocessor
+constexpr int kRows = 4;    // processed together; also the columns of a thread along x
+
+// M values for each column of four rows.
+template <class F, int M>
+struct RowGroup {
+  alignas(16) F values[kRows][M][kBlockColumns<F> + 2 * kWidePad];  // column `left` of the block is at kWidePad
+};
+
+// The position of a block and its threads. Along y each thread has the column `column`; along x it has the columns from
+// `x` on of row `r` of the rows that are processed together. Adjacent blocks overlap by the reach of their windows.
+struct BlockPosition {
+  int64_t plane;
+  int left, column, r, x, y0, y1, width, height, first, last;  // the block writes columns from `first` to before `last`
+
+  // `reach`: columns on either side of the block whose results are incomplete; a multiple of kRows.
+  template <class F>
+  __device__ __forceinline__ BlockPosition(Work<F> const& work, int reach)
+      : width(int(work.x.width)), height(int(work.x.height)) {
+    unsigned const line = blockIdx.x / work.across, block = blockIdx.x - line * work.across;
+    plane = line / work.down;
+    int const columns = int(blockDim.x);
+    left = int(block) * (columns - 2 * reach);
+    column = left + int(threadIdx.x);
+    r = int(threadIdx.x) / (columns / kRows);
+    x = left + kRows * (int(threadIdx.x) - r * (columns / kRows));
+    first = block == 0 ? 0 : left + reach;
+    last = block + 1 == work.across ? width : left + columns - reach;
+    y0 = int(line - unsigned(plane) * work.down) * work.rows;
+    y1 = min(y0 + work.rows, height);
+  }
+  __device__ __forceinline__ bool owns(int c) const { return c >= first && c < last; }
+  // Whether the thread writes some of its columns along x.
+  __device__ __forceinline__ bool owns_some() const { return x + kRows > first && x < last; }
+  // Calls f(index in the block's row) for every position out of bounds within `Reach` that reads column `c`.
+  template <int Reach, class F>
+  __device__ __forceinline__ void for_each_outside(Border border, int c, F f) const {
+    for_each_reader(border, c, width, left == 0 ? Reach : 0, Reach, [&](int i) {
+      if (i != c && i - left < int(blockDim.x) + kWidePad) f(kWidePad + i - left);
+    });
+  }
+  template <int Reach>
+  __device__ __forceinline__ bool is_near_end(int c, int count) const {
+    return c < width && (c <= Reach || c + count + Reach >= width);
+  }
+};
+
+// Writes a thread's columns of a row along x, of which only those that the block owns.
+template <class F>
+__device__ __forceinline__ void write_row(Work<F> const& work, BlockPosition const& position, int y,
+                                          F const (&values)[kRows]) {
+  uint8_t* const row = work.result.row(position.plane, y) + position.x * work.result.step;
+  dispatch_floating_dtype<F>(work.stored, [&](auto type) {
+    using T = decltype(type);
+    if (work.vectors && position.x >= position.first && position.x + kRows <= position.last) {
+      store_vector(reinterpret_cast<T*>(row), values);
+      return;
+    }
+#pragma unroll
+    for (int j = 0; j < kRows; ++j)
+      if (position.owns(position.x + j)) *reinterpret_cast<T*>(row + j * work.result.step) = round_to<T>(values[j]);
+  });
+}
 
 template <class F>
 struct BlurWeights {
@@ -42,10 +107,10 @@ struct RunningBlur {
 };
 
 template <class F>
-__global__ void __launch_bounds__(kThreads<F>, kBlocks)
+__global__ void __launch_bounds__(kBlockColumns<F>, kBlocks)
     difference(__grid_constant__ Work<F> const work, __grid_constant__ BlurWeights<F> const weights, F end_in,
                F end_out) {
-  __shared__ RowGroup<F, 2, kWidePad> groups[2];
+  __shared__ RowGroup<F, 2> groups[2];
   BlockPosition const position(work, kReach);
   int const height = position.height, width = position.width, column = position.column;
   uint8_t const* const pixels = work.x.plane(position.plane) + min(column, width - 1) * work.x.step;
@@ -74,7 +139,7 @@ __global__ void __launch_bounds__(kThreads<F>, kBlocks)
         for (int m = 0; m < 2; ++m) groups[group].values[r][m][at] = values[r][m];
       }
       if (position.is_near_end<R>(column, 1))
-        position.for_each_outside<R, kWidePad>(Border::reflect, column, [&](int to) {
+        position.for_each_outside<R>(Border::reflect, column, [&](int to) {
 #pragma unroll
           for (int r = 0; r < kRows; ++r)
 #pragma unroll
@@ -84,7 +149,7 @@ __global__ void __launch_bounds__(kThreads<F>, kBlocks)
     __syncthreads();
     int const row = y - R + position.r, first = position.x - position.left;
     if (row < position.y0 || row >= position.y1 || !position.owns_some()) continue;
-    F const(&lines)[2][kThreads<F> + 2 * kWidePad] = groups[group].values[position.r];
+    F const(&lines)[2][kBlockColumns<F> + 2 * kWidePad] = groups[group].values[position.r];
     F around[12], wide[20], result[kRows], sums[kRows];
     read_window(lines[1], first, wide);
     blur<kCoarseReach, 8>(wide, weights.coarse, result);
@@ -107,9 +172,9 @@ int difference_of_gaussians(DifferenceOfGaussians<T> const& p, CUstream_st* stre
   BlurWeights<F> weights;
   for (int d = 0; d <= kFineReach; ++d) weights.fine[d] = p.fine[d];
   for (int d = 0; d <= kCoarseReach; ++d) weights.coarse[d] = p.coarse[d];
-  Grid const grid(work.x.count(), work.x.height, work.x.width, kThreads<F>, kReach, kMoreRows, kBlocks);
+  Grid const grid(work.x.count(), work.x.height, work.x.width, kBlockColumns<F>, kReach, kMoreRows, kBlocks);
   work.across = grid.across, work.down = grid.down, work.rows = grid.rows;
-  difference<F><<<grid.blocks, grid.threads, 0, stream>>>(work, weights, p.transposed ? F(2) : F(1),
+  difference<F><<<grid.blocks, grid.columns, 0, stream>>>(work, weights, p.transposed ? F(2) : F(1),
                                                           p.transposed ? F(0.5) : F(1));
   return cudaGetLastError();
 }

@@ -1,178 +1,182 @@
-// Determinants of the Hessian on CUDA; responses.cuh says how a block goes through an image.
+// Determinants of the Hessian on CUDA.
 //
-//   along y   rows of the three second derivatives               -> lines
-//   along x   rows of the derivatives, gradient of the response  -> gradient
-//   along x   transposed rows                                    -> back
-//   along y   transposed rows
+// A block traverses its columns downwards, row by row; a thread has four columns. The steps of an iteration are
+// independent: each reads what the one before it wrote to shared memory in the iteration before.
+//
+//   row y      rows of the second derivatives along y
+//   row y - 1  and along x; gradient of the determinant
+//   row y - 2  transposed rows along x and, by running sums, along y
 #include "responses.cuh"
 
 namespace kv::feature::cuda {
 namespace {
 
-constexpr int kReach = 4;  // columns of a block, see BlockPosition; of responses and of gradients
-constexpr int kBlocks = 4, kBlocksOfGradients = 3;  // of a multiprocessor
+constexpr int P = kColumns;
+constexpr int kReach = 4;                            // columns of a block that are incomplete on either side
+constexpr int kBlocks = 12, kBlocksOfGradients = 8;  // of a multiprocessor
 
-// The second derivatives along y of a thread's column: orders 0, 1, 2 for those of order 2, 1, 0 along x.
-template <class Kernel, class F>
-struct DerivativesDown {
-  static constexpr int kAround = 2 * Kernel::reach;
-  uint8_t const* column;  // in row 0
-  int64_t row_stride;
-  int height;
-  DType stored;
-  F pixels[kAround + kRows];  // the last ones are the latest
-
-  __device__ __forceinline__ DerivativesDown(Work<F> const& work, BlockPosition const& position)
-      : column(work.x.plane(position.plane) + min(position.column, position.width - 1) * work.x.step),
-        row_stride(work.x.row_stride),
-        height(position.height),
-        stored(work.stored) {}
-
-  // Reads `Count` rows from y on, of which those out of bounds are the first or the last one.
-  template <int Count>
-  __device__ __forceinline__ void read_rows(int y) {
-#pragma unroll
-    for (int i = 0; i < kAround; ++i) pixels[i] = pixels[i + kRows];
-    dispatch_floating_dtype<F>(stored, [&](auto type) {
-      using T = decltype(type);
-#pragma unroll
-      for (int r = 0; r < Count; ++r)
-        pixels[kAround + kRows - Count + r] =
-            read(*reinterpret_cast<T const*>(column + clamp(y + r, 0, height - 1) * row_stride));
-    });
+template <class Row>
+struct RowWeights;
+template <int... W>
+struct RowWeights<filters::WeightRow<W...>> {
+  __host__ __device__ static constexpr int at(int i) {
+    constexpr int weights[] = {W...};
+    return weights[i];
   }
-  // Those of the rows from y on.
-  __device__ __forceinline__ void next(int y, BlockPosition const& position, RowGroup<F, 3>& lines) {
-    read_rows<kRows>(y + Kernel::reach);
-    int const at = int(threadIdx.x) + kPad;
-    F values[kRows][3];
+};
+
+// The rows of pixels of a thread's columns that second derivatives along y read.
+template <class Kernel, class F, bool Vectors>
+struct PixelRows {
+  static constexpr int reach = Kernel::reach;
+  Columns<F, Vectors> const columns;
+  F rows[2 * reach + 1][P];
+  F next[P];  // a row that was read ahead
+
+  // The first row is `y`.
+  __device__ __forceinline__ PixelRows(Work<F> const& work, ColumnPosition const& position, int y)
+      : columns(work, work.x, position) {
 #pragma unroll
-    for (int r = 0; r < kRows; ++r)
-      filters::for_each_channel<Kernel>([&](auto c) {
-        values[r][c.value] = c.down().dot([&](int i) { return pixels[r + i]; }) * c.template scale<F>(true);
-        lines.values[r][c.value][at] = values[r][c.value];
-      });
-    if (position.template is_near_end<Kernel::reach>(position.column, 1))
-      position.template for_each_outside<Kernel::reach>(Border::replicate, position.column, [&](int to) {
+    for (int i = 1; i <= 2 * reach; ++i) read(y - reach + i - 1, rows[i]);
+    read(y + reach, next);
+  }
+  __device__ __forceinline__ void read(int y, F (&row)[P]) const {
+    columns.read(clamp(y, 0, int(columns.work.x.height) - 1), row);
+  }
+  // The derivatives along y of row y, to `lines`; the next call is for the row below.
+  __device__ __forceinline__ void advance(int y, ColumnPosition const& position, Lines<F, 3>& lines) {
 #pragma unroll
-        for (int r = 0; r < kRows; ++r)
+    for (int i = 0; i < 2 * reach; ++i)
 #pragma unroll
-          for (int m = 0; m < 3; ++m) lines.values[r][m][to] = values[r][m];
-      });
+      for (int j = 0; j < P; ++j) rows[i][j] = rows[i + 1][j];
+#pragma unroll
+    for (int j = 0; j < P; ++j) rows[2 * reach][j] = next[j];
+    read(y + 1 + reach, next);
+    filters::for_each_channel<Kernel>([&](auto c) {
+      F values[P];
+#pragma unroll
+      for (int j = 0; j < P; ++j) values[j] = c.down().dot([&](int i) { return rows[i][j]; });
+      write_replicated<reach, Vectors>(position, lines.values[c.value], values);
+    });
   }
 };
 
 // Along x: the Hessians of a thread's columns.
 template <class Kernel, class F>
-__device__ __forceinline__ void hessians(BlockPosition const& position, RowGroup<F, 3> const& lines,
-                                         SymmetricMatrix<F> (&result)[kRows]) {
-  F derivatives[3][kRows];
+__device__ __forceinline__ void hessians(int at, Lines<F, 3> const& lines, SymmetricMatrix<F> (&result)[P]) {
+  F derivatives[3][P];
   filters::for_each_channel<Kernel>([&](auto c) {
-    F v[kRows + 2 * kPad];
-    read_window(lines.values[position.r][c.value], position.x - position.left, v);
+    F v[P + 2 * kPad];
+    read_window(lines.values[c.value], at, v);
 #pragma unroll
-    for (int j = 0; j < kRows; ++j)
-      derivatives[c.value][j] = c.along().dot([&](int i) { return v[kPad - Kernel::reach + j + i]; });
+    for (int j = 0; j < P; ++j)
+      derivatives[c.value][j] =
+          c.along().dot([&](int i) { return v[kPad - Kernel::reach + j + i]; }) * c.template scale<F>(true);
   });
 #pragma unroll
-  for (int j = 0; j < kRows; ++j) result[j] = {derivatives[0][j], derivatives[2][j], derivatives[1][j]};
+  for (int j = 0; j < P; ++j) result[j] = {derivatives[0][j], derivatives[2][j], derivatives[1][j]};
 }
 
-template <class Kernel, class F>
-__global__ void __launch_bounds__(kThreads<F>, kBlocks) hessian_forward(__grid_constant__ Work<F> const work) {
-  __shared__ RowGroup<F, 3> groups[2];
-  BlockPosition const position(work, kReach);
-  DerivativesDown<Kernel, F> down(work, position);
+template <class Kernel, class F, bool Vectors>
+__global__ void __launch_bounds__(kColumnThreads<F>, kBlocks) hessian_forward(__grid_constant__ Work<F> const work) {
+  __shared__ Lines<F, 3> lines[2];
+  ColumnPosition const position(work, kReach, int(blockDim.x), int(threadIdx.x));
+  PixelRows<Kernel, F, Vectors> pixels(work, position, position.y0);
+  Columns<F, Vectors> const results(work, work.result, position);
   F const scale = work.arguments.scale_of(position.plane);
-  down.template read_rows<2 * Kernel::reach>(position.y0 - Kernel::reach);
-  int group = 0;
-  for (int y = position.y0; y < position.y1; y += kRows, group ^= 1) {
-    if (position.column < position.width) down.next(y, position, groups[group]);
-    __syncthreads();
-    int const row = y + position.r;
-    if (row >= position.y1 || !position.owns_some()) continue;
-    SymmetricMatrix<F> of_row[kRows];
-    hessians<Kernel>(position, groups[group], of_row);
-    F result[kRows];
+  bool const writes = position.owns_some();
+  int now = 0;
+#pragma unroll 1
+  for (int y = position.y0; y <= position.y1; ++y, now ^= 1) {
+    if (y < position.y1 && position.x < position.width) pixels.advance(y, position, lines[now]);
+    if (y > position.y0 && writes) {
+      SymmetricMatrix<F> of_row[P];
+      hessians<Kernel>(position.at, lines[now ^ 1], of_row);
+      F result[P];
 #pragma unroll
-    for (int j = 0; j < kRows; ++j) result[j] = scale * determinant(of_row[j]);
-    write_row(work, position, row, result);
+      for (int j = 0; j < P; ++j) result[j] = scale * determinant(of_row[j]);
+      results.write(position, y - 1, result);
+    }
+    __syncthreads();
   }
 }
 
-template <class Kernel, class F>
-__global__ void __launch_bounds__(kThreads<F>, kBlocksOfGradients)
+template <class Kernel, class F, bool Vectors>
+__global__ void __launch_bounds__(kColumnThreads<F>, kBlocksOfGradients)
     hessian_backward(__grid_constant__ Work<F> const work) {
   constexpr int reach = Kernel::reach;
-  __shared__ RowGroup<F, 3> lines, gradients;
-  BlockPosition const position(work, kReach);
-  DerivativesDown<Kernel, F> down(work, position);
+  __shared__ Lines<F, 3> lines[2], gradients[2];
+  ColumnPosition const position(work, kReach, int(blockDim.x), int(threadIdx.x));
+  int const height = position.height, width = position.width, x = position.x, y0 = position.y0, y1 = position.y1;
+  PixelRows<Kernel, F, Vectors> pixels(work, position, y0 - reach);
+  Columns<F, Vectors> const grads(work, work.grad, position), results(work, work.result, position);
   F const scale = work.arguments.scale_of(position.plane);
-  int const height = position.height, width = position.width, column = position.column, x = position.x;
-  int const first = x - position.left, at = int(threadIdx.x) + kPad;
-  uint8_t* const pixel = work.result.plane(position.plane) + min(column, width - 1) * work.result.step;
-  // Gradients out of bounds are 0; the elements before the block's first column and after its last one stay.
-  if (threadIdx.x < kPad)
-#pragma unroll
-    for (int r = 0; r < kRows; ++r)
-#pragma unroll
-      for (int m = 0; m < 3; ++m) {
-        F* const line = gradients.values[r][m];
-        line[threadIdx.x] = line[kPad + blockDim.x + threadIdx.x] = 0;
-      }
-  down.template read_rows<2 * reach>(position.y0 - 2 * reach);
-  F back[2 * reach + kRows][3];  // the last rows, after the steps along x
-
-  for (int y = position.y0 - reach; y - kRows + kRows - 1 - reach < position.y1 - 1; y += kRows) {
-    if (column < width) down.next(y, position, lines);
-    __syncthreads();
-    {
-      int const row = y + position.r;
-      SymmetricMatrix<F> of_row[kRows];
-      F grads[kRows] = {}, result[3][kRows];
-      hessians<Kernel>(position, lines, of_row);
+  bool const has_columns = x < width;
+  for (int i = int(threadIdx.x); i < int(sizeof(gradients) / sizeof(F)); i += int(blockDim.x))
+    gradients[0].values[0][i] = 0;  // gradients out of bounds stay 0
+  __syncthreads();
+  F sums[2 * reach][P] = {}, outside[P] = {};  // of incomplete rows; of rows before the first one
+  int now = 0;
+#pragma unroll 1
+  for (int y = y0 - reach; y < y1 + reach + 2; ++y, now ^= 1) {
+    if (has_columns) {
+      F grad[P] = {};
+      int const row = y - 1;
       bool const in_bounds = row >= 0 && row < height;
-      if (in_bounds && x < width) read_gradients(work, position, row, grads);
+      if (in_bounds) grads.read(row, grad);
+      pixels.advance(y, position, lines[now]);
+      SymmetricMatrix<F> of_row[P];
+      hessians<Kernel>(position.at, lines[now ^ 1], of_row);
+      F result[3][P];
 #pragma unroll
-      for (int j = 0; j < kRows; ++j) {
-        SymmetricMatrix<F> const d = determinant_vjp(of_row[j], grads[j] * scale);
-        bool const is_pixel = in_bounds && x + j < width;
+      for (int j = 0; j < P; ++j) {
+        SymmetricMatrix<F> const d = determinant_vjp(of_row[j], grad[j] * scale);
+        bool const is_pixel = in_bounds && row >= y0 - reach && (Vectors || x + j < width);
         result[0][j] = is_pixel ? d.xx : F(0), result[1][j] = is_pixel ? d.xy : F(0);
         result[2][j] = is_pixel ? d.yy : F(0);
       }
 #pragma unroll
-      for (int m = 0; m < 3; ++m) write_vector(gradients.values[position.r][m], first, result[m]);
-    }
-    __syncthreads();
-    filters::for_each_channel<Kernel>([&](auto c) {
-      F v[kRows + 2 * kPad], result[kRows];
-      read_window(gradients.values[position.r][c.value], first, v);
+      for (int m = 0; m < 3; ++m) write_vector(gradients[now].values[m], position.at, result[m]);
+
+      F back[3][P], complete[P];
+      filters::for_each_channel<Kernel>([&](auto c) {
+        F v[P + 2 * kPad];
+        read_window(gradients[now ^ 1].values[c.value], position.at, v);
 #pragma unroll
-      for (int j = 0; j < kRows; ++j)
-        result[j] = c.along().dot_vjp([&](int i) { return v[kPad - reach + j + i]; }, x + j == 0, x + j == width - 1) *
-                    c.template scale<F>(true);
-      write_vector(lines.values[position.r][c.value], first, result);
-    });
-    __syncthreads();
-    if (column < width) {
+        for (int j = 0; j < P; ++j) {
+          bool const may_be_last = !Vectors || j == P - 1;
+          back[c.value][j] = c.along().dot_vjp([&](int i) { return v[kPad - reach + j + i]; }, j == 0 && x == 0,
+                                               may_be_last && x + j == width - 1) *
+                             c.template scale<F>(true);
+        }
+      });
 #pragma unroll
-      for (int i = 0; i < 2 * reach; ++i)
+      for (int j = 0; j < P; ++j) {
 #pragma unroll
-        for (int m = 0; m < 3; ++m) back[i][m] = back[i + kRows][m];
-#pragma unroll
-      for (int r = 0; r < kRows; ++r)
-#pragma unroll
-        for (int m = 0; m < 3; ++m) back[2 * reach + r][m] = lines.values[r][m][at];
-#pragma unroll
-      for (int r = 0; r < kRows; ++r) {
-        int const row = y + r - reach;
-        F sum = 0;
-        filters::for_each_channel<Kernel>([&](auto c) {
-          sum += c.down().dot_vjp([&](int i) { return back[r + i][c.value]; }, row == 0, row == height - 1);
-        });
-        if (row >= position.y0 && row < position.y1 && position.owns(column))
-          write_pixel(work, pixel + row * work.result.row_stride, sum);
+        for (int t = 0; t <= 2 * reach; ++t) {
+          F sum = t < 2 * reach ? sums[min(t, 2 * reach - 1)][j] : F(0);
+          filters::for_each_channel<Kernel>([&](auto c) {
+            constexpr int channel = decltype(c)::value;
+            int const weight = RowWeights<decltype(c.down())>::at(t);
+            if (weight != 0) sum += F(weight) * back[channel][j];
+          });
+          if (t == 0)
+            complete[j] = sum;
+          else
+            sums[t - 1][j] = sum;
+        }
       }
+      // The replicating border reads the first and the last row more than once.
+      int const completed = y - 2 - reach;
+#pragma unroll
+      for (int j = 0; j < P; ++j) {
+        if (completed < 0) outside[j] += complete[j];
+        if (completed == 0) complete[j] += outside[j];
+        if (completed == height - 1)
+#pragma unroll
+          for (int t = 0; t < reach; ++t) complete[j] += sums[t][j];
+      }
+      if (completed >= y0 && completed < y1) results.write(position, completed, complete);
     }
     __syncthreads();
   }
@@ -182,21 +186,24 @@ __global__ void __launch_bounds__(kThreads<F>, kBlocksOfGradients)
 
 template <class T>
 int hessian_response(Response<T> const& p, CUstream_st* stream) {
+  using F = Compute<T>;
   int error = 0;
   dispatch_second_derivatives(p.arguments.sobel, [&](auto kernel) {
     using Kernel = decltype(kernel);
-    error = run(hessian_forward<Kernel, Compute<T>>, work_of(p), kReach, 2 * Kernel::reach, kBlocks, stream);
+    error = run(hessian_forward<Kernel, F, false>, hessian_forward<Kernel, F, kHasVectors<F>>, work_of(p), 1, kReach,
+                2 * Kernel::reach + 1, kBlocks, stream);
   });
   return error;
 }
 
 template <class T>
 int hessian_response_backward(ResponseBackward<T> const& p, CUstream_st* stream) {
+  using F = Compute<T>;
   int error = 0;
   dispatch_second_derivatives(p.arguments.sobel, [&](auto kernel) {
     using Kernel = decltype(kernel);
-    error =
-        run(hessian_backward<Kernel, Compute<T>>, work_of(p), kReach, 4 * Kernel::reach, kBlocksOfGradients, stream);
+    error = run(hessian_backward<Kernel, F, false>, hessian_backward<Kernel, F, kHasVectors<F>>, work_of(p), 1, kReach,
+                4 * Kernel::reach + 2, kBlocksOfGradients, stream);
   });
   return error;
 }

@@ -20,9 +20,7 @@ def sigmas(x):
 
 class TestHarris(OpTests):
     function = staticmethod(F.harris_response)
-    module = F.CornerHarris
     operators = ("corner_response", "corner_response_backward")
-    forward_arguments = ("sigmas",)
     variants = [
         {"k": 0.04},
         {"k": 0.06, "grads_mode": "diff", "sigmas": sigmas},

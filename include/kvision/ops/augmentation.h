@@ -75,6 +75,18 @@ inline constexpr Operator<"gaussian_noise", Tensor(Tensor images, Tensor paramet
 inline constexpr Operator<"uniform_noise", Tensor(Tensor images, Tensor parameters, Tensor keys, OptionalTensor seeds,
                                                   OptionalTensor chosen, Ints plan)>
     uniform_noise{detail::noise_gradients<"uniform_noise">};
+// Displacements of elastic transforms: given noise (B, 2, H, W), or noise drawn by keys, after a Gaussian blur, times
+// the scales.
+inline constexpr Operator<"elastic_displacements",
+                          Tensor(Tensor noise, OptionalTensor keys, OptionalTensor seeds, Ints plan, int64_t ky,
+                                 int64_t kx, double sigma_y, double sigma_x, double scale_x, double scale_y)>
+    elastic_displacements{[](Backward const& b) -> variable_list {
+      if (b.optional(1)) return {Tensor()};
+      Tensor const grad = b.grad();
+      Tensor const scaled =
+          at::stack({grad.select(1, 0) * b.arguments[8].toDouble(), grad.select(1, 1) * b.arguments[9].toDouble()}, 1);
+      return {b.call("gaussian_blur2d_backward", {{"grad", scaled}, {"sigma", {}}, {"border", int64_t(0)}})[0]};
+    }};
 inline constexpr Operator<"salt_and_pepper", Tensor(Tensor images, Tensor parameters, Tensor keys, OptionalTensor seeds,
                                                     OptionalTensor chosen, Ints plan)>
     salt_and_pepper{from<"salt_and_pepper_backward">};

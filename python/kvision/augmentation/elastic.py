@@ -10,11 +10,11 @@ from torch import Tensor
 from kvision._dtype import compute_dtype
 from kvision.augmentation import maps
 from kvision.augmentation.base import AugmentationBase2D, Execution, Params, where_chosen
+from kvision.augmentation.displacements import blur_settings, elastic_displacements
 from kvision.augmentation.maps import vector
 from kvision.augmentation.random_generator.elastic import ElasticGenerator, FisheyeGenerator, ThinPlateSplineGenerator
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample, SamplePadding
-from kvision.filters import gaussian_blur2d
 from kvision.geometry import get_tps_transform, warp_points_tps
 from kvision.geometry.linalg import root
 
@@ -47,7 +47,8 @@ class MapAugmentation(AugmentationBase2D):
     def displacements_of(self, execution: Execution, flags: dict[str, Any], like: Tensor) -> Tensor:
         """The map of an execution, 0 for samples that are not chosen, on the device of `like` and in the type it computes in."""
         params = self._params_on_device(like, execution)
-        like = like.new_empty(0, dtype=compute_dtype(like) if like.is_floating_point() else torch.float32)
+        dtype = compute_dtype(like) if like.is_floating_point() else torch.float32
+        like = like if like.dtype == dtype else like.new_empty(0, dtype=dtype)
         moved = self.displacements(execution.shape, params, flags, like)
         return where_chosen(execution.chosen, moved, 0.0)
 
@@ -133,6 +134,8 @@ class RandomElasticTransform(MapAugmentation):
         torch.Size([2, 3, 8, 8])
     """
 
+    fuses_noise = True
+
     def __init__(
         self,
         kernel_size: tuple[int, int] = (63, 63),
@@ -158,12 +161,18 @@ class RandomElasticTransform(MapAugmentation):
         }
 
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
-        smooth = gaussian_blur2d(params["noise"].to(like), flags["kernel_size"], flags["sigma"], "constant")
-        along_x, along_y = flags["alpha"]
-        less = 1 if flags["align_corners"] else 0
-        for axis, scale in enumerate((along_x * (shape[-1] - less) / 2, along_y * (shape[-2] - less) / 2)):
-            smooth.select(1, axis).mul_(scale)
-        return smooth
+        key = ("displacements", shape[-2:])
+        plan = self._plans.get(key) if flags is self.flags else None
+        if plan is None:
+            less = 1 if flags["align_corners"] else 0
+            scale = tuple(alpha * (n - less) / 2 for alpha, n in zip(flags["alpha"], (shape[-1], shape[-2])))
+            plan = blur_settings(flags["kernel_size"], flags["sigma"]), scale
+            if flags is self.flags:
+                self._plans.keep(key, plan)
+        if "_noise" in params:
+            size = like.new_empty(1).expand(shape[0], 2, *shape[-2:])
+            return elastic_displacements(size, params["_noise"][1], *plan)
+        return elastic_displacements(params["noise"].to(like), None, *plan)
 
 
 class RandomThinPlateSpline(MapAugmentation):

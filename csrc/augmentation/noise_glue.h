@@ -1,0 +1,75 @@
+// Arguments of operators with noise, checked. Included by noise_op.cpp and elastic_op.cpp.
+#pragma once
+
+#include "augmentation/noise.h"
+#include "glue/glue.h"
+
+namespace kv::augmentation {
+
+// Where noise comes from: keys (K,) on the CPU or the device of the images; seeds (B,), which replace them; and the
+// plan: the index of the key, the position in the chain, the index of the draw, same_on_batch.
+struct NoiseSource {
+  char const* op;
+  Tensor const &images, &keys;
+  std::optional<Tensor> const& seeds;
+  std::vector<int64_t> const& plan;
+
+  bool is_on_device(Tensor const& t) const { return t.device() == images.device(); }
+
+  void check() const {
+    int64_t const batch = images.size(0);
+    KV_CHECK(batch <= 65535 && images.size(1) * ((images.size(2) * images.size(3) + 3) / 4) <= UINT32_MAX, op,
+             ": expected at most 65535 images, and 2^34 pixels in each");
+    KV_CHECK(keys.dim() == 1 && keys.scalar_type() == ScalarType::Long && (keys.is_cpu() || is_on_device(keys)), op,
+             ": expected int64 keys of shape (K,) on the CPU or on the device of images");
+    if (seeds)
+      KV_CHECK(seeds->dim() == 1 && (seeds->size(0) == batch || seeds->size(0) == 1) &&
+                   seeds->scalar_type() == ScalarType::Long && is_on_device(*seeds),
+               op, ": expected int64 seeds of shape (B,) on the device of images");
+    KV_CHECK(plan.size() == 4, op, ": expected a plan of four numbers, got ", plan.size());
+    KV_CHECK(seeds || (plan[0] >= 0 && plan[0] < keys.size(0)), op, ": there is no key ", plan[0]);
+    KV_CHECK(plan[1] >= 0 && plan[1] <= UINT32_MAX && plan[2] >= 1 && plan[2] <= UINT16_MAX, op,
+             ": position or draw out of range");
+  }
+
+  template <class T>
+  void set(PixelNoise<T>& n) const {
+    bool const on_host = keys.is_cpu();
+    n.seeds = seeds ? data_ptr<int64_t const>(*seeds) : nullptr;
+    n.seed_stride = seeds && seeds->size(0) > 1 ? seeds->stride(0) : 0;
+    n.keys = on_host ? nullptr : data_ptr<int64_t const>(keys);
+    n.key_stride = keys.stride(0);
+    n.key = on_host && !seeds ? data_ptr<int64_t const>(keys)[plan[0] * keys.stride(0)] : plan[0];
+    n.position = uint32_t(plan[1]), n.draw = uint32_t(plan[2]);
+    n.same_on_batch = plan[3] != 0;
+  }
+};
+
+// (B,) float32, whose zeros leave samples unchanged.
+inline void check_chosen(char const* op, std::optional<Tensor> const& chosen, Tensor const& images) {
+  if (!chosen) return;
+  KV_CHECK(chosen->dim() == 1 && (chosen->size(0) == images.size(0) || chosen->size(0) == 1) &&
+               chosen->scalar_type() == ScalarType::Float && chosen->device() == images.device(),
+           op, ": expected float32 chosen of shape (B,) on the device of images");
+}
+template <class T>
+void set_chosen(PixelNoise<T>& n, std::optional<Tensor> const& chosen) {
+  n.chosen = chosen ? data_ptr<float const>(*chosen) : nullptr;
+  n.chosen_stride = chosen && chosen->size(0) > 1 ? chosen->stride(0) : 0;
+}
+
+// Images x and y of the same layout, dense.
+template <class T>
+void set_images(PixelNoise<T>& n, Tensor const& x, Tensor const& y, Layout layout) {
+  bool const last = layout == Layout::channels_last;
+  n.x = data_ptr<T const>(x);
+  n.y = data_ptr<T>(y);
+  n.batch = x.size(0), n.channels = x.size(1), n.pixels = x.size(2) * x.size(3);
+  n.channel_stride = last ? 1 : n.pixels, n.step = last ? n.channels : 1;
+}
+
+inline int64_t noise_units(Tensor const& x) {
+  return x.numel() ? x.size(0) * ((x.size(2) * x.size(3) + kNoiseChunk - 1) / kNoiseChunk) : 0;
+}
+
+}  // namespace kv::augmentation

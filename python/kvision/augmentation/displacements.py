@@ -1,0 +1,73 @@
+"""Displacements of elastic transforms: noise after a Gaussian blur, in one launch that also draws the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._modes import BORDER
+from kvision._ops import register
+from kvision.augmentation.maps import vector
+from kvision.augmentation.noise import PixelNoise, uniform_noise
+from kvision.filters.kernels import sigmas
+from kvision.filters.smoothing import gaussian
+
+# Arguments of the operator: noise (B, 2, H, W) in [-1, 1], or keys and seeds as those of noise.py and a tensor of which the size
+# and the type are read; the plan of noise.py, empty without keys; height and width of the blur's window; its standard deviations
+# along y and x; what x and y are multiplied by.
+
+
+def _reference(
+    noise: Tensor, keys: Tensor | None, seeds: Tensor | None, plan: Sequence[int], *blur_and_scale: Any
+) -> Tensor:
+    *blur, scale_x, scale_y = blur_and_scale
+    if keys is not None:
+        zeros = noise.new_zeros(noise.shape, dtype=torch.float32)
+        standard = torch.stack([zeros.new_zeros(1), zeros.new_ones(1)], 1)
+        noise = uniform_noise.definition(zeros, standard, keys, seeds, None, plan).to(noise.dtype)
+    smooth: Tensor = gaussian._gaussian_blur2d.definition(noise, None, *blur, BORDER["constant"])
+    return smooth * vector(noise, scale_x, scale_y)[:, None, None]
+
+
+def _backward(needs: Sequence[bool], grad: Tensor, noise: Tensor, keys: Any, seeds: Any, plan: Any, *rest: Any) -> Any:
+    if keys is not None:
+        return [None, None, None]
+    *blur, scale_x, scale_y = rest
+    scaled = grad * vector(grad, scale_x, scale_y)[:, None, None]
+    return [gaussian._transposed(scaled, None, *blur, BORDER["constant"]), None, None]
+
+
+_elastic_displacements = register("elastic_displacements", _reference, backward=_backward)
+
+
+def blur_settings(kernel_size: Any, sigma: Any) -> tuple[int, int, Any, Any]:
+    """Height and width of the window, and the standard deviations along y and x; or all of these in a tensor, and None."""
+    op = "RandomElasticTransform"
+    ky, kx = _check.pair(op, "kernel_size", kernel_size)
+    _check.odd(op, "kernel_size", (ky, kx))
+    checked = sigmas(op, "sigma", sigma, 2)
+    if isinstance(checked, Tensor):
+        return ky, kx, checked, None
+    sigma_y, sigma_x = checked
+    return ky, kx, sigma_y, sigma_x
+
+
+def elastic_displacements(
+    noise: Tensor, source: PixelNoise | None, blur: tuple[int, int, Any, Any], scale: tuple[float, float]
+) -> Tensor:
+    """Displacements (B, 2, H, W) of noise, or of noise that is drawn where `source` is given, of the size and type of `noise`."""
+    if blur[3] is None:  # a tensor of sigmas, which may get a gradient
+        if source is not None:
+            noise = source.symmetric(noise.shape).to(noise)
+        smooth = gaussian.gaussian_blur2d(noise, blur[:2], blur[2], "constant")
+        return smooth * vector(noise, *scale)[:, None, None]
+    if source is None:
+        y: Tensor = _elastic_displacements(noise, None, None, [], *blur, *scale)
+        return y
+    keys, seeds, _, plan = source.arguments()
+    y = _elastic_displacements(noise, keys, seeds, list(plan), *blur, *scale)
+    return y

@@ -181,7 +181,7 @@ def test_nothing_is_composed_without_need(device: torch.device) -> None:
     augment = A.AugmentationSequential(*CHAINS["pipeline B"](), resample="once", data_keys=["image", "mask"])
     augment(x, x)
     kept = [stage for stage in augment._stages if isinstance(stage, Composed)]
-    assert len(kept) == 1 and kept[0]._coordinates is None
+    assert len(kept) == 1 and kept[0]._links is None
 
 
 # --- labels and the inverse -----------------------------------------------------------------------------------------

@@ -75,6 +75,64 @@ inline constexpr Operator<"remap", Tensor(Tensor image, Tensor map_x, Tensor map
       gradients.push_back(b.needs(3) ? detail::to_fill(b, b.tensor(3), inside) : Tensor());
       return gradients;
     }};
+
+namespace detail {
+
+inline constexpr char const* kLinks[] = {"a", "b", "c", "d", "e", "f", "g", "h"};
+
+// The gradients to the links of a chain, arguments `first` and on, from those of the coordinates that they compose to.
+inline variable_list link_gradients(Backward const& b, Tensor const& grad, size_t first) {
+  Ints wanted;
+  for (size_t i = 0; i < std::size(kLinks); ++i) wanted.push_back(b.tensor(first + i).defined() && b.needs(first + i));
+  variable_list gradients = b.call("composed_coords_backward", {{"grad", grad}, {"wanted", wanted}});
+  for (size_t i = 0; i < std::size(kLinks); ++i)
+    gradients[i] = wanted[i] ? at::sum_to(gradients[i], b.tensor(first + i).sizes()) : Tensor();
+  return gradients;
+}
+
+}  // namespace detail
+
+// Where the pixels of a result of that size read after a chain of links, matrices (B, 3, 3) and displacements
+// (B, 2, H, W), the first one first: (B, 2, h, w). composed_warp.py explains them.
+inline constexpr Operator<"composed_coords",
+                          Tensor(Tensor a, OptionalTensor b, OptionalTensor c, OptionalTensor d, OptionalTensor e,
+                                 OptionalTensor f, OptionalTensor g, OptionalTensor h, Ints size)>
+    composed_coords{
+        [](Backward const& b) -> variable_list { return detail::link_gradients(b, b.grad().contiguous(), 0); }};
+inline constexpr Operator<"composed_warp", Tensor(Tensor image, Tensor a, OptionalTensor b, OptionalTensor c,
+                                                  OptionalTensor d, OptionalTensor e, OptionalTensor f,
+                                                  OptionalTensor g, OptionalTensor h, OptionalTensor fill, Ints size,
+                                                  int64_t interpolation, int64_t padding, bool align_corners)>
+    composed_warp{[](Backward const& b) -> variable_list {
+      constexpr size_t fill = 1 + std::size(detail::kLinks);
+      Tensor const coords = b.call("composed_coords")[0], x = coords.select(1, 0), y = coords.select(1, 1);
+      variable_list gradients(fill + 1);
+      auto const remap_by = [&](char const* op, std::pair<std::string_view, c10::IValue> const& other) {
+        return b.call(
+            op, {{"map_x", x}, {"map_y", y}, {"image_index", {}}, {"normalized", false}, {"moves", false}, other});
+      };
+      if (b.needs(0)) gradients[0] = remap_by("remap_image_backward", {"size", b.batch_size()})[0];
+      bool needs_links = false;
+      for (size_t i = 1; i < fill; ++i) needs_links = needs_links || b.needs(i);
+      if (needs_links) {
+        variable_list const maps = remap_by("remap_map_backward", {"fill", b.optional(fill)});
+        variable_list const links = detail::link_gradients(b, at::stack({maps[0], maps[1]}, 1), 1);
+        std::copy(links.begin(), links.end(), gradients.begin() + 1);
+      }
+      if (b.needs(fill)) {
+        auto const inside = [&](Tensor const& ones) {
+          return b.call("remap", {{"image", ones},
+                                  {"map_x", x},
+                                  {"map_y", y},
+                                  {"fill", {}},
+                                  {"image_index", {}},
+                                  {"normalized", false},
+                                  {"moves", false}})[0];
+        };
+        gradients[fill] = detail::to_fill(b, b.tensor(fill), inside);
+      }
+      return gradients;
+    }};
 inline constexpr Operator<"warp3d", Tensor(Tensor volumes, Tensor matrix, Ints size, int64_t interpolation,
                                            int64_t padding, bool align_corners, bool inverse, bool normalized)>
     warp3d{[](Backward const& b) -> variable_list {

@@ -2,8 +2,8 @@
 
 A map is stored as displacements (B, 2, H, W), x and y in pixels: pixel p of the result reads the image at p + displacement.
 Between pixels displacements are interpolated bilinearly, and beyond the outermost pixels they are those of the outermost
-ones. So a map is defined everywhere, and chains of maps and matrices compose to the coordinates (B, h, w, 2) that the pixels
-of their result read.
+ones. So a map is defined everywhere, and chains of maps and matrices are one resampling, by `composed_warp`.
+Coordinates (B, h, w, 2) say where the pixels of a result of any size read.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION, PADDING
 from kvision._ops import saturate_to_byte
 from kvision.augmentation.warp_and_color import Resampling, fill_of_images
-from kvision.geometry.linalg import inverse3x3, transform_points
 from kvision.geometry.transform import sampling
+from kvision.geometry.transform.composed.composed_warp import composed_coords, composed_warp, shortened
 
 _STEPS, _GUESSES = 20, 32  # of Newton's method, which begins at the best of 32 x 32 pixels
 _BETWEEN = INTERPOLATION["bilinear"], PADDING["border"], True  # how displacements are read
@@ -58,6 +58,23 @@ def read_labels_displaced(masks: Tensor, displacements: Tensor, resampling: Resa
     return moved.to(masks.dtype)
 
 
+def read_composed(
+    x: Tensor, links: Sequence[Tensor], size: Sequence[int], resampling: Resampling, samples: int = 1
+) -> Tensor:
+    """Images (B, C, H, W) by a chain of links, of which the first one comes first; `samples` as in `read`."""
+    if samples > 1:
+        return read(x, composed_coords(*shortened(links, size), list(size)).movedim(1, -1), resampling, samples)
+    return _read_composed(x, links, size, resampling, fill_of_images(x, resampling.fill))
+
+
+def read_labels_composed(masks: Tensor, links: Sequence[Tensor], size: Sequence[int], resampling: Resampling) -> Tensor:
+    """Masks (B, C, H, W) of any type by a chain of links."""
+    values = exact(masks)
+    if links[0].dtype != compute_dtype(values):  # coordinates in another type are less than the links in it
+        return read_labels(masks, composed_coords(*shortened(links, size), list(size)).movedim(1, -1), resampling)
+    return _read_composed(values, links, size, resampling, resampling.fill).to(masks.dtype)
+
+
 def exact(masks: Tensor) -> Tensor:
     """Masks in a type that warps read and that holds all their values: float64 holds all integers up to 2^53."""
     if masks.is_floating_point() or masks.dtype == torch.uint8:
@@ -72,6 +89,15 @@ def _read(
     map_x, map_y = (along.to(compute_dtype(x)) for along in coordinates)
     options = (INTERPOLATION[resampling.mode], padding, resampling.align_corners, False, displaces)
     y: Tensor = sampling.remap(x, map_x, map_y, fill_values, None, *options)
+    return y
+
+
+def _read_composed(
+    x: Tensor, links: Sequence[Tensor], size: Sequence[int], resampling: Resampling, fill: object
+) -> Tensor:
+    padding, fill_values = sampling.padding_and_fill("augmentation", x, resampling.padding, fill)
+    options = (INTERPOLATION[resampling.mode], padding, resampling.align_corners)
+    y: Tensor = composed_warp(x, *shortened(links, size), fill_values, list(size), *options)
     return y
 
 
@@ -118,23 +144,6 @@ def read_positions(displacements: Tensor, points: Tensor) -> Tensor:
     x, y = (points if points.dim() == 4 else points[:, None]).unbind(-1)
     moved = sampling.remap(displacements.to(points), x, y, None, None, *_BETWEEN, False, False)
     return points + moved.movedim(1, -1).reshape(points.shape)
-
-
-def compose(links: Sequence[Tensor], size: Sequence[int], like: Tensor) -> Tensor:
-    """Where the pixels of a result of a size read an image after a chain of links: coordinates (B, h, w, 2).
-
-    A link is a matrix (B, 3, 3) from the pixels before to those behind it, or a map, as displacements (B, 2, H, W). The
-    first link comes first.
-    """
-    height, width = size
-    batch = links[0].shape[0]
-    points = pixel_positions(height, width, like).expand(batch, -1, 2)
-    matrices = [link.to(points) for link in links if link.dim() == 3]
-    inverses = list(inverse3x3(torch.stack(matrices)).unbind(0)) if matrices else []
-    points = points.unflatten(1, (height, width))  # kernels of maps take tiles of rows and columns
-    for link in reversed(links):
-        points = transform_points(inverses.pop(), points) if link.dim() == 3 else read_positions(link, points)
-    return points
 
 
 # --- the inverse ----------------------------------------------------------------------------------------------------

@@ -142,23 +142,24 @@ class Composed:
     size: Sequence[int]
     resampling: Resampling
     samples: int  # along each axis of a pixel
-    _coordinates: Tensor | None = None
+    _links: Sequence[Tensor] | None = None  # as tensors
 
-    def coordinates(self, x: Tensor) -> Tensor:
-        """Where the pixels of the result read the image, (B, h, w, 2); kept until `forget`."""
-        if self._coordinates is None or self._coordinates.device != x.device:
+    def tensors(self, x: Tensor) -> Sequence[Tensor]:
+        """The links as matrices (B, 3, 3) and displacements (B, 2, H, W) for images or masks; kept until `forget`."""
+        if self._links is None or self._links[0].device != x.device:
             like = x.new_empty(0, dtype=compute_dtype(x) if x.is_floating_point() else torch.float32)
-            links = [link.displacements(like) if isinstance(link, MapLink) else link.to(like) for link in self.links]
-            self._coordinates = maps.compose(links, self.size, like)
-        return self._coordinates
+            self._links = [
+                link.displacements(like) if isinstance(link, MapLink) else link.to(like) for link in self.links
+            ]
+        return self._links
 
     def forget(self) -> None:
-        """Give the memory of the coordinates back. They follow from what was drawn."""
-        self._coordinates = None
+        """Give the memory of the displacements back. They follow from what was drawn."""
+        self._links = None
 
     def run(self, x: Tensor) -> Tensor:
         """The images (B, C, h, w) of the result."""
-        return maps.read(x, self.coordinates(x), self.resampling, self.samples)
+        return maps.read_composed(x, self.tensors(x), self.size, self.resampling, self.samples)
 
     def move_points(self, points: Tensor) -> Tensor:
         for link in self.links:
@@ -177,7 +178,8 @@ class Composed:
         return points
 
     def move_masks(self, masks: Tensor, mode: str | None, fill: float | None) -> Tensor:
-        return maps.read_labels(masks, self.coordinates(masks), self.resampling.for_labels(mode, fill))
+        resampling = self.resampling.for_labels(mode, fill)
+        return maps.read_labels_composed(masks, self.tensors(masks), self.size, resampling)
 
     def move_masks_back(self, masks: Tensor) -> Tensor:
         back, is_found = self._inverse(masks)
@@ -302,7 +304,7 @@ def mixes(stages: Sequence[Stage]) -> bool:
 
 
 def forget_coordinates(stages: Sequence[Stage]) -> None:
-    """Give the memory of composed maps back."""
+    """Give the memory of maps back."""
     for stage in stages:
         if isinstance(stage, Composed):
             stage.forget()

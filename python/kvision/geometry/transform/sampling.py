@@ -120,7 +120,7 @@ def source_coords(
         promoted = adjugate(promoted)
     if normalized:
         promoted = from_unit(source, align_corners, promoted) @ promoted @ to_unit(output, align_corners, promoted)
-    promoted = promoted / _scale(promoted.detach())
+    promoted = promoted / homography_scale(promoted.detach())
     (h, w), m = output, promoted[..., None, None]
     x = torch.arange(w, dtype=promoted.dtype, device=promoted.device)
     y = torch.arange(h, dtype=promoted.dtype, device=promoted.device)[:, None]
@@ -130,7 +130,7 @@ def source_coords(
     return [torch.where(horizon, torch.nan, x / depth).to(matrix.dtype) for x in (u, v)]
 
 
-def _scale(m: Tensor) -> Tensor:
+def homography_scale(m: Tensor) -> Tensor:
     largest = m.abs().amax((1, 2), keepdim=True)
     last = m[:, 2:, 2:]
     scale = torch.where(last.abs() > 1e-6 * largest, last, largest)

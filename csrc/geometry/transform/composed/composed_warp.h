@@ -1,0 +1,243 @@
+// Chains of matrices and maps as one warp: a pixel of the result walks back through the links to where it reads the
+// image.
+//
+//   result  (x, y)  ->  last link  ->  ...  ->  first link  ->  (u, v)  image
+//
+//   matrix  from the pixels before a link to those behind it; the walk applies its inverse
+//   map     displacements (B, 2, H, W) in pixels, interpolated bilinearly; beyond the outermost pixels they stay what
+//           they are there: (x, y) -> (x, y) + d(x, y)
+//
+// Included by composed_warp_cpu.cpp, composed_warp.cu and composed_warp_op.cpp.
+#pragma once
+
+#include "geometry/transform/sampling.h"
+#include "geometry/transform/taps.h"
+
+namespace kv::geometry {
+
+constexpr int kMaxLinks = 8;
+
+template <class F>
+struct Link {
+  F const* data;      // matrices (B, 3, 3), or displacements (B, 2, H, W); dense
+  int64_t stride;     // from a sample to the next, 0 where one serves all
+  int height, width;  // of displacements; 0 for matrices
+
+  KV_HD bool is_matrix() const { return height == 0; }
+  KV_HD F const* of(int64_t b) const { return data + b * stride; }
+  KV_HD Homography<double> inverse(int64_t b) const { return homography(of(b), use()); }
+  static KV_HD MatrixUse use() { return {3, true, false, true, {}, {}}; }
+};
+
+// In the order of the walk: the first one is next to the result.
+template <class F>
+struct Chain {
+  int count;
+  Link<F> links[kMaxLinks];
+};
+
+// The coordinates (B, 2, h, w), x and y, of the pixels of a result.
+template <class T>
+struct ComposedCoords {
+  Chain<T> chain;
+  Images<T> result;
+};
+
+// Their gradients to the links, those of each sample: null where they are not wanted. Displacements are added to. On
+// CUDA each block of threads stores nine sums for every link, and the second kernel adds them up.
+template <class T>
+struct ComposedCoordsBackward {
+  Chain<T> chain;
+  Images<T const> grad;
+  T* grads[kMaxLinks];
+  double* sums;  // (B, parts, links, 9)
+  int64_t parts;
+};
+
+// `coords` of the sampling are not used.
+template <class T>
+struct ComposedWarp : Sample<T> {
+  Chain<Compute<T>> chain;
+};
+
+// Of composed_coords_backward on CUDA: pixels of a block.
+constexpr int kBackwardPixels = 4096;
+// Of composed_warp on the CPU: a band of rows, whose coordinates stay in the cache.
+constexpr int64_t kBandPixels = 8192;
+KV_HD int64_t rows_of_band(int64_t width) { return max(int64_t(1), kBandPixels / width); }
+KV_HD int64_t bands_of(int64_t height, int64_t width) {
+  int64_t const rows = rows_of_band(width);
+  return (height + rows - 1) / rows;
+}
+
+KV_KERNEL(composed_coords, ComposedCoords)
+KV_KERNEL(composed_coords_backward, ComposedCoordsBackward)
+KV_KERNEL(composed_warp, ComposedWarp)
+
+// --- matrices --------------------------------------------------------------------------------------------------------
+
+// Moves (x, y) by the inverse of a matrix.
+template <class F, class V>
+KV_HD void apply_inverse(Homography<F> const& h, V& x, V& y) {
+  F const* const m = h.m;
+  V u = x * m[0] + (y * m[1] + m[2]), v = x * m[3] + (y * m[4] + m[5]);
+  if (!h.affine) {
+    V const scale = reciprocal(V(x * m[6] + (y * m[7] + m[8])));
+    u = u * scale;
+    v = v * scale;
+  }
+  x = u;
+  y = v;
+}
+
+// From the gradient of what `apply_inverse` made of (x, y) to that of (x, y); adds the gradients of the inverse to
+// `sums`.
+template <class F, class S>
+KV_HD void apply_inverse_vjp(Homography<F> const& h, F x, F y, F& grad_x, F& grad_y, S* sums) {
+  F const* const m = h.m;
+  F u = x, v = y;
+  apply_inverse(h, u, v);
+  F const scale = h.affine ? F(1) : reciprocal(F(x * m[6] + (y * m[7] + m[8])));
+  F g[] = {grad_x * scale, grad_y * scale, -(grad_x * u + grad_y * v) * scale};
+  for (int i = 0; i < 3; ++i) {
+    if (g[i] - g[i] != 0) g[i] = 0;  // coordinates at infinity have no gradient
+    sums[3 * i] += g[i] * x;
+    sums[3 * i + 1] += g[i] * y;
+    sums[3 * i + 2] += g[i];
+  }
+  grad_x = g[0] * m[0] + g[1] * m[3] + g[2] * m[6];
+  grad_y = g[0] * m[1] + g[1] * m[4] + g[2] * m[7];
+}
+
+// --- maps ------------------------------------------------------------------------------------------------------------
+
+#if defined(__CUDACC__)
+#define KV_WALK __device__ __forceinline__
+#else
+#define KV_WALK KV_HD
+#endif
+
+// The pair of pixels around a coordinate along an axis, and the weight of the second one. Beyond the outermost pixels,
+// and for NaN to the left, they are the outermost ones.
+template <class F, class V>
+KV_WALK auto outermost_pair(int size, V x, V& t) {
+  V const zero{};
+  V const near = vclamp(x, zero, V(zero + F(size - 1)));
+  auto first = floor_to_int<F>(near);
+  decltype(first) const none{};
+  first = min(first, decltype(first)(none + max(size - 2, 0)));
+  t = near - to_float<F>(first);
+  return first;
+}
+
+// The four displacements around a position: their first offset in a plane, and the weights of the second column and
+// row.
+template <class F, class V>
+struct MapTaps {
+  V tx, ty;
+  decltype(floor_to_int<F>(V{})) at;
+
+  KV_WALK MapTaps(Link<F> const& link, V x, V y) {
+    auto const column = outermost_pair<F>(link.width, x, tx), row = outermost_pair<F>(link.height, y, ty);
+    at = row * link.width + column;
+  }
+  static KV_WALK int right(Link<F> const& link) { return link.width > 1; }
+  static KV_WALK int below(Link<F> const& link) { return link.height > 1 ? link.width : 0; }
+};
+
+// (x, y) and the displacement there. read(plane, offsets) gives the numbers of a plane at offsets.
+template <class F, class V, class Read>
+KV_WALK void displace(Link<F> const& link, int64_t b, V& x, V& y, Read read) {
+  MapTaps<F, V> const taps(link, x, y);
+  int const right = taps.right(link), below = taps.below(link);
+  F const* plane = link.of(b);
+  V d[2];
+  for (int axis = 0; axis < 2; ++axis, plane += int64_t(link.height) * link.width) {
+    V const a = read(plane, taps.at), c = read(plane + below, taps.at);
+    V const above = a + taps.tx * (read(plane + right, taps.at) - a);
+    V const under = c + taps.tx * (read(plane + below + right, taps.at) - c);
+    d[axis] = above + taps.ty * (under - above);
+  }
+  x = x + d[0];
+  y = y + d[1];
+}
+
+// From the gradient of what `displace` made of (x, y) to that of (x, y). Calls add(offset from the displacements of the
+// sample, gradient) for all taps.
+template <class F, class Add>
+KV_WALK void displace_vjp(Link<F> const& link, int64_t b, F x, F y, F& grad_x, F& grad_y, Add add) {
+  MapTaps<F, F> const taps(link, x, y);
+  int const right = taps.right(link), below = taps.below(link), at = taps.at;
+  int64_t const plane = int64_t(link.height) * link.width;
+  F const* const d = link.of(b);
+  F const grads[] = {grad_x, grad_y};
+  F along_x = 0, along_y = 0;
+  for (int axis = 0; axis < 2; ++axis) {
+    int64_t const first = axis * plane + at;
+    F const a = d[first], c = d[first + below], e = d[first + right], f = d[first + below + right], g = grads[axis];
+    along_x += g * ((e - a) + taps.ty * ((f - c) - (e - a)));
+    along_y += g * ((c - a) + taps.tx * ((f - e) - (c - a)));
+    add(first, g * (1 - taps.tx) * (1 - taps.ty));
+    add(first + right, g * taps.tx * (1 - taps.ty));
+    add(first + below, g * (1 - taps.tx) * taps.ty);
+    add(first + below + right, g * taps.tx * taps.ty);
+  }
+  grad_x += x >= 0 && x <= F(link.width - 1) ? along_x : F(0);
+  grad_y += y >= 0 && y <= F(link.height - 1) ? along_y : F(0);
+}
+
+// --- chains ----------------------------------------------------------------------------------------------------------
+
+// From N pixels of the result to where they read the image; of adjacent ones the loads are in flight together.
+// `inverses` are those of the links that are matrices.
+template <int N, class F, class V, class Read>
+KV_WALK void walk(Chain<F> const& chain, Homography<F> const* inverses, int64_t b, V (&x)[N], V (&y)[N], Read read) {
+#pragma unroll 1
+  for (int k = 0; k < chain.count; ++k) {
+    Link<F> const link = chain.links[k];
+    if (link.is_matrix()) {
+      Homography<F> const inverse = inverses[k];
+#pragma unroll
+      for (int i = 0; i < N; ++i) apply_inverse(inverse, x[i], y[i]);
+    } else {
+#pragma unroll
+      for (int i = 0; i < N; ++i) displace(link, b, x[i], y[i], read);
+    }
+  }
+}
+
+// From the gradient of the coordinates of pixel (x, y) to the links. Nine sums of each link get the gradients of its
+// inverse; add(link, offset, gradient) those of displacements.
+template <class F, class S, class Add>
+KV_WALK void walk_vjp(Chain<F> const& chain, Homography<F> const* inverses, int64_t b, F x, F y, F grad_x, F grad_y,
+                      S (*sums)[9], Add add) {
+  F before_x[kMaxLinks], before_y[kMaxLinks];
+  for (int k = 0; k < chain.count; ++k) {
+    before_x[k] = x;
+    before_y[k] = y;
+    if (chain.links[k].is_matrix())
+      apply_inverse(inverses[k], x, y);
+    else
+      displace(chain.links[k], b, x, y, [](F const* plane, int at) { return plane[at]; });
+  }
+  for (int k = chain.count - 1; k >= 0; --k) {
+    if (chain.links[k].is_matrix())
+      apply_inverse_vjp(inverses[k], before_x[k], before_y[k], grad_x, grad_y, sums[k]);
+    else
+      displace_vjp(chain.links[k], b, before_x[k], before_y[k], grad_x, grad_y,
+                   [&](int64_t at, F g) { add(k, at, g); });
+  }
+}
+
+#undef KV_WALK
+
+// Homographies as the kernels use them.
+template <class F>
+KV_HD Homography<F> narrowed(Homography<double> const& h) {
+  Homography<F> n;
+  for (int i = 0; i < 9; ++i) n.m[i] = F(h.m[i]);
+  n.affine = h.affine;
+  return n;
+}
+
+}  // namespace kv::geometry

@@ -1,0 +1,1 @@
+"""Chains of matrices and maps as one warp."""

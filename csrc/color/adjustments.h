@@ -111,10 +111,19 @@ KV_HD V blend(V const& x, G const& gray, U const& factor) {
   return clip((x - gray) * factor + gray, true);
 }
 
+template <class V>
+KV_HD V blend_vjp(V const& x, V const& g, Scalar<V> gray, Scalar<V> factor) {
+  return clip_vjp(V((x - gray) * factor + gray), g, true) * factor;
+}
 // The gradient of `gray` in blend.
 template <class V>
 KV_HD V blend_vjp_gray(V const& x, V const& g, Scalar<V> gray, Scalar<V> factor) {
-  return clip_vjp((x - gray) * factor + gray, g, true) * (Scalar<V>(1) - factor);
+  return clip_vjp(V((x - gray) * factor + gray), g, true) * (Scalar<V>(1) - factor);
+}
+
+template <class V>
+KV_HD V scale_shift_vjp(V const& x, V const& g, Scalar<V> factor, Scalar<V> offset, bool clips) {
+  return clip_vjp(V(x * factor + offset), g, clips) * factor;
 }
 
 template <class V, class U>

@@ -86,7 +86,7 @@ KV_HD void hue_to_rgb(V (&c)[3], V const& sixths, V const& v, V const& chroma) {
   using F = Scalar<V>;
   V const minimum = v - chroma;
   hue_weights(c, sixths);
-  for (int i = 0; i < 3; ++i) c[i] = minimum + chroma * clamp_max(clamp_min(c[i], F(0)), F(1));
+  for (int i = 0; i < 3; ++i) c[i] = minimum + chroma * clamp_to_unit(c[i]);
 }
 // The gradients of the arguments of hue_to_rgb.
 template <class V>
@@ -101,8 +101,8 @@ struct HueToRgbVjp {
     constexpr int vertices[] = {3, 2, 4};
     for (int i = 0; i < 3; ++i) {
       V const rising = select(sector < F(vertices[i]), -g[i], g[i]), derivative = i == 0 ? rising : -rising;
-      sixths = sixths + select(part[i] < F(0), zero, select(part[i] > F(1), zero, derivative));
-      chroma = chroma + g[i] * clamp_max(clamp_min(part[i], F(0)), F(1));
+      sixths = sixths + clamp_to_unit_vjp(part[i], derivative);
+      chroma = chroma + g[i] * clamp_to_unit(part[i]);
     }
     sixths = sixths * chroma_value;
   }

@@ -30,6 +30,16 @@ __device__ __forceinline__ float reciprocal(float x) {
 __device__ __forceinline__ double reciprocal(double x) { return 1 / x; }
 using kv::nan_max;
 using kv::nan_min;
+// Minimum, maximum and comparisons take twice as long as sums and products, which saturate for free. Saturated, NaN is
+// 0; the minimum makes it NaN again.
+__device__ __forceinline__ float clamp_to_unit(float x) { return nan_min(__saturatef(x), fabsf(x)); }
+__device__ __forceinline__ float clamp_to_unit_vjp(float x, float g) {
+  float y;
+  asm("{ .reg .pred clamped; setp.ne.f32 clamped, %1, %2; selp.f32 %0, 0f00000000, %3, clamped; }"
+      : "=f"(y)
+      : "f"(x), "f"(__saturatef(x)), "f"(g));
+  return y;
+}
 
 }  // namespace kv::color
 
@@ -44,9 +54,10 @@ constexpr int kPixelsPerThread = int(kChunk<F> / kThreads);  // pixels
 
 // --- a step on the pixels of a thread --------------------------------------------------------------------------------
 
-template <class F, int C, int P>
+template <class F, int C, int P, bool FrequentOnly = false>
 struct EvaluateStep {
   static constexpr int kChannels = C;
+  static constexpr bool kFrequentOnly = FrequentOnly;
   static constexpr bool kParameterGradient = false, kInputGradient = false;
   F (&c)[C][P];
   F const* p;
@@ -71,9 +82,10 @@ struct EvaluateStep {
 };
 
 // g <- g J, with the Jacobian J of the step
-template <class F, int C, int P>
+template <class F, int C, int P, bool FrequentOnly = false>
 struct StepInputGradient {
   static constexpr int kChannels = C;
+  static constexpr bool kFrequentOnly = FrequentOnly;
   static constexpr bool kParameterGradient = false, kInputGradient = true;
   F const (&c)[C][P];
   F (&g)[C][P];
@@ -115,6 +127,13 @@ struct StepInputGradient {
         f(v, k, p, p);
         g[k][j] *= v.d[0];
       }
+  }
+  template <class Formula>
+  __device__ __forceinline__ void each_value_vjp(Formula f) {
+#pragma unroll
+    for (int k = 0; k < C; ++k)
+#pragma unroll
+      for (int j = 0; j < P; ++j) f(c[k][j], g[k][j], k, p);
   }
 };
 
@@ -186,7 +205,7 @@ inline void set_access(std::initializer_list<Pixels*> images, int64_t samples) {
   Pixels const& first = **images.begin();
   bool vectors = true;
   for (Pixels const* x : images) {
-    if (!x->data) continue;
+    if (!x->data || x->step == 0) continue;
     bool const planar = x->step == 1 && (x->channels == 1 || x->channel_stride % P == 0);
     vectors = vectors && (planar || (x->step == 3 && x->channels == 3));
     for (int64_t b : {int64_t(0), int64_t(1), x->inner})  // offsets are linear, so these decide for all samples
@@ -341,8 +360,8 @@ struct PrefetchedPixels {
   static constexpr int kElementWords = sizeof(T) == 8 ? 2 : 1;
 };
 
-// Loads the pixels of a thread, of a sample that starts at element `offset`; i is the first one. Missing channels, and
-// pixels that do not exist, become `fill`.
+// Loads the pixels of a thread, of a sample that starts at element `offset`; i is the first one. With a step of 0 one
+// number stands for all elements. Missing channels, and pixels that do not exist, become `fill`.
 template <bool Elements, class F, int C, int P>
 __device__ __forceinline__ void load_pixels(Pixels const& x, int64_t offset, int64_t i, int64_t pixels, F fill,
                                             F (&c)[C][P]) {
@@ -361,6 +380,13 @@ __device__ __forceinline__ void load_pixels(Pixels const& x, int64_t offset, int
           for (int k = 0; k < C; ++k)
             if (k < x.channels) c[k][j] = F(read(from[k * x.channel_stride + distance])) * scale;
         });
+      } else if (x.step == 0) {
+        F const number = F(read(*from)) * scale;
+#pragma unroll
+        for (int k = 0; k < C; ++k)
+#pragma unroll
+          for (int j = 0; j < P; ++j)
+            if (k < x.channels) c[k][j] = number;
       } else if (x.step == 1) {
 #pragma unroll
         for (int k = 0; k < C; ++k) {
@@ -440,53 +466,58 @@ struct Sample {
   };
   F p[kMaxParameters + kMaxStepTensorParameters];
   Entry order[kMaxSteps];
-  int length, steps[kMaxSteps];       // the latter by position, -1 for none
-  int steps_before_mean;              // all of them without contrast
+  int length, steps_before_mean;      // the latter are all of them without contrast
+  int mean_parameter;                 // or -1 without contrast
   alignas(16) F sums[kThreads / 32];  // read by vectors, with nothing else in them
   F mean, grad_mean;                  // the latter per pixel
 
   __device__ __forceinline__ void prepare(Program<F> const& program, int64_t b, bool backward) {
+    constexpr unsigned kAll = 0xffffffffu;
     __syncthreads();  // the previous sample may still be in use
     int const t = int(threadIdx.x);
-    int contrast = program.contrast;
-    if (program.has_order()) {
-      if (t < program.length) steps[t] = program.step_at(b, t);
-      __syncthreads();
-    }
-    if (!program.has_order()) {
-      if (t < program.steps) order[t] = {t, program.step[t], program.first[t]};
-      if (t == 0) length = program.steps, steps_before_mean = contrast < 0 ? program.steps : contrast;
-    } else if (t == 0 || contrast >= 0) {
-      int n = 0, before = -1;
-      contrast = -1;
-      for (int i = 0; i < program.length; ++i) {
-        int const index = steps[i];
-        if (index < 0) continue;
-        if (program.step[index] == Step::contrast) contrast = index, before = n;
-        if (t == 0) order[n++] = {index, program.step[index], program.first[index]};
-      }
-      if (t == 0) length = n, steps_before_mean = contrast < 0 ? n : before;
-    }
-    int const mean_parameter = contrast < 0 ? -1 : program.first[contrast] + 1;
-    if (t < kMaxParameters + kMaxStepTensorParameters && t != mean_parameter)
-      p[t] = t < program.count ? program.parameter(b, t) : F(0);
-    if (contrast >= 0 && !(program.measures_mean && !backward)) {
-      F sum = 0;
-      if (!program.measures_mean) {
-        for (int64_t i = t; i < program.parts_count; i += kThreads) sum += program.parts[b * program.parts_count + i];
-        sum = block_sum_to_all(sum, sums) / F(program.mean_pixels);
-      }
+    if (t < 32) {  // a thread for each position, while other warps read the parameters
+      int index = -1;
+      if (program.has_order())
+        index = t < program.length ? program.step_at(b, t) : -1;
+      else if (t < program.steps)
+        index = t;
+      Step const step = program.step[max(index, 0)];
+      unsigned const present = __ballot_sync(kAll, index >= 0);
+      unsigned const around_mean = __ballot_sync(kAll, index >= 0 && step == Step::contrast);
+      int const position = __popc(present & ((1u << t) - 1)), count = __popc(present);
+      int const first = program.first[max(index, 0)];
+      if (index >= 0) order[position] = {index, step, first};
       if (t == 0) {
-        mean = backward ? program.means[b] : sum;
-        grad_mean = sum;
-        p[mean_parameter] = mean;
+        length = count;
+        mean = grad_mean = 0;
+        if (!around_mean) steps_before_mean = count, mean_parameter = -1;
       }
-    } else if (t == 0) {
-      mean = grad_mean = 0;
+      if (around_mean && t == 31 - __clz(int(around_mean))) steps_before_mean = position, mean_parameter = first + 1;
+    } else if (t < 32 + kMaxParameters + kMaxStepTensorParameters) {
+      p[t - 32] = t - 32 < program.count ? program.parameter(b, t - 32) : F(0);
+    }
+    __syncthreads();
+    if (mean_parameter < 0 || (program.measures_mean && !backward)) return;
+    F sum = 0;
+    if (!program.measures_mean) {
+      for (int64_t i = t; i < program.parts_count; i += kThreads) sum += program.parts[b * program.parts_count + i];
+      sum = block_sum_to_all(sum, sums) / F(program.mean_pixels);
+    }
+    if (t == 0) {
+      mean = backward ? program.means[b] : sum;
+      grad_mean = sum;
+      p[mean_parameter] = mean;
     }
     __syncthreads();
   }
 };
+
+template <class F>
+bool has_frequent_steps_only(Program<F> const& p) {
+  for (int i = 0; i < p.steps; ++i)
+    if (!(kFrequentSteps >> int(p.step[i]) & 1)) return false;
+  return true;
+}
 
 // The sample of block n. A second run takes them in reverse, because the last samples of the first run may still be in
 // the L2 cache.

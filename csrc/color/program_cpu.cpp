@@ -182,6 +182,16 @@ struct StepInputGradient {
         store<N>(g + i, Vector<F>(load<N>(g + i) * v.d[0]));
       }
   }
+  template <class Formula>
+  KV_HD void each_value_vjp(Formula f) {
+    constexpr int N = kLanes<F>;
+    for (int k = 0; k < C; ++k)
+      for (int64_t i = k * kChunk<F>; i < k * kChunk<F> + n; i += N) {
+        auto grad = load<N>(g + i);
+        f(load<N>(c + i), grad, k, p);
+        store<N>(g + i, grad);
+      }
+  }
 };
 
 // The gradient of parameter `index` of the step, summed over the chunk.

@@ -7,6 +7,7 @@
 
 #include "glue/glue.h"
 #include "program.h"
+#include "program_clusters.h"
 
 namespace kv::color {
 
@@ -260,6 +261,13 @@ inline std::tuple<Tensor, Tensor> run_program(char const* op, Tensor const& inpu
     Tensor parts;
     if (around_mean) {
       p.means = static_cast<F*>(means.mutable_data_ptr());
+#if defined(KV_CUDA)
+      if constexpr (sizeof(F) == sizeof(float))
+        if (cuda::takes_clusters(p)) {
+          KV_RUN(program_by_clusters, x, p, p.samples, 0);
+          return;
+        }
+#endif
       parts = empty({p.samples, p.parts_count}, means);
       p.parts = static_cast<F*>(parts.mutable_data_ptr());
       p.measures_mean = true;
@@ -307,6 +315,17 @@ struct WantedGradients {
   bool image, parameters;
 };
 
+// Whether a gradient is one number expanded to all pixels, as that of a sum is. Kernels on CUDA read it as such.
+inline bool is_one_number([[maybe_unused]] Tensor const& grad) {
+#if defined(KV_CUDA)
+  for (int64_t i = 0; i < grad.dim(); ++i)
+    if (grad.size(i) > 1 && grad.stride(i) != 0) return false;
+  return grad.numel() > 1;
+#else
+  return false;
+#endif
+}
+
 // The gradients of the image and, for each image of the batch, of the parameters. A gradient that is not wanted has no
 // elements. `means` are those of run_program, or nothing for programs without contrast.
 inline std::tuple<Tensor, Tensor> program_gradients(char const* op, Tensor const& grad, Tensor const& input,
@@ -321,8 +340,9 @@ inline std::tuple<Tensor, Tensor> program_gradients(char const* op, Tensor const
   KV_CHECK(grad.scalar_type() != ScalarType::Byte && !(of_image && input.scalar_type() == ScalarType::Byte), op,
            ": bytes have no gradient");
   KV_CHECK(!of_parameters || !a.tensors.empty(), op, ": a gradient of parameters needs parameters that are tensors");
-  Layout const in = layout_of(input), out = layout_of(grad);
-  Tensor const x = as_pixel_rows(input, in), g = as_pixel_rows(grad, out);
+  bool const one_number = is_one_number(grad);
+  Layout const in = layout_of(input), out = one_number ? in : layout_of(grad);
+  Tensor const x = as_pixel_rows(input, in), g = one_number ? grad : as_pixel_rows(grad, out);
   Samples const samples = a.samples(x, in == out || grad.size(1) != x.size(1));
   ScalarType const computes = a.in_double ? ScalarType::Double : ScalarType::Float;
   bool const around_mean = a.sequence.contrast >= 0;
@@ -356,6 +376,7 @@ inline std::tuple<Tensor, Tensor> program_gradients(char const* op, Tensor const
     p.forward = program_of<F>(a, samples, numbers, parsed.columns);
     p.forward.x = samples.pixels_of(op, x, in);
     p.grad = samples.pixels_of(op, g, out);
+    if (one_number) p.grad.outer_stride = p.grad.inner_stride = p.grad.channel_stride = p.grad.step = 0;
     p.needs_grad_x = of_image;
     for (int i = 0; i < p.forward.steps; ++i) {
       p.needs_input[i] = of_parameters || !is_affine(p.forward.step[i], p.forward.numbers + p.forward.first[i]);
@@ -368,6 +389,13 @@ inline std::tuple<Tensor, Tensor> program_gradients(char const* op, Tensor const
     if (around_mean) {
       dense_means = dense(*means);
       p.forward.means = static_cast<F*>(const_cast<void*>(dense_means.const_data_ptr()));
+#if defined(KV_CUDA)
+      if constexpr (sizeof(F) == sizeof(float))
+        if (!of_parameters && cuda::takes_clusters(p)) {
+          KV_RUN(program_backward_by_clusters, x, p, samples.count, 0);
+          return;
+        }
+#endif
       parts = empty({samples.count, p.forward.parts_count}, dense_means);
       p.forward.parts = static_cast<F*>(parts.mutable_data_ptr());
       p.forward.measures_mean = true;

@@ -98,10 +98,22 @@ KV_HD V modulo(V const& x, Scalar<V> n) {
 
 constexpr double kTwoPi = 6.283185307179586476925;
 
+// x in [0, 1]; NaN stays NaN. Numbers on CUDA have functions of their own.
+template <class V>
+KV_HD V clamp_to_unit(V const& x) {
+  using F = Scalar<V>;
+  return clamp_max(clamp_min(x, F(0)), F(1));
+}
+// The gradient of x from that of clamp_to_unit(x).
+template <class V>
+KV_HD V clamp_to_unit_vjp(V const& x, V const& g) {
+  using F = Scalar<V>;
+  V const zero = constant<V>(F(0));
+  return select(x < F(0), zero, select(x > F(1), zero, g));
+}
 template <class V>
 KV_HD V clip(V const& x, bool enabled) {
-  using F = Scalar<V>;
-  return enabled ? clamp_max(clamp_min(x, F(0)), F(1)) : x;
+  return enabled ? clamp_to_unit(x) : x;
 }
 template <class V>
 KV_HD void affine(V (&c)[3], Scalar<V> const* m) {
@@ -111,9 +123,7 @@ KV_HD void affine(V (&c)[3], Scalar<V> const* m) {
 // The gradient of x from that of clip(x, enabled).
 template <class V>
 KV_HD V clip_vjp(V const& x, V const& g, bool enabled) {
-  using F = Scalar<V>;
-  V const zero = constant<V>(F(0));
-  return enabled ? select(x < F(0), zero, select(x > F(1), zero, g)) : g;
+  return enabled ? clamp_to_unit_vjp(x, g) : g;
 }
 template <class V>
 KV_HD void linear_vjp(V (&g)[3], Scalar<V> const* m) {

@@ -219,6 +219,31 @@ def test_gradients_of_warps_that_keep_rows(padding, size, device):
             assert_close(result, expected_grad, 1e-4, 1e-4)
 
 
+# The last size does not fit the shared memory of a cluster, the one before it has no vectors of pixels.
+@pytest.mark.parametrize("size", [(2, 2), (20, 36), (64, 64), (224, 224), (15, 17), (300, 300)], ids=str)
+def test_contrast_of_many_samples(size, device):
+    """Results and gradients of jitter equal those of the reference; samples that are not chosen stay as they are."""
+    augment = A.ColorJitter(0.2, 0.2, 0.2, 0.1, p=0.7)
+    torch.manual_seed(3)
+    x = (0.3 + 0.4 * torch.rand(9, 3, *size, device=device)).requires_grad_()
+    y = augment(x)
+    chosen = augment._params["batch_prob"] > 0.5
+    assert 0 < chosen.sum() < 9 and torch.equal(y[~chosen], x[~chosen])
+    with K.backend("reference"):
+        wide = x.detach().double().requires_grad_()
+        expected = augment(wide, params=augment._params)
+    assert_close(y, expected.float(), 1e-5, 1e-5)
+    dense = torch.rand(y.shape, device=device)
+    one = torch.full((1, 1, 1, 1), 0.7, device=device).expand_as(y)
+    for grad in (dense, dense.contiguous(memory_format=torch.channels_last), one):
+        (result,) = torch.autograd.grad(y, x, grad, retain_graph=True)
+        (expected_grad,) = torch.autograd.grad(expected, wide, grad.double(), retain_graph=True)
+        close = torch.isclose(result.double(), expected_grad, 1e-3, 1e-4)
+        assert (~close).double().mean() < 1e-4  # rounding decides on which side of a tie of two channels a pixel is
+        (again,) = torch.autograd.grad(y, x, grad, retain_graph=True)
+        assert torch.equal(again, result)
+
+
 @pytest.mark.parametrize("size", [(24, 20), (23, 21)], ids=str)
 def test_joined_keeps_what_is_not_finite(size, device):
     """A tap of weight 0 contributes nothing, whatever it is."""

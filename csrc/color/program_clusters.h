@@ -1,0 +1,19 @@
+// Color programs around a mean in one launch instead of two runs, on GPUs with clusters. Included by program_glue.h and
+// program_clusters.cu.
+#pragma once
+
+#include "program.h"
+
+namespace kv::color::cuda {
+
+// Whether a program around a mean takes one launch, or its gradient of the image only. The images are planes of floats,
+// the steps are frequent ones, and what is computed of a sample up to its contrast fits the shared memory of a cluster.
+bool takes_clusters(Program<float> const& p);
+bool takes_clusters(ProgramBackward<float> const& p);
+
+// The result and the means.
+int program_by_clusters(Program<float> const& p, CUstream_st* stream);
+// The gradient of the image.
+int program_backward_by_clusters(ProgramBackward<float> const& p, CUstream_st* stream);
+
+}  // namespace kv::color::cuda

@@ -4,10 +4,10 @@
 //
 // Contrast around the mean needs all pixels of a sample before any result: the blocks of a sample are a cluster, keep
 // their pixels in shared memory, and add up the mean. No image is sampled twice.
+#include "augmentation/row_taps.cuh"
 #include "augmentation/warp_and_color.h"
 #include "color/program.cuh"
 #include "core/cluster.cuh"
-#include "geometry/transform/taps.h"
 
 namespace kv::augmentation::cuda {
 namespace {
@@ -16,35 +16,6 @@ using color::cuda::kThreads;
 constexpr int kWarps = kThreads / 32, kColumns = 32, kRows = 4;
 constexpr int kStagedPixels = kColumns * kRows;  // of a warp
 constexpr int kChannels = 3;                     // of which images of one channel use the first
-
-// Two pixels of an axis and the weight of the second one. Pixels out of bounds read the fill.
-struct AxisTaps {
-  int first, second;
-  float t;
-
-  AxisTaps() = default;
-  __device__ __forceinline__ AxisTaps(geometry::Axis<float> const& an_axis, double x) {
-    geometry::Axis<double> const axis{an_axis.size, an_axis.padding, an_axis.align_corners};
-    double fraction;
-    int const tap = geometry::first_tap<2, double>(geometry::near_image(axis, x), fraction);
-    t = float(fraction);
-    first = geometry::pixel_at(axis, tap);
-    second = t == 0 ? first : geometry::pixel_at(axis, tap + 1);
-  }
-};
-
-// u = scale x + offset along both axes.
-struct RowMap {
-  double scale[2], offset[2];
-
-  __device__ __forceinline__ void init(geometry::Homography<double> const& map) {
-    for (int i = 0; i < 2; ++i) {
-      scale[i] = map.m[4 * i] / map.m[8];
-      offset[i] = map.m[3 * i + 2] / map.m[8];
-    }
-  }
-  __device__ __forceinline__ double at(int axis, int x) const { return scale[axis] * x + offset[axis]; }
-};
 
 __device__ __forceinline__ float between(float a, float b, float t) { return a + t * (b - a); }
 
@@ -177,18 +148,19 @@ struct OwnPixels {
   }
 };
 
+template <bool FrequentOnly>
 __device__ __forceinline__ void run_steps(color::cuda::Sample<float> const& sample, int begin, int end,
                                           float (&c)[kChannels][4]) {
 #pragma unroll 1
   for (int s = begin; s < end; ++s) {
     auto const entry = sample.order[s];
-    color::cuda::EvaluateStep<float, kChannels, 4> values{c, sample.p + entry.first};
+    color::cuda::EvaluateStep<float, kChannels, 4, FrequentOnly> values{c, sample.p + entry.first};
     color::run_step(entry.step, values);
   }
 }
 
 // A sample has `parts` blocks with `part_rows` rows each. Around a mean they are a cluster.
-template <class T, bool AroundMean>
+template <class T, bool AroundMean, bool FrequentOnly>
 __global__ void __launch_bounds__(kThreads, AroundMean ? 3 : 4)
     warp_rows(__grid_constant__ WarpAndColor<T> const p, int parts, int part_rows) {
   __shared__ color::cuda::Sample<float> sample;
@@ -206,7 +178,7 @@ __global__ void __launch_bounds__(kThreads, AroundMean ? 3 : 4)
 
   auto const& coords = p.warp.coords;
   if (threadIdx.x == kThreads - 1)  // not the one that prepares most of the program
-    map.init(geometry::homography(coords.matrices + b * coords.matrix_stride, coords.use));
+    map.init(coords.matrices + b * coords.matrix_stride, coords.use);
   sample.prepare(p.program, b, false);
   for (int y = threadIdx.x; y < rows; y += kThreads) row_taps[y] = AxisTaps(p.warp.y_axis, map.at(1, first_row + y));
   __syncthreads();
@@ -217,14 +189,16 @@ __global__ void __launch_bounds__(kThreads, AroundMean ? 3 : 4)
   int const across = (width + kColumns - 1) / kColumns, down = (rows + kRows - 1) / kRows;
   // Calls take(pixels, those in shared memory) for the tiles of the warp, which begin at (left, top), down the columns.
   auto const for_each_tile = [&](auto sample_tile, auto take) {
-    int const end = (warp + 1) * across * down / kWarps;
+    int const first = warp * across * down / kWarps, count = (warp + 1) * across * down / kWarps - first;
+    int left = first / max(down, 1) * kColumns, top = first * kRows - left / kColumns * down * kRows;
 #pragma unroll 1
-    for (int tile = warp * across * down / kWarps; tile < end; ++tile) {
-      int const top = tile % down * kRows, left = tile / down * kColumns;
+    for (int tile = 0; tile < count; ++tile) {
       float* const at = kept + (AroundMean ? top * pitch + left : 0);
       sample_tile(left, top, at);
       OwnPixels const own(by_column, left, top, width, rows);
       if (own.existing > 0) take(own, at + (own.y - top) * pitch + (own.x - left));
+      top += kRows;
+      if (top >= down * kRows) top = 0, left += kColumns;
     }
   };
   auto const store_result = [&](OwnPixels const& own, float const(&c)[kChannels][4]) {
@@ -248,7 +222,7 @@ __global__ void __launch_bounds__(kThreads, AroundMean ? 3 : 4)
       [&](OwnPixels const& own, float* at) {
         float c[kChannels][4];
         own.load(at, pitch, plane, c);
-        run_steps(sample, 0, sample.steps_before_mean, c);
+        run_steps<FrequentOnly>(sample, 0, sample.steps_before_mean, c);
         if (!waits) return store_result(own, c);
         own.store(at, pitch, plane, c);
 #pragma unroll
@@ -269,7 +243,7 @@ __global__ void __launch_bounds__(kThreads, AroundMean ? 3 : 4)
       for (int i = 0; i < kMaxClusterSize; ++i)
         total += __int_as_float(load_of_block(reinterpret_cast<int const*>(&part_sum), unsigned(i)));
       float const mean = total / float(p.program.mean_pixels);
-      if (waits) sample.p[sample.order[sample.steps_before_mean].first + 1] = mean;
+      if (waits) sample.p[sample.mean_parameter] = mean;
       if (part == 0) p.program.means[b] = waits ? mean : 0;
     }
     __syncthreads();
@@ -279,7 +253,7 @@ __global__ void __launch_bounds__(kThreads, AroundMean ? 3 : 4)
                     [&](OwnPixels const& own, float* at) {
                       float c[kChannels][4];
                       own.load(at, pitch, plane, c);
-                      run_steps(sample, sample.steps_before_mean, sample.length, c);
+                      run_steps<FrequentOnly>(sample, sample.steps_before_mean, sample.length, c);
                       store_result(own, c);
                     });
     __syncthreads();
@@ -311,7 +285,7 @@ bool keeps_samples(int64_t height, int64_t width) {
     cudaDeviceGetAttribute(&bytes, cudaDevAttrMaxSharedMemoryPerBlockOptin, device);
     return min(kMaxShared, size_t(bytes) - 2048);  // what is not dynamic
   }();
-  return supports_clusters(warp_rows<float, true>) && shared_bytes<true>(width, rows_in_cluster(height)) <= most;
+  return supports_clusters(warp_rows<float, true, true>) && shared_bytes<true>(width, rows_in_cluster(height)) <= most;
 }
 
 template <class T>
@@ -326,13 +300,16 @@ int warp_and_color(WarpAndColor<T> const& params, CUstream_st* stream) {
     int64_t const rows = batch * ceil_div(height, 4 * kRows) >= 4 * 132 ? 4 * kRows : kRows;
     int64_t const parts = ceil_div(height, rows);
     size_t const bytes = shared_bytes<false>(width, rows);
-    warp_rows<T, false><<<unsigned(batch * parts), kThreads, bytes, stream>>>(p, int(parts), int(rows));
+    auto* const kernel =
+        color::cuda::has_frequent_steps_only(program) ? warp_rows<T, false, true> : warp_rows<T, false, false>;
+    kernel<<<unsigned(batch * parts), kThreads, bytes, stream>>>(p, int(parts), int(rows));
     return cudaGetLastError();
   }
   program.measures_mean = true;  // no other kernel has
   int64_t const rows = rows_in_cluster(height);
   size_t const bytes = shared_bytes<true>(width, rows);
-  auto* const kernel = warp_rows<T, true>;
+  auto* const kernel =
+      color::cuda::has_frequent_steps_only(program) ? warp_rows<T, true, true> : warp_rows<T, true, false>;
   if (cudaError_t const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
     return error;
   return launch_clusters(kernel, unsigned(batch * kMaxClusterSize), kThreads, bytes, kMaxClusterSize, stream, p,

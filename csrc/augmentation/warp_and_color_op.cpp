@@ -1,7 +1,9 @@
 // Warps with a program of color steps: schemas and entries, for CPU and CUDA alike. A warp without steps, or steps
 // without a warp, run as such; so do both one after the other where no kernel joins them.
+#include "augmentation/expand.h"
 #include "augmentation/transforms_glue.h"
 #include "augmentation/warp_and_color.h"
+#include "augmentation/warp_rows_backward.h"
 #include "color/program_glue.h"
 #include "geometry/transform/warp_glue.h"
 
@@ -115,6 +117,36 @@ struct WarpAndColorArguments {
     return sampling->interpolation != geometry::Interpolation::bicubic;
 #endif
   }
+  // Whether the gradient of the image has a kernel for warps that map rows to rows.
+  bool has_row_gradient([[maybe_unused]] Tensor const& image) const {
+#if defined(KV_CUDA)
+    return sampling->interpolation == geometry::Interpolation::bilinear &&
+           sampling->padding != geometry::Padding::reflection && image.scalar_type() != ScalarType::Double &&
+           keeps_rows(plan.transforms, plan.transform_numbers) &&
+           cuda::fits_block(matrix->use.source, matrix->use.output);
+#else
+    return false;
+#endif
+  }
+  // The gradient of the image from that of what is sampled.
+  Tensor image_gradient(Tensor const& grad, Tensor const& image) const {
+    geometry::Size const source = matrix->use.source;
+#if defined(KV_CUDA)
+    if (has_row_gradient(image)) {
+      int64_t const batch = image.size(0);
+      Tensor const result = empty({batch, image.size(1), source.height, source.width}, image);
+      dispatch_floating(op, image, [&]<class T>(Type<T>) {
+        if constexpr (sizeof(T) < sizeof(double)) {
+          WarpRowsBackward<T> const p{{sampling->of<T>(source, matrix->coords<Compute<T>>()),
+                                       images<T const>(grad, batch), images<T>(result, batch), nullptr}};
+          KV_RUN(warp_rows_backward, image, p, result.numel(), 0);
+        }
+      });
+      return result;
+    }
+#endif
+    return geometry::warp_image_gradient(grad, {image.size(0), source}, *sampling, *matrix);
+  }
   // Samples as the kernels take them, of three channels or one.
   color::Samples samples(Tensor const& image) const {
     geometry::Size const size = matrix->use.output;
@@ -130,6 +162,20 @@ struct WarpAndColorArguments {
     return p;
   }
 };
+
+// A gradient whose rows kernels can read by vectors: one that is one number is expanded in memory, which takes half as
+// long as a copy.
+Tensor with_rows(char const* op, Tensor const& grad) {
+  if (!color::is_one_number(grad)) return grad;
+  Tensor const result = empty(grad.sizes(), grad);
+#if defined(KV_CUDA)
+  dispatch_floating(op, grad, [&]<class T>(Type<T>) {
+    ExpandNumber<T> const p{data_ptr<T const>(grad), data_ptr<T>(result), result.numel()};
+    KV_RUN(expand_number, grad, p, p.count, 1);
+  });
+#endif
+  return result;
+}
 
 template <class Run>
 void dispatch_joined(char const* op, Tensor const& x, Run run) {
@@ -245,8 +291,8 @@ std::tuple<Tensor, Tensor, Tensor> warp_and_color_backward(Tensor const& grad, T
   if (!a.matrix) {
     if (of_image) grad_image = sampled_grad;
   } else {
-    geometry::BatchSize const batch{image.size(0), a.matrix->use.source};
-    if (of_image) grad_image = geometry::warp_image_gradient(sampled_grad, batch, *a.sampling, *a.matrix);
+    if (of_matrix || !a.has_row_gradient(image)) sampled_grad = with_rows(op, sampled_grad);
+    if (of_image) grad_image = a.image_gradient(sampled_grad, image);
     if (of_matrix) grad_matrix = geometry::warp_matrix_gradient(sampled_grad, image, *a.sampling, *a.matrix);
   }
   return {grad_image, grad_columns, grad_matrix};

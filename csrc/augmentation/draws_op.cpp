@@ -1,13 +1,12 @@
 // Random parameters: schema and entry, for CPU and CUDA alike.
-#include "augmentation/draws.h"
-#include "glue/glue.h"
+#include "augmentation/draws_glue.h"
 
 namespace kv::augmentation {
 namespace {
 
 constexpr char const* kDrawOperator = "draw_parameters";
 
-int64_t number_from(std::vector<int64_t> const& plan, size_t i, int64_t lowest, int64_t highest, char const* name) {
+int64_t number_from(std::span<int64_t const> plan, size_t i, int64_t lowest, int64_t highest, char const* name) {
   KV_CHECK(i < plan.size(), kDrawOperator, ": the plan ends within a request");
   KV_CHECK(plan[i] >= lowest && plan[i] <= highest, kDrawOperator, ": expected ", name, " from ", lowest, " to ",
            highest, ", got ", plan[i]);
@@ -17,7 +16,7 @@ int64_t number_from(std::vector<int64_t> const& plan, size_t i, int64_t lowest, 
 // Reads the plan, as make_plan in draws.py writes it: the number of columns, then for each request its key, position in
 // the chain, same_on_batch, the index of its first draw, their number, and their kinds. The numbers of a request are p,
 // p_batch and those of its draws.
-void read_plan(std::vector<int64_t> const& plan, std::vector<double> const& numbers, Tensor const& keys, bool has_seeds,
+void read_plan(std::span<int64_t const> plan, std::span<double const> numbers, Tensor const& keys, bool has_seeds,
                DrawParameters<float>& p) {
   constexpr char const* op = kDrawOperator;
   KV_CHECK(numbers.size() <= kMaxDrawNumbers, op, ": expected at most ", kMaxDrawNumbers, " numbers, got ",
@@ -64,10 +63,12 @@ void read_plan(std::vector<int64_t> const& plan, std::vector<double> const& numb
   for (size_t i = 0; i < numbers.size(); ++i) p.numbers[i] = numbers[i];
 }
 
+}  // namespace
+
 // Of the images only the device and the size of the batch count. Keys (K,) on the CPU are read here, on the stream of
 // no device; those on the device of the images by the kernel, for replays of CUDA graphs.
-Tensor draw_parameters(Tensor const& images, Tensor const& keys, std::optional<Tensor> const& seeds,
-                       std::vector<int64_t> const& plan, std::vector<double> const& numbers) {
+DrawParameters<float> draws_of(Tensor const& images, Tensor const& keys, std::optional<Tensor> const& seeds,
+                               std::span<int64_t const> plan, std::span<double const> numbers) {
   constexpr char const* op = kDrawOperator;
   KV_CHECK(images.dim() > 0, op, ": expected images of shape (B, ...)");
   int64_t const batch = images.size(0);
@@ -86,9 +87,16 @@ Tensor draw_parameters(Tensor const& images, Tensor const& keys, std::optional<T
   params.seed_stride = seeds && seeds->size(0) > 1 ? seeds->stride(0) : 0;
   params.count = 0;
   read_plan(plan, numbers, keys, seeds.has_value(), params);
-  Tensor const result = empty({batch, params.columns}, images, Layout::planar, ScalarType::Float);
-  params.result = data_ptr<float>(result);
-  KV_RUN(draw_parameters, images, params, params.count ? batch : 0, 64 * params.count);
+  return params;
+}
+
+namespace {
+
+Tensor draw_parameters(Tensor const& images, Tensor const& keys, std::optional<Tensor> const& seeds,
+                       std::vector<int64_t> const& plan, std::vector<double> const& numbers) {
+  auto params = draws_of(images, keys, seeds, plan, numbers);
+  Tensor const result = columns_for(params, images);
+  KV_RUN(draw_parameters, images, params, params.count ? params.batch : 0, 64 * params.count);
   return result;
 }
 

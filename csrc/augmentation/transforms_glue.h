@@ -38,6 +38,18 @@ TransformMatrix<T> transform_params(char const* op, Tensor const& columns, std::
   return p;
 }
 
+// How many numbers the inputs of a chain have.
+inline size_t count_inputs(char const* op, std::span<int64_t const> plan) {
+  size_t count = 0;
+  for (size_t at = 0; at < plan.size();) {
+    KV_CHECK(plan[at] >= 0 && plan[at] < kTransformKinds, op, ": there is no kind of transform ", plan[at]);
+    size_t const inputs = size_t(num_inputs_of(TransformKind(plan[at])));
+    count += inputs;
+    at += 1 + inputs;
+  }
+  return count;
+}
+
 // Whether the matrices of a checked plan keep rows rows, whatever the columns are: those of crops, flips and resizing.
 inline bool keeps_rows(std::span<int64_t const> plan, std::span<double const> numbers) {
   // The angle and the shears, and the entries of a matrix that are neither scales nor translations.

@@ -3,6 +3,7 @@
 #include "augmentation/expand.h"
 #include "augmentation/transforms_glue.h"
 #include "augmentation/warp_and_color.h"
+#include "augmentation/warp_and_color_glue.h"
 #include "augmentation/warp_rows_backward.h"
 #include "color/program_glue.h"
 #include "geometry/transform/warp_glue.h"
@@ -50,14 +51,7 @@ struct WarpAndColorPlan {
              steps.size());
     program = {head[0], head[1], steps, list()};
     order = rest;
-    size_t count = 0;
-    for (size_t at = 0; at < transforms.size();) {
-      KV_CHECK(transforms[at] >= 0 && transforms[at] < kTransformKinds, op, ": there is no kind of transform ",
-               transforms[at]);
-      size_t const inputs = size_t(num_inputs_of(TransformKind(transforms[at])));
-      count += inputs;
-      at += 1 + inputs;
-    }
+    size_t const count = count_inputs(op, transforms);
     KV_CHECK(count <= all_numbers.size(), op, ": expected at least ", count, " numbers, got ", all_numbers.size());
     transform_numbers = std::span<double const>(all_numbers).first(count);
     numbers.assign(all_numbers.begin() + std::ptrdiff_t(count), all_numbers.end());
@@ -230,25 +224,38 @@ std::tuple<Tensor, Tensor> run_joined(WarpAndColorArguments const& a, Tensor con
   return {y, means};
 }
 
-// The result, the matrices of the warp (B, 3, 3), and the means of contrast (B, 1); without a warp (B, 0, 3), and
-// without contrast (B, 0).
-std::tuple<Tensor, Tensor, Tensor> warp_and_color(Tensor const& image, OptionalTensor const& columns,
-                                                  OptionalTensor const& fill, std::vector<int64_t> const& size,
-                                                  std::vector<int64_t> const& plan, Numbers const& numbers) {
-  WarpAndColorArguments const a("warp_and_color", image, columns, fill, {}, size, plan, numbers);
+}  // namespace
+
+PassResults run_pass(Tensor const& image, OptionalTensor const& columns, OptionalTensor const& fill,
+                     OptionalTensor const& matrices, std::vector<int64_t> const& size, std::vector<int64_t> const& plan,
+                     Numbers const& numbers) {
+  WarpAndColorArguments const a("warp_and_color", image, columns, fill, matrices, size, plan, numbers);
   color::PlanArgument const& program = a.plan.program;
-  Tensor const matrix = a.matrix ? *a.given_matrix : empty({image.size(0), 0, 3}, a.columns);
   bool const same = program.dtype < 0 && (program.layout < 0 || program.layout == int64_t(layout_of(image)));
   if (a.matrix && same && !a.plan.has_steps())
-    return {geometry::warped(image, *a.sampling, *a.matrix), matrix, empty({image.size(0), 0}, a.columns)};
+    return {geometry::warped(image, *a.sampling, *a.matrix), a.given_matrix, {}};
   auto const arguments = a.program(image, color::result_type(program, image));
+  bool const around_mean = arguments.sequence.contrast >= 0;
   if (a.matrix && a.is_joined(image, arguments)) {
     auto const [y, means] = run_joined(a, image, arguments);
-    return {y, matrix, means};
+    return {y, a.given_matrix, around_mean ? OptionalTensor(means) : OptionalTensor()};
   }
   Tensor const x = a.matrix ? geometry::warped(image, *a.sampling, *a.matrix) : image;
   auto const [y, means] = color::run_program(a.op, x, arguments, program, a.plan.numbers);
-  return {y, matrix, arguments.sequence.contrast >= 0 ? means : empty({image.size(0), 0}, a.columns)};
+  return {y, a.given_matrix, around_mean ? OptionalTensor(means) : OptionalTensor()};
+}
+
+namespace {
+
+// Without a warp the matrices are (B, 0, 3), and without contrast the means are (B, 0).
+std::tuple<Tensor, Tensor, Tensor> warp_and_color(Tensor const& image, OptionalTensor const& columns,
+                                                  OptionalTensor const& fill, std::vector<int64_t> const& size,
+                                                  std::vector<int64_t> const& plan, Numbers const& numbers) {
+  auto const [y, matrix, means] = run_pass(image, columns, fill, {}, size, plan, numbers);
+  auto const or_none = [&](OptionalTensor const& x, std::initializer_list<int64_t> none) {
+    return x ? *x : empty(none, image, Layout::planar, compute_dtype(image));
+  };
+  return {y, or_none(matrix, {image.size(0), 0, 3}), or_none(means, {image.size(0), 0})};
 }
 
 // The gradients of the image, of the columns that the program reads, and of the matrices. One that is not wanted has no

@@ -372,6 +372,36 @@ class Operator:
         return f
 
 
+class Shortcut:
+    """A kernel that does what several operators do one after the other, for one trip through the dispatcher.
+
+    It has neither gradients nor rules for tracing: callers ask `serves`, and otherwise call the operators.
+
+    Args:
+        name: name of the kernel, `torch.ops.kvision.<name>`.
+        dtypes: of the images that it takes.
+    """
+
+    def __init__(self, name: str, dtypes: Collection[torch.dtype]) -> None:
+        unserved = unserved_devices(name)
+        self._on_cpu, self._on_cuda = (
+            frozenset(() if "cpu" in unserved or device in unserved else dtypes) for device in ("cpu", "cuda")
+        )
+        self._call_kernel: Any = None if "cpu" in unserved else kernel_caller(find_operator("kvision", name).default)
+
+    def serves(self, x: Tensor) -> bool:
+        """Whether a call on images `x` would be nothing but kernels: no reference, no graph, no transform, no tracing."""
+        if is_compiling() or is_tracing() or type(x) is not Tensor:
+            return False
+        if x.dtype not in (self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()) or x.numel() == 0:
+            return False
+        return not (wants_derivative(x) or (_backend.ask_backend and current_backend() == "reference"))
+
+    def __call__(self, *args: Any) -> Any:
+        with below_autograd():
+            return self._call_kernel(*args)
+
+
 def not_empty(x: Tensor, *_: Any) -> str | None:
     """The first tensor has at least one element."""
     return None if x.numel() else f"there is no kernel for empty tensors, here {tuple(x.shape)}"
@@ -455,7 +485,11 @@ def wants_derivative(*tensors: Tensor | None) -> bool:
     """Whether a call on them is to be differentiated: then it is made of operators that have gradients of their own."""
     if in_function_transform() or in_forward_ad():
         return True
-    return is_grad_enabled() and any(t is not None and t.requires_grad for t in tensors)
+    if is_grad_enabled():
+        for t in tensors:
+            if t is not None and t.requires_grad:
+                return True
+    return False
 
 
 def saturate_to_byte(x: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Mapping, Sequence
 from enum import Enum
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Generator, Tensor, nn
@@ -24,11 +24,13 @@ from torch import Generator, Tensor, nn
 from kvision._ops import match_layout
 from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, identity_values, plan_draws
 from kvision.augmentation.configuration import Flags, Plans, settings_changed
+from kvision.augmentation.drawn_pass import DrawnPass, join
 from kvision.augmentation.draws import Draw, Request, is_chosen_batch
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
 from kvision.augmentation.maps import exact
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
+from kvision.augmentation.warp_and_color import Pass
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 Shape = tuple[int, ...]
@@ -59,6 +61,7 @@ class Execution:
         self.frames = frames  # neighboring samples that share what was drawn
         self.is_certain = is_certain  # all samples are chosen, which is known without the columns
         self.matrix: Tensor | None = None
+        self.identity: tuple[torch.device, torch.dtype] | None = None  # of the matrices that are not computed
 
     def keep_matrix(self, matrix: Tensor) -> None:
         """Keep the matrices of an operator, which carry no gradients; where parameters do, they are computed when asked for."""
@@ -73,6 +76,16 @@ class Execution:
         if self._chosen is None and self.columns is not None and self.columns.chosen is not None:
             self._chosen = self.columns.chosen > 0.5
         return self._chosen
+
+
+class CallPlan(NamedTuple):
+    """What a call on images of one shape draws, and the pass that executes it, if one pass does."""
+
+    shape: Shape
+    draws: DrawPlan | None
+    is_certain: bool
+    own: Pass | None
+    drawn: DrawnPass | None  # `own` after `draws`
 
 
 class _KeepsArguments(nn.Module):
@@ -215,7 +228,8 @@ class AugmentationBase(_KeepsArguments):
 
     def _matrix(self, execution: Execution) -> Tensor:
         if execution.matrix is None:
-            execution.matrix = self.identity_matrix(execution.shape)
+            identity = self.identity_matrix(execution.shape)
+            execution.matrix = identity if execution.identity is None else identity.to(*execution.identity)
         return execution.matrix
 
     def identity_matrix(self, input: Tensor | Sequence[int]) -> Tensor:
@@ -259,22 +273,74 @@ class AugmentationBase(_KeepsArguments):
         key = keys.on_host(type(self).__name__)[0 if keys.one_key else index]
         return is_chosen_batch(key, index if keys.one_key else 0, self.p_batch)
 
-    def _draw(self, x: Tensor, seed: Seed, generator: Generator | None) -> Execution:
-        shape, key = tuple(x.shape), ("draw", x.shape, seed is None)
-        plans: list[DrawPlan] | None = self._plans.get(key)  # one, or none
-        if plans is None:
+    def _plan(self, x: Tensor, has_seed: bool) -> CallPlan:
+        key = (x.shape, has_seed)
+        plan: CallPlan | None = self._plans.get(key)
+        if plan is None:
+            shape = tuple(x.shape)
             request = self._request(shape) if self.p > 0 and self.p_batch > 0 else None
-            plans = [] if request is None else plan_draws([request], seed is not None)
-            if all(plan.learned is None for plan in plans):
-                self._plans.keep(key, plans)
-        if not plans:
-            return Execution(shape, applied=self._applies(None, 0))
-        plan = plans[0]
-        keys = draw_keys(type(self).__name__, 1, x.device, seed, generator or self.generator)
-        check_seeds(type(self).__name__, keys, shape[0])
-        columns = Columns(plan.draw(x, keys), plan.spans[0])
+            draws = None if request is None else plan_draws([request], has_seed)[0]
+            decides = self.whole_batch and 0 < self.p_batch < 1  # on the host, in each call
+            applied = not decides and self._applies(None, 0)
+            own = self._pass(shape, None if draws is None else draws.spans[0], self.flags) if applied else None
+            drawn = None if own is None or draws is None else join(draws, own)
+            plan = CallPlan(shape, draws, self._is_certain, own, drawn)
+            if draws is None or draws.learned is None:
+                self._plans.keep(key, plan)
+        return plan
+
+    def _keys(self, x: Tensor, seed: Seed, generator: Generator | None) -> Keys:
+        op = type(self).__name__
+        keys = draw_keys(op, 1, x.device, seed, generator or self.generator)
+        if keys.seeds is not None:
+            check_seeds(op, keys, x.shape[0])
+        return keys
+
+    def _draw(self, x: Tensor, seed: Seed, generator: Generator | None) -> Execution:
+        plan = self._plan(x, seed is not None)
+        if plan.draws is None:
+            return Execution(plan.shape, applied=self._applies(None, 0))
+        keys = self._keys(x, seed, generator)
+        columns = Columns(plan.draws.draw(x, keys), plan.draws.spans[0])
         applied = self._applies(keys, 0)
-        return Execution(shape, columns, applied=applied, redraw=(keys, 0), is_certain=self._is_certain)
+        return Execution(plan.shape, columns, applied=applied, redraw=(keys, 0), is_certain=plan.is_certain)
+
+    def _pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
+        """The pass that executes this augmentation from columns, without parameters by name; None if none does."""
+        return None
+
+    def _kept_pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
+        """The same, kept for the flags of the constructor."""
+        if flags is not self.flags:
+            return self._pass(shape, span, flags)
+        kept: tuple[Pass | None] | None = self._plans.get((shape, span))
+        if kept is None:
+            kept = (self._pass(shape, span, flags),)
+            self._plans.keep((shape, span), kept)
+        return kept[0]
+
+    def _draw_and_run(
+        self, x: Tensor, seed: Seed, generator: Generator | None, flags: dict[str, Any]
+    ) -> tuple[Tensor, Execution]:
+        """Draw parameters and execute with them; keeps the execution."""
+        plan = self._plan(x, seed is not None)
+        state = self.__dict__  # torch looks for parameters in what it sets
+        if plan.own is None or flags is not self.flags:
+            # Before it runs, because a user's method may add to `_params`.
+            execution = state["_execution"] = self._draw(x, seed, generator)
+            return self._run(x, execution, flags), execution
+        if plan.draws is None or plan.drawn is None:
+            y, matrix = plan.own.run(x, None)
+            execution = Execution(plan.shape)
+        else:
+            keys = self._keys(x, seed, generator)
+            y, matrix, drawn = plan.drawn.run(x, keys)
+            columns = Columns(drawn, plan.draws.spans[0])
+            execution = Execution(plan.shape, columns, None, True, None, (keys, 0), 1, plan.is_certain)
+        if plan.own.warps:
+            execution.keep_matrix(matrix)
+        state["_execution"] = execution
+        return y, execution
 
     @property
     def _is_certain(self) -> bool:
@@ -397,9 +463,14 @@ class AugmentationBase(_KeepsArguments):
         """Execute on images (B, C, H, W): by the methods that users override."""
         if not execution.applied:
             return x
-        params = self._params_on_device(x, execution)
-        transform = self.compute_transformation(x, params, flags)
         stored = x.dtype
+        transform: Tensor | None = None
+        if self._is_elementary():
+            params = self._params_on_device(x, execution, for_users=False)
+            execution.identity = x.device, stored if stored in (torch.float32, torch.float64) else torch.float32
+        else:
+            params = self._params_on_device(x, execution)
+            transform = self.compute_transformation(x, params, flags)
         image = x
         if stored == torch.uint8 and not self.accepts_bytes:
             image = x.float().div_(255)
@@ -414,17 +485,28 @@ class AugmentationBase(_KeepsArguments):
             y = match_layout(y, x)
         if execution.chosen is not None and y.shape == x.shape:
             y = where_chosen(execution.chosen, y, x)
-            transform = torch.where(execution.chosen[:, None, None], transform, self.identity_matrix(x).to(transform))
+            if transform is not None:
+                identity = self.identity_matrix(x).to(transform)
+                transform = torch.where(execution.chosen[:, None, None], transform, identity)
         execution.matrix = transform
         return y
 
-    def _params_on_device(self, x: Tensor, execution: Execution) -> Params:
+    def _is_elementary(self) -> bool:
+        """Whether this augmentation keeps positions, and none of its methods are a user's, which get all there is."""
+        is_elementary: bool | None = self._plans.get("elementary")
+        if is_elementary is None:
+            keeps_positions = type(self).compute_transformation is AugmentationBase.compute_transformation
+            is_elementary = keeps_positions and not self._is_customized()
+            self._plans.keep("elementary", is_elementary)
+        return is_elementary
+
+    def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
         if execution.params is not None:
             return self._on_device(execution.params, x.device)
         if self._draws_by_name:
             execution.params = {**self._read_params(execution), **self.generate_parameters(execution.shape)}
             return self._on_device(execution.params, x.device)
-        params: Params = {"forward_input_shape": torch.tensor(execution.shape)}
+        params: Params = {"forward_input_shape": torch.tensor(execution.shape)} if for_users else {}
         if execution.columns is None or self._param_generator is None:
             return params
         values, shape = execution.columns.values, execution.shape
@@ -505,10 +587,14 @@ class AugmentationBase(_KeepsArguments):
         else:
             image = input
         x = self.transform_tensor(image)
-        execution = self._draw(x, seed, generator) if params is None else self._from_params(params, x)
-        self._execution = execution  # a user's `apply_transform` may add to `_params`
-        y = self._run(x, execution, self._flags_of(kwargs))
-        y = self._restored(y, image)
+        flags = self._flags_of(kwargs)
+        if params is None:
+            y, execution = self._draw_and_run(x, seed, generator, flags)
+        else:
+            execution = self._execution = self._from_params(params, x)  # as above
+            y = self._run(x, execution, flags)
+        if self.keepdim:
+            y = self._restored(y, image)
         returns = self.return_transform if return_transform is None else return_transform
         if not returns:
             return y if matrix is None else (y, matrix)

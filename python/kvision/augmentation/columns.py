@@ -61,13 +61,18 @@ class DrawPlan(NamedTuple):
 
     def draw(self, images: Tensor, keys: Keys) -> Tensor:
         """The columns (B, P)."""
-        own = keys.keys
-        if not keys.one_key and (self.begin > 0 or self.end < own.shape[0]):
-            own = own[self.begin : self.end]
+        own = self.keys_of(keys)
         seeds = None if keys.seeds is None else keys.seeds.to(images.device, non_blocking=True)
         images = images.detach() if images.requires_grad else images
         drawn: Tensor = draw_parameters(images, own, seeds, self.plan, self.numbers)
         return drawn if self.learned is None else _with_learned(drawn, self.learned)
+
+    def keys_of(self, keys: Keys) -> Tensor:
+        """The keys of these requests."""
+        own = keys.keys
+        if not keys.one_key and (self.begin > 0 or self.end < own.shape[0]):
+            own = own[self.begin : self.end]
+        return own
 
 
 def plan_draws(requests: Sequence[Request], one_key: bool, first: int = 0) -> list[DrawPlan]:

@@ -11,6 +11,7 @@ from torch import Tensor
 from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION
 from kvision.augmentation.base import AugmentationBase, Execution, Params, RigidAffineAugmentationBase2D, Shape
+from kvision.augmentation.columns import Span
 from kvision.augmentation.maps import exact
 from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.augmentation.warp_and_color import Pass, Resampling, fill_of_images, make_pass
@@ -125,25 +126,22 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or self._is_customized() or self.transforms(execution.shape, flags) is None:
             return super()._run(x, execution, flags)
-        if execution.columns is None and execution.params is not None:
+        columns = execution.columns
+        if columns is None and execution.params is not None:
             execution.matrix = self._matrix_of(x, execution, flags)
             return self._warp(x, execution.matrix, flags)
-        first = 0 if execution.columns is None else execution.columns.span.first_value
-        key = (execution.shape, first)
-        keeps = flags is self.flags
-        own: Pass | None = self._plans.get(key) if keeps else None
-        if own is None:
-            own = self._pass(execution.shape, first, flags)
-            if keeps:
-                self._plans.keep(key, own)
-        y, matrix = own.run(x, None if execution.columns is None else execution.columns.drawn)
+        own = self._kept_pass(execution.shape, None if columns is None else columns.span, flags)
+        assert own is not None
+        y, matrix = own.run(x, None if columns is None else columns.drawn)
         execution.keep_matrix(matrix)
         return y
 
-    def _pass(self, shape: Shape, first: int, flags: dict[str, Any]) -> Pass:
-        """The pass of images of a shape, by parameters that begin at column `first`."""
-        chain = [t.moved(first) for t in self.transforms(shape, flags) or ()]
-        return make_pass(chain, self.output_size(shape, flags), self.resampling(flags))
+    def _pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
+        chain = None if self._is_customized() else self.transforms(shape, flags)
+        if chain is None:
+            return None
+        first = 0 if span is None else span.first_value
+        return make_pass([t.moved(first) for t in chain], self.output_size(shape, flags), self.resampling(flags))
 
     def _warp(self, x: Tensor, matrix: Tensor, flags: dict[str, Any]) -> Tensor:
         return warp(x, matrix, self.output_size(tuple(x.shape), flags), self.resampling(flags))

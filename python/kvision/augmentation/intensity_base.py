@@ -83,25 +83,16 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:
             return x
-        own = None if self._is_customized() else self._pass(execution, flags)
+        columns = execution.columns
+        by_name = columns is None and execution.params is not None
+        own = None if by_name else self._kept_pass(execution.shape, None if columns is None else columns.span, flags)
         if own is None:
             return super()._run(x, execution, flags)
-        return own.run(x, None if execution.columns is None else execution.columns.drawn)[0]
+        return own.run(x, None if columns is None else columns.drawn)[0]
 
-    def _pass(self, execution: Execution, flags: dict[str, Any]) -> Pass | None:
-        """The pass of an execution; None for one with parameters by name, or without steps."""
-        if execution.columns is None and execution.params is not None:
-            return None
-        span = None if execution.columns is None else execution.columns.span
-        key = (execution.shape, span)
-        keeps = flags is self.flags
-        own: Pass | None = self._plans.get(key) if keeps else None
-        if own is None:
-            part = color_part(self, execution.shape, span, flags)
-            own = None if part is None else make_pass(None, parts=[part])
-            if own is not None and keeps:
-                self._plans.keep(key, own)
-        return own
+    def _pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
+        part = None if self._is_customized() else color_part(self, shape, span, flags)
+        return None if part is None else make_pass(None, parts=[part])
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None

@@ -42,10 +42,9 @@ def draw_keys(op: str, count: int, device: torch.device, seed: Seed, generator: 
     """
     if seed is not None:
         return _from_seed(op, seed)
-    if generator is None and device.type == "cuda" and not is_compiling() and torch.cuda.is_current_stream_capturing():
-        where = device
-    else:
-        where = torch.device("cpu") if generator is None else generator.device
+    if generator is None and not is_compiling() and not _captures(device):
+        return Keys(_random_words(count))
+    where = device if generator is None else generator.device
     if is_compiling():
         if generator is None:
             return Keys(_random_keys(count))
@@ -62,6 +61,12 @@ def draw_keys(op: str, count: int, device: torch.device, seed: Seed, generator: 
 
 
 _LOWEST = -(2**63)
+_CPU = torch.device("cpu")
+
+
+def _captures(device: torch.device) -> bool:
+    """Whether a CUDA graph is captured on a device."""
+    return device != _CPU and device.type == "cuda" and torch.cuda.is_current_stream_capturing()
 
 
 def _random_words(count: int, generator: Generator | None = None) -> Tensor:

@@ -209,7 +209,7 @@ def _backward(needs, grad, _, __, y, matrix, mean, image, columns, fill, size, p
 
 def _supports(image: Tensor, columns: Tensor | None, fill: Tensor | None, size: Any, plan: Any, *_: Any) -> str | None:
     """Images have a pixel, and image and result are both float64, or neither is."""
-    if 0 in image.shape[2:]:
+    if not image.numel() and 0 in image.shape[2:]:
         return f"there is no kernel for images without pixels, here {tuple(image.shape)}"
     if plan[0] >= 0 and (image.dtype == torch.float64) != (plan[0] == program._DTYPES.index(torch.float64)):
         return f"there is no kernel from {image.dtype} to {program._DTYPES[plan[0]]}"
@@ -321,6 +321,10 @@ class Pass(NamedTuple):
     numbers: list[float]
     resampling: Resampling | None  # with a fill value
     chain: Sequence[Transform]  # the transforms that did not fit the kernel, after which the matrix is computed before
+
+    @property
+    def warps(self) -> bool:
+        return len(self.size) > 0
 
     def run(self, x: Tensor, columns: Tensor | None) -> tuple[Tensor, Tensor]:
         """The result, and the matrices (B, 3, 3) of the warp, which do not carry gradients."""

@@ -196,12 +196,13 @@ class AugmentationSequential(ImageSequential):
                 raise ValueCheckError("AugmentationSequential: expected one of data_keys to be 'input'")
             return self._move_alone(keys, inputs, params)
         first = keys.index(DataKey.INPUT)
-        self._videos = self._video_layout(inputs[first])
+        state = self.__dict__  # torch looks for parameters in what it sets
+        state["_videos"] = self._video_layout(inputs[first])
         inputs = self._of_frames(keys, inputs)
         image = inputs[first]
         x = self.transform_tensor(image)
         y = self._execute(x, params, self._source(seed, generator))
-        self._result_size = tuple(y.shape[2:])
+        state["_result_size"] = tuple(y.shape[2:])
         outputs = []
         for i, (key, value) in enumerate(zip(keys, inputs)):
             if i == first:
@@ -218,7 +219,8 @@ class AugmentationSequential(ImageSequential):
         self, keys: Sequence[DataKey], inputs: Sequence[Any], outputs: list[Any], size: tuple[int, ...]
     ) -> list[Any]:
         """Filtered results, with what `visible_points` needs kept, and the frames of videos as videos."""
-        self._points = [(x, y) for key, x, y in zip(keys, inputs, outputs) if key == DataKey.KEYPOINTS]
+        points = [(x, y) for key, x, y in zip(keys, inputs, outputs) if key == DataKey.KEYPOINTS]
+        self.__dict__["_points"] = points
         forget_coordinates(self._stages)
         return self._of_videos(self._filtered(keys, outputs, size))
 
@@ -297,7 +299,7 @@ class AugmentationSequential(ImageSequential):
 
     def _filtered(self, keys: Sequence[DataKey], values: list[Any], size: tuple[int, ...]) -> list[Any]:
         """Moved boxes that the filter leaves, and their class labels."""
-        self._kept_boxes = []
+        self.__dict__["_kept_boxes"] = []
         if self.box_filter.does_nothing:
             return values
         kept: dict[int, Any] = {}

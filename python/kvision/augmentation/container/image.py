@@ -298,10 +298,10 @@ class ImageSequential(ImageSequentialBase):
     def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> Tensor:
         """Run the children on images (B, C, H, W) and keep what the call did."""
         children = self._children_of_call(params, source)
-        self._shape = tuple(x.shape)
-        x, self._stages = execute(x, children, source)
-        self._executed, self._given_params = children, None
-        return x
+        y, stages = execute(x, children, source)
+        # Not by setattr: torch looks for parameters in what it sets.
+        self.__dict__.update(_shape=tuple(x.shape), _stages=stages, _executed=children, _given_params=None)
+        return y
 
     def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:
         once = source.once or self.resample == "once"

@@ -15,7 +15,7 @@ decided once for them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -27,6 +27,7 @@ from kvision.augmentation.base import AugmentationBase, Execution, Shape
 from kvision.augmentation.columns import Columns, DrawPlan, Span, plan_draws
 from kvision.augmentation.configuration import Plans
 from kvision.augmentation.container.stages import Applied, Composed, MapLink, Stage, Warp
+from kvision.augmentation.drawn_pass import DrawnPass, join
 from kvision.augmentation.draws import Request
 from kvision.augmentation.elastic import MapAugmentation
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
@@ -44,7 +45,7 @@ from kvision.augmentation.warp_and_color import (
 )
 
 
-@dataclass
+@dataclass(slots=True)
 class Child:
     """A child of a container that is executed, with the parameters that it replays, if any."""
 
@@ -85,8 +86,12 @@ def execute(
     x: Tensor, children: Sequence[Child], source: Randomness, position: int | None = None
 ) -> tuple[Tensor, list[Stage]]:
     """Run children on images (B, C, H, W); gives the result and what labels have to follow."""
-    stages: list[Stage] = []
     position = source.position if position is None else position
+    key = _key(x, children, source, position)
+    plan: _RunPlan | None = source.plans.get(key)
+    if plan is not None:
+        return _execute_run(x, children, source, position, plan)
+    stages: list[Stage] = []
     runs = _runs(children, source.plans)
     for i, run in enumerate(runs):
         own = source if i == len(runs) - 1 else source._replace(output=SAME)
@@ -107,6 +112,13 @@ def execute(
 def _position_inside(position: int) -> int:
     """Where the chain of a container begins that is a child at a position, so that its draws are not those of others."""
     return (position + 1) * 256 % (1 << 20)
+
+
+def _key(x: Tensor, children: Sequence[Child], source: Randomness, position: int) -> Hashable:
+    """What the plan of a run depends on besides settings."""
+    _, seed, _, once, _, output, frames, _, time = source
+    modules = [(id(child.module), child.params is None) for child in children]
+    return (x.shape, position, seed is None, once, output, frames, time, *modules)
 
 
 def _runs(children: Sequence[Child], plans: Plans) -> list[list[Child]]:
@@ -191,17 +203,34 @@ class _RunPlan(NamedTuple):
     applied: Sequence[bool]
     steps: Sequence[_Step]
     first: int  # number of the first key, or position in the chain
+    certain: Sequence[bool]  # whether all samples are augmented
+    drawn: DrawnPass | None  # the first step, after the draws
 
 
-def _execute_run(x: Tensor, run: Sequence[Child], source: Randomness, position: int) -> tuple[Tensor, list[Stage]]:
+def _execute_run(
+    x: Tensor, run: Sequence[Child], source: Randomness, position: int, plan: _RunPlan | None = None
+) -> tuple[Tensor, list[Stage]]:
     modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
+    first: tuple[Tensor, Tensor] | None = None  # what the first step gave, if it is executed with the draws
     if run[0].params is not None:
         executions, columns = _replay(x, run)
         steps: Sequence[_Step] = _plan_steps(modules, executions, source)
     else:
-        executions, columns, steps = _draw(x, modules, source, position)
+        keys = None
+        if plan is None:
+            plan, keys = _kept_plan(x, run, source, position)
+        if keys is None:
+            keys = _keys(x, plan, source)
+        if keys is not None and keys.seeds is not None:
+            check_seeds(source.op, keys, x[:: source.frames].shape[0])
+        if plan.drawn is not None and keys is not None:
+            y, matrix, columns = plan.drawn.run(x, keys)
+            first = y, matrix
+        else:
+            columns = _draw(x, plan, keys, source.frames)
+        executions, steps = _executions(plan, columns, keys, source.frames), plan.steps
     for child, module, execution in zip(run, modules, executions):
-        child.execution = module._execution = execution
+        child.execution = module.__dict__["_execution"] = execution  # torch looks for parameters in what it sets
     stages: list[Stage] = []
     for step in steps:
         if isinstance(step, int):
@@ -214,7 +243,8 @@ def _execute_run(x: Tensor, run: Sequence[Child], source: Randomness, position: 
             x = composed.run(x)
             stages.append(composed)
             continue
-        x, matrix = step.own.run(x, columns)
+        x, matrix = step.own.run(x, columns) if first is None else first
+        first = None
         if len(step.geometric) == 1:
             module, execution = modules[step.geometric[0]], executions[step.geometric[0]]
             execution.keep_matrix(matrix)
@@ -273,43 +303,49 @@ def _replay(x: Tensor, run: Sequence[Child]) -> tuple[list[Execution], Tensor | 
     return executions, columns
 
 
-def _draw(
-    x: Tensor, modules: Sequence[AugmentationBase], source: Randomness, position: int
-) -> tuple[list[Execution], Tensor | None, Sequence[_Step]]:
-    """The executions of augmentations whose parameters are drawn by one launch, the columns of all, and what to execute."""
-    key = (x.shape, *map(id, modules), position, source.seed is None, *source[3:4], *source[5:])
+def _kept_plan(x: Tensor, run: Sequence[Child], source: Randomness, position: int) -> tuple[_RunPlan, Keys | None]:
+    """The plan of a run, and the keys that it had to draw, which are those of all its requests then."""
+    key = _key(x, run, source, position)
     plan: _RunPlan | None = source.plans.get(key)
-    keys: Keys | None = None
-    if plan is None:
-        plan, keys = _plan_run(x, modules, source, position)
-        decides = any(m.whole_batch and 0 < m.p_batch < 1 for m in modules)  # on the host, in each call
-        if not decides and all(own.learned is None for own in plan.draws):
-            source.plans.keep(key, plan)
-    samples = x[:: source.frames] if source.frames > 1 else x
-    columns = None
-    if plan.draws:
-        if keys is None:
-            keys = draw_keys(
-                source.op, plan.draws[-1].end - plan.draws[0].begin, x.device, source.seed_of_samples, source.generator
-            )
-        check_seeds(source.op, keys, samples.shape[0])
-        if len(plan.draws) == 1:
-            columns = plan.draws[0].draw(samples, keys)
-        else:
-            columns = torch.cat([own.draw(samples, keys) for own in plan.draws], 1)
-        if source.frames > 1:
-            columns = columns.repeat_interleave(source.frames, 0)
+    if plan is not None:
+        return plan, None
+    modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
+    plan, keys = _plan_run(x, modules, source, position)
+    decides = any(m.whole_batch and 0 < m.p_batch < 1 for m in modules)  # on the host, in each call
+    if not decides and all(own.learned is None for own in plan.draws):
+        source.plans.keep(key, plan)
+    return plan, keys
+
+
+def _keys(x: Tensor, plan: _RunPlan, source: Randomness) -> Keys | None:
+    """The keys of all requests of a run, if there are any."""
+    if not plan.draws:
+        return None
+    count = plan.draws[-1].end - plan.draws[0].begin
+    return draw_keys(source.op, count, x.device, source.seed_of_samples, source.generator)
+
+
+def _draw(x: Tensor, plan: _RunPlan, keys: Keys | None, frames: int) -> Tensor | None:
+    """The columns of all augmentations of a run."""
+    if keys is None:
+        return None
+    samples = x[::frames] if frames > 1 else x
+    drawn = [own.draw(samples, keys) for own in plan.draws]
+    columns = drawn[0] if len(drawn) == 1 else torch.cat(drawn, 1)
+    return columns.repeat_interleave(frames, 0) if frames > 1 else columns
+
+
+def _executions(plan: _RunPlan, columns: Tensor | None, keys: Keys | None, frames: int) -> list[Execution]:
     executions = []
-    for module, request, span, shape, applies in zip(modules, plan.requests, plan.spans, plan.shapes, plan.applied):
-        if request is None or columns is None or span is None or keys is None:
+    for request, span, shape, applies, certain in zip(
+        plan.requests, plan.spans, plan.shapes, plan.applied, plan.certain
+    ):
+        if request is None or span is None or columns is None or keys is None:
             executions.append(Execution(shape, applied=applies))
         else:
-            drawn, redraw = Columns(columns, span), (keys, plan.first + request)
-            certain = module._is_certain
-            executions.append(
-                Execution(shape, drawn, applied=applies, redraw=redraw, frames=source.frames, is_certain=certain)
-            )
-    return executions, columns, plan.steps
+            redraw = (keys, plan.first + request)
+            executions.append(Execution(shape, Columns(columns, span), None, applies, None, redraw, frames, certain))
+    return executions
 
 
 def _plan_run(
@@ -353,7 +389,10 @@ def _plan_run(
         for shape, span, applies in zip(shapes, spans, applied)
     ]
     steps = _plan_steps(modules, planned, source)
-    return _RunPlan(draws, numbers, spans, shapes, applied, steps, first), keys
+    certain = [module._is_certain for module in modules]
+    start = steps[0] if steps and len(draws) == 1 and source.frames == 1 else None
+    drawn = join(draws[0], start.own) if isinstance(start, _Joined) else None
+    return _RunPlan(draws, numbers, spans, shapes, applied, steps, first, certain, drawn), keys
 
 
 def _more_keys(keys: Keys | None, count: int, x: Tensor, source: Randomness) -> Keys:

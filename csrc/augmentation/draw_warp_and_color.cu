@@ -1,0 +1,33 @@
+// Random parameters and the matrices that are made of them on CUDA, for one launch instead of two: a block draws for 32
+// samples, a draw in each warp at a time, and then a thread multiplies the chain of a sample.
+#include "augmentation/draw_warp_and_color.h"
+#include "core/launch.cuh"
+
+namespace kv::augmentation::cuda {
+namespace {
+
+constexpr int kSamples = 32, kMaxWarps = 16;
+
+__global__ void __launch_bounds__(kSamples* kMaxWarps) draw_then_multiply(__grid_constant__ DrawsAndChain const p) {
+  int64_t const b = blockIdx.x * int64_t(kSamples) + threadIdx.x;
+  if (b < p.draws.batch)
+    for (int i = threadIdx.y; i < p.draws.count; i += blockDim.y) draw_sample(p.draws, p.draws.draws[i], b);
+  __syncthreads();
+  if (threadIdx.y > 0 || b >= p.draws.batch) return;
+  TransformMatrix<float> const& chain = p.chain;
+  double m[9];
+  evaluate_chain(chain, m, [&](int column, double number) {
+    return column < 0 ? number : double(chain.parameters[b * chain.stride + column * chain.column_stride]);
+  });
+  for (int i = 0; i < 9; ++i) chain.result[9 * b + i] = float(m[i]);
+}
+
+}  // namespace
+
+int draw_and_multiply(DrawsAndChain const& p, CUstream_st* stream) {
+  dim3 const threads(kSamples, unsigned(clamp(p.draws.count, 1, kMaxWarps)));
+  draw_then_multiply<<<unsigned(ceil_div(p.draws.batch, int64_t(kSamples))), threads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+}  // namespace kv::augmentation::cuda

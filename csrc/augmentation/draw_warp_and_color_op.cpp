@@ -1,0 +1,71 @@
+// Random parameters and the pass over images that reads them, as one operator: a call of torch costs the host more than
+// either.
+#include "augmentation/draw_warp_and_color.h"
+#include "augmentation/draws_glue.h"
+#include "augmentation/transforms_glue.h"
+#include "augmentation/warp_and_color_glue.h"
+
+namespace kv::augmentation {
+namespace {
+
+constexpr char const* kOperator = "draw_warp_and_color";
+
+template <class T>
+std::span<T const> numbers_of(Tensor const& x, ScalarType type) {
+  KV_CHECK(x.is_cpu() && x.dim() == 1 && x.scalar_type() == type && x.is_contiguous(), kOperator,
+           ": expected plans of one axis on the CPU, int64 and float64");
+  return {data_ptr<T const>(x), size_t(x.numel())};
+}
+
+// The matrices of the chain of a pass, drawn with its columns; none where the columns are to be drawn by themselves.
+std::optional<Tensor> drawn_matrix(DrawParameters<float> const& draws, Tensor const& columns,
+                                   std::span<int64_t const> plan, std::span<double const> numbers) {
+#if defined(KV_CUDA)
+  KV_CHECK(plan.size() > 5 && plan[5] >= 0 && size_t(plan[5]) <= plan.size() - 6, kOperator, ": the plan ends early");
+  auto const chain = plan.subspan(6, size_t(plan[5]));
+  size_t const count = count_inputs(kOperator, chain);
+  KV_CHECK(count <= numbers.size(), kOperator, ": expected at least ", count, " numbers, got ", numbers.size());
+  DrawsAndChain p{draws, transform_params<float>(kOperator, columns, chain, numbers.first(count))};
+  Tensor const matrix = empty({draws.batch, 3, 3}, columns);
+  p.chain.result = data_ptr<float>(matrix);
+  KV_RUN(draw_and_multiply, columns, p, draws.batch, 0);
+  return matrix;
+#else
+  return {};
+#endif
+}
+
+// The plan, as join in drawn_pass.py writes it: the number of integers of the draws, and these; how many of the numbers
+// are theirs; the size of the result with its length before it; and the plan of the pass. The result, the matrices or,
+// without a warp, the columns in their place, and the columns.
+std::tuple<Tensor, Tensor, Tensor> draw_warp_and_color(Tensor const& image, Tensor const& keys,
+                                                       std::optional<Tensor> const& seeds, Tensor const& plan,
+                                                       Tensor const& numbers) {
+  auto rest = numbers_of<int64_t>(plan, ScalarType::Long);
+  auto const all_numbers = numbers_of<double>(numbers, ScalarType::Double);
+  auto const next = [&](int64_t count) {
+    KV_CHECK(count >= 0 && size_t(count) <= rest.size(), kOperator, ": the plan ends early");
+    auto const part = rest.first(size_t(count));
+    rest = rest.subspan(size_t(count));
+    return part;
+  };
+  auto const draws = next(next(1)[0]), count = next(1), size = next(next(1)[0]);
+  KV_CHECK(count[0] >= 0 && size_t(count[0]) <= all_numbers.size(), kOperator, ": expected at least ", count[0],
+           " numbers, got ", all_numbers.size());
+  auto const of_draws = all_numbers.first(size_t(count[0])), of_pass = all_numbers.subspan(size_t(count[0]));
+  auto params = draws_of(image, keys, seeds, draws, of_draws);
+  Tensor const columns = columns_for(params, image);
+  std::optional<Tensor> matrices;
+  if (!size.empty()) matrices = drawn_matrix(params, columns, rest, of_pass);
+  if (!matrices) KV_RUN(draw_parameters, image, params, params.count ? params.batch : 0, 64 * params.count);
+  auto const [y, matrix, means] = run_pass(image, columns, {}, matrices, {size.begin(), size.end()},
+                                           {rest.begin(), rest.end()}, {of_pass.begin(), of_pass.end()});
+  return {y, matrix ? *matrix : columns, columns};
+}
+
+}  // namespace
+
+KV_OPERATOR(draw_warp_and_color,
+            "(Tensor image, Tensor keys, Tensor? seeds, Tensor plan, Tensor numbers) -> (Tensor, Tensor, Tensor)")
+
+}  // namespace kv::augmentation

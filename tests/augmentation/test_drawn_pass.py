@@ -1,0 +1,126 @@
+"""Draws and the pass that reads them by one kernel: the same numbers and images as the operators one after the other."""
+
+import contextlib
+
+import pytest
+import torch
+
+import kvision as K
+from kvision import _backend
+from kvision.augmentation import drawn_pass
+from op_tests import assert_close
+
+A = K.augmentation
+
+MAKE = {
+    "crop, flip, jitter, normalize": lambda **options: A.AugmentationSequential(
+        A.RandomResizedCrop((12, 10)),
+        A.RandomHorizontalFlip(),
+        A.ColorJitter(0.2, 0.2, 0.2, 0.1, p=0.7),
+        A.Normalize((0.5, 0.4, 0.3), (0.2, 0.3, 0.4)),
+        **options,
+    ),
+    "affine, then steps of their own": lambda **options: A.ImageSequential(
+        A.RandomAffine(30.0, (0.1, 0.1), p=0.6), A.RandomGaussianBlur(3, (0.5, 1.0)), A.RandomInvert(), **options
+    ),
+    "affine": lambda **options: A.RandomAffine(30.0, (0.1, 0.1), (0.8, 1.2), 10.0, p=0.7, **options),
+    "perspective": lambda **options: A.RandomPerspective(0.4, p=0.7, **options),
+    "color jitter": lambda **options: A.ColorJitter(0.2, 0.2, 0.2, 0.1, p=0.7, **options),
+    "fill": lambda **options: A.RandomCrop((9, 20), padding=4, fill=0.5, **options),
+}
+
+
+@pytest.fixture
+def kernel_calls(monkeypatch):
+    """The calls of the kernel; a list of True or False decides whether it serves."""
+    calls, serves = [], [True]
+    kernel = drawn_pass._draw_warp_and_color
+
+    class Recorder:
+        def serves(self, x):
+            return serves[-1] and kernel.serves(x)
+
+        def __call__(self, *args):
+            calls.append(args)
+            return kernel(*args)
+
+    monkeypatch.setattr(drawn_pass, "_draw_warp_and_color", Recorder())
+    return calls, serves
+
+
+def images(device, dtype=torch.float32, batch=37):
+    x = torch.rand(batch, 3, 16, 18, generator=torch.Generator().manual_seed(3))
+    return (x * 255).to(device, dtype) if dtype == torch.uint8 else x.to(device, dtype)
+
+
+@pytest.mark.parametrize("seed", [None, 5, "each"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
+@pytest.mark.parametrize("name", MAKE)
+def test_equals_the_operators_one_after_the_other(name, dtype, seed, device, kernel_calls):
+    calls, serves = kernel_calls
+    x = images(device, dtype)
+    seed = torch.arange(len(x), device=device) if seed == "each" else seed
+    results = []
+    for fused in (False, True):
+        serves.append(fused)
+        torch.manual_seed(1)
+        augment = MAKE[name]()
+        y = [augment(x, seed=seed), augment(x, seed=seed)][1]  # the second call finds its plan
+        results.append((y, augment.transform_matrix, augment._params, torch.get_rng_state()))
+    assert bool(calls) == (name != "fill" and device.type not in _backend.unserved)
+    (y, matrix, params, state), (fused, fused_matrix, fused_params, fused_state) = results
+    # One kernel may round the matrices otherwise than another; a pixel then moves by as much.
+    tolerance = {torch.float32: 2e-5, torch.float16: 2e-3, torch.uint8: 1.0}[dtype] if device.type == "cuda" else 0.0
+    assert_close(fused, y, 0.0, tolerance)
+    assert_close(fused_matrix, matrix, 0.0, 1e-5 if device.type == "cuda" else 0.0)
+    assert torch.equal(state, fused_state)
+    flat, fused_flat = (torch.utils._pytree.tree_leaves(p) for p in (params, fused_params))
+    assert len(flat) == len(fused_flat)
+    for expected, given in zip(flat, fused_flat):
+        assert torch.equal(expected, given) if isinstance(expected, torch.Tensor) else expected == given
+
+
+@pytest.mark.parametrize("case", ["gradient", "reference", "vmap", "float64", "no samples", "subclass"])
+def test_other_calls_go_through_the_operators(case, device, kernel_calls):
+    calls, _ = kernel_calls
+    augment, x = MAKE["affine"](), images(device)
+    if case == "gradient":
+        assert augment(x.requires_grad_()).requires_grad
+    elif case == "reference":
+        with K.backend("reference"):
+            augment(x)
+    elif case == "vmap":
+        torch.func.vmap(lambda one: augment(one[None], seed=1))(x)
+    elif case == "float64":
+        assert augment(x.double()).dtype == torch.float64
+    elif case == "no samples":
+        assert augment(x[:0]).shape == x[:0].shape
+    else:
+        augment(torch.nn.Parameter(x, requires_grad=False))
+    assert not calls
+    with torch.no_grad() if case == "gradient" else contextlib.nullcontext():
+        augment(images(device))
+    assert bool(calls) == (device.type not in _backend.unserved)
+
+
+def test_plans_are_checked(device):
+    if device.type in _backend.unserved:
+        pytest.skip("this test is about the kernel")
+    own = MAKE["affine"]()._plan(images(device), False).drawn
+    keys = torch.zeros(1, dtype=torch.int64)
+    x = images(device)
+
+    def call(plan, numbers):
+        return torch.ops.kvision.draw_warp_and_color(x, keys, None, plan, numbers)
+
+    call(own.plan, own.numbers)
+    for plan, numbers, message in (
+        (own.plan[:-20], own.numbers, "ends early"),
+        (own.plan[:1], own.numbers, "ends early"),
+        (own.plan.int(), own.numbers, "int64 and float64"),
+        (own.plan, own.numbers.float(), "int64 and float64"),
+        (own.plan, own.numbers[:3], "expected at least"),
+        (own.plan, own.numbers[:-5], "expected"),
+    ):
+        with pytest.raises(RuntimeError, match=f"draw_warp_and_color: .*{message}|warp_and_color: .*{message}"):
+            call(plan, numbers)

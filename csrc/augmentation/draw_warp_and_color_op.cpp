@@ -17,27 +17,39 @@ std::span<T const> numbers_of(Tensor const& x, ScalarType type) {
   return {data_ptr<T const>(x), size_t(x.numel())};
 }
 
-// The matrices of the chain of a pass, drawn with its columns; none where the columns are to be drawn by themselves.
-std::optional<Tensor> drawn_matrix(DrawParameters<float> const& draws, Tensor const& columns,
-                                   std::span<int64_t const> plan, std::span<double const> numbers) {
+struct Drawn {
+  Tensor columns;
+  std::optional<Tensor> matrix;  // none: of the columns, if there is a warp
+};
+
+// Draws columns and, on CUDA, the matrices of the chain that the plan of a pass begins with.
+Drawn draw(Tensor const& image, DrawParameters<float>& draws, [[maybe_unused]] bool warps,
+           [[maybe_unused]] std::span<int64_t const> plan, [[maybe_unused]] std::span<double const> numbers) {
 #if defined(KV_CUDA)
-  KV_CHECK(plan.size() > 5 && plan[5] >= 0 && size_t(plan[5]) <= plan.size() - 6, kOperator, ": the plan ends early");
-  auto const chain = plan.subspan(6, size_t(plan[5]));
-  size_t const count = count_inputs(kOperator, chain);
-  KV_CHECK(count <= numbers.size(), kOperator, ": expected at least ", count, " numbers, got ", numbers.size());
-  DrawsAndChain p{draws, transform_params<float>(kOperator, columns, chain, numbers.first(count))};
-  Tensor const matrix = empty({draws.batch, 3, 3}, columns);
-  p.chain.result = data_ptr<float>(matrix);
-  KV_RUN(draw_and_multiply, columns, p, draws.batch, 0);
-  return matrix;
-#else
-  return {};
+  if (warps) {
+    KV_CHECK(plan.size() > 5 && plan[5] >= 0 && size_t(plan[5]) <= plan.size() - 6, kOperator, ": the plan ends early");
+    auto const chain = plan.subspan(6, size_t(plan[5]));
+    size_t const count = count_inputs(kOperator, chain);
+    KV_CHECK(count <= numbers.size(), kOperator, ": expected at least ", count, " numbers, got ", numbers.size());
+    int64_t const batch = draws.batch, elements = batch * draws.columns;
+    Tensor const memory = empty({elements + 9 * batch}, image, Layout::planar, ScalarType::Float);
+    Tensor const columns = part_of(memory, {batch, draws.columns}, 0),
+                 matrix = part_of(memory, {batch, 3, 3}, elements);
+    draws.result = data_ptr<float>(columns);
+    DrawsAndChain p{draws, transform_params<float>(kOperator, columns, chain, numbers.first(count))};
+    p.chain.result = data_ptr<float>(matrix);
+    KV_RUN(draw_and_multiply, image, p, batch, 0);
+    return {columns, matrix};
+  }
 #endif
+  Tensor const columns = columns_for(draws, image);
+  KV_RUN(draw_parameters, image, draws, draws.count ? draws.batch : 0, 64 * draws.count);
+  return {columns, {}};
 }
 
-// The plan, as join in drawn_pass.py writes it: the number of integers of the draws, and these; how many of the numbers
-// are theirs; the size of the result with its length before it; and the plan of the pass. The result, the matrices or,
-// without a warp, the columns in their place, and the columns.
+// The plan, as DrawnPass in drawn_pass.py writes it: the number of integers of the draws, and these; how many of the
+// numbers are theirs; the size of the result with its length before it; and the plan of the pass. The result, the
+// matrices or, without a warp, the columns in their place, and the columns.
 std::tuple<Tensor, Tensor, Tensor> draw_warp_and_color(Tensor const& image, Tensor const& keys,
                                                        std::optional<Tensor> const& seeds, Tensor const& plan,
                                                        Tensor const& numbers) {
@@ -54,11 +66,8 @@ std::tuple<Tensor, Tensor, Tensor> draw_warp_and_color(Tensor const& image, Tens
            " numbers, got ", all_numbers.size());
   auto const of_draws = all_numbers.first(size_t(count[0])), of_pass = all_numbers.subspan(size_t(count[0]));
   auto params = draws_of(image, keys, seeds, draws, of_draws);
-  Tensor const columns = columns_for(params, image);
-  std::optional<Tensor> matrices;
-  if (!size.empty()) matrices = drawn_matrix(params, columns, rest, of_pass);
-  if (!matrices) KV_RUN(draw_parameters, image, params, params.count ? params.batch : 0, 64 * params.count);
-  auto const [y, matrix, means] = run_pass(image, columns, {}, matrices, {size.begin(), size.end()},
+  auto const [columns, drawn_matrix] = draw(image, params, !size.empty(), rest, of_pass);
+  auto const [y, matrix, means] = run_pass(image, columns, {}, drawn_matrix, {size.begin(), size.end()},
                                            {rest.begin(), rest.end()}, {of_pass.begin(), of_pass.end()});
   return {y, matrix ? *matrix : columns, columns};
 }

@@ -373,9 +373,10 @@ class Operator:
 
 
 class Shortcut:
-    """A kernel that does what several operators do one after the other, for one trip through the dispatcher.
+    """A kernel for calls that are nothing but kernels, where that costs the host less than operators do.
 
-    It has neither gradients nor rules for tracing: callers ask `serves`, and otherwise call the operators.
+    It stands for several operators in a row, or for one with fewer arguments. It has no gradients and no rules for
+    tracing: callers ask `serves`, and otherwise call the operators.
 
     Args:
         name: name of the kernel, `torch.ops.kvision.<name>`.
@@ -387,19 +388,17 @@ class Shortcut:
         self._on_cpu, self._on_cuda = (
             frozenset(() if "cpu" in unserved or device in unserved else dtypes) for device in ("cpu", "cuda")
         )
-        self._call_kernel: Any = None if "cpu" in unserved else kernel_caller(find_operator("kvision", name).default)
+        self.kernel: Any = None if "cpu" in unserved else kernel_caller(find_operator("kvision", name).default)
 
     def serves(self, x: Tensor) -> bool:
         """Whether a call on images `x` would be nothing but kernels: no reference, no graph, no transform, no tracing."""
-        if is_compiling() or is_tracing() or type(x) is not Tensor:
+        if is_compiling() or is_tracing() or type(x) is not Tensor or (x.requires_grad and is_grad_enabled()):
             return False
         if x.dtype not in (self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()) or x.numel() == 0:
             return False
-        return not (wants_derivative(x) or (_backend.ask_backend and current_backend() == "reference"))
-
-    def __call__(self, *args: Any) -> Any:
-        with below_autograd():
-            return self._call_kernel(*args)
+        if in_function_transform() or in_forward_ad():
+            return False
+        return not _backend.ask_backend or current_backend() != "reference"
 
 
 def not_empty(x: Tensor, *_: Any) -> str | None:

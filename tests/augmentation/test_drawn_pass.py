@@ -34,15 +34,15 @@ MAKE = {
 def kernel_calls(monkeypatch):
     """The calls of the kernel; a list of True or False decides whether it serves."""
     calls, serves = [], [True]
-    kernel = drawn_pass._draw_warp_and_color
+    shortcut = drawn_pass._draw_warp_and_color
 
     class Recorder:
         def serves(self, x):
-            return serves[-1] and kernel.serves(x)
+            return serves[-1] and shortcut.serves(x)
 
-        def __call__(self, *args):
+        def kernel(self, *args):
             calls.append(args)
-            return kernel(*args)
+            return shortcut.kernel(*args)
 
     monkeypatch.setattr(drawn_pass, "_draw_warp_and_color", Recorder())
     return calls, serves
@@ -106,21 +106,21 @@ def test_other_calls_go_through_the_operators(case, device, kernel_calls):
 def test_plans_are_checked(device):
     if device.type in _backend.unserved:
         pytest.skip("this test is about the kernel")
-    own = MAKE["affine"]()._plan(images(device), False).drawn
+    own_plan, own_numbers = MAKE["affine"]()._plan(images(device), False).drawn._packed()
     keys = torch.zeros(1, dtype=torch.int64)
     x = images(device)
 
     def call(plan, numbers):
         return torch.ops.kvision.draw_warp_and_color(x, keys, None, plan, numbers)
 
-    call(own.plan, own.numbers)
+    call(own_plan, own_numbers)
     for plan, numbers, message in (
-        (own.plan[:-20], own.numbers, "ends early"),
-        (own.plan[:1], own.numbers, "ends early"),
-        (own.plan.int(), own.numbers, "int64 and float64"),
-        (own.plan, own.numbers.float(), "int64 and float64"),
-        (own.plan, own.numbers[:3], "expected at least"),
-        (own.plan, own.numbers[:-5], "expected"),
+        (own_plan[:-20], own_numbers, "ends early"),
+        (own_plan[:1], own_numbers, "ends early"),
+        (own_plan.int(), own_numbers, "int64 and float64"),
+        (own_plan, own_numbers.float(), "int64 and float64"),
+        (own_plan, own_numbers[:3], "expected at least"),
+        (own_plan, own_numbers[:-5], "expected"),
     ):
         with pytest.raises(RuntimeError, match=f"draw_warp_and_color: .*{message}|warp_and_color: .*{message}"):
             call(plan, numbers)

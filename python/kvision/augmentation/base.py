@@ -24,7 +24,7 @@ from torch import Generator, Tensor, nn
 from kvision._ops import match_layout
 from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, identity_values, plan_draws
 from kvision.augmentation.configuration import Flags, Plans, settings_changed
-from kvision.augmentation.drawn_pass import DrawnPass, join
+from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.draws import Draw, Request, is_chosen_batch
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
 from kvision.augmentation.maps import exact
@@ -283,7 +283,7 @@ class AugmentationBase(_KeepsArguments):
             decides = self.whole_batch and 0 < self.p_batch < 1  # on the host, in each call
             applied = not decides and self._applies(None, 0)
             own = self._pass(shape, None if draws is None else draws.spans[0], self.flags) if applied else None
-            drawn = None if own is None or draws is None else join(draws, own)
+            drawn = None if own is None or draws is None else DrawnPass(draws, own)
             plan = CallPlan(shape, draws, self._is_certain, own, drawn)
             if draws is None or draws.learned is None:
                 self._plans.keep(key, plan)

@@ -27,7 +27,7 @@ from kvision.augmentation.base import AugmentationBase, Execution, Shape
 from kvision.augmentation.columns import Columns, DrawPlan, Span, plan_draws
 from kvision.augmentation.configuration import Plans
 from kvision.augmentation.container.stages import Applied, Composed, MapLink, Stage, Warp
-from kvision.augmentation.drawn_pass import DrawnPass, join
+from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.draws import Request
 from kvision.augmentation.elastic import MapAugmentation
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
@@ -391,7 +391,7 @@ def _plan_run(
     steps = _plan_steps(modules, planned, source)
     certain = [module._is_certain for module in modules]
     start = steps[0] if steps and len(draws) == 1 and source.frames == 1 else None
-    drawn = join(draws[0], start.own) if isinstance(start, _Joined) else None
+    drawn = DrawnPass(draws[0], start.own) if isinstance(start, _Joined) else None
     return _RunPlan(draws, numbers, spans, shapes, applied, steps, first, certain, drawn), keys
 
 

@@ -9,6 +9,7 @@ import torch
 
 import kvision as K
 from kvision import _backend
+from kvision.color import program
 from kvision.color.program import arguments, run
 from kvision.color.steps import STEPS
 from op_tests import OpTests
@@ -174,3 +175,29 @@ def test_luma_of_bytes_takes_any_weights(weights, channels_last, device):
     exact = sum(w * x[:, k : k + 1].double() for k, w in enumerate(weights))
     expected = ((exact + 16384) / 32768).floor().clamp(0, 255).to(torch.uint8)
     assert torch.equal(y, expected)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.float16, torch.uint8], ids=str)
+def test_steps_of_numbers_take_a_kernel_of_their_own(dtype, device):
+    """One with fewer arguments, for calls that want no gradient; its results are those of the operator."""
+    if device.type in _backend.unserved:
+        pytest.skip("this test is about the kernels")
+    x = torch.rand(2, 3, 5, 7, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    x = (x * 255).to(device, dtype) if dtype == torch.uint8 else x.to(device, dtype)
+    serves = program._program_of_numbers.serves
+    assert serves(x) and not serves(x[:0]) and not serves(torch.nn.Parameter(x, requires_grad=False))
+    for call in (
+        lambda x: K.enhance.adjust_gamma(x, 0.7, 1.1),
+        lambda x: K.enhance.adjust_contrast_with_mean_subtraction(x, 1.3),
+        lambda x: K.enhance.adjust_hue(x, 0.4),
+    ):
+        y = call(x)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(program._program_of_numbers, "_on_cpu", frozenset())
+            patch.setattr(program._program_of_numbers, "_on_cuda", frozenset())
+            assert not serves(x) and torch.equal(call(x), y)
+        with K.backend("reference"):
+            assert not serves(x)
+        if dtype != torch.uint8:
+            leaf = x.clone().requires_grad_()
+            assert not serves(leaf) and call(leaf).requires_grad

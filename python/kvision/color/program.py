@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from kvision._ops import match_layout, register, saturate_to_byte, with_kernel_casts
+from kvision._ops import FLOATS, Shortcut, match_layout, register, saturate_to_byte, with_kernel_casts
 from kvision.color.steps import CONTRAST, NAMES, STEPS
 
 MAX_STEPS, MAX_NUMBERS, MAX_TENSORS = 16, 64, 6  # of a program: kMaxSteps, kMaxParameters and kMaxTensors of program.h
@@ -205,6 +205,7 @@ _program_around_mean = register(
     casts_outputs=True,
     supports=_supports,
 )
+_program_of_numbers = Shortcut("color_program_of_numbers", (*FLOATS, torch.uint8))
 _program_backward = register("color_program_backward", _reference_backward, fake=_gradients, casts_outputs=True)
 
 # --- calls ----------------------------------------------------------------------------------------------------------
@@ -328,10 +329,12 @@ def step(
     if measure is not None:
         _measurements[name] = measure
         composed = with_kernel_casts(lambda x, *parameters: reference(x, *parameters, measure(x)), levels=255)
-    steps, per_value, rest = [STEPS[name].number], name in _PER_VALUE, [0.0] * (name in _measurements)
+    steps, per_value, rest = [STEPS[name].number], name in _PER_VALUE, (0.0,) * (name in _measurements)
     plan = _plan(None, _SAME, steps, _NO_COLUMNS)
+    plan_tensor: Tensor | None = None
 
     def run_one_step(x: Tensor, *parameters: float | Tensor) -> Tensor:
+        nonlocal plan_tensor
         fits = x.numel() > 0 or 0 not in x.shape[2:]  # kernels need at least one pixel
         plain = True
         for p in parameters:
@@ -341,9 +344,14 @@ def step(
         if not fits:
             return composed(x, *_split_columns(parameters))
         if plain:  # the most common case needs no conversion of parameters
+            numbers = parameters + rest
+            if _program_of_numbers.serves(x):
+                if plan_tensor is None:
+                    plan_tensor = torch.tensor(plan, device="cpu")
+                return _program_of_numbers.kernel(x, plan_tensor, numbers)
             if rest:
-                return _program_around_mean(x, *_NO_TENSORS, None, plan, [*parameters, *rest])[0]
-            return _program(x, *_NO_TENSORS, None, plan, parameters)
+                return _program_around_mean(x, *_NO_TENSORS, None, plan, numbers)[0]
+            return _program(x, *_NO_TENSORS, None, plan, numbers)
         return _run(x, steps, arguments([*parameters, *rest]), None)
 
     return run_one_step

@@ -124,3 +124,16 @@ def test_plans_are_checked(device):
     ):
         with pytest.raises(RuntimeError, match=f"draw_warp_and_color: .*{message}|warp_and_color: .*{message}"):
             call(plan, numbers)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.float16, torch.bfloat16, torch.uint8], ids=str)
+def test_posterize_rounds_to_the_type_of_the_images(dtype, device):
+    """All levels by all numbers of bits, as a step of a pass and as the function."""
+    levels = torch.arange(256, device=device).reshape(1, 1, 16, 16).expand(27, 3, 16, 16)
+    x = levels.to(dtype) if dtype == torch.uint8 else (levels / 255).to(dtype)
+    augment = A.RandomPosterize((0, 8), p=0.8)
+    y = augment(x)
+    chosen, bits = augment._params["batch_prob"] > 0.5, augment._params["bits_factor"]
+    assert 0 < chosen.sum() < 27
+    assert torch.equal(y, K.enhance.posterize(x, torch.where(chosen, bits, 8).to(device)))
+    assert torch.equal(augment(x, params=augment._params), y)

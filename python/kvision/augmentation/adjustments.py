@@ -9,7 +9,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision import enhance
 from kvision.augmentation.base import Params, Shape
 from kvision.augmentation.intensity_base import ColorStep, ColorSteps, IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.color import PosterizeGenerator, ScaledGenerator
@@ -317,12 +316,8 @@ class RandomPosterize(IntensityAugmentationBase2D):
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator = PosterizeGenerator(bits)
 
-    accepts_bytes = False
-
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        return enhance.posterize(input, params["bits_factor"])
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
+        return ColorSteps([ColorStep("posterize", (0.0, 1.0), (0, -1))])
 
 
 class RandomRGBShift(IntensityAugmentationBase2D):

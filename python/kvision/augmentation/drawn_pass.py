@@ -10,6 +10,7 @@ from kvision.augmentation.columns import DrawPlan
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.warp_and_color import Pass
 from kvision.color.program import _DTYPES
+from kvision.enhance.posterize import SPLIT
 
 _draw_warp_and_color = Shortcut("draw_warp_and_color", (torch.float32, torch.float16, torch.bfloat16, torch.uint8))
 
@@ -21,11 +22,12 @@ class DrawnPass:
         self.draws, self.own = draws, own
         in_doubles = own.plan[0] == _DTYPES.index(torch.float64)
         self.has_kernel = draws.learned is None and own.resampling is None and not own.chain and not in_doubles
+        self._rounds = SPLIT if own.splits else ()  # the types for which the pass has other numbers
         self._plan: tuple[Tensor, Tensor] | None = None
 
     def run(self, x: Tensor, keys: Keys) -> tuple[Tensor, Tensor, Tensor]:
         """The result, the matrices (B, 3, 3) of the warp, which do not carry gradients, and the columns."""
-        if self.has_kernel and _draw_warp_and_color.serves(x):
+        if self.has_kernel and x.dtype not in self._rounds and _draw_warp_and_color.serves(x):
             if self._plan is None:
                 self._plan = self._packed()
             seeds = None if keys.seeds is None else keys.seeds.to(x.device, non_blocking=True)

@@ -21,6 +21,7 @@ from kvision.augmentation.transforms import MAX_TRANSFORMS, Transform
 from kvision.color import program
 from kvision.color.program import MAX_TENSORS
 from kvision.color.steps import CONTRAST, STEPS
+from kvision.enhance.posterize import SPLIT
 from kvision.geometry.transform import sampling
 
 # Arguments of the operator: images (B, C, H, W); columns (B, P) in the type that computes, or None; the fill as warps take it, or
@@ -321,6 +322,7 @@ class Pass(NamedTuple):
     numbers: list[float]
     resampling: Resampling | None  # with a fill value
     chain: Sequence[Transform]  # the transforms that did not fit the kernel, after which the matrix is computed before
+    splits: Sequence[int] = ()  # the numbers that say how posterization rounds to the type of the images
 
     @property
     def warps(self) -> bool:
@@ -337,8 +339,13 @@ class Pass(NamedTuple):
             columns = columns.to(dtype)
         if self.chain:
             columns = transforms.transform_matrix(_columns_of(x, columns), self.chain).flatten(1)
-        y, matrix, _ = warp_and_color(x, columns, fill, self.size, self.plan, self.numbers)
+        y, matrix, _ = warp_and_color(x, columns, fill, self.size, self.plan, self._numbers_for(x))
         return y, matrix
+
+    def _numbers_for(self, x: Tensor) -> list[float]:
+        if not self.splits or x.dtype not in SPLIT:
+            return self.numbers
+        return [SPLIT[x.dtype] if i in self.splits else number for i, number in enumerate(self.numbers)]
 
 
 def make_pass(
@@ -364,12 +371,15 @@ def make_pass(
     steps: list[int] = []
     columns: list[int] = []
     order: list[int] = []
+    splits: list[int] = []
     is_ordered = any(part.order is not None for part in parts)
     for part in parts:
         first = len(steps)
         for step in part.steps:
             count = STEPS[step.name].parameters
             steps.append(step.number)
+            if step.name == "posterize":
+                splits.append(len(numbers) + 1)
             numbers += [*step.parameters, *[0.0] * (count - len(step.parameters))]
             columns += [part.first + c if c >= 0 else -1 for c in step.columns] + [-1] * (count - len(step.columns))
         if is_ordered:
@@ -384,9 +394,8 @@ def make_pass(
     ]
     plan = [*head, len(transform_plan), *transform_plan, len(steps), *steps, len(columns), *columns, *order]
     has_fill = resampling is not None and resampling.padding == "fill" and resampling.fill is not None
-    return Pass(
-        [] if chain is None else list(size), plan, [float(x) for x in numbers], resampling if has_fill else None, before
-    )
+    size = [] if chain is None else list(size)
+    return Pass(size, plan, [float(x) for x in numbers], resampling if has_fill else None, before, splits)
 
 
 def fits_one_program(parts: Sequence[ColorPart]) -> bool:

@@ -22,7 +22,6 @@ from kvision.augmentation.container.stages import Stage, Warp
 from kvision.augmentation.geometric_base import warp
 from kvision.augmentation.transforms import transform_matrix
 from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Pass, Resampling, make_pass
-from kvision.enhance.posterize import SPLIT
 
 
 class Operation(NamedTuple):
@@ -97,7 +96,7 @@ def execute_step(x: Tensor, names: Sequence[str], operation: Tensor, value: Tens
     if color:
         values = torch.where(operation == OPERATIONS["posterize"].number, value.round(), value)
         columns = torch.cat([values[:, None], _orders(color, value.device, value.dtype)[operation]], 1)
-        x, _ = _color_pass(color, x.dtype).run(x, columns)
+        x, _ = _color_pass(color).run(x, columns)
     for name, function in _ALONE.items():
         if name in names:
             chosen = is_one(operation, name)
@@ -144,10 +143,8 @@ def _orders(color: tuple[str, ...], device: torch.device, dtype: torch.dtype) ->
 
 
 @functools.lru_cache(maxsize=32)
-def _color_pass(color: tuple[str, ...], dtype: torch.dtype) -> Pass:
+def _color_pass(color: tuple[str, ...]) -> Pass:
     steps = [_COLOR[name] for name in color]
-    if dtype in SPLIT:
-        steps = [step._replace(parameters=(0.0, SPLIT[dtype])) if step.name == "posterize" else step for step in steps]
     return make_pass(None, parts=[ColorPart(steps, 0, range(1, 1 + len(steps)))])
 
 

@@ -21,19 +21,24 @@ struct AxisWeights {
     int64_t const before = same ? (size - 1) / 2 : 0;
     Taps<F> taps{nullptr, 0, F(sigma), int(size), int(transposed ? size - 1 - before : before), gaussian, transposed};
     if (tensor) {
-      taps.data = static_cast<F const*>(tensor->const_data_ptr()) + column;
-      taps.stride = tensor->size(0) > 1 ? tensor->size(1) : 0;
+      taps.data = static_cast<F const*>(tensor->const_data_ptr()) + column * tensor->stride(1);
+      taps.stride = tensor->size(0) > 1 ? tensor->stride(0) : 0;
     }
     return taps;
   }
 };
 
-// `rows` contiguous: weights or sigmas of images `x`, (B or 1, n) in the compute type of `x`.
-inline Tensor checked_weights(char const* op, Tensor const& rows, Tensor const& x) {
+// Weights or sigmas of images `x`, (B or 1, n) in the compute type of `x`.
+inline void check_sample_weights(char const* op, Tensor const& rows, Tensor const& x) {
   KV_CHECK(rows.dim() == 2 && rows.size(1) > 0 && (rows.size(0) == 1 || rows.size(0) == x.size(0)), op,
            ": expected weights or sigmas of shape (B or 1, n)");
   KV_CHECK(rows.scalar_type() == compute_dtype(x) && rows.device() == x.device(), op,
            ": weights or sigmas differ in dtype or device from what the input is computed in");
+}
+
+// `rows` contiguous.
+inline Tensor checked_weights(char const* op, Tensor const& rows, Tensor const& x) {
+  check_sample_weights(op, rows, x);
   return dense(rows);
 }
 
@@ -90,12 +95,11 @@ inline Tensor run_gaussian(char const* op, Tensor const& input, std::optional<Te
                            int64_t kx, double sigma_y, double sigma_x, int64_t border, bool transposed, double alpha,
                            double beta) {
   check_window(op, ky, kx);
-  std::optional<Tensor> rows;
   if (sigma) {
-    rows = checked_weights(op, *sigma, input);
-    KV_CHECK(rows->size(1) == 2, op, ": expected sigma of shape (B or 1, 2)");
+    check_sample_weights(op, *sigma, input);
+    KV_CHECK(sigma->size(1) == 2, op, ": expected sigma of shape (B or 1, 2)");
   }
-  Tensor const* const tensor = rows ? &*rows : nullptr;
+  Tensor const* const tensor = sigma ? &*sigma : nullptr;  // of any strides
   return run_separable(op, input, {tensor, kx, true, 1, sigma_x}, {tensor, ky, true, 0, sigma_y}, to_border(op, border),
                        true, transposed, alpha, beta);
 }

@@ -507,11 +507,12 @@ class AugmentationBase(_KeepsArguments):
             execution.params = {**self._read_params(execution), **self.generate_parameters(execution.shape)}
             return self._on_device(execution.params, x.device)
         params: Params = {"forward_input_shape": torch.tensor(execution.shape)} if for_users else {}
-        if execution.columns is None or self._param_generator is None:
+        generator = self._param_generator
+        if execution.columns is None or generator is None:
             return params
         values, shape = execution.columns.values, execution.shape
-        params.update(self._param_generator.to_params(values, shape))
-        if self._param_generator.per_pixel and execution.redraw is not None:
+        params.update(generator.to_params(values, shape))
+        if generator.per_pixel and execution.redraw is not None:
             noise = PixelNoise(*execution.redraw, self.same_on_batch, x.device)
             if self.fuses_noise and execution.frames == 1 and not self._is_customized():
                 params["_noise"] = (values, noise)

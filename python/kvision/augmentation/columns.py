@@ -46,7 +46,8 @@ class Columns(NamedTuple):
     @property
     def values(self) -> Tensor:
         """(B, P), the parameters."""
-        return self.drawn[:, self.span.first_value : self.span.first + self.span.width]
+        first, end = self.span.first_value, self.span.first + self.span.width
+        return self.drawn if end - first == self.drawn.shape[1] else self.drawn[:, first:end]
 
 
 class DrawPlan(NamedTuple):

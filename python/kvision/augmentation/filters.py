@@ -115,7 +115,7 @@ class RandomGaussianBlur(IntensityAugmentationBase2D):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         return filters.gaussian_blur2d(
-            input, flags["kernel_size"], params["sigma"][:, None].expand(-1, 2), border_name(flags["border_type"])
+            input, flags["kernel_size"], params["sigma"].unsqueeze(1).expand(-1, 2), border_name(flags["border_type"])
         )
 
 

@@ -26,20 +26,32 @@ def microseconds(call: Callable[[], Any]) -> float:
     return min(host_seconds(call, calls=20, blocks=7) for _ in range(3)) * 1e6
 
 
-def operators_of(call: Callable[[], Any]) -> list[tuple[_ops.Operator, tuple[Any, ...]]]:
-    """The operators that a call dispatches, with their arguments."""
-    seen: list[tuple[_ops.Operator, tuple[Any, ...]]] = []
+def operators_of(call: Callable[[], Any]) -> list[tuple[Callable[..., Any], tuple[Any, ...]]]:
+    """The operators and the kernels of shortcuts that a call dispatches, with their arguments."""
+    seen: list[tuple[Callable[..., Any], tuple[Any, ...]]] = []
     called = _ops.Operator.__call__
+    kernels = [shortcut.kernel for shortcut in _ops.Shortcut.all]
 
     def record(self: _ops.Operator, *args: Any) -> Any:
         seen.append((self, args))
         return called(self, *args)
 
+    def recorder(kernel: Any) -> Callable[..., Any]:
+        def record_kernel(*args: Any) -> Any:
+            seen.append((kernel, args))
+            return kernel(*args)
+
+        return record_kernel
+
     _ops.Operator.__call__ = record  # type: ignore[method-assign]
+    for shortcut, kernel in zip(_ops.Shortcut.all, kernels):
+        shortcut.kernel = recorder(kernel)
     try:
         call()
     finally:
         _ops.Operator.__call__ = called  # type: ignore[method-assign]
+        for shortcut, kernel in zip(_ops.Shortcut.all, kernels):
+            shortcut.kernel = kernel
     return seen
 
 

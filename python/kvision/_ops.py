@@ -18,7 +18,7 @@ import contextlib
 import functools
 import importlib
 from collections.abc import Callable, Collection, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import torch
 from torch import Tensor, is_grad_enabled
@@ -383,7 +383,10 @@ class Shortcut:
         dtypes: of the images that it takes.
     """
 
+    all: ClassVar[list[Shortcut]] = []
+
     def __init__(self, name: str, dtypes: Collection[torch.dtype]) -> None:
+        self.all.append(self)
         unserved = unserved_devices(name)
         self._on_cpu, self._on_cuda = (
             frozenset(() if "cpu" in unserved or device in unserved else dtypes) for device in ("cpu", "cuda")
@@ -392,7 +395,7 @@ class Shortcut:
 
     def serves(self, x: Tensor) -> bool:
         """Whether a call on images `x` would be nothing but kernels: no reference, no graph, no transform, no tracing."""
-        if is_compiling() or is_tracing() or type(x) is not Tensor or (x.requires_grad and is_grad_enabled()):
+        if (x.requires_grad and is_grad_enabled()) or is_compiling() or is_tracing() or type(x) is not Tensor:
             return False
         if x.dtype not in (self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()) or x.numel() == 0:
             return False

@@ -188,23 +188,57 @@ __global__ void __launch_bounds__(kThreads) differentiate(__grid_constant__ TwoN
   if (i < own.listed)
     for (int k = 0; k < 2; ++k) {
       int64_t const at = 2 * (b * own.listed + i) + k, j = own.indices[at];
-      if (j >= 0 && j < other.count) add_gradient(x, others + j * p.width, own.grad[at], p.width, grad_x);
+      if (j >= 0 && j < other.count && own.grad[at] != 0)
+        add_gradient(x, others + j * p.width, own.grad[at], p.width, grad_x);
     }
+  // Few pairs of a list of matches have a gradient, and some descriptors are neighbors of hundreds of others.
   int64_t const* const list = other.indices + 2 * b * other.listed;
+  T const* const grads = other.grad + 2 * b * other.listed;
   for (int64_t start = 0; start < 2 * int64_t(other.listed); start += 32) {
-    bool const points_here = start + lane < 2 * int64_t(other.listed) && list[start + lane] == i;
+    bool const points_here =
+        start + lane < 2 * int64_t(other.listed) && list[start + lane] == i && grads[start + lane] != 0;
     for (unsigned lanes = __ballot_sync(kAllLanes, points_here); lanes; lanes &= lanes - 1) {
       int64_t const at = start + __ffs(int(lanes)) - 1;
-      T const grad = other.grad[2 * b * other.listed + at];
-      add_gradient(x, others + at / 2 * p.width, grad, p.width, grad_x);
+      add_gradient(x, others + at / 2 * p.width, grads[at], p.width, grad_x);
     }
   }
+}
+
+constexpr int kSelectors = 1024;
+
+// A block a sample goes through its descriptors in order.
+template <class T>
+__global__ void __launch_bounds__(kSelectors) select(__grid_constant__ SelectMatches<T> const p) {
+  __shared__ int of_warps[kSelectors / 32];
+  int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
+  int64_t const sample = blockIdx.x;
+  int size = 0;
+  for (int start = 0; start < p.count1; start += kSelectors) {
+    int const i = start + int(threadIdx.x);
+    T score;
+    bool const is_match = i < p.count1 && p.is_match(sample, i, score);
+    unsigned const matches = __ballot_sync(kAllLanes, is_match);
+    if (lane == 0) of_warps[warp] = __popc(matches);
+    __syncthreads();
+    int before = size, all = 0;
+    for (int w = 0; w < kSelectors / 32; ++w) {
+      before += w < warp ? of_warps[w] : 0;
+      all += of_warps[w];
+    }
+    if (is_match) p.store(sample, before + __popc(matches & ((1u << lane) - 1)), i, score);
+    size += all;
+    __syncthreads();  // before the next counts
+  }
+  if (threadIdx.x == 0) p.sizes[sample] = size;
+  for (int slot = size + int(threadIdx.x); slot < p.count1; slot += kSelectors) p.clear(sample, slot);
 }
 
 }  // namespace
 
 template <class T>
 int two_nearest(TwoNearest<T> const& p, CUstream_st* stream) {
+  if constexpr (sizeof(T) == 4)
+    if (p.first.half_squares) return find_matching_candidates(p, stream);
   unsigned const blocks = unsigned(p.batch * ceil_div(p.first.count, kMatchingTile<T>) * p.first.splits);
   find<T><<<blocks, kThreads, 0, stream>>>(p);
   return cudaGetLastError();
@@ -212,6 +246,8 @@ int two_nearest(TwoNearest<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int two_nearest_merge(TwoNearest<T> const& p, CUstream_st* stream) {
+  if constexpr (sizeof(T) == 4)
+    if (p.first.half_squares) return choose_matching_neighbors(p, stream);
   int64_t const elements = p.batch * (p.first.count + (p.second.partial ? p.second.count : 0));
   merge<T><<<unsigned(ceil_div(elements, kThreads)), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
@@ -224,8 +260,15 @@ int two_nearest_backward(TwoNearestBackward<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+template <class T>
+int select_matches(SelectMatches<T> const& p, CUstream_st* stream) {
+  select<T><<<unsigned(p.batch), kSelectors, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
 KV_INSTANTIATE_COMPUTED(two_nearest, TwoNearest)
 KV_INSTANTIATE_COMPUTED(two_nearest_merge, TwoNearest)
 KV_INSTANTIATE_COMPUTED(two_nearest_backward, TwoNearestBackward)
+KV_INSTANTIATE_COMPUTED(select_matches, SelectMatches)
 
 }  // namespace kv::feature::cuda

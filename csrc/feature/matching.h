@@ -42,6 +42,17 @@ struct Neighbors {
   }
 };
 
+// Rows of a chunk that one thread of the CPU processes, and of a tile that one block of CUDA does.
+constexpr int kMatchingCpuRows = 256;
+template <class T>
+constexpr int kMatchingTile = sizeof(T) == 4 ? 128 : 64;
+
+// The three nearest descriptors of a tile, as matching_candidates.cu has them.
+struct Candidates {
+  int v[3];
+  static KV_HD Candidates none() { return {{INT32_MAX, INT32_MAX, INT32_MAX}}; }
+};
+
 // Descriptors of one of the two sets: (batch, count, width).
 template <class T>
 struct DescriptorSet {
@@ -54,6 +65,11 @@ struct DescriptorSet {
   Neighbors<T>* partial;  // (batch, splits, count); null if the neighbors are not wanted
   T* distances;           // (batch, count, 2)
   int64_t* indices;       // (batch, count, 2)
+  // Of CUDA's kernels for float32, else null:
+  T* half_squares;         // (batch, count)
+  Candidates* candidates;  // (batch, count, tiles of the other set); null if the neighbors are not wanted
+
+  KV_HD unsigned tiles() const { return unsigned((count + kMatchingTile<T> - 1) / kMatchingTile<T>); }
 };
 
 template <class T>
@@ -112,13 +128,57 @@ KV_HD F distance_vjp(F grad, F square) {
   return square > 0 ? grad / sqrt(square) : F(0);
 }
 
+// The lists of matches among neighbors: those that are mutual, if there are neighbors of the second set, and whose
+// ratios of the nearest distance to the second are at most `threshold`, if ratios are asked for. A sample's are in the
+// order of the first set, and the slots after them are 0 and -1.
+template <class T>
+struct SelectMatches {
+  T const *distances1, *distances2;  // (batch, count, 2); null: the other direction does not matter
+  int64_t const *indices1, *indices2;
+  int64_t batch;
+  int count1, count2;
+  bool ratios;
+  T threshold;
+  T* scores;         // (batch, count1): the larger ratio, or the distance
+  int64_t* indices;  // (batch, count1, 2)
+  int64_t* sizes;    // (batch)
+
+  // The ratio of neighbors i; NaN, which passes no test, where there are no two.
+  static KV_HD T ratio(T const* distances, int64_t const* indices, int64_t i) {
+    return indices[2 * i + 1] >= 0 ? distances[2 * i] / distances[2 * i + 1] : T(__builtin_nan(""));
+  }
+  // Whether descriptor i of a sample has a match, and its score.
+  KV_HD bool is_match(int64_t sample, int i, T& score) const {
+    int64_t const own = sample * count1 + i, nearest = indices1[2 * own], back = sample * count2 + nearest;
+    if (nearest < 0 || nearest >= count2) return false;
+    if (indices2 && indices2[2 * back] != i) return false;
+    score = ratios ? ratio(distances1, indices1, own) : distances1[2 * own];
+    if (!ratios) return true;
+    T const other = indices2 ? ratio(distances2, indices2, back) : score;
+    bool const passes = score <= threshold && other <= threshold;
+    score = score < other ? other : score;
+    return passes;
+  }
+  KV_HD void store(int64_t sample, int64_t slot, int i, T score) const {
+    int64_t const at = sample * count1 + slot;
+    scores[at] = score;
+    indices[2 * at] = i, indices[2 * at + 1] = indices1[2 * (sample * count1 + i)];
+  }
+  KV_HD void clear(int64_t sample, int64_t slot) const {
+    int64_t const at = sample * count1 + slot;
+    scores[at] = 0, indices[2 * at] = -1, indices[2 * at + 1] = -1;
+  }
+};
+
 KV_KERNEL(two_nearest, TwoNearest)
 KV_KERNEL(two_nearest_merge, TwoNearest)
 KV_KERNEL(two_nearest_backward, TwoNearestBackward)
+KV_KERNEL(select_matches, SelectMatches)
 
-// Rows of a chunk that one thread of the CPU or one block of CUDA processes.
-constexpr int kMatchingCpuRows = 256;
-template <class T>
-constexpr int kMatchingTile = sizeof(T) == 4 ? 128 : 64;
+namespace cuda {
+// In place of two_nearest and of two_nearest_merge, for sets with half_squares.
+int find_matching_candidates(TwoNearest<float> const& p, CUstream_st* stream);
+int choose_matching_neighbors(TwoNearest<float> const& p, CUstream_st* stream);
+}  // namespace cuda
 
 }  // namespace kv::feature

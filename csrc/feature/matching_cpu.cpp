@@ -130,8 +130,22 @@ void two_nearest_backward(TwoNearestBackward<T> const& p, int64_t begin, int64_t
   }
 }
 
+// Samples.
+template <class T>
+void select_matches(SelectMatches<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t sample = begin; sample < end; ++sample) {
+    int64_t size = 0;
+    T score;
+    for (int i = 0; i < p.count1; ++i)
+      if (p.is_match(sample, i, score)) p.store(sample, size++, i, score);
+    p.sizes[sample] = size;
+    for (int64_t slot = size; slot < p.count1; ++slot) p.clear(sample, slot);
+  }
+}
+
 KV_INSTANTIATE_COMPUTED(two_nearest, TwoNearest)
 KV_INSTANTIATE_COMPUTED(two_nearest_merge, TwoNearest)
 KV_INSTANTIATE_COMPUTED(two_nearest_backward, TwoNearestBackward)
+KV_INSTANTIATE_COMPUTED(select_matches, SelectMatches)
 
 }  // namespace kv::feature::KV_ISA

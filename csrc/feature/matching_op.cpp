@@ -66,7 +66,12 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> two_nearest(
 #else
     int64_t const splits1 = 1, splits2 = (n + kMatchingCpuRows - 1) / kMatchingCpuRows;
 #endif
-    int64_t const words = sizeof(Neighbors<T>) / 4;
+#if defined(KV_CUDA)
+    bool const by_candidates = sizeof(T) == 4 && !positions1 && n > 0 && m > 0;
+#else
+    constexpr bool by_candidates = false;
+#endif
+    int64_t const words = by_candidates ? 0 : sizeof(Neighbors<T>) / 4;
     Tensor const partial1 = empty({batch, splits1, n, words}, x.first, Layout::planar, ScalarType::Int);
     Tensor const partial2 = empty({batch, splits2, listed, words}, x.first, Layout::planar, ScalarType::Int);
     auto const set = [](Tensor const& values, std::optional<Tensor> const& mask, std::optional<Tensor> const& positions,
@@ -78,12 +83,26 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> two_nearest(
                               int(splits),
                               static_cast<Neighbors<T>*>(partial.mutable_data_ptr()),
                               data_ptr<T>(distances),
-                              data_ptr<int64_t>(indices)};
+                              data_ptr<int64_t>(indices),
+                              nullptr,
+                              nullptr};
     };
     TwoNearest<T> params{set(x.first, wanted1, at1, splits1, partial1, distances1, indices1),
                          set(x.second, wanted2, at2, splits2, partial2, distances2, indices2), batch, int(x.width),
                          T(distance * distance)};
     if (!both) params.second.partial = nullptr;
+#if defined(KV_CUDA)
+    int64_t const candidates1 = by_candidates ? batch * n * tiles2 : 0;
+    int64_t const candidates2 = by_candidates ? batch * listed * tiles1 : 0;
+    Tensor const lists = empty({candidates1 + candidates2, 3}, x.first, Layout::planar, ScalarType::Int);
+    Tensor const half_squares = empty({by_candidates ? batch * (n + m) : 0}, x.first);
+    if (by_candidates) {
+      params.first.half_squares = data_ptr<T>(half_squares);
+      params.second.half_squares = params.first.half_squares + batch * n;
+      params.first.candidates = static_cast<Candidates*>(lists.mutable_data_ptr());
+      params.second.candidates = both ? params.first.candidates + candidates1 : nullptr;
+    }
+#endif
     KV_RUN(two_nearest, x.first, params, batch * splits2, kMatchingCpuRows * m * x.width);
     KV_RUN(two_nearest_merge, x.first, params, batch * (n + listed), 8);
   };
@@ -125,8 +144,55 @@ std::tuple<Tensor, Tensor> two_nearest_backward(Tensor const& grad1, Tensor cons
   return {grad_desc1, grad_desc2};
 }
 
+std::tuple<Tensor, Tensor, Tensor> select_matches(Tensor const& distances1, Tensor const& indices1,
+                                                  std::optional<Tensor> const& distances2,
+                                                  std::optional<Tensor> const& indices2, int64_t others, bool ratios,
+                                                  double threshold) {
+  constexpr char const* op = "select_matches";
+  KV_CHECK(distances1.dim() == 3 && distances1.size(2) == 2 && distances1.scalar_type() == compute_dtype(distances1),
+           op, ": expected distances1 (B, N, 2) of float32 or float64");
+  KV_CHECK(distances2.has_value() == indices2.has_value(), op, ": expected distances and indices of a direction");
+  int64_t const batch = distances1.size(0), n = distances1.size(1);
+  KV_CHECK(others >= 0 && others < INT32_MAX / 2 && n < INT32_MAX / 2, op, ": expected fewer than 2^30 descriptors");
+  auto const check = [&](char const* name, Tensor const& x, int64_t count, ScalarType type) {
+    KV_CHECK(x.dim() == 3 && x.size(0) == batch && x.size(1) == count && x.size(2) == 2 && x.scalar_type() == type &&
+                 x.device() == distances1.device(),
+             op, ": expected ", name, " of shape (B, ", count, ", 2) and of its type");
+  };
+  check("indices1", indices1, n, ScalarType::Long);
+  if (distances2) {
+    check("distances2", *distances2, others, distances1.scalar_type());
+    check("indices2", *indices2, others, ScalarType::Long);
+  }
+  Tensor const d1 = dense(distances1), i1 = dense(indices1);
+  std::optional<Tensor> d2, i2;
+  if (distances2) d2 = dense(*distances2), i2 = dense(*indices2);
+  Tensor const scores = empty({batch, n}, d1), indices = empty({batch, n, 2}, i1), sizes = empty({batch}, i1);
+  auto const run = [&](auto type) {
+    using T = typename decltype(type)::type;
+    SelectMatches<T> const params{data_ptr<T const>(d1),
+                                  d2 ? data_ptr<T const>(*d2) : nullptr,
+                                  data_ptr<int64_t const>(i1),
+                                  i2 ? data_ptr<int64_t const>(*i2) : nullptr,
+                                  batch,
+                                  int(n),
+                                  int(others),
+                                  ratios,
+                                  T(threshold),
+                                  data_ptr<T>(scores),
+                                  data_ptr<int64_t>(indices),
+                                  data_ptr<int64_t>(sizes)};
+    KV_RUN(select_matches, d1, params, batch, 16 * n);
+  };
+  d1.scalar_type() == ScalarType::Double ? run(Type<double>{}) : run(Type<float>{});
+  return {scores, indices, sizes};
+}
+
 }  // namespace
 
+KV_OPERATOR(select_matches,
+            "(Tensor distances1, Tensor indices1, Tensor? distances2, Tensor? indices2, int others, bool ratios, "
+            "float threshold) -> (Tensor, Tensor, Tensor)")
 KV_OPERATOR(two_nearest,
             "(Tensor desc1, Tensor desc2, Tensor? mask1, Tensor? mask2, Tensor? positions1, Tensor? positions2, "
             "float distance, bool both) -> (Tensor, Tensor, Tensor, Tensor)")

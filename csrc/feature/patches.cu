@@ -19,12 +19,13 @@ __global__ void __launch_bounds__(kThreads) sample_patch(__grid_constant__ Sampl
     for (int64_t i = threadIdx.x; i < int64_t(p.channels) * area; i += kThreads) out[i] = round_to<T>(F(0));
     return;
   }
-  T const* const level = p.pyramid + k / p.count * p.channels * p.shape.size + p.shape.offsets[f.level];
+  T const* const level = p.level(k / p.count, f.level);
+  int64_t const stride = p.plane_stride(f.level);
   for (int i = threadIdx.x; i < area; i += kThreads) {
     int const row = i / p.n;
     BilinearTaps<F, F> const taps(f, patch_coordinate<F>(i - row * p.n, p.n), patch_coordinate<F>(row, p.n));
     for (int c = 0; c < p.channels; ++c) {
-      T const* const plane = level + c * p.shape.size;
+      T const* const plane = level + c * stride;
       F values[4];
 #pragma unroll
       for (int t = 0; t < 4; ++t) values[t] = read(plane[taps.indices[t]]);

@@ -32,6 +32,7 @@ struct PyramidShape {
 
 template <class T>
 struct SamplePatches {
+  T const* image;            // (batch, channels) planes, level 0 of a pyramid that begins with level 1; null: level 0
   T const* pyramid;          // (batch, channels, shape.size)
   Compute<T> const* frames;  // (batch, count, 2, 3)
   T* patches;                // (batch, count, channels, n, n)
@@ -39,6 +40,14 @@ struct SamplePatches {
   int64_t batch, count;
   int channels, n;
   Compute<T> window;
+
+  KV_HD int64_t pixels() const { return int64_t(shape.heights[0]) * shape.widths[0]; }
+  // A level of the first plane of a sample, and the distance to the next plane.
+  KV_HD T const* level(int64_t sample, int number) const {
+    if (image && number == 0) return image + sample * channels * pixels();
+    return pyramid + sample * channels * shape.size + shape.offsets[number];
+  }
+  KV_HD int64_t plane_stride(int number) const { return image && number == 0 ? pixels() : shape.size; }
 };
 
 // Gradients of half types are float32, because they are sums over patches. A null pointer: not wanted.

@@ -1,4 +1,5 @@
 // Patches of local affine frames: schemas and operators, for CPU and CUDA.
+#include "geometry/transform/pyramid_glue.h"
 #include "glue/batch.h"
 #include "patches.h"
 
@@ -55,7 +56,8 @@ Tensor sample_patches(Tensor const& pyramid, Tensor const& laf, std::vector<int6
   dispatch_floating(op, a.pyramid, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    SamplePatches<T> const params{data_ptr<T const>(a.pyramid),
+    SamplePatches<T> const params{nullptr,
+                                  data_ptr<T const>(a.pyramid),
                                   data_ptr<F const>(a.frames),
                                   data_ptr<T>(patches),
                                   a.shape,
@@ -66,6 +68,55 @@ Tensor sample_patches(Tensor const& pyramid, Tensor const& laf, std::vector<int6
                                   F(window)};
     KV_RUN(sample_patches, a.pyramid, params, patches.numel() > 0 ? a.batch * a.count : 0,
            4 * (1 + a.channels) * a.n * a.n);
+  });
+  return patches;
+}
+
+// From a pyramid of the images, which is built here. Its levels are those of pyrdown with a reflected border.
+Tensor pyramid_patches(Tensor const& input, Tensor const& laf, int64_t levels, int64_t patch_size, double window) {
+  constexpr char const* op = "pyramid_patches";
+  check_images(op, "input", input);
+  int64_t const batch = input.size(0), channels = input.size(1), height = input.size(2), width = input.size(3);
+  PyramidShape shape = pyramid_shape(op, {height, width}, levels);
+  KV_CHECK(patch_size > 0 && patch_size <= kLargestPatch && window > 0, op, ": expected a patch_size of 1 to ",
+           kLargestPatch, " and a window of more than 0");
+  KV_CHECK(laf.dim() == 4 && (laf.size(0) == batch || laf.size(0) == 1) && laf.size(2) == 2 && laf.size(3) == 3 &&
+               laf.scalar_type() == compute_dtype(input) && laf.device() == input.device(),
+           op, ": expected laf of shape (B, N, 2, 3) of the type that computes");
+  for (int l = 0; l + 1 < shape.levels; ++l)
+    check_border(op, Border::reflect, 2, min(shape.heights[l], shape.widths[l]));
+  // The images are level 0; memory holds the others.
+  shape.size -= height * width;
+  for (int l = 1; l < shape.levels; ++l) shape.offsets[l] -= height * width;
+  Tensor const image = dense(input), frames = expand_batch(laf, batch);
+  int64_t const count = laf.size(1);
+  KV_CHECK(channels <= INT32_MAX && batch * count <= INT32_MAX, op, ": expected less than 2^31 patches");
+  Tensor const pyramid = empty({batch, channels, shape.size}, image);
+  Tensor const patches = empty({batch, count, channels, patch_size, patch_size}, image);
+  dispatch_floating(op, image, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    int64_t const planes = batch * channels;
+    Planes<T const> level = adjacent_planes(data_ptr<T const>(image), planes, height, width);
+    for (int l = 1; l < shape.levels; ++l) {
+      T* const data = data_ptr<T>(pyramid) + shape.offsets[l];
+      int64_t const h = shape.heights[l], w = shape.widths[l];
+      Planes<T> const next{data, planes, 1, shape.size, 0, w, h, w, 1};
+      geometry::resize_planes(image, level, next, geometry::ResizeFilter::pyrdown, false, Border::reflect);
+      level = {data, planes, 1, shape.size, 0, w, h, w, 1};
+    }
+    SamplePatches<T> const params{data_ptr<T const>(image),
+                                  data_ptr<T const>(pyramid),
+                                  data_ptr<F const>(frames),
+                                  data_ptr<T>(patches),
+                                  shape,
+                                  batch,
+                                  count,
+                                  int(channels),
+                                  int(patch_size),
+                                  F(window)};
+    KV_RUN(sample_patches, image, params, patches.numel() > 0 ? batch * count : 0,
+           4 * (1 + channels) * patch_size * patch_size);
   });
   return patches;
 }
@@ -113,6 +164,7 @@ std::tuple<Tensor, Tensor> sample_patches_backward(Tensor const& grad, Tensor co
 #define KV_PATCHES "SymInt[] size, int levels, int patch_size, float window"
 
 KV_OPERATOR(sample_patches, "(Tensor pyramid, Tensor laf, " KV_PATCHES ") -> Tensor")
+KV_OPERATOR(pyramid_patches, "(Tensor input, Tensor laf, int levels, int patch_size, float window) -> Tensor")
 KV_OPERATOR(sample_patches_backward, "(Tensor grad, Tensor pyramid, Tensor laf, " KV_PATCHES
                                      ", bool wants_pyramid, bool wants_laf)"
                                      " -> (Tensor, Tensor)")

@@ -253,6 +253,16 @@ def finite(*results: Tensor) -> tuple[Tensor, Tensor]:
     return tuple(torch.where(x.isinf(), 0, x) for x in results[::2])
 
 
+def neighbors(n: int, m: int):
+    """Indices of two neighbors among m, now and then fewer."""
+
+    def draw() -> Tensor:
+        first = torch.randint(0, m, (n, 1))
+        return torch.cat([first, (first + torch.randint(1, m, (n, 1))) % m], 1).where(torch.rand(n, 1) > 0.1, -1)
+
+    return draw
+
+
 SETS, MASKS = (vector(7, 5), vector(6, 5)), (torch.arange(7)[None] != 3, torch.arange(6)[None] > 1)
 
 
@@ -280,5 +290,17 @@ class TestMatchingOperators(PointOpTests):
                 ((*MASKS, None, None), (0.0, True)),
                 ((*MASKS, positions_of(7), positions_of(6)), (30.0, True)),
             ]
-        ]
+        ],
+        "select_matches": [
+            Call(
+                (vector(40, 2), neighbors(40, 6), *back),
+                (6, ratios, 0.9),
+                dtypes=SINGLE_AND_DOUBLE,
+                differentiable=False,
+                broadcasts=False,
+                accepted=("others", "of torch.int64"),
+            )
+            for back in ((None, None), (vector(6, 2), neighbors(6, 40)))
+            for ratios in (False, True)
+        ],
     }

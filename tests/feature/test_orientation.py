@@ -7,9 +7,10 @@ import pytest
 import torch
 
 import kvision as K
-from kvision.feature.orientation import dominant_orientations
+from kvision.feature.orientation import dominant_orientations, orientation_slots
 from op_tests import assert_close
 from patch_tests import SquarePatchTests, of_patches
+from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests, vector
 
 
 def ramps(n, count, device="cpu"):
@@ -192,3 +193,32 @@ class TestSeveralOrientations(SquarePatchTests):
         assert difference(angles[:, 1], torch.tensor([-math.pi / 2, 0, 0], device=device)).abs().max() < 0.06
         assert (angles[1] == angles[1, 0]).all() and (angles[:, 2] == angles[:, 0]).all()
         assert_close(angles[:, 0], K.feature.PatchDominantGradientOrientation(n)(patches[:, None]))
+
+
+def some_frames():
+    """Frames of which the last two of eight are empty slots."""
+    return 5 * torch.rand(8, 2, 3, dtype=torch.float64) * (torch.arange(8) < 6)[:, None, None]
+
+
+def some_angles():
+    angles = 6 * torch.rand(8, 3, dtype=torch.float64) - 3
+    return torch.where(torch.rand(8, 3) < 0.5, angles[:, :1], angles)
+
+
+class TestOrientationSlots(PointOpTests):
+    calls = {
+        "orientation_slots": [Call((some_frames, vector(8), some_angles), dtypes=SINGLE_AND_DOUBLE, broadcasts=False)]
+    }
+
+    def test_slots_are_in_order(self, device):
+        laf = torch.eye(2, 3, device=device).expand(1, 4, 2, 3).clone()
+        laf[0, :, 0, 2] = torch.tensor([5.0, 6, 7, 0])
+        laf[0, 3] = 0
+        angles = torch.tensor([[[0.0, 1, 0], [1, 1, 1], [2, 3, 4], [0, 1, 2]]], device=device)
+        responses = torch.tensor([[9.0, 8, 7, 0]], device=device)
+        frames, scores = orientation_slots(laf, responses, angles)
+        assert scores.tolist() == [[9, 9, 8, 7]] and frames[0, :, 0, 2].tolist() == [5, 5, 6, 7]
+        degrees = K.feature.get_laf_orientation(frames)[0, :, 0]
+        assert_close(degrees, torch.rad2deg(torch.tensor([0.0, 1, 1, 2], device=device)), 1e-5, 1e-5)
+        frames, scores = orientation_slots(laf[:, 2:], responses[:, 2:], angles[:, 2:, :1])
+        assert scores.tolist() == [[7, 0]] and (frames[0, 1] == 0).all()

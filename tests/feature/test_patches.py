@@ -4,6 +4,7 @@ import torch
 
 import kvision as K
 from op_tests import OpTests, assert_close
+from point_op_tests import Call, PointOpTests, vector
 from raw_calls import wrong_calls
 
 
@@ -152,3 +153,25 @@ class TestExtractPatchesFromPyramid(PatchTests):
         assert_close(patches, wide.to(dtype), 2e-2, 2e-2)
         patches.float().sum().backward()
         assert laf.grad.dtype == torch.float32 and laf.grad.isfinite().all()
+
+
+def frames_of_sample() -> torch.Tensor:
+    return frames(torch.empty(1, 1, 21, 26))[0]
+
+
+class TestPatchesOfPyramids(PointOpTests):
+    """The operator that calls without a gradient go through; those with one go through the others."""
+
+    calls = {
+        "pyramid_patches": [
+            Call((vector(2, 21, 26), frames_of_sample), (levels, 4, 4.0), dtypes=(torch.float32, torch.float64))
+            for levels in (1, 3)
+        ]
+    }
+
+    @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16], ids=str)
+    def test_patches_do_not_depend_on_whether_a_gradient_is_wanted(self, dtype, device):
+        image = torch.rand(2, 3, 41, 50, device=device).to(dtype)
+        laf = frames(image, 20).float().to(device)
+        patches = K.feature.extract_patches_from_pyramid(image, laf, 5)
+        assert torch.equal(patches, K.feature.extract_patches_from_pyramid(image.requires_grad_(), laf, 5))

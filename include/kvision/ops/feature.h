@@ -37,6 +37,12 @@ inline constexpr Rule two_nearest{
 
 }  // namespace detail
 
+// The matches of each sample among neighbors (B, N, 2), and those of the other direction or none: scores (B, N), indices
+// (B, N, 2), and how many slots they fill.
+inline constexpr Operator<"select_matches",
+                          Three(Tensor distances1, Tensor indices1, OptionalTensor distances2, OptionalTensor indices2,
+                                int64_t others, bool ratios, double threshold)>
+    select_matches{non_differentiable};
 inline constexpr Operator<"two_nearest",
                           Four(Tensor desc1, Tensor desc2, OptionalTensor mask1, OptionalTensor mask2,
                                OptionalTensor positions1, OptionalTensor positions2, double distance, bool both)>
@@ -54,12 +60,18 @@ inline constexpr Operator<"sample_patches", Tensor(Tensor pyramid, Tensor laf, I
       for (size_t i = 0; i < 2; ++i) gradients[i] = b.needs(i) ? gradients[i].to(b.tensor(i).scalar_type()) : Tensor();
       return gradients;
     }};
+// `sample_patches` of a pyramid that is built within; Python alone has the gradient.
+inline constexpr Operator<"pyramid_patches",
+                          Tensor(Tensor input, Tensor laf, int64_t levels, int64_t patch_size, double window)>
+    pyramid_patches{no_gradient};
 inline constexpr Operator<"sift",
                           Tensor(Tensor patches, int64_t angular_bins, int64_t spatial_bins, double clip, bool root)>
     sift{from<"sift_backward">};
 inline constexpr Operator<"orientation",
                           Tensor(Tensor patches, int64_t bins, double eps, int64_t peaks, double threshold)>
     orientation{from<"orientation_backward">};
+inline constexpr Operator<"orientation_slots", Two(Tensor laf, Tensor responses, Tensor angles)> orientation_slots{
+    no_gradient};
 inline constexpr Operator<"affine_shape", Tensor(Tensor patches, double eps)> affine_shape{
     from<"affine_shape_backward">};
 
@@ -83,5 +95,14 @@ inline constexpr Operator<"scale_space_peaks",
                               int64_t count, double levels_of_octave, double margin, double edge_ratio,
                               double threshold, int64_t steps, double largest_shift, int64_t radius, bool along_scale)>
     scale_space_peaks{from<"scale_space_peaks_backward", 1>};
+
+// Images (B, 1, H, W) to the frames (B, N, 2, 3) and scores (B, N) of the strongest peaks of their scale space. Python
+// alone has the gradient.
+inline constexpr Operator<"scale_space_features",
+                          Two(Tensor input, Ints sizes, Ints windows, Floats sigmas, int64_t next, Floats blurs,
+                              int64_t mode, bool minima, int64_t count, double scale, double levels_of_octave,
+                              double margin, double edge_ratio, double threshold, int64_t steps, double largest_shift,
+                              int64_t radius, bool along_scale)>
+    scale_space_features{no_gradient};
 
 }  // namespace kvision::ops

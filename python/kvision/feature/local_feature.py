@@ -14,15 +14,14 @@ from kvision import _check
 from kvision._dtype import as_dtype, floats
 from kvision.color import rgb_to_grayscale
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
-from kvision.feature._detection import EMPTY, gather_frames, slots_of
 from kvision.feature.affnet import LAFAffNetShapeEstimator
 from kvision.feature.hardnet import HardNet
 from kvision.feature.keynet import KeyNetDetector
-from kvision.feature.laf import check_lafs, get_laf_center, laf_is_filled, rotate_laf, scale_laf
+from kvision.feature.laf import check_lafs, get_laf_center, laf_is_filled, scale_laf
 from kvision.feature.matching import GeometryAwareDescriptorMatcher
 from kvision.feature.multi_resolution_detector import Detector_config, MultiResolutionDetector
 from kvision.feature.opencv_sift import OpenCVSIFT, root_sift
-from kvision.feature.orientation import LAFOrienter, dominant_orientations
+from kvision.feature.orientation import LAFOrienter, dominant_orientations, orientation_slots
 from kvision.feature.orinet import OriNet
 from kvision.feature.patches import extract_patches_from_pyramid
 from kvision.feature.responses import BlobDoG, BlobDoGSingle, BlobHessian, CornerGFTT
@@ -243,15 +242,7 @@ class _SeveralOrientations(nn.Module):
         lafs, responses = self.detector(img, mask)
         patches = extract_patches_from_pyramid(img, lafs, self._patch_size).flatten(0, 1)
         angles = dominant_orientations(patches, self._peaks).reshape(*lafs.shape[:2], self._peaks)
-        is_peak = angles != angles[..., :1]  # a missing peak repeats the first
-        is_peak[..., 0].fill_(True)
-        is_feature = laf_is_filled(lafs)[..., None] & is_peak
-        rotated = rotate_laf(lafs.repeat_interleave(self._peaks, 1), torch.rad2deg(angles.flatten(1)))
-        scores = torch.where(is_feature, responses[..., None], EMPTY).flatten(1)
-        # A stable sort, so that frames of one position keep their order.
-        scores, index = scores.sort(dim=1, descending=True, stable=True)
-        scores, index = (x[:, : lafs.shape[1]] for x in (scores, index))
-        return slots_of(scores > EMPTY, scores, gather_frames(rotated, index))[::-1]
+        return orientation_slots(lafs, responses, angles)
 
 
 class _SIFT(_OfGrayImages):

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
-from kvision._ops import register
+from kvision._ops import register, wants_derivative
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 # --- the two nearest ------------------------------------------------------------------------------------------------
@@ -159,6 +159,7 @@ class _Neighbors:
         both: bool = True,
     ) -> None:
         self.dtype = floats(desc1 if dm is None else dm).dtype  # of the results
+        self.both, self.others = both, desc2.shape[1]
         if dm is None:
             x, y = (as_dtype(floats(d), compute_dtype(desc1)) for d in (desc1, desc2))
             p, q, distance = positions if positions is not None else (None, None, 0.0)
@@ -191,18 +192,91 @@ def _is_mutual(nearest: Tensor, nearest_back: Tensor) -> Tensor:
     return (nearest >= 0) & (_at(nearest_back, nearest) == own)
 
 
-def _ratio_test(both: _Neighbors, th: float) -> tuple[Tensor, Tensor]:
-    """The larger ratio (B, N) of mutual neighbors, and where both ratios are at most th."""
-    nearest = both.indices1[..., 0]
-    ratio, back = _ratio(both.distances1, both.indices1), _ratio(both.distances2, both.indices2)
-    larger = torch.maximum(ratio, _at(back, nearest))
-    return larger, _is_mutual(nearest, both.indices2[..., 0]) & (larger <= th)
-
-
 def _selected(scores: Tensor, nearest: Tensor, kept: Tensor, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     """The list of matches: scores (K, 1) and indices (K, 2) of those that are kept, from (N,)."""
     own = kept.nonzero()[:, 0]
     return as_dtype(scores[own, None], dtype), torch.stack([own, nearest[own]], 1)
+
+
+# --- the list of matches --------------------------------------------------------------------------------------------
+
+
+def _select_reference(
+    distances1: Tensor,
+    indices1: Tensor,
+    distances2: Tensor | None,
+    indices2: Tensor | None,
+    others: int,
+    ratios: bool,
+    threshold: float,
+) -> tuple[Tensor, Tensor, Tensor]:
+    nearest, scores = indices1[..., 0], distances1[..., 0]
+    kept = (nearest >= 0) & (nearest < others)
+    if ratios:
+        scores = _ratio(distances1, indices1)
+        if distances2 is not None and indices2 is not None and others:
+            scores = torch.maximum(scores, _at(_ratio(distances2, indices2), nearest))
+        kept = kept & (scores <= threshold)
+    if indices2 is not None and others:
+        kept = kept & _is_mutual(nearest, indices2[..., 0])
+    own = (~kept).to(torch.uint8).sort(dim=1, stable=True)[1]
+    is_match = kept.gather(1, own)
+    pairs = torch.stack([own, nearest.gather(1, own)], 2)
+    return torch.where(is_match, scores.gather(1, own), 0), torch.where(is_match[..., None], pairs, -1), kept.sum(1)
+
+
+def _fake_selection(distances1: Tensor, indices1: Tensor, *_: Any) -> list[Tensor]:
+    return [torch.empty_like(distances1[..., 0]), torch.empty_like(indices1), indices1.new_empty(len(indices1))]
+
+
+# Neighbors (B, N, 2), and those of the other direction or None, to the matches of each sample: scores (B, N), indices
+# (B, N, 2), and how many slots they fill.
+_select = register(
+    "select_matches", _select_reference, fake=_fake_selection, non_differentiable=(0, 1, 2), casts_outputs=True
+)
+
+
+def _slots_of_matches(neighbors: _Neighbors, th: float | None) -> tuple[Tensor, Tensor, Tensor]:
+    """The matches of each sample, of which those without `th` have distances as scores, with no gradient."""
+    d1, i1, d2, i2 = neighbors.distances1, neighbors.indices1, neighbors.distances2, neighbors.indices2
+    ways = (d2.detach(), i2) if neighbors.both else (None, None)
+    return _select(d1.detach(), i1, *ways, neighbors.others, th is not None, math.inf if th is None else float(th))
+
+
+def _scores(neighbors: _Neighbors, sample: Tensor | int, own: Tensor, nearest: Tensor, th: float | None) -> Tensor:
+    """The scores (K, 1) of matches, through which gradients pass."""
+    of_own = neighbors.distances1[sample, own]
+    if th is None:
+        return of_own[:, :1]
+    ratio = of_own[:, :1] / of_own[:, 1:]
+    if not neighbors.both:
+        return ratio
+    of_nearest = neighbors.distances2[sample, nearest]
+    return torch.maximum(ratio, of_nearest[:, :1] / of_nearest[:, 1:])
+
+
+def _matches(neighbors: _Neighbors, th: float | None = None) -> tuple[Tensor, Tensor]:
+    """The list of matches of a single sample: scores (K, 1) and indices (K, 2).
+
+    Without the neighbors of the second set they need not be mutual; without `th` there are no ratios, and scores are
+    distances. The number of matches depends on the values, so a GPU is waited for.
+    """
+    scores, indices, sizes = _slots_of_matches(neighbors, th)
+    count = int(sizes)
+    scores, indices = scores[0, :count, None], indices[0, :count]
+    if wants_derivative(neighbors.distances1, neighbors.distances2):
+        own, nearest = indices.unbind(1)
+        scores = _scores(neighbors, 0, own, nearest, th)
+    return as_dtype(scores, neighbors.dtype), indices
+
+
+def _matches_of_batch(neighbors: _Neighbors, th: float) -> tuple[Tensor, Tensor]:
+    """The list of matches of all samples: scores (K, 1) and indices (K, 3), the sample first."""
+    slots = _slots_of_matches(neighbors, th)[1]
+    sample, slot = (slots[..., 0] >= 0).nonzero().unbind(1)
+    own, nearest = slots[sample, slot].unbind(1)
+    scores = _scores(neighbors, sample, own, nearest, th)
+    return as_dtype(scores, neighbors.dtype), torch.stack([sample, own, nearest], 1)
 
 
 def _no_matches(*sources: Tensor | None, columns: int = 2) -> tuple[Tensor, Tensor]:
@@ -295,11 +369,9 @@ def match_mnn(desc1: Tensor, desc2: Tensor, dm: Tensor | None = None) -> tuple[T
     _check_descriptors("match_mnn", desc1, desc2, dm)
     if 0 in (desc1.shape[0], desc2.shape[0]):
         return _no_matches(desc1, desc2, dm)
-    neighbors = _Neighbors(desc1[None], desc2[None], _one(dm))
-    nearest, back = neighbors.indices1[..., 0], neighbors.indices2[..., 0]
     if desc1.shape[0] <= desc2.shape[0]:
-        return _selected(neighbors.distances1[0, :, 0], nearest[0], _is_mutual(nearest, back)[0], neighbors.dtype)
-    distances, indices = _selected(neighbors.distances2[0, :, 0], back[0], _is_mutual(back, nearest)[0], neighbors.dtype)
+        return _matches(_Neighbors(desc1[None], desc2[None], _one(dm)))
+    distances, indices = _matches(_Neighbors(desc2[None], desc1[None], None if dm is None else dm.mT[None]))
     return distances, indices.flip(1)
 
 
@@ -330,9 +402,7 @@ def match_snn(desc1: Tensor, desc2: Tensor, th: float = 0.8, dm: Tensor | None =
     th = _check.number("match_snn", "th", th)
     if desc1.shape[0] == 0 or desc2.shape[0] < 2:
         return _no_matches(dm, desc1, desc2)
-    neighbors = _Neighbors(desc1[None], desc2[None], _one(dm), both=False)
-    ratio = _ratio(neighbors.distances1, neighbors.indices1)[0]
-    return _selected(ratio, neighbors.indices1[0, :, 0], ratio <= th, neighbors.dtype)
+    return _matches(_Neighbors(desc1[None], desc2[None], _one(dm), both=False), th)
 
 
 def match_smnn(desc1: Tensor, desc2: Tensor, th: float = 0.95, dm: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -360,9 +430,7 @@ def match_smnn(desc1: Tensor, desc2: Tensor, th: float = 0.95, dm: Tensor | None
     th = _check.number("match_smnn", "th", th)
     if desc1.shape[0] < 2 or desc2.shape[0] < 2:
         return _no_matches(dm, desc1, desc2)
-    neighbors = _Neighbors(desc1[None], desc2[None], _one(dm))
-    ratio, kept = _ratio_test(neighbors, th)
-    return _selected(ratio[0], neighbors.indices1[0, :, 0], kept[0], neighbors.dtype)
+    return _matches(_Neighbors(desc1[None], desc2[None], _one(dm)), th)
 
 
 def match_smnn_batched(
@@ -412,11 +480,7 @@ def match_smnn_batched(
     if dm is not None:
         mask1 = desc1.new_ones(desc1.shape[:2], dtype=torch.bool) if mask1 is None else mask1
         mask2 = desc2.new_ones(desc2.shape[:2], dtype=torch.bool) if mask2 is None else mask2
-    neighbors = _Neighbors(desc1, desc2, dm, mask1, mask2)
-    ratio, kept = _ratio_test(neighbors, th)
-    sample, own = kept.nonzero().unbind(1)
-    indices = torch.stack([sample, own, neighbors.indices1[sample, own, 0]], 1)
-    return as_dtype(ratio[sample, own, None], neighbors.dtype), indices
+    return _matches_of_batch(_Neighbors(desc1, desc2, dm, mask1, mask2), th)
 
 
 def match_fginn(

@@ -12,7 +12,7 @@ from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision.feature import _detection as detection
 from kvision.feature.laf import get_laf_center, get_laf_orientation, get_laf_scale, laf_from_center_scale_ori
-from kvision.feature.scale_space_peaks import is_off_edges, scale_space_peaks
+from kvision.feature.scale_space.scale_space_peaks import is_off_edges, scale_space_peaks
 from kvision.filters import gaussian_blur2d
 from kvision.geometry.subpix.quad_interp3d import ANYWHERE
 from kvision.geometry.transform.resize import resize

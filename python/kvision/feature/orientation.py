@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision._dtype import as_dtype
 from kvision._ops import register, vjp
 from kvision.feature._patch_gradient import (
     angular_votes,
@@ -105,6 +106,33 @@ def dominant_orientations(patches: Tensor, count: int, bins: int = 36, eps: floa
     _check.images(op, "patches", patches)
     x = check_patches(op, "patches", patches, patches.shape[3])
     return _orientation(x, bins, eps, count, threshold)
+
+
+# --- one slot for each orientation ----------------------------------------------------------------------------------
+
+
+def _slots_reference(laf: Tensor, responses: Tensor, angles: Tensor) -> tuple[Tensor, Tensor]:
+    count, peaks = laf.shape[1], angles.shape[2]
+    is_peak = torch.cat([torch.ones_like(angles[..., :1], dtype=torch.bool), angles[..., 1:] != angles[..., :1]], 2)
+    is_feature = ((laf != 0).flatten(2).any(2)[..., None] & is_peak).flatten(1)
+    order = (~is_feature).to(torch.uint8).sort(dim=1, stable=True)[1][:, :count]
+    frame, filled = order // peaks, is_feature.gather(1, order)
+    degrees = torch.rad2deg(angles.flatten(1).gather(1, order))
+    rotated = rotate_laf(laf.gather(1, frame[..., None, None].expand(-1, -1, 2, 3)), degrees[..., None])
+    return torch.where(filled[..., None, None], rotated, 0), torch.where(filled, responses.gather(1, frame), 0)
+
+
+_slots = register("orientation_slots", _slots_reference, fake=lambda laf, responses, _: [laf.shape, responses.shape])
+
+
+def orientation_slots(laf: Tensor, responses: Tensor, angles: Tensor) -> tuple[Tensor, Tensor]:
+    """Frames (B, N, 2, 3) and responses (B, N) of features with several angles (B, N, K), one slot for each angle.
+
+    A feature is rotated by each of its angles, in radians; those that repeat its first one do not count. Of the features in
+    order, each with its angles in order, the first N are kept, so that features sorted by response stay sorted.
+    """
+    frames, scores = _slots(laf, as_dtype(responses, laf.dtype), as_dtype(angles, laf.dtype))
+    return frames, as_dtype(scores, responses.dtype)
 
 
 # --- modules --------------------------------------------------------------------------------------------------------

@@ -7,13 +7,17 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
-from kvision._ops import register
+from kvision._modes import BORDER, INTERPOLATION
+from kvision._ops import register, wants_derivative
+from kvision._torch_compat import is_tracing
 from kvision.core.exceptions import ShapeError
 from kvision.feature._detection import with_finite_gradient
 from kvision.geometry.transform.pyramid import pyrdown
+from kvision.geometry.transform.resize import resize_reference
 from kvision.geometry.transform.sampling import sample
 
 __all__ = ["extract_patches_from_pyramid", "extract_patches_simple"]
@@ -120,12 +124,33 @@ def sample_levels(levels: Sequence[Tensor], laf: Tensor, patch_size: int, window
 def build_levels(image: Tensor, smallest: int) -> list[Tensor]:
     """The image and its reductions by 2, 4, 8 and so on, as long as the shorter side has `smallest` pixels."""
     levels = [image]
-    while len(levels) < _MAX_LEVELS:
-        shorter = min(levels[-1].shape[2:])
-        if shorter <= 2 or shorter // 2 < smallest:  # pyrdown reflects two pixels
-            break
+    for _ in range(_count_of_levels(image, smallest) - 1):
         levels.append(pyrdown(levels[-1]))
     return levels
+
+
+def _count_of_levels(image: Tensor, smallest: int) -> int:
+    count, shorter = 1, min(image.shape[2:])
+    while count < _MAX_LEVELS and shorter > 2 and shorter // 2 >= smallest:  # pyrdown reflects two pixels
+        count, shorter = count + 1, shorter // 2
+    return count
+
+
+def _reference_of_pyramid(image: Tensor, laf: Tensor, levels: int, n: int, window: float) -> Tensor:
+    options = (INTERPOLATION["pyrdown"], False, False, BORDER["reflect"])
+    rows, level = [image.flatten(2)], image
+    for size in _level_sizes(image.shape[2:], levels)[1:]:
+        level = resize_reference(level, size, *options)
+        rows.append(level.flatten(2))
+    return _reference(torch.cat(rows, 2), laf, image.shape[2:], levels, n, window)
+
+
+# `_sample_patches` of the pyramid of images, which is not kept: gradients take the way through its levels.
+_pyramid_patches = register(
+    "pyramid_patches",
+    _reference_of_pyramid,
+    fake=lambda image, laf, levels, n, window: (image.shape[0], laf.shape[1], image.shape[1], n, n),
+)
 
 
 # --- functions ------------------------------------------------------------------------------------------------------
@@ -219,4 +244,6 @@ def extract_patches_from_pyramid(
         torch.Size([1, 1, 3, 8, 8])
     """
     image, frames, n = _checked("extract_patches_from_pyramid", img, laf, PS, normalize_lafs_before_extraction)
-    return sample_levels(build_levels(image, n), frames, n, n)
+    if is_compiling() or is_tracing() or wants_derivative(image, frames):
+        return sample_levels(build_levels(image, n), frames, n, n)
+    return _pyramid_patches(image, as_dtype(frames, compute_dtype(image)), _count_of_levels(image, n), n, float(n))

@@ -7,17 +7,22 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
+from kvision._modes import DERIVATIVE_MODE
+from kvision._ops import wants_derivative
+from kvision._torch_compat import is_tracing
 from kvision.core.exceptions import ShapeError
 from kvision.feature import _detection as detection
 from kvision.feature.laf import laf_is_filled, laf_of_peak
 from kvision.feature.responses import BlobDoG, BlobHessian
-from kvision.feature.scale_space_peaks import scale_space_peaks, strongest_peaks
+from kvision.feature.scale_space.scale_space_features import DIFFERENCES, MAX_LEVELS, MAX_OCTAVES, scale_space_features
+from kvision.feature.scale_space.scale_space_peaks import scale_space_peaks, strongest_peaks
 from kvision.geometry.subpix import AdaptiveQuadInterp3d, ConvQuadInterp3d, IterativeQuadInterp3d
 from kvision.geometry.subpix.quad_interp3d import ANYWHERE
-from kvision.geometry.transform.pyramid import ScalePyramid
+from kvision.geometry.transform.pyramid import ScalePyramid, ScaleSpacePlan
 
 __all__ = ["PassLAF", "ScaleSpaceDetector"]
 
@@ -151,6 +156,11 @@ class ScaleSpaceDetector(nn.Module):
         _check.images(op, "img", img)
         detection.check_mask(op, mask, img)
         image = floats(img)
+        if mask is None and self._is_one_operator(image):
+            plan = self.scale_pyr._plan(*image.shape[2:])
+            octaves = sum(min(size) >= _SMALLEST for size in zip(plan.sizes[::2], plan.sizes[1::2]))
+            if 0 < octaves <= MAX_OCTAVES and plan.voxels() < 2**31:
+                return self._detect_at_once(image, num_feats, plan, octaves)
         octaves, sigmas, _ = self.scale_pyr(image)
         scores, lafs = ([x] for x in detection.no_candidates(image))
         voxels = [image.new_empty((image.shape[0], 0), dtype=torch.int64)]
@@ -165,6 +175,46 @@ class ScaleSpaceDetector(nn.Module):
                 every.append(of_octave)
         candidates = torch.cat(scores, 1).masked_fill(torch.cat(voxels, 1) < 0, detection.EMPTY)
         return detection.filled_slots(image, candidates, torch.cat(lafs, 1), num_feats)
+
+    def _is_one_operator(self, image: Tensor) -> bool:
+        """Whether the kernels of `scale_space_features` do what the modules do."""
+        if image.shape[1] != 1 or is_compiling() or is_tracing() or wants_derivative(image):
+            return False
+        if type(self.scale_pyr) is not ScalePyramid or _refinement_of(self.subpix) is None:
+            return False
+        if self.scale_pyr.n_levels + self.scale_pyr.extra_levels > MAX_LEVELS:
+            return False
+        # Of the levels of an octave all are used.
+        of_differences = type(self.resp) is BlobDoG and self.scale_space_response and self.scale_pyr.extra_levels == 3
+        of_hessians = type(self.resp) is BlobHessian and not self.scale_space_response
+        if not of_differences and not (of_hessians and self.scale_pyr.extra_levels == 2):
+            return False
+        return scale_space_features.is_native(image)
+
+    def _detect_at_once(self, image: Tensor, count: int, plan: ScaleSpacePlan, octaves: int) -> tuple[Tensor, Tensor]:
+        """`detect` by one operator, in the first octaves of a scale space."""
+        levels = self.scale_pyr.n_levels
+        lafs, scores = scale_space_features(
+            image,
+            plan.sizes[: 2 * octaves],
+            plan.windows[: octaves * len(plan.sigmas)],
+            plan.sigmas,
+            levels,
+            plan.scales,
+            DIFFERENCES if self.scale_space_response else DERIVATIVE_MODE[self.resp.grads_mode],
+            self.minima_are_also_good,
+            count,
+            self.mr_size * plan.scales[0],
+            float(levels),
+            *self._filters(),
+            *(_refinement_of(self.subpix) or ()),
+        )
+        return as_dtype(scores, image.dtype), lafs
+
+    def _filters(self) -> tuple[float, float, float]:
+        """The margin, the ratio of curvatures and the threshold of peaks."""
+        ratio = 0.0 if self.edge_threshold is None else self.edge_threshold
+        return float(_BORDER), ratio, detection.EMPTY if self.score_threshold is None else self.score_threshold
 
     def _response(self, op: str, octave: Tensor, sigmas: Tensor) -> tuple[Tensor, bool]:
         """The response (B, L, H, W) of the levels 0 to n_levels + 1 of an octave, or levels whose differences it is."""
@@ -206,9 +256,7 @@ class ScaleSpaceDetector(nn.Module):
         weights = None if mask is None else as_dtype(detection.resized_mask(mask, (height, width))[:, 0], dtype)
         scale = as_dtype(scale, dtype)
         n_levels = float(self.scale_pyr.n_levels)
-        ratio = 0.0 if self.edge_threshold is None else self.edge_threshold
-        threshold = detection.EMPTY if self.score_threshold is None else self.score_threshold
-        filters = (self.minima_are_also_good, count, n_levels, float(_BORDER), ratio, threshold)
+        filters = (self.minima_are_also_good, count, n_levels, *self._filters())
         refinement = _refinement_of(self.subpix)
         if refinement is not None:
             peaks, voxels = scale_space_peaks(levels, weights, scale, are_differences, *filters, *refinement)

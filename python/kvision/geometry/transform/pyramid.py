@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -310,33 +312,40 @@ class ScalePyramid(nn.Module):
 
     def get_first_level(self, input: Tensor) -> tuple[Tensor, float, float]:
         """The first level, its blur, and the size of one of its pixels in pixels of the image."""
-        image, sigma, distance = input, 0.5, 1.0
+        image, more, distance = input, self._first_blur(), 1.0
         if self.double_image:
             h, w = input.shape[2:]
-            image, sigma, distance = resize(input, (2 * h, 2 * w), align_corners=True), 1.0, 0.5
-        if self.init_sigma > sigma:
-            more = max(math.sqrt(self.init_sigma**2 - sigma**2), 0.01)
-            return gaussian_blur2d(image, self._window(image, more), more), self.init_sigma, distance
-        return image, sigma, distance
+            image, distance = resize(input, (2 * h, 2 * w), align_corners=True), 0.5
+        if more is None:
+            return image, self._assumed_blur(), distance
+        return gaussian_blur2d(image, self._window(image.shape[2:], more), more), self.init_sigma, distance
 
-    def _window(self, image: Tensor, sigma: float) -> int:
-        """The size of a blur's kernel, as far as the image has room for it."""
-        shortest = min(image.shape[2:])
+    def _assumed_blur(self) -> float:
+        return 1.0 if self.double_image else 0.5
+
+    def _first_blur(self) -> float | None:
+        """What blurs the images, which may be doubled, to the first level; None where that is not more than they have."""
+        if self.init_sigma <= self._assumed_blur():
+            return None
+        return max(math.sqrt(self.init_sigma**2 - self._assumed_blur() ** 2), 0.01)
+
+    def _window(self, size: Sequence[int], sigma: float) -> int:
+        """The size of a blur's kernel, as far as images of height and width `size` have room for it."""
+        shortest = min(size)
         return min(self.get_kernel_size(sigma), shortest if shortest % 2 else shortest - 1)
 
     def forward(self, x: Tensor) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
         _check.images("ScalePyramid", "x", x)
         level, base, distance = self.get_first_level(x if x.is_floating_point() else x.float())
         octaves: tuple[list[Tensor], list[Tensor], list[Tensor]] = ([], [], [])
-        count = self.n_levels + self.extra_levels
-        scales = [base * self.sigma_step**i for i in range(count)]
-        blurs = [sigma * math.sqrt(self.sigma_step**2 - 1) for sigma in scales[:-1]]
+        scales, blurs = self._level_blurs(base)
+        count = len(scales)
         # Computed on the device, because a copy from the host would wait for it.
         first, last = math.log2(scales[0]), math.log2(scales[-1])
         sigmas = torch.logspace(first, last, count, 2.0, dtype=compute_dtype(level), device=level.device)
         sigmas = as_dtype(sigmas, level.dtype).expand(len(x), count)
         while True:
-            levels = gaussian_levels(level, [self._window(level, sigma) for sigma in blurs], blurs)
+            levels = gaussian_levels(level, [self._window(level.shape[2:], sigma) for sigma in blurs], blurs)
             octaves[0].append(levels)
             octaves[1].append(sigmas)
             octaves[2].append(level.new_full((len(x), count), distance))
@@ -346,3 +355,35 @@ class ScalePyramid(nn.Module):
                 return octaves
             level = resize(level, (h, w), align_corners=True)
             distance *= 2
+
+    def _level_blurs(self, base: float) -> tuple[list[float], list[float]]:
+        """The blur of each level of an octave whose first one has blur `base`, and what blurs it to the next one."""
+        scales = [base * self.sigma_step**i for i in range(self.n_levels + self.extra_levels)]
+        return scales, [sigma * math.sqrt(self.sigma_step**2 - 1) for sigma in scales[:-1]]
+
+    def _plan(self, height: int, width: int) -> ScaleSpacePlan:
+        """What `forward` does for images of one size, in numbers."""
+        more = self._first_blur()
+        scales, blurs = self._level_blurs(self._assumed_blur() if more is None else self.init_sigma)
+        h, w = (2 * height, 2 * width) if self.double_image else (height, width)
+        plan = ScaleSpacePlan([], [], [more or 0.0, *blurs], scales)
+        while True:
+            first = 0 if more is None or plan.sizes else self._window((h, w), more)
+            plan.sizes.extend((h, w))
+            plan.windows.extend((first, *(self._window((h, w), blur) for blur in blurs)))
+            h, w = h // 2, w // 2
+            if min(h, w) <= self.min_size:
+                return plan
+
+
+class ScaleSpacePlan(NamedTuple):
+    """The numbers of a scale space: octaves, and levels that are each blurred to the next one."""
+
+    sizes: list[int]  # height and width of each octave
+    windows: list[int]  # for each octave, of the blurs to all of its levels; 0 for no blur
+    sigmas: list[float]  # of the blurs to the levels
+    scales: list[float]  # blur of the levels, in pixels of their octave
+
+    def voxels(self) -> int:
+        """Of all levels."""
+        return len(self.scales) * sum(h * w for h, w in zip(self.sizes[::2], self.sizes[1::2]))

@@ -1,6 +1,6 @@
 // Peaks of scale spaces: schemas and operators, for CPU and CUDA.
+#include "feature/scale_space/scale_space_peaks_glue.h"
 #include "glue/batch.h"
-#include "scale_space_peaks.h"
 
 namespace kv::feature {
 namespace {
@@ -9,19 +9,17 @@ namespace {
 template <class T>
 geometry::ConvQuadInterp3d<T> peak_search(Tensor const& levels, bool differences, int64_t steps, double largest_shift,
                                           int64_t radius, bool along_scale) {
-  return {nullptr,        nullptr,
-          nullptr,        nullptr,
-          levels.size(0), {int(levels.size(1) - differences), int(levels.size(2)), int(levels.size(3))},
-          int(steps),     int(radius),
-          along_scale,    Compute<T>(largest_shift)};
+  auto search = refinement<T>(steps, largest_shift, radius, along_scale);
+  search.size[0] = int(levels.size(1) - differences);
+  search.size[1] = int(levels.size(2)), search.size[2] = int(levels.size(3));
+  return search;
 }
 
 void check_scale_space(char const* op, Tensor const& levels, bool differences, int64_t steps, int64_t radius) {
   check_images(op, "levels", levels);
   KV_CHECK(levels.size(1) > differences, op, ": expected at least ", differences ? 2 : 1, " levels");
   KV_CHECK(levels.size(1) * levels.size(2) * levels.size(3) <= INT32_MAX, op, ": volumes are too large");
-  KV_CHECK(steps >= 0 && steps <= INT32_MAX && radius >= 0 && radius <= INT32_MAX, op,
-           ": steps and radius must not be negative");
+  check_refinement(op, steps, radius);
 }
 
 // `x` contiguous with one row for each sample.
@@ -41,50 +39,28 @@ std::tuple<Tensor, Tensor> scale_space_peaks(Tensor const& input, std::optional<
                                              bool along_scale) {
   constexpr char const* op = "scale_space_peaks";
   check_scale_space(op, input, differences, steps, radius);
-  KV_CHECK(count >= 0 && count <= INT32_MAX, op, ": expected count of 0 to 2^31 - 1, got ", count);
+  check_peak_count(op, count);
   int64_t const samples = input.size(0), height = input.size(2), width = input.size(3);
-#if defined(KV_CUDA)
-  // Of neighboring voxels at most one is a maximum, and one a minimum.
-  auto const half = [](int64_t size) { return (size + 1) / 2; };
-  int64_t const capacity = (1 + minima) * half(input.size(1) - differences) * half(height) * half(width);
-  int64_t const bands = 1, ranks = samples * (capacity + sorted_ranks(count, capacity));
-#else
-  int64_t const bands = (height + kPeakRows - 1) / kPeakRows, capacity = 0, ranks = 0;
-#endif
   Tensor const levels = dense(input), from = of_each_sample(op, "scales", scales, levels, {samples});
   std::optional<Tensor> allowed;
   if (weights) allowed = of_each_sample(op, "weights", *weights, levels, {samples, height, width});
-  ScalarType const computes = compute_dtype(levels);
-  Tensor const peaks = empty({samples, count, 4}, levels, Layout::planar, computes);
+  Tensor const peaks = empty({samples, count, 4}, levels, Layout::planar, compute_dtype(levels));
   Tensor const voxels = empty({samples, count}, levels, Layout::planar, ScalarType::Long);
-  Tensor const sizes = empty({samples, bands}, levels, Layout::planar, ScalarType::Long);
   dispatch_floating(op, levels, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    int64_t const bytes =
-        ranks > 0 ? ranks * int64_t(sizeof(PeakRank<F>)) : samples * bands * count * int64_t(sizeof(ScaleSpacePeak<F>));
-    Tensor const lists = empty({bytes}, levels, Layout::planar, ScalarType::Byte);
-    ScaleSpacePeaks<T> const params{data_ptr<T const>(levels),
-                                    allowed ? data_ptr<F const>(*allowed) : nullptr,
-                                    data_ptr<F const>(from),
-                                    data_ptr<ScaleSpacePeak<F>>(lists),
-                                    data_ptr<PeakRank<F>>(lists),
-                                    data_ptr<int64_t>(sizes),
-                                    data_ptr<F>(peaks),
-                                    data_ptr<int64_t>(voxels),
-                                    peak_search<T>(levels, differences, steps, largest_shift, radius, along_scale),
-                                    samples,
-                                    bands,
-                                    capacity,
-                                    count,
-                                    differences,
-                                    minima,
-                                    F(levels_of_octave),
-                                    F(margin),
-                                    F(edge_ratio),
-                                    F(threshold)};
-    KV_RUN(find_scale_space_peaks, levels, params, samples * bands, 16 * kPeakRows * width);
-    KV_RUN(sort_scale_space_peaks, levels, params, samples, 64 * count);
+    ScaleSpacePeaks<T> params{};
+    params.octaves[0] = {data_ptr<T const>(levels), {int(levels.size(1) - differences), int(height), int(width)}};
+    params.octave_count = 1;
+    params.weights = allowed ? data_ptr<F const>(*allowed) : nullptr;
+    params.scales = data_ptr<F const>(from);
+    params.peaks = data_ptr<F>(peaks), params.voxels = data_ptr<int64_t>(voxels);
+    params.search = refinement<T>(steps, largest_shift, radius, along_scale);
+    params.samples = samples, params.count = count;
+    params.differences = differences, params.minima = minima;
+    params.levels_of_octave = F(levels_of_octave), params.margin = F(margin);
+    params.edge_ratio = F(edge_ratio), params.threshold = F(threshold);
+    run_scale_space_peaks(levels, params);
   });
   return {peaks, voxels};
 }

@@ -2,7 +2,7 @@
 // in any order. Then a block for each sample selects the strongest digit by digit, sorts them, and refines them again:
 // the same peaks in the same order every run.
 #include "core/launch.cuh"
-#include "scale_space_peaks.h"
+#include "feature/scale_space/scale_space_peaks.h"
 
 namespace kv::feature::cuda {
 namespace {
@@ -39,20 +39,21 @@ struct Neighborhood {
   __device__ __forceinline__ bool is_above(F value) const { return value < lowest && value < center && all_numbers; }
 };
 
-// Blocks of 32 x 8 pixels that are inside of the border; samples along y.
+// A block a tile of 32 x 8 pixels, of all octaves one after the other; samples along y.
 template <class T>
-__global__ void __launch_bounds__(kThreads) list_peaks(__grid_constant__ ScaleSpacePeaks<T> const p, unsigned across) {
+__global__ void __launch_bounds__(kThreads) list_peaks(__grid_constant__ ScaleSpacePeaks<T> const p) {
   using F = Compute<T>;
-  int const depth = p.search.size[0], height = p.search.size[1], width = p.search.size[2];
-  int const x = 1 + int(blockIdx.x % across) * 32 + int(threadIdx.x) % 32;
-  int const y = 1 + int(blockIdx.x / across) * 8 + int(threadIdx.x) / 32;
+  PeakOctave<T> const& octave = p.octave_of_part(int(blockIdx.x));
+  int const depth = octave.size[0], height = octave.size[1], width = octave.size[2];
+  int const tile = int(blockIdx.x) - octave.first_part, across = peak_tiles_across(width);
+  int const x = 1 + tile % across * 32 + int(threadIdx.x) % 32;
+  int const y = 1 + tile / across * 8 + int(threadIdx.x) / 32;
   if (x > width - 2 || y > height - 2) return;
-  int64_t const plane = int64_t(height) * width;
-  auto const response = response_of<T>(p.differences, plane);
+  auto const response = response_of<T>(p.differences, octave.plane());
   for (int64_t sample = blockIdx.y; sample < p.samples; sample += gridDim.y) {
-    T const* const levels = p.levels + sample * (depth + p.differences) * plane;
+    T const* const levels = octave.of_sample(sample, p.differences);
     auto const at_level = [&](int z) {
-      T const* const center = levels + z * plane + int64_t(y) * width + x;
+      T const* const center = levels + z * octave.plane() + int64_t(y) * width + x;
       return [=](int dy, int dx) { return response(center[int64_t(dy) * width + dx]); };
     };
     Neighborhood<F> lower(at_level(0)), here(at_level(1));
@@ -63,11 +64,12 @@ __global__ void __launch_bounds__(kThreads) list_peaks(__grid_constant__ ScaleSp
       bool const is_maximum = v > here.highest && numbers && lower.is_below(v) && upper.is_below(v);
       bool const is_minimum = p.minima && v < here.lowest && numbers && lower.is_above(v) && upper.is_above(v);
       if (is_maximum || is_minimum)
-        refine_peak(p, sample, levels, z, y, x, is_maximum, response, at_level(z), [&](ScaleSpacePeak<F> const& peak) {
-          auto* const size = reinterpret_cast<unsigned long long*>(p.sizes + sample);
-          int64_t const slot = int64_t(atomicAdd(size, 1ull));
-          if (slot < p.capacity) p.ranks[sample * p.capacity + slot] = {peak.score, int(peak.voxel)};
-        });
+        refine_peak(p, octave, sample, levels, z, y, x, is_maximum, response, at_level(z),
+                    [&](ScaleSpacePeak<F> const& peak) {
+                      auto* const size = reinterpret_cast<unsigned long long*>(p.sizes + sample);
+                      int64_t const slot = int64_t(atomicAdd(size, 1ull));
+                      if (slot < p.capacity) p.ranks[sample * p.capacity + slot] = {peak.score, int(peak.voxel)};
+                    });
       lower = here, here = upper;
     }
   }
@@ -148,6 +150,17 @@ __device__ void bitonic_sort(PeakRank<F>* ranks, int64_t size) {
     }
 }
 
+// Whether a pixel of an image differs from its first one. Called by all threads of a block.
+template <class T>
+__device__ bool varies(T const* image, int64_t pixels) {
+  auto const first = pixels > 0 ? read(image[0]) : 0;
+  for (int64_t start = 0; start < pixels; start += kChoosers) {
+    int64_t const i = start + threadIdx.x;
+    if (__syncthreads_or(i < pixels && !(read(image[i]) == first))) return true;
+  }
+  return false;
+}
+
 extern __shared__ double shared_ranks[];
 
 // A block a sample.
@@ -156,7 +169,8 @@ __global__ void __launch_bounds__(kChoosers) choose_peaks(__grid_constant__ Scal
   using F = Compute<T>;
   __shared__ RankPrefix prefix;
   __shared__ int chosen;
-  int64_t const sample = blockIdx.x, n = min(p.sizes[sample], p.capacity), kept = min(n, p.count);
+  int64_t const sample = blockIdx.x, n = min(p.sizes[sample], p.capacity);
+  int64_t const kept = !p.images || varies(p.images + sample * p.pixels, p.pixels) ? min(n, p.count) : 0;
   PeakRank<F> const* const listed = p.ranks + sample * p.capacity;
   PeakRank<F>* sorted = reinterpret_cast<PeakRank<F>*>(shared_ranks);
   int64_t const room = sorted_ranks(p.count, p.capacity), size = sorted_ranks(kept, kept);
@@ -170,19 +184,18 @@ __global__ void __launch_bounds__(kChoosers) choose_peaks(__grid_constant__ Scal
   __syncthreads();
   bitonic_sort(sorted, size);
 
-  int const depth = p.search.size[0], height = p.search.size[1], width = p.search.size[2];
-  int64_t const plane = int64_t(height) * width;
-  auto const response = response_of<T>(p.differences, plane);
-  T const* const levels = p.levels + sample * (depth + p.differences) * plane;
   for (int64_t i = threadIdx.x; i < p.count; i += kChoosers) {
     ScaleSpacePeak<F> peak{0, 0, 0, 0, 0, -1};
     if (i < kept) {
-      int const voxel = sorted[i].voxel, z = int(voxel / plane), y = int(voxel / width % height), x = voxel % width;
-      peak = refine_extremum(p.search, levels, z, y, x, is_maximum_at(levels, voxel, response), response);
+      PeakOctave<T> const& octave = p.octave_of_voxel(sorted[i].voxel);
+      auto const response = response_of<T>(p.differences, octave.plane());
+      T const* const levels = octave.of_sample(sample, p.differences);
+      int const voxel = sorted[i].voxel - octave.first_voxel, plane = int(octave.plane()), width = octave.size[2];
+      peak = refine_extremum(p.search_in(octave), levels, voxel / plane, voxel / width % octave.size[1], voxel % width,
+                             is_maximum_at(levels, voxel, response), response);
+      peak.voxel += octave.first_voxel;
     }
-    F* const numbers = p.peaks + 4 * (sample * p.count + i);
-    numbers[0] = peak.level, numbers[1] = peak.x, numbers[2] = peak.y, numbers[3] = peak.value;
-    p.voxels[sample * p.count + i] = peak.voxel;
+    store_peak(p, sample * p.count + i, peak);
   }
 }
 
@@ -210,11 +223,9 @@ __global__ void __launch_bounds__(kThreads) add_gradients(__grid_constant__ Scal
 template <class T>
 int find_scale_space_peaks(ScaleSpacePeaks<T> const& p, CUstream_st* stream) {
   if (int const error = cudaMemsetAsync(p.sizes, 0, size_t(p.samples) * sizeof(int64_t), stream)) return error;
-  int const height = p.search.size[1], width = p.search.size[2];
-  if (p.search.size[0] < 3 || height < 3 || width < 3) return cudaSuccess;
-  auto const across = unsigned(ceil_div(width - 2, 32)), down = unsigned(ceil_div(height - 2, 8));
-  dim3 const grid(across * down, unsigned(p.samples < 65535 ? p.samples : 65535));
-  list_peaks<T><<<grid, kThreads, 0, stream>>>(p, across);
+  if (p.parts_of_sample == 0) return cudaSuccess;
+  dim3 const grid(unsigned(p.parts_of_sample), unsigned(p.samples < 65535 ? p.samples : 65535));
+  list_peaks<T><<<grid, kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

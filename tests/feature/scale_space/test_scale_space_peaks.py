@@ -10,7 +10,7 @@ import kvision as K
 from feature_images import photo
 from kvision import _check
 from kvision._dtype import compute_dtype, floats
-from kvision.feature.scale_space_peaks import scale_space_peaks
+from kvision.feature.scale_space.scale_space_peaks import scale_space_peaks
 from op_tests import OpTests, assert_close
 
 ANYWHERE = float("-inf")

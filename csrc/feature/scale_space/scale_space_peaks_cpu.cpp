@@ -2,7 +2,7 @@
 // instruction set.
 #include "core/any_lane.h"
 #include "core/scratch.h"
-#include "scale_space_peaks.h"
+#include "feature/scale_space/scale_space_peaks.h"
 
 namespace kv::feature::KV_ISA {
 namespace {
@@ -22,12 +22,17 @@ struct ResponseRows {
   bool differences;
   Scratch<F> memory;
 
-  KV_HD ResponseRows(ScaleSpacePeaks<T> const& p)
-      : depth(p.search.size[0]),
-        height(p.search.size[1]),
-        width(p.search.size[2]),
-        differences(p.differences),
-        memory(3 * int64_t(depth) * width) {}
+  KV_HD ResponseRows(ScaleSpacePeaks<T> const& p) : differences(p.differences), memory(3 * longest(p)) {}
+  // Of a level in all octaves.
+  static KV_HD int64_t longest(ScaleSpacePeaks<T> const& p) {
+    int64_t size = 0;
+    for (int o = 0; o < p.octave_count; ++o) size = max(size, int64_t(p.octaves[o].size[0]) * p.octaves[o].size[2]);
+    return size;
+  }
+  KV_HD void start(PeakOctave<T> const& octave, int64_t sample) {
+    levels = octave.of_sample(sample, differences);
+    depth = octave.size[0], height = octave.size[1], width = octave.size[2];
+  }
   KV_HD F* row(int z, int y) const { return memory.data + (int64_t(y % 3) * depth + z) * width; }
   KV_HD void fill(int y) const {
     int64_t const plane = int64_t(height) * width;
@@ -91,26 +96,36 @@ struct ResponseRows {
   }
 };
 
+// Whether a pixel of an image differs from its first one.
+template <class T>
+KV_HD bool varies(T const* image, int64_t pixels) {
+  for (int64_t i = 1; i < pixels; ++i)
+    if (!(load<1>(image + i) == load<1>(image))) return true;
+  return pixels > 0 && !(load<1>(image) == load<1>(image));
+}
+
 }  // namespace
 
 template <class T>
 void find_scale_space_peaks(ScaleSpacePeaks<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   ResponseRows<T> rows(p);
-  int64_t const plane = int64_t(rows.height) * rows.width, bands = p.bands_of_sample;
-  auto const read = response_of<T>(p.differences, plane);
   for (int64_t band = begin; band < end; ++band) {
-    int64_t const sample = band / bands, first = band % bands * kPeakRows;
+    int64_t const sample = band / p.parts_of_sample;
+    int const part = int(band % p.parts_of_sample);
+    PeakOctave<T> const& octave = p.octave_of_part(part);
+    auto const read = response_of<T>(p.differences, octave.plane());
+    rows.start(octave, sample);
+    int64_t const first = (part - octave.first_part) * kPeakRows;
     int const from = int(max(first, int64_t(1))), to = int(min(first + kPeakRows, int64_t(rows.height - 1)));
     StrongestPeaks<F> strongest{p.bands + band * p.count, p.count, 0};
-    rows.levels = p.levels + sample * (p.search.size[0] + p.differences) * plane;
     if (from < to) rows.fill(from - 1), rows.fill(from);
     for (int y = from; y < to; ++y) {
       rows.fill(y + 1);
       for (int z = 1; z + 1 < rows.depth; ++z)
         rows.extrema(z, y, p.minima, [&](int x, bool is_maximum) KV_INLINE {
           auto const around = [&](int dy, int dx) KV_INLINE { return rows.row(z, y + dy)[x + dx]; };
-          refine_peak(p, sample, rows.levels, z, y, x, is_maximum, read, around,
+          refine_peak(p, octave, sample, rows.levels, z, y, x, is_maximum, read, around,
                       [&](ScaleSpacePeak<F> const& peak) KV_INLINE { strongest.add(peak); });
         });
     }
@@ -124,17 +139,14 @@ void sort_scale_space_peaks(ScaleSpacePeaks<T> const& p, int64_t begin, int64_t 
   Scratch<ScaleSpacePeak<F>> memory(p.count);
   for (int64_t sample = begin; sample < end; ++sample) {
     StrongestPeaks<F> strongest{memory.data, p.count, 0};
-    for (int64_t band = sample * p.bands_of_sample; band < (sample + 1) * p.bands_of_sample; ++band)
+    bool const has_peaks = !p.images || varies(p.images + sample * p.pixels, p.pixels);
+    int64_t const first = sample * p.parts_of_sample, last = has_peaks ? first + p.parts_of_sample : first;
+    for (int64_t band = first; band < last; ++band)
       for (int64_t i = 0; i < p.sizes[band]; ++i) strongest.add(p.bands[band * p.count + i]);
     int64_t const count = strongest.size;
     strongest.sort();
-    for (int64_t i = 0; i < p.count; ++i) {
-      ScaleSpacePeak<F> const peak = i < count ? memory.data[i] : ScaleSpacePeak<F>{0, 0, 0, 0, 0, -1};
-      int64_t const at = sample * p.count + i;
-      F* const numbers = p.peaks + 4 * at;
-      numbers[0] = peak.level, numbers[1] = peak.x, numbers[2] = peak.y, numbers[3] = peak.value;
-      p.voxels[at] = peak.voxel;
-    }
+    for (int64_t i = 0; i < p.count; ++i)
+      store_peak(p, sample * p.count + i, i < count ? memory.data[i] : ScaleSpacePeak<F>{0, 0, 0, 0, 0, -1});
   }
 }
 

@@ -9,8 +9,9 @@
 //   6. the strongest `count`, in order
 //
 // The response is stored, or it is the difference of adjacent levels of a pyramid, which is not: on the CPU a band of
-// rows keeps three of its rows. Included by scale_space_peaks_cpu.cpp, scale_space_peaks.cu and
-// scale_space_peaks_op.cpp.
+// rows keeps three of its rows. The octaves of a scale space are volumes of several sizes that are searched together;
+// the voxels of all are numbered one octave after the other. Included by scale_space_peaks_cpu.cpp,
+// scale_space_peaks.cu and scale_space_peaks_op.cpp.
 #pragma once
 
 #if !defined(__CUDACC__)
@@ -21,11 +22,12 @@
 namespace kv::feature {
 
 constexpr int64_t kPeakRows = 64;  // of a band
+constexpr int kMaxOctaves = 16;    // MAX_OCTAVES in python/kvision/feature/scale_space/scale_space_features.py
 
 template <class F>
 struct ScaleSpacePeak {
   F score, value, level, x, y;
-  int64_t voxel;  // the one that is above its neighbors; the offset in its volume
+  int64_t voxel;  // the one that is above its neighbors; its number among those of all octaves
 };
 
 // The order of peaks: the strongest first, and of equal scores the first voxel, so that there is only one order.
@@ -38,6 +40,10 @@ struct PeakRank {
   }
 };
 
+// How many tiles of 32 x 8 pixels a level has inside of its border.
+KV_HD int peak_tiles_across(int width) { return (width - 2 + 31) / 32; }
+KV_HD int peak_tiles(int height, int width) { return peak_tiles_across(width) * ((height - 2 + 7) / 8); }
+
 // How many ranks are sorted to have the first `count` of at most `capacity`: a power of two.
 KV_HD int64_t sorted_ranks(int64_t count, int64_t capacity) {
   int64_t size = 1;
@@ -46,20 +52,57 @@ KV_HD int64_t sorted_ranks(int64_t count, int64_t capacity) {
 }
 
 template <class T>
+struct PeakOctave {
+  T const* levels;     // (samples, D, H, W), or (samples, D + 1, H, W) whose differences are searched
+  int size[3];         // D, H, W
+  int first_part = 0;  // of the octave, among the parts of a sample: bands on the CPU, tiles on CUDA
+  int first_voxel = 0;
+  Compute<T> to_x = 1, to_y = 1;  // how many pixels of the image one of the octave is
+
+  KV_HD int64_t plane() const { return int64_t(size[1]) * size[2]; }
+  KV_HD T const* of_sample(int64_t sample, bool differences) const {
+    return levels + sample * (size[0] + differences) * plane();
+  }
+};
+
+template <class T>
 struct ScaleSpacePeaks {
-  T const* levels;            // (samples, D, H, W), or (samples, D + 1, H, W) whose differences are searched
-  Compute<T> const* weights;  // (samples, H, W) in [0, 1]; null for 1
-  Compute<T> const* scales;   // (samples): s_0
+  PeakOctave<T> octaves[kMaxOctaves];
+  int octave_count, parts_of_sample;
+  Compute<T> const* weights;  // (samples, H, W) in [0, 1], of a single octave; null for 1
+  Compute<T> const* scales;   // (samples): s_0; null for `scale`
+  Compute<T> scale;
+  T const* images;  // (samples, pixels): one whose pixels are all the same has no peaks; null: not asked
+  int64_t pixels;
   // On the CPU the strongest of each band of rows are kept, on CUDA the ranks of all peaks of a sample.
-  ScaleSpacePeak<Compute<T>>* bands;     // (samples, bands_of_sample, count)
-  PeakRank<Compute<T>>* ranks;           // (samples, capacity), then (samples, sorted_ranks(count, capacity))
-  int64_t* sizes;                        // (samples, bands_of_sample), or (samples)
+  ScaleSpacePeak<Compute<T>>* bands;  // (samples, parts_of_sample, count)
+  PeakRank<Compute<T>>* ranks;        // (samples, capacity), then (samples, sorted_ranks(count, capacity))
+  int64_t* sizes;                     // (samples, parts_of_sample), or (samples)
+  // The results are peaks and voxels of a single octave, or frames and scores of several.
   Compute<T>* peaks;                     // (samples, count, 4): level, x, y, value
   int64_t* voxels;                       // (samples, count), -1 after the last peak
-  geometry::ConvQuadInterp3d<T> search;  // the size of a volume and how to refine; without tensors
-  int64_t samples, bands_of_sample, capacity, count;
+  Compute<T>* frames;                    // (samples, count, 2, 3), 0 after the last peak
+  Compute<T>* scores;                    // (samples, count), 0 after the last peak
+  geometry::ConvQuadInterp3d<T> search;  // how to refine; without tensors and sizes
+  int64_t samples, capacity, count;
   bool differences, minima;
   Compute<T> levels_of_octave, margin, edge_ratio, threshold;  // n; pixels; r, 0 keeps edges
+
+  KV_HD PeakOctave<T> const& octave_of_part(int part) const {
+    int o = 0;
+    while (o + 1 < octave_count && part >= octaves[o + 1].first_part) ++o;
+    return octaves[o];
+  }
+  KV_HD PeakOctave<T> const& octave_of_voxel(int64_t voxel) const {
+    int o = 0;
+    while (o + 1 < octave_count && voxel >= octaves[o + 1].first_voxel) ++o;
+    return octaves[o];
+  }
+  KV_HD geometry::ConvQuadInterp3d<T> search_in(PeakOctave<T> const& octave) const {
+    geometry::ConvQuadInterp3d<T> s = search;
+    for (int a = 0; a < 3; ++a) s.size[a] = octave.size[a];
+    return s;
+  }
 };
 
 template <class T>
@@ -137,23 +180,43 @@ KV_HD ScaleSpacePeak<Compute<T>> refine_extremum(geometry::ConvQuadInterp3d<T> c
 
 // Calls use(peak) with the refined extremum and its score, if it is a peak. around(dy, dx) is the response near it.
 template <class T, class Read, class Around, class Use>
-KV_HD void refine_peak(ScaleSpacePeaks<T> const& p, int64_t sample, T const* levels, int z, int y, int x,
-                       bool is_maximum, Read read, Around around, Use use) {
+KV_HD void refine_peak(ScaleSpacePeaks<T> const& p, PeakOctave<T> const& octave, int64_t sample, T const* levels, int z,
+                       int y, int x, bool is_maximum, Read read, Around around, Use use) {
   using F = Compute<T>;
-  int const height = p.search.size[1], width = p.search.size[2];
+  int const height = octave.size[1], width = octave.size[2];
   F const* const weights = p.weights ? p.weights + sample * height * width : nullptr;
   F const weight = weights ? weights[int64_t(y) * width + x] : F(1);
   if (!(weight > 0)) return;
   if (p.edge_ratio > 0 && !is_off_edges(p.edge_ratio, around)) return;
-  ScaleSpacePeak<F> peak = refine_extremum(p.search, levels, z, y, x, is_maximum, read);
+  ScaleSpacePeak<F> peak = refine_extremum(p.search_in(octave), levels, z, y, x, is_maximum, read);
   // The refinement may move the value of a minimum across 0.
   if (!is_maximum && !(peak.value > around(0, 0))) return;
-  F const room = p.margin + p.scales[sample] * exp2_of(peak.level / p.levels_of_octave) / 2;
+  F const scale = p.scales ? p.scales[sample] : p.scale;
+  F const room = p.margin + scale * exp2_of(peak.level / p.levels_of_octave) / 2;
   if (!(peak.x >= room && peak.y >= room && peak.x + room <= F(width - 1) && peak.y + room <= F(height - 1))) return;
   if (weights && !is_allowed(weights, width, peak.x, peak.y)) return;
   constexpr F lowest = sizeof(F) == 4 ? F(-__FLT_MAX__) : F(-__DBL_MAX__);
   peak.score = weights ? weighted_score(peak.value, weight, lowest) : peak.value;
+  peak.voxel += octave.first_voxel;
   if (peak.score > p.threshold) use(peak);
+}
+
+// Stores the peak of a slot. Voxel -1: there is none.
+template <class T>
+KV_HD void store_peak(ScaleSpacePeaks<T> const& p, int64_t slot, ScaleSpacePeak<Compute<T>> const& peak) {
+  using F = Compute<T>;
+  if (!p.frames) {
+    F* const numbers = p.peaks + 4 * slot;
+    numbers[0] = peak.level, numbers[1] = peak.x, numbers[2] = peak.y, numbers[3] = peak.value;
+    p.voxels[slot] = peak.voxel;
+    return;
+  }
+  PeakOctave<T> const& octave = p.octave_of_voxel(peak.voxel);
+  F const scale = peak.voxel < 0 ? F(0) : p.scale * exp2_of(peak.level / p.levels_of_octave);
+  F* const laf = p.frames + 6 * slot;
+  laf[0] = scale * octave.to_x, laf[1] = 0, laf[2] = peak.x * octave.to_x;
+  laf[3] = 0, laf[4] = scale * octave.to_y, laf[5] = peak.y * octave.to_y;
+  p.scores[slot] = peak.value;
 }
 
 // Whether the extremum at a voxel inside the volume is a maximum.

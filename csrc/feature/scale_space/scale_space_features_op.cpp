@@ -1,0 +1,121 @@
+// The strongest features of images in one call: their scale space, its response, and the peaks of all octaves. The
+// schema and the operator, for CPU and CUDA.
+#include "feature/scale_space/hessian.h"
+#include "feature/scale_space/scale_space_peaks_glue.h"
+#include "geometry/transform/pyramid_glue.h"
+
+namespace kv::feature {
+namespace {
+
+// The levels (B, L, H, W) of each octave of images (B, 1, H, W). The first octave begins with the image, resized to its
+// size and blurred; the others with level `next` of the one before. Every level is blurred to the next one.
+struct ScaleSpace {
+  std::vector<Tensor> octaves;
+
+  template <class T>
+  static ScaleSpace build(char const* op, Tensor const& image, std::vector<int64_t> const& sizes,
+                          std::vector<int64_t> const& windows, std::vector<double> const& sigmas, int64_t next) {
+    int64_t const batch = image.size(0), levels = int64_t(sigmas.size());
+    ScaleSpace space;
+    int64_t height = image.size(2), width = image.size(3);
+    Planes<T const> source = adjacent_planes(data_ptr<T const>(image), batch, height, width);
+    for (size_t o = 0; 2 * o < sizes.size(); ++o) {
+      int64_t const h = sizes[2 * o], w = sizes[2 * o + 1], *const window = windows.data() + int64_t(o) * levels;
+      Tensor const octave = empty({batch, levels, h, w}, image);
+      T* const data = data_ptr<T>(octave);
+      auto const level = [&](int64_t l) { return planes_of_level(data, batch, levels, l, h, w); };
+      auto const level_to_read = [&](int64_t l) { return planes_of_level<T const>(data, batch, levels, l, h, w); };
+      // A blur of the first level goes by way of the second one, which is not written yet.
+      bool const is_blurred = window[0] > 0, is_resized = h != height || w != width;
+      Planes<T> const first = level(is_blurred && is_resized ? 1 : 0);
+      if (is_resized || !is_blurred)
+        geometry::resize_planes(image, source, first, geometry::ResizeFilter::bilinear, true);
+      if (is_blurred)
+        filters::blur_planes(op, image, is_resized ? level_to_read(1) : source, level(0), window[0], sigmas[0]);
+      for (int64_t l = 1; l < levels; ++l)
+        filters::blur_planes(op, image, level_to_read(l - 1), level(l), window[l], sigmas[size_t(l)]);
+      space.octaves.push_back(octave);
+      source = level_to_read(next), height = h, width = w;
+    }
+    return space;
+  }
+};
+
+std::tuple<Tensor, Tensor> scale_space_features(Tensor const& input, std::vector<int64_t> sizes,
+                                                std::vector<int64_t> windows, std::vector<double> sigmas, int64_t next,
+                                                std::vector<double> blurs, int64_t mode, bool minima, int64_t count,
+                                                double scale, double levels_of_octave, double margin, double edge_ratio,
+                                                double threshold, int64_t steps, double largest_shift, int64_t radius,
+                                                bool along_scale) {
+  constexpr char const* op = "scale_space_features";
+  check_images(op, "input", input);
+  int64_t const octaves = int64_t(sizes.size() / 2), levels = int64_t(sigmas.size());
+  bool const differences = mode < 0;
+  KV_CHECK(input.size(1) == 1, op, ": expected images of one channel");
+  KV_CHECK(octaves > 0 && octaves <= kMaxOctaves && sizes.size() % 2 == 0, op, ": expected the sizes of 1 to ",
+           kMaxOctaves, " octaves");
+  KV_CHECK(levels > 1 && levels <= kMaxScales && int64_t(windows.size()) == octaves * levels && next >= 0 &&
+               next < levels && (differences || int64_t(blurs.size()) == levels),
+           op, ": expected windows and sigmas of 2 to ", kMaxScales, " levels");
+  KV_CHECK(mode <= 1, op, ": mode must be -1 (differences), 0 (sobel) or 1 (diff), got ", mode);
+  for (int64_t size : sizes)
+    KV_CHECK(size > 0 && size < 1 << 30, op, ": expected sizes of 1 to 2^30 pixels, got ", size);
+  check_refinement(op, steps, radius);
+  check_peak_count(op, count);
+  Tensor const image = dense(input);
+  int64_t const batch = image.size(0);
+  ScalarType const computes = compute_dtype(image);
+  Tensor const frames = empty({batch, count, 2, 3}, image, Layout::planar, computes);
+  Tensor const scores = empty({batch, count}, image, Layout::planar, computes);
+  dispatch_floating(op, image, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    ScaleSpace const space = ScaleSpace::build<T>(op, image, sizes, windows, sigmas, next);
+    std::vector<Tensor> responses;
+    ScaleSpacePeaks<T> params{};
+    for (int64_t o = 0; o < octaves; ++o) {
+      Tensor const& octave = space.octaves[size_t(o)];
+      int64_t const h = octave.size(2), w = octave.size(3);
+      Tensor const& response = differences ? octave : responses.emplace_back(empty(octave.sizes(), octave));
+      if (!differences) {
+        LevelHessian<T> hessian_of{};
+        hessian_of.x = adjacent_planes(data_ptr<T const>(octave), batch * levels, h, w);
+        hessian_of.y = adjacent_planes(data_ptr<T>(response), batch * levels, h, w);
+        hessian_of.kind = mode == 0 ? filters::DerivativeKind::sobel2 : filters::DerivativeKind::diff2;
+        hessian_of.scale_count = int(levels);
+        for (int64_t l = 0; l < levels; ++l) {
+          F const square = F(blurs[size_t(l)]) * F(blurs[size_t(l)]);
+          hessian_of.factors[l] = square * square;
+        }
+        KV_RUN(level_hessian, octave, hessian_of, batch * levels * h, 8 * w);
+      }
+      // Pixels of an octave and of the image have the same corners.
+      auto const step = [](int64_t image_side, int64_t side) {
+        return side > 1 ? F(double(image_side - 1) / double(side - 1)) : F(1);
+      };
+      params.octaves[o] = {
+          data_ptr<T const>(response), {int(levels - differences), int(h), int(w)}, 0, 0, step(image.size(3), w),
+          step(image.size(2), h)};
+    }
+    params.octave_count = int(octaves);
+    params.images = data_ptr<T const>(image), params.pixels = image.size(2) * image.size(3);
+    params.frames = data_ptr<F>(frames), params.scores = data_ptr<F>(scores);
+    params.search = refinement<T>(steps, largest_shift, radius, along_scale);
+    params.samples = batch, params.count = count, params.scale = F(scale);
+    params.differences = differences, params.minima = minima;
+    params.levels_of_octave = F(levels_of_octave), params.margin = F(margin);
+    params.edge_ratio = F(edge_ratio), params.threshold = F(threshold);
+    run_scale_space_peaks(image, params);
+  });
+  return {frames, scores};
+}
+
+}  // namespace
+
+KV_OPERATOR(
+    scale_space_features,
+    "(Tensor input, int[] sizes, int[] windows, float[] sigmas, int next, float[] blurs, int mode, bool minima, "
+    "int count, float scale, float levels_of_octave, float margin, float edge_ratio, float threshold, "
+    "int steps, float largest_shift, int radius, bool along_scale) -> (Tensor, Tensor)")
+
+}  // namespace kv::feature

@@ -1,0 +1,1 @@
+"""Peaks of scale spaces, and features from them."""

@@ -39,38 +39,129 @@ struct Neighborhood {
   __device__ __forceinline__ bool is_above(F value) const { return value < lowest && value < center && all_numbers; }
 };
 
-// A block a tile of 32 x 8 pixels, of all octaves one after the other; samples along y.
+// Lists an extremum if it is a peak.
+template <class T, class Response, class At>
+__device__ __forceinline__ void list_if_peak(ScaleSpacePeaks<T> const& p, PeakOctave<T> const& octave, int64_t sample,
+                                             T const* levels, int z, int y, int x, bool is_maximum, Response response,
+                                             At around) {
+  refine_peak(p, octave, sample, levels, z, y, x, is_maximum, response, around,
+              [&](ScaleSpacePeak<Compute<T>> const& peak) {
+                auto* const size = reinterpret_cast<unsigned long long*>(p.sizes + sample);
+                int64_t const slot = int64_t(atomicAdd(size, 1ull));
+                if (slot < p.capacity) p.ranks[sample * p.capacity + slot] = {peak.score, int(peak.voxel)};
+              });
+}
+
+template <class T, class Response>
+__device__ __forceinline__ auto response_around(T const* levels, PeakOctave<T> const& octave, int z, int y, int x,
+                                                Response response) {
+  int const width = octave.size[2];
+  T const* const center = levels + z * octave.plane() + int64_t(y) * width + x;
+  return [=](int dy, int dx) { return response(center[int64_t(dy) * width + dx]); };
+}
+
+// A block a tile, of all octaves one after the other; samples along y. For any number of levels.
 template <class T>
 __global__ void __launch_bounds__(kThreads) list_peaks(__grid_constant__ ScaleSpacePeaks<T> const p) {
   using F = Compute<T>;
   PeakOctave<T> const& octave = p.octave_of_part(int(blockIdx.x));
   int const depth = octave.size[0], height = octave.size[1], width = octave.size[2];
   int const tile = int(blockIdx.x) - octave.first_part, across = peak_tiles_across(width);
-  int const x = 1 + tile % across * 32 + int(threadIdx.x) % 32;
-  int const y = 1 + tile / across * 8 + int(threadIdx.x) / 32;
-  if (x > width - 2 || y > height - 2) return;
   auto const response = response_of<T>(p.differences, octave.plane());
   for (int64_t sample = blockIdx.y; sample < p.samples; sample += gridDim.y) {
     T const* const levels = octave.of_sample(sample, p.differences);
-    auto const at_level = [&](int z) {
-      T const* const center = levels + z * octave.plane() + int64_t(y) * width + x;
-      return [=](int dy, int dx) { return response(center[int64_t(dy) * width + dx]); };
+    for (int at = int(threadIdx.x); at < kPeakTileWidth * kPeakTileHeight; at += kThreads) {
+      int const x = 1 + tile % across * kPeakTileWidth + at % kPeakTileWidth;
+      int const y = 1 + tile / across * kPeakTileHeight + at / kPeakTileWidth;
+      if (x > width - 2 || y > height - 2) continue;
+      auto const around = [&](int z) { return response_around(levels, octave, z, y, x, response); };
+      Neighborhood<F> lower(around(0)), here(around(1));
+      for (int z = 1; z + 1 < depth; ++z) {
+        Neighborhood<F> const upper(around(z + 1));
+        F const v = here.center;
+        bool const numbers = here.all_numbers;
+        bool const is_maximum = v > here.highest && numbers && lower.is_below(v) && upper.is_below(v);
+        bool const is_minimum = p.minima && v < here.lowest && numbers && lower.is_above(v) && upper.is_above(v);
+        if (is_maximum || is_minimum) list_if_peak(p, octave, sample, levels, z, y, x, is_maximum, response, around(z));
+        lower = here, here = upper;
+      }
+    }
+  }
+}
+
+// What a row of all levels says about a pixel: its own values, and the extrema of its neighbors in the row, with and
+// without itself. Bit z of `odd`: of level z one of the three is NaN, which extrema skip.
+template <class F, int Levels>
+struct RowExtrema {
+  F own[Levels], highest[Levels], lowest[Levels], highest_other[Levels], lowest_other[Levels];
+  unsigned odd;
+};
+
+// The same tiles for a fixed number of levels. A lane has a column, of which the outermost two are those of adjacent
+// tiles, and a warp goes down some rows: a voxel is read once.
+template <class T, int Levels>
+__global__ void __launch_bounds__(kThreads) list_peaks_of_rows(__grid_constant__ ScaleSpacePeaks<T> const p) {
+  using F = Compute<T>;
+  constexpr int kRows = kPeakTileHeight / (kThreads / 32);
+  constexpr unsigned kAllLanes = 0xffffffffu;
+  PeakOctave<T> const& octave = p.octave_of_part(int(blockIdx.x));
+  int const height = octave.size[1], width = octave.size[2], lane = int(threadIdx.x) % 32;
+  int const tile = int(blockIdx.x) - octave.first_part, across = peak_tiles_across(width);
+  int const x = tile % across * kPeakTileWidth + lane;
+  int const y0 = 1 + tile / across * kPeakTileHeight + int(threadIdx.x) / 32 * kRows;
+  bool const is_inside = lane > 0 && lane < 31 && x < width - 1;
+  if (y0 > height - 2) return;  // a warp as a whole
+  int64_t const plane = octave.plane();
+  auto const response = response_of<T>(p.differences, plane);
+  for (int64_t sample = blockIdx.y; sample < p.samples; sample += gridDim.y) {
+    T const* const levels = octave.of_sample(sample, p.differences);
+    auto const read_row = [&](int y, RowExtrema<F, Levels>& row) {
+      T const* const at = levels + int64_t(y) * width + min(x, width - 1);
+      F values[Levels + 1];
+#pragma unroll
+      for (int z = 0; z <= Levels; ++z)
+        if (z < Levels || p.differences) values[z] = read(at[z * plane]);
+      unsigned odd = 0;
+#pragma unroll
+      for (int z = 0; z < Levels; ++z) {
+        row.own[z] = p.differences ? values[z + 1] - values[z] : values[z];
+        odd |= row.own[z] == row.own[z] ? 0u : 1u << z;
+      }
+      row.odd = odd | __shfl_up_sync(kAllLanes, odd, 1) | __shfl_down_sync(kAllLanes, odd, 1);
+#pragma unroll
+      for (int z = 0; z < Levels; ++z) {
+        F const left = __shfl_up_sync(kAllLanes, row.own[z], 1), right = __shfl_down_sync(kAllLanes, row.own[z], 1);
+        row.highest_other[z] = max(left, right), row.lowest_other[z] = min(left, right);
+        row.highest[z] = max(row.highest_other[z], row.own[z]), row.lowest[z] = min(row.lowest_other[z], row.own[z]);
+      }
     };
-    Neighborhood<F> lower(at_level(0)), here(at_level(1));
-    for (int z = 1; z + 1 < depth; ++z) {
-      Neighborhood<F> const upper(at_level(z + 1));
-      F const v = here.center;
-      bool const numbers = here.all_numbers;
-      bool const is_maximum = v > here.highest && numbers && lower.is_below(v) && upper.is_below(v);
-      bool const is_minimum = p.minima && v < here.lowest && numbers && lower.is_above(v) && upper.is_above(v);
-      if (is_maximum || is_minimum)
-        refine_peak(p, octave, sample, levels, z, y, x, is_maximum, response, at_level(z),
-                    [&](ScaleSpacePeak<F> const& peak) {
-                      auto* const size = reinterpret_cast<unsigned long long*>(p.sizes + sample);
-                      int64_t const slot = int64_t(atomicAdd(size, 1ull));
-                      if (slot < p.capacity) p.ranks[sample * p.capacity + slot] = {peak.score, int(peak.voxel)};
-                    });
-      lower = here, here = upper;
+    RowExtrema<F, Levels> rows[3];
+    read_row(y0 - 1, rows[0]);
+    read_row(y0, rows[1]);
+    int const y1 = min(y0 + kRows, height - 1);
+#pragma unroll 1
+    for (int y = y0; y < y1; ++y) {
+      read_row(y + 1, rows[2]);
+      unsigned const odd = rows[0].odd | rows[1].odd | rows[2].odd;
+      F highest[Levels], lowest[Levels];
+#pragma unroll
+      for (int z = 0; z < Levels; ++z) {
+        highest[z] = max(max(rows[0].highest[z], rows[1].highest[z]), rows[2].highest[z]);
+        lowest[z] = min(min(rows[0].lowest[z], rows[1].lowest[z]), rows[2].lowest[z]);
+      }
+#pragma unroll
+      for (int z = 1; z + 1 < Levels; ++z) {
+        F const v = rows[1].own[z];
+        F const highest_other = max(max(rows[0].highest[z], rows[2].highest[z]), rows[1].highest_other[z]);
+        F const lowest_other = min(min(rows[0].lowest[z], rows[2].lowest[z]), rows[1].lowest_other[z]);
+        bool const numbers = is_inside && (odd >> (z - 1) & 7) == 0;
+        bool const is_maximum = numbers && v > highest_other && v > highest[z - 1] && v > highest[z + 1];
+        bool const is_minimum = numbers && p.minima && v < lowest_other && v < lowest[z - 1] && v < lowest[z + 1];
+        if (is_maximum || is_minimum)
+          list_if_peak(p, octave, sample, levels, z, y, x, is_maximum, response,
+                       response_around(levels, octave, z, y, x, response));
+      }
+      rows[0] = rows[1], rows[1] = rows[2];
     }
   }
 }
@@ -225,7 +316,13 @@ int find_scale_space_peaks(ScaleSpacePeaks<T> const& p, CUstream_st* stream) {
   if (int const error = cudaMemsetAsync(p.sizes, 0, size_t(p.samples) * sizeof(int64_t), stream)) return error;
   if (p.parts_of_sample == 0) return cudaSuccess;
   dim3 const grid(unsigned(p.parts_of_sample), unsigned(p.samples < 65535 ? p.samples : 65535));
-  list_peaks<T><<<grid, kThreads, 0, stream>>>(p);
+  constexpr int kLevels = 5;  // of octaves with three levels, and the two next to them
+  bool has_levels = true;
+  for (int o = 0; o < p.octave_count; ++o) has_levels = has_levels && p.octaves[o].size[0] == kLevels;
+  if (has_levels)
+    list_peaks_of_rows<T, kLevels><<<grid, kThreads, 0, stream>>>(p);
+  else
+    list_peaks<T><<<grid, kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

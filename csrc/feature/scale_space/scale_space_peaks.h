@@ -40,9 +40,12 @@ struct PeakRank {
   }
 };
 
-// How many tiles of 32 x 8 pixels a level has inside of its border.
-KV_HD int peak_tiles_across(int width) { return (width - 2 + 31) / 32; }
-KV_HD int peak_tiles(int height, int width) { return peak_tiles_across(width) * ((height - 2 + 7) / 8); }
+// The tiles of pixels that blocks of CUDA search, inside of the border of a level.
+constexpr int kPeakTileWidth = 30, kPeakTileHeight = 64;
+KV_HD int peak_tiles_across(int width) { return (width - 2 + kPeakTileWidth - 1) / kPeakTileWidth; }
+KV_HD int peak_tiles(int height, int width) {
+  return peak_tiles_across(width) * ((height - 2 + kPeakTileHeight - 1) / kPeakTileHeight);
+}
 
 // How many ranks are sorted to have the first `count` of at most `capacity`: a power of two.
 KV_HD int64_t sorted_ranks(int64_t count, int64_t capacity) {

@@ -204,33 +204,60 @@ __global__ void __launch_bounds__(kThreads) differentiate(__grid_constant__ TwoN
   }
 }
 
-constexpr int kSelectors = 1024;
+constexpr int kSelectors = 1024, kRounds = 8;
 
-// A block a sample goes through its descriptors in order.
+// A block a sample goes through its descriptors in order, several for each thread at a time.
 template <class T>
 __global__ void __launch_bounds__(kSelectors) select(__grid_constant__ SelectMatches<T> const p) {
-  __shared__ int of_warps[kSelectors / 32];
+  __shared__ int before[kRounds][kSelectors / 32], total;  // matches of each warp, then those before them
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
   int64_t const sample = blockIdx.x;
   int size = 0;
-  for (int start = 0; start < p.count1; start += kSelectors) {
-    int const i = start + int(threadIdx.x);
-    T score;
-    bool const is_match = i < p.count1 && p.is_match(sample, i, score);
-    unsigned const matches = __ballot_sync(kAllLanes, is_match);
-    if (lane == 0) of_warps[warp] = __popc(matches);
-    __syncthreads();
-    int before = size, all = 0;
-    for (int w = 0; w < kSelectors / 32; ++w) {
-      before += w < warp ? of_warps[w] : 0;
-      all += of_warps[w];
+  for (int start = 0; start < p.count1; start += kRounds * kSelectors) {
+    T scores[kRounds];
+    unsigned matches[kRounds];
+#pragma unroll
+    for (int r = 0; r < kRounds; ++r) {
+      int const i = start + r * kSelectors + int(threadIdx.x);
+      matches[r] = __ballot_sync(kAllLanes, i < p.count1 && p.is_match(sample, i, scores[r]));
+      if (lane == 0) before[r][warp] = __popc(matches[r]);
     }
-    if (is_match) p.store(sample, before + __popc(matches & ((1u << lane) - 1)), i, score);
-    size += all;
+    __syncthreads();
+    if (warp == 0) {  // eight counts for each lane
+      int* const own = &before[0][0] + lane * kRounds;
+      int through = 0;
+#pragma unroll
+      for (int k = 0; k < kRounds; ++k) through += own[k];
+      int sum = through;
+      for (int step = 1; step < 32; step *= 2) {
+        int const others = __shfl_up_sync(kAllLanes, through, step);
+        if (lane >= step) through += others;
+      }
+      if (lane == 31) total = through;
+      sum = through - sum;
+#pragma unroll
+      for (int k = 0; k < kRounds; ++k) {
+        int const count = own[k];
+        own[k] = sum, sum += count;
+      }
+    }
+    __syncthreads();
+#pragma unroll
+    for (int r = 0; r < kRounds; ++r)
+      if (matches[r] >> lane & 1)
+        p.store(sample, size + before[r][warp] + __popc(matches[r] & ((1u << lane) - 1)),
+                start + r * kSelectors + int(threadIdx.x), scores[r]);
+    size += total;
     __syncthreads();  // before the next counts
   }
   if (threadIdx.x == 0) p.sizes[sample] = size;
   for (int slot = size + int(threadIdx.x); slot < p.count1; slot += kSelectors) p.clear(sample, slot);
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) differentiate_scores(__grid_constant__ SelectMatchesBackward<T> const p) {
+  int64_t const slot = blockIdx.x * int64_t(kThreads) + threadIdx.x;
+  if (slot < p.batch * p.count1) p.store(slot);
 }
 
 }  // namespace
@@ -266,9 +293,16 @@ int select_matches(SelectMatches<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+template <class T>
+int select_matches_backward(SelectMatchesBackward<T> const& p, CUstream_st* stream) {
+  differentiate_scores<T><<<unsigned(ceil_div(p.batch * p.count1, kThreads)), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
 KV_INSTANTIATE_COMPUTED(two_nearest, TwoNearest)
 KV_INSTANTIATE_COMPUTED(two_nearest_merge, TwoNearest)
 KV_INSTANTIATE_COMPUTED(two_nearest_backward, TwoNearestBackward)
 KV_INSTANTIATE_COMPUTED(select_matches, SelectMatches)
+KV_INSTANTIATE_COMPUTED(select_matches_backward, SelectMatchesBackward)
 
 }  // namespace kv::feature::cuda

@@ -53,6 +53,9 @@ struct Candidates {
   static KV_HD Candidates none() { return {{INT32_MAX, INT32_MAX, INT32_MAX}}; }
 };
 
+// How many numbers a descriptor has whose components are sums of two, rounded up to 32 components.
+KV_HD int64_t split_width(int width) { return (int64_t(width) + 31) / 32 * 64; }
+
 // Descriptors of one of the two sets: (batch, count, width).
 template <class T>
 struct DescriptorSet {
@@ -67,6 +70,7 @@ struct DescriptorSet {
   int64_t* indices;       // (batch, count, 2)
   // Of CUDA's kernels for float32, else null:
   T* half_squares;         // (batch, count)
+  BFloat16* split;         // (batch, count, split_width(width))
   Candidates* candidates;  // (batch, count, tiles of the other set); null if the neighbors are not wanted
 
   KV_HD unsigned tiles() const { return unsigned((count + kMatchingTile<T> - 1) / kMatchingTile<T>); }
@@ -170,12 +174,48 @@ struct SelectMatches {
   }
 };
 
+// The gradient to the distances from that to the scores. A pair is a match once, so that each number has one summand.
+// The larger one of two ratios has the gradient, and both have half of it where they are equal.
+template <class T>
+struct SelectMatchesBackward {
+  T const* grad;           // (batch, count1)
+  int64_t const* indices;  // (batch, count1, 2)
+  T const *distances1, *distances2;
+  T *grad_distances1, *grad_distances2;  // zeros
+  int64_t batch;
+  int count1, count2;
+  bool ratios;
+
+  static KV_HD void ratio_vjp(T grad, T const* distances, T* grad_distances) {
+    T const inverse = 1 / distances[1];
+    grad_distances[0] = grad * inverse, grad_distances[1] = -grad * distances[0] * inverse * inverse;
+  }
+  // The slot of all samples.
+  KV_HD void store(int64_t slot) const {
+    int64_t const sample = slot / count1, i = indices[2 * slot], j = indices[2 * slot + 1];
+    if (i < 0 || i >= count1 || j < 0 || j >= count2) return;
+    int64_t const own = 2 * (sample * count1 + i), back = 2 * (sample * count2 + j);
+    if (!ratios) {
+      grad_distances1[own] = grad[slot];
+    } else if (!distances2) {
+      ratio_vjp(grad[slot], distances1 + own, grad_distances1 + own);
+    } else {
+      T const one = distances1[own] / distances1[own + 1], other = distances2[back] / distances2[back + 1];
+      T const share = one > other ? T(1) : one < other ? T(0) : T(0.5);
+      if (share > 0) ratio_vjp(grad[slot] * share, distances1 + own, grad_distances1 + own);
+      if (share < 1) ratio_vjp(grad[slot] * (1 - share), distances2 + back, grad_distances2 + back);
+    }
+  }
+};
+
 KV_KERNEL(two_nearest, TwoNearest)
 KV_KERNEL(two_nearest_merge, TwoNearest)
 KV_KERNEL(two_nearest_backward, TwoNearestBackward)
 KV_KERNEL(select_matches, SelectMatches)
+KV_KERNEL(select_matches_backward, SelectMatchesBackward)
 
 namespace cuda {
+bool has_matching_candidates();  // on the current GPU
 // In place of two_nearest and of two_nearest_merge, for sets with half_squares.
 int find_matching_candidates(TwoNearest<float> const& p, CUstream_st* stream);
 int choose_matching_neighbors(TwoNearest<float> const& p, CUstream_st* stream);

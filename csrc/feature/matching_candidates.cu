@@ -1,21 +1,18 @@
-// The two nearest descriptors on CUDA for float32: from |a - b|^2 / 2 = |a|^2 / 2 + |b|^2 / 2 - a . b, which takes half
-// the instructions of a sum of squared differences but loses digits, a tile finds the three nearest candidates of its
-// rows and columns. A warp for each descriptor then computes the distances of the nearest candidates of all tiles as
-// sums of squared differences. A pair that is no candidate has at least the third distance of its tile; where this does
-// not exclude it, rounding included, all distances of the descriptor are computed.
+// The two nearest descriptors on CUDA for float32, by tensor cores. From |a - b|^2 / 2 = |a|^2 / 2 + |b|^2 / 2 - a . b,
+// with a . b of vectors that are sums of two bfloat16, a tile finds the three nearest candidates of its rows and
+// columns. A warp for each descriptor then computes the distances of the nearest candidates of all tiles as sums of
+// squared differences. A pair that is no candidate has at least the third distance of its tile; where this does not
+// exclude it, rounding included, all distances of the tile are computed.
 #include "core/launch.cuh"
 #include "feature/matching.h"
 
 namespace kv::feature::cuda {
 namespace {
 
-constexpr int kThreads = 256, kWarps = kThreads / 32, kTile = kMatchingTile<float>, kDepth = 16, R = kTile / 16;
+constexpr int kThreads = 256, kWarps = kThreads / 32, kTile = kMatchingTile<float>;
 constexpr unsigned kAllLanes = 0xffffffffu, kColumnBits = kTile - 1;
 constexpr float kInfinity = __builtin_inff();
 static_assert(kTile == 128);
-
-// The row or column of a tile that element i of thread t of 16 has.
-__device__ __forceinline__ int in_tile(int t, int i) { return (i / 4) * 64 + t * 4 + i % 4; }
 
 // A candidate: half the squared distance, whose last bits are replaced by the row or column of the tile. Numbers that
 // are not negative have the order of their bits.
@@ -52,153 +49,180 @@ __device__ __forceinline__ void merge_halves(Candidates (&lists)[N], Candidates 
   }
 }
 
-// Half of the squared lengths, inf for descriptors that have no neighbors. A warp for each descriptor of both sets.
-__global__ void __launch_bounds__(kThreads) half_squares(__grid_constant__ TwoNearest<float> const p) {
+// Half of the squared length, inf for descriptors that have no neighbors, and the two summands of all components, 32 of
+// one and 32 of the other, with zeros after the last one. A warp for each descriptor of both sets.
+__global__ void __launch_bounds__(kThreads) split_descriptors(__grid_constant__ TwoNearest<float> const p) {
   int64_t const warp = blockIdx.x * int64_t(kWarps) + threadIdx.x / 32, firsts = p.batch * p.first.count;
   bool const in_second = warp >= firsts;
   DescriptorSet<float> const& set = in_second ? p.second : p.first;
   int64_t const i = in_second ? warp - firsts : warp;
   if (i >= p.batch * set.count) return;
+  int const lane = threadIdx.x % 32;
+  float const* const x = set.values + i * p.width;
   float sum = 0;
-  for (int d = threadIdx.x % 32; d < p.width; d += 32) sum += set.values[i * p.width + d] * set.values[i * p.width + d];
+  for (int d = lane; d < p.width; d += 32) sum += x[d] * x[d];
   sum = warp_reduce(sum, Sum());
   bool const is_wanted = (!set.mask || set.mask[i]) && sum < kInfinity;
-  if (threadIdx.x % 32 == 0) set.half_squares[i] = is_wanted ? sum / 2 : kInfinity;
+  if (lane == 0) set.half_squares[i] = is_wanted ? sum / 2 : kInfinity;
+  BFloat16* const to = set.split + i * split_width(p.width);
+  for (int d = lane; 2 * d < split_width(p.width); d += 32) {
+    float const component = is_wanted && d < p.width ? x[d] : 0.f;
+    BFloat16 const coarse = round_to_bfloat16(component);
+    to[2 * (d - lane) + lane] = coarse;
+    to[2 * (d - lane) + 32 + lane] = round_to_bfloat16(component - read(coarse));
+  }
 }
 
-// Components [from, from + kDepth) of the descriptors [start, start + kTile), read by all threads; 0 where there is
-// none.
-struct TileReader {
-  static constexpr int kElements = kTile * kDepth / kThreads;
-  float const* at;
-  int64_t stride;
-  unsigned is_wanted;
-  float next[kElements];
+// 32 components of the descriptors of a tile in shared memory, as pairs in words. Rows are 20 words apart, and the
+// second summands 16 banks from the first ones, so that the threads of a warp read and write all banks.
+struct SharedTile {
+  static constexpr int kRow = 20, kPart = kTile * kRow + 16;
+  unsigned words[2 * kPart];
 
-  __device__ __forceinline__ TileReader(DescriptorSet<float> const& set, int64_t b, int start, int width)
-      : at(set.values + (b * set.count + start + int(threadIdx.x) / kDepth) * width + threadIdx.x % kDepth),
-        stride(int64_t(kThreads / kDepth) * width),
-        is_wanted(0) {
+  __device__ __forceinline__ void load(DescriptorSet<float> const& set, int64_t b, int start, int from, int width) {
+    int const piece = threadIdx.x % 8;
 #pragma unroll
-    for (int e = 0; e < kElements; ++e) {
-      int const i = start + int(threadIdx.x) / kDepth + e * (kThreads / kDepth);
-      if (i < set.count && set.half_squares[b * set.count + i] < kInfinity) is_wanted |= 1u << e;
+    for (int e = 0; e < kTile / 32; ++e) {
+      int const row = threadIdx.x / 8 + 32 * e, i = start + row;
+      uint4 values{};
+      if (i < set.count)
+        values = reinterpret_cast<uint4 const*>(set.split + (b * set.count + i) * split_width(width) + 2 * from)[piece];
+      *reinterpret_cast<uint4*>(words + piece / 4 * kPart + row * kRow + piece % 4 * 4) = values;
     }
-  }
-  __device__ __forceinline__ void fetch(int from, int width) {
-    bool const inside = from + int(threadIdx.x) % kDepth < width;
-#pragma unroll
-    for (int e = 0; e < kElements; ++e) next[e] = inside && (is_wanted >> e & 1) ? at[e * stride + from] : 0.f;
-  }
-  __device__ __forceinline__ void store(float (&tile)[kDepth][kTile + 4]) const {
-#pragma unroll
-    for (int e = 0; e < kElements; ++e)
-      tile[threadIdx.x % kDepth][threadIdx.x / kDepth + e * (kThreads / kDepth)] = next[e];
   }
 };
 
-// A block a tile. A thread has 8 x 8 distances in registers, in groups of 4 adjacent ones; 16 components of the tile's
-// descriptors are in shared memory at a time.
+// c += a b, for 16 x 16 and 16 x 8 numbers of a warp.
+__device__ __forceinline__ void add_product(float (&c)[4], unsigned const (&a)[4], unsigned const (&b)[2]) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+  asm("mma.sync.aligned.m16n8k16.row.col.f32.bf16.bf16.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, {%0, %1, %2, "
+      "%3};"
+      : "+f"(c[0]), "+f"(c[1]), "+f"(c[2]), "+f"(c[3])
+      : "r"(a[0]), "r"(a[1]), "r"(a[2]), "r"(a[3]), "r"(b[0]), "r"(b[1]));
+#endif
+}
+
+// A block a tile. A warp has 64 rows and 32 columns of it, and a thread 8 of both: rows 8 i + lane / 4, and columns
+// 8 (j / 2) + 2 (lane % 4) + j % 2.
 __global__ void __launch_bounds__(kThreads, 2) find_candidates(__grid_constant__ TwoNearest<float> const p) {
   DescriptorSet<float> const &first = p.first, &second = p.second;
-  __shared__ __align__(16) float rows[kDepth][kTile + 4];
-  __shared__ __align__(16) float columns[kDepth][kTile + 4];
-  __shared__ Candidates of_columns[kWarps][kTile];
+  constexpr int kRowWarps = 2, kColumnWarps = 4;
+  union Memory {
+    SharedTile tiles[2];
+    struct {
+      Candidates of_rows[kColumnWarps][kTile], of_columns[kRowWarps][kTile];
+    } merged;
+    __device__ Memory() {}
+  };
+  __shared__ __align__(16) Memory memory;
 
   unsigned const tiles1 = first.tiles(), tiles2 = second.tiles();
   int const tile2 = int(blockIdx.x % tiles2), tile1 = int(blockIdx.x / tiles2 % tiles1);
   int64_t const b = blockIdx.x / tiles2 / tiles1;
-  int const tx = threadIdx.x % 16, ty = threadIdx.x / 16, start1 = tile1 * kTile, start2 = tile2 * kTile;
+  int const warp = threadIdx.x / 32, g = threadIdx.x % 32 / 4, t = threadIdx.x % 4;
+  int const row0 = warp / kColumnWarps * 64 + g, column0 = warp % kColumnWarps * 32;
+  int const start1 = tile1 * kTile, start2 = tile2 * kTile;
 
-  float dot[R][R] = {};
-  TileReader row_reader(first, b, start1, p.width), column_reader(second, b, start2, p.width);
-  row_reader.fetch(0, p.width);
-  column_reader.fetch(0, p.width);
-  for (int from = 0; from < p.width; from += kDepth) {
+  float products[4][4][4] = {};
+  for (int from = 0; from < p.width; from += 32) {
     __syncthreads();
-    row_reader.store(rows);
-    column_reader.store(columns);
+    memory.tiles[0].load(first, b, start1, from, p.width);
+    memory.tiles[1].load(second, b, start2, from, p.width);
     __syncthreads();
-    if (from + kDepth < p.width) {
-      row_reader.fetch(from + kDepth, p.width);
-      column_reader.fetch(from + kDepth, p.width);
-    }
+    unsigned const* const rows = memory.tiles[0].words + row0 * SharedTile::kRow + t;
+    unsigned const* const columns = memory.tiles[1].words + (column0 + g) * SharedTile::kRow + t;
 #pragma unroll
-    for (int d = 0; d < kDepth; ++d) {
-      float x[R], y[R];
+    for (int k = 0; k < 16; k += 8) {  // words of 16 components
+      unsigned y[2][4][2];
 #pragma unroll
-      for (int i = 0; i < R; i += 4) {
-        *reinterpret_cast<Vector<float, 4>*>(x + i) =
-            *reinterpret_cast<Vector<float, 4> const*>(&rows[d][in_tile(ty, i)]);
-        *reinterpret_cast<Vector<float, 4>*>(y + i) =
-            *reinterpret_cast<Vector<float, 4> const*>(&columns[d][in_tile(tx, i)]);
+      for (int part = 0; part < 2; ++part)
+#pragma unroll
+        for (int n = 0; n < 4; ++n)
+#pragma unroll
+          for (int half = 0; half < 2; ++half)
+            y[part][n][half] = columns[part * SharedTile::kPart + 8 * n * SharedTile::kRow + k + 4 * half];
+#pragma unroll
+      for (int m = 0; m < 4; ++m) {
+        unsigned x[2][4];
+#pragma unroll
+        for (int part = 0; part < 2; ++part)
+#pragma unroll
+          for (int e = 0; e < 4; ++e)
+            x[part][e] = rows[part * SharedTile::kPart + (16 * m + e % 2 * 8) * SharedTile::kRow + k + e / 2 * 4];
+#pragma unroll
+        for (int n = 0; n < 4; ++n) {
+          add_product(products[m][n], x[0], y[1][n]);
+          add_product(products[m][n], x[1], y[0][n]);
+          add_product(products[m][n], x[0], y[0][n]);
+        }
       }
-#pragma unroll
-      for (int i = 0; i < R; ++i)
-#pragma unroll
-        for (int j = 0; j < R; ++j) dot[i][j] += x[i] * y[j];
     }
   }
+  __syncthreads();  // before `merged` replaces the tiles
 
   auto const half_square = [&](DescriptorSet<float> const& set, int i) {
     return i < set.count ? set.half_squares[b * set.count + i] : kInfinity;
   };
-  float of_column[R];
+  auto const row_of = [&](int i) { return row0 + 8 * i; };
+  auto const column_of = [&](int j) { return column0 + j / 2 * 8 + 2 * t + j % 2; };
+  float half_squares[8][8], of_column[8];
 #pragma unroll
-  for (int j = 0; j < R; ++j) of_column[j] = half_square(second, start2 + in_tile(tx, j));
+  for (int j = 0; j < 8; ++j) of_column[j] = half_square(second, start2 + column_of(j));
 #pragma unroll
-  for (int i = 0; i < R; ++i) {
-    float const of_row = half_square(first, start1 + in_tile(ty, i));
+  for (int i = 0; i < 8; ++i) {
+    float const of_row = half_square(first, start1 + row_of(i));
 #pragma unroll
-    for (int j = 0; j < R; ++j) dot[i][j] = max(of_row + of_column[j] - dot[i][j], 0.f);
+    for (int j = 0; j < 8; ++j)
+      half_squares[i][j] = max(of_row + of_column[j] - products[i / 2][j / 2][i % 2 * 2 + j % 2], 0.f);
   }
 
-  // Rows: 16 lanes of a warp have the same 8 rows; each keeps one of them.
-  {
-    Candidates lists[R], of4[4], of2[2], of1[1];
+  {  // four lanes have the same rows
+    Candidates lists[8], of4[4], of2[2];
 #pragma unroll
-    for (int i = 0; i < R; ++i) {
+    for (int i = 0; i < 8; ++i) {
       lists[i] = Candidates::none();
 #pragma unroll
-      for (int j = 0; j < R; ++j) insert(lists[i], candidate(dot[i][j], in_tile(tx, j)));
+      for (int j = 0; j < 8; ++j) insert(lists[i], candidate(half_squares[i][j], column_of(j)));
     }
-    merge_halves<8>(lists, of4);
-    merge_halves<4>(of4, of2);
-    merge_halves<2>(of2, of1);
-    Candidates others;
-#pragma unroll
-    for (int k = 0; k < 3; ++k) others.v[k] = __shfl_xor_sync(kAllLanes, of1[0].v[k], 1);
-    int const row = start1 + in_tile(ty, tx / 2);
-    if (tx % 2 == 0 && row < first.count)
-      first.candidates[(b * first.count + row) * tiles2 + tile2] = merged(of1[0], others);
+    merge_halves<1>(lists, of4);
+    merge_halves<2>(of4, of2);
+    int const i = t % 2 * 4 + t / 2 * 2;
+    memory.merged.of_rows[warp % kColumnWarps][row_of(i)] = of2[0];
+    memory.merged.of_rows[warp % kColumnWarps][row_of(i + 1)] = of2[1];
   }
-
-  // Columns: two lanes of each of the 8 warps have the same 8 columns.
-  if (second.candidates) {
-    Candidates lists[R], of4[4];
+  if (second.candidates) {  // eight lanes have the same columns
+    Candidates lists[8], of4[4], of2[2], of1[1];
 #pragma unroll
-    for (int j = 0; j < R; ++j) {
+    for (int j = 0; j < 8; ++j) {
       lists[j] = Candidates::none();
 #pragma unroll
-      for (int i = 0; i < R; ++i) insert(lists[j], candidate(dot[i][j], in_tile(ty, i)));
+      for (int i = 0; i < 8; ++i) insert(lists[j], candidate(half_squares[i][j], row_of(i)));
     }
-    merge_halves<16>(lists, of4);
+    merge_halves<4>(lists, of4);
+    merge_halves<8>(of4, of2);
+    merge_halves<16>(of2, of1);
+    memory.merged.of_columns[warp / kColumnWarps][column_of(g % 2 * 4 + g / 2 % 2 * 2 + g / 4)] = of1[0];
+  }
+  __syncthreads();
+  int const at = int(threadIdx.x) % kTile;
+  if (threadIdx.x < kTile) {
+    if (start1 + at < first.count) {
+      Candidates list = memory.merged.of_rows[0][at];
 #pragma unroll
-    for (int j = 0; j < 4; ++j) of_columns[threadIdx.x / 32][in_tile(tx, j + threadIdx.x % 32 / 16 * 4)] = of4[j];
-    __syncthreads();
-    int const c = int(threadIdx.x);
-    if (c < kTile && start2 + c < second.count) {
-      Candidates list = of_columns[0][c];
-#pragma unroll
-      for (int w = 1; w < kWarps; ++w) list = merged(list, of_columns[w][c]);
-      second.candidates[(b * second.count + start2 + c) * tiles1 + tile1] = list;
+      for (int w = 1; w < kColumnWarps; ++w) list = merged(list, memory.merged.of_rows[w][at]);
+      first.candidates[(b * first.count + start1 + at) * tiles2 + tile2] = list;
     }
+  } else if (second.candidates && start2 + at < second.count) {
+    Candidates const list = merged(memory.merged.of_columns[0][at], memory.merged.of_columns[1][at]);
+    second.candidates[(b * second.count + start2 + at) * tiles1 + tile1] = list;
   }
 }
 
-// Candidates of all tiles in order: the bits of half the squared distance, then the index.
-constexpr int kListed = 5, kChecked = 4;
-constexpr unsigned long long kNone = ~0ull;
+// A candidate of a tile in the order of candidates of all tiles: the bits of half the squared distance, then the index.
+__device__ __forceinline__ unsigned long long ranked(int candidate, int tile) {
+  return (unsigned long long)__float_as_uint(half_square_of(candidate)) << 32 |
+         unsigned(tile * kTile + (candidate & int(kColumnBits)));
+}
 
 __device__ __forceinline__ unsigned long long smallest_of_warp(unsigned long long x) {
   for (int lanes = 16; lanes > 0; lanes /= 2) {
@@ -208,137 +232,117 @@ __device__ __forceinline__ unsigned long long smallest_of_warp(unsigned long lon
   return x;
 }
 
-struct MergeNeighbors {
-  __device__ __forceinline__ Neighbors<float> operator()(Neighbors<float> a, Neighbors<float> const& b) const {
-    a.merge(b);
-    return a;
-  }
-};
-
-// Descriptor i of a set of all samples, and the set that its neighbors are in.
-struct Searched {
+// A descriptor whose neighbors a warp finds.
+struct Search {
   DescriptorSet<float> const *own, *other;
-  int64_t i, first_other;  // of its sample
-  __device__ __forceinline__ Searched(TwoNearest<float> const& p, int64_t element) {
+  int64_t i, first_other;  // its number, and that of the first descriptor of its sample in the other set
+  int width;
+  Neighbors<float> neighbors = Neighbors<float>::none();
+
+  __device__ __forceinline__ Search(TwoNearest<float> const& p, int64_t element) : width(p.width) {
     int64_t const firsts = p.batch * p.first.count;
     bool const in_second = element >= firsts;
     own = in_second ? &p.second : &p.first, other = in_second ? &p.first : &p.second;
     i = in_second ? element - firsts : element;
     first_other = i / own->count * other->count;
   }
-  __device__ __forceinline__ void store(Neighbors<float> const& neighbors) const {
-    for (int k = 0; k < 2; ++k) {
-      own->distances[2 * i + k] = sqrtf(neighbors.square[k]);
-      own->indices[2 * i + k] = neighbors.index[k];
+  // Computes the distances of N descriptors of the other set, from j on.
+  template <int N>
+  __device__ __forceinline__ void add(int j) {
+    float const *const x = own->values + i * width, *const y = other->values + (first_other + j) * width;
+    float squares[N] = {};
+    for (int d = threadIdx.x % 32; d < width; d += 32) {
+      float const component = x[d];
+#pragma unroll
+      for (int n = 0; n < N; ++n) {
+        float const difference = component - y[int64_t(n) * width + d];
+        squares[n] += difference * difference;
+      }
     }
+#pragma unroll
+    for (int n = 0; n < N; ++n) {
+      float const square = warp_reduce(squares[n], Sum());
+      bool const is_new = j + n != neighbors.index[0] && j + n != neighbors.index[1];
+      if (is_new && other->half_squares[first_other + j + n] < kInfinity) neighbors.insert(square, j + n);
+    }
+  }
+  __device__ __forceinline__ void add_tile(int tile) {
+    constexpr int kTogether = 8;
+    int const from = tile * kTile, to = min(from + kTile, other->count);
+    int j = from;
+    for (; j + kTogether <= to; j += kTogether) add<kTogether>(j);
+    for (; j < to; ++j) add<1>(j);
   }
 };
 
-// The neighbors of a descriptor among the candidates of all tiles, found by a warp. False if there may be nearer ones.
-__device__ __forceinline__ bool nearest_candidates(TwoNearest<float> const& p, Searched const& s,
-                                                   Neighbors<float>& neighbors) {
-  int const lane = threadIdx.x % 32, tiles = int(s.other->tiles());
-  float const half_square = s.own->half_squares[s.i];
-  neighbors = Neighbors<float>::none();
-  if (!(half_square < kInfinity)) return true;
-  unsigned long long list[kListed];
-  for (int k = 0; k < kListed; ++k) list[k] = kNone;
-  float unseen = kInfinity;
-  for (int e = lane; e < 3 * tiles; e += 32) {
-    int const tile = e / 3, v = s.own->candidates[s.i * tiles + tile].v[e % 3];
-    if (e % 3 == 2) unseen = min(unseen, half_square_of(v));
-    unsigned long long x =
-        (unsigned long long)__float_as_uint(half_square_of(v)) << 32 | unsigned(tile * kTile + (v & int(kColumnBits)));
-#pragma unroll
-    for (int k = 0; k < kListed; ++k) {
-      unsigned long long const larger = list[k] < x ? x : list[k];
-      list[k] = list[k] < x ? list[k] : x, x = larger;
-    }
-  }
-  unseen = warp_reduce(unseen, Min());
-  int index[kChecked];
-  for (int c = 0; c < kListed; ++c) {
-    unsigned long long const smallest = smallest_of_warp(list[0]);
-    float const value = __uint_as_float(unsigned(smallest >> 32));  // NaN for none
-    if (c < kChecked)
-      index[c] = value < kInfinity ? int(unsigned(smallest)) : -1;
-    else if (value < unseen)
-      unseen = value;
-    if (list[0] == smallest) {
-#pragma unroll
-      for (int k = 0; k + 1 < kListed; ++k) list[k] = list[k + 1];
-      list[kListed - 1] = kNone;
-    }
-  }
-  float square[kChecked] = {};
-  float const* const x = s.own->values + s.i * p.width;
-  for (int d = lane; d < p.width; d += 32) {
-    float const own = x[d];
-#pragma unroll
-    for (int c = 0; c < kChecked; ++c)
-      if (index[c] >= 0) {
-        float const difference = own - s.other->values[(s.first_other + index[c]) * p.width + d];
-        square[c] += difference * difference;
-      }
-  }
-#pragma unroll
-  for (int c = 0; c < kChecked; ++c) {
-    float const sum = warp_reduce(square[c], Sum());
-    if (index[c] >= 0) neighbors.insert(sum, index[c]);
-  }
-  if (!(unseen < kInfinity)) return true;
-  // The rounding of a product of vectors is at most width / 2 times that of a number of |a|^2 / 2 + |b|^2 / 2.
-  // Descriptors b that are more than twice as long as a are as far away as a quarter of their share.
-  float const rounding = 4 * float(p.width + 8) * __FLT_EPSILON__ * (half_square + unseen);
-  return neighbors.square[1] / 2 <= unseen - rounding;
-}
-
-// A warp for each descriptor of both sets, then the block for those whose candidates do not suffice.
+// A warp for each descriptor of both sets. The distances of the two nearest candidates of all tiles tell which others
+// may be nearer: candidates, and whole tiles of which even the third one may.
 __global__ void __launch_bounds__(kThreads)
     choose_neighbors(__grid_constant__ TwoNearest<float> const p, int64_t elements) {
-  __shared__ Neighbors<float> of_warps[kWarps];
-  __shared__ bool suffice[kWarps];
-  int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
-  int64_t const first = blockIdx.x * int64_t(kWarps);
-  {
-    bool done = true;
-    if (first + warp < elements) {
-      Searched const s(p, first + warp);
-      Neighbors<float> neighbors;
-      done = nearest_candidates(p, s, neighbors);
-      if (done && lane == 0) s.store(neighbors);
+  int const lane = threadIdx.x % 32;
+  int64_t const element = blockIdx.x * int64_t(kWarps) + threadIdx.x / 32;
+  if (element >= elements) return;
+  Search search(p, element);
+  int const tiles = int(search.other->tiles());
+  Candidates const* const candidates = search.own->candidates + search.i * tiles;
+  float const half_square = search.own->half_squares[search.i];
+  if (half_square < kInfinity) {
+    unsigned long long first = ~0ull, second = ~0ull;
+    for (int tile = lane; tile < tiles; tile += 32) {
+      Candidates const list = candidates[tile];
+#pragma unroll
+      for (int k = 0; k < 2; ++k) {
+        unsigned long long const x = ranked(list.v[k], tile), later = first < x ? x : first;
+        first = first < x ? first : x, second = second < later ? second : later;
+      }
     }
-    if (lane == 0) suffice[warp] = done;
+    unsigned long long const nearest = smallest_of_warp(first);
+    unsigned long long const next = smallest_of_warp(first == nearest ? second : first);
+    auto const add = [&](unsigned long long x) {
+      if (__uint_as_float(unsigned(x >> 32)) < kInfinity) search.add<1>(int(unsigned(x)));
+    };
+    add(nearest), add(next);
+
+    // Relative to |a|^2 / 2 + |b|^2 / 2, a product of vectors that are sums of two bfloat16 loses at most 2^-16, and
+    // its sum in float32 less than width 2^-23. Descriptors b that are more than twice as long as a are as far away as
+    // a quarter of their share. The squares that are compared with are rounded as well.
+    float const rounding = 0x1p-13f + 4 * float(p.width + 8) * __FLT_EPSILON__;
+    float const farthest = (search.neighbors.square[1] / 2 + rounding * half_square) * (1 + 2 * rounding);
+    for (int start = 0; start < tiles; start += 32) {
+      Candidates list = Candidates::none();
+      if (start + lane < tiles) list = candidates[start + lane];
+      auto const may_be_near = [&](int k) {  // none is NaN
+        float const value = half_square_of(list.v[k]);
+        return value < kInfinity && value <= farthest;
+      };
+      for (unsigned all = __ballot_sync(kAllLanes, may_be_near(2)); all; all &= all - 1)
+        search.add_tile(start + __ffs(int(all)) - 1);
+#pragma unroll
+      for (int k = 0; k < 2; ++k)
+        for (unsigned some = __ballot_sync(kAllLanes, may_be_near(k) && !may_be_near(2)); some; some &= some - 1) {
+          int const from = __ffs(int(some)) - 1;
+          search.add<1>((start + from) * kTile + (__shfl_sync(kAllLanes, list.v[k], from) & int(kColumnBits)));
+        }
+    }
   }
-  __syncthreads();
-  for (int w = 0; w < kWarps; ++w) {
-    if (suffice[w]) continue;
-    Searched const s(p, first + w);
-    float const* const x = s.own->values + s.i * p.width;
-    Neighbors<float> neighbors = Neighbors<float>::none();
-    for (int j = threadIdx.x; j < s.other->count; j += kThreads) {
-      if (!(s.other->half_squares[s.first_other + j] < kInfinity)) continue;
-      float const* const y = s.other->values + (s.first_other + j) * p.width;
-      float square = 0;
-      for (int d = 0; d < p.width; ++d) square += (x[d] - y[d]) * (x[d] - y[d]);
-      neighbors.insert(square, j);
-    }
-    neighbors = warp_reduce(neighbors, MergeNeighbors());
-    if (lane == 0) of_warps[warp] = neighbors;
-    __syncthreads();
-    if (threadIdx.x == 0) {
-      for (int k = 1; k < kWarps; ++k) neighbors.merge(of_warps[k]);
-      s.store(neighbors);
-    }
-    __syncthreads();
+  if (lane < 2) {
+    search.own->distances[2 * search.i + lane] = sqrtf(lane ? search.neighbors.square[1] : search.neighbors.square[0]);
+    search.own->indices[2 * search.i + lane] = lane ? search.neighbors.index[1] : search.neighbors.index[0];
   }
 }
 
 }  // namespace
 
+bool has_matching_candidates() {
+  int device = 0, major = 0;
+  cudaGetDevice(&device);
+  cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, device);
+  return major >= 8;
+}
+
 int find_matching_candidates(TwoNearest<float> const& p, CUstream_st* stream) {
   int64_t const warps = p.batch * (int64_t(p.first.count) + p.second.count);
-  half_squares<<<unsigned(ceil_div(warps, kWarps)), kThreads, 0, stream>>>(p);
+  split_descriptors<<<unsigned(ceil_div(warps, kWarps)), kThreads, 0, stream>>>(p);
   if (int const error = cudaGetLastError()) return error;
   int64_t const tiles = p.batch * p.first.tiles() * p.second.tiles();
   find_candidates<<<unsigned(tiles), kThreads, 0, stream>>>(p);

@@ -143,9 +143,16 @@ void select_matches(SelectMatches<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+// Slots of all samples.
+template <class T>
+void select_matches_backward(SelectMatchesBackward<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t slot = begin; slot < end; ++slot) p.store(slot);
+}
+
 KV_INSTANTIATE_COMPUTED(two_nearest, TwoNearest)
 KV_INSTANTIATE_COMPUTED(two_nearest_merge, TwoNearest)
 KV_INSTANTIATE_COMPUTED(two_nearest_backward, TwoNearestBackward)
 KV_INSTANTIATE_COMPUTED(select_matches, SelectMatches)
+KV_INSTANTIATE_COMPUTED(select_matches_backward, SelectMatchesBackward)
 
 }  // namespace kv::feature::KV_ISA

@@ -67,7 +67,8 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> two_nearest(
     int64_t const splits1 = 1, splits2 = (n + kMatchingCpuRows - 1) / kMatchingCpuRows;
 #endif
 #if defined(KV_CUDA)
-    bool const by_candidates = sizeof(T) == 4 && !positions1 && n > 0 && m > 0;
+    torch::stable::accelerator::DeviceGuard const guard(x.first.get_device_index());
+    bool const by_candidates = sizeof(T) == 4 && !positions1 && n > 0 && m > 0 && cuda::has_matching_candidates();
 #else
     constexpr bool by_candidates = false;
 #endif
@@ -85,6 +86,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> two_nearest(
                               data_ptr<T>(distances),
                               data_ptr<int64_t>(indices),
                               nullptr,
+                              nullptr,
                               nullptr};
     };
     TwoNearest<T> params{set(x.first, wanted1, at1, splits1, partial1, distances1, indices1),
@@ -96,9 +98,14 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> two_nearest(
     int64_t const candidates2 = by_candidates ? batch * listed * tiles1 : 0;
     Tensor const lists = empty({candidates1 + candidates2, 3}, x.first, Layout::planar, ScalarType::Int);
     Tensor const half_squares = empty({by_candidates ? batch * (n + m) : 0}, x.first);
+    int64_t const split = split_width(int(x.width));
+    Tensor const summands =
+        empty({by_candidates ? batch * (n + m) : 0, split}, x.first, Layout::planar, ScalarType::BFloat16);
     if (by_candidates) {
       params.first.half_squares = data_ptr<T>(half_squares);
       params.second.half_squares = params.first.half_squares + batch * n;
+      params.first.split = static_cast<BFloat16*>(summands.mutable_data_ptr());
+      params.second.split = params.first.split + batch * n * split;
       params.first.candidates = static_cast<Candidates*>(lists.mutable_data_ptr());
       params.second.candidates = both ? params.first.candidates + candidates1 : nullptr;
     }
@@ -188,8 +195,51 @@ std::tuple<Tensor, Tensor, Tensor> select_matches(Tensor const& distances1, Tens
   return {scores, indices, sizes};
 }
 
+std::tuple<Tensor, Tensor> select_matches_backward(Tensor const& grad, Tensor const& indices, Tensor const& distances1,
+                                                   std::optional<Tensor> const& distances2, int64_t others,
+                                                   bool ratios) {
+  constexpr char const* op = "select_matches_backward";
+  KV_CHECK(grad.dim() == 2 && grad.scalar_type() == compute_dtype(grad), op,
+           ": expected grad (B, N) of float32 or float64");
+  int64_t const batch = grad.size(0), n = grad.size(1);
+  KV_CHECK(others >= 0 && others < INT32_MAX / 2 && n < INT32_MAX / 2, op, ": expected fewer than 2^30 descriptors");
+  auto const check = [&](char const* name, Tensor const& x, int64_t count, ScalarType type) {
+    KV_CHECK(x.dim() == 3 && x.size(0) == batch && x.size(1) == count && x.size(2) == 2 && x.scalar_type() == type &&
+                 x.device() == grad.device(),
+             op, ": expected ", name, " of shape (B, ", count, ", 2) and of its type");
+  };
+  check("indices", indices, n, ScalarType::Long);
+  check("distances1", distances1, n, grad.scalar_type());
+  if (distances2) check("distances2", *distances2, others, grad.scalar_type());
+  Tensor const g = dense(grad), at = dense(indices), d1 = dense(distances1);
+  std::optional<Tensor> d2;
+  if (distances2) d2 = dense(*distances2);
+  Tensor grad1 = empty({batch, n, 2}, g), grad2 = empty({batch, d2 ? others : 0, 2}, g);
+  if (grad1.numel() > 0) torch::stable::zero_(grad1);
+  if (grad2.numel() > 0) torch::stable::zero_(grad2);
+  auto const run = [&](auto type) {
+    using T = typename decltype(type)::type;
+    SelectMatchesBackward<T> const params{data_ptr<T const>(g),
+                                          data_ptr<int64_t const>(at),
+                                          data_ptr<T const>(d1),
+                                          d2 ? data_ptr<T const>(*d2) : nullptr,
+                                          data_ptr<T>(grad1),
+                                          data_ptr<T>(grad2),
+                                          batch,
+                                          int(n),
+                                          int(others),
+                                          ratios};
+    KV_RUN(select_matches_backward, g, params, batch * n, 8);
+  };
+  g.scalar_type() == ScalarType::Double ? run(Type<double>{}) : run(Type<float>{});
+  return {grad1, grad2};
+}
+
 }  // namespace
 
+KV_OPERATOR(select_matches_backward,
+            "(Tensor grad, Tensor indices, Tensor distances1, Tensor? distances2, int others, bool ratios) "
+            "-> (Tensor, Tensor)")
 KV_OPERATOR(select_matches,
             "(Tensor distances1, Tensor indices1, Tensor? distances2, Tensor? indices2, int others, bool ratios, "
             "float threshold) -> (Tensor, Tensor, Tensor)")

@@ -186,6 +186,30 @@ def test_memory_is_not_that_of_a_matrix(device):
     assert torch.equal(indices[:, 1], torch.arange(200, device=device)) and distances.count_nonzero() == 0
 
 
+@pytest.mark.parametrize("kind", ["unit", "far from 0", "clusters", "of different lengths", "equal ones"])
+def test_neighbors_in_float32_are_the_nearest(kind, device):
+    """Whatever kernels estimate first: no descriptor is nearer than those that they choose, up to float32's rounding."""
+    x, y = descriptors(300, 40).to(device), descriptors(400, 40, seed=1).to(device)
+    if kind == "far from 0":
+        x, y = x / 8 + 100, y / 8 + 100
+    elif kind == "clusters":
+        x, y = x[:3].repeat(100, 1) + 1e-3 * x, x[:4].repeat(100, 1) + 1e-3 * y
+    elif kind == "of different lengths":
+        x, y = (
+            x * torch.logspace(-3, 3, 300, device=device)[:, None],
+            y * torch.logspace(-3, 3, 400, device=device)[:, None],
+        )
+    elif kind == "equal ones":
+        y = y[:40].repeat(10, 1)
+    x, y = x.float(), y.float()
+    distances1, indices1, distances2, indices2 = _two_nearest(x[None], y[None], None, None, None, None, 0.0, True)
+    exact = torch.cdist(x.double(), y.double(), compute_mode="donot_use_mm_for_euclid_dist")
+    for d, distances, indices in ((exact, distances1[0], indices1[0]), (exact.mT, distances2[0], indices2[0])):
+        nearest = d.topk(2, 1, largest=False)[0]
+        torch.testing.assert_close(distances.double(), nearest, atol=1e-6, rtol=1e-5)
+        torch.testing.assert_close(d.gather(1, indices), nearest, atol=1e-6, rtol=1e-5)
+
+
 @pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
 def test_all_sizes_and_instruction_sets(isa, device, backend):
     if backend == "reference" or device.type != "cpu":
@@ -214,6 +238,17 @@ def test_modules_equal_kornias(mode, device):
         ours, theirs = (k.DescriptorMatcher(name, 0.9)(x, y) for k in (K.feature, KF))
         assert torch.equal(ours[1], theirs[1])
         torch.testing.assert_close(ours[0], theirs[0])
+
+
+@pytest.mark.tracing
+@pytest.mark.parametrize("mode", K.feature.DescriptorMatcher.known_modes)
+def test_export(mode, device):
+    """The number of matches is not that of the example."""
+    matcher = K.feature.DescriptorMatcher(mode, 0.97)
+    x, y = (t.to(device) for t in pair(30, 40))
+    exported = torch.export.export(matcher, (torch.rand_like(x), torch.rand_like(y))).module()
+    for actual, expected in zip(exported(x, y), matcher(x, y)):
+        assert torch.equal(actual, expected)
 
 
 def test_errors():
@@ -263,6 +298,11 @@ def neighbors(n: int, m: int):
     return draw
 
 
+def mutual() -> Tensor:
+    """Indices of six descriptors whose neighbors are among 40."""
+    return torch.stack([torch.randperm(40)[:6], torch.randint(0, 40, (6,))], 1)
+
+
 SETS, MASKS = (vector(7, 5), vector(6, 5)), (torch.arange(7)[None] != 3, torch.arange(6)[None] > 1)
 
 
@@ -296,11 +336,11 @@ class TestMatchingOperators(PointOpTests):
                 (vector(40, 2), neighbors(40, 6), *back),
                 (6, ratios, 0.9),
                 dtypes=SINGLE_AND_DOUBLE,
-                differentiable=False,
                 broadcasts=False,
-                accepted=("others", "of torch.int64"),
+                differentiable=ratios or back[0] is None,  # without ratios in the distances of one set only
+                accepted=("others", "of torch.int64", "distances1 of another dtype"),
             )
-            for back in ((None, None), (vector(6, 2), neighbors(6, 40)))
+            for back in ((None, None), (vector(6, 2), mutual))
             for ratios in (False, True)
         ],
     }

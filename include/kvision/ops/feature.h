@@ -38,11 +38,11 @@ inline constexpr Rule two_nearest{
 }  // namespace detail
 
 // The matches of each sample among neighbors (B, N, 2), and those of the other direction or none: scores (B, N), indices
-// (B, N, 2), and how many slots they fill.
+// (B, N, 2), and how many slots they fill. Python alone has the gradient.
 inline constexpr Operator<"select_matches",
                           Three(Tensor distances1, Tensor indices1, OptionalTensor distances2, OptionalTensor indices2,
                                 int64_t others, bool ratios, double threshold)>
-    select_matches{non_differentiable};
+    select_matches{no_gradient};
 inline constexpr Operator<"two_nearest",
                           Four(Tensor desc1, Tensor desc2, OptionalTensor mask1, OptionalTensor mask2,
                                OptionalTensor positions1, OptionalTensor positions2, double distance, bool both)>

@@ -8,10 +8,12 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
-from kvision._ops import register, wants_derivative
+from kvision._ops import register
+from kvision._torch_compat import is_tracing
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 # --- the two nearest ------------------------------------------------------------------------------------------------
@@ -229,54 +231,87 @@ def _fake_selection(distances1: Tensor, indices1: Tensor, *_: Any) -> list[Tenso
     return [torch.empty_like(distances1[..., 0]), torch.empty_like(indices1), indices1.new_empty(len(indices1))]
 
 
+def _select_reference_backward(
+    grad: Tensor, indices: Tensor, distances1: Tensor, distances2: Tensor | None, others: int, ratios: bool
+) -> tuple[Tensor, Tensor]:
+    own, nearest = indices.clamp(min=0).unbind(2)
+    grad = torch.where(indices[..., 0] >= 0, grad, 0)
+    empty = distances1[:, :0] if distances2 is None else torch.zeros_like(distances2)
+    if not ratios or others == 0:
+        return torch.zeros_like(distances1).scatter_add(1, own[..., None], grad[..., None]), empty
+
+    def through_ratio(distances: Tensor, at: Tensor, grad: Tensor) -> Tensor:
+        pair = at[..., None].expand(-1, -1, 2)
+        first, second = torch.where(indices >= 0, distances.gather(1, pair), 1).unbind(2)
+        grads = torch.stack([grad / second, -grad * first / (second * second)], 2)
+        return torch.zeros_like(distances).scatter_add(1, pair, grads)
+
+    if distances2 is None:
+        return through_ratio(distances1, own, grad), empty
+    one, other = (
+        _at(distances1[..., 0] / distances1[..., 1], own),
+        _at(distances2[..., 0] / distances2[..., 1], nearest),
+    )
+    share = torch.where(one > other, 1.0, torch.where(one < other, 0.0, 0.5)).to(grad.dtype)
+    return through_ratio(distances1, own, grad * share), through_ratio(distances2, nearest, grad * (1 - share))
+
+
+def _fake_selection_backward(
+    grad: Tensor, indices: Tensor, distances1: Tensor, distances2: Tensor | None, others: int, ratios: bool
+) -> list[Any]:
+    return [distances1.shape, (len(grad), 0 if distances2 is None else others, 2)]
+
+
+def _select_backward(needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
+    grad, _, _, _, indices, _, distances1, _, distances2, _, others, ratios, _ = grads_and_args
+    of_first, of_second = _select_transposed(grad, indices, distances1, distances2, others, ratios)
+    return [of_first, None, None if distances2 is None else of_second, None]
+
+
+_select_transposed = register(
+    "select_matches_backward", _select_reference_backward, fake=_fake_selection_backward, casts_outputs=True
+)
 # Neighbors (B, N, 2), and those of the other direction or None, to the matches of each sample: scores (B, N), indices
 # (B, N, 2), and how many slots they fill.
 _select = register(
-    "select_matches", _select_reference, fake=_fake_selection, non_differentiable=(0, 1, 2), casts_outputs=True
+    "select_matches",
+    _select_reference,
+    fake=_fake_selection,
+    backward=_select_backward,
+    saves_results=True,
+    non_differentiable=(1, 2),
+    casts_outputs=True,
 )
 
 
 def _slots_of_matches(neighbors: _Neighbors, th: float | None) -> tuple[Tensor, Tensor, Tensor]:
-    """The matches of each sample, of which those without `th` have distances as scores, with no gradient."""
-    d1, i1, d2, i2 = neighbors.distances1, neighbors.indices1, neighbors.distances2, neighbors.indices2
-    ways = (d2.detach(), i2) if neighbors.both else (None, None)
-    return _select(d1.detach(), i1, *ways, neighbors.others, th is not None, math.inf if th is None else float(th))
+    """The matches of each sample: scores, indices, and how many.
 
-
-def _scores(neighbors: _Neighbors, sample: Tensor | int, own: Tensor, nearest: Tensor, th: float | None) -> Tensor:
-    """The scores (K, 1) of matches, through which gradients pass."""
-    of_own = neighbors.distances1[sample, own]
-    if th is None:
-        return of_own[:, :1]
-    ratio = of_own[:, :1] / of_own[:, 1:]
-    if not neighbors.both:
-        return ratio
-    of_nearest = neighbors.distances2[sample, nearest]
-    return torch.maximum(ratio, of_nearest[:, :1] / of_nearest[:, 1:])
+    Without the neighbors of the second set they need not be mutual; without `th` there are no ratios, and scores are
+    distances.
+    """
+    ways = (neighbors.distances2, neighbors.indices2) if neighbors.both else (None, None)
+    options = (neighbors.others, th is not None, math.inf if th is None else float(th))
+    return _select(neighbors.distances1, neighbors.indices1, *ways, *options)
 
 
 def _matches(neighbors: _Neighbors, th: float | None = None) -> tuple[Tensor, Tensor]:
     """The list of matches of a single sample: scores (K, 1) and indices (K, 2).
 
-    Without the neighbors of the second set they need not be mutual; without `th` there are no ratios, and scores are
-    distances. The number of matches depends on the values, so a GPU is waited for.
+    The number of matches depends on the values, so a GPU is waited for.
     """
     scores, indices, sizes = _slots_of_matches(neighbors, th)
-    count = int(sizes)
-    scores, indices = scores[0, :count, None], indices[0, :count]
-    if wants_derivative(neighbors.distances1, neighbors.distances2):
-        own, nearest = indices.unbind(1)
-        scores = _scores(neighbors, 0, own, nearest, th)
-    return as_dtype(scores, neighbors.dtype), indices
+    # Graphs know sizes that depend on values from nonzero, not from numbers.
+    kept = (indices[0, :, 0] >= 0).nonzero()[:, 0] if is_compiling() or is_tracing() else slice(int(sizes))
+    return as_dtype(scores[0, kept, None], neighbors.dtype), indices[0, kept]
 
 
 def _matches_of_batch(neighbors: _Neighbors, th: float) -> tuple[Tensor, Tensor]:
     """The list of matches of all samples: scores (K, 1) and indices (K, 3), the sample first."""
-    slots = _slots_of_matches(neighbors, th)[1]
-    sample, slot = (slots[..., 0] >= 0).nonzero().unbind(1)
-    own, nearest = slots[sample, slot].unbind(1)
-    scores = _scores(neighbors, sample, own, nearest, th)
-    return as_dtype(scores, neighbors.dtype), torch.stack([sample, own, nearest], 1)
+    scores, indices, _ = _slots_of_matches(neighbors, th)
+    sample, slot = (indices[..., 0] >= 0).nonzero().unbind(1)
+    pairs = torch.cat([sample[:, None], indices[sample, slot]], 1)
+    return as_dtype(scores[sample, slot, None], neighbors.dtype), pairs
 
 
 def _no_matches(*sources: Tensor | None, columns: int = 2) -> tuple[Tensor, Tensor]:

@@ -118,8 +118,11 @@ class TestExtractPatchesSimple(PatchTests):
 
 class TestExtractPatchesFromPyramid(PatchTests):
     function = staticmethod(K.feature.extract_patches_from_pyramid)
-    operators = ("sample_patches", "sample_patches_backward", "resize", "resize_backward")
-    accepted = ("border reflect around a pixel",)  # of resize_backward, whose result is the pixel
+    operators = ("pyramid_patches", "sample_patches", "sample_patches_backward", "resize", "resize_backward")
+    accepted = (
+        "border reflect around a pixel",  # of resize_backward, whose result is the pixel
+        *("input cut along axis -1", "input cut along axis -2"),  # images of any size have a pyramid
+    )
     variants = [{"laf": frames, "PS": 3}]
     shape = (2, 3, 26, 37)
     small = (1, 1, 8, 9)
@@ -164,7 +167,14 @@ class TestPatchesOfPyramids(PointOpTests):
 
     calls = {
         "pyramid_patches": [
-            Call((vector(2, 21, 26), frames_of_sample), (levels, 4, 4.0), dtypes=(torch.float32, torch.float64))
+            Call(
+                (vector(2, 21, 26), frames_of_sample),
+                (levels, 4, 4.0),
+                dtypes=(torch.float32, torch.float64),
+                broadcasts=False,
+                differentiable=False,
+                accepted=("input cut along axis", "window"),
+            )
             for levels in (1, 3)
         ]
     }

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import as_dtype
-from kvision._ops import register, vjp
+from kvision._ops import register, vjp, wants_derivative
 from kvision.feature._patch_gradient import (
     angular_votes,
     centered_gaussian,
@@ -19,7 +19,7 @@ from kvision.feature._patch_gradient import (
     to_polar,
     too_large,
 )
-from kvision.feature.laf import rotate_laf
+from kvision.feature.laf import _rotate_reference, rotate_laf
 from kvision.feature.patches import check_frames, extract_patches_from_pyramid
 
 __all__ = ["LAFOrienter", "PatchDominantGradientOrientation"]
@@ -116,13 +116,20 @@ def _slots_reference(laf: Tensor, responses: Tensor, angles: Tensor) -> tuple[Te
     is_peak = torch.cat([torch.ones_like(angles[..., :1], dtype=torch.bool), angles[..., 1:] != angles[..., :1]], 2)
     is_feature = ((laf != 0).flatten(2).any(2)[..., None] & is_peak).flatten(1)
     order = (~is_feature).to(torch.uint8).sort(dim=1, stable=True)[1][:, :count]
-    frame, filled = order // peaks, is_feature.gather(1, order)
-    degrees = torch.rad2deg(angles.flatten(1).gather(1, order))
-    rotated = rotate_laf(laf.gather(1, frame[..., None, None].expand(-1, -1, 2, 3)), degrees[..., None])
-    return torch.where(filled[..., None, None], rotated, 0), torch.where(filled, responses.gather(1, frame), 0)
+    filled = is_feature.gather(1, order)
+    # Each rotated frame is gathered once, so that gradients are sums in a fixed order.
+    frames, scores = (x[:, :, None].expand(-1, -1, peaks, *x.shape[2:]).flatten(1, 2) for x in (laf, responses))
+    rotated = _rotate_reference(frames, torch.rad2deg(angles.flatten(1)))
+    rotated = rotated.gather(1, order[..., None, None].expand(-1, -1, 2, 3))
+    return torch.where(filled[..., None, None], rotated, 0), torch.where(filled, scores.gather(1, order), 0)
 
 
-_slots = register("orientation_slots", _slots_reference, fake=lambda laf, responses, _: [laf.shape, responses.shape])
+_slots = register(
+    "orientation_slots",
+    _slots_reference,
+    fake=lambda laf, responses, _: [laf.new_empty(laf.shape), responses.new_empty(responses.shape)],
+    casts_outputs=True,
+)
 
 
 def orientation_slots(laf: Tensor, responses: Tensor, angles: Tensor) -> tuple[Tensor, Tensor]:
@@ -131,7 +138,9 @@ def orientation_slots(laf: Tensor, responses: Tensor, angles: Tensor) -> tuple[T
     A feature is rotated by each of its angles, in radians; those that repeat its first one do not count. Of the features in
     order, each with its angles in order, the first N are kept, so that features sorted by response stay sorted.
     """
-    frames, scores = _slots(laf, as_dtype(responses, laf.dtype), as_dtype(angles, laf.dtype))
+    # torch's operators have gradients of their own; to differentiate the definition takes more time on the host.
+    fill = _slots_reference if wants_derivative(laf, responses, angles) else _slots
+    frames, scores = fill(laf, as_dtype(responses, laf.dtype), as_dtype(angles, laf.dtype))
     return frames, as_dtype(scores, responses.dtype)
 
 

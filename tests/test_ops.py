@@ -472,6 +472,7 @@ def test_gradients_that_kernels_sum_by_atomics_are_declared():
     """They are declared on CUDA only, and for warps only with padding modes whose gradient is not a gather."""
     names = {n for n, o in _ops.operators.items() if o.nondeterministic}
     assert names == {
+        "composed_coords_backward",
         "depth_warp_image_backward",
         "conv_quad_interp3d_backward",
         "remap_image_backward",
@@ -482,7 +483,7 @@ def test_gradients_that_kernels_sum_by_atomics_are_declared():
         "warp_image_backward",
     }
     x, matrix = torch.zeros(1, 1, 2, 2), torch.zeros(1, 2, 3)
-    for name in names - {"warp_and_color_backward"}:  # whose arguments are others
+    for name in names - {"composed_coords_backward", "warp_and_color_backward"}:  # whose arguments are others
         assert not _ops.operators[name].nondeterministic(
             x, matrix, None, [1, 2, 2], INTERPOLATION["bilinear"], PADDING["border"]
         )

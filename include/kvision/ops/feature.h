@@ -37,8 +37,8 @@ inline constexpr Rule two_nearest{
 
 }  // namespace detail
 
-// The matches of each sample among neighbors (B, N, 2), and those of the other direction or none: scores (B, N), indices
-// (B, N, 2), and how many slots they fill. Python alone has the gradient.
+// The matches of each sample among neighbors (B, N, 2), and those of the other direction or none: scores (B, N),
+// indices (B, N, 2), and how many slots they fill. Python alone has the gradient.
 inline constexpr Operator<"select_matches",
                           Three(Tensor distances1, Tensor indices1, OptionalTensor distances2, OptionalTensor indices2,
                                 int64_t others, bool ratios, double threshold)>

@@ -35,14 +35,22 @@ inline constexpr Rule two_nearest{
     },
     3};
 
+// From the scores; which slots are filled, and with what, are constants.
+inline constexpr Rule select_matches{[](Backward const& b) -> variable_list {
+                                       variable_list const gradients =
+                                           b.call("select_matches_backward", {{"indices", b.results[0]}});
+                                       return {gradients[0], Tensor(), gradients[1], Tensor()};
+                                     },
+                                     2};
+
 }  // namespace detail
 
 // The matches of each sample among neighbors (B, N, 2), and those of the other direction or none: scores (B, N),
-// indices (B, N, 2), and how many slots they fill. Python alone has the gradient.
+// indices (B, N, 2), and how many slots they fill.
 inline constexpr Operator<"select_matches",
                           Three(Tensor distances1, Tensor indices1, OptionalTensor distances2, OptionalTensor indices2,
                                 int64_t others, bool ratios, double threshold)>
-    select_matches{no_gradient};
+    select_matches{detail::select_matches};
 inline constexpr Operator<"two_nearest",
                           Four(Tensor desc1, Tensor desc2, OptionalTensor mask1, OptionalTensor mask2,
                                OptionalTensor positions1, OptionalTensor positions2, double distance, bool both)>

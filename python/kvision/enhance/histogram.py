@@ -160,7 +160,7 @@ def _short_rows(x: Tensor) -> list[Tensor]:
 
     Libraries compute a product of long thin matrices by few threads, and many short ones by many.
     """
-    if torch.compiler.is_compiling():  # a compiled graph keeps sizes symbolic
+    if torch.compiler.is_compiling() or is_tracing():  # graphs keep sizes symbolic
         return [x[:, None]]
     count, rest = divmod(x.shape[1], _SHORT)
     rows = [x[:, : count * _SHORT].unflatten(1, (count, _SHORT))] if count else []

@@ -8,6 +8,7 @@ from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import pixels
+from kvision._torch_compat import is_tracing
 from kvision._ops import with_kernel_casts
 from kvision.filters.border import pad, same_pads
 from kvision.filters.filter2d import check_padding, prepare_kernel
@@ -21,7 +22,8 @@ def _correlate(x: Tensor, kernel: Tensor, border: str, same: bool) -> Tensor:
     h, w = x.shape[2:]
     if x.numel() == 0:  # there is no transform of nothing
         return x[..., ky - 1 :, kx - 1 :] * kernel.sum()
-    size = (h, w) if is_compiling() else (_fast_size(h), _fast_size(w))  # a compiled graph keeps sizes symbolic
+    # Graphs keep sizes symbolic.
+    size = (h, w) if is_compiling() or is_tracing() else (_fast_size(h), _fast_size(w))
     spectrum = torch.fft.rfft2(x, s=size) * torch.fft.rfft2(kernel[:, None], s=size).conj()
     return torch.fft.irfft2(spectrum, s=size)[..., : h - ky + 1, : w - kx + 1]  # beyond, the kernel wraps around
 

@@ -119,7 +119,14 @@ def work(rank: int, ranks: int, options: Options, folder: str) -> None:
     augmented, share = figure("training", partial(training, train, setup, pictures, options.seconds))
     digested = figure("augmented bits", partial(digest, train, setup, pictures))
     row = Row(
-        ranks, alone, slowest, without, augmented, share, digested, figure("losses", partial(losses, train, setup, pictures))
+        ranks,
+        alone,
+        slowest,
+        without,
+        augmented,
+        share,
+        digested,
+        figure("losses", partial(losses, train, setup, pictures)),
     )
     progress.close()
     if rank == 0:
@@ -243,7 +250,9 @@ def compared(expected: list[Tensor], run: Callable[[], list[Tensor]]) -> str:
         return f"{type(error).__name__}: {error}".splitlines()[0]
     if all(torch.equal(x.nan_to_num(), y.nan_to_num()) for x, y in zip(results, expected)):
         return ""
-    worst = max(float((x.double() - y.double()).nan_to_num().abs().max()) for x, y in zip(results, expected) if x.numel())
+    worst = max(
+        float((x.double() - y.double()).nan_to_num().abs().max()) for x, y in zip(results, expected) if x.numel()
+    )
     return f"differs by {worst:.2g}"
 
 
@@ -257,7 +266,11 @@ def measure(options: Options, numbers: Sequence[int]) -> list[Row]:
             torch.multiprocessing.spawn(work, (ranks, options, folder), ranks)
             rows.append(Row(**json.loads(Path(folder, f"{ranks}.json").read_text())))
             alone, augmented = round(rows[-1].alone), round(rows[-1].augmented)
-            print(f"  {alone} images/s augmented alone, {augmented} trained with augmentation", file=sys.stderr, flush=True)
+            print(
+                f"  {alone} images/s augmented alone, {augmented} trained with augmentation",
+                file=sys.stderr,
+                flush=True,
+            )
     return rows
 
 

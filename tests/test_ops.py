@@ -246,7 +246,11 @@ def test_threads_choose_their_own_backend(default_backend):
         before = _backend.current_backend()
         with K.backend(name):
             both_inside.wait()
-            results[name] = before, _backend.current_backend(), _ops.serves("sobel", torch.zeros(1, 1, 2, 2, device="cpu"))
+            results[name] = (
+                before,
+                _backend.current_backend(),
+                _ops.serves("sobel", torch.zeros(1, 1, 2, 2, device="cpu")),
+            )
             both_inside.wait()
 
     threads = [threading.Thread(target=work, args=(name,)) for name in ("reference", "auto")]

@@ -140,7 +140,9 @@ def test_all_functions_give_the_same_values(device) -> None:
 Examples = list[tuple[Any, doctest.DocTest]]
 
 # Networks of Kornia's own that take most of the time of all examples. kvision has none of them.
-LARGE_NETWORKS = re.compile(r"VisualPrompter|sold2_detector\.SOLD2|DeFMO|SigLip2Model|DeDoDe|DescriptorMatcherWithSteerer")
+LARGE_NETWORKS = re.compile(
+    r"VisualPrompter|sold2_detector\.SOLD2|DeFMO|SigLip2Model|DeDoDe|DescriptorMatcherWithSteerer"
+)
 
 
 def docstring_examples() -> Examples:
@@ -175,9 +177,7 @@ class SameValues(SameNumbers):
         return super().check_output(want, got, optionflags)
 
 
-def failures(
-    examples: Examples, checker: type[doctest.OutputChecker] = SameNumbers
-) -> dict[str, str]:
+def failures(examples: Examples, checker: type[doctest.OutputChecker] = SameNumbers) -> dict[str, str]:
     """What the examples that fail print, by name."""
     failed = {}
     for module, test in examples:

@@ -117,7 +117,9 @@ def problems() -> list[str]:
             messages.append(f"{reference}: no page below docs/reference")
     for tree in (KERNELS, REFERENCES, TESTS, PAGES, ROOT / "include"):
         files = Counter(p.parent for p in tree.rglob("*") if p.suffix in SOURCES)
-        messages += [f"{f.relative_to(ROOT)}: {n} files, at most {MAX_FILES}" for f, n in files.items() if n > MAX_FILES]
+        messages += [
+            f"{f.relative_to(ROOT)}: {n} files, at most {MAX_FILES}" for f, n in files.items() if n > MAX_FILES
+        ]
     return messages
 
 

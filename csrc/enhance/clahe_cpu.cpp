@@ -1,6 +1,7 @@
-// CLAHE on the CPU: tables of tiles, then rows of pixels. Pixels are quantized row by row, which is the fastest order for
-// memory, and histograms of tiles count these levels; bytes are their levels. The four tables of a cell are interleaved,
-// four bytes per entry: a pixel needs one look-up and some vector arithmetic. Compiled once per instruction set.
+// CLAHE on the CPU: tables of tiles, then rows of pixels. Pixels are quantized row by row, which is the fastest order
+// for memory, and histograms of tiles count these levels; bytes are their levels. The four tables of a cell are
+// interleaved, four bytes per entry: a pixel needs one look-up and some vector arithmetic. Compiled once per
+// instruction set.
 #include "byte_histogram_cpu.h"
 #include "clahe.h"
 #include "core/scratch.h"

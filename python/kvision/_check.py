@@ -232,7 +232,9 @@ def flag(op: str, name: str, value: Any) -> None:
 def function(op: str, name: str, value: Any) -> None:
     """Raise TypeCheckError unless `value` can be called, as modules and functions can."""
     if not callable(value):
-        raise TypeCheckError(f"{op}: expected {name} to be a module or function, got {value!r}", actual_type=type(value))
+        raise TypeCheckError(
+            f"{op}: expected {name} to be a module or function, got {value!r}", actual_type=type(value)
+        )
 
 
 def scalar(op: str, name: str, value: Any) -> Any:

@@ -117,8 +117,16 @@ BAD = [
     (lambda: F.MultiResolutionDetector(F.BlobHessian())([1]), TypeError, "expected img to be a Tensor, got list"),
     (lambda: F.MultiResolutionDetector(None), TypeError, "MultiResolutionDetector: expected model to be .*, got None"),
     (lambda: F.MultiResolutionDetector(F.BlobHessian(), config=3), TypeError, "expected config to be a dict, got 3"),
-    (lambda: F.MultiResolutionDetector(F.BlobHessian(), ori_module=3), TypeError, "expected ori_module to be .*, got 3"),
-    (lambda: F.MultiResolutionDetector(F.BlobHessian(), aff_module=3), TypeError, "expected aff_module to be .*, got 3"),
+    (
+        lambda: F.MultiResolutionDetector(F.BlobHessian(), ori_module=3),
+        TypeError,
+        "expected ori_module to be .*, got 3",
+    ),
+    (
+        lambda: F.MultiResolutionDetector(F.BlobHessian(), aff_module=3),
+        TypeError,
+        "expected aff_module to be .*, got 3",
+    ),
     (lambda: F.MultiResolutionDetector(F.BlobHessian())(torch.rand(1, 3, 40, 40)), ValueError, "one response"),
 ]
 

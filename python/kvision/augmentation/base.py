@@ -715,7 +715,9 @@ def _is_of_user(method: Any) -> bool:
 
 
 def _shown(value: Any) -> str:
-    return str(value.name.lower() if isinstance(value, Enum) else value.tolist() if isinstance(value, Tensor) else value)
+    return str(
+        value.name.lower() if isinstance(value, Enum) else value.tolist() if isinstance(value, Tensor) else value
+    )
 
 
 class AugmentationBase2D(AugmentationBase):

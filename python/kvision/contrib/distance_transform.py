@@ -80,7 +80,9 @@ def _approximate(x: Tensor, size: int, h: float) -> Tensor:
     kernel = (sum(coords[1:], coords[0]).sqrt() / -h).exp()[None]
     radius, scale = size // 2, x.new_full((), -h)  # a tensor, because loops of graphs take no symbolic floats
 
-    def grow(step: int | Tensor, grown: Tensor, total: Tensor, _: Tensor) -> tuple[int | Tensor, Tensor, Tensor, Tensor]:
+    def grow(
+        step: int | Tensor, grown: Tensor, total: Tensor, _: Tensor
+    ) -> tuple[int | Tensor, Tensor, Tensor, Tensor]:
         near = blur(grown, kernel, "replicate")
         reached = (near > 0) & (near < 1)
         within = scale * torch.where(reached, near, 0.5).log()

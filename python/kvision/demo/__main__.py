@@ -74,7 +74,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if attacks:
             bar.set_description(f"{'attacking':14}")
             before = bar.n
-            attacked = attack.attack(list(photos) if options.images else [], device, lambda i, _: bar.update(before + i - bar.n))
+            attacked = attack.attack(
+                list(photos) if options.images else [], device, lambda i, _: bar.update(before + i - bar.n)
+            )
 
     sections = [section(sheet, columns, names, photos) for sheet, columns in done]
     sections.append(augmentation.section(augmented, names[0]))

@@ -58,6 +58,12 @@ def draw(both: Tensor, x: Tensor, y: Tensor) -> Tensor:
 
 
 def section(attacked: Attacked) -> gallery.Section:
-    columns = [("photos without a match", ""), ("changed", f"{attacked.psnr:.1f} dB"), ("", f"{attacked.matches} matches")]
+    columns = [
+        ("photos without a match", ""),
+        ("changed", f"{attacked.psnr:.1f} dB"),
+        ("", f"{attacked.matches} matches"),
+    ]
     cells = [gallery.picture(x) for x in (attacked.originals, attacked.changed, attacked.matched)]
-    return gallery.Section("Two photos attacked through detector and descriptor until they match", columns, [("", cells)])
+    return gallery.Section(
+        "Two photos attacked through detector and descriptor until they match", columns, [("", cells)]
+    )

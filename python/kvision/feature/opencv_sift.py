@@ -96,9 +96,7 @@ class _Gradients:
         """Of a level of this size."""
         return (height + 2 * _MARGIN) * (width + 2 * _MARGIN)
 
-    def windows(
-        self, points: _KeyPoints, row: Tensor, column: Tensor, dy: Tensor, dx: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def windows(self, points: _KeyPoints, row: Tensor, column: Tensor, dy: Tensor, dx: Tensor) -> tuple[Tensor, Tensor]:
         """Magnitudes and angles (B, N, S) at offsets (S,) from pixels; both are constants where there is no gradient."""
         width = points.width + 2 * _MARGIN
         row, column = row.clamp(min=0).minimum(points.height - 1), column.clamp(min=0).minimum(points.width - 1)

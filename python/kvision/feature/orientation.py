@@ -55,7 +55,9 @@ def _peaks(histogram: Tensor, count: int, threshold: float) -> Tensor:
         smoothed = smoothed + _SMOOTHING[distance] * both
     values = smoothed.detach()
     first = values.argmax(1, keepdim=True)
-    is_peak = (values > values.roll(1, 1)) & (values >= values.roll(-1, 1)) & (values >= threshold * values.amax(1, True))
+    is_peak = (
+        (values > values.roll(1, 1)) & (values >= values.roll(-1, 1)) & (values >= threshold * values.amax(1, True))
+    )
     ranked, index = (
         torch.where(is_peak, values, -1).scatter(1, first, math.inf).sort(dim=1, descending=True, stable=True)
     )
@@ -96,7 +98,9 @@ _orientation_backward = register(
 )
 
 
-def dominant_orientations(patches: Tensor, count: int, bins: int = 36, eps: float = 1e-8, threshold: float = 0.8) -> Tensor:
+def dominant_orientations(
+    patches: Tensor, count: int, bins: int = 36, eps: float = 1e-8, threshold: float = 0.8
+) -> Tensor:
     """The angles (B, count) in radians of the largest peaks of the histograms of patches (B, 1, n, n).
 
     The first is that of :class:`PatchDominantGradientOrientation`. The others have at least `threshold` times its bin; where

@@ -88,7 +88,9 @@ class TestFundamentalDltOperators(PointOpTests):
     }
 
 
-@pytest.mark.parametrize("lines, points", [((7, 3), (2, 7, 2)), ((2, 7, 3), (2, 7, 3)), ((2, 1, 3), (7, 2)), ((0, 3), (0, 2))])
+@pytest.mark.parametrize(
+    "lines, points", [((7, 3), (2, 7, 2)), ((2, 7, 3), (2, 7, 3)), ((2, 1, 3), (7, 2)), ((0, 3), (0, 2))]
+)
 def test_perpendicular_lines(lines, points, device):
     lines, points = torch.randn(lines, device=device).double(), torch.randn(points, device=device).double()
     result = G.get_perpendicular(lines, points)

@@ -331,7 +331,9 @@ class AugmentationSequential(ImageSequential):
             return labels.move_points(value, lambda points: move_points(points, stages), self._numbers_of_points)
         if key in labels.BOX_FORMATS:
             if self._numbers_of_points == 3:
-                raise NotImplementedError("AugmentationSequential: boxes of volumes cannot be moved; masks and key points can")
+                raise NotImplementedError(
+                    "AugmentationSequential: boxes of volumes cannot be moved; masks and key points can"
+                )
             self._check_batch(key.name.lower(), value, 4 if key == DataKey.BBOX else 3)
             count = 1 if keeps_lines(stages) else labels.CURVED
             return labels.move_boxes(value, labels.BOX_FORMATS[key], lambda points: move_points(points, stages), count)

@@ -299,8 +299,9 @@ class ImageSequential(ImageSequentialBase):
         """Run the children on images (B, C, H, W) and keep what the call did."""
         children = self._children_of_call(params, source)
         y, stages = execute(x, children, source)
-        # Not by setattr: torch looks for parameters in what it sets.
-        self.__dict__.update(_shape=tuple(x.shape), _stages=stages, _executed=children, _given_params=None)
+        # Not by setattr: torch looks for parameters in what it sets. Not by update, which torch 2.11 cannot compile.
+        self.__dict__["_shape"], self.__dict__["_stages"] = tuple(x.shape), stages
+        self.__dict__["_executed"], self.__dict__["_given_params"] = children, None
         return y
 
     def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:

@@ -4,8 +4,8 @@
 #   make demo ARGS="photo.jpg --device cuda"        make test TESTS=tests/filters ARGS="-k sobel -x"
 #   make bench ARGS="sobel box_blur"                make clean, make distclean (with .venv)
 #
-# make test sweeps few of the small sizes and leaves out what takes minutes and asks mostly torch: the markers slow and tracing
-# (pyproject.toml). .ci/run has all of that. ARGS="-m tracing" or ARGS="--sizes all" runs it for the chosen TESTS.
+# make test sweeps few of the small sizes and leaves out what takes minutes and asks mostly torch: the markers slow, tracing and
+# derivatives (pyproject.toml). .ci/run has all of that. ARGS="-m tracing" or ARGS="--sizes all" runs it for the chosen TESTS.
 PYTHON ?= python3
 TESTS ?=
 ARGS ?=
@@ -26,7 +26,7 @@ demo: build
 
 test: build $(DEV)
 	@[ -n "$(TESTS)" ] || echo "kvision: all tests take about five minutes on two cores; TESTS=tests/filters chooses some"
-	$(BIN)/python -m pytest --quiet --numprocesses auto --maxprocesses 8 --sizes few -m "not slow and not tracing" $(TESTS) $(ARGS)
+	$(BIN)/python -m pytest --quiet --numprocesses auto --maxprocesses 8 --sizes few -m "not (slow or tracing or derivatives)" $(TESTS) $(ARGS)
 
 bench: build $(DEV)
 	$(BIN)/python -m benchmarks $(ARGS)

@@ -512,7 +512,7 @@ int main() {
   Tensor const from = torch::rand({2, 9, 2}), to = torch::rand({2, 9, 2}), weights = torch::rand({2, 9});
   Tensor const equations = torch::rand({2, 11, 9}) - 0.5, segments = torch::rand({2, 6, 2, 2});
   auto const pairs =
-      torch::stack({torch::tensor({0.3, 0.5, 0.2, 0.6}), torch::tensor({0.9, 0.8, 0.7, 0.95})}, -1)[None];
+      torch::stack({torch::tensor({0.3, 0.5, 0.2, 0.6}), torch::tensor({0.9, 0.8, 0.7, 0.95})}, -1).unsqueeze(0);
   auto const neighbors = torch::tensor({1, 2, 0, 3, 3, 1, 2, 0}).view({1, 4, 2});
   for (bool const ratios : {false, true})
     check(

@@ -1,0 +1,34 @@
+"""Every public function compiles with dynamic batch, channels, height and width, but for those that do not export."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import pytest
+import torch
+
+from op_tests import assert_close
+from test_dynamic_sweep import CALLS, LEFT_OUT, Call, examples
+
+
+@pytest.mark.tracing
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CALLS)
+def test_compile(name: str, device: torch.device) -> None:
+    """One graph serves both sizes."""
+    if name in LEFT_OUT:
+        pytest.skip(LEFT_OUT[name])
+    warnings.simplefilter("ignore")
+    first, second, expected = examples(CALLS[name], device)
+    torch._dynamo.reset()
+    graphs = []
+
+    def backend(graph: torch.fx.GraphModule, _: Any) -> Any:
+        graphs.append(graph)
+        return graph.forward
+
+    compiled = torch.compile(Call(CALLS[name]), dynamic=True, fullgraph=True, backend=backend)
+    compiled(first)
+    assert_close(compiled(second), expected, 1e-4, 1e-5)
+    assert len(graphs) <= 1

@@ -9,7 +9,7 @@ import torch
 import kvision as kv
 from kvision import filters, losses, metrics, morphology
 
-pytestmark = pytest.mark.native
+pytestmark = [pytest.mark.native, pytest.mark.large]
 
 KERNEL = torch.tensor([[0.1, 0.2, 0.05], [0.3, -0.4, 0.1], [0.05, 0.2, 0.15]])
 

@@ -17,7 +17,7 @@ import kvision
 from kvision import color, enhance, losses, metrics
 from kvision.geometry import transform
 
-pytestmark = pytest.mark.native
+pytestmark = [pytest.mark.native, pytest.mark.large]
 
 SHAPES = [(2, 3, 335, 513), (5, 3, 67, 299), (3, 3, 64, 126)]
 DTYPES = [torch.float32, torch.float16, torch.bfloat16]

@@ -13,10 +13,10 @@
 namespace kv::augmentation::cuda {
 namespace {
 
-constexpr int kMostChannels = 3, kMostRows = 16, kMostThreads = 256;  // of a block at a time
-constexpr int kRowsOfThread = 8;                                      // across, where a block has as many
-constexpr int kRowsAhead = 4;                                         // of the gradient that are loaded together
-constexpr int64_t kMostSums = 48 << 10;                               // bytes
+constexpr int kMaxChannels = 3, kMaxRows = 16, kMaxThreads = 256;  // of a block at a time
+constexpr int kRowsOfThread = 8;                                   // across, where a block has as many
+constexpr int kRowsAhead = 4;                                      // of the gradient that are loaded together
+constexpr int64_t kMaxSums = 48 << 10;                             // bytes
 
 // A row or a column of the gradient adds (1 - t) of itself to this pixel and t to the next one.
 struct TapPair {
@@ -63,14 +63,14 @@ struct TapPairs {
 
 // A block has `rows` rows of an image, a multiple of R, and sums for them of a group of channels.
 template <class T, int R, bool Vectors>
-__global__ void __launch_bounds__(kMostThreads)
+__global__ void __launch_bounds__(kMaxThreads)
     add_rows(__grid_constant__ geometry::SampleImageBackward<T> const p, int parts, int rows) {
   extern __shared__ __align__(16) float sums[];
   __shared__ RowMap map;
   __shared__ int read_down[2];
   int const width = int(p.grad.width), height = int(p.grad.height);
   int const to_width = int(p.grad_x.width), to_height = int(p.grad_x.height);
-  int const vectors = (width + 3) / 4, pitch = 4 * vectors, most_channels = min(p.grad.channels, kMostChannels);
+  int const vectors = (width + 3) / 4, pitch = 4 * vectors, most_channels = min(p.grad.channels, kMaxChannels);
   int64_t const b = blockIdx.x / unsigned(parts);
   int const top = int(blockIdx.x - b * parts) * rows, end = min(top + rows, to_height);
   TapPairs down{reinterpret_cast<TapPair*>(sums + most_channels * rows * pitch), height, false};
@@ -92,8 +92,8 @@ __global__ void __launch_bounds__(kMostThreads)
   }
 
 #pragma unroll 1
-  for (int first_channel = 0; first_channel < p.grad.channels; first_channel += kMostChannels) {
-    int const channels = min(p.grad.channels - first_channel, kMostChannels);
+  for (int first_channel = 0; first_channel < p.grad.channels; first_channel += kMaxChannels) {
+    int const channels = min(p.grad.channels - first_channel, kMaxChannels);
     __syncthreads();  // before the sums of other channels are overwritten
 #pragma unroll 1
     for (int task = int(threadIdx.x); is_read && task < channels * vectors; task += int(blockDim.x)) {
@@ -181,29 +181,29 @@ struct BlockMemory {
   size_t bytes;
 
   BlockMemory(int64_t channels, geometry::Size source, geometry::Size output) {
-    int64_t const row = min(channels, int64_t(kMostChannels)) * ceil_div(output.width, int64_t(4)) * 16;
-    rows = clamp(kMostSums / row, int64_t(1), int64_t(kMostRows));
+    int64_t const row = min(channels, int64_t(kMaxChannels)) * ceil_div(output.width, int64_t(4)) * 16;
+    rows = clamp(kMaxSums / row, int64_t(1), int64_t(kMaxRows));
     if (rows > kRowsOfThread) rows = rows / kRowsOfThread * kRowsOfThread;
     bytes = size_t(rows * row + (output.height + output.width) * int64_t(sizeof(TapPair)) +
                    (source.width + 2) * int64_t(sizeof(int)));
   }
 };
-constexpr int64_t kMostShared = 96 << 10, kStaticShared = 2 << 10;
+constexpr int64_t kMaxShared = 96 << 10, kStaticShared = 2 << 10;
 
 }  // namespace
 
 bool fits_block(geometry::Size source, geometry::Size output) {
-  return int64_t(BlockMemory(kMostChannels, source, output).bytes) + kStaticShared <= max_shared_bytes(kMostShared);
+  return int64_t(BlockMemory(kMaxChannels, source, output).bytes) + kStaticShared <= max_shared_bytes(kMaxShared);
 }
 
 template <class T>
 int warp_rows_backward(WarpRowsBackward<T> const& params, CUstream_st* stream) {
   geometry::SampleImageBackward<T> const& p = params.warp;
-  int64_t const width = p.grad.width, channels = min(p.grad.channels, kMostChannels);
+  int64_t const width = p.grad.width, channels = min(p.grad.channels, kMaxChannels);
   BlockMemory const memory(channels, {p.grad_x.height, p.grad_x.width}, {p.grad.height, width});
   int64_t const parts = ceil_div(p.grad_x.height, memory.rows);
   int64_t const tasks = channels * ceil_div(width, int64_t(4));
-  unsigned const threads = unsigned(clamp(ceil_div(tasks, int64_t(32)) * 32, int64_t(64), int64_t(kMostThreads)));
+  unsigned const threads = unsigned(clamp(ceil_div(tasks, int64_t(32)) * 32, int64_t(64), int64_t(kMaxThreads)));
   auto const is_aligned = [](int64_t elements) { return elements * int64_t(sizeof(T)) % int64_t(4 * sizeof(T)) == 0; };
   bool const vectors = p.grad.step == 1 && width % 4 == 0 && is_aligned(p.grad.row_stride) &&
                        is_aligned(p.grad.channel_stride) && is_aligned(p.grad.batch_stride) &&

@@ -237,12 +237,12 @@ size_t bytes_of(int64_t pixels) { return size_t(part_pixels_of(pixels)) * 3 * si
 
 template <class Kernel>
 bool takes_clusters(Kernel* kernel, Program<float> const& p) {
-  constexpr int64_t kMostShared = 112 << 10;  // two blocks on a multiprocessor
+  constexpr int64_t kMaxShared = 112 << 10;  // two blocks on a multiprocessor
   constexpr int64_t kStaticShared = 2 << 10;
   // Whatever the number of samples: two runs are faster for few, but their sums have another order, and the result of a
   // sample must not depend on the batch.
   return p.contrast >= 0 && p.x.channels == 3 && p.pixels % P == 0 && p.x.access == Access::plain_vectors &&
-         has_frequent_steps_only(p) && int64_t(bytes_of(p.pixels)) + kStaticShared <= max_shared_bytes(kMostShared) &&
+         has_frequent_steps_only(p) && int64_t(bytes_of(p.pixels)) + kStaticShared <= max_shared_bytes(kMaxShared) &&
          supports_clusters(kernel);
 }
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import pytest
 import torch
 
 from op_tests import assert_close
-from test_dynamic_sweep import CALLS, LEFT_OUT, Call, examples
+from test_dynamic_sweep import CALLS, Call, examples
 
 
 @pytest.mark.tracing
@@ -17,10 +16,7 @@ from test_dynamic_sweep import CALLS, LEFT_OUT, Call, examples
 @pytest.mark.parametrize("name", CALLS)
 def test_compile(name: str, device: torch.device) -> None:
     """One graph serves both sizes."""
-    if name in LEFT_OUT:
-        pytest.skip(LEFT_OUT[name])
-    warnings.simplefilter("ignore")
-    first, second, expected = examples(CALLS[name], device)
+    first, second, expected = examples(name, device)
     torch._dynamo.reset()
     graphs = []
 

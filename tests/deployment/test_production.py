@@ -16,7 +16,7 @@ from op_tests import assert_close
 
 pytestmark = pytest.mark.programs
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 class Sharpness(nn.Module):

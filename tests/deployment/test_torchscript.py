@@ -14,8 +14,8 @@ from torch import Tensor, nn
 
 import kvision as K
 from benchmarks.sample_calls import SampleCall
+from dynamic_calls import CALLS, SIZES, flat
 from op_tests import assert_close
-from test_dynamic_sweep import CALLS, SIZES, flat
 from test_public_api import public_modules, public_names
 
 pytestmark = pytest.mark.programs

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 import torch
 
+from dynamic_calls import CALLS, Call, examples
 from op_tests import assert_close
-from test_dynamic_sweep import CALLS, Call, examples
 
 
 @pytest.mark.tracing

@@ -77,7 +77,18 @@ def cmake() -> str:
 
 # Folders whose tests call operators; the others test files, containers and packaging.
 OPERATORS = (
-    *("augmentation", "color", "contrib", "deployment", "enhance", "feature", "filters", "geometry", "losses", "metrics"),
+    *(
+        "augmentation",
+        "color",
+        "contrib",
+        "deployment",
+        "enhance",
+        "feature",
+        "filters",
+        "geometry",
+        "losses",
+        "metrics",
+    ),
     "morphology",
 )
 # A test that compares with one of them names it.

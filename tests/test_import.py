@@ -96,6 +96,7 @@ def test_pickles_load_first(tmp_path: Path) -> None:
     assert printed(program).split() == ["sobel", *repr(K.filters.Sobel()).split()]
 
 
+@pytest.mark.slow
 def test_exported_programs_run_and_have_gradients(tmp_path: Path) -> None:
     """Loading one looks its operators up in torch.ops, which registers their shapes and gradients."""
     if "cpu" in _backend.unserved:
@@ -115,6 +116,7 @@ print(*x.grad.flatten().tolist())
     torch.testing.assert_close(grad, x.grad.flatten())
 
 
+@pytest.mark.slow
 def test_operators_called_directly_are_registered() -> None:
     if "cpu" in _backend.unserved:
         pytest.skip("torch.ops.kvision needs the libraries")
@@ -127,6 +129,7 @@ print(x.grad.shape[2], hasattr(torch.ops.kvision, "sobell"))
     assert printed(program).split() == ["5", "False"]
 
 
+@pytest.mark.slow
 def test_the_first_use_may_be_inside_of_a_compiled_function_or_a_mode() -> None:
     program = """
 import torch, kvision as K

@@ -87,6 +87,7 @@ def test_every_operator_of_bytes_on_the_cpu_is_tested_through_floats():
     assert {o.name for o in _ops.operators.values() if o._converts_bytes} == set(BYTES_ON_CPU)
 
 
+@pytest.mark.slow
 def test_environment_chooses_the_backend():
     code = "import torch, kvision as K; print(K._ops.serves('sobel', torch.zeros(1, 1, 2, 2)))"
     assert run(code, KVISION_BACKEND="reference").stdout.strip() == "reference"
@@ -107,6 +108,7 @@ def test_without_libraries_the_reference_serves():
     assert "does not load: broken" in result.stdout and "True" in result.stdout
 
 
+@pytest.mark.slow
 def test_an_older_library_lacks_an_operator():
     """The reference serves it, kvision.info() says why, and only backend "native" makes it an error."""
     code = (

@@ -123,6 +123,7 @@ def test_equals_separate_calls(make, device):
 
 # Sizes of results: vectors and none, more columns than a warp of threads, fewer rows than the parts of a sample; the last one
 # is too large for kernels that keep a sample.
+@pytest.mark.native
 @pytest.mark.parametrize("size", [(7, 9), (32, 64), (33, 47), (100, 36), (1, 1), (250, 252), (300, 300)], ids=str)
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8])
 @pytest.mark.parametrize("channels", [1, 3])
@@ -220,6 +221,7 @@ def test_gradients_of_warps_that_keep_rows(padding, size, device):
 
 
 # The last size does not fit the shared memory of a cluster, the one before it has no vectors of pixels.
+@pytest.mark.native
 @pytest.mark.parametrize("size", [(2, 2), (20, 36), (64, 64), (224, 224), (15, 17), (300, 300)], ids=str)
 def test_contrast_of_many_samples(size, device):
     """Results and gradients of jitter equal those of the reference; samples that are not chosen stay as they are."""

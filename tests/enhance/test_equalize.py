@@ -68,6 +68,8 @@ class TestEqualize(LevelTests):
     variants = [{}, {"opencv": True}]
     errors = [({"opencv": 1}, TypeError, "opencv to be a bool")]
 
+    @pytest.mark.native
+    @pytest.mark.large
     @pytest.mark.parametrize("size", [(256, 256), (301, 333), (700, 320)], ids=str)
     @pytest.mark.parametrize("planes", [1, 70])
     def test_large_planes(self, size, planes, device):

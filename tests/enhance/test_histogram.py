@@ -161,6 +161,7 @@ def test_instruction_sets(isa, device, backend):
         test_counts_against_the_reference(1000, 0.02, "even", device)
 
 
+@pytest.mark.native
 def test_runs_give_the_same_bits(device):
     x, centers = torch.rand(3, 100_000, device=device), torch.linspace(0, 1, 256, device=device)
     weights = torch.rand(3, 256, device=device)

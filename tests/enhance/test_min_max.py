@@ -32,10 +32,12 @@ class TestNormalizeMinMax(OpTests):
             with pytest.raises(error, match="^normalize_min_max: "):
                 self.call(wrong, kwargs)
 
+    @pytest.mark.native
+    @pytest.mark.large
     @pytest.mark.parametrize("size", [(256, 256), (301, 333)], ids=str)
     @pytest.mark.parametrize("planes", [1, 70])
     def test_large_planes(self, size, planes, device):
-        """One piece a plane or several, in packs or not; with flat and NaN planes, and ties, among them."""
+        """Planes of one chunk or several, of whole vectors or not; flat and NaN planes, and ties, are among them."""
         x = (torch.rand(planes + 2, 1, *size, device=device) * 300).round() / 255
         x[0] = 0.3
         x[1, 0, 5, 6] = torch.nan

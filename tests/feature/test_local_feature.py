@@ -152,6 +152,7 @@ def test_sift_features_have_up_to_two_orientations(device):
     assert (F.get_laf_orientation(upright) == 0).all()
 
 
+@pytest.mark.programs
 def test_sift_features_match_as_well_as_those_of_opencv(device):
     """A turned and smaller photograph: as many right matches, of which as many are right, of as many features."""
     cv2 = pytest.importorskip("cv2")
@@ -232,6 +233,7 @@ def test_gradients_from_end_to_end(device):
     assert_close(change, (grad * step).sum(), 2e-2, 1e-9)
 
 
+@pytest.mark.programs
 def test_matches_of_pairs(device):
     image = photo(112, 120).float().to(device)
     pair = {"image0": torch.cat([image, image, 0 * image]), "image1": torch.cat([image, image.flip(2, 3), image])}

@@ -102,6 +102,7 @@ class TestExtractPatchesSimple(PatchTests):
     function = staticmethod(K.feature.extract_patches_simple)
     operators = ("sample_patches", "sample_patches_backward")
     variants = [{"laf": frames, "PS": 6}, {"laf": lambda x: frames(x, 3), "PS": 1}]
+    max_size = 9  # the kernel's vectors and blocks are those of a patch
     errors = [({"PS": 0}, ValueError, "expected PS"), ({"PS": 2.5}, TypeError, "expected PS")]
 
     def test_a_frame_of_half_the_patch_is_a_crop(self, device):
@@ -119,11 +120,13 @@ class TestExtractPatchesSimple(PatchTests):
 class TestExtractPatchesFromPyramid(PatchTests):
     function = staticmethod(K.feature.extract_patches_from_pyramid)
     operators = ("pyramid_patches", "sample_patches", "sample_patches_backward", "resize", "resize_backward")
+    uncompiled = ("pyramid_patches",)
     accepted = (
         "border reflect around a pixel",  # of resize_backward, whose result is the pixel
         *("input cut along axis -1", "input cut along axis -2"),  # images of any size have a pyramid
     )
     variants = [{"laf": frames, "PS": 3}]
+    max_size = 17  # of up to three levels
     shape = (2, 3, 26, 37)
     small = (1, 1, 8, 9)
 

@@ -171,6 +171,7 @@ def test_coordinates_in_long_rows_are_exact(device):
     assert_close(G.resize(teeth.float(), (1, 29989)).double(), expected, 0, 4e-6)
 
 
+@pytest.mark.native
 @pytest.mark.parametrize("size", [(1, 1), (2, 7)])
 def test_large_windows(size, device):
     """Thousands of pixels for one: beyond what a block of threads has memory for on CUDA."""
@@ -203,6 +204,7 @@ OCTAVES = [
 ]
 
 
+@pytest.mark.native
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
 @pytest.mark.parametrize("down", [True, False])
 @pytest.mark.parametrize("size", [(16, 16), (74, 48), (40, 528)], ids=str)
@@ -230,6 +232,8 @@ WINDOWS_OF_ANY_FACTOR = [
 ]
 
 
+@pytest.mark.native
+@pytest.mark.large
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
 @pytest.mark.parametrize("size", [(224, 224), (333, 200), (150, 517), (400, 301), (160, 600), (20, 9)], ids=str)
 def test_any_factor_of_large_images(size, dtype, device):

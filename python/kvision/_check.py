@@ -137,9 +137,16 @@ def is_one_or(count: int, samples: int) -> bool:
     return count == 1 or count == samples
 
 
-def values_are_readable(x: Tensor) -> bool:
-    """Whether values of `x` can be read without waiting for a device, and without breaking a trace or a transform."""
-    return x.device.type == "cpu" and not (torch.compiler.is_compiling() or in_function_transform())
+def values_are_readable(x: Tensor, may_wait: bool = False) -> bool:
+    """Whether values of `x` can be read without breaking a trace, a transform or the capture of a CUDA graph.
+
+    Reading values on a GPU waits for it, which the caller must allow by `may_wait`.
+    """
+    if torch.compiler.is_compiling() or in_function_transform():
+        return False
+    if x.device.type == "cuda":
+        return may_wait and not torch.cuda.is_current_stream_capturing()
+    return x.device.type == "cpu"
 
 
 def floating(op: str, name: str, x: Tensor) -> None:

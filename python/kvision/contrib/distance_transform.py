@@ -13,7 +13,6 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import is_compiling, with_kernel_casts
-from kvision._torch_compat import in_function_transform
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.filters.filter2d import filter2d
 from kvision.filters.filter3d import filter3d
@@ -100,16 +99,11 @@ def _approximate(x: Tensor, size: int, h: float) -> Tensor:
         return torch.while_loop(lambda step, *state: (step < steps) & state[-1], grow, state)[2]
     for step in range(math.ceil(max(sides) / radius)):
         _, grown, total, changed = grow(step, grown, total, changed)
-        if _may_look(x, step) and not changed:
+        # Each read waits for the GPU, so there it is read after 1, 2, 4, ... steps: at most twice the steps are computed.
+        is_due = not x.is_cuda or (step & (step + 1)) == 0
+        if is_due and _check.values_are_readable(x, may_wait=True) and not changed:
             break
     return total
-
-
-def _may_look(x: Tensor, step: int) -> bool:
-    """Whether to read if a step changed anything. On the GPU that waits, but for less than twice the steps it takes."""
-    if x.is_cuda and (step & (step + 1) or torch.cuda.is_current_stream_capturing()):
-        return False
-    return not (is_compiling() or in_function_transform()) and x.device.type in ("cpu", "cuda")
 
 
 @with_kernel_casts

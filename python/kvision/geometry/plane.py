@@ -12,7 +12,7 @@ from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.core.tensor_wrapper import TensorWrapper
 from kvision.geometry._precision import promoted
-from kvision.geometry.linalg import batched_dot_product, dominant_eigenvector, normalized
+from kvision.geometry.linalg import adjugate, batched_dot_product, dominant_eigenvector, normalized
 from kvision.geometry.vector import Scalar, Vector3
 
 __all__ = ["Hyperplane", "fit_plane"]
@@ -118,8 +118,7 @@ def fit_plane(points: Vector3 | Tensor) -> Hyperplane:
 def _fit_plane(points: Tensor) -> tuple[Tensor, Tensor]:
     mean = points.mean(-2, keepdim=True)
     scatter = scatter_of(points - mean)
-    adjugates = torch.linalg.cross(scatter.roll(-1, -2), scatter.roll(-2, -2))  # symmetric, as `scatter` is
-    normal = dominant_eigenvector(adjugates).to(points.dtype)
+    normal = dominant_eigenvector(adjugate(scatter)).to(points.dtype)
     return normal, -(normal * mean.squeeze(-2)).sum(-1)
 
 

@@ -1,6 +1,6 @@
 // Warps with a program of color steps: schemas and entries, for CPU and CUDA alike. A warp without steps, or steps
 // without a warp, run as such; so do both one after the other where no kernel joins them.
-#include "augmentation/expand.h"
+#include "augmentation/broadcast_scalar.h"
 #include "augmentation/transforms_glue.h"
 #include "augmentation/warp_and_color.h"
 #include "augmentation/warp_and_color_glue.h"
@@ -157,15 +157,15 @@ struct WarpAndColorArguments {
   }
 };
 
-// A gradient whose rows kernels can read by vectors: one that is one number is expanded in memory, which takes half as
-// long as a copy.
-Tensor with_rows(char const* op, Tensor const& grad) {
-  if (!color::is_one_number(grad)) return grad;
+// A gradient whose rows kernels can read by vectors. An expanded scalar is written to memory, which takes half as long as
+// a copy.
+Tensor materialized([[maybe_unused]] char const* op, Tensor const& grad) {
+  if (!color::is_expanded_scalar(grad)) return grad;
   Tensor const result = empty(grad.sizes(), grad);
 #if defined(KV_CUDA)
   dispatch_floating(op, grad, [&]<class T>(Type<T>) {
-    ExpandNumber<T> const p{data_ptr<T const>(grad), data_ptr<T>(result), result.numel()};
-    KV_RUN(expand_number, grad, p, p.count, 1);
+    BroadcastScalar<T> const p{data_ptr<T const>(grad), data_ptr<T>(result), result.numel()};
+    KV_RUN(broadcast_scalar, grad, p, p.count, 1);
   });
 #endif
   return result;
@@ -298,7 +298,7 @@ std::tuple<Tensor, Tensor, Tensor> warp_and_color_backward(Tensor const& grad, T
   if (!a.matrix) {
     if (of_image) grad_image = sampled_grad;
   } else {
-    if (of_matrix || !a.has_row_gradient(image)) sampled_grad = with_rows(op, sampled_grad);
+    if (of_matrix || !a.has_row_gradient(image)) sampled_grad = materialized(op, sampled_grad);
     if (of_image) grad_image = a.image_gradient(sampled_grad, image);
     if (of_matrix) grad_matrix = geometry::warp_matrix_gradient(sampled_grad, image, *a.sampling, *a.matrix);
   }

@@ -166,8 +166,8 @@ __global__ void __launch_bounds__(kClusterThreads, 2)
   float const* const x = static_cast<float const*>(q.x.data) + q.x.offset(b) + part.begin;
   float const* const grad = static_cast<float const*>(p.grad.data) + p.grad.offset(b) + part.begin * p.grad.step;
   float* const grad_x = static_cast<float*>(p.grad_x.data) + p.grad_x.offset(b) + part.begin;
-  bool const one_number = p.grad.step == 0;
-  float const number = one_number ? *grad : 0;
+  bool const is_scalar = p.grad.step == 0;
+  float const scalar = is_scalar ? *grad : 0;
   sample.prepare(q, b, true);
   int const before = sample.steps_before_mean;
   bool const waits = before < sample.length;
@@ -180,11 +180,11 @@ __global__ void __launch_bounds__(kClusterThreads, 2)
     Values c, g;
     Inputs inputs;
     load(x + i, plane_x, c);
-    if (one_number) {
+    if (is_scalar) {
 #pragma unroll
       for (int k = 0; k < 3; ++k)
 #pragma unroll
-        for (int j = 0; j < P; ++j) g[k][j] = number;
+        for (int j = 0; j < P; ++j) g[k][j] = scalar;
     } else {
       load(grad + i, plane_grad, g);
     }

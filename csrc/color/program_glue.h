@@ -315,8 +315,8 @@ struct WantedGradients {
   bool image, parameters;
 };
 
-// Whether a gradient is one number expanded to all pixels, as that of a sum is. Kernels on CUDA read it as such.
-inline bool is_one_number([[maybe_unused]] Tensor const& grad) {
+// Whether a gradient is a scalar expanded to all pixels, as the gradient of a sum is. Kernels on CUDA read the scalar.
+inline bool is_expanded_scalar([[maybe_unused]] Tensor const& grad) {
 #if defined(KV_CUDA)
   for (int64_t i = 0; i < grad.dim(); ++i)
     if (grad.size(i) > 1 && grad.stride(i) != 0) return false;
@@ -340,9 +340,9 @@ inline std::tuple<Tensor, Tensor> program_gradients(char const* op, Tensor const
   KV_CHECK(grad.scalar_type() != ScalarType::Byte && !(of_image && input.scalar_type() == ScalarType::Byte), op,
            ": bytes have no gradient");
   KV_CHECK(!of_parameters || !a.tensors.empty(), op, ": a gradient of parameters needs parameters that are tensors");
-  bool const one_number = is_one_number(grad);
-  Layout const in = layout_of(input), out = one_number ? in : layout_of(grad);
-  Tensor const x = as_pixel_rows(input, in), g = one_number ? grad : as_pixel_rows(grad, out);
+  bool const is_scalar = is_expanded_scalar(grad);
+  Layout const in = layout_of(input), out = is_scalar ? in : layout_of(grad);
+  Tensor const x = as_pixel_rows(input, in), g = is_scalar ? grad : as_pixel_rows(grad, out);
   Samples const samples = a.samples(x, in == out || grad.size(1) != x.size(1));
   ScalarType const computes = a.in_double ? ScalarType::Double : ScalarType::Float;
   bool const around_mean = a.sequence.contrast >= 0;
@@ -376,7 +376,7 @@ inline std::tuple<Tensor, Tensor> program_gradients(char const* op, Tensor const
     p.forward = program_of<F>(a, samples, numbers, parsed.columns);
     p.forward.x = samples.pixels_of(op, x, in);
     p.grad = samples.pixels_of(op, g, out);
-    if (one_number) p.grad.outer_stride = p.grad.inner_stride = p.grad.channel_stride = p.grad.step = 0;
+    if (is_scalar) p.grad.outer_stride = p.grad.inner_stride = p.grad.channel_stride = p.grad.step = 0;
     p.needs_grad_x = of_image;
     for (int i = 0; i < p.forward.steps; ++i) {
       p.needs_input[i] = of_parameters || !is_affine(p.forward.step[i], p.forward.numbers + p.forward.first[i]);

@@ -1,5 +1,5 @@
-// A thread writes a few vectors of 16 bytes.
-#include "augmentation/expand.h"
+// Fills a tensor with a number in device memory: a thread writes a few vectors of 16 bytes.
+#include "augmentation/broadcast_scalar.h"
 #include "core/launch.cuh"
 
 namespace kv::augmentation::cuda {
@@ -8,12 +8,12 @@ namespace {
 constexpr int kThreads = 256, kVectors = 4;  // of a thread
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) expand(__grid_constant__ ExpandNumber<T> const p) {
+__global__ void __launch_bounds__(kThreads) broadcast(__grid_constant__ BroadcastScalar<T> const p) {
   constexpr int N = 16 / sizeof(T);
-  T const number = *p.number;
+  T const scalar = *p.scalar;
   Vector<T, N> vector;
 #pragma unroll
-  for (int i = 0; i < N; ++i) vector.v[i] = number;
+  for (int i = 0; i < N; ++i) vector.v[i] = scalar;
   int64_t const first = (int64_t(blockIdx.x) * kVectors * kThreads + threadIdx.x) * N;
 #pragma unroll
   for (int k = 0; k < kVectors; ++k) {
@@ -21,19 +21,19 @@ __global__ void __launch_bounds__(kThreads) expand(__grid_constant__ ExpandNumbe
     if (i + N <= p.count)
       *reinterpret_cast<Vector<T, N>*>(p.result + i) = vector;
     else
-      for (int64_t j = i; j < p.count; ++j) p.result[j] = number;
+      for (int64_t j = i; j < p.count; ++j) p.result[j] = scalar;
   }
 }
 
 }  // namespace
 
 template <class T>
-int expand_number(ExpandNumber<T> const& p, CUstream_st* stream) {
+int broadcast_scalar(BroadcastScalar<T> const& p, CUstream_st* stream) {
   int64_t const of_block = kVectors * kThreads * int64_t(16 / sizeof(T));
-  expand<<<unsigned(ceil_div(p.count, of_block)), kThreads, 0, stream>>>(p);
+  broadcast<<<unsigned(ceil_div(p.count, of_block)), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE(expand_number, ExpandNumber)
+KV_INSTANTIATE(broadcast_scalar, BroadcastScalar)
 
 }  // namespace kv::augmentation::cuda

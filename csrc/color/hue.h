@@ -83,7 +83,6 @@ KV_HD void hue_weights(V (&c)[3], V const& sixths) {
 }
 template <class V>
 KV_HD void hue_to_rgb(V (&c)[3], V const& sixths, V const& v, V const& chroma) {
-  using F = Scalar<V>;
   V const minimum = v - chroma;
   hue_weights(c, sixths);
   for (int i = 0; i < 3; ++i) c[i] = minimum + chroma * clamp_to_unit(c[i]);

@@ -41,7 +41,7 @@ inline Tensor warp_image_gradient(Tensor const& grad_output, BatchSize const& ba
                                                               images<T>(to, batch.images), data_ptr<Compute<T>>(sums)};
                           check_planes(op, params.grad);
                           check_planes(op, params.grad_x);
-                          int64_t const cost =
+                          [[maybe_unused]] int64_t const cost =
                               8 * output.height * output.width * sampled.samples / std::max<int64_t>(batch.images, 1);
                           KV_RUN(sample_image_backward, from, params, batch.images * channels, cost);
                         });

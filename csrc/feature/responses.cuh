@@ -3,6 +3,7 @@
 // dtype and layout. Included by responses*.cu.
 #pragma once
 
+#include "core/column_grid.cuh"
 #include "core/dtype.cuh"
 #include "responses.h"
 
@@ -52,34 +53,6 @@ template <class F>
 __device__ __forceinline__ void write_vector(F* line, int at, F const (&v)[kColumns]) {
   *reinterpret_cast<Vector<F, 4>*>(line + kPad + at) = {v[0], v[1], v[2], v[3]};
 }
-
-struct Grid {
-  unsigned across, down, blocks;
-  int rows, columns;
-
-  // Splits planes into blocks, no wider than their columns need. A block reads `more` rows than it completes, and the
-  // number of rows per block minimizes the work of each multiprocessor, which holds `resident` blocks of the most
-  // columns.
-  Grid(int64_t planes, int64_t height, int64_t width, int most_columns, int reach, int more, int resident,
-       int multiple = 32)
-      : across(0), rows(1), columns(0) {
-    int64_t const fewest = 1 + ceil_div(max(width - most_columns, int64_t(0)), most_columns - 2 * reach);
-    for (int64_t parts = fewest; parts <= fewest + 2; ++parts) {
-      int64_t const each = ceil_div(ceil_div(width + 2 * reach * (parts - 1), parts), multiple) * multiple;
-      if (across == 0 || parts * each < int64_t(across) * columns) across = unsigned(parts), columns = int(each);
-    }
-    double min_work = INFINITY;
-    int64_t const machine = multiprocessors(), held = resident * most_columns / columns;
-    for (int64_t parts = 1; parts <= height / 8 + 1; ++parts) {
-      int64_t const each = ceil_div(height, parts);
-      int64_t const count = ceil_div(planes * across * ceil_div(height, each), machine);
-      double const work = double(ceil_div(count, held) * held) * double(each + more);
-      if (work < min_work) min_work = work, rows = int(each);
-    }
-    down = unsigned(ceil_div(height, rows));
-    blocks = unsigned(planes * across * down);
-  }
-};
 
 template <class T>
 Work<Compute<T>> work_of(DifferenceOfGaussians<T> const& p) {
@@ -275,7 +248,8 @@ constexpr bool kHasVectors = sizeof(F) == 4;  // one kernel serves all images of
 template <class F>
 int run(void (*any)(Work<F>), void (*vectors)(Work<F>), Work<F> work, int roles, int reach, int more, int resident,
         CUstream_st* stream) {
-  Grid const grid(work.x.count(), work.x.height, work.x.width, kBlockColumns<F>, reach, more, resident, 32 * kColumns);
+  ColumnGrid const grid(work.x.count(), work.x.height, work.x.width, kBlockColumns<F>, reach, more, resident, 0,
+                        32 * kColumns);
   work.across = grid.across, work.down = grid.down, work.rows = grid.rows;
   auto* const kernel = work.vectors ? vectors : any;
   kernel<<<grid.blocks, unsigned(roles * grid.columns / kColumns), 0, stream>>>(work);

@@ -172,7 +172,7 @@ int difference_of_gaussians(DifferenceOfGaussians<T> const& p, CUstream_st* stre
   BlurWeights<F> weights;
   for (int d = 0; d <= kFineReach; ++d) weights.fine[d] = p.fine[d];
   for (int d = 0; d <= kCoarseReach; ++d) weights.coarse[d] = p.coarse[d];
-  Grid const grid(work.x.count(), work.x.height, work.x.width, kBlockColumns<F>, kReach, kMoreRows, kBlocks);
+  ColumnGrid const grid(work.x.count(), work.x.height, work.x.width, kBlockColumns<F>, kReach, kMoreRows, kBlocks, 0);
   work.across = grid.across, work.down = grid.down, work.rows = grid.rows;
   difference<F><<<grid.blocks, grid.columns, 0, stream>>>(work, weights, p.transposed ? F(2) : F(1),
                                                           p.transposed ? F(0.5) : F(1));

@@ -7,6 +7,7 @@
 // vectors and shares them between its windows. Pixels that windows read out of bounds are filled in when the rows are
 // written. The gradient does both steps twice: for the means, and for the derivatives by them. Only loads and stores
 // depend on the dtype and the layout of the pixels, which are therefore run-time arguments.
+#include "core/column_grid.cuh"
 #include "core/row_prefetcher.cuh"
 #include "ssim.cuh"
 
@@ -560,34 +561,6 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
   }
 }
 
-struct Grid {
-  unsigned across, down, blocks;
-  int rows, threads;
-
-  // Splits planes into blocks, no wider than their columns need. A block reads `more` rows than it completes, and the
-  // number of rows per block minimizes the work of each multiprocessor. It keeps `widest` blocks of the most threads
-  // busy, and no more blocks than fit its shared memory, where each has `bytes`.
-  Grid(int64_t planes, int64_t height, int64_t width, int reach, int more, int widest, int bytes)
-      : across(0), threads(0) {
-    int64_t const fewest = 1 + ceil_div(max(width - kThreads, int64_t(0)), kThreads - 2 * reach);
-    for (int64_t parts = fewest; parts <= fewest + 2; ++parts) {
-      int64_t const each = ceil_div(ceil_div(width + 2 * reach * (parts - 1), parts), 32) * 32;
-      if (across == 0 || parts * each < int64_t(across) * threads) across = unsigned(parts), threads = int(each);
-    }
-    double min_work = INFINITY;
-    int64_t const machine = multiprocessors();
-    int64_t const resident = min(widest * kThreads / threads, max((227 << 10) / (bytes + 1024), 1));
-    for (int64_t parts = 1; parts <= height / 8 + 1; ++parts) {
-      int64_t const each = ceil_div(height, parts);
-      int64_t const count = ceil_div(planes * across * ceil_div(height, each), machine);
-      double const work = double(ceil_div(count, resident) * resident) * double(each + more);
-      if (work < min_work) min_work = work, rows = int(each);
-    }
-    down = unsigned(ceil_div(height, rows));
-    blocks = unsigned(planes * across * down);
-  }
-};
-
 // Whether all rows of images are aligned to vectors.
 template <class T>
 bool has_vectors(Planes<T> const& p) {
@@ -597,7 +570,7 @@ bool has_vectors(Planes<T> const& p) {
 }
 
 template <int K, class T>
-Work<K> work_of(SsimImages<T> const& images, Grid const& grid) {
+Work<K> work_of(SsimImages<T> const& images, ColumnGrid const& grid) {
   Work<K> work{};
   work.x = stored_planes(images.x), work.y = stored_planes(images.y);
   work.x_stride = int(work.x.row_stride), work.y_stride = int(work.y.row_stride);
@@ -617,16 +590,16 @@ int with_aligned_rows(SsimImages<T> const& p, F f) {
 }
 
 template <int K>
-int run(void (*kernel)(Work<K>), int bytes, Work<K> const& work, Grid const& grid, CUstream_st* stream) {
+int run(void (*kernel)(Work<K>), int bytes, Work<K> const& work, ColumnGrid const& grid, CUstream_st* stream) {
   if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes)) return error;
-  kernel<<<grid.blocks, grid.threads, bytes, stream>>>(work);
+  kernel<<<grid.blocks, grid.columns, bytes, stream>>>(work);
   return cudaGetLastError();
 }
 
 template <int K, class T>
 int launch(Ssim<T> const& p, CUstream_st* stream) {
   Planes<T const> const& x = p.images.x;
-  Grid const grid(x.count(), x.height, x.width, kReach<K>, K - 1, 3, sizeof(ForwardRows));
+  ColumnGrid const grid(x.count(), x.height, x.width, kThreads, kReach<K>, K - 1, 3, sizeof(ForwardRows));
   Work<K> work = work_of<K>(p.images, grid);
   work.result = stored_planes(p.similarity), work.vectors = work.offset == 0 && has_vectors(p.similarity);
   work.loss = p.loss, work.partial = p.partial;
@@ -635,14 +608,15 @@ int launch(Ssim<T> const& p, CUstream_st* stream) {
       }))
     return error;
   if (p.similarity.data) return 0;
-  int64_t const rows = x.count() / p.loss.planes, chunks = grid.blocks / rows * (grid.threads / 32);
+  int64_t const rows = x.count() / p.loss.planes, chunks = grid.blocks / rows * (grid.columns / 32);
   return sum_chunks(p.partial, rows, chunks, p.sums, stream);
 }
 
 template <int K, class T>
 int launch(SsimBackward<T> const& p, CUstream_st* stream) {
   Planes<T const> const& x = p.images.x;
-  Grid const grid(x.count(), x.height, x.width, kReachOfGradients<K>, 2 * K + 10, 2, sizeof(GradientRows<3>));
+  ColumnGrid const grid(x.count(), x.height, x.width, kThreads, kReachOfGradients<K>, 2 * K + 10, 2,
+                        sizeof(GradientRows<3>));
   Work<K> work = work_of<K>(p.images, grid);
   work.result = stored_planes(p.grad_x), work.other_result = stored_planes(p.grad_y);
   work.grad = stored_planes(p.grad), work.vectors = work.offset == 0 && has_vectors(p.grad);

@@ -1,4 +1,4 @@
-// Random parameters: schema and entry, for CPU and CUDA alike.
+// Random parameters: schema and entry, for CPU and CUDA.
 #include "augmentation/draws_glue.h"
 
 namespace kv::augmentation {

@@ -1,4 +1,4 @@
-// Erased rectangles: schema and entry, for CPU and CUDA alike.
+// Erased rectangles: schema and entry, for CPU and CUDA.
 #include "augmentation/erase.h"
 #include "glue/glue.h"
 

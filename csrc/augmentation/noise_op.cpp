@@ -1,4 +1,4 @@
-// Noise: schemas and entries, for CPU and CUDA alike.
+// Noise: schemas and entries, for CPU and CUDA.
 #include "augmentation/noise_glue.h"
 
 namespace kv::augmentation {

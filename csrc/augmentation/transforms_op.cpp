@@ -1,4 +1,4 @@
-// Matrices of chains of transforms: schemas and entries, for CPU and CUDA alike.
+// Matrices of chains of transforms: schemas and entries, for CPU and CUDA.
 #include "augmentation/transforms_glue.h"
 
 namespace kv::augmentation {

@@ -1,4 +1,4 @@
-// Colormaps: schema and entry, for CPU and CUDA alike.
+// Colormaps: schema and entry, for CPU and CUDA.
 #include "colormap.h"
 #include "glue/glue.h"
 

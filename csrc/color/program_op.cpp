@@ -1,4 +1,4 @@
-// Color programs: schemas and entries, for CPU and CUDA alike.
+// Color programs: schemas and entries, for CPU and CUDA.
 #include "program_glue.h"
 
 namespace kv::color {

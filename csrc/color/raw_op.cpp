@@ -1,4 +1,4 @@
-// Demosaicing: schemas and entries, for CPU and CUDA alike.
+// Demosaicing: schemas and entries, for CPU and CUDA.
 #include "glue/glue.h"
 #include "raw.h"
 

@@ -1,4 +1,4 @@
-// YUV 4:2:2 and 4:2:0: schemas and entries, for CPU and CUDA alike.
+// YUV 4:2:2 and 4:2:0: schemas and entries, for CPU and CUDA.
 #include <algorithm>
 
 #include "glue/glue.h"

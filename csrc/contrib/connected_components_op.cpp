@@ -1,4 +1,4 @@
-// Connected components: schema and entry, for CPU and CUDA alike.
+// Connected components: schema and entry, for CPU and CUDA.
 #include "connected_components.h"
 #include "glue/glue.h"
 

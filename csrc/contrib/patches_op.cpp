@@ -1,4 +1,4 @@
-// Patches: schemas and entries, for CPU and CUDA alike.
+// Patches: schemas and entries, for CPU and CUDA.
 #include "glue/glue.h"
 #include "patches.h"
 

@@ -1,4 +1,4 @@
-// Slots of orientations: the schema and the operator, for CPU and CUDA.
+// Slots of orientations: schema and entry, for CPU and CUDA.
 #include "glue/glue.h"
 #include "orientation_slots.h"
 

@@ -1,4 +1,4 @@
-// Cross-correlation of images (B, C, H, W) and volumes (B, C, D, H, W): schemas and entries, for CPU and CUDA alike.
+// Cross-correlation of images (B, C, H, W) and volumes (B, C, D, H, W): schemas and entries, for CPU and CUDA.
 // Volumes are read contiguous.
 #include "filter2d.h"
 #include "glue/glue.h"

@@ -1,4 +1,4 @@
-// filter2d_separable: schemas and entries, for CPU and CUDA alike.
+// filter2d_separable: schemas and entries, for CPU and CUDA.
 #include "separable_glue.h"
 
 namespace kv::filters {

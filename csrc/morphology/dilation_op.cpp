@@ -1,4 +1,4 @@
-// Dilation and erosion: schemas and entries, for CPU and CUDA alike.
+// Dilation and erosion: schemas and entries, for CPU and CUDA.
 #include "dilation.h"
 #include "glue/glue.h"
 

@@ -364,7 +364,7 @@ BYTE_STEPS = {
 @pytest.mark.parametrize("channels", [1, 3, 4])
 @pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=str)
 def test_tables_of_bytes(name: str, channels: int, layout: torch.memory_format, device: torch.device) -> None:
-    """Steps that treat every value alike are tables on large images of bytes; they give what small images get."""
+    """Steps that map each value by itself run as tables on large images of bytes; small images have the same results."""
     augment = BYTE_STEPS[name]()
     for batch, height, width in ((5, 64, 67), (1, 130, 257), (0, 64, 64)):
         x = torch.randint(0, 256, (batch, channels, height, width), generator=torch.Generator().manual_seed(height))

@@ -1,4 +1,4 @@
-"""The codec: the operator, and beside a real one."""
+"""The codec: the operator, and comparisons with libjpeg."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class TestJpeg(OpTests):
     test_value_of_bytes = None
 
     def test_nan_stays_in_its_window(self, variant, device):
-        """That is its block, and the chroma blocks beside it."""
+        """That is its block, and the adjacent chroma blocks."""
         x, kwargs = self.setup(variant, device, torch.float32, (1, 3, 64, 64))
         x[0, 1, 22, 23] = float("nan")
         nan = self.call(x, kwargs).isnan().any(1)[0]
@@ -56,7 +56,7 @@ class TestJpeg(OpTests):
 
 @pytest.mark.parametrize("quality", [10, 50, 90])
 def test_real_jpeg(quality):
-    """The same losses as libjpeg, which rounds harder: the pictures are alike by far more than either is to the original."""
+    """The same losses as libjpeg, which rounds harder: both results are far closer to each other than to the original."""
     image = np.ascontiguousarray(skimage.data.astronaut()[100:228, 150:278])
     data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     real = torch.from_numpy(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1].copy()).permute(2, 0, 1).float()

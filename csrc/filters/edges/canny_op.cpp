@@ -1,4 +1,4 @@
-// Canny: schemas and entries, for CPU and CUDA alike. Images are read plane by plane; they have one channel as a rule.
+// Canny: schemas and entries, for CPU and CUDA. Images are read plane by plane; they have one channel as a rule.
 #include "canny.h"
 #include "glue/glue.h"
 

@@ -1,4 +1,4 @@
-// Sobel: schemas and entries, for CPU and CUDA alike.
+// Sobel: schemas and entries, for CPU and CUDA.
 #include "glue/glue.h"
 #include "sobel.h"
 

@@ -1,4 +1,4 @@
-// Derivatives of a volume: schemas and entries, for CPU and CUDA alike. Volumes are read contiguous.
+// Derivatives of a volume: schemas and entries, for CPU and CUDA. Volumes are read contiguous.
 #include "glue/glue.h"
 #include "spatial_gradient3d.h"
 

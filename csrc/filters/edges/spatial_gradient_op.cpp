@@ -1,4 +1,4 @@
-// Derivatives of an image: schemas and entries, for CPU and CUDA alike.
+// Derivatives of an image: schemas and entries, for CPU and CUDA.
 #include "glue/glue.h"
 #include "spatial_gradient.h"
 

@@ -1,4 +1,4 @@
-// Bilateral blur: schemas and entries, for CPU and CUDA alike.
+// Bilateral blur: schemas and entries, for CPU and CUDA.
 #include "bilateral.h"
 #include "glue/images.h"
 

@@ -1,4 +1,4 @@
-// Box blur: schemas and entries, for CPU and CUDA alike.
+// Box blur: schemas and entries, for CPU and CUDA.
 #include "box_glue.h"
 
 namespace kv::filters {

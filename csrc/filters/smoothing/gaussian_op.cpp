@@ -1,4 +1,4 @@
-// gaussian_blur2d and levels of scale spaces: schemas and entries, for CPU and CUDA alike.
+// gaussian_blur2d and levels of scale spaces: schemas and entries, for CPU and CUDA.
 #include "filters/separable_glue.h"
 
 namespace kv::filters {

@@ -1,4 +1,4 @@
-// Median blur: schemas and entries, for CPU and CUDA alike.
+// Median blur: schemas and entries, for CPU and CUDA.
 #include "glue/glue.h"
 #include "median.h"
 

@@ -1,4 +1,4 @@
-// The kernels of motion blur: schema and entry, for CPU and CUDA alike.
+// The kernels of motion blur: schema and entry, for CPU and CUDA.
 #include "glue/glue.h"
 #include "motion.h"
 

@@ -1,4 +1,4 @@
-// unsharp_mask: schemas and entries, for CPU and CUDA alike.
+// unsharp_mask: schemas and entries, for CPU and CUDA.
 #include "filters/separable_glue.h"
 
 namespace kv::filters {

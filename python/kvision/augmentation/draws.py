@@ -7,7 +7,7 @@ order of evaluation takes part in it. The counter of a block of four 32-bit word
     (index of the draw, index of the block, index of the sample, position in the chain)
 
 Draw 0 of each augmentation decides whether a sample is chosen; the others give columns of the result. A sample that is not
-chosen gets the values that leave an image as it is, so that one launch serves chosen and other samples alike.
+chosen gets the values that leave an image as it is, so that one launch serves all samples.
 """
 
 from __future__ import annotations

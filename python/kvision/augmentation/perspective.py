@@ -26,7 +26,7 @@ class RandomPerspective(GeometricAugmentationBase2D):
         align_corners: accepted for code written for Kornia.
         p: probability that a sample is augmented.
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
-        sampling_method: 'basic' moves corners inward, 'area_preserving' inward and outward alike.
+        sampling_method: 'basic' moves corners inward, 'area_preserving' inward or outward.
 
     Raises:
         TypeError: `distortion_scale` is not a number.

@@ -96,7 +96,7 @@ class RandomPlasmaContrast(IntensityAugmentationBase2D):
 
 
 class RandomPlasmaShadow(IntensityAugmentationBase2D):
-    """Shade images where a fractal map is low, in all channels alike.
+    """Shade images where a fractal map is low, equally in all channels.
 
     Args:
         roughness: pair, within 0 and 1: the weight of fine structure.

@@ -29,7 +29,7 @@ class _WordGenerator(RandomGeneratorBase):
 
 
 class RandomTransplantation(MixAugmentationBaseV2):
-    """Paste the region of a random label of one sample into the next one, in images and masks alike.
+    """Paste the region of a random label of one sample into the next one, in images and masks.
 
     The donor of a sample is the one before it in the batch. All labels that the donor's mask has are equally likely.
     Source: Sellner and others, Semantic segmentation of surgical hyperspectral images under geometric domain shifts, MICCAI

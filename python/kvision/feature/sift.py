@@ -216,7 +216,7 @@ class DenseSIFTDescriptor(nn.Module):
 
     The S x S spatial bins of a descriptor are `spatial_bin_size` pixels apart and as wide, with weights that fall to 0;
     there is no Gaussian window. Channels are the entries of :class:`SIFTDescriptor`. Result (i, j) is centered on
-    x = j stride - padding + (S - 1) spatial_bin_size / 2 - e / 2, and y alike, where e is 1 for an even
+    x = j stride - padding + (S - 1) spatial_bin_size / 2 - e / 2, and y likewise, where e is 1 for an even
     `spatial_bin_size`, else 0.
 
     Args:

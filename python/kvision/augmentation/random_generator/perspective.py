@@ -21,7 +21,7 @@ class PerspectiveGenerator(RandomGeneratorBase):
 
     Args:
         distortion_scale: how far a corner moves at most, as a fraction of half of width and height.
-        sampling_method: 'basic' moves corners inward, 'area_preserving' inward and outward alike.
+        sampling_method: 'basic' moves corners inward, 'area_preserving' inward or outward.
 
     Returns:
         start_points and end_points (B, 4, 2): the corners of the image and where they go, clockwise from top left.

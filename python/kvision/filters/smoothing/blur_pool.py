@@ -72,7 +72,7 @@ def max_blur_pool2d(
         ceil_mode: without effect and deprecated; sizes never need rounding at stride 1.
 
     Returns:
-        (B, C, ceil(H' / stride), ceil(W' / stride)) with H' = H - max_pool_size + 1, and W' alike.
+        (B, C, ceil(H' / stride), ceil(W' / stride)) with H' = H - max_pool_size + 1, and W' likewise.
 
     Raises:
         TypeCheckError, ShapeError, ValueCheckError: as :func:`blur_pool2d`, or a max_pool_size larger than the input.

@@ -15,7 +15,7 @@ EXTRA = 0.05  # GPU memory of forward + backward beyond input, output and gradie
 
 @dataclass(frozen=True)
 class CheckedBar:
-    """One bar: the measurement, the limit, and whether the bar is met. `least` marks lower limits."""
+    """One bar: the measurement, the limit, and whether the bar is met. `is_lower_limit` marks limits from below."""
 
     case: str
     size: str
@@ -23,11 +23,11 @@ class CheckedBar:
     what: str
     measured: float
     limit: float
-    least: bool = False
+    is_lower_limit: bool = False
 
     @property
     def met(self) -> bool:
-        return self.measured >= self.limit if self.least else self.measured <= self.limit
+        return self.measured >= self.limit if self.is_lower_limit else self.measured <= self.limit
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def check(cases: Iterable[Case], rows: Sequence[Row], cuda: bool) -> list[Checke
             peers = {name: row_of.get((name, FORWARD, "float32")) for name in limits}
             figures = [(f"of {p}'s time", peer and row.value / peer.value, limits[p]) for p, peer in peers.items()]
         checked += [
-            CheckedBar(name, size, row.dtype, what, measured, limit, least=what == "float16 speed-up")
+            CheckedBar(name, size, row.dtype, what, measured, limit, is_lower_limit=what == "float16 speed-up")
             for what, measured, limit in figures
             if measured is not None and limit is not None
         ]

@@ -1,4 +1,4 @@
-"""Calls for the sweep against Kornia beside those of sample_calls.py: functions of features, and modules of features and
+"""Calls for the sweep against Kornia besides those of sample_calls.py: functions of features, and modules of features and
 augmentations, which each library makes itself, with the same arguments.
 """
 

@@ -1,6 +1,6 @@
 """`python -m benchmarks.size_bars [NAMES]`: bars of all sizes and types on a GPU, each with its measurement.
 
-Every case is measured at both round sizes and at one whose rows are not aligned, next to the aligned size beside it, in float32 and
+Every case is measured at both round sizes, at a size whose rows are not aligned and at the next aligned size, in float32 and
 float16. The table has times over floors. The bars follow: of single cases, of unaligned rows, of float16.
 """
 
@@ -37,7 +37,7 @@ FLOOR = {
 }  # fmt: skip
 MEANS = {(FORWARD, SMALL): 1.4, (BOTH, SMALL): 1.8, (FORWARD, ODD): 1.6, (BOTH, ODD): 2.1}  # geometric, float32
 
-# time over floor at unaligned rows, over that at the aligned size beside them
+# time over floor at unaligned rows, divided by that at the next aligned size
 POINTWISE, STENCIL = 1.15, 1.25
 STENCILS = {"sharpness", "clahe", "clahe_opencv", "equalize", "equalize_opencv", "histogram", "histogram_gaussian"}
 PIXELWISE = {case.name for case in (*color.CASES, *enhance.CASES)} - STENCILS | {"hflip", "center_crop"}
@@ -82,7 +82,9 @@ def bars(floors: Ratios, seconds: Ratios, names: Sequence[str]) -> list[CheckedB
             if full and half:
                 at_floor = floors[name, size, "float32", FORWARD] <= FAST
                 limit = fast if at_floor else WARPS if name.startswith(("warp", "remap")) else REST
-                checked.append(CheckedBar(name, size_name(size), "float16", "speed-up", full / half, limit, least=True))
+                checked.append(
+                    CheckedBar(name, size_name(size), "float16", "speed-up", full / half, limit, is_lower_limit=True)
+                )
     return checked
 
 

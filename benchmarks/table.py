@@ -105,7 +105,7 @@ def summary(checked: Sequence[CheckedBar], lost: Sequence[Loss]) -> str:
 
 def ratios(worst: Sequence[Ratio]) -> str:
     """The worst ratio of each case, with its size."""
-    lines = ["awkward sizes, the worst time over floor next to that of the aligned size beside it"]
+    lines = ["awkward sizes, the worst time over floor next to that of the nearest aligned size"]
     lines += [f"  {r.case:17}{r.stage:17}{r.dtype:9}{number(r.factor):>6}  {r.size}" for r in worst]
     return "\n".join(lines)
 

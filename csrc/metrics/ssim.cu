@@ -403,7 +403,7 @@ struct GradientRows {
 // the first stage, the previous group is in the second one.
 template <int K, int M>
 __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ Work<K> const work) {
-  constexpr int R = K / 2, kBeside = kReach<K>;
+  constexpr int R = K / 2, kMargin = kReach<K>;
   extern __shared__ __align__(16) float shared[];
   GradientRows<M>& memory = *reinterpret_cast<GradientRows<M>*>(shared);
   for (int i = threadIdx.x; i < int(sizeof(memory) / 4); i += blockDim.x) shared[i] = 0;
@@ -460,19 +460,19 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
 #pragma unroll
     for (int m = 0; m < M; ++m)
       if (position.x + kRows <= width)
-        *reinterpret_cast<Vector<float, 4>*>(&derivatives[m][at + kBeside]) = {result[m][0], result[m][1], result[m][2],
+        *reinterpret_cast<Vector<float, 4>*>(&derivatives[m][at + kMargin]) = {result[m][0], result[m][1], result[m][2],
                                                                                result[m][3]};
       else
 #pragma unroll
         for (int j = 0; j < kRows; ++j)
-          if (position.x + j < width) derivatives[m][at + kBeside + j] = result[m][j];
+          if (position.x + j < width) derivatives[m][at + kMargin + j] = result[m][j];
     if (group_near_end)
 #pragma unroll
       for (int j = 0; j < kRows; ++j)
         if (position.x + j < width)
           position.for_each_mirror(position.x + j, [&](int to) {
 #pragma unroll
-            for (int m = 0; m < M; ++m) derivatives[m][kBeside + to] = result[m][j];
+            for (int m = 0; m < M; ++m) derivatives[m][kMargin + to] = result[m][j];
           });
   };
 
@@ -551,7 +551,7 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
       differentiate(row, memory.summed[before][position.r], memory.derivatives[before][position.r]);
     if (int const row = q - 2 * kRows + position.r; is_needed(row)) {
       float sums[M][kRows];
-      sum_across<K, kBeside>(memory.derivatives[now][position.r], position.x - position.left, work.weights, sums);
+      sum_across<K, kMargin>(memory.derivatives[now][position.r], position.x - position.left, work.weights, sums);
 #pragma unroll
       for (int m = 0; m < M; ++m)
         *reinterpret_cast<Vector<float, 4>*>(&memory.across[now][position.r][m][position.x - position.left]) = {

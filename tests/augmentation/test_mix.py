@@ -168,7 +168,7 @@ def test_transplants_are_regions_of_one_label(name: str, device: torch.device) -
 
 def test_labels_are_equally_likely_to_be_transplanted() -> None:
     masks = torch.zeros(3000, 4, 4, dtype=torch.int64)
-    masks[:, 0, 0], masks[:, 0, 1] = 1, 2  # one pixel each beside fourteen
+    masks[:, 0, 0], masks[:, 0, 1] = 1, 2  # one pixel each, and fourteen others
     transplant = A.RandomTransplantation(p=1.0)
     transplant(torch.zeros(3000, 1, 4, 4), masks, seed=0)
     counts = transplant._params["selected_labels"].bincount(minlength=3)

@@ -17,7 +17,7 @@ CODES = [(C.rgb_to_grayscale, cv2.COLOR_RGB2GRAY), (C.bgr_to_grayscale, cv2.COLO
 
 
 def check_bytes(convert, code, first: int, device) -> None:
-    """All levels of two channels beside one of the first."""
+    """All levels of two channels, combined with one level of the first."""
     levels = np.arange(256, dtype=np.uint8)
     array = np.stack(np.meshgrid(np.uint8(first), levels, levels, indexing="ij"), -1)[0]
     gray = convert(K.image_to_tensor(array).to(device))

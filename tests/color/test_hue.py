@@ -134,7 +134,7 @@ def test_every_color_of_bytes_survives(device):
 
 
 def check_bytes(first: int, device) -> None:
-    """All levels of two channels beside one of the first, as OpenCV has them; and back, where it rounds down."""
+    """All levels of two channels, combined with one of the first, equal OpenCV's; and back, where it rounds down."""
     levels = np.arange(256, dtype=np.uint8)
     array = np.stack(np.meshgrid(np.uint8(first), levels, levels, indexing="ij"), -1)[0]
     x = K.image_to_tensor(array).to(device)

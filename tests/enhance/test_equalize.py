@@ -1,4 +1,4 @@
-"""equalize and equalize_clahe beside PIL, OpenCV and a plain loop."""
+"""equalize and equalize_clahe, compared with PIL, OpenCV and a plain loop."""
 
 from __future__ import annotations
 

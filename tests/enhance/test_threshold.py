@@ -1,4 +1,4 @@
-"""Thresholds beside OpenCV's."""
+"""Thresholds, compared with OpenCV's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""AdaLAM on matches of which many are wrong, beside Kornia's."""
+"""AdaLAM on matches of which many are wrong, compared with Kornia's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Networks beside Kornia's: the same weights give the same results; what `pretrained` takes."""
+"""Networks, compared with Kornia's: the same weights give the same results; what `pretrained` takes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""RANSAC: models of points of which many are wrong, beside OpenCV and Kornia; its two operators."""
+"""RANSAC: models of points of which many are wrong, compared with OpenCV and Kornia; its two operators."""
 
 import cv2
 import kornia

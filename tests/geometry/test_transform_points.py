@@ -154,7 +154,7 @@ def test_points_that_are_not_divided(device):
 
 
 def test_cameras_of_any_axes(device):
-    """All ways in which leading axes broadcast, beside a loop over the points."""
+    """All ways in which leading axes broadcast, compared with a loop over the points."""
     for points, cameras in itertools.product(
         ((), (5,), (2, 5), (1, 5), (3, 2, 5)), ((), (5,), (1,), (2, 1), (2, 5), (3, 1, 1))
     ):

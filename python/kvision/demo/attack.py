@@ -1,4 +1,4 @@
-"""Two photos that are changed a little until they match, by examples/attack_on_matching.py where it lies beside the package."""
+"""Two photos that are changed a little until they match, by examples/attack_on_matching.py where it is next to the package."""
 
 from __future__ import annotations
 

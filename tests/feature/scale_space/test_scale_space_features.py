@@ -1,4 +1,4 @@
-"""The strongest features of all octaves by one operator, beside the detector's modules."""
+"""The strongest features of all octaves by one operator, compared with the detector's modules."""
 
 from __future__ import annotations
 

@@ -421,7 +421,7 @@ SAMPLES = 300  # more than a block of the CUDA kernel looks at together
 
 
 def patches(count: int, h: int, w: int) -> Tensor:
-    """Homographies to patches anywhere in images of that size, some beside them."""
+    """Homographies to patches anywhere in images of that size, some out of bounds."""
     generator = torch.Generator().manual_seed(3)
     angle, x, y = (torch.rand(count, dtype=torch.float64, generator=generator) for _ in range(3))
     x, y, angle = (1.3 * x - 0.2) * w, (1.3 * y - 0.2) * h, 6 * angle
@@ -637,7 +637,7 @@ def test_grids(device):
 def test_flips_and_shifts_by_whole_pixels_copy(
     dtype: torch.dtype, channels: int, layout: str, device: torch.device
 ) -> None:
-    """Also beyond the image, where the padding counts, in rows longer than a chunk, and with NaN and inf beside."""
+    """Also beyond the image, where the padding counts, in rows longer than a chunk, and with NaN and inf nearby."""
     x = (255 * torch.rand(2, channels, 5, 150, device=device)).to(dtype)
     if dtype.is_floating_point:
         x[0, 0, 1, 2], x[1, -1, 3, 140] = torch.nan, torch.inf

@@ -140,7 +140,7 @@ def wait(device: torch.device) -> None:
 
 
 def whole(number: float, device: torch.device, operation: dist.ReduceOp.RedOpType) -> float:
-    """The sum, or the least or largest, of the number over all ranks."""
+    """The sum, the minimum or the maximum of the number over all ranks."""
     on_device = torch.tensor([number], dtype=torch.float64, device=device)
     dist.all_reduce(on_device, operation)
     return float(on_device)

@@ -45,7 +45,7 @@ class Clock:
     and its result is the argument of the call.
     """
 
-    least = 2  # minimum number of timed calls a round
+    min_calls = 2  # timed calls of a round
 
     def __init__(self, seconds: float = 0.5, rounds: int = 3) -> None:
         self.seconds, self.rounds = seconds, rounds
@@ -95,7 +95,7 @@ class CpuClock(Clock):
     def _round(self, setup: Call, call: Callable[[Any], Any], budget: float) -> list[float]:
         seconds: list[float] = []
         deadline = time.perf_counter() + budget
-        while len(seconds) < self.least or time.perf_counter() < deadline:
+        while len(seconds) < self.min_calls or time.perf_counter() < deadline:
             given = setup()
             start = time.perf_counter()
             call(given)
@@ -108,7 +108,7 @@ class CudaClock(Clock):
     longer than the host needs to enqueue the call, so that the events do not include a wait for the host.
     """
 
-    most = 200  # timed calls a round, enough for a median
+    max_calls = 200  # timed calls of a round, enough for a median
 
     def __init__(self, seconds: float = 0.5, rounds: int = 3) -> None:
         super().__init__(seconds, rounds)
@@ -137,7 +137,7 @@ class CudaClock(Clock):
         whole = time.perf_counter() - start
         del given
         cycles = int(1.5 * host * self._cycles_per_second)
-        repeats = min(self.most, max(self.least, math.ceil(budget / (whole + host))))
+        repeats = min(self.max_calls, max(self.min_calls, math.ceil(budget / (whole + host))))
         events = []
         for _ in range(repeats):
             given = setup()

@@ -105,7 +105,7 @@ def array(n: int) -> np.ndarray:
 
 
 def quickest(calls: Sequence[Callable[[], Any]], seconds: float) -> list[float]:
-    """The least time of each call, in milliseconds, while they take turns."""
+    """The minimum time of each call, in milliseconds, while they take turns."""
     minima = [float("inf")] * len(calls)
     end, turns = time.perf_counter() + seconds, 0
     while (start := time.perf_counter()) < end or turns < 10:

@@ -27,10 +27,10 @@ def microseconds(call: Callable[[], Any]) -> float:
 
 
 def operators_of(call: Callable[[], Any]) -> list[tuple[Callable[..., Any], tuple[Any, ...]]]:
-    """The operators and the kernels of shortcuts that a call dispatches, with their arguments."""
+    """The operators and the kernels of fast paths that a call dispatches, with their arguments."""
     seen: list[tuple[Callable[..., Any], tuple[Any, ...]]] = []
     called = _ops.Operator.__call__
-    kernels = [shortcut.kernel for shortcut in _ops.Shortcut.all]
+    kernels = [path.kernel for path in _ops.FastPath.all]
 
     def record(self: _ops.Operator, *args: Any) -> Any:
         seen.append((self, args))
@@ -44,14 +44,14 @@ def operators_of(call: Callable[[], Any]) -> list[tuple[Callable[..., Any], tupl
         return record_kernel
 
     _ops.Operator.__call__ = record  # type: ignore[method-assign]
-    for shortcut, kernel in zip(_ops.Shortcut.all, kernels):
-        shortcut.kernel = recorder(kernel)
+    for path, kernel in zip(_ops.FastPath.all, kernels):
+        path.kernel = recorder(kernel)
     try:
         call()
     finally:
         _ops.Operator.__call__ = called  # type: ignore[method-assign]
-        for shortcut, kernel in zip(_ops.Shortcut.all, kernels):
-            shortcut.kernel = kernel
+        for path, kernel in zip(_ops.FastPath.all, kernels):
+            path.kernel = kernel
     return seen
 
 

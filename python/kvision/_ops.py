@@ -372,18 +372,18 @@ class Operator:
         return f
 
 
-class Shortcut:
-    """A kernel for calls that are nothing but kernels, where that costs the host less than operators do.
+class FastPath:
+    """A kernel that is called without the rules of operators, because these take most of the host time of a small call.
 
-    It stands for several operators in a row, or for one with fewer arguments. It has no gradients and no rules for
-    tracing: callers ask `serves`, and otherwise call the operators.
+    It replaces several operators in a row, or one operator with more arguments. It has no gradient and cannot be traced:
+    callers ask `serves`, and call the operators where it is False.
 
     Args:
         name: name of the kernel, `torch.ops.kvision.<name>`.
-        dtypes: of the images that it takes.
+        dtypes: types of images that the kernel supports.
     """
 
-    all: ClassVar[list[Shortcut]] = []
+    all: ClassVar[list[FastPath]] = []
 
     def __init__(self, name: str, dtypes: Collection[torch.dtype]) -> None:
         self.all.append(self)
@@ -394,7 +394,7 @@ class Shortcut:
         self.kernel: Any = None if "cpu" in unserved else kernel_caller(find_operator("kvision", name).default)
 
     def serves(self, x: Tensor) -> bool:
-        """Whether a call on images `x` would be nothing but kernels: no reference, no graph, no transform, no tracing."""
+        """Whether a call on images `x` needs kernels only: no reference, gradient, function transform or tracing."""
         if (x.requires_grad and is_grad_enabled()) or is_compiling() or is_tracing() or type(x) is not Tensor:
             return False
         if x.dtype not in (self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()) or x.numel() == 0:
@@ -484,7 +484,7 @@ def _without_tf32() -> Iterator[None]:
 
 
 def wants_derivative(*tensors: Tensor | None) -> bool:
-    """Whether a call on them is to be differentiated: then it is made of operators that have gradients of their own."""
+    """Whether the result of a call on these tensors may be differentiated, so that it must come from differentiable operators."""
     if in_function_transform() or in_forward_ad():
         return True
     if is_grad_enabled():

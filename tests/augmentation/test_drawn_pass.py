@@ -34,15 +34,15 @@ MAKE = {
 def kernel_calls(monkeypatch):
     """The calls of the kernel; a list of True or False decides whether it serves."""
     calls, serves = [], [True]
-    shortcut = drawn_pass._draw_warp_and_color
+    fast_path = drawn_pass._draw_warp_and_color
 
     class Recorder:
         def serves(self, x):
-            return serves[-1] and shortcut.serves(x)
+            return serves[-1] and fast_path.serves(x)
 
         def kernel(self, *args):
             calls.append(args)
-            return shortcut.kernel(*args)
+            return fast_path.kernel(*args)
 
     monkeypatch.setattr(drawn_pass, "_draw_warp_and_color", Recorder())
     return calls, serves

@@ -5,14 +5,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from kvision._ops import Shortcut
+from kvision._ops import FastPath
 from kvision.augmentation.columns import DrawPlan
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.warp_and_color import Pass
 from kvision.color.program import _DTYPES
 from kvision.enhance.posterize import SPLIT
 
-_draw_warp_and_color = Shortcut("draw_warp_and_color", (torch.float32, torch.float16, torch.bfloat16, torch.uint8))
+_draw_warp_and_color = FastPath("draw_warp_and_color", (torch.float32, torch.float16, torch.bfloat16, torch.uint8))
 
 
 class DrawnPass:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from kvision._ops import FLOATS, Shortcut, match_layout, register, saturate_to_byte, with_kernel_casts
+from kvision._ops import FLOATS, FastPath, match_layout, register, saturate_to_byte, with_kernel_casts
 from kvision.color.steps import CONTRAST, NAMES, STEPS
 
 MAX_STEPS, MAX_NUMBERS, MAX_TENSORS = 16, 64, 6  # of a program: kMaxSteps, kMaxParameters and kMaxTensors of program.h
@@ -205,7 +205,7 @@ _program_around_mean = register(
     casts_outputs=True,
     supports=_supports,
 )
-_program_of_numbers = Shortcut("color_program_of_numbers", (*FLOATS, torch.uint8))
+_program_of_numbers = FastPath("color_program_of_numbers", (*FLOATS, torch.uint8))
 _program_backward = register("color_program_backward", _reference_backward, fake=_gradients, casts_outputs=True)
 
 # --- calls ----------------------------------------------------------------------------------------------------------

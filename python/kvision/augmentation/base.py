@@ -84,8 +84,8 @@ class CallPlan(NamedTuple):
     shape: Shape
     draws: DrawPlan | None
     is_certain: bool
-    own: Pass | None
-    drawn: DrawnPass | None  # `own` after `draws`
+    image_pass: Pass | None
+    drawn: DrawnPass | None  # the draws and the pass by one operator
 
 
 class _KeepsArguments(nn.Module):
@@ -282,9 +282,9 @@ class AugmentationBase(_KeepsArguments):
             draws = None if request is None else plan_draws([request], has_seed)[0]
             decides = self.whole_batch and 0 < self.p_batch < 1  # on the host, in each call
             applied = not decides and self._applies(None, 0)
-            own = self._pass(shape, None if draws is None else draws.spans[0], self.flags) if applied else None
-            drawn = None if own is None or draws is None else DrawnPass(draws, own)
-            plan = CallPlan(shape, draws, self._is_certain, own, drawn)
+            image_pass = self._pass(shape, None if draws is None else draws.spans[0], self.flags) if applied else None
+            drawn = None if image_pass is None or draws is None else DrawnPass(draws, image_pass)
+            plan = CallPlan(shape, draws, self._is_certain, image_pass, drawn)
             if draws is None or draws.learned is None:
                 self._plans.keep(key, plan)
         return plan
@@ -325,19 +325,19 @@ class AugmentationBase(_KeepsArguments):
         """Draw parameters and execute with them; keeps the execution."""
         plan = self._plan(x, seed is not None)
         state = self.__dict__  # torch looks for parameters in what it sets
-        if plan.own is None or flags is not self.flags:
+        if plan.image_pass is None or flags is not self.flags:
             # Before it runs, because a user's method may add to `_params`.
             execution = state["_execution"] = self._draw(x, seed, generator)
             return self._run(x, execution, flags), execution
         if plan.draws is None or plan.drawn is None:
-            y, matrix = plan.own.run(x, None)
+            y, matrix = plan.image_pass.run(x, None)
             execution = Execution(plan.shape)
         else:
             keys = self._keys(x, seed, generator)
             y, matrix, drawn = plan.drawn.run(x, keys)
             columns = Columns(drawn, plan.draws.spans[0])
             execution = Execution(plan.shape, columns, None, True, None, (keys, 0), 1, plan.is_certain)
-        if plan.own.warps:
+        if plan.image_pass.warps:
             execution.keep_matrix(matrix)
         state["_execution"] = execution
         return y, execution
@@ -599,8 +599,8 @@ class AugmentationBase(_KeepsArguments):
         returns = self.return_transform if return_transform is None else return_transform
         if not returns:
             return y if matrix is None else (y, matrix)
-        own = self._matrix(execution).to(y.device)
-        return y, own if matrix is None else own @ matrix.to(own)
+        transform = self._matrix(execution).to(y.device)
+        return y, transform if matrix is None else transform @ matrix.to(transform)
 
     # --- labels ---
 

@@ -18,11 +18,13 @@ _draw_warp_and_color = FastPath("draw_warp_and_color", (torch.float32, torch.flo
 class DrawnPass:
     """Draws, and the pass over images that reads their columns."""
 
-    def __init__(self, draws: DrawPlan, own: Pass) -> None:
-        self.draws, self.own = draws, own
-        in_doubles = own.plan[0] == _DTYPES.index(torch.float64)
-        self.has_kernel = draws.learned is None and own.resampling is None and not own.chain and not in_doubles
-        self._rounds = SPLIT if own.splits else ()  # the types for which the pass has other numbers
+    def __init__(self, draws: DrawPlan, image_pass: Pass) -> None:
+        self.draws, self.image_pass = draws, image_pass
+        in_doubles = image_pass.plan[0] == _DTYPES.index(torch.float64)
+        self.has_kernel = (
+            draws.learned is None and image_pass.resampling is None and not image_pass.chain and not in_doubles
+        )
+        self._rounds = SPLIT if image_pass.splits else ()  # the types for which the pass has other numbers
         self._plan: tuple[Tensor, Tensor] | None = None
 
     def run(self, x: Tensor, keys: Keys) -> tuple[Tensor, Tensor, Tensor]:
@@ -34,7 +36,7 @@ class DrawnPass:
             y, matrix, columns = _draw_warp_and_color.kernel(x, self.draws.keys_of(keys), seeds, *self._plan)
             return y, matrix, columns
         columns = self.draws.draw(x, keys)
-        y, matrix = self.own.run(x, columns)
+        y, matrix = self.image_pass.run(x, columns)
         return y, matrix, columns
 
     def _packed(self) -> tuple[Tensor, Tensor]:
@@ -43,9 +45,16 @@ class DrawnPass:
         The plan: that of the draws, with its length before it; how many of the numbers are theirs; the size of the result,
         with its length; and the plan of the pass.
         """
-        draws, own = self.draws, self.own
-        plan = [len(draws.plan), *draws.plan, len(draws.numbers), len(own.size), *own.size, *own.plan]
-        numbers = [*draws.numbers, *own.numbers]
+        draws, image_pass = self.draws, self.image_pass
+        plan = [
+            len(draws.plan),
+            *draws.plan,
+            len(draws.numbers),
+            len(image_pass.size),
+            *image_pass.size,
+            *image_pass.plan,
+        ]
+        numbers = [*draws.numbers, *image_pass.numbers]
         return (
             torch.tensor(plan, dtype=torch.int64, device="cpu"),
             torch.tensor(numbers, dtype=torch.float64, device="cpu"),

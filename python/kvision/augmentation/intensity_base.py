@@ -85,10 +85,12 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
             return x
         columns = execution.columns
         by_name = columns is None and execution.params is not None
-        own = None if by_name else self._kept_pass(execution.shape, None if columns is None else columns.span, flags)
-        if own is None:
+        image_pass = (
+            None if by_name else self._kept_pass(execution.shape, None if columns is None else columns.span, flags)
+        )
+        if image_pass is None:
             return super()._run(x, execution, flags)
-        return own.run(x, None if columns is None else columns.drawn)[0]
+        return image_pass.run(x, None if columns is None else columns.drawn)[0]
 
     def _pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
         part = None if self._is_customized() else color_part(self, shape, span, flags)

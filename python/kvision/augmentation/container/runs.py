@@ -172,7 +172,7 @@ def _execute_module(x: Tensor, child: Child, source: Randomness) -> tuple[Tensor
 class _Joined(NamedTuple):
     """Augmentations that are executed in one pass."""
 
-    own: Pass
+    image_pass: Pass
     geometric: Sequence[int]  # the augmentations that it warps for, by their numbers in the run
     chain: Sequence[Transform]
     source: tuple[int, int]
@@ -243,7 +243,7 @@ def _execute_run(
             x = composed.run(x)
             stages.append(composed)
             continue
-        x, matrix = step.own.run(x, columns) if first is None else first
+        x, matrix = step.image_pass.run(x, columns) if first is None else first
         first = None
         if len(step.geometric) == 1:
             module, execution = modules[step.geometric[0]], executions[step.geometric[0]]
@@ -312,7 +312,7 @@ def _kept_plan(x: Tensor, run: Sequence[Child], source: Randomness, position: in
     modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
     plan, keys = _plan_run(x, modules, source, position)
     decides = any(m.whole_batch and 0 < m.p_batch < 1 for m in modules)  # on the host, in each call
-    if not decides and all(own.learned is None for own in plan.draws):
+    if not decides and all(draws.learned is None for draws in plan.draws):
         source.plans.keep(key, plan)
     return plan, keys
 
@@ -330,7 +330,7 @@ def _draw(x: Tensor, plan: _RunPlan, keys: Keys | None, frames: int) -> Tensor |
     if keys is None:
         return None
     samples = x[::frames] if frames > 1 else x
-    drawn = [own.draw(samples, keys) for own in plan.draws]
+    drawn = [draws.draw(samples, keys) for draws in plan.draws]
     columns = drawn[0] if len(drawn) == 1 else torch.cat(drawn, 1)
     return columns.repeat_interleave(frames, 0) if frames > 1 else columns
 
@@ -391,7 +391,7 @@ def _plan_run(
     steps = _plan_steps(modules, planned, source)
     certain = [module._is_certain for module in modules]
     start = steps[0] if steps and len(draws) == 1 and source.frames == 1 else None
-    drawn = DrawnPass(draws[0], start.own) if isinstance(start, _Joined) else None
+    drawn = DrawnPass(draws[0], start.image_pass) if isinstance(start, _Joined) else None
     return _RunPlan(draws, numbers, spans, shapes, applied, steps, first, certain, drawn), keys
 
 
@@ -508,8 +508,8 @@ class _Pending:
             return
         source, size, resampling = _sizes_and_resampling(geometric)
         chain = _chain(geometric)
-        own = make_pass(chain, size, resampling, parts, output)
-        self.steps.append(_Joined(own, [g.number for g in geometric], chain, source, size, resampling))
+        image_pass = make_pass(chain, size, resampling, parts, output)
+        self.steps.append(_Joined(image_pass, [g.number for g in geometric], chain, source, size, resampling))
 
     def _compose(self, geometric: Sequence[_Geometric]) -> None:
         links: list[Sequence[Transform] | int] = []

@@ -61,7 +61,8 @@ class Execution:
         self.frames = frames  # neighboring samples that share what was drawn
         self.is_certain = is_certain  # all samples are chosen, which is known without the columns
         self.matrix: Tensor | None = None
-        self.identity: tuple[torch.device, torch.dtype] | None = None  # of the matrices that are not computed
+        # Device and type of identity matrices, if these are made only when they are read.
+        self.identity: tuple[torch.device, torch.dtype] | None = None
 
     def keep_matrix(self, matrix: Tensor) -> None:
         """Keep the matrices of an operator, which carry no gradients; where parameters do, they are computed when asked for."""
@@ -79,7 +80,7 @@ class Execution:
 
 
 class CallPlan(NamedTuple):
-    """What a call on images of one shape draws, and the pass that executes it, if one pass does."""
+    """The draws of a call on images of one shape, and the pass that executes the call, if a single pass can."""
 
     shape: Shape
     draws: DrawPlan | None
@@ -306,11 +307,11 @@ class AugmentationBase(_KeepsArguments):
         return Execution(plan.shape, columns, applied=applied, redraw=(keys, 0), is_certain=plan.is_certain)
 
     def _pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
-        """The pass that executes this augmentation from columns, without parameters by name; None if none does."""
+        """The pass that executes this augmentation by columns instead of parameters by name; None if there is no such pass."""
         return None
 
     def _kept_pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
-        """The same, kept for the flags of the constructor."""
+        """The pass of `_pass`, cached for the flags of the constructor."""
         if flags is not self.flags:
             return self._pass(shape, span, flags)
         kept: tuple[Pass | None] | None = self._plans.get((shape, span))
@@ -322,11 +323,11 @@ class AugmentationBase(_KeepsArguments):
     def _draw_and_run(
         self, x: Tensor, seed: Seed, generator: Generator | None, flags: dict[str, Any]
     ) -> tuple[Tensor, Execution]:
-        """Draw parameters and execute with them; keeps the execution."""
+        """Draw parameters and execute with them. The execution is stored for `_params` and `transform_matrix`."""
         plan = self._plan(x, seed is not None)
-        state = self.__dict__  # torch looks for parameters in what it sets
+        state = self.__dict__  # faster than Module.__setattr__, which looks for parameters
         if plan.image_pass is None or flags is not self.flags:
-            # Before it runs, because a user's method may add to `_params`.
+            # Stored before it runs, because a user's method may add to `_params`.
             execution = state["_execution"] = self._draw(x, seed, generator)
             return self._run(x, execution, flags), execution
         if plan.draws is None or plan.drawn is None:
@@ -465,7 +466,7 @@ class AugmentationBase(_KeepsArguments):
             return x
         stored = x.dtype
         transform: Tensor | None = None
-        if self._is_elementary():
+        if self._needs_no_matrix():
             params = self._params_on_device(x, execution, for_users=False)
             execution.identity = x.device, stored if stored in (torch.float32, torch.float64) else torch.float32
         else:
@@ -491,14 +492,14 @@ class AugmentationBase(_KeepsArguments):
         execution.matrix = transform
         return y
 
-    def _is_elementary(self) -> bool:
-        """Whether this augmentation keeps positions, and none of its methods are a user's, which get all there is."""
-        is_elementary: bool | None = self._plans.get("elementary")
-        if is_elementary is None:
+    def _needs_no_matrix(self) -> bool:
+        """Whether positions are kept and no method is a user's: then the identity matrix is made only when it is read."""
+        needs_no_matrix: bool | None = self._plans.get("needs_no_matrix")
+        if needs_no_matrix is None:
             keeps_positions = type(self).compute_transformation is AugmentationBase.compute_transformation
-            is_elementary = keeps_positions and not self._is_customized()
-            self._plans.keep("elementary", is_elementary)
-        return is_elementary
+            needs_no_matrix = keeps_positions and not self._is_customized()
+            self._plans.keep("needs_no_matrix", needs_no_matrix)
+        return needs_no_matrix
 
     def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
         if execution.params is not None:
@@ -592,7 +593,7 @@ class AugmentationBase(_KeepsArguments):
         if params is None:
             y, execution = self._draw_and_run(x, seed, generator, flags)
         else:
-            execution = self._execution = self._from_params(params, x)  # as above
+            execution = self._execution = self._from_params(params, x)  # before it runs, as in _draw_and_run
             y = self._run(x, execution, flags)
         if self.keepdim:
             y = self._restored(y, image)

@@ -69,7 +69,7 @@ class DrawPlan(NamedTuple):
         return drawn if self.learned is None else _with_learned(drawn, self.learned)
 
     def keys_of(self, keys: Keys) -> Tensor:
-        """The keys of these requests."""
+        """Those of the keys of a call that belong to the requests of this plan."""
         own = keys.keys
         if not keys.one_key and (self.begin > 0 or self.end < own.shape[0]):
             own = own[self.begin : self.end]

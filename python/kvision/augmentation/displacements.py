@@ -1,4 +1,4 @@
-"""Displacements of elastic transforms: noise after a Gaussian blur, in one launch that also draws the noise."""
+"""Displacements of elastic transforms: noise after a Gaussian blur, by one kernel that also draws the noise."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from kvision.augmentation.noise import PixelNoise, uniform_noise
 from kvision.filters.kernels import sigmas
 from kvision.filters.smoothing import gaussian
 
-# Arguments of the operator: noise (B, 2, H, W) in [-1, 1], or keys and seeds as those of noise.py and a tensor of which the size
-# and the type are read; the plan of noise.py, empty without keys; height and width of the blur's window; its standard deviations
-# along y and x; what x and y are multiplied by.
+# Arguments of the operator: noise (B, 2, H, W) in [-1, 1]; keys, seeds and plan of noise.py, or None, None and an empty list;
+# height and width of the window of the blur; its standard deviations along y and x; the scales of x and y. With keys the noise is
+# drawn, and only the size and the type of `noise` are read.
 
 
 def _reference(
@@ -45,7 +45,7 @@ _elastic_displacements = register("elastic_displacements", _reference, backward=
 
 
 def blur_settings(kernel_size: Any, sigma: Any) -> tuple[int, int, Any, Any]:
-    """Height and width of the window, and the standard deviations along y and x; or all of these in a tensor, and None."""
+    """Height and width of the window, then the standard deviations along y and x, or a tensor of them and None."""
     op = "RandomElasticTransform"
     ky, kx = _check.pair(op, "kernel_size", kernel_size)
     _check.odd(op, "kernel_size", (ky, kx))
@@ -59,8 +59,8 @@ def blur_settings(kernel_size: Any, sigma: Any) -> tuple[int, int, Any, Any]:
 def elastic_displacements(
     noise: Tensor, source: PixelNoise | None, blur: tuple[int, int, Any, Any], scale: tuple[float, float]
 ) -> Tensor:
-    """Displacements (B, 2, H, W) of noise, or of noise that is drawn where `source` is given, of the size and type of `noise`."""
-    if blur[3] is None:  # a tensor of sigmas, which may get a gradient
+    """Displacements (B, 2, H, W) of `noise`. With `source` the noise is drawn, in the size and type of `noise`."""
+    if blur[3] is None:  # a tensor of standard deviations, which may need a gradient
         if source is not None:
             noise = source.symmetric(noise.shape).to(noise)
         smooth = gaussian.gaussian_blur2d(noise, blur[:2], blur[2], "constant")

@@ -1,4 +1,4 @@
-"""A pass over images and the draws of the columns that it reads, by one kernel where nothing else is asked for."""
+"""A pass over images together with the draws of the columns that it reads: one kernel where no gradient is wanted."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _draw_warp_and_color = FastPath("draw_warp_and_color", (torch.float32, torch.flo
 
 
 class DrawnPass:
-    """Draws, and the pass over images that reads their columns."""
+    """Draws and a pass over images that reads the drawn columns."""
 
     def __init__(self, draws: DrawPlan, image_pass: Pass) -> None:
         self.draws, self.image_pass = draws, image_pass
@@ -24,12 +24,13 @@ class DrawnPass:
         self.has_kernel = (
             draws.learned is None and image_pass.resampling is None and not image_pass.chain and not in_doubles
         )
-        self._rounds = SPLIT if image_pass.splits else ()  # the types for which the pass has other numbers
+        # Types of images for which posterization has other numbers.
+        self._types_with_other_numbers = SPLIT if image_pass.splits else ()
         self._plan: tuple[Tensor, Tensor] | None = None
 
     def run(self, x: Tensor, keys: Keys) -> tuple[Tensor, Tensor, Tensor]:
         """The result, the matrices (B, 3, 3) of the warp, which do not carry gradients, and the columns."""
-        if self.has_kernel and x.dtype not in self._rounds and _draw_warp_and_color.serves(x):
+        if self.has_kernel and x.dtype not in self._types_with_other_numbers and _draw_warp_and_color.serves(x):
             if self._plan is None:
                 self._plan = self._packed()
             seeds = None if keys.seeds is None else keys.seeds.to(x.device, non_blocking=True)
@@ -40,10 +41,10 @@ class DrawnPass:
         return y, matrix, columns
 
     def _packed(self) -> tuple[Tensor, Tensor]:
-        """The plan and the numbers of the kernel: tensors, because torch converts the entries of a list one by one.
+        """The plan and the numbers of the kernel, as tensors, because torch converts the entries of lists one by one.
 
-        The plan: that of the draws, with its length before it; how many of the numbers are theirs; the size of the result,
-        with its length; and the plan of the pass.
+        The plan is the length of the plan of the draws, and that plan; how many of the numbers belong to the draws; the length
+        of the size of the result, and that size; the plan of the pass.
         """
         draws, image_pass = self.draws, self.image_pass
         plan = [

@@ -1,9 +1,9 @@
 """Maps: where the pixels of a result read an image.
 
 A map is stored as displacements (B, 2, H, W), x and y in pixels: pixel p of the result reads the image at p + displacement.
-Between pixels displacements are interpolated bilinearly, and beyond the outermost pixels they are those of the outermost
-ones. So a map is defined everywhere, and chains of maps and matrices are one resampling, by `composed_warp`.
-Coordinates (B, h, w, 2) say where the pixels of a result of any size read.
+Between pixels displacements are interpolated bilinearly, and out of bounds they have the replicate border. So a map is
+defined everywhere, and `composed_warp` resamples an image by a chain of maps and matrices at once. Coordinates (B, h, w, 2) are
+the sampling coordinates of the pixels of a result of any size.
 """
 
 from __future__ import annotations
@@ -61,16 +61,16 @@ def read_labels_displaced(masks: Tensor, displacements: Tensor, resampling: Resa
 def read_composed(
     x: Tensor, links: Sequence[Tensor], size: Sequence[int], resampling: Resampling, samples: int = 1
 ) -> Tensor:
-    """Images (B, C, H, W) by a chain of links, of which the first one comes first; `samples` as in `read`."""
+    """Resample images (B, C, H, W) by a chain of links, the first one first; `samples` as in `read`."""
     if samples > 1:
         return read(x, composed_coords(*shortened(links, size), list(size)).movedim(1, -1), resampling, samples)
     return _read_composed(x, links, size, resampling, fill_of_images(x, resampling.fill))
 
 
 def read_labels_composed(masks: Tensor, links: Sequence[Tensor], size: Sequence[int], resampling: Resampling) -> Tensor:
-    """Masks (B, C, H, W) of any type by a chain of links."""
+    """Resample masks (B, C, H, W) of any type by a chain of links."""
     values = exact(masks)
-    if links[0].dtype != compute_dtype(values):  # coordinates in another type are less than the links in it
+    if links[0].dtype != compute_dtype(values):  # to convert coordinates takes less memory than to convert links
         return read_labels(masks, composed_coords(*shortened(links, size), list(size)).movedim(1, -1), resampling)
     return _read_composed(values, links, size, resampling, resampling.fill).to(masks.dtype)
 

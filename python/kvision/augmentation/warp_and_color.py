@@ -227,7 +227,11 @@ def _supports_backward(grad: Tensor, image: Tensor, columns: Tensor | None, *res
 
 
 def _adds_by_atomics(grad: Tensor, image: Tensor, *rest: Any) -> bool:
-    """The gradient of an image on CUDA, unless pixels from outside are the fill value."""
+    """The gradient of an image on CUDA, unless the padding is the fill value, whose gradient is a gather.
+
+    This is an upper bound: bilinear crops, flips and resizing with zeros or border are added without atomics as well, but only
+    where the kernel finds that the rows of a block fit its shared memory.
+    """
     size, plan, of_image = rest[4], rest[5], rest[7]
     return grad.is_cuda and bool(size) and bool(of_image) and plan[3] != PADDING["fill"]
 
@@ -322,7 +326,7 @@ class Pass(NamedTuple):
     numbers: list[float]
     resampling: Resampling | None  # with a fill value
     chain: Sequence[Transform]  # the transforms that did not fit the kernel, after which the matrix is computed before
-    splits: Sequence[int] = ()  # the numbers that say how posterization rounds to the type of the images
+    splits: Sequence[int] = ()  # indices of the numbers that say how posterization rounds to the type of the images
 
     @property
     def warps(self) -> bool:

@@ -26,9 +26,8 @@ def _reference(x: Tensor, angle: float | Tensor) -> Tensor:
 def _in_hsv(x: Tensor, angle: float | Tensor) -> Tensor:
     h, s, v = x.split(1, 1)
     rotated = torch.remainder(h + angle, _TURN)
-    rotated = torch.where(
-        rotated < _TURN, rotated, rotated - _TURN
-    )  # a tiny negative hue is rounded up to a whole turn
+    # A tiny negative hue is rounded up to a full turn.
+    rotated = torch.where(rotated < _TURN, rotated, rotated - _TURN)
     return torch.cat([rotated, s, v], 1)
 
 

@@ -76,9 +76,8 @@ def _thresholds(planes: Tensor, nbins: int) -> Tensor:
     low, high = values.amin(1, keepdim=True), values.amax(1, keepdim=True)  # aminmax is slow on the CPU
     span = high - low
     # By way of int32: float to int64 is not vectorized on the CPU. The second clamp is for NaN.
-    scaled = (
-        (values - low).mul_(nbins).div_(torch.where(span > 0, span, 1))
-    )  # in place: new memory costs more than arithmetic
+    # In place, because new memory costs more than arithmetic.
+    scaled = (values - low).mul_(nbins).div_(torch.where(span > 0, span, 1))
     bins = scaled.clamp_(0, nbins - 1).int().clamp_(min=0).long()
     one = torch.ones_like(bins[:, :1])
     histogram = (0 * one).repeat(1, nbins).scatter_add_(1, bins, one.expand_as(bins))

@@ -196,7 +196,7 @@ class AugmentationSequential(ImageSequential):
                 raise ValueCheckError("AugmentationSequential: expected one of data_keys to be 'input'")
             return self._move_alone(keys, inputs, params)
         first = keys.index(DataKey.INPUT)
-        state = self.__dict__  # torch looks for parameters in what it sets
+        state = self.__dict__  # faster than Module.__setattr__, which looks for parameters
         state["_videos"] = self._video_layout(inputs[first])
         inputs = self._of_frames(keys, inputs)
         image = inputs[first]

@@ -299,7 +299,7 @@ class ImageSequential(ImageSequentialBase):
         """Run the children on images (B, C, H, W) and keep what the call did."""
         children = self._children_of_call(params, source)
         y, stages = execute(x, children, source)
-        # Not by setattr: torch looks for parameters in what it sets. Not by update, which torch 2.11 cannot compile.
+        # Module.__setattr__ is slow, because it looks for parameters. torch 2.11 cannot compile __dict__.update.
         self.__dict__["_shape"], self.__dict__["_stages"] = tuple(x.shape), stages
         self.__dict__["_executed"], self.__dict__["_given_params"] = children, None
         return y

@@ -115,7 +115,7 @@ def _position_inside(position: int) -> int:
 
 
 def _key(x: Tensor, children: Sequence[Child], source: Randomness, position: int) -> Hashable:
-    """What the plan of a run depends on besides settings."""
+    """The key of the plan of a run: all that it depends on besides the settings of modules."""
     _, seed, _, once, _, output, frames, _, time = source
     modules = [(id(child.module), child.params is None) for child in children]
     return (x.shape, position, seed is None, once, output, frames, time, *modules)
@@ -204,14 +204,14 @@ class _RunPlan(NamedTuple):
     steps: Sequence[_Step]
     first: int  # number of the first key, or position in the chain
     certain: Sequence[bool]  # whether all samples are augmented
-    drawn: DrawnPass | None  # the first step, after the draws
+    drawn: DrawnPass | None  # the draws and the first step by one operator
 
 
 def _execute_run(
     x: Tensor, run: Sequence[Child], source: Randomness, position: int, plan: _RunPlan | None = None
 ) -> tuple[Tensor, list[Stage]]:
     modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
-    first: tuple[Tensor, Tensor] | None = None  # what the first step gave, if it is executed with the draws
+    first: tuple[Tensor, Tensor] | None = None  # the result of the first step, if it is executed with the draws
     if run[0].params is not None:
         executions, columns = _replay(x, run)
         steps: Sequence[_Step] = _plan_steps(modules, executions, source)
@@ -230,7 +230,7 @@ def _execute_run(
             columns = _draw(x, plan, keys, source.frames)
         executions, steps = _executions(plan, columns, keys, source.frames), plan.steps
     for child, module, execution in zip(run, modules, executions):
-        child.execution = module.__dict__["_execution"] = execution  # torch looks for parameters in what it sets
+        child.execution = module.__dict__["_execution"] = execution  # faster than Module.__setattr__
     stages: list[Stage] = []
     for step in steps:
         if isinstance(step, int):
@@ -304,7 +304,7 @@ def _replay(x: Tensor, run: Sequence[Child]) -> tuple[list[Execution], Tensor | 
 
 
 def _kept_plan(x: Tensor, run: Sequence[Child], source: Randomness, position: int) -> tuple[_RunPlan, Keys | None]:
-    """The plan of a run, and the keys that it had to draw, which are those of all its requests then."""
+    """The cached or new plan of a run, and the keys that `_plan_run` had to draw."""
     key = _key(x, run, source, position)
     plan: _RunPlan | None = source.plans.get(key)
     if plan is not None:
@@ -351,7 +351,7 @@ def _executions(plan: _RunPlan, columns: Tensor | None, keys: Keys | None, frame
 def _plan_run(
     x: Tensor, modules: Sequence[AugmentationBase], source: Randomness, position: int
 ) -> tuple[_RunPlan, Keys | None]:
-    """The plan of a run, and the keys that it had to draw, which are those of all its requests then."""
+    """The plan of a run. If it depends on keys, these are drawn and returned for all requests; otherwise they are None."""
     one_key = source.seed is not None
     first = position if one_key else 0
     shape: Shape = tuple(x.shape)

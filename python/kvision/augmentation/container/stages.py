@@ -142,7 +142,7 @@ class Composed:
     size: Sequence[int]
     resampling: Resampling
     samples: int  # along each axis of a pixel
-    _links: Sequence[Tensor] | None = None  # as tensors
+    _links: Sequence[Tensor] | None = None  # the tensors of `links`, cached
 
     def tensors(self, x: Tensor) -> Sequence[Tensor]:
         """The links as matrices (B, 3, 3) and displacements (B, 2, H, W) for images or masks; kept until `forget`."""
@@ -154,7 +154,7 @@ class Composed:
         return self._links
 
     def forget(self) -> None:
-        """Give the memory of the displacements back. They follow from what was drawn."""
+        """Free the displacements. They can be computed again from what was drawn."""
         self._links = None
 
     def run(self, x: Tensor) -> Tensor:
@@ -304,7 +304,7 @@ def mixes(stages: Sequence[Stage]) -> bool:
 
 
 def forget_coordinates(stages: Sequence[Stage]) -> None:
-    """Give the memory of maps back."""
+    """Free the displacements of composed maps."""
     for stage in stages:
         if isinstance(stage, Composed):
             stage.forget()

@@ -19,7 +19,7 @@ from kvision._modes import INTERPOLATION, PADDING
 from kvision._ops import saturate_to_byte
 from kvision.augmentation.warp_and_color import Resampling, fill_of_images
 from kvision.geometry.transform import sampling
-from kvision.geometry.transform.composed.composed_warp import composed_coords, composed_warp, shortened
+from kvision.geometry.transform.composed.composed_warp import composed_coords, composed_warp, link_arguments
 
 _STEPS, _GUESSES = 20, 32  # of Newton's method, which begins at the best of 32 x 32 pixels
 _BETWEEN = INTERPOLATION["bilinear"], PADDING["border"], True  # how displacements are read
@@ -63,7 +63,7 @@ def read_composed(
 ) -> Tensor:
     """Resample images (B, C, H, W) by a chain of links, the first one first; `samples` as in `read`."""
     if samples > 1:
-        return read(x, composed_coords(*shortened(links, size), list(size)).movedim(1, -1), resampling, samples)
+        return read(x, composed_coords(*link_arguments(links, size), list(size)).movedim(1, -1), resampling, samples)
     return _read_composed(x, links, size, resampling, fill_of_images(x, resampling.fill))
 
 
@@ -71,7 +71,7 @@ def read_labels_composed(masks: Tensor, links: Sequence[Tensor], size: Sequence[
     """Resample masks (B, C, H, W) of any type by a chain of links."""
     values = exact(masks)
     if links[0].dtype != compute_dtype(values):  # to convert coordinates takes less memory than to convert links
-        return read_labels(masks, composed_coords(*shortened(links, size), list(size)).movedim(1, -1), resampling)
+        return read_labels(masks, composed_coords(*link_arguments(links, size), list(size)).movedim(1, -1), resampling)
     return _read_composed(values, links, size, resampling, resampling.fill).to(masks.dtype)
 
 
@@ -97,7 +97,7 @@ def _read_composed(
 ) -> Tensor:
     padding, fill_values = sampling.padding_and_fill("augmentation", x, resampling.padding, fill)
     options = (INTERPOLATION[resampling.mode], padding, resampling.align_corners)
-    y: Tensor = composed_warp(x, *shortened(links, size), fill_values, list(size), *options)
+    y: Tensor = composed_warp(x, *link_arguments(links, size), fill_values, list(size), *options)
     return y
 
 

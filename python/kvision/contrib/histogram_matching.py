@@ -91,7 +91,7 @@ def histogram_matching(source: Tensor, template: Tensor) -> Tensor:
 def _ranks(ordered: Tensor) -> Tensor:
     """The rank of each of the sorted values: the fraction of values that are not above it."""
     n = ordered.numel()
-    if not ordered.is_cpu:  # a scan of one row takes CUDA far longer than searches
+    if not ordered.is_cpu:  # on CUDA a scan of one row takes far longer than searches
         return torch.searchsorted(ordered, ordered, right=True).to(ordered.dtype) / n
     follows = torch.nn.functional.pad(ordered[1:] == ordered[:-1], (0, 1))
     last = torch.where(follows, n, torch.arange(1, n + 1))

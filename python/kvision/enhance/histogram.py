@@ -59,9 +59,10 @@ def recomputed(f: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
 
 
 def count_chunks(x: Tensor, bins: int) -> int:
-    """The number of chunks of values (N, P); a chunk times the bins has at most the size of a few images.
+    """The number of chunks of values (N, P). A chunk times the bins has at most the size of a few images.
 
-    On a GPU, where each operator of a chunk is a launch, it may be larger if it is small; a CPU has caches.
+    On a GPU, where each operator on a chunk is a launch, chunks have at least `_SMALL` numbers times bins. On a CPU small chunks
+    stay in the caches.
     """
     chunks = min(x.shape[1], bins // 8)
     if x.is_cuda and not torch.compiler.is_compiling():  # a compiled graph keeps sizes symbolic
@@ -156,9 +157,9 @@ _SHORT = 256  # samples
 
 
 def _short_rows(x: Tensor) -> list[Tensor]:
-    """(N, P) as (N, P / 256, 256) and what is left (N, 1, P % 256).
+    """Split (N, P) into (N, P / 256, 256) and the remainder (N, 1, P % 256).
 
-    Libraries compute a product of long thin matrices by few threads, and many short ones by many.
+    Libraries compute one product of long thin matrices with few threads, and a batch of short ones with many.
     """
     if torch.compiler.is_compiling() or is_tracing():  # graphs keep sizes symbolic
         return [x[:, None]]

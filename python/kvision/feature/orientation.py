@@ -121,7 +121,7 @@ def _slots_reference(laf: Tensor, responses: Tensor, angles: Tensor) -> tuple[Te
     is_feature = ((laf != 0).flatten(2).any(2)[..., None] & is_peak).flatten(1)
     order = (~is_feature).to(torch.uint8).sort(dim=1, stable=True)[1][:, :count]
     filled = is_feature.gather(1, order)
-    # Each rotated frame is gathered once, so that gradients are sums in a fixed order.
+    # Each rotated frame is gathered once, so that gradients are added in a fixed order.
     frames, scores = (x[:, :, None].expand(-1, -1, peaks, *x.shape[2:]).flatten(1, 2) for x in (laf, responses))
     rotated = _rotate_reference(frames, torch.rad2deg(angles.flatten(1)))
     rotated = rotated.gather(1, order[..., None, None].expand(-1, -1, 2, 3))
@@ -139,10 +139,10 @@ _slots = register(
 def orientation_slots(laf: Tensor, responses: Tensor, angles: Tensor) -> tuple[Tensor, Tensor]:
     """Frames (B, N, 2, 3) and responses (B, N) of features with several angles (B, N, K), one slot for each angle.
 
-    A feature is rotated by each of its angles, in radians; those that repeat its first one do not count. Of the features in
-    order, each with its angles in order, the first N are kept, so that features sorted by response stay sorted.
+    A feature is rotated by each of its angles, in radians, except those that repeat its first one. Features and the angles of
+    each feature keep their order, and the first N are kept. So features that are sorted by response stay sorted.
     """
-    # torch's operators have gradients of their own; to differentiate the definition takes more time on the host.
+    # The backward pass of the operator would compute the reference again, which takes more time on the host.
     fill = _slots_reference if wants_derivative(laf, responses, angles) else _slots
     frames, scores = fill(laf, as_dtype(responses, laf.dtype), as_dtype(angles, laf.dtype))
     return frames, as_dtype(scores, responses.dtype)

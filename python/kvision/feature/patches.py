@@ -124,19 +124,19 @@ def sample_levels(levels: Sequence[Tensor], laf: Tensor, patch_size: int, window
 def build_levels(image: Tensor, smallest: int) -> list[Tensor]:
     """The image and its reductions by 2, 4, 8 and so on, as long as the shorter side has `smallest` pixels."""
     levels = [image]
-    for _ in range(_count_of_levels(image, smallest) - 1):
+    for _ in range(_count_levels(image, smallest) - 1):
         levels.append(pyrdown(levels[-1]))
     return levels
 
 
-def _count_of_levels(image: Tensor, smallest: int) -> int:
+def _count_levels(image: Tensor, smallest: int) -> int:
     count, shorter = 1, min(image.shape[2:])
     while count < _MAX_LEVELS and shorter > 2 and shorter // 2 >= smallest:  # pyrdown reflects two pixels
         count, shorter = count + 1, shorter // 2
     return count
 
 
-def _reference_of_pyramid(image: Tensor, laf: Tensor, levels: int, n: int, window: float) -> Tensor:
+def _pyramid_reference(image: Tensor, laf: Tensor, levels: int, n: int, window: float) -> Tensor:
     options = (INTERPOLATION["pyrdown"], False, False, BORDER["reflect"])
     rows, level = [image.flatten(2)], image
     for size in _level_sizes(image.shape[2:], levels)[1:]:
@@ -145,10 +145,11 @@ def _reference_of_pyramid(image: Tensor, laf: Tensor, levels: int, n: int, windo
     return _reference(torch.cat(rows, 2), laf, image.shape[2:], levels, n, window)
 
 
-# `_sample_patches` of the pyramid of images, which is not kept: gradients take the way through its levels.
+# Patches of the pyramid of images, which the operator builds and does not keep. For gradients `sample_levels` is called with levels
+# that other operators compute.
 _pyramid_patches = register(
     "pyramid_patches",
-    _reference_of_pyramid,
+    _pyramid_reference,
     fake=lambda image, laf, levels, n, window: (image.shape[0], laf.shape[1], image.shape[1], n, n),
 )
 
@@ -246,4 +247,4 @@ def extract_patches_from_pyramid(
     image, frames, n = _checked("extract_patches_from_pyramid", img, laf, PS, normalize_lafs_before_extraction)
     if is_compiling() or is_tracing() or wants_derivative(image, frames):
         return sample_levels(build_levels(image, n), frames, n, n)
-    return _pyramid_patches(image, as_dtype(frames, compute_dtype(image)), _count_of_levels(image, n), n, float(n))
+    return _pyramid_patches(image, as_dtype(frames, compute_dtype(image)), _count_levels(image, n), n, float(n))

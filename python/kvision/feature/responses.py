@@ -46,7 +46,7 @@ def _corner_reference(
         # The discriminant as a sum of squares is never negative, and its root has a gradient of 0 where it is 0.
         response = (xx + yy - root((xx - yy) ** 2 + 4 * xy * xy)) / 2
     else:
-        response = xx * yy - xy * xy - (fixed_k if k is None else _of_samples(k)) * (xx + yy) ** 2
+        response = xx * yy - xy * xy - (fixed_k if k is None else _per_sample(k)) * (xx + yy) ** 2
     return _scaled(response, sigmas)
 
 
@@ -55,24 +55,24 @@ def _hessian_reference(x: Tensor, sigmas: Tensor | None, mode: int) -> Tensor:
     return _scaled(xx * yy - xy * xy, sigmas)
 
 
-def _of_samples(values: Tensor) -> Tensor:
+def _per_sample(values: Tensor) -> Tensor:
     return values[:, None, None, None]
 
 
 def _scaled(response: Tensor, sigmas: Tensor | None) -> Tensor:
-    return response if sigmas is None else response * _of_samples(sigmas.pow(4))
+    return response if sigmas is None else response * _per_sample(sigmas.pow(4))
 
 
 def _corner_backward(needs, grad, x, k, sigmas, fixed_k, kind, mode):
     grads = [_corner_response_backward(grad, x, k, sigmas, fixed_k, kind, mode) if needs[0] else None, None, None]
-    wide = as_dtype(x, compute_dtype(x))
+    promoted = as_dtype(x, compute_dtype(x))
     if needs[1] and kind == _GFTT:
         grads[1] = torch.zeros_like(k)
     elif needs[1]:  # the response is linear in k
-        of_one, of_zero = (_corner_response(wide, None, sigmas, value, kind, mode) for value in (1.0, 0.0))
-        grads[1] = _sum_samples(grad * (of_one - of_zero), k)
+        at_one, at_zero = (_corner_response(promoted, None, sigmas, value, kind, mode) for value in (1.0, 0.0))
+        grads[1] = _sum_samples(grad * (at_one - at_zero), k)
     if needs[2]:
-        unscaled = _corner_response(wide, k, None, fixed_k, kind, mode)
+        unscaled = _corner_response(promoted, k, None, fixed_k, kind, mode)
         grads[2] = 4 * sigmas**3 * _sum_samples(grad * unscaled, sigmas)
     return grads
 
@@ -86,7 +86,7 @@ def _hessian_backward(needs, grad, x, sigmas, mode):
 
 
 def _sum_samples(products: Tensor, values: Tensor) -> Tensor:
-    """The sum over each sample, or over all of them where one value serves them."""
+    """The sums of samples (B,), or the sum of all samples if `values` has one for all."""
     sums = products.sum((1, 2, 3))
     return sums if len(values) == len(sums) else sums.sum(0, keepdim=True)
 
@@ -97,7 +97,7 @@ _hessian_response = register("hessian_response", _hessian_reference, backward=_h
 _hessian_response_backward = register("hessian_response_backward", vjp(_hessian_reference), layout_of=1)
 
 
-_DOG_WINDOWS = 9, 13  # of the kernels: those of the default sigmas
+_DOG_WINDOWS = 9, 13  # sizes of windows that the kernel supports: those of the default sigmas
 
 
 def _dog_reference(x: Tensor, sigma1: float, sigma2: float) -> Tensor:
@@ -123,7 +123,7 @@ _difference_of_gaussians_backward = register(
 
 
 def _arguments(op: str, input: Tensor, grads_mode: str, sigmas: Tensor | None) -> tuple[Tensor, Tensor | None, int]:
-    """The image as floating-point numbers, the sigmas in the type that is computed in, and the mode."""
+    """The image in floating point, the sigmas in the compute type, and the number of the mode."""
     _check.images(op, "input", input)
     _check.choice(op, "grads_mode", grads_mode, tuple(DERIVATIVE_MODE))
     x = floats(input)

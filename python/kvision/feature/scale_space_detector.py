@@ -156,11 +156,11 @@ class ScaleSpaceDetector(nn.Module):
         _check.images(op, "img", img)
         detection.check_mask(op, mask, img)
         image = floats(img)
-        if mask is None and self._is_one_operator(image):
+        if mask is None and self._has_operator(image):
             plan = self.scale_pyr._plan(*image.shape[2:])
             octaves = sum(min(size) >= _SMALLEST for size in zip(plan.sizes[::2], plan.sizes[1::2]))
             if 0 < octaves <= MAX_OCTAVES and plan.voxels() < 2**31:
-                return self._detect_at_once(image, num_feats, plan, octaves)
+                return self._detect_by_operator(image, num_feats, plan, octaves)
         octaves, sigmas, _ = self.scale_pyr(image)
         scores, lafs = ([x] for x in detection.no_candidates(image))
         voxels = [image.new_empty((image.shape[0], 0), dtype=torch.int64)]
@@ -176,23 +176,25 @@ class ScaleSpaceDetector(nn.Module):
         candidates = torch.cat(scores, 1).masked_fill(torch.cat(voxels, 1) < 0, detection.EMPTY)
         return detection.filled_slots(image, candidates, torch.cat(lafs, 1), num_feats)
 
-    def _is_one_operator(self, image: Tensor) -> bool:
-        """Whether the kernels of `scale_space_features` do what the modules do."""
+    def _has_operator(self, image: Tensor) -> bool:
+        """Whether `scale_space_features` computes what the modules compute, and has a kernel for this image."""
         if image.shape[1] != 1 or is_compiling() or is_tracing() or wants_derivative(image):
             return False
         if type(self.scale_pyr) is not ScalePyramid or _refinement_of(self.subpix) is None:
             return False
         if self.scale_pyr.n_levels + self.scale_pyr.extra_levels > MAX_LEVELS:
             return False
-        # Of the levels of an octave all are used.
-        of_differences = type(self.resp) is BlobDoG and self.scale_space_response and self.scale_pyr.extra_levels == 3
-        of_hessians = type(self.resp) is BlobHessian and not self.scale_space_response
-        if not of_differences and not (of_hessians and self.scale_pyr.extra_levels == 2):
+        # The operator searches all levels of an octave.
+        uses_differences = type(self.resp) is BlobDoG and self.scale_space_response and self.scale_pyr.extra_levels == 3
+        uses_hessians = type(self.resp) is BlobHessian and not self.scale_space_response
+        if not uses_differences and not (uses_hessians and self.scale_pyr.extra_levels == 2):
             return False
         return scale_space_features.is_native(image)
 
-    def _detect_at_once(self, image: Tensor, count: int, plan: ScaleSpacePlan, octaves: int) -> tuple[Tensor, Tensor]:
-        """`detect` by one operator, in the first octaves of a scale space."""
+    def _detect_by_operator(
+        self, image: Tensor, count: int, plan: ScaleSpacePlan, octaves: int
+    ) -> tuple[Tensor, Tensor]:
+        """`detect` by one operator, in the first `octaves` octaves of a scale space."""
         levels = self.scale_pyr.n_levels
         lafs, scores = scale_space_features(
             image,

@@ -22,14 +22,14 @@ def _correlate(x: Tensor, kernel: Tensor, border: str, same: bool) -> Tensor:
     h, w = x.shape[2:]
     if x.numel() == 0:  # there is no transform of nothing
         return x[..., ky - 1 :, kx - 1 :] * kernel.sum()
-    # Graphs keep sizes symbolic.
+    # In graphs sizes are symbolic.
     size = (h, w) if is_compiling() or is_tracing() else (_fast_size(h), _fast_size(w))
     spectrum = torch.fft.rfft2(x, s=size) * torch.fft.rfft2(kernel[:, None], s=size).conj()
     return torch.fft.irfft2(spectrum, s=size)[..., : h - ky + 1, : w - kx + 1]  # beyond, the kernel wraps around
 
 
 def _fast_size(n: int) -> int:
-    """The smallest size from n on without prime factors above 7, for which Fourier transforms have no fast code."""
+    """The smallest size of at least n without prime factors above 7, which make Fourier transforms slow."""
     while True:
         rest = n
         for factor in (2, 3, 5, 7):

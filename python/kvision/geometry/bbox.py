@@ -285,14 +285,14 @@ def bbox_to_mask3d(boxes: Tensor, size: tuple[int, int, int]) -> Tensor:
 def mask_between(near: Tensor, far: Tensor, size: tuple[int, ...]) -> Tensor:
     """Masks (*, *size) of the pixels between `near` and `far`, inclusive, (*, D) each as (x, y) or (x, y, z)."""
     near, far = near.detach().to(compute_dtype(near)), far.detach().to(compute_dtype(far))
-    of_axes = []
+    masks = []
     for axis, n in enumerate(reversed(size)):
         i = torch.arange(n, device=near.device, dtype=near.dtype)  # torch compares numbers of one type faster
         others = [1] * len(size)
         others[-1 - axis] = n
         inside = (i >= near[..., axis, None]) & (i <= far[..., axis, None])
-        of_axes.append(inside.unflatten(-1, others))
-    return functools.reduce(torch.logical_and, of_axes)
+        masks.append(inside.unflatten(-1, others))
+    return functools.reduce(torch.logical_and, masks)
 
 
 # --- transformations and overlap ------------------------------------------------------------------------------------

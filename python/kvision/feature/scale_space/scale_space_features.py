@@ -1,4 +1,4 @@
-"""The strongest features of images in one call: scale space, response and peaks of all octaves."""
+"""The strongest features of images by one operator: scale space, response and peaks of all octaves."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kvision.filters.smoothing.gaussian import gaussian_blur2d, gaussian_levels
 from kvision.geometry.transform.resize import resize
 
 MAX_OCTAVES, MAX_LEVELS = 16, 32  # kMaxOctaves in csrc/feature/scale_space/scale_space_peaks.h, kMaxScales in hessian.h
-DIFFERENCES = -1  # the mode of the difference of Gaussians; others are those of the Hessian's derivatives
+DIFFERENCES = -1  # the mode of differences of Gaussians; other modes are derivative modes of the Hessian
 
 # --- the definition -------------------------------------------------------------------------------------------------
 
@@ -56,14 +56,14 @@ def _by_operators(
         octave = gaussian_levels(first_level, others, list(sigmas[1:]))
         first_level, levels = octave[:, :, next_level], octave[:, 0]
         if mode != DIFFERENCES:
-            of_levels = image.new_tensor(blurs).repeat(batch)
-            response = hessian_response(levels.reshape(-1, 1, h, w), DERIVATIVE_MODE_NAMES[mode], of_levels)
+            level_sigmas = image.new_tensor(blurs).repeat(batch)
+            response = hessian_response(levels.reshape(-1, 1, h, w), DERIVATIVE_MODE_NAMES[mode], level_sigmas)
             levels = response.reshape(levels.shape)
-        from_scale = image.new_full((batch,), scale, dtype=compute_dtype(image))
+        first_scale = image.new_full((batch,), scale, dtype=compute_dtype(image))
         options = (mode == DIFFERENCES, minima, count, levels_of_octave, *filters)
-        peaks, voxels = scale_space_peaks(levels, None, from_scale, *options)
+        peaks, voxels = scale_space_peaks(levels, None, first_scale, *options)
         to_x, to_y = (width - 1) / (w - 1), (height - 1) / (h - 1)
-        lafs.append(laf_of_peak(peaks, from_scale, levels_of_octave, to_x, to_y))
+        lafs.append(laf_of_peak(peaks, first_scale, levels_of_octave, to_x, to_y))
         scores.append(torch.where(voxels < 0, detection.EMPTY, peaks[..., 3]))
     scores_of_slots, frames = detection.filled_slots(image, torch.cat(scores, 1), torch.cat(lafs, 1), count)
     return frames, scores_of_slots
@@ -78,5 +78,5 @@ def _fake(image: Tensor, *args: Any) -> list[Tensor]:
     return [like.new_empty(image.shape[0], count, 2, 3), like.new_empty(image.shape[0], count)]
 
 
-# Images (B, 1, H, W) to frames (B, N, 2, 3) and scores (B, N), in the type that computes.
+# From images (B, 1, H, W) to frames (B, N, 2, 3) and scores (B, N), in the compute type.
 scale_space_features = register("scale_space_features", _reference, fake=_fake, casts_outputs=True)

@@ -177,7 +177,7 @@ def _motion_kernel(
     _check.choice(op, "mode", mode, ("nearest", "bilinear", "bicubic") if axes == 2 else ("nearest", "bilinear"))
     angle, direction, dtype = _parameters(op, angle, direction, axes, image)
     angle = angle.detach() if mode == "nearest" else angle
-    # The gradient of the operator would compute the reference again.
+    # For a gradient the reference is called at once: the backward pass of the operator would compute it again.
     kernels = _motion_kernels.reference if wants_derivative(angle, direction) else _motion_kernels
     kernel: Tensor = kernels(angle, direction, size, _MODES.index(mode))
     return as_dtype(kernel, dtype)

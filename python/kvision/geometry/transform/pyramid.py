@@ -324,13 +324,13 @@ class ScalePyramid(nn.Module):
         return 1.0 if self.double_image else 0.5
 
     def _first_blur(self) -> float | None:
-        """What blurs the images, which may be doubled, to the first level; None where that is not more than they have."""
+        """The sigma that blurs images, after doubling, to the first level; None if they are blurred enough already."""
         if self.init_sigma <= self._assumed_blur():
             return None
         return max(math.sqrt(self.init_sigma**2 - self._assumed_blur() ** 2), 0.01)
 
     def _window(self, size: Sequence[int], sigma: float) -> int:
-        """The size of a blur's kernel, as far as images of height and width `size` have room for it."""
+        """The size of the window of a blur, at most that of images of height and width `size`."""
         shortest = min(size)
         return min(self.get_kernel_size(sigma), shortest if shortest % 2 else shortest - 1)
 
@@ -357,12 +357,12 @@ class ScalePyramid(nn.Module):
             distance *= 2
 
     def _level_blurs(self, base: float) -> tuple[list[float], list[float]]:
-        """The blur of each level of an octave whose first one has blur `base`, and what blurs it to the next one."""
+        """The blur of each level of an octave whose first level has blur `base`, and the sigmas from each level to the next."""
         scales = [base * self.sigma_step**i for i in range(self.n_levels + self.extra_levels)]
         return scales, [sigma * math.sqrt(self.sigma_step**2 - 1) for sigma in scales[:-1]]
 
     def _plan(self, height: int, width: int) -> ScaleSpacePlan:
-        """What `forward` does for images of one size, in numbers."""
+        """The sizes and sigmas of `forward` for images of one size."""
         more = self._first_blur()
         scales, blurs = self._level_blurs(self._assumed_blur() if more is None else self.init_sigma)
         h, w = (2 * height, 2 * width) if self.double_image else (height, width)
@@ -377,13 +377,13 @@ class ScalePyramid(nn.Module):
 
 
 class ScaleSpacePlan(NamedTuple):
-    """The numbers of a scale space: octaves, and levels that are each blurred to the next one."""
+    """The sizes and sigmas of a scale space. Each level of an octave is a blur of the level before it."""
 
     sizes: list[int]  # height and width of each octave
-    windows: list[int]  # for each octave, of the blurs to all of its levels; 0 for no blur
-    sigmas: list[float]  # of the blurs to the levels
-    scales: list[float]  # blur of the levels, in pixels of their octave
+    windows: list[int]  # for each octave, the size of the window of the blur to each level; 0 for no blur
+    sigmas: list[float]  # of the blur to each level
+    scales: list[float]  # total blur of each level, in pixels of its octave
 
     def voxels(self) -> int:
-        """Of all levels."""
+        """The count of pixels of all levels of all octaves."""
         return len(self.scales) * sum(h * w for h, w in zip(self.sizes[::2], self.sizes[1::2]))

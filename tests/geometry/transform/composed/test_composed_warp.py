@@ -11,7 +11,7 @@ from torch import Tensor
 
 from kvision._modes import INTERPOLATION, PADDING
 from kvision.core.exceptions import ShapeError, TypeCheckError
-from kvision.geometry.transform.composed.composed_warp import MAX_LINKS, composed_coords, composed_warp, shortened
+from kvision.geometry.transform.composed.composed_warp import MAX_LINKS, composed_coords, composed_warp, link_arguments
 from op_tests import OpTests, assert_close
 
 
@@ -25,7 +25,7 @@ def checked(op: str, input: Any) -> Tensor:
 
 
 def links_of(input: Tensor, links: dict[str, Tensor], size: tuple[int, int]) -> list[Tensor | None]:
-    return shortened([link.to(input.device) for link in links.values()], size)
+    return link_arguments([link.to(input.device) for link in links.values()], size)
 
 
 def warp_by_links(input, size, mode="bilinear", padding="fill", align_corners=True, fill=None, **links):
@@ -116,7 +116,7 @@ def in_float64(links: list[Tensor], size: tuple[int, int]) -> Tensor:
 def test_coordinates_of_chains_of_any_length(count: int, device: torch.device) -> None:
     x = torch.empty(2, 1, 40, 33)
     links = [(0.3 * displacements(x) if i % 2 else homographies(x)).float().to(device) for i in range(count)]
-    coords = composed_coords(*shortened(links, (21, 30)), [21, 30])
+    coords = composed_coords(*link_arguments(links, (21, 30)), [21, 30])
     torch.testing.assert_close(coords.cpu().double(), in_float64(links, (21, 30)), atol=1e-3, rtol=1e-4)
 
 
@@ -137,6 +137,6 @@ def test_gradients_of_a_large_result(device: torch.device) -> None:
     expected = torch.autograd.grad((in_float64([k.requires_grad_() for k in links], (101, 97)) * weights).sum(), links)
     for dtype, rtol in ((torch.float64, 1e-9), (torch.float32, 1e-3)):
         own = [link.detach().to(dtype).to(device).requires_grad_() for link in links]
-        coords = composed_coords(*shortened(own, (101, 97)), [101, 97])
+        coords = composed_coords(*link_arguments(own, (101, 97)), [101, 97])
         for a, e in zip(torch.autograd.grad((coords * weights.to(coords)).sum(), own), expected):
             assert_close(a.cpu().double(), e, rtol, rtol * float(e.abs().max()))

@@ -1,9 +1,9 @@
 """Chains of matrices and maps as one warp.
 
-A link is a matrix (B, 3, 3), from the pixels before it to those behind it, or a map: displacements (B, 2, H, W), x and y in
-pixels, so that pixel p of what is behind the link reads what is before it at p + displacement. Between pixels displacements are
-interpolated bilinearly, and beyond the outermost pixels they are those of the outermost ones. A pixel of the result walks back
-through the chain, from the last link to the first, and reads the image where it arrives. Nothing in between is stored.
+A link is a matrix (B, 3, 3) that maps pixels of its input to pixels of its output, or a map: displacements (B, 2, H, W), x and y
+in pixels, so that pixel p of its output reads its input at p + displacement. Displacements are interpolated bilinearly, with the
+replicate border. The sampling coordinates of a pixel of the result are found by walking back through the chain, from the last link
+to the first. The image is interpolated once, and no intermediate image is stored.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from kvision.geometry.transform import sampling
 
 MAX_LINKS = 8  # of a launch: kMaxLinks of composed_warp.h
 
-# Arguments of the operators: up to MAX_LINKS links, the first one first, None behind the last one, of the type that computes, with
-# one row or one of each sample. The result of composed_coords is (B, 2, h, w), where the pixels of a result of that size read.
+# Arguments of the operators: MAX_LINKS links in the compute type, the first one first, None after the last one; each has one row or
+# one for each sample. composed_coords gives the sampling coordinates (B, 2, h, w) of the pixels of a result of size (h, w).
 
 
 def _coords_reference(*args: Any) -> Tensor:
@@ -129,18 +129,18 @@ def _reference(image: Tensor, *args: Any) -> Tensor:
 
 
 def _backward(needs: Sequence[bool], grad: Tensor, image: Tensor, *args: Any) -> list[Tensor | None]:
-    """By the coordinates, which are computed again."""
+    """Computes the sampling coordinates again and calls the backward operators of remap."""
     links, fill, size, options = args[:MAX_LINKS], args[MAX_LINKS], args[MAX_LINKS + 1], args[MAX_LINKS + 2 :]
-    of_links, of_fill = needs[1 : MAX_LINKS + 1], needs[MAX_LINKS + 1]
+    needs_links, needs_fill = needs[1 : MAX_LINKS + 1], needs[MAX_LINKS + 1]
     map_x, map_y = composed_coords(*links, size).unbind(1)
-    needed = (needs[0], any(of_links), any(of_links), of_fill, False)
-    of_image, of_x, of_y, to_fill, _ = sampling.remap.backward(
+    needed = (needs[0], any(needs_links), any(needs_links), needs_fill, False)
+    grad_image, grad_x, grad_y, grad_fill, _ = sampling.remap.backward(
         needed, grad, image, map_x, map_y, fill, None, *options, False, False
     )
     grads: list[Tensor | None] = [None] * MAX_LINKS
-    if of_x is not None and of_y is not None:
-        grads = _coords_backward(of_links, torch.stack([of_x, of_y], 1), *links, size)
-    return [of_image, *grads, to_fill]
+    if grad_x is not None and grad_y is not None:
+        grads = _coords_backward(needs_links, torch.stack([grad_x, grad_y], 1), *links, size)
+    return [grad_image, *grads, grad_fill]
 
 
 composed_warp = register(
@@ -153,13 +153,13 @@ composed_warp = register(
 )
 
 
-def shortened(links: Sequence[Tensor], size: Sequence[int]) -> list[Tensor | None]:
-    """The links of a chain as arguments of the operators. The last ones of a longer chain become one map."""
-    short = list(links)
-    while len(short) > MAX_LINKS:
+def link_arguments(links: Sequence[Tensor], size: Sequence[int]) -> list[Tensor | None]:
+    """The links as arguments of the operators, padded by None. The last links of a longer chain are composed to one map."""
+    arguments = list(links)
+    while len(arguments) > MAX_LINKS:
         height, width = size
-        coords = composed_coords(*short[-MAX_LINKS:], list(size))
+        coords = composed_coords(*arguments[-MAX_LINKS:], list(size))
         y, x = (torch.arange(n, dtype=coords.dtype, device=coords.device) for n in (height, width))
         pixels = torch.stack([x.expand(height, width), y[:, None].expand(height, width)])
-        short[-MAX_LINKS:] = [coords - pixels]
-    return [*short, *[None] * (MAX_LINKS - len(short))]
+        arguments[-MAX_LINKS:] = [coords - pixels]
+    return [*arguments, *[None] * (MAX_LINKS - len(arguments))]

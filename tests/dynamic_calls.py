@@ -1,4 +1,4 @@
-"""Calls of all public functions at two sizes, for tests of programs that are made at one size and called at another one."""
+"""Calls of all public functions at two sizes, for tests of programs that are traced at one size and called at another one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch import Tensor, nn
 import kvision as K
 from benchmarks.sample_calls import SampleCall, Size, sample_calls
 
-# The program is made at one size and called at another one. No two numbers of a size are equal, nor equal to the 2, 3, 4, 5 of
+# The program is traced at one size and called at another one. No two numbers of a size are equal, nor equal to the 2, 3, 4, 5 of
 # coordinates, matrices and kernels: torch takes equal sizes of an example for the same. Functions of colors take three
 # channels only.
 SIZES = (
@@ -20,7 +20,7 @@ SIZES = (
     (Size(7, 3, 22, 38), Size(11, 3, 34, 52)),
 )
 
-# What depends on more than the sizes, and why; at most 5% of the public names.
+# Functions that do not export, and why; at most 5% of the public names.
 SIZE_OF_DATA = "the size of the result depends on the values"
 NUMBERS = "gives a bool, a float or a list of floats of Python, computed from the values: a graph holds tensors"
 LEFT_OUT = {

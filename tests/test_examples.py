@@ -185,7 +185,7 @@ def test_autoencoder_cuts_the_sheet_of_faces(data) -> None:
 
 @pytest.mark.slow
 def test_autoencoder_keeps_edges(data, device, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A tenth of the steps, after which edges are kept better already; the figures that it checks take all of them."""
+    """A tenth of the steps is enough to keep edges better; the limits that the example checks take all of them."""
     portrait, out = tmp_path / "portrait.png", tmp_path / "out"
     K.io.write_image(portrait, torch.rand(3, 90, 70))
     options = ["--data", str(data), "--seeds", "1", "--steps", "60", "--image", str(portrait)]
@@ -221,7 +221,7 @@ def test_a_missing_device_is_said(name: str, capsys: pytest.CaptureFixture[str])
 
 @pytest.mark.parametrize("name", (*NAMES, "train_distributed", "process_folder", "cpp/save_pipeline"))
 def test_a_missing_package_is_said(name: str, tmp_path: Path, monkeypatch, capsys) -> None:
-    """Before anything is computed, also where an example is loaded."""
+    """The error comes before anything is computed."""
     missing = {"PIL", "matplotlib", "ray", "skimage", "torchvision", "tqdm"}
     for module in missing:
         monkeypatch.setitem(sys.modules, module, None)

@@ -489,7 +489,7 @@ def test_gradients_that_kernels_sum_by_atomics_are_declared():
         "warp_image_backward",
     }
     x, matrix = torch.zeros(1, 1, 2, 2), torch.zeros(1, 2, 3)
-    for name in names - {"composed_coords_backward", "warp_and_color_backward"}:  # whose arguments are others
+    for name in names - {"composed_coords_backward", "warp_and_color_backward"}:  # these have other arguments
         assert not _ops.operators[name].nondeterministic(
             x, matrix, None, [1, 2, 2], INTERPOLATION["bilinear"], PADDING["border"]
         )

@@ -1,4 +1,4 @@
-"""Which public functions give uint8 for uint8, and that their pages say so."""
+"""Docstrings of public functions say whether the result of uint8 images is uint8."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import kvision as K
 from benchmarks.sample_calls import SampleCall, Size, sample_calls
 
 SIZE = Size(2, 3, 20, 24)
-# Of the entry of the images among a page's arguments.
+# What the entry of the images under Args says.
 CLAIM = re.compile(r"or uint8\b|uint8 (gives|has|as|is rounded)\b")
 
 
@@ -45,7 +45,7 @@ def result(call: SampleCall, dtype: torch.dtype) -> torch.dtype | None:
 
 
 def entry(call: SampleCall) -> str:
-    """What the page says of the images."""
+    """The entry of the images under Args."""
     page = inspect.getdoc(call.function()) or ""
     found = re.search(
         rf"^    [\w, ]*\b{images(call)[0]}\b[\w, ]*: (.*?)(?=^    \w|^\w|\Z)", page, re.DOTALL | re.MULTILINE
@@ -54,11 +54,11 @@ def entry(call: SampleCall) -> str:
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_page_says_whether_uint8_gives_uint8(name: str) -> None:
+def test_docstring_says_whether_uint8_gives_uint8(name: str) -> None:
     call = CALLS[name]
     says = bool(CLAIM.search(entry(call)))
     if result(call, torch.uint8) != torch.uint8:
         assert not says, entry(call)
-    elif not says:  # what moves or repeats values keeps any type, and that is all
+    elif not says:  # functions that only move or repeat values keep any type without saying so
         page = inspect.getdoc(call.function()) or ""
         assert "uint8" in page or result(call, torch.int16) == torch.int16, entry(call)

@@ -1,4 +1,4 @@
-"""Displacements of elastic transforms: noise and blur in one."""
+"""Displacements of elastic transforms: noise after a blur, by one operator."""
 
 from __future__ import annotations
 
@@ -46,27 +46,30 @@ def source(keys: list[int], seeds: list[int] | None = None, same: bool = False, 
 
 @pytest.mark.parametrize("size", [(1, 4), (37, 60), (130, 264), (200, 7), (512, 128)], ids=str)
 @pytest.mark.parametrize("kernel", [(3, 5), (63, 63), (31, 9), (33, 47), (99, 3)], ids=str)
-def test_drawn_noise_is_that_of_the_parameters(size, kernel, device):
-    """What a call draws and what its parameters replay have the same bits; both are blurred noise."""
+def test_drawn_noise_equals_noise_as_an_argument(size, kernel, device):
+    """Displacements of drawn noise, and of the same noise as an argument, have the same bits."""
     like = torch.empty(1, device=device).expand(3, 2, *size)
     blur, scale = blur_settings(kernel, (7.0, 5.0)), (11.0, 13.0)
-    for own in (source([5]), source([0], [3, 4, 5]), source([6], same=True)):
-        own = own._replace(device=torch.device(device))
-        drawn = elastic_displacements(like, own, blur, scale)
-        noise = own.symmetric((3, 2, *size))
+    for noise_source in (source([5]), source([0], [3, 4, 5]), source([6], same=True)):
+        noise_source = noise_source._replace(device=torch.device(device))
+        drawn = elastic_displacements(like, noise_source, blur, scale)
+        noise = noise_source.symmetric((3, 2, *size))
         assert torch.equal(drawn, elastic_displacements(noise, None, blur, scale))
         expected = gaussian_blur2d(noise.double(), kernel, (7.0, 5.0), "constant")
         expected = expected * torch.tensor([11.0, 13.0], dtype=torch.float64, device=device)[:, None, None]
         assert_close(drawn, expected.float(), 1e-5, 2e-5)
     with backend("reference"):
-        assert_close(elastic_displacements(like, own, blur, scale), drawn, 1e-5, 2e-5)
+        assert_close(elastic_displacements(like, noise_source, blur, scale), drawn, 1e-5, 2e-5)
 
 
 def test_keys_on_the_device(device):
     like = torch.empty(1, device=device).expand(2, 2, 20, 24)
     on_host = source([9])._replace(device=torch.device(device))
     on_device = on_host._replace(keys=on_host.keys._replace(keys=on_host.keys.keys.to(device)))
-    a, b = (elastic_displacements(like, own, blur_settings(9, 2.0), (1.0, 1.0)) for own in (on_host, on_device))
+    a, b = (
+        elastic_displacements(like, noise_source, blur_settings(9, 2.0), (1.0, 1.0))
+        for noise_source in (on_host, on_device)
+    )
     assert torch.equal(a, b)
 
 

@@ -1,4 +1,4 @@
-"""Draws and the pass that reads them by one kernel: the same numbers and images as the operators one after the other."""
+"""Draws and the pass that reads them by one kernel: results equal those of the separate operators."""
 
 import contextlib
 
@@ -20,7 +20,7 @@ MAKE = {
         A.Normalize((0.5, 0.4, 0.3), (0.2, 0.3, 0.4)),
         **options,
     ),
-    "affine, then steps of their own": lambda **options: A.ImageSequential(
+    "affine, blur, invert": lambda **options: A.ImageSequential(
         A.RandomAffine(30.0, (0.1, 0.1), p=0.6), A.RandomGaussianBlur(3, (0.5, 1.0)), A.RandomInvert(), **options
     ),
     "affine": lambda **options: A.RandomAffine(30.0, (0.1, 0.1), (0.8, 1.2), 10.0, p=0.7, **options),
@@ -32,7 +32,7 @@ MAKE = {
 
 @pytest.fixture
 def kernel_calls(monkeypatch):
-    """The calls of the kernel; a list of True or False decides whether it serves."""
+    """The calls of the kernel, and a list whose last entry says whether it may serve."""
     calls, serves = [], [True]
     fast_path = drawn_pass._draw_warp_and_color
 
@@ -60,7 +60,7 @@ def has_kernels(device: torch.device, backend: str) -> bool:
 @pytest.mark.parametrize("seed", [None, 5, "each"])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
 @pytest.mark.parametrize("name", MAKE)
-def test_equals_the_operators_one_after_the_other(name, dtype, seed, device, backend, kernel_calls):
+def test_kernel_equals_separate_operators(name, dtype, seed, device, backend, kernel_calls):
     calls, serves = kernel_calls
     x = images(device, dtype)
     seed = torch.arange(len(x), device=device) if seed == "each" else seed
@@ -73,19 +73,19 @@ def test_equals_the_operators_one_after_the_other(name, dtype, seed, device, bac
         results.append((y, augment.transform_matrix, augment._params, torch.get_rng_state()))
     assert bool(calls) == (name != "fill" and has_kernels(device, backend))
     (y, matrix, params, state), (fused, fused_matrix, fused_params, fused_state) = results
-    # One kernel may round the matrices otherwise than another; a pixel then moves by as much.
+    # The kernels may round the matrices differently, so sampling coordinates differ by rounding errors.
     tolerance = {torch.float32: 2e-5, torch.float16: 2e-3, torch.uint8: 1.0}[dtype] if device.type == "cuda" else 0.0
     assert_close(fused, y, 0.0, tolerance)
     assert_close(fused_matrix, matrix, 0.0, 1e-5 if device.type == "cuda" else 0.0)
     assert torch.equal(state, fused_state)
     flat, fused_flat = (torch.utils._pytree.tree_leaves(p) for p in (params, fused_params))
     assert len(flat) == len(fused_flat)
-    for expected, given in zip(flat, fused_flat):
-        assert torch.equal(expected, given) if isinstance(expected, torch.Tensor) else expected == given
+    for expected, actual in zip(flat, fused_flat):
+        assert torch.equal(expected, actual) if isinstance(expected, torch.Tensor) else expected == actual
 
 
 @pytest.mark.parametrize("case", ["gradient", "reference", "vmap", "float64", "no samples", "subclass"])
-def test_other_calls_go_through_the_operators(case, device, kernel_calls, backend):
+def test_calls_that_the_kernel_does_not_serve(case, device, kernel_calls, backend):
     calls, _ = kernel_calls
     augment, x = MAKE["affine"](), images(device)
     if case == "gradient":

@@ -189,7 +189,7 @@ def test_joined_equals_warp_then_program(channels, dtype, size, device):
 @pytest.mark.parametrize("size", [(7, 9), (64, 80), (33, 47), (1, 1)], ids=str)
 @pytest.mark.parametrize("padding", ["zeros", "border", "reflection"])
 def test_gradients_of_warps_that_keep_rows(padding, size, device):
-    """They equal those of the reference, for gradients of all layouts, those that are expanded from one number too."""
+    """They equal those of the reference, for gradients of all layouts and for expanded scalars."""
     generator = torch.Generator().manual_seed(size[0])
     batch, (h, w) = 4, (37, 50)
     drawn = torch.rand(batch, 8, generator=generator)
@@ -220,7 +220,7 @@ def test_gradients_of_warps_that_keep_rows(padding, size, device):
             assert_close(result, expected_grad, 1e-4, 1e-4)
 
 
-# The last size does not fit the shared memory of a cluster, the one before it has no vectors of pixels.
+# (15, 17) is not made of vectors of pixels, and (300, 300) does not fit the shared memory of a cluster.
 @pytest.mark.native
 @pytest.mark.parametrize("size", [(2, 2), (20, 36), (64, 64), (224, 224), (15, 17), (300, 300)], ids=str)
 def test_contrast_of_many_samples(size, device):
@@ -232,16 +232,16 @@ def test_contrast_of_many_samples(size, device):
     chosen = augment._params["batch_prob"] > 0.5
     assert 0 < chosen.sum() < 9 and torch.equal(y[~chosen], x[~chosen])
     with K.backend("reference"):
-        wide = x.detach().double().requires_grad_()
-        expected = augment(wide, params=augment._params)
+        promoted = x.detach().double().requires_grad_()
+        expected = augment(promoted, params=augment._params)
     assert_close(y, expected.float(), 1e-5, 1e-5)
     dense = torch.rand(y.shape, device=device)
     one = torch.full((1, 1, 1, 1), 0.7, device=device).expand_as(y)
     for grad in (dense, dense.contiguous(memory_format=torch.channels_last), one):
         (result,) = torch.autograd.grad(y, x, grad, retain_graph=True)
-        (expected_grad,) = torch.autograd.grad(expected, wide, grad.double(), retain_graph=True)
+        (expected_grad,) = torch.autograd.grad(expected, promoted, grad.double(), retain_graph=True)
         close = torch.isclose(result.double(), expected_grad, 1e-3, 1e-4)
-        assert (~close).double().mean() < 1e-4  # rounding decides on which side of a tie of two channels a pixel is
+        assert (~close).double().mean() < 1e-4  # hue has a kink where two channels are equal
         (again,) = torch.autograd.grad(y, x, grad, retain_graph=True)
         assert torch.equal(again, result)
 

@@ -178,8 +178,8 @@ def test_luma_of_bytes_takes_any_weights(weights, channels_last, device):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.float16, torch.uint8], ids=str)
-def test_steps_of_numbers_take_a_kernel_of_their_own(dtype, device, backend):
-    """One with fewer arguments, for calls that want no gradient; its results are those of the operator."""
+def test_fast_path_of_steps_with_numbers(dtype, device, backend):
+    """Calls without gradient take the kernel with fewer arguments; results equal those of the operator."""
     if backend == "reference" or device.type in _backend.unserved:
         pytest.skip("this test is about the kernels")
     x = torch.rand(2, 3, 5, 7, generator=torch.Generator().manual_seed(1), dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""Every public function compiles with dynamic batch, channels, height and width, but for those that do not export."""
+"""Every public function that exports also compiles with dynamic batch, channels, height and width."""
 
 from __future__ import annotations
 

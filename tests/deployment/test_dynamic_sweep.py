@@ -1,6 +1,6 @@
-"""Every public function exports with dynamic batch, channels, height and width, but for the listed ones.
+"""Every public function exports with dynamic batch, channels, height and width, except the listed ones.
 
-That each compiles so is test_dynamic_compile.py: processes share the two files.
+Compilation is in test_dynamic_compile.py, so that two processes can run the two files at the same time.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Matches of descriptors, beside Kornia's and OpenCV's; their operators."""
+"""Matches of descriptors, compared with Kornia's and OpenCV's; their operators."""
 
 from __future__ import annotations
 
@@ -180,26 +180,26 @@ def test_bytes_equal_opencv(device):
 
 
 def test_memory_is_not_that_of_a_matrix(device):
-    """100,000 x 100 descriptors; and float32 does not lose distances beside large values."""
+    """100,000 x 100 descriptors; and float32 does not lose distances next to large values."""
     x = torch.rand(20_000, 8, device=device) + 1000
     distances, indices = K.feature.match_nn(x[:200], x)
     assert torch.equal(indices[:, 1], torch.arange(200, device=device)) and distances.count_nonzero() == 0
 
 
-@pytest.mark.parametrize("kind", ["unit", "far from 0", "clusters", "of different lengths", "equal ones"])
+@pytest.mark.parametrize("kind", ["unit", "far from 0", "clusters", "different lengths", "duplicates"])
 def test_neighbors_in_float32_are_the_nearest(kind, device):
-    """Whatever kernels estimate first: no descriptor is nearer than those that they choose, up to float32's rounding."""
+    """Kernels may estimate candidates first; no descriptor is nearer than the chosen neighbors, up to rounding of float32."""
     x, y = descriptors(300, 40).to(device), descriptors(400, 40, seed=1).to(device)
     if kind == "far from 0":
         x, y = x / 8 + 100, y / 8 + 100
     elif kind == "clusters":
         x, y = x[:3].repeat(100, 1) + 1e-3 * x, x[:4].repeat(100, 1) + 1e-3 * y
-    elif kind == "of different lengths":
+    elif kind == "different lengths":
         x, y = (
             x * torch.logspace(-3, 3, 300, device=device)[:, None],
             y * torch.logspace(-3, 3, 400, device=device)[:, None],
         )
-    elif kind == "equal ones":
+    elif kind == "duplicates":
         y = y[:40].repeat(10, 1)
     x, y = x.float(), y.float()
     distances1, indices1, distances2, indices2 = _two_nearest(x[None], y[None], None, None, None, None, 0.0, True)
@@ -243,7 +243,7 @@ def test_modules_equal_kornias(mode, device):
 @pytest.mark.tracing
 @pytest.mark.parametrize("mode", K.feature.DescriptorMatcher.known_modes)
 def test_export(mode, device):
-    """The number of matches is not that of the example."""
+    """Calls of the exported program have another number of matches than the example."""
     matcher = K.feature.DescriptorMatcher(mode, 0.97)
     x, y = (t.to(device) for t in pair(30, 40))
     exported = torch.export.export(matcher, (torch.rand_like(x), torch.rand_like(y))).module()
@@ -289,7 +289,7 @@ def finite(*results: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def neighbors(n: int, m: int):
-    """Indices of two neighbors among m, now and then fewer."""
+    """Indices of two neighbors among m, of which the second is missing for a tenth of the descriptors."""
 
     def draw() -> Tensor:
         first = torch.randint(0, m, (n, 1))
@@ -338,7 +338,7 @@ class TestMatchingOperators(PointOpTests):
                 dtypes=SINGLE_AND_DOUBLE,
                 broadcasts=False,
                 differentiable=ratios or back[0] is None,  # without ratios in the distances of one set only
-                accepted=("others", "of torch.int64", "distances1 of another dtype"),
+                accepted=("count2", "of torch.int64", "distances1 of another dtype"),
             )
             for back in ((None, None), (vector(6, 2), mutual))
             for ratios in (False, True)

@@ -196,12 +196,12 @@ class TestSeveralOrientations(SquarePatchTests):
 
 
 def some_frames():
-    """Frames of which the last two of eight are empty slots."""
+    """Eight slots of frames, of which the last two are empty."""
     return 5 * torch.rand(8, 2, 3, dtype=torch.float64) * (torch.arange(8) < 6)[:, None, None]
 
 
 def some_angles():
-    """Three angles of each frame; repeated ones, which do not count, have no derivatives."""
+    """Three different angles of each frame: results are not differentiable where angles are equal."""
     return 6 * torch.rand(8, 3, dtype=torch.float64) - 3
 
 

@@ -4,7 +4,6 @@ import torch
 
 import kvision as K
 from op_tests import OpTests, assert_close
-from point_op_tests import Call, PointOpTests, vector
 from raw_calls import wrong_calls
 
 
@@ -155,32 +154,10 @@ class TestExtractPatchesFromPyramid(PatchTests):
         laf = frames(image, 20, 0.1).float().to(device).requires_grad_()
         patches = K.feature.extract_patches_from_pyramid(image.to(dtype), laf, 8)
         assert patches.dtype == dtype
-        wide = K.feature.extract_patches_from_pyramid(image.to(dtype).float(), laf, 8)
-        assert_close(patches, wide.to(dtype), 2e-2, 2e-2)
+        promoted = K.feature.extract_patches_from_pyramid(image.to(dtype).float(), laf, 8)
+        assert_close(patches, promoted.to(dtype), 2e-2, 2e-2)
         patches.float().sum().backward()
         assert laf.grad.dtype == torch.float32 and laf.grad.isfinite().all()
-
-
-def frames_of_sample() -> torch.Tensor:
-    return frames(torch.empty(1, 1, 21, 26))[0]
-
-
-class TestPatchesOfPyramids(PointOpTests):
-    """The operator that calls without a gradient go through; those with one go through the others."""
-
-    calls = {
-        "pyramid_patches": [
-            Call(
-                (vector(2, 21, 26), frames_of_sample),
-                (levels, 4, 4.0),
-                dtypes=(torch.float32, torch.float64),
-                broadcasts=False,
-                differentiable=False,
-                accepted=("input cut along axis", "window"),
-            )
-            for levels in (1, 3)
-        ]
-    }
 
     @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16], ids=str)
     def test_patches_do_not_depend_on_whether_a_gradient_is_wanted(self, dtype, device):

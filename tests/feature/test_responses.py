@@ -31,6 +31,7 @@ class TestHarris(OpTests):
         ({"k": "a"}, TypeError, "expected k to be a number"),
         ({"k": lambda x: torch.ones(2)}, ValueError, "expected k to be one number"),
         ({"sigmas": lambda x: torch.ones(3)}, ValueError, r"sigmas of shape \(2,\)"),
+        ({"sigmas": 1.0}, TypeError, "sigmas to be a Tensor"),
     ]
 
 
@@ -56,7 +57,7 @@ class TestHessian(OpTests):
 
 
 class TestDifferenceOfGaussians(OpTests):
-    """Where the sigmas' windows have 9 and 13 pixels; others are two blurs."""
+    """The operator serves sigmas whose windows have 9 and 13 pixels."""
 
     function = staticmethod(F.dog_response_single)
     module = F.BlobDoGSingle
@@ -65,6 +66,7 @@ class TestDifferenceOfGaussians(OpTests):
     variants = [{}, {"sigma1": 1.1, "sigma2": 1.5}]
     errors = [
         ({"sigma1": -1.0}, ValueError, "expected sigma1 above 0"),
+        ({"sigma1": 0.0}, ValueError, "expected sigma1 above 0"),
         ({"sigma2": float("inf")}, ValueError, "expected sigma2 above 0"),
         ({"sigma2": "1"}, TypeError, "expected sigma2 to be a number"),
     ]
@@ -102,14 +104,6 @@ def test_differences_of_gaussians(device):
     assert_close(F.dog_response(levels.to(device)).cpu(), theirs.dog_response(levels), 0, 0)
 
 
-@pytest.mark.parametrize("mode", ["sobel", "diff"])
-@pytest.mark.parametrize("name", OF_IMAGES)
-def test_gradients(name, mode, device):
-    x, sigmas = SMALL.to(device).requires_grad_(), SIGMAS.to(device).requires_grad_()
-    f = getattr(F, name)
-    torch.autograd.gradcheck(lambda x, s: f(x, grads_mode=mode, sigmas=s), (x, sigmas), fast_mode=True)
-
-
 @pytest.mark.parametrize("name", OF_IMAGES)
 def test_flat_images_have_zero_responses_and_gradients(name, device):
     x = torch.full((1, 1, 12, 12), 0.3, device=device, dtype=torch.float64, requires_grad=True)
@@ -118,22 +112,11 @@ def test_flat_images_have_zero_responses_and_gradients(name, device):
     assert y.abs().max() < 1e-12 and grad.abs().max() < 1e-12
 
 
-@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
-@pytest.mark.parametrize("name", OF_IMAGES)
-def test_half_types_keep_their_type(name, dtype, device):
-    x = torch.rand(1, 1, 16, 16, device=device)
-    y = getattr(F, name)(x.to(dtype))
-    assert y.dtype == dtype and y.isfinite().all()
-
-
-def test_modules_are_their_functions():
+def test_modules_without_a_suite():
     x = SMALL
     for module, value in [
         (F.CornerHarris(0.05), F.harris_response(x, 0.05, sigmas=SIGMAS)),
         (F.CornerHarris(torch.tensor(0.05), "diff"), F.harris_response(x, torch.tensor(0.05), "diff", SIGMAS)),
-        (F.CornerGFTT("diff"), F.gftt_response(x, "diff", SIGMAS)),
-        (F.BlobHessian(), F.hessian_response(x, sigmas=SIGMAS)),
-        (F.BlobDoGSingle(0.5, 0.9), F.dog_response_single(x, 0.5, 0.9)),
     ]:
         assert_close(module(x, SIGMAS), value, 1e-6, 1e-9)
     assert list(F.CornerHarris(0.05).state_dict()) == ["k"]
@@ -141,22 +124,6 @@ def test_modules_are_their_functions():
     assert_close(F.BlobDoG()(levels, SIGMAS), F.dog_response(levels))
 
 
-BAD = [
-    (lambda: F.harris_response([1]), TypeError, "harris_response: expected input to be a Tensor, got list"),
-    (lambda: F.harris_response(SMALL, "a"), TypeError, "expected k to be a number"),
-    (lambda: F.harris_response(SMALL, torch.ones(2)), ValueError, "expected k to be one number"),
-    (lambda: F.gftt_response(SMALL[0]), ValueError, r"gftt_response: expected input of shape \(B, C, H, W\)"),
-    (lambda: F.gftt_response(SMALL, "scharr"), ValueError, "grads_mode must be one of"),
-    (lambda: F.hessian_response(SMALL, sigmas=torch.ones(3)), ValueError, r"sigmas of shape \(2,\)"),
-    (lambda: F.hessian_response(SMALL, sigmas=1.0), TypeError, "sigmas to be a Tensor"),
-    (lambda: F.dog_response(SMALL), ValueError, r"expected input of shape \(B, C, D, H, W\)"),
-    (lambda: F.dog_response_single(SMALL, sigma1=-1), ValueError, "dog_response_single: expected sigma1 .*, got -1"),
-    (lambda: F.dog_response_single(SMALL, sigma2=float("inf")), ValueError, "expected sigma2 above 0 and .*, got inf"),
-    (lambda: F.dog_response_single(SMALL, 0.0), ValueError, "expected sigma1 above 0"),
-]
-
-
-@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
-def test_errors(call, error, message):
-    with pytest.raises(error, match=message):
-        call()
+def test_dog_response_takes_levels():
+    with pytest.raises(ValueError, match=r"dog_response: expected input of shape \(B, C, D, H, W\)"):
+        F.dog_response(SMALL)

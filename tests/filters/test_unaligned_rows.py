@@ -1,4 +1,4 @@
-"""Large images whose rows begin anywhere in vectors, as those of odd widths and of slices do."""
+"""Large images whose rows are not aligned to vectors, as those of odd widths and of slices."""
 
 import pytest
 import torch
@@ -11,7 +11,7 @@ BORDERS = ["constant", "replicate", "reflect"]
 
 
 def images(dtype, device, width=540):
-    """(2, 3, 37, width), which end at the end of their memory."""
+    """Images (2, 3, 37, width) at the end of their memory."""
     x = torch.rand(2, 3, 37, width, generator=torch.Generator().manual_seed(width))
     return ((255 * x).round() if dtype == torch.uint8 else x).to(dtype).to(device)
 
@@ -32,15 +32,15 @@ def filters(device):
 def test_unaligned_rows_have_the_bits_of_aligned_ones(dtype, border, device):
     if device.type == "cpu":
         pytest.skip("on the CPU the ends of rows are summed in another order")
-    wide = images(dtype, device)
+    image = images(dtype, device)
     for name, f in filters(device):
         for first in (1, 2, 3, 7):
-            part = wide[..., first : first + 512]
+            part = image[..., first : first + 512]
             assert torch.equal(f(part, border), f(part.contiguous(), border)), (name, first)
-        aligned = f(wide[..., :528].contiguous(), border)
+        aligned = f(image[..., :528].contiguous(), border)
         for width in (509, 513, 515, 522, 527):
             inner = width - 15  # windows of these pixels end before the narrower image
-            assert torch.equal(f(wide[..., :width].contiguous(), border)[..., :inner], aligned[..., :inner]), (
+            assert torch.equal(f(image[..., :width].contiguous(), border)[..., :inner], aligned[..., :inner]), (
                 name,
                 width,
             )
@@ -49,7 +49,7 @@ def test_unaligned_rows_have_the_bits_of_aligned_ones(dtype, border, device):
 @pytest.mark.parametrize("width", [125, 253, 381, 509, 513])
 @pytest.mark.parametrize("size", [3, 5, 7])
 def test_gradient_of_a_filter_without_padding(size, width, device):
-    """The transposed filter's last strip begins behind the end of the gradient's rows at some of these widths."""
+    """At some of these widths the last strip of the transposed filter begins after the end of the rows of the gradient."""
     weights = torch.rand(1, size, size, device=device) / size**2
     x = images(torch.float32, device, width + size - 1)
 

@@ -16,11 +16,11 @@ SIZES = [26, 36, 13, 18]  # of octaves
 REFINEMENT = (5, 0.6, 1, True)
 
 
-def picture() -> torch.Tensor:
+def blobs() -> torch.Tensor:
     """Blobs of clearly different heights (1, 13, 18)."""
     y, x = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) for n in (13, 18)), indexing="ij")
-    blob = [h * torch.exp(-((x - u) ** 2 + (y - v) ** 2) / 5) for h, u, v in ((1.0, 4.3, 5.2), (-0.6, 13.1, 6.4))]
-    return (sum(blob) * (1 + 0.2 * torch.rand(()).item()))[None]
+    parts = [h * torch.exp(-((x - u) ** 2 + (y - v) ** 2) / 5) for h, u, v in ((1.0, 4.3, 5.2), (-0.6, 13.1, 6.4))]
+    return (sum(parts) * (1 + 0.2 * torch.rand(()).item()))[None]
 
 
 def options(mode: int, minima: bool) -> tuple:
@@ -33,7 +33,7 @@ class TestScaleSpaceFeatures(PointOpTests):
     calls = {
         "scale_space_features": [
             Call(
-                (picture,),
+                (blobs,),
                 options(mode, minima),
                 dtypes=SINGLE_AND_DOUBLE,
                 differentiable=False,
@@ -62,7 +62,7 @@ def detectors() -> dict[str, torch.nn.Module]:
 @pytest.mark.native
 @pytest.mark.parametrize("name", detectors())
 def test_features_are_those_of_the_modules(name, device):
-    """With a mask of ones, and where a gradient is wanted, the modules are called one after the other."""
+    """The operator equals the modules, which are called one after the other with a mask and where a gradient is wanted."""
     detector = detectors()[name]
     image = torch.cat([photo(96, 110), photo(96, 110).flip(-1), torch.full((1, 1, 96, 110), 0.3)]).to(device)
     calls = []
@@ -87,7 +87,7 @@ def test_features_are_those_of_the_modules(name, device):
 
 @pytest.mark.native
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16], ids=str)
-def test_features_of_other_types_are_near(dtype, device):
+def test_features_of_narrower_types_are_near(dtype, device):
     image = photo(96, 110).to(device)
     for detector in list(detectors().values())[:3]:
         exact, rounded = detector(image)[0], detector(image.to(dtype))[0]
@@ -97,8 +97,8 @@ def test_features_of_other_types_are_near(dtype, device):
 
 
 @pytest.mark.native
-def test_features_of_a_modified_pyramid_are_its(device):
-    """A module of another kind is called."""
+def test_a_subclass_of_the_pyramid_is_called(device):
+    """The operator serves ScalePyramid only; the modules of a detector with a subclass are called."""
 
     class Sharper(K.ScalePyramid):
         def forward(self, x):

@@ -1,4 +1,4 @@
-"""Chains of matrices and maps: one walk back from each pixel of the result."""
+"""Chains of matrices and maps as one warp."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from op_tests import OpTests, assert_close
 
 
 def checked(op: str, input: Any) -> Tensor:
-    """The input as callers check it."""
+    """The checks that callers make."""
     if not isinstance(input, Tensor) or input.is_complex():
         raise TypeCheckError(f"{op}: expected images")
     if input.dim() != 4 or 0 in input.shape[2:]:
@@ -121,7 +121,7 @@ def test_coordinates_of_chains_of_any_length(count: int, device: torch.device) -
 
 
 def test_links_that_change_nothing(device: torch.device) -> None:
-    """Every pixel stays, bit for bit."""
+    """Identity matrices and zero displacements keep all bits of the image."""
     x = torch.rand(2, 3, 70, 45, device=device)
     links = torch.eye(3, device=device)[None], torch.zeros(2, 2, 70, 45, device=device)
     for mode in ("nearest", "bilinear"):
@@ -129,7 +129,7 @@ def test_links_that_change_nothing(device: torch.device) -> None:
 
 
 def test_gradients_of_a_large_result(device: torch.device) -> None:
-    """Gradients to all links, of results of more pixels than a block of threads has."""
+    """Gradients of all links, for results of more pixels than one block of threads processes."""
     torch.manual_seed(0)
     x = torch.empty(2, 1, 90, 80)
     links = [homographies(x), displacements(x), homographies(x)[:1]]

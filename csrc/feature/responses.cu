@@ -5,8 +5,8 @@
 // A completed row goes to shared memory, from where the window along x reads the columns of adjacent threads. Rows out
 // of bounds are computed again from the rows that they reflect.
 //
-// The gradient takes two such passes, for the structure tensor and back. Half of a block's warps make the first one,
-// the other half the second one, which reads the rows that the first one wrote before the last barrier:
+// The gradient takes two such passes: the structure tensor, then its transpose. Half of a block's warps run the first
+// pass. The other half run the second one, which reads the rows that the first one wrote before the last barrier:
 //
 //   row y      derivatives, window along y of their products
 //   row y - 4  window along x, gradient of the response
@@ -22,8 +22,8 @@ constexpr int R = kWindowReach, kTaps = 2 * R + 1, P = kColumns;
 constexpr int kReach = 4, kReachOfGradients = 8;       // columns of a block that are incomplete on either side
 constexpr int kDelay = R + 1, kDelayOfGradients = 10;  // rows from the derivatives to the result
 constexpr int kBlocks = 6, kBlocksOfGradients = 3;     // of a multiprocessor
-constexpr int kUnroll = 2;                             // renames the rows of pixels instead of moving them
-constexpr int kKept = 9;                               // rows of derivatives that the second half of the warps may read
+constexpr int kUnroll = 2;                             // so that registers of rows are renamed, not moved
+constexpr int kKept = 9;                               // rows of derivatives that the second pass reads later
 
 // The running sums along y of a thread's columns, for the 2 R rows that are incomplete; a new row completes the first.
 template <class F>
@@ -42,7 +42,7 @@ struct RunningSums {
   }
 };
 
-// The sums in the window along x around the columns from `at` on of a line.
+// The window sums along x for the columns of a line from `at` on.
 template <class F>
 __device__ __forceinline__ void sum_across(F const* line, int at, F (&sums)[P]) {
   F v[P + 2 * kPad];
@@ -55,8 +55,8 @@ __device__ __forceinline__ void sum_across(F const* line, int at, F (&sums)[P]) 
   }
 }
 
-// The derivatives of a thread's columns, not divided by the sum of their weights, row by row. The image continues by
-// reflection, so that each row is read once: where it runs backwards, the derivative along y has the other sign.
+// Computes the derivatives of a thread's columns row by row, not divided by the sum of their weights. Rows continue by
+// reflection, so that each row is read once. In reflected rows the derivative along y has the opposite sign.
 template <class F, bool Vectors>
 struct Derivatives {
   Columns<F, Vectors> const columns;
@@ -73,7 +73,7 @@ struct Derivatives {
   __device__ __forceinline__ int height() const { return int(columns.work.x.height); }
   __device__ __forceinline__ int row(int y) const { return y >= 0 && y < height() ? y : reflected(y, height()); }
 
-  // Of row y; the next call is for the row below.
+  // The derivatives of row y. Calls are in the order of rows.
   __device__ __forceinline__ void advance(int y, F (&dx)[P], F (&dy)[P]) {
     bool const sobel = columns.work.arguments.sobel;
     F below[P + 2];
@@ -81,15 +81,15 @@ struct Derivatives {
     for (int i = 0; i < P + 2; ++i) below[i] = next[i];
     columns.read(row(y + 2), next);
     auto const differentiate = [&](F const(&a)[P + 2], F const(&b)[P + 2], F const(&c)[P + 2]) {
-      GradientColumn<F> of_columns[P + 2];
+      GradientColumn<F> column_sums[P + 2];
 #pragma unroll
-      for (int i = 0; i < P + 2; ++i) of_columns[i] = gradient_column(a[i], b[i], c[i], sobel);
+      for (int i = 0; i < P + 2; ++i) column_sums[i] = gradient_column(a[i], b[i], c[i], sobel);
 #pragma unroll
       for (int j = 0; j < P; ++j)
-        gradient(of_columns[j], of_columns[j + 1], of_columns[j + 2], sobel, F(1), dx[j], dy[j]);
+        gradient(column_sums[j], column_sums[j + 1], column_sums[j + 2], sobel, F(1), dx[j], dy[j]);
     };
     differentiate(above, middle, below);
-    if (y <= 0 || y >= height() - 1) {  // the border of the derivatives repeats the ends
+    if (y <= 0 || y >= height() - 1) {  // derivatives have the replicate border
       int const at = row(y);
       if (at == 0) differentiate(middle, middle, below);
       if (at == height() - 1) differentiate(above, middle, middle);
@@ -102,7 +102,7 @@ struct Derivatives {
   }
 };
 
-// Adds the products of derivatives to their sums and writes the row that they complete.
+// Adds the products of derivatives to the running sums, and writes the row of sums that they complete.
 template <class F, bool Vectors>
 __device__ __forceinline__ void add_products(ColumnPosition const& position, F const (&dx)[P], F const (&dy)[P],
                                              RunningSums<F>& down, Lines<F, 3>& lines) {
@@ -117,7 +117,7 @@ __device__ __forceinline__ void add_products(ColumnPosition const& position, F c
   }
 }
 
-// What unscaled derivatives multiply the response by.
+// The factor by which unscaled derivatives change the response.
 template <class F>
 __device__ __forceinline__ F derivative_factor(bool sobel, bool is_harris) {
   F const square = gradient_scale<F>(sobel) * gradient_scale<F>(sobel);
@@ -192,20 +192,20 @@ __global__ void __launch_bounds__(2 * kColumnThreads<F>, kBlocksOfGradients)
         F sums[3][P], result[3][P];
 #pragma unroll
         for (int m = 0; m < 3; ++m) sum_across(products[now ^ 1].values[m], position.at, sums[m]);
-        F const of_row = scale * end_factor(row, height, F(2));
+        F const row_factor = scale * end_factor(row, height, F(2));
 #pragma unroll
         for (int j = 0; j < P; ++j) {
           SymmetricMatrix<F> const tensor{sums[0][j], sums[1][j], sums[2][j]};
-          F const g = grad[j] * (of_row * end_factor(position.x + j, width, F(2)));
-          SymmetricMatrix<F> of_tensor;
+          F const g = grad[j] * (row_factor * end_factor(position.x + j, width, F(2)));
+          SymmetricMatrix<F> grad_tensor;
           if (is_harris) {
-            of_tensor = harris_vjp(tensor, k, g);
+            grad_tensor = harris_vjp(tensor, k, g);
           } else {
             F const discriminant = gftt_discriminant(tensor);
-            bool const has_root = discriminant > F(1.2e-38);  // the fast root takes smaller ones as 0
-            of_tensor = gftt_vjp(tensor, has_root ? fast_rsqrt(discriminant) : F(0), g);
+            bool const has_root = discriminant > F(1.2e-38);  // the fast root flushes subnormal numbers to 0
+            grad_tensor = gftt_vjp(tensor, has_root ? fast_rsqrt(discriminant) : F(0), g);
           }
-          result[0][j] = of_tensor.xx, result[1][j] = of_tensor.yy, result[2][j] = of_tensor.xy;
+          result[0][j] = grad_tensor.xx, result[1][j] = grad_tensor.yy, result[2][j] = grad_tensor.xy;
         }
 #pragma unroll
         for (int m = 0; m < 3; ++m) write_reflected<R, Vectors>(position, gradients[now].values[m], result[m]);
@@ -222,11 +222,11 @@ __global__ void __launch_bounds__(2 * kColumnThreads<F>, kBlocksOfGradients)
 #pragma unroll kUnroll
   for (int y = first; y < end; ++y, now ^= 1, slot = slot + 1 == kKept ? 0 : slot + 1) {
     if (has_columns && y - kDelay - 1 >= position.y0 - kDelay) {
-      // Of the row before: the gradient of the derivatives. u and v of adjacent threads are in shared memory.
-      F const *const of_u = back[now ^ 1].values[0] + kPad + position.at, *const of_v = back[now ^ 1].values[1] + kPad +
-                                                                                        position.at;
+      // The gradient of the derivatives of the previous row. u and v of adjacent threads are in shared memory.
+      F const *const u_line = back[now ^ 1].values[0] + kPad + position.at, *const v_line = back[now ^ 1].values[1] +
+                                                                                            kPad + position.at;
       F around_u[P + 2], around_v[P + 2], result[P];
-      around_u[0] = of_u[-1], around_u[P + 1] = of_u[P], around_v[0] = of_v[-1], around_v[P + 1] = of_v[P];
+      around_u[0] = u_line[-1], around_u[P + 1] = u_line[P], around_v[0] = v_line[-1], around_v[P + 1] = v_line[P];
 #pragma unroll
       for (int j = 0; j < P; ++j) around_u[j + 1] = u[j], around_v[j + 1] = v[j];
       if (position.x == 0) around_u[0] = -u[0], around_v[0] = v[0];
@@ -244,24 +244,24 @@ __global__ void __launch_bounds__(2 * kColumnThreads<F>, kBlocksOfGradients)
       }
       if (row >= position.y0 && row < position.y1) columns.write(position, row, result);
 
-      F of_products[3][P];
+      F grad_products[3][P];
 #pragma unroll
       for (int m = 0; m < 3; ++m) {
         F sums[P];
         sum_across(gradients[now ^ 1].values[m], position.at, sums);
-        down.add(m, sums, of_products[m]);
+        down.add(m, sums, grad_products[m]);
       }
-      // Slots hold the rows up to y; row y - 8 is in the one after that of row y.
+      // The ring holds rows y - 8 to y, so row y - 8 is in the slot after that of row y.
       Lines<F, 2> const& derivatives = kept[slot + 1 == kKept ? 0 : slot + 1];
       F dx[P], dy[P];
       read_vector(derivatives.values[0], position.at, dx);
       read_vector(derivatives.values[1], position.at, dy);
-      F const of_row = end_factor(y - kDelay - 1 - R, height, F(0.5));
+      F const row_factor = end_factor(y - kDelay - 1 - R, height, F(0.5));
 #pragma unroll
       for (int j = 0; j < P; ++j) {
-        F const factor = of_row * end_factor(position.x + j, width, F(0.5));
-        u[j] = (2 * dx[j] * of_products[0][j] + dy[j] * of_products[2][j]) * factor;
-        v[j] = (2 * dy[j] * of_products[1][j] + dx[j] * of_products[2][j]) * factor;
+        F const factor = row_factor * end_factor(position.x + j, width, F(0.5));
+        u[j] = (2 * dx[j] * grad_products[0][j] + dy[j] * grad_products[2][j]) * factor;
+        v[j] = (2 * dy[j] * grad_products[1][j] + dx[j] * grad_products[2][j]) * factor;
       }
       write_vector(back[now].values[0], position.at, u);
       write_vector(back[now].values[1], position.at, v);

@@ -1,6 +1,6 @@
-// Shared by the responses of corners and blobs on CUDA: blocks of columns, images whose dtype and layout are run-time
-// arguments, and rows in shared memory with the pixels out of bounds that windows read. Only loads and stores depend on
-// dtype and layout. Included by responses*.cu.
+// Shared code of the responses of corners and blobs on CUDA: blocks of columns, loads and stores, and rows in shared
+// memory that include the pixels out of bounds that windows read. Only loads and stores depend on dtype and layout,
+// which are therefore run-time arguments. Included by responses*.cu.
 #pragma once
 
 #include "core/column_grid.cuh"
@@ -17,7 +17,7 @@ constexpr int kBlockColumns = sizeof(F) == 8 ? 128 : 256;  // at most
 template <class F>
 constexpr int kColumnThreads = kBlockColumns<F> / kColumns;  // of a block, at most
 
-// Planes with strides in bytes; the channels of channels-last images are planes, too.
+// Planes with strides in bytes. Each channel of a channels-last image is a plane.
 using StoredPlanes = Planes<uint8_t>;
 template <class T>
 StoredPlanes stored_planes(Planes<T> const& p) {
@@ -39,7 +39,7 @@ struct Work {
   int rows;               // per block
 };
 
-// Reads the elements of a row in shared memory from `at` on, which is a multiple of 4.
+// Reads N elements of a row in shared memory by vectors, from `at` on, which is a multiple of 4.
 template <class F, int N>
 __device__ __forceinline__ void read_window(F const* line, int at, F (&v)[N]) {
 #pragma unroll
@@ -87,7 +87,7 @@ Work<Compute<T>> work_of(ResponseBackward<T> const& p) {
           arguments_of(p)};
 }
 
-// A row of M values for each column of a block.
+// A row of a block in shared memory: M values for each column.
 template <class F, int M>
 struct Lines {
   alignas(16) F values[M][kBlockColumns<F> + 2 * kPad];  // column `left` of the block is at kPad
@@ -133,7 +133,8 @@ struct Columns {
   __device__ __forceinline__ bool is_inside() const {
     return x > 0 && x + kColumns < width() && planes.step == size_of(work.stored);
   }
-  // N pixels of a row in bounds, those before the first column included; out of bounds it continues with its ends.
+  // N pixels of row `y`, which is in bounds: the thread's columns and (N - kColumns) / 2 on either side, with the
+  // replicate border.
   template <int N>
   __device__ __forceinline__ void read(int y, F (&values)[N]) const {
     constexpr int kBefore = (N - kColumns) / 2;
@@ -188,7 +189,7 @@ __device__ __forceinline__ void read_vector(F const* line, int at, F (&v)[kColum
   for (int j = 0; j < kColumns; ++j) v[j] = vector.v[j];
 }
 
-// Writes those of a thread's columns that are in the image to a line.
+// Writes a thread's columns to a line, except those that are right of the image.
 template <bool Vectors, class F>
 __device__ __forceinline__ void write_line(ColumnPosition const& position, F* line, F const (&v)[kColumns]) {
   if (Vectors || position.x + kColumns <= position.width) {
@@ -200,7 +201,7 @@ __device__ __forceinline__ void write_line(ColumnPosition const& position, F* li
   }
 }
 
-// The same, and where the reflecting border reads them.
+// Writes a thread's columns to a line, and to the columns out of bounds that reflect them.
 template <int Reach, bool Vectors, class F>
 __device__ __forceinline__ void write_reflected(ColumnPosition const& position, F* line, F const (&v)[kColumns]) {
   static_assert(Reach < kColumns && Reach <= kPad);
@@ -220,7 +221,7 @@ __device__ __forceinline__ void write_reflected(ColumnPosition const& position, 
     }
 }
 
-// The same, and where the replicating border reads them.
+// Writes a thread's columns to a line, and the first and the last one of the image to the columns out of bounds too.
 template <int Reach, bool Vectors, class F>
 __device__ __forceinline__ void write_replicated(ColumnPosition const& position, F* line, F const (&v)[kColumns]) {
   static_assert(Reach <= kPad);
@@ -236,15 +237,15 @@ __device__ __forceinline__ void write_replicated(ColumnPosition const& position,
   }
 }
 
-// The barrier of all threads of a block, for warps that go through different loops.
+// A barrier of all threads of a block that warps reach from different loops.
 __device__ __forceinline__ void synchronize_block() {
   asm volatile("barrier.sync 1, %0;" ::"r"(blockDim.x) : "memory");
 }
 
 template <class F>
-constexpr bool kHasVectors = sizeof(F) == 4;  // one kernel serves all images of float64
+constexpr bool kHasVectors = sizeof(F) == 4;  // float64 has one kernel for aligned and unaligned rows
 
-// Launches the kernel for rows of vectors, or the one for all others, with `roles` threads for every four columns.
+// Launches `vectors` if rows are made of vectors, otherwise `any`, with `roles` threads for every four columns.
 template <class F>
 int run(void (*any)(Work<F>), void (*vectors)(Work<F>), Work<F> work, int roles, int reach, int more, int resident,
         CUstream_st* stream) {

@@ -1,13 +1,14 @@
-// Responses of corners and blobs: how much each pixel of an image looks like one.
+// Responses of corners and blobs: a score of each pixel of an image that is high at corners or blobs.
 //
 //   corner   first derivatives dx, dy -> the structure tensor M, their products in a 7 x 7 Gaussian window of sigma 1
 //            Harris: det M - k trace(M)^2. Shi and Tomasi: the smaller eigenvalue of M.
 //   hessian  second derivatives -> the determinant of the Hessian
 //   dog      a Gaussian blur in a window of 13 x 13 minus one in a window of 9 x 9
 //
-// The derivatives have the replicate border, the windows that reflects. A window is symmetric, and so is D W along an
-// axis, where W applies the window and D halves the two ends. Its transpose is therefore D W D^-1: the gradient uses
-// the window of the response. Included by responses_cpu.cpp, responses*.cu and responses_op.cpp.
+// The derivatives have the replicate border, and the windows the reflect border. W, the sum in a window along an axis,
+// is not symmetric at the ends, but D W is, where D halves the two ends. The transpose of W is therefore D W D^-1, so
+// the gradient uses the windows of the response. Included by responses_cpu.cpp, responses*.cu, responses_op.cpp and
+// scale_space/hessian.h.
 #pragma once
 
 #include "core/isa.h"
@@ -19,19 +20,19 @@ namespace kv::feature {
 // The numbers are stable: exported graphs contain them.
 enum class CornerKind : int { harris = 0, gftt = 1 };
 
-// Reach of the window, and that of a gradient through derivatives and windows.
+// The reach of the window, and of a gradient through derivatives and windows.
 constexpr int kWindowReach = 3, kCornerGradientReach = 2 * kWindowReach + 1;
 
-// One value for each sample, or one for all; without data it is `otherwise`.
+// One value for each sample, or one for all samples (stride 0), or a constant (no data).
 template <class F>
 struct SampleValues {
   F const* data;
   int64_t stride;
-  F otherwise;
-  KV_HD F at(int64_t sample) const { return data ? data[sample * stride] : otherwise; }
+  F constant;
+  KV_HD F at(int64_t sample) const { return data ? data[sample * stride] : constant; }
 };
 
-// What responses need to know besides the pixels. Responses are multiplied by the fourth powers of the sigmas.
+// The arguments of responses besides the pixels. Responses are multiplied by the fourth powers of the sigmas.
 template <class F>
 struct ResponseArguments {
   SampleValues<F> k, sigmas;
@@ -60,7 +61,7 @@ struct ResponseBackward {
   ResponseArguments<Compute<T>> arguments;
 };
 
-// The difference of two blurs, or its transpose. Weights are those of a distance along one axis.
+// The difference of two blurs, or its transpose. Weight d is that of pixels at distance d along an axis.
 constexpr int kFineReach = 4, kCoarseReach = 6;
 template <class T>
 struct DifferenceOfGaussians {
@@ -85,7 +86,7 @@ KV_HD constexpr F window_weight(int t) {
   return w[t];
 }
 
-// The pixel at position i of an axis of n > 1 pixels that is reflected as often as needed.
+// The pixel at position i of an axis of n > 1 pixels, reflected as often as needed.
 template <class Int>
 KV_HD Int reflected(Int i, Int n) {
   Int const period = 2 * (n - 1);
@@ -93,7 +94,7 @@ KV_HD Int reflected(Int i, Int n) {
   return i < n ? i : period - i;
 }
 
-// D of pixel i of an axis of n pixels, where the ends are `end`.
+// `end` for the first and the last pixel of an axis of n pixels, 1 for the others: D or its inverse.
 template <class F, class Int>
 KV_HD F end_factor(Int i, Int n, F end) {
   return n > 1 && (i == 0 || i == n - 1) ? end : F(1);
@@ -113,11 +114,11 @@ KV_HD V harris(SymmetricMatrix<V> m, F k) {
 }
 template <class V, class F>
 KV_HD SymmetricMatrix<V> harris_vjp(SymmetricMatrix<V> m, F k, V grad) {
-  V const of_trace = (m.xx + m.yy) * (2 * k);
-  return {grad * (m.yy - of_trace), grad * (m.xx - of_trace), grad * m.xy * F(-2)};
+  V const trace_factor = (m.xx + m.yy) * (2 * k);
+  return {grad * (m.yy - trace_factor), grad * (m.xx - trace_factor), grad * m.xy * F(-2)};
 }
 
-// The discriminant is a sum of squares, which is never negative. Where it is 0 its root has the gradient 0.
+// The discriminant is a sum of squares, so it is never negative. Where it is 0, the gradient of its root is taken as 0.
 template <class V>
 KV_HD V gftt(SymmetricMatrix<V> m, V root) {
   return (m.xx + m.yy - root) / 2;
@@ -127,11 +128,11 @@ KV_HD V gftt_discriminant(SymmetricMatrix<V> m) {
   V const difference = m.xx - m.yy;
   return difference * difference + m.xy * m.xy * 4;
 }
-// From the inverse of the root, or 0 where that is 0.
+// `inverse_root` is 0 where the root is 0.
 template <class V>
 KV_HD SymmetricMatrix<V> gftt_vjp(SymmetricMatrix<V> m, V inverse_root, V grad) {
-  V const half = grad / 2, of_difference = half * (m.xx - m.yy) * inverse_root;
-  return {half - of_difference, half + of_difference, grad * m.xy * inverse_root * -2};
+  V const half = grad / 2, grad_difference = half * (m.xx - m.yy) * inverse_root;
+  return {half - grad_difference, half + grad_difference, grad * m.xy * inverse_root * -2};
 }
 
 template <class V>
@@ -145,8 +146,8 @@ KV_HD SymmetricMatrix<V> determinant_vjp(SymmetricMatrix<V> m, V grad) {
 
 // --- first derivatives -----------------------------------------------------------------------------------------------
 
-// The contributions of a column of three pixels to the derivatives, and of three columns to the pixel between them.
-// Pixels under a zero weight are not read: NaN stays within the derivative's kernel.
+// First derivatives, a column of three pixels at a time. Pixels with weight 0 are not read, so that NaN does not spread
+// beyond the stencil.
 template <class V>
 struct GradientColumn {
   V smooth, difference;
@@ -181,7 +182,7 @@ KV_HD V gradient_vjp(GradientRow<V> above, GradientRow<V> middle, GradientRow<V>
   V const across = sobel ? above.across + middle.across * 2 + below.across : middle.across;
   return (across + above.along - below.along) * scale;
 }
-// The row beyond the first or the last one.
+// The row out of bounds next to the first or the last row.
 template <class V>
 KV_HD GradientRow<V> row_out_of_bounds(GradientRow<V> row) {
   return {row.across, -row.along};
@@ -189,7 +190,7 @@ KV_HD GradientRow<V> row_out_of_bounds(GradientRow<V> row) {
 
 // --- second derivatives ----------------------------------------------------------------------------------------------
 
-// Calls f with their kernel.
+// Calls f with the kernel of second derivatives.
 template <class F>
 KV_HD auto dispatch_second_derivatives(bool sobel, F f) {
   if (sobel)

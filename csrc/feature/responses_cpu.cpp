@@ -1,5 +1,5 @@
-// Responses of corners and blobs on the CPU: rows [begin, end) of all planes in order. Each stage of a pixel's window
-// keeps the rows that the next one reads in a ring. Compiled once per instruction set.
+// Responses of corners and blobs on the CPU: rows [begin, end) of all planes in order. Each stage keeps the rows that
+// the next stage reads in a ring buffer. Compiled once per instruction set.
 #include "core/lanes.h"
 #include "core/scratch.h"
 #include "responses.h"
@@ -9,14 +9,14 @@ namespace {
 
 constexpr int R = kWindowReach, kTaps = 2 * R + 1;
 
-// Rows y of a ring of N rows of `size` elements; y is at least -2 N.
+// A ring buffer of N rows of `size` elements. Row y is in slot y mod N; y is at least -2 N.
 template <int N, class F>
 struct RowRing {
   F* data;
   int64_t size;
   KV_HD F* operator[](int64_t y) const { return data + (y + 2 * N) % N * size; }
 
-  // All rows, those around row y in order.
+  // Pointers to all rows of the ring, in the order of rows, with row y in the middle.
   struct Window {
     F const* rows[N];
   };
@@ -68,7 +68,7 @@ struct WindowAlongX {
   }
 };
 
-// The window along y over rows of such sums.
+// The sums in the window along y of rows that WindowAlongX has summed.
 template <int N, class F>
 KV_HD SymmetricMatrix<Lanes<F, N>> sum_down(F const* const (&rows)[kTaps], int64_t size, int64_t e) {
   SymmetricMatrix<Lanes<F, N>> sum{};
@@ -153,11 +153,11 @@ void corner_response_backward(ResponseBackward<T> const& p, int64_t begin, int64
   int64_t const size = p.x.row_size(), step = p.x.step, height = p.x.height, padded = size + 2 * step;
   bool const sobel = p.arguments.sobel;
   F const gradient_factor = gradient_scale<F>(sobel);
-  int64_t const in_window = WindowAlongX<F>::elements(size, step), in_ring = kTaps * 3 * size;
-  Scratch<F> scratch(in_window + 2 * in_ring + kTaps * 2 * size + 2 * padded + 3 * 2 * size);
+  int64_t const window_elements = WindowAlongX<F>::elements(size, step), ring_elements = kTaps * 3 * size;
+  Scratch<F> scratch(window_elements + 2 * ring_elements + kTaps * 2 * size + 2 * padded + 3 * 2 * size);
   WindowAlongX<F> const window{scratch.data, size, step};
-  RowRing<kTaps, F> const summed{scratch.data + in_window, 3 * size}, summed_back{summed.data + in_ring, 3 * size},
-      gradients{summed_back.data + in_ring, 2 * size};
+  RowRing<kTaps, F> const summed{scratch.data + window_elements, 3 * size},
+      summed_back{summed.data + ring_elements, 3 * size}, gradients{summed_back.data + ring_elements, 2 * size};
   F* const u = gradients.data + kTaps * 2 * size + step;
   F* const v = u + padded;
   RowRing<3, F> const rows{v - step + padded, 2 * size};
@@ -423,9 +423,10 @@ void difference_of_gaussians(DifferenceOfGaussians<T> const& p, int64_t begin, i
     auto const around = ring.around(y);
     for_each_vector<F>(0, size, [&](auto width, int64_t e) {
       constexpr int N = decltype(width)::value;
-      auto const of_coarse = blur(p.coarse, coarse, [&](int d) { return load<N>(around.rows[coarse + d] + size + e); });
-      auto const of_fine = blur(p.fine, fine, [&](int d) { return load<N>(around.rows[coarse + d] + e); });
-      store<N>(results + e, (of_coarse - of_fine) * factor);
+      auto const coarse_blur =
+          blur(p.coarse, coarse, [&](int d) { return load<N>(around.rows[coarse + d] + size + e); });
+      auto const fine_blur = blur(p.fine, fine, [&](int d) { return load<N>(around.rows[coarse + d] + e); });
+      store<N>(results + e, (coarse_blur - fine_blur) * factor);
     });
     for (int64_t e = 0; e < step; ++e) results[e] *= end_out, results[size - step + e] *= end_out;
     for_each_vector<T>(0, size, [&](auto width, int64_t e) {

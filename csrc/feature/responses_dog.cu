@@ -1,21 +1,21 @@
 // Differences of two Gaussian blurs on CUDA.
 //
-// A block traverses its columns downwards, four rows at a time. In steps along y each thread has one column and adds
-// each new row to the running sums of both windows. In steps along x it has four columns of one of the four rows, so
-// that it loads vectors and shares them between its windows; it sums both and subtracts.
+// A block traverses its columns downwards, four rows at a time. Along y each thread has one column and adds each new
+// row to the running sums of both windows. Along x it has four columns of one of the four rows, so that it loads
+// vectors and its four windows read them from registers. It sums both blurs along x and subtracts them.
 #include "responses.cuh"
 
 namespace kv::feature::cuda {
 namespace {
 
-constexpr int R = kCoarseReach, kWidePad = 8, kReach = 8, kMoreRows = 2 * R + 2;
+constexpr int R = kCoarseReach, kCoarsePad = 8, kReach = 8, kMoreRows = 2 * R + 2;
 constexpr int kBlocks = 3;  // of a multiprocessor
 constexpr int kRows = 4;    // processed together; also the columns of a thread along x
 
-// M values for each column of four rows.
+// Four rows in shared memory: M values for each column.
 template <class F, int M>
 struct RowGroup {
-  alignas(16) F values[kRows][M][kBlockColumns<F> + 2 * kWidePad];  // column `left` of the block is at kWidePad
+  alignas(16) F values[kRows][M][kBlockColumns<F> + 2 * kCoarsePad];  // column `left` of the block is at kCoarsePad
 };
 
 // The position of a block and its threads. Along y each thread has the column `column`; along x it has the columns from
@@ -45,9 +45,9 @@ struct BlockPosition {
   __device__ __forceinline__ bool owns_some() const { return x + kRows > first && x < last; }
   // Calls f(index in the block's row) for every position out of bounds within `Reach` that reads column `c`.
   template <int Reach, class F>
-  __device__ __forceinline__ void for_each_outside(Border border, int c, F f) const {
+  __device__ __forceinline__ void for_each_reader_out_of_bounds(Border border, int c, F f) const {
     for_each_reader(border, c, width, left == 0 ? Reach : 0, Reach, [&](int i) {
-      if (i != c && i - left < int(blockDim.x) + kWidePad) f(kWidePad + i - left);
+      if (i != c && i - left < int(blockDim.x) + kCoarsePad) f(kCoarsePad + i - left);
     });
   }
   template <int Reach>
@@ -56,7 +56,7 @@ struct BlockPosition {
   }
 };
 
-// Writes a thread's columns of a row along x, of which only those that the block owns.
+// Writes those of a thread's columns along x that the block owns.
 template <class F>
 __device__ __forceinline__ void write_row(Work<F> const& work, BlockPosition const& position, int y,
                                           F const (&values)[kRows]) {
@@ -78,7 +78,7 @@ struct BlurWeights {
   F fine[kFineReach + 1], coarse[kCoarseReach + 1];
 };
 
-// The sums in the window of a blur around the kRows elements of `v` from `First` on.
+// The sums of a blur along x for kRows elements of `v` from `First` on.
 template <int Reach, int First, class F, int N>
 __device__ __forceinline__ void blur(F const (&v)[N], F const (&weights)[Reach + 1], F (&sums)[kRows]) {
 #pragma unroll
@@ -130,7 +130,7 @@ __global__ void __launch_bounds__(kBlockColumns<F>, kBlocks)
                    (end_in_x * end_factor(at, height, end_in));
         }
       });
-      int const at = int(threadIdx.x) + kWidePad;
+      int const at = int(threadIdx.x) + kCoarsePad;
       F values[kRows][2];
 #pragma unroll
       for (int r = 0; r < kRows; ++r) {
@@ -139,7 +139,7 @@ __global__ void __launch_bounds__(kBlockColumns<F>, kBlocks)
         for (int m = 0; m < 2; ++m) groups[group].values[r][m][at] = values[r][m];
       }
       if (position.is_near_end<R>(column, 1))
-        position.for_each_outside<R>(Border::reflect, column, [&](int to) {
+        position.for_each_reader_out_of_bounds<R>(Border::reflect, column, [&](int to) {
 #pragma unroll
           for (int r = 0; r < kRows; ++r)
 #pragma unroll
@@ -149,12 +149,12 @@ __global__ void __launch_bounds__(kBlockColumns<F>, kBlocks)
     __syncthreads();
     int const row = y - R + position.r, first = position.x - position.left;
     if (row < position.y0 || row >= position.y1 || !position.owns_some()) continue;
-    F const(&lines)[2][kBlockColumns<F> + 2 * kWidePad] = groups[group].values[position.r];
-    F around[12], wide[20], result[kRows], sums[kRows];
-    read_window(lines[1], first, wide);
-    blur<kCoarseReach, 8>(wide, weights.coarse, result);
-    read_window(lines[0], first + 4, around);
-    blur<kFineReach, 4>(around, weights.fine, sums);
+    F const(&lines)[2][kBlockColumns<F> + 2 * kCoarsePad] = groups[group].values[position.r];
+    F fine_window[12], coarse_window[20], result[kRows], sums[kRows];
+    read_window(lines[1], first, coarse_window);
+    blur<kCoarseReach, 8>(coarse_window, weights.coarse, result);
+    read_window(lines[0], first + 4, fine_window);
+    blur<kFineReach, 4>(fine_window, weights.fine, sums);
     F const end_out_y = end_factor(row, height, end_out);
 #pragma unroll
     for (int j = 0; j < kRows; ++j)

@@ -3,9 +3,9 @@
 // A block traverses its columns downwards, row by row; a thread has four columns. The steps of an iteration are
 // independent: each reads what the one before it wrote to shared memory in the iteration before.
 //
-//   row y      rows of the second derivatives along y
-//   row y - 1  and along x; gradient of the determinant
-//   row y - 2  transposed rows along x and, by running sums, along y
+//   row y      second derivatives along y
+//   row y - 1  second derivatives along x; gradient of the determinant
+//   row y - 2  transposed derivatives along x and, by running sums, along y
 #include "responses.cuh"
 
 namespace kv::feature::cuda {
@@ -25,7 +25,7 @@ struct RowWeights<filters::WeightRow<W...>> {
   }
 };
 
-// The rows of pixels of a thread's columns that second derivatives along y read.
+// The rows of a thread's columns that second derivatives along y read.
 template <class Kernel, class F, bool Vectors>
 struct PixelRows {
   static constexpr int reach = Kernel::reach;
@@ -43,7 +43,7 @@ struct PixelRows {
   __device__ __forceinline__ void read(int y, F (&row)[P]) const {
     columns.read(clamp(y, 0, int(columns.work.x.height) - 1), row);
   }
-  // The derivatives along y of row y, to `lines`; the next call is for the row below.
+  // Writes the derivatives along y of row y to `lines`. Calls are in the order of rows.
   __device__ __forceinline__ void advance(int y, ColumnPosition const& position, Lines<F, 3>& lines) {
 #pragma unroll
     for (int i = 0; i < 2 * reach; ++i)
@@ -61,7 +61,7 @@ struct PixelRows {
   }
 };
 
-// Along x: the Hessians of a thread's columns.
+// The Hessians of a thread's columns, by derivatives along x of the derivatives along y in `lines`.
 template <class Kernel, class F>
 __device__ __forceinline__ void hessians(int at, Lines<F, 3> const& lines, SymmetricMatrix<F> (&result)[P]) {
   F derivatives[3][P];
@@ -90,11 +90,11 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks) hessian_forward(__
   for (int y = position.y0; y <= position.y1; ++y, now ^= 1) {
     if (y < position.y1 && position.x < position.width) pixels.advance(y, position, lines[now]);
     if (y > position.y0 && writes) {
-      SymmetricMatrix<F> of_row[P];
-      hessians<Kernel>(position.at, lines[now ^ 1], of_row);
+      SymmetricMatrix<F> hessian[P];
+      hessians<Kernel>(position.at, lines[now ^ 1], hessian);
       F result[P];
 #pragma unroll
-      for (int j = 0; j < P; ++j) result[j] = scale * determinant(of_row[j]);
+      for (int j = 0; j < P; ++j) result[j] = scale * determinant(hessian[j]);
       results.write(position, y - 1, result);
     }
     __syncthreads();
@@ -115,7 +115,7 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocksOfGradients)
   for (int i = int(threadIdx.x); i < int(sizeof(gradients) / sizeof(F)); i += int(blockDim.x))
     gradients[0].values[0][i] = 0;  // gradients out of bounds stay 0
   __syncthreads();
-  F sums[2 * reach][P] = {}, outside[P] = {};  // of incomplete rows; of rows before the first one
+  F sums[2 * reach][P] = {}, before_first[P] = {};  // of incomplete rows; of rows above the image
   int now = 0;
 #pragma unroll 1
   for (int y = y0 - reach; y < y1 + reach + 2; ++y, now ^= 1) {
@@ -125,12 +125,12 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocksOfGradients)
       bool const in_bounds = row >= 0 && row < height;
       if (in_bounds) grads.read(row, grad);
       pixels.advance(y, position, lines[now]);
-      SymmetricMatrix<F> of_row[P];
-      hessians<Kernel>(position.at, lines[now ^ 1], of_row);
+      SymmetricMatrix<F> hessian[P];
+      hessians<Kernel>(position.at, lines[now ^ 1], hessian);
       F result[3][P];
 #pragma unroll
       for (int j = 0; j < P; ++j) {
-        SymmetricMatrix<F> const d = determinant_vjp(of_row[j], grad[j] * scale);
+        SymmetricMatrix<F> const d = determinant_vjp(hessian[j], grad[j] * scale);
         bool const is_pixel = in_bounds && row >= y0 - reach && (Vectors || x + j < width);
         result[0][j] = is_pixel ? d.xx : F(0), result[1][j] = is_pixel ? d.xy : F(0);
         result[2][j] = is_pixel ? d.yy : F(0);
@@ -170,8 +170,8 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocksOfGradients)
       int const completed = y - 2 - reach;
 #pragma unroll
       for (int j = 0; j < P; ++j) {
-        if (completed < 0) outside[j] += complete[j];
-        if (completed == 0) complete[j] += outside[j];
+        if (completed < 0) before_first[j] += complete[j];
+        if (completed == 0) complete[j] += before_first[j];
         if (completed == height - 1)
 #pragma unroll
           for (int t = 0; t < reach; ++t) complete[j] += sums[t][j];

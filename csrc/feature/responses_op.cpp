@@ -1,4 +1,4 @@
-// Responses of corners and blobs: schemas and entries, for CPU and CUDA alike.
+// Responses of corners and blobs: schemas and entries, for CPU and CUDA.
 #include <cmath>
 
 #include "glue/glue.h"
@@ -9,20 +9,20 @@ namespace {
 
 using OptionalTensor = std::optional<Tensor>;
 
-// The values of samples, in the type that is computed in. `storage` keeps them until kernels are launched.
+// The values of samples, in the compute type. `storage` owns their memory until kernels are launched.
 template <class F>
 SampleValues<F> sample_values(char const* op, char const* name, Tensor const& x, OptionalTensor const& values,
-                              F otherwise, Tensor& storage) {
-  if (!values) return {nullptr, 0, otherwise};
+                              F constant, Tensor& storage) {
+  if (!values) return {nullptr, 0, constant};
   KV_CHECK(values->dim() == 1 && (values->size(0) == 1 || values->size(0) == x.size(0)), op, ": expected ", name,
            " of shape (1,) or (", x.size(0), ",)");
   KV_CHECK(values->scalar_type() == compute_dtype(x), op, ": expected ", name, " in the type that is computed in");
   KV_CHECK(values->device() == x.device(), op, ": expected ", name, " on the device of input");
   storage = dense(*values);
-  return {data_ptr<F const>(storage), values->size(0) == 1 ? 0 : 1, otherwise};
+  return {data_ptr<F const>(storage), values->size(0) == 1 ? 0 : 1, constant};
 }
 
-// The window reflects once.
+// Sizes at which the window reflects at most once.
 void check_size(char const* op, Tensor const& x) {
   KV_CHECK(x.size(2) > kWindowReach && x.size(3) > kWindowReach, op, ": expected images of at least ", kWindowReach + 1,
            " pixels along each side");
@@ -37,17 +37,18 @@ CornerKind checked_kind(char const* op, int64_t kind) {
   return CornerKind(kind);
 }
 
-// Calls run(type, arguments) with the storage type and the arguments in the type that is computed in.
+// Calls run(type, arguments) with the storage type, and the arguments in the compute type.
 template <class Run>
 void with_arguments(char const* op, Tensor const& x, Layout layout, OptionalTensor const& k,
                     OptionalTensor const& sigmas, double fixed_k, CornerKind kind, filters::DerivativeMode mode,
                     Run run) {
   dispatch_floating(op, x, [&](auto type) {
     using F = Compute<typename decltype(type)::type>;
-    Tensor of_k, of_sigmas;
-    ResponseArguments<F> const arguments{
-        sample_values<F>(op, "k", x, k, F(fixed_k), of_k), sample_values<F>(op, "sigmas", x, sigmas, F(1), of_sigmas),
-        layout == Layout::planar ? x.size(1) : 1, kind, mode == filters::DerivativeMode::sobel};
+    Tensor k_storage, sigma_storage;
+    ResponseArguments<F> const arguments{sample_values<F>(op, "k", x, k, F(fixed_k), k_storage),
+                                         sample_values<F>(op, "sigmas", x, sigmas, F(1), sigma_storage),
+                                         layout == Layout::planar ? x.size(1) : 1, kind,
+                                         mode == filters::DerivativeMode::sobel};
     run(type, arguments);
   });
 }
@@ -116,7 +117,7 @@ Tensor hessian_response_backward(Tensor const& grad, Tensor const& input, Option
   return grad_x;
 }
 
-// The weights of distances up to `Reach`, whose window sums to 1.
+// The weights of a Gaussian at distances up to `Reach`. The weights of the window sum to 1.
 template <int Reach, class F>
 void gaussian_weights(char const* op, double sigma, F (&weights)[Reach + 1]) {
   KV_CHECK(sigma > 0 && std::isfinite(sigma), op, ": expected sigmas above 0, got ", sigma);

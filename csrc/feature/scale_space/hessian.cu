@@ -1,5 +1,5 @@
-// Responses of blobs on CUDA. Each warp goes down a strip of columns and keeps the derivatives along x of the last rows
-// in registers, as filters/edges/spatial_gradient.cu does; the derivatives of a pixel are never stored.
+// Hessian responses of levels on CUDA. Each warp traverses a strip of columns downwards and keeps the derivatives along
+// x of the last rows in registers, as filters/edges/spatial_gradient.cu does; derivatives are never stored.
 #include "core/launch.cuh"
 #include "feature/scale_space/hessian.h"
 
@@ -46,10 +46,8 @@ __global__ void __launch_bounds__(256) hessian_strip(__grid_constant__ LevelHess
         derivatives[c.value][i] = c.down().dot([&](int k) { return along[k][c.value][i]; }) * c.template scale<F>(true);
     });
 #pragma unroll
-    for (int i = 0; i < P; ++i) {
-      F const d[3] = {derivatives[0][i], derivatives[1][i], derivatives[2][i]};
-      result[i] = scaled_determinant(d, factor);
-    }
+    for (int i = 0; i < P; ++i)
+      result[i] = determinant(SymmetricMatrix<F>{derivatives[0][i], derivatives[2][i], derivatives[1][i]}) * factor;
     strip.store_in_stripes(p.y.row(plane, y), result);
 #pragma unroll
     for (int k = 0; k < 2 * R; ++k)
@@ -71,7 +69,7 @@ int level_hessian(LevelHessian<T> const& p, CUstream_st* stream) {
       hessian_strip<Kernel, T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
     });
   };
-  p.kind == filters::DerivativeKind::sobel2 ? run(filters::Sobel2{}) : run(filters::Diff2{});
+  p.sobel ? run(filters::Sobel2{}) : run(filters::Diff2{});
   return cudaGetLastError();
 }
 

@@ -1,5 +1,5 @@
-// The strongest features of images in one call: their scale space, its response, and the peaks of all octaves. The
-// schema and the operator, for CPU and CUDA.
+// The strongest features of images in one call: their scale space, its response, and the peaks of all octaves. Schema
+// and entry, for CPU and CUDA.
 #include "feature/scale_space/hessian.h"
 #include "feature/scale_space/scale_space_peaks_glue.h"
 #include "geometry/transform/pyramid_glue.h"
@@ -7,8 +7,9 @@
 namespace kv::feature {
 namespace {
 
-// The levels (B, L, H, W) of each octave of images (B, 1, H, W). The first octave begins with the image, resized to its
-// size and blurred; the others with level `next` of the one before. Every level is blurred to the next one.
+// The levels (B, L, H, W) of each octave of images (B, 1, H, W). The first level of the first octave is the image,
+// resized to the size of the octave and blurred. That of other octaves is level `next` of the previous octave, resized.
+// Each following level is a blur of the level before it.
 struct ScaleSpace {
   std::vector<Tensor> octaves;
 
@@ -25,7 +26,7 @@ struct ScaleSpace {
       T* const data = data_ptr<T>(octave);
       auto const level = [&](int64_t l) { return planes_of_level(data, batch, levels, l, h, w); };
       auto const level_to_read = [&](int64_t l) { return planes_of_level<T const>(data, batch, levels, l, h, w); };
-      // A blur of the first level goes by way of the second one, which is not written yet.
+      // If the first level is resized and blurred, the second one, which is not written yet, holds what is resized.
       bool const is_blurred = window[0] > 0, is_resized = h != height || w != width;
       Planes<T> const first = level(is_blurred && is_resized ? 1 : 0);
       if (is_resized || !is_blurred)
@@ -40,6 +41,30 @@ struct ScaleSpace {
     return space;
   }
 };
+
+// The responses of the levels (B, L, H, W) of an octave, which have these blurs.
+template <class T>
+Tensor hessian_responses(Tensor const& octave, std::vector<double> const& blurs, bool sobel) {
+  using F = Compute<T>;
+  int64_t const levels = octave.size(1), planes = octave.size(0) * levels, h = octave.size(2), w = octave.size(3);
+  Tensor const response = empty(octave.sizes(), octave);
+  Planes<T const> const x = adjacent_planes(data_ptr<T const>(octave), planes, h, w);
+  Planes<T> const y = adjacent_planes(data_ptr<T>(response), planes, h, w);
+#if defined(KV_CUDA)
+  LevelHessian<T> params{x, y, sobel, {}, int(levels)};
+  for (int64_t l = 0; l < levels; ++l) {
+    F const square = F(blurs[size_t(l)]) * F(blurs[size_t(l)]);
+    params.factors[l] = square * square;
+  }
+  KV_RUN(level_hessian, octave, params, planes * h, 0);
+#else
+  std::vector<F> sigmas;  // of all planes
+  for (int64_t p = 0; p < planes; ++p) sigmas.push_back(F(blurs[size_t(p % levels)]));
+  Response<T> const params{x, y, {{nullptr, 0, 0}, {sigmas.data(), 1, 0}, 1, CornerKind::harris, sobel}};
+  KV_RUN(hessian_response, octave, params, planes * h, 3 * w);
+#endif
+  return response;
+}
 
 std::tuple<Tensor, Tensor> scale_space_features(Tensor const& input, std::vector<int64_t> sizes,
                                                 std::vector<int64_t> windows, std::vector<double> sigmas, int64_t next,
@@ -76,20 +101,9 @@ std::tuple<Tensor, Tensor> scale_space_features(Tensor const& input, std::vector
     for (int64_t o = 0; o < octaves; ++o) {
       Tensor const& octave = space.octaves[size_t(o)];
       int64_t const h = octave.size(2), w = octave.size(3);
-      Tensor const& response = differences ? octave : responses.emplace_back(empty(octave.sizes(), octave));
-      if (!differences) {
-        LevelHessian<T> hessian_of{};
-        hessian_of.x = adjacent_planes(data_ptr<T const>(octave), batch * levels, h, w);
-        hessian_of.y = adjacent_planes(data_ptr<T>(response), batch * levels, h, w);
-        hessian_of.kind = mode == 0 ? filters::DerivativeKind::sobel2 : filters::DerivativeKind::diff2;
-        hessian_of.scale_count = int(levels);
-        for (int64_t l = 0; l < levels; ++l) {
-          F const square = F(blurs[size_t(l)]) * F(blurs[size_t(l)]);
-          hessian_of.factors[l] = square * square;
-        }
-        KV_RUN(level_hessian, octave, hessian_of, batch * levels * h, 8 * w);
-      }
-      // Pixels of an octave and of the image have the same corners.
+      Tensor const& response =
+          differences ? octave : responses.emplace_back(hessian_responses<T>(octave, blurs, mode == 0));
+      // The centers of the corner pixels of an octave and of the image coincide.
       auto const step = [](int64_t image_side, int64_t side) {
         return side > 1 ? F(double(image_side - 1) / double(side - 1)) : F(1);
       };

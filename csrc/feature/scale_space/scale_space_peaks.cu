@@ -1,4 +1,4 @@
-// Peaks of scale spaces on CUDA. A thread searches the voxels of a pixel and lists the ranks of those that are peaks,
+// Peaks of scale spaces on CUDA. Threads search the voxels of all levels and list the ranks of those that are peaks,
 // in any order. Then a block for each sample selects the strongest digit by digit, sorts them, and refines them again:
 // the same peaks in the same order every run.
 #include "core/launch.cuh"
@@ -7,7 +7,7 @@
 namespace kv::feature::cuda {
 namespace {
 
-constexpr int kThreads = 256, kChoosers = 1024;
+constexpr int kThreads = 256, kChooseThreads = 1024;
 constexpr int kSharedBytes = 32768;  // of ranks that are sorted in shared memory
 
 template <class T>
@@ -39,7 +39,7 @@ struct Neighborhood {
   __device__ __forceinline__ bool is_above(F value) const { return value < lowest && value < center && all_numbers; }
 };
 
-// Lists an extremum if it is a peak.
+// Adds an extremum to the list of its sample, if it is a peak.
 template <class T, class Response, class At>
 __device__ __forceinline__ void list_if_peak(ScaleSpacePeaks<T> const& p, PeakOctave<T> const& octave, int64_t sample,
                                              T const* levels, int z, int y, int x, bool is_maximum, Response response,
@@ -60,7 +60,8 @@ __device__ __forceinline__ auto response_around(T const* levels, PeakOctave<T> c
   return [=](int dy, int dx) { return response(center[int64_t(dy) * width + dx]); };
 }
 
-// A block a tile, of all octaves one after the other; samples along y. For any number of levels.
+// Lists the peaks of octaves with any number of levels. One block per tile, of all octaves one after the other; samples
+// are along y.
 template <class T>
 __global__ void __launch_bounds__(kThreads) list_peaks(__grid_constant__ ScaleSpacePeaks<T> const p) {
   using F = Compute<T>;
@@ -89,16 +90,17 @@ __global__ void __launch_bounds__(kThreads) list_peaks(__grid_constant__ ScaleSp
   }
 }
 
-// What a row of all levels says about a pixel: its own values, and the extrema of its neighbors in the row, with and
-// without itself. Bit z of `odd`: of level z one of the three is NaN, which extrema skip.
+// A pixel and its two neighbors in a row, in all levels: the values of the pixel, and the extrema of the three pixels
+// and of the two neighbors. Bit z of `odd` is set if one of the three is NaN in level z, because minima and maxima skip
+// NaN.
 template <class F, int Levels>
 struct RowExtrema {
   F own[Levels], highest[Levels], lowest[Levels], highest_other[Levels], lowest_other[Levels];
   unsigned odd;
 };
 
-// The same tiles for a fixed number of levels. A lane has a column, of which the outermost two are those of adjacent
-// tiles, and a warp goes down some rows: a voxel is read once.
+// Lists the peaks of octaves with a fixed number of levels. A lane has a column, and the outermost two columns of a
+// warp belong to adjacent tiles. A warp traverses some rows downwards, so that a voxel is read once.
 template <class T, int Levels>
 __global__ void __launch_bounds__(kThreads) list_peaks_of_rows(__grid_constant__ ScaleSpacePeaks<T> const p) {
   using F = Compute<T>;
@@ -198,9 +200,9 @@ __device__ void choose(PeakRank<F> const* ranks, int64_t n, int wanted, RankPref
   if (threadIdx.x == 0) prefix.length = 0, missing = wanted, done = false;
   __syncthreads();
   for (int d = 0; d < int(sizeof(F)) + 4 && !done; ++d) {
-    for (int i = threadIdx.x; i < 256; i += kChoosers) counts[i] = 0;
+    for (int i = threadIdx.x; i < 256; i += kChooseThreads) counts[i] = 0;
     __syncthreads();
-    for (int64_t i = threadIdx.x; i < n; i += kChoosers)
+    for (int64_t i = threadIdx.x; i < n; i += kChooseThreads)
       if (prefix.compare(ranks[i]) == 0) atomicAdd(counts + digit_of(ranks[i], d), 1);
     __syncthreads();
     if (threadIdx.x < 32) {  // eight digits a lane, the largest in lane 0
@@ -232,7 +234,7 @@ template <class F>
 __device__ void bitonic_sort(PeakRank<F>* ranks, int64_t size) {
   for (int64_t run = 2; run <= size; run *= 2)
     for (int64_t apart = run / 2; apart > 0; apart /= 2) {
-      for (int64_t pair = threadIdx.x; pair < size / 2; pair += kChoosers) {
+      for (int64_t pair = threadIdx.x; pair < size / 2; pair += kChooseThreads) {
         int64_t const i = 2 * apart * (pair / apart) + pair % apart, j = i + apart;
         PeakRank<F> const a = ranks[i], b = ranks[j];
         if ((i & run) == 0 ? b < a : a < b) ranks[i] = b, ranks[j] = a;
@@ -245,7 +247,7 @@ __device__ void bitonic_sort(PeakRank<F>* ranks, int64_t size) {
 template <class T>
 __device__ bool varies(T const* image, int64_t pixels) {
   auto const first = pixels > 0 ? read(image[0]) : 0;
-  for (int64_t start = 0; start < pixels; start += kChoosers) {
+  for (int64_t start = 0; start < pixels; start += kChooseThreads) {
     int64_t const i = start + threadIdx.x;
     if (__syncthreads_or(i < pixels && !(read(image[i]) == first))) return true;
   }
@@ -254,9 +256,9 @@ __device__ bool varies(T const* image, int64_t pixels) {
 
 extern __shared__ double shared_ranks[];
 
-// A block a sample.
+// One block per sample.
 template <class T>
-__global__ void __launch_bounds__(kChoosers) choose_peaks(__grid_constant__ ScaleSpacePeaks<T> const p) {
+__global__ void __launch_bounds__(kChooseThreads) choose_peaks(__grid_constant__ ScaleSpacePeaks<T> const p) {
   using F = Compute<T>;
   __shared__ RankPrefix prefix;
   __shared__ int chosen;
@@ -269,13 +271,13 @@ __global__ void __launch_bounds__(kChoosers) choose_peaks(__grid_constant__ Scal
   if (threadIdx.x == 0) prefix.length = 0, chosen = 0;
   __syncthreads();
   if (kept > 0 && kept < n) choose(listed, n, int(kept), prefix);
-  for (int64_t i = threadIdx.x; i < n && kept > 0; i += kChoosers)
+  for (int64_t i = threadIdx.x; i < n && kept > 0; i += kChooseThreads)
     if (prefix.compare(listed[i]) >= 0) sorted[atomicAdd(&chosen, 1)] = listed[i];
-  for (int64_t i = kept + threadIdx.x; i < size; i += kChoosers) sorted[i] = {-INFINITY, INT32_MAX};
+  for (int64_t i = kept + threadIdx.x; i < size; i += kChooseThreads) sorted[i] = {-INFINITY, INT32_MAX};
   __syncthreads();
   bitonic_sort(sorted, size);
 
-  for (int64_t i = threadIdx.x; i < p.count; i += kChoosers) {
+  for (int64_t i = threadIdx.x; i < p.count; i += kChooseThreads) {
     ScaleSpacePeak<F> peak{0, 0, 0, 0, 0, -1};
     if (i < kept) {
       PeakOctave<T> const& octave = p.octave_of_voxel(sorted[i].voxel);
@@ -290,7 +292,7 @@ __global__ void __launch_bounds__(kChoosers) choose_peaks(__grid_constant__ Scal
   }
 }
 
-// A thread a slot. Gradients of peaks that share voxels are added by atomics.
+// One thread per slot. Gradients of peaks that share voxels are added by atomics.
 template <class T>
 __global__ void __launch_bounds__(kThreads) add_gradients(__grid_constant__ ScaleSpacePeaksBackward<T> const p) {
   using F = Compute<T>;
@@ -316,7 +318,8 @@ int find_scale_space_peaks(ScaleSpacePeaks<T> const& p, CUstream_st* stream) {
   if (int const error = cudaMemsetAsync(p.sizes, 0, size_t(p.samples) * sizeof(int64_t), stream)) return error;
   if (p.parts_of_sample == 0) return cudaSuccess;
   dim3 const grid(unsigned(p.parts_of_sample), unsigned(p.samples < 65535 ? p.samples : 65535));
-  constexpr int kLevels = 5;  // of octaves with three levels, and the two next to them
+  constexpr int kLevels =
+      5;  // of octaves with three levels, besides the two that the first and the last one compare with
   bool has_levels = true;
   for (int o = 0; o < p.octave_count; ++o) has_levels = has_levels && p.octaves[o].size[0] == kLevels;
   if (has_levels)
@@ -328,7 +331,7 @@ int find_scale_space_peaks(ScaleSpacePeaks<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int sort_scale_space_peaks(ScaleSpacePeaks<T> const& p, CUstream_st* stream) {
-  choose_peaks<T><<<unsigned(p.samples), kChoosers, kSharedBytes, stream>>>(p);
+  choose_peaks<T><<<unsigned(p.samples), kChooseThreads, kSharedBytes, stream>>>(p);
   return cudaGetLastError();
 }
 

@@ -27,7 +27,7 @@ constexpr int kMaxOctaves = 16;    // MAX_OCTAVES in python/kvision/feature/scal
 template <class F>
 struct ScaleSpacePeak {
   F score, value, level, x, y;
-  int64_t voxel;  // the one that is above its neighbors; its number among those of all octaves
+  int64_t voxel;  // the extremum, as an index into the voxels of all octaves
 };
 
 // The order of peaks: the strongest first, and of equal scores the first voxel, so that there is only one order.
@@ -47,7 +47,7 @@ KV_HD int peak_tiles(int height, int width) {
   return peak_tiles_across(width) * ((height - 2 + kPeakTileHeight - 1) / kPeakTileHeight);
 }
 
-// How many ranks are sorted to have the first `count` of at most `capacity`: a power of two.
+// The size of the sorted list that has the first `count` of at most `capacity` ranks: a power of two.
 KV_HD int64_t sorted_ranks(int64_t count, int64_t capacity) {
   int64_t size = 1;
   while (size < count && size < capacity) size *= 2;
@@ -60,7 +60,7 @@ struct PeakOctave {
   int size[3];         // D, H, W
   int first_part = 0;  // of the octave, among the parts of a sample: bands on the CPU, tiles on CUDA
   int first_voxel = 0;
-  Compute<T> to_x = 1, to_y = 1;  // how many pixels of the image one of the octave is
+  Compute<T> to_x = 1, to_y = 1;  // the size of a pixel of the octave, in pixels of the image
 
   KV_HD int64_t plane() const { return int64_t(size[1]) * size[2]; }
   KV_HD T const* of_sample(int64_t sample, bool differences) const {
@@ -75,7 +75,7 @@ struct ScaleSpacePeaks {
   Compute<T> const* weights;  // (samples, H, W) in [0, 1], of a single octave; null for 1
   Compute<T> const* scales;   // (samples): s_0; null for `scale`
   Compute<T> scale;
-  T const* images;  // (samples, pixels): one whose pixels are all the same has no peaks; null: not asked
+  T const* images;  // (samples, pixels): a constant image has no peaks; null if this is not checked
   int64_t pixels;
   // On the CPU the strongest of each band of rows are kept, on CUDA the ranks of all peaks of a sample.
   ScaleSpacePeak<Compute<T>>* bands;  // (samples, parts_of_sample, count)
@@ -86,7 +86,7 @@ struct ScaleSpacePeaks {
   int64_t* voxels;                       // (samples, count), -1 after the last peak
   Compute<T>* frames;                    // (samples, count, 2, 3), 0 after the last peak
   Compute<T>* scores;                    // (samples, count), 0 after the last peak
-  geometry::ConvQuadInterp3d<T> search;  // how to refine; without tensors and sizes
+  geometry::ConvQuadInterp3d<T> search;  // the parameters of the refinement; tensors and sizes are not set
   int64_t samples, capacity, count;
   bool differences, minima;
   Compute<T> levels_of_octave, margin, edge_ratio, threshold;  // n; pixels; r, 0 keeps edges
@@ -164,7 +164,7 @@ KV_HD bool is_allowed(F const* weights, int width, F x, F y) {
   return upper[left] > 0 && upper[right] > 0 && lower[left] > 0 && lower[right] > 0;
 }
 
-// What an extremum is refined to. read(level) is the response at a voxel of the sample's levels.
+// The peak that an extremum is refined to. read(level) is the response at a voxel of the sample's levels.
 template <class T, class Read>
 KV_HD ScaleSpacePeak<Compute<T>> refine_extremum(geometry::ConvQuadInterp3d<T> const& search, T const* levels, int z,
                                                  int y, int x, bool is_maximum, Read read) {

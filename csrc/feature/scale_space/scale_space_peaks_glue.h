@@ -1,4 +1,4 @@
-// How the operators that find peaks divide their work. Included by scale_space_peaks_op.cpp and
+// Checks and working memory of the operators that find peaks. Included by scale_space_peaks_op.cpp and
 // scale_space_features_op.cpp.
 #pragma once
 
@@ -16,7 +16,7 @@ inline void check_peak_count(char const* op, int64_t count) {
   KV_CHECK(count >= 0 && count <= INT32_MAX, op, ": expected count of 0 to 2^31 - 1, got ", count);
 }
 
-// How to refine, for volumes of any size.
+// The parameters of the refinement; `size` is not set.
 template <class T>
 geometry::ConvQuadInterp3d<T> refinement(int64_t steps, double largest_shift, int64_t radius, bool along_scale) {
   geometry::ConvQuadInterp3d<T> search{};
@@ -25,8 +25,8 @@ geometry::ConvQuadInterp3d<T> refinement(int64_t steps, double largest_shift, in
   return search;
 }
 
-// Finds the peaks of octaves that have levels and sizes, and whose voxels are fewer than 2^31. `like` is a tensor on
-// their device.
+// Finds the peaks of the octaves, whose `levels` and `size` are set and which have fewer than 2^31 voxels. `like` is a
+// tensor on their device.
 template <class T>
 void run_scale_space_peaks(Tensor const& like, ScaleSpacePeaks<T>& p) {
   using F = Compute<T>;
@@ -44,7 +44,7 @@ void run_scale_space_peaks(Tensor const& like, ScaleSpacePeaks<T>& p) {
       parts += divide_up(height, kPeakRows);
 #endif
     }
-    // Of neighboring voxels at most one is a maximum, and one a minimum.
+    // Of 2 x 2 x 2 voxels at most one is a maximum and one a minimum.
     capacity += (1 + p.minima) * divide_up(depth, 2) * divide_up(height, 2) * divide_up(width, 2);
     widest = max(widest, width);
   }
@@ -61,7 +61,7 @@ void run_scale_space_peaks(Tensor const& like, ScaleSpacePeaks<T>& p) {
   p.bands = data_ptr<ScaleSpacePeak<F>>(lists), p.ranks = data_ptr<PeakRank<F>>(lists);
   p.sizes = data_ptr<int64_t>(sizes);
 #if defined(KV_CUDA)
-  KV_RUN(find_scale_space_peaks, like, p, p.samples, 0);  // with nothing to find it says so
+  KV_RUN(find_scale_space_peaks, like, p, p.samples, 0);  // without parts it only clears the sizes
 #else
   KV_RUN(find_scale_space_peaks, like, p, p.samples * parts, 16 * kPeakRows * widest);
 #endif

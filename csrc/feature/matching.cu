@@ -191,7 +191,8 @@ __global__ void __launch_bounds__(kThreads) differentiate(__grid_constant__ TwoN
       if (j >= 0 && j < other.count && own.grad[at] != 0)
         add_gradient(x, others + j * p.width, own.grad[at], p.width, grad_x);
     }
-  // Few pairs of a list of matches have a gradient, and some descriptors are neighbors of hundreds of others.
+  // Pairs without a gradient are skipped: few pairs are matches, but some descriptors are neighbors of hundreds of
+  // others.
   int64_t const* const list = other.indices + 2 * b * other.listed;
   T const* const grads = other.grad + 2 * b * other.listed;
   for (int64_t start = 0; start < 2 * int64_t(other.listed); start += 32) {
@@ -204,37 +205,37 @@ __global__ void __launch_bounds__(kThreads) differentiate(__grid_constant__ TwoN
   }
 }
 
-constexpr int kSelectors = 1024, kRounds = 8;
+constexpr int kSelectThreads = 1024, kRounds = 8;
 
-// A block a sample goes through its descriptors in order, several for each thread at a time.
+// One block per sample traverses its descriptors in order, kRounds for each thread at a time.
 template <class T>
-__global__ void __launch_bounds__(kSelectors) select(__grid_constant__ SelectMatches<T> const p) {
-  __shared__ int before[kRounds][kSelectors / 32], total;  // matches of each warp, then those before them
+__global__ void __launch_bounds__(kSelectThreads) select(__grid_constant__ SelectMatches<T> const p) {
+  __shared__ int before[kRounds][kSelectThreads / 32], total;  // matches of each warp, then those before them
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
   int64_t const sample = blockIdx.x;
   int size = 0;
-  for (int start = 0; start < p.count1; start += kRounds * kSelectors) {
+  for (int start = 0; start < p.count1; start += kRounds * kSelectThreads) {
     T scores[kRounds];
     unsigned matches[kRounds];
 #pragma unroll
     for (int r = 0; r < kRounds; ++r) {
-      int const i = start + r * kSelectors + int(threadIdx.x);
+      int const i = start + r * kSelectThreads + int(threadIdx.x);
       matches[r] = __ballot_sync(kAllLanes, i < p.count1 && p.is_match(sample, i, scores[r]));
       if (lane == 0) before[r][warp] = __popc(matches[r]);
     }
     __syncthreads();
     if (warp == 0) {  // eight counts for each lane
       int* const own = &before[0][0] + lane * kRounds;
-      int through = 0;
+      int inclusive = 0;
 #pragma unroll
-      for (int k = 0; k < kRounds; ++k) through += own[k];
-      int sum = through;
+      for (int k = 0; k < kRounds; ++k) inclusive += own[k];
+      int sum = inclusive;
       for (int step = 1; step < 32; step *= 2) {
-        int const others = __shfl_up_sync(kAllLanes, through, step);
-        if (lane >= step) through += others;
+        int const others = __shfl_up_sync(kAllLanes, inclusive, step);
+        if (lane >= step) inclusive += others;
       }
-      if (lane == 31) total = through;
-      sum = through - sum;
+      if (lane == 31) total = inclusive;
+      sum = inclusive - sum;
 #pragma unroll
       for (int k = 0; k < kRounds; ++k) {
         int const count = own[k];
@@ -246,12 +247,12 @@ __global__ void __launch_bounds__(kSelectors) select(__grid_constant__ SelectMat
     for (int r = 0; r < kRounds; ++r)
       if (matches[r] >> lane & 1)
         p.store(sample, size + before[r][warp] + __popc(matches[r] & ((1u << lane) - 1)),
-                start + r * kSelectors + int(threadIdx.x), scores[r]);
+                start + r * kSelectThreads + int(threadIdx.x), scores[r]);
     size += total;
     __syncthreads();  // before the next counts
   }
   if (threadIdx.x == 0) p.sizes[sample] = size;
-  for (int slot = size + int(threadIdx.x); slot < p.count1; slot += kSelectors) p.clear(sample, slot);
+  for (int slot = size + int(threadIdx.x); slot < p.count1; slot += kSelectThreads) p.clear(sample, slot);
 }
 
 template <class T>
@@ -289,7 +290,7 @@ int two_nearest_backward(TwoNearestBackward<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int select_matches(SelectMatches<T> const& p, CUstream_st* stream) {
-  select<T><<<unsigned(p.batch), kSelectors, 0, stream>>>(p);
+  select<T><<<unsigned(p.batch), kSelectThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

@@ -10,7 +10,7 @@
 // Distances are computed in tiles and never stored. A tile leaves the two smallest of its rows and columns; another
 // kernel merges those of all tiles. Squares are sums of squared differences, so that equal descriptors have distance 0.
 // Equal distances are ordered by index, so the results do not depend on the tiles. Distances that are NaN
-// do not count: a descriptor with NaN has no neighbors and is nobody's neighbor. Included by matching_cpu.cpp,
+// do not count: a descriptor with NaN has no neighbors and is no neighbor. Included by matching_cpu.cpp,
 // matching.cu and matching_op.cpp.
 #pragma once
 
@@ -47,13 +47,13 @@ constexpr int kMatchingCpuRows = 256;
 template <class T>
 constexpr int kMatchingTile = sizeof(T) == 4 ? 128 : 64;
 
-// The three nearest descriptors of a tile, as matching_candidates.cu has them.
+// The three nearest descriptors of a tile; matching_candidates.cu says how they are encoded.
 struct Candidates {
   int v[3];
   static KV_HD Candidates none() { return {{INT32_MAX, INT32_MAX, INT32_MAX}}; }
 };
 
-// How many numbers a descriptor has whose components are sums of two, rounded up to 32 components.
+// The count of bfloat16 of a descriptor whose components are sums of two of them, padded to 32 components.
 KV_HD int64_t split_width(int width) { return (int64_t(width) + 31) / 32 * 64; }
 
 // Descriptors of one of the two sets: (batch, count, width).
@@ -68,7 +68,7 @@ struct DescriptorSet {
   Neighbors<T>* partial;  // (batch, splits, count); null if the neighbors are not wanted
   T* distances;           // (batch, count, 2)
   int64_t* indices;       // (batch, count, 2)
-  // Of CUDA's kernels for float32, else null:
+  // Working memory of matching_candidates.cu, else null:
   T* half_squares;         // (batch, count)
   BFloat16* split;         // (batch, count, split_width(width))
   Candidates* candidates;  // (batch, count, tiles of the other set); null if the neighbors are not wanted
@@ -132,12 +132,14 @@ KV_HD F distance_vjp(F grad, F square) {
   return square > 0 ? grad / sqrt(square) : F(0);
 }
 
-// The lists of matches among neighbors: those that are mutual, if there are neighbors of the second set, and whose
-// ratios of the nearest distance to the second are at most `threshold`, if ratios are asked for. A sample's are in the
-// order of the first set, and the slots after them are 0 and -1.
+// The list of matches of each sample. A descriptor of the first set and its nearest neighbor are a match if they are
+// mutual nearest neighbors, where the neighbors of the second set are given, and, with `ratios`, if the ratios of the
+// nearest distance to the second nearest are at most `threshold`. Matches are in the order of the first set. Free slots
+// after the last match have score 0 and indices -1.
 template <class T>
 struct SelectMatches {
-  T const *distances1, *distances2;  // (batch, count, 2); null: the other direction does not matter
+  T const *distances1,
+      *distances2;  // (batch, count, 2); those of the second set are null if matches need not be mutual
   int64_t const *indices1, *indices2;
   int64_t batch;
   int count1, count2;
@@ -147,7 +149,7 @@ struct SelectMatches {
   int64_t* indices;  // (batch, count1, 2)
   int64_t* sizes;    // (batch)
 
-  // The ratio of neighbors i; NaN, which passes no test, where there are no two.
+  // The ratio of descriptor i; NaN, which passes no test, if it has fewer than two neighbors.
   static KV_HD T ratio(T const* distances, int64_t const* indices, int64_t i) {
     return indices[2 * i + 1] >= 0 ? distances[2 * i] / distances[2 * i + 1] : T(__builtin_nan(""));
   }
@@ -174,8 +176,8 @@ struct SelectMatches {
   }
 };
 
-// The gradient to the distances from that to the scores. A pair is a match once, so that each number has one summand.
-// The larger one of two ratios has the gradient, and both have half of it where they are equal.
+// The gradient of the distances from that of the scores. A descriptor is in at most one match, so nothing is summed.
+// The gradient goes to the larger of the two ratios, and half of it to each where they are equal.
 template <class T>
 struct SelectMatchesBackward {
   T const* grad;           // (batch, count1)
@@ -190,7 +192,7 @@ struct SelectMatchesBackward {
     T const inverse = 1 / distances[1];
     grad_distances[0] = grad * inverse, grad_distances[1] = -grad * distances[0] * inverse * inverse;
   }
-  // The slot of all samples.
+  // `slot` counts the slots of all samples.
   KV_HD void store(int64_t slot) const {
     int64_t const sample = slot / count1, i = indices[2 * slot], j = indices[2 * slot + 1];
     if (i < 0 || i >= count1 || j < 0 || j >= count2) return;
@@ -201,9 +203,9 @@ struct SelectMatchesBackward {
       ratio_vjp(grad[slot], distances1 + own, grad_distances1 + own);
     } else {
       T const one = distances1[own] / distances1[own + 1], other = distances2[back] / distances2[back + 1];
-      T const share = one > other ? T(1) : one < other ? T(0) : T(0.5);
-      if (share > 0) ratio_vjp(grad[slot] * share, distances1 + own, grad_distances1 + own);
-      if (share < 1) ratio_vjp(grad[slot] * (1 - share), distances2 + back, grad_distances2 + back);
+      T const weight = one > other ? T(1) : one < other ? T(0) : T(0.5);
+      if (weight > 0) ratio_vjp(grad[slot] * weight, distances1 + own, grad_distances1 + own);
+      if (weight < 1) ratio_vjp(grad[slot] * (1 - weight), distances2 + back, grad_distances2 + back);
     }
   }
 };
@@ -216,7 +218,7 @@ KV_KERNEL(select_matches_backward, SelectMatchesBackward)
 
 namespace cuda {
 bool has_matching_candidates();  // on the current GPU
-// In place of two_nearest and of two_nearest_merge, for sets with half_squares.
+// Replace two_nearest and two_nearest_merge for sets with half_squares.
 int find_matching_candidates(TwoNearest<float> const& p, CUstream_st* stream);
 int choose_matching_neighbors(TwoNearest<float> const& p, CUstream_st* stream);
 }  // namespace cuda

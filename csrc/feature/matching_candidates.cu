@@ -1,8 +1,8 @@
-// The two nearest descriptors on CUDA for float32, by tensor cores. From |a - b|^2 / 2 = |a|^2 / 2 + |b|^2 / 2 - a . b,
-// with a . b of vectors that are sums of two bfloat16, a tile finds the three nearest candidates of its rows and
-// columns. A warp for each descriptor then computes the distances of the nearest candidates of all tiles as sums of
-// squared differences. A pair that is no candidate has at least the third distance of its tile; where this does not
-// exclude it, rounding included, all distances of the tile are computed.
+// The two nearest descriptors on CUDA for float32, by tensor cores. A tile of pairs computes
+// |a - b|^2 / 2 = |a|^2 / 2 + |b|^2 / 2 - a . b, where a and b are sums of two bfloat16, and keeps the three nearest
+// candidates of each row and column. Then a warp for each descriptor computes the distances of the nearest candidates
+// of all tiles as sums of squared differences. Other pairs of a tile have at least the distance of its third candidate.
+// Where this bound, rounding included, does not exclude them, all distances of the tile are computed.
 #include "core/launch.cuh"
 #include "feature/matching.h"
 
@@ -14,8 +14,8 @@ constexpr unsigned kAllLanes = 0xffffffffu, kColumnBits = kTile - 1;
 constexpr float kInfinity = __builtin_inff();
 static_assert(kTile == 128);
 
-// A candidate: half the squared distance, whose last bits are replaced by the row or column of the tile. Numbers that
-// are not negative have the order of their bits.
+// A candidate: half the squared distance, whose last bits are replaced by the row or column in the tile. The bits of
+// non-negative floats, as integers, have the order of the floats.
 __device__ __forceinline__ int candidate(float half_square, int at) {
   return int((__float_as_uint(half_square) & ~kColumnBits) | unsigned(at));
 }
@@ -33,7 +33,7 @@ __device__ __forceinline__ Candidates merged(Candidates const& a, Candidates con
            min(min(a.v[2], b.v[2]), min(max(a.v[1], b.v[0]), max(a.v[0], b.v[1])))}};
 }
 
-// Merges N lists of two lanes that differ in bit `Lane`: of each pair of halves a lane keeps one.
+// Merges the N lists of two lanes that differ in bit `Lane`. Each lane keeps half of the merged lists.
 template <int Lane, int N>
 __device__ __forceinline__ void merge_halves(Candidates (&lists)[N], Candidates (&kept)[N / 2]) {
   bool const is_upper = threadIdx.x & Lane;
@@ -49,8 +49,9 @@ __device__ __forceinline__ void merge_halves(Candidates (&lists)[N], Candidates 
   }
 }
 
-// Half of the squared length, inf for descriptors that have no neighbors, and the two summands of all components, 32 of
-// one and 32 of the other, with zeros after the last one. A warp for each descriptor of both sets.
+// Computes half of the squared length, inf for masked and non-finite descriptors, and splits the components into two
+// bfloat16: 32 first summands, then their 32 second summands, padded with zeros. A warp for each descriptor of both
+// sets.
 __global__ void __launch_bounds__(kThreads) split_descriptors(__grid_constant__ TwoNearest<float> const p) {
   int64_t const warp = blockIdx.x * int64_t(kWarps) + threadIdx.x / 32, firsts = p.batch * p.first.count;
   bool const in_second = warp >= firsts;
@@ -73,21 +74,22 @@ __global__ void __launch_bounds__(kThreads) split_descriptors(__grid_constant__ 
   }
 }
 
-// 32 components of the descriptors of a tile in shared memory, as pairs in words. Rows are 20 words apart, and the
-// second summands 16 banks from the first ones, so that the threads of a warp read and write all banks.
+// 32 components of the descriptors of a tile in shared memory, two in a word. The pitch of 20 words and the distance of
+// 16 banks between first and second summands avoid bank conflicts.
 struct SharedTile {
   static constexpr int kRow = 20, kPart = kTile * kRow + 16;
   unsigned words[2 * kPart];
 
   __device__ __forceinline__ void load(DescriptorSet<float> const& set, int64_t b, int start, int from, int width) {
-    int const piece = threadIdx.x % 8;
+    int const vector = threadIdx.x % 8;
 #pragma unroll
     for (int e = 0; e < kTile / 32; ++e) {
       int const row = threadIdx.x / 8 + 32 * e, i = start + row;
       uint4 values{};
       if (i < set.count)
-        values = reinterpret_cast<uint4 const*>(set.split + (b * set.count + i) * split_width(width) + 2 * from)[piece];
-      *reinterpret_cast<uint4*>(words + piece / 4 * kPart + row * kRow + piece % 4 * 4) = values;
+        values =
+            reinterpret_cast<uint4 const*>(set.split + (b * set.count + i) * split_width(width) + 2 * from)[vector];
+      *reinterpret_cast<uint4*>(words + vector / 4 * kPart + row * kRow + vector % 4 * 4) = values;
     }
   }
 };
@@ -102,7 +104,7 @@ __device__ __forceinline__ void add_product(float (&c)[4], unsigned const (&a)[4
 #endif
 }
 
-// A block a tile. A warp has 64 rows and 32 columns of it, and a thread 8 of both: rows 8 i + lane / 4, and columns
+// One block per tile. A warp has 64 x 32 pairs of it, and a thread 8 x 8: rows 8 i + lane / 4, and columns
 // 8 (j / 2) + 2 (lane % 4) + j % 2.
 __global__ void __launch_bounds__(kThreads, 2) find_candidates(__grid_constant__ TwoNearest<float> const p) {
   DescriptorSet<float> const &first = p.first, &second = p.second;
@@ -218,7 +220,7 @@ __global__ void __launch_bounds__(kThreads, 2) find_candidates(__grid_constant__
   }
 }
 
-// A candidate of a tile in the order of candidates of all tiles: the bits of half the squared distance, then the index.
+// A key that sorts candidates of all tiles: the bits of half the squared distance, then the index.
 __device__ __forceinline__ unsigned long long ranked(int candidate, int tile) {
   return (unsigned long long)__float_as_uint(half_square_of(candidate)) << 32 |
          unsigned(tile * kTile + (candidate & int(kColumnBits)));
@@ -232,10 +234,10 @@ __device__ __forceinline__ unsigned long long smallest_of_warp(unsigned long lon
   return x;
 }
 
-// A descriptor whose neighbors a warp finds.
+// The search of a warp for the neighbors of one descriptor.
 struct Search {
   DescriptorSet<float> const *own, *other;
-  int64_t i, first_other;  // its number, and that of the first descriptor of its sample in the other set
+  int64_t i, first_other;  // the index of the descriptor, and of the first one of its sample in the other set
   int width;
   Neighbors<float> neighbors = Neighbors<float>::none();
 
@@ -246,7 +248,7 @@ struct Search {
     i = in_second ? element - firsts : element;
     first_other = i / own->count * other->count;
   }
-  // Computes the distances of N descriptors of the other set, from j on.
+  // Inserts N descriptors of the other set, from j on, by their exact distances.
   template <int N>
   __device__ __forceinline__ void add(int j) {
     float const *const x = own->values + i * width, *const y = other->values + (first_other + j) * width;
@@ -275,8 +277,8 @@ struct Search {
   }
 };
 
-// A warp for each descriptor of both sets. The distances of the two nearest candidates of all tiles tell which others
-// may be nearer: candidates, and whole tiles of which even the third one may.
+// A warp for each descriptor of both sets. The exact distances of the two nearest candidates of all tiles bound those
+// of the neighbors. Candidates within the bound are computed too, and whole tiles whose third candidate is within it.
 __global__ void __launch_bounds__(kThreads)
     choose_neighbors(__grid_constant__ TwoNearest<float> const p, int64_t elements) {
   int const lane = threadIdx.x % 32;
@@ -304,8 +306,8 @@ __global__ void __launch_bounds__(kThreads)
     add(nearest), add(next);
 
     // Relative to |a|^2 / 2 + |b|^2 / 2, a product of vectors that are sums of two bfloat16 loses at most 2^-16, and
-    // its sum in float32 less than width 2^-23. Descriptors b that are more than twice as long as a are as far away as
-    // a quarter of their share. The squares that are compared with are rounded as well.
+    // its sum in float32 less than width 2^-23. The distance of a descriptor b that is more than twice as long as
+    // a is at least a quarter of |b|^2 / 2. The squares that are compared are rounded as well.
     float const rounding = 0x1p-13f + 4 * float(p.width + 8) * __FLT_EPSILON__;
     float const farthest = (search.neighbors.square[1] / 2 + rounding * half_square) * (1 + 2 * rounding);
     for (int start = 0; start < tiles; start += 32) {

@@ -130,7 +130,7 @@ void two_nearest_backward(TwoNearestBackward<T> const& p, int64_t begin, int64_t
   }
 }
 
-// Samples.
+// Samples [begin, end).
 template <class T>
 void select_matches(SelectMatches<T> const& p, int64_t begin, int64_t end) {
   for (int64_t sample = begin; sample < end; ++sample) {
@@ -143,7 +143,7 @@ void select_matches(SelectMatches<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
-// Slots of all samples.
+// Slots [begin, end) of all samples.
 template <class T>
 void select_matches_backward(SelectMatchesBackward<T> const& p, int64_t begin, int64_t end) {
   for (int64_t slot = begin; slot < end; ++slot) p.store(slot);

@@ -153,14 +153,14 @@ std::tuple<Tensor, Tensor> two_nearest_backward(Tensor const& grad1, Tensor cons
 
 std::tuple<Tensor, Tensor, Tensor> select_matches(Tensor const& distances1, Tensor const& indices1,
                                                   std::optional<Tensor> const& distances2,
-                                                  std::optional<Tensor> const& indices2, int64_t others, bool ratios,
+                                                  std::optional<Tensor> const& indices2, int64_t count2, bool ratios,
                                                   double threshold) {
   constexpr char const* op = "select_matches";
   KV_CHECK(distances1.dim() == 3 && distances1.size(2) == 2 && distances1.scalar_type() == compute_dtype(distances1),
            op, ": expected distances1 (B, N, 2) of float32 or float64");
   KV_CHECK(distances2.has_value() == indices2.has_value(), op, ": expected distances and indices of a direction");
   int64_t const batch = distances1.size(0), n = distances1.size(1);
-  KV_CHECK(others >= 0 && others < INT32_MAX / 2 && n < INT32_MAX / 2, op, ": expected fewer than 2^30 descriptors");
+  KV_CHECK(count2 >= 0 && count2 < INT32_MAX / 2 && n < INT32_MAX / 2, op, ": expected fewer than 2^30 descriptors");
   auto const check = [&](char const* name, Tensor const& x, int64_t count, ScalarType type) {
     KV_CHECK(x.dim() == 3 && x.size(0) == batch && x.size(1) == count && x.size(2) == 2 && x.scalar_type() == type &&
                  x.device() == distances1.device(),
@@ -168,8 +168,8 @@ std::tuple<Tensor, Tensor, Tensor> select_matches(Tensor const& distances1, Tens
   };
   check("indices1", indices1, n, ScalarType::Long);
   if (distances2) {
-    check("distances2", *distances2, others, distances1.scalar_type());
-    check("indices2", *indices2, others, ScalarType::Long);
+    check("distances2", *distances2, count2, distances1.scalar_type());
+    check("indices2", *indices2, count2, ScalarType::Long);
   }
   Tensor const d1 = dense(distances1), i1 = dense(indices1);
   std::optional<Tensor> d2, i2;
@@ -183,7 +183,7 @@ std::tuple<Tensor, Tensor, Tensor> select_matches(Tensor const& distances1, Tens
                                   i2 ? data_ptr<int64_t const>(*i2) : nullptr,
                                   batch,
                                   int(n),
-                                  int(others),
+                                  int(count2),
                                   ratios,
                                   T(threshold),
                                   data_ptr<T>(scores),
@@ -196,13 +196,13 @@ std::tuple<Tensor, Tensor, Tensor> select_matches(Tensor const& distances1, Tens
 }
 
 std::tuple<Tensor, Tensor> select_matches_backward(Tensor const& grad, Tensor const& indices, Tensor const& distances1,
-                                                   std::optional<Tensor> const& distances2, int64_t others,
+                                                   std::optional<Tensor> const& distances2, int64_t count2,
                                                    bool ratios) {
   constexpr char const* op = "select_matches_backward";
   KV_CHECK(grad.dim() == 2 && grad.scalar_type() == compute_dtype(grad), op,
            ": expected grad (B, N) of float32 or float64");
   int64_t const batch = grad.size(0), n = grad.size(1);
-  KV_CHECK(others >= 0 && others < INT32_MAX / 2 && n < INT32_MAX / 2, op, ": expected fewer than 2^30 descriptors");
+  KV_CHECK(count2 >= 0 && count2 < INT32_MAX / 2 && n < INT32_MAX / 2, op, ": expected fewer than 2^30 descriptors");
   auto const check = [&](char const* name, Tensor const& x, int64_t count, ScalarType type) {
     KV_CHECK(x.dim() == 3 && x.size(0) == batch && x.size(1) == count && x.size(2) == 2 && x.scalar_type() == type &&
                  x.device() == grad.device(),
@@ -210,11 +210,11 @@ std::tuple<Tensor, Tensor> select_matches_backward(Tensor const& grad, Tensor co
   };
   check("indices", indices, n, ScalarType::Long);
   check("distances1", distances1, n, grad.scalar_type());
-  if (distances2) check("distances2", *distances2, others, grad.scalar_type());
+  if (distances2) check("distances2", *distances2, count2, grad.scalar_type());
   Tensor const g = dense(grad), at = dense(indices), d1 = dense(distances1);
   std::optional<Tensor> d2;
   if (distances2) d2 = dense(*distances2);
-  Tensor grad1 = empty({batch, n, 2}, g), grad2 = empty({batch, d2 ? others : 0, 2}, g);
+  Tensor grad1 = empty({batch, n, 2}, g), grad2 = empty({batch, d2 ? count2 : 0, 2}, g);
   if (grad1.numel() > 0) torch::stable::zero_(grad1);
   if (grad2.numel() > 0) torch::stable::zero_(grad2);
   auto const run = [&](auto type) {
@@ -227,7 +227,7 @@ std::tuple<Tensor, Tensor> select_matches_backward(Tensor const& grad, Tensor co
                                           data_ptr<T>(grad2),
                                           batch,
                                           int(n),
-                                          int(others),
+                                          int(count2),
                                           ratios};
     KV_RUN(select_matches_backward, g, params, batch * n, 8);
   };
@@ -238,10 +238,10 @@ std::tuple<Tensor, Tensor> select_matches_backward(Tensor const& grad, Tensor co
 }  // namespace
 
 KV_OPERATOR(select_matches_backward,
-            "(Tensor grad, Tensor indices, Tensor distances1, Tensor? distances2, int others, bool ratios) "
+            "(Tensor grad, Tensor indices, Tensor distances1, Tensor? distances2, int count2, bool ratios) "
             "-> (Tensor, Tensor)")
 KV_OPERATOR(select_matches,
-            "(Tensor distances1, Tensor indices1, Tensor? distances2, Tensor? indices2, int others, bool ratios, "
+            "(Tensor distances1, Tensor indices1, Tensor? distances2, Tensor? indices2, int count2, bool ratios, "
             "float threshold) -> (Tensor, Tensor, Tensor)")
 KV_OPERATOR(two_nearest,
             "(Tensor desc1, Tensor desc2, Tensor? mask1, Tensor? mask2, Tensor? positions1, Tensor? positions2, "

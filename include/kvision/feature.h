@@ -125,25 +125,20 @@ inline std::tuple<Tensor, Tensor> match_nn(Tensor const& desc1, Tensor const& de
           at::stack({own, indices[0].select(1, 0).clamp_min(0)}, 1)};
 }
 
-// Those that are each other's nearest ones and have a ratio of the nearest to the second distance of at most th in both
-// directions: the larger ratio (K, 1), and the indices (K, 2). A GPU is waited for.
+// Mutual nearest neighbors whose ratios of the nearest to the second nearest distance are at most th in both
+// directions: the larger ratio (K, 1), and the indices (K, 2). Waits for a GPU.
 inline std::tuple<Tensor, Tensor> match_smnn(Tensor const& desc1, Tensor const& desc2, double th = 0.95) {
   detail::descriptors("match_smnn", desc1, desc2);
   Tensor const x = detail::computed(desc1, desc1), y = detail::computed(desc2, desc2);
   auto const longs = x.options().dtype(at::kLong);
   if (x.size(0) < 2 || y.size(0) < 2) return {x.new_zeros({0, 1}), at::zeros({0, 2}, longs)};
   at::NoGradGuard no_grad;
-  auto const [to, there, from, back] = ops::two_nearest(x.unsqueeze(0), y.unsqueeze(0), {}, {}, {}, {}, 0.0, true);
-  auto const ratio = [](Tensor const& distances, Tensor const& indices) {
-    Tensor const r = distances[0].select(1, 0) / distances[0].select(1, 1);
-    return r.masked_fill(indices[0].select(1, 1) < 0, std::nan(""));
-  };
-  Tensor const nearest = there[0].select(1, 0), safe = nearest.clamp_min(0), own = at::arange(x.size(0), longs);
-  Tensor const larger = at::maximum(ratio(to, there), ratio(from, back).index_select(0, safe));
-  Tensor const is_match = (nearest >= 0) & (back[0].select(1, 0).index_select(0, safe) == own) & (larger <= th);
-  Tensor const kept = is_match.nonzero().select(1, 0);
-  return {larger.index_select(0, kept).unsqueeze(1).to(desc1.scalar_type()),
-          at::stack({kept, nearest.index_select(0, kept)}, 1)};
+  auto const [distances1, indices1, distances2, indices2] =
+      ops::two_nearest(x.unsqueeze(0), y.unsqueeze(0), {}, {}, {}, {}, 0.0, true);
+  auto const [scores, indices, sizes] =
+      ops::select_matches(distances1, indices1, distances2, indices2, y.size(0), true, th);
+  int64_t const count = sizes.item<int64_t>();
+  return {scores[0].narrow(0, 0, count).unsqueeze(1).to(desc1.scalar_type()), indices[0].narrow(0, 0, count)};
 }
 
 // --- patches, as python/kvision/feature/patches.py, sift.py, orientation.py and affine_shape.py have them

@@ -179,6 +179,21 @@ void results() {
                one[0]);
 }
 
+// Matches of descriptors, compared with distances of all pairs.
+void matches() {
+  Tensor const first = torch::rand({40, 6}), second = torch::rand({30, 6}), distances = torch::cdist(first, second);
+  auto const [rows, indices] = torch::topk(distances, 2, 1, false);
+  auto const [columns, indices_back] = torch::topk(distances, 2, 0, false);
+  Tensor const nearest = indices.select(1, 0), nearest_back = indices_back[0].index_select(0, nearest);
+  Tensor const ratios =
+      torch::maximum(rows.select(1, 0) / rows.select(1, 1), (columns[0] / columns[1]).index_select(0, nearest));
+  Tensor const kept = ((nearest_back == torch::arange(40)) & (ratios <= 0.9)).nonzero().select(1, 0);
+  auto const [scores, pairs] = kvision::match_smnn(first, second, 0.9);
+  expect("matches exist", kept.numel() > 0 && kept.numel() < 30);
+  expect_close("match_smnn", scores, ratios.index_select(0, kept).unsqueeze(1));
+  expect("indices of match_smnn", torch::equal(pairs, torch::stack({kept, nearest.index_select(0, kept)}, 1)));
+}
+
 void gradients() {
   // Levels have no gradient, and a plane of one level comes back with its own.
   Tensor const planes = torch::cat({torch::rand({2, 2, 7, 6}), torch::full({2, 1, 7, 6}, 0.3f)}, 1).requires_grad_();
@@ -248,6 +263,7 @@ int main() {
   options();
   augmentation();
   results();
+  matches();
   gradients();
   errors();
   std::cout << checks << " checks, " << failures << " failures\n";

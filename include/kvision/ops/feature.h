@@ -35,7 +35,7 @@ inline constexpr Rule two_nearest{
     },
     3};
 
-// From the scores; which slots are filled, and with what, are constants.
+// From the scores. Indices and counts are constants.
 inline constexpr Rule select_matches{[](Backward const& b) -> variable_list {
                                        variable_list const gradients =
                                            b.call("select_matches_backward", {{"indices", b.results[0]}});
@@ -45,11 +45,11 @@ inline constexpr Rule select_matches{[](Backward const& b) -> variable_list {
 
 }  // namespace detail
 
-// The matches of each sample among neighbors (B, N, 2), and those of the other direction or none: scores (B, N),
-// indices (B, N, 2), and how many slots they fill.
+// The matches of each sample, from the neighbors (B, N, 2) of the first set and, if matches are mutual, those of the
+// second set, which has count2 descriptors: scores (B, N), indices (B, N, 2), and the count of matches (B,).
 inline constexpr Operator<"select_matches",
                           Three(Tensor distances1, Tensor indices1, OptionalTensor distances2, OptionalTensor indices2,
-                                int64_t others, bool ratios, double threshold)>
+                                int64_t count2, bool ratios, double threshold)>
     select_matches{detail::select_matches};
 inline constexpr Operator<"two_nearest",
                           Four(Tensor desc1, Tensor desc2, OptionalTensor mask1, OptionalTensor mask2,
@@ -68,7 +68,7 @@ inline constexpr Operator<"sample_patches", Tensor(Tensor pyramid, Tensor laf, I
       for (size_t i = 0; i < 2; ++i) gradients[i] = b.needs(i) ? gradients[i].to(b.tensor(i).scalar_type()) : Tensor();
       return gradients;
     }};
-// `sample_patches` of a pyramid that is built within; Python alone has the gradient.
+// `sample_patches` of a pyramid that the operator builds. Only Python has the gradient.
 inline constexpr Operator<"pyramid_patches",
                           Tensor(Tensor input, Tensor laf, int64_t levels, int64_t patch_size, double window)>
     pyramid_patches{no_gradient};
@@ -85,7 +85,7 @@ inline constexpr Operator<"affine_shape", Tensor(Tensor patches, double eps)> af
 
 // --- responses -----------------------------------------------------------------------------------------------------
 
-// Python alone has the gradients to k and to the sigmas.
+// Only Python has the gradients to k and to the sigmas.
 inline constexpr Operator<"corner_response", Tensor(Tensor input, OptionalTensor k, OptionalTensor sigmas,
                                                     double fixed_k, int64_t kind, int64_t mode)>
     corner_response{from<"corner_response_backward">};
@@ -104,8 +104,8 @@ inline constexpr Operator<"scale_space_peaks",
                               double threshold, int64_t steps, double largest_shift, int64_t radius, bool along_scale)>
     scale_space_peaks{from<"scale_space_peaks_backward", 1>};
 
-// Images (B, 1, H, W) to the frames (B, N, 2, 3) and scores (B, N) of the strongest peaks of their scale space. Python
-// alone has the gradient.
+// Images (B, 1, H, W) to the frames (B, N, 2, 3) and scores (B, N) of the strongest peaks of their scale space. Only
+// Python has the gradient.
 inline constexpr Operator<"scale_space_features",
                           Two(Tensor input, Ints sizes, Ints windows, Floats sigmas, int64_t next, Floats blurs,
                               int64_t mode, bool minima, int64_t count, double scale, double levels_of_octave,

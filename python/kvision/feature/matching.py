@@ -1,4 +1,4 @@
-"""Matches of descriptors: nearest neighbors, mutual ones, ratio tests, and tests that know positions."""
+"""Matches of descriptors: nearest neighbors, mutual ones, ratio tests, and tests of positions."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class _Neighbors:
         both: bool = True,
     ) -> None:
         self.dtype = floats(desc1 if dm is None else dm).dtype  # of the results
-        self.both, self.others = both, desc2.shape[1]
+        self.both, self.count2 = both, desc2.shape[1]
         if dm is None:
             x, y = (as_dtype(floats(d), compute_dtype(desc1)) for d in (desc1, desc2))
             p, q, distance = positions if positions is not None else (None, None, 0.0)
@@ -179,12 +179,12 @@ class _Neighbors:
 
 
 def _ratio(distances: Tensor, indices: Tensor) -> Tensor:
-    """The nearest distance over the second; NaN, which passes no test, where there are no two."""
+    """The nearest distance over the second nearest; NaN, which passes no test, with fewer than two neighbors."""
     return torch.where(indices[..., 1] >= 0, distances[..., 0] / distances[..., 1], math.nan)
 
 
 def _at(x: Tensor, indices: Tensor) -> Tensor:
-    """The entries of x (B, M) at indices (B, N), where -1 reads any."""
+    """The entries of x (B, M) at indices (B, N). Entries at -1 are not defined."""
     return x.gather(1, indices.clamp(min=0))
 
 
@@ -208,18 +208,18 @@ def _select_reference(
     indices1: Tensor,
     distances2: Tensor | None,
     indices2: Tensor | None,
-    others: int,
+    count2: int,
     ratios: bool,
     threshold: float,
 ) -> tuple[Tensor, Tensor, Tensor]:
     nearest, scores = indices1[..., 0], distances1[..., 0]
-    kept = (nearest >= 0) & (nearest < others)
+    kept = (nearest >= 0) & (nearest < count2)
     if ratios:
         scores = _ratio(distances1, indices1)
-        if distances2 is not None and indices2 is not None and others:
+        if distances2 is not None and indices2 is not None and count2:
             scores = torch.maximum(scores, _at(_ratio(distances2, indices2), nearest))
         kept = kept & (scores <= threshold)
-    if indices2 is not None and others:
+    if indices2 is not None and count2:
         kept = kept & _is_mutual(nearest, indices2[..., 0])
     own = (~kept).to(torch.uint8).sort(dim=1, stable=True)[1]
     is_match = kept.gather(1, own)
@@ -232,12 +232,12 @@ def _fake_selection(distances1: Tensor, indices1: Tensor, *_: Any) -> list[Tenso
 
 
 def _select_reference_backward(
-    grad: Tensor, indices: Tensor, distances1: Tensor, distances2: Tensor | None, others: int, ratios: bool
+    grad: Tensor, indices: Tensor, distances1: Tensor, distances2: Tensor | None, count2: int, ratios: bool
 ) -> tuple[Tensor, Tensor]:
     own, nearest = indices.clamp(min=0).unbind(2)
     grad = torch.where(indices[..., 0] >= 0, grad, 0)
     empty = distances1[:, :0] if distances2 is None else torch.zeros_like(distances2)
-    if not ratios or others == 0:
+    if not ratios or count2 == 0:
         return torch.zeros_like(distances1).scatter_add(1, own[..., None], grad[..., None]), empty
 
     def through_ratio(distances: Tensor, at: Tensor, grad: Tensor) -> Tensor:
@@ -252,27 +252,27 @@ def _select_reference_backward(
         _at(distances1[..., 0] / distances1[..., 1], own),
         _at(distances2[..., 0] / distances2[..., 1], nearest),
     )
-    share = torch.where(one > other, 1.0, torch.where(one < other, 0.0, 0.5)).to(grad.dtype)
-    return through_ratio(distances1, own, grad * share), through_ratio(distances2, nearest, grad * (1 - share))
+    weight = torch.where(one > other, 1.0, torch.where(one < other, 0.0, 0.5)).to(grad.dtype)
+    return through_ratio(distances1, own, grad * weight), through_ratio(distances2, nearest, grad * (1 - weight))
 
 
 def _fake_selection_backward(
-    grad: Tensor, indices: Tensor, distances1: Tensor, distances2: Tensor | None, others: int, ratios: bool
+    grad: Tensor, indices: Tensor, distances1: Tensor, distances2: Tensor | None, count2: int, ratios: bool
 ) -> list[Any]:
-    return [distances1.shape, (len(grad), 0 if distances2 is None else others, 2)]
+    return [distances1.shape, (len(grad), 0 if distances2 is None else count2, 2)]
 
 
 def _select_backward(needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
-    grad, _, _, _, indices, _, distances1, _, distances2, _, others, ratios, _ = grads_and_args
-    of_first, of_second = _select_transposed(grad, indices, distances1, distances2, others, ratios)
-    return [of_first, None, None if distances2 is None else of_second, None]
+    grad, _, _, _, indices, _, distances1, _, distances2, _, count2, ratios, _ = grads_and_args
+    grad1, grad2 = _select_transposed(grad, indices, distances1, distances2, count2, ratios)
+    return [grad1, None, None if distances2 is None else grad2, None]
 
 
 _select_transposed = register(
     "select_matches_backward", _select_reference_backward, fake=_fake_selection_backward, casts_outputs=True
 )
-# Neighbors (B, N, 2), and those of the other direction or None, to the matches of each sample: scores (B, N), indices
-# (B, N, 2), and how many slots they fill.
+# From the neighbors (B, N, 2) of the first set and, if matches are mutual, those of the second set, which has count2
+# descriptors, to the matches of each sample: scores (B, N), indices (B, N, 2), and the count of matches (B,).
 _select = register(
     "select_matches",
     _select_reference,
@@ -284,31 +284,31 @@ _select = register(
 )
 
 
-def _slots_of_matches(neighbors: _Neighbors, th: float | None) -> tuple[Tensor, Tensor, Tensor]:
-    """The matches of each sample: scores, indices, and how many.
+def _padded_matches(neighbors: _Neighbors, th: float | None) -> tuple[Tensor, Tensor, Tensor]:
+    """The matches of each sample: scores (B, N) and indices (B, N, 2) in N slots, and the count of filled slots (B,).
 
-    Without the neighbors of the second set they need not be mutual; without `th` there are no ratios, and scores are
-    distances.
+    Matches are mutual if `neighbors` has those of both sets. With `th` scores are ratios of distances, and at most `th`;
+    without it they are distances.
     """
-    ways = (neighbors.distances2, neighbors.indices2) if neighbors.both else (None, None)
-    options = (neighbors.others, th is not None, math.inf if th is None else float(th))
-    return _select(neighbors.distances1, neighbors.indices1, *ways, *options)
+    second_set = (neighbors.distances2, neighbors.indices2) if neighbors.both else (None, None)
+    options = (neighbors.count2, th is not None, math.inf if th is None else float(th))
+    return _select(neighbors.distances1, neighbors.indices1, *second_set, *options)
 
 
 def _matches(neighbors: _Neighbors, th: float | None = None) -> tuple[Tensor, Tensor]:
     """The list of matches of a single sample: scores (K, 1) and indices (K, 2).
 
-    The number of matches depends on the values, so a GPU is waited for.
+    The number of matches depends on the values, so the host waits for a GPU.
     """
-    scores, indices, sizes = _slots_of_matches(neighbors, th)
-    # Graphs know sizes that depend on values from nonzero, not from numbers.
+    scores, indices, sizes = _padded_matches(neighbors, th)
+    # In a graph the size of the list must come from an operator such as nonzero, not from a Python int.
     kept = (indices[0, :, 0] >= 0).nonzero()[:, 0] if is_compiling() or is_tracing() else slice(int(sizes))
     return as_dtype(scores[0, kept, None], neighbors.dtype), indices[0, kept]
 
 
 def _matches_of_batch(neighbors: _Neighbors, th: float) -> tuple[Tensor, Tensor]:
     """The list of matches of all samples: scores (K, 1) and indices (K, 3), the sample first."""
-    scores, indices, _ = _slots_of_matches(neighbors, th)
+    scores, indices, _ = _padded_matches(neighbors, th)
     sample, slot = (indices[..., 0] >= 0).nonzero().unbind(1)
     pairs = torch.cat([sample[:, None], indices[sample, slot]], 1)
     return as_dtype(scores[sample, slot, None], neighbors.dtype), pairs
@@ -638,7 +638,7 @@ class DescriptorMatcher(nn.Module):
 
 
 class GeometryAwareDescriptorMatcher(nn.Module):
-    """Match descriptors by a function that knows where they are.
+    """Match descriptors by a function of descriptors and local affine frames.
 
     Args:
         match_mode: 'fginn' or 'adalam', for the function `match_<mode>`.

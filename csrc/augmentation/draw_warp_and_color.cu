@@ -1,5 +1,5 @@
-// Random parameters and the matrices that are made of them on CUDA, for one launch instead of two: a block draws for 32
-// samples, a draw in each warp at a time, and then a thread multiplies the chain of a sample.
+// Random parameters, and the matrices of the transforms that read them, in one launch on CUDA. A block draws for 32
+// samples: each warp makes one draw for all of them at a time. Then one thread per sample multiplies its matrices.
 #include "augmentation/draw_warp_and_color.h"
 #include "core/launch.cuh"
 

@@ -1,4 +1,4 @@
-// Draws of parameters with the matrices of a chain of transforms that reads them, in one launch on CUDA. Included by
+// Random parameters, and the matrices of the chain of transforms that reads them, in one launch on CUDA. Included by
 // draw_warp_and_color.cu and draw_warp_and_color_op.cpp.
 #pragma once
 

@@ -1,5 +1,5 @@
-// Random parameters and the pass over images that reads them, as one operator: a call of torch costs the host more than
-// either.
+// Random parameters and the pass over images that reads them, as one operator. Two operators would cost the host twice:
+// most of the time of a call on a small image is spent in torch's dispatcher.
 #include "augmentation/draw_warp_and_color.h"
 #include "augmentation/draws_glue.h"
 #include "augmentation/transforms_glue.h"
@@ -19,10 +19,10 @@ std::span<T const> numbers_of(Tensor const& x, ScalarType type) {
 
 struct Drawn {
   Tensor columns;
-  std::optional<Tensor> matrix;  // none: of the columns, if there is a warp
+  std::optional<Tensor> matrix;  // without one, run_pass computes it from the columns
 };
 
-// Draws columns and, on CUDA, the matrices of the chain that the plan of a pass begins with.
+// Draws the columns. On CUDA the same launch computes the matrices of the pass, whose chain begins its plan.
 Drawn draw(Tensor const& image, DrawParameters<float>& draws, [[maybe_unused]] bool warps,
            [[maybe_unused]] std::span<int64_t const> plan, [[maybe_unused]] std::span<double const> numbers) {
 #if defined(KV_CUDA)
@@ -33,8 +33,8 @@ Drawn draw(Tensor const& image, DrawParameters<float>& draws, [[maybe_unused]] b
     KV_CHECK(count <= numbers.size(), kOperator, ": expected at least ", count, " numbers, got ", numbers.size());
     int64_t const batch = draws.batch, elements = batch * draws.columns;
     Tensor const memory = empty({elements + 9 * batch}, image, Layout::planar, ScalarType::Float);
-    Tensor const columns = part_of(memory, {batch, draws.columns}, 0),
-                 matrix = part_of(memory, {batch, 3, 3}, elements);
+    Tensor const columns = view_of(memory, {batch, draws.columns}, 0),
+                 matrix = view_of(memory, {batch, 3, 3}, elements);
     draws.result = data_ptr<float>(columns);
     DrawsAndChain p{draws, transform_params<float>(kOperator, columns, chain, numbers.first(count))};
     p.chain.result = data_ptr<float>(matrix);
@@ -47,9 +47,9 @@ Drawn draw(Tensor const& image, DrawParameters<float>& draws, [[maybe_unused]] b
   return {columns, {}};
 }
 
-// The plan, as DrawnPass in drawn_pass.py writes it: the number of integers of the draws, and these; how many of the
-// numbers are theirs; the size of the result with its length before it; and the plan of the pass. The result, the
-// matrices or, without a warp, the columns in their place, and the columns.
+// The plan is written by DrawnPass in drawn_pass.py: the length of the plan of the draws, and that plan; how many of
+// the numbers belong to the draws; the length of the size of the result, and that size; the plan of the pass. Returns
+// the result, the matrices of the warp, and the columns; without a warp the columns also stand for the matrices.
 std::tuple<Tensor, Tensor, Tensor> draw_warp_and_color(Tensor const& image, Tensor const& keys,
                                                        std::optional<Tensor> const& seeds, Tensor const& plan,
                                                        Tensor const& numbers) {

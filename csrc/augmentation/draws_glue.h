@@ -9,19 +9,20 @@
 
 namespace kv::augmentation {
 
-// The draws of a plan, as make_plan in draws.py writes it, without the memory of their result.
+// The parameters of the kernel for a plan that make_plan in draws.py has written; `result` is not set.
 DrawParameters<float> draws_of(Tensor const& images, Tensor const& keys, std::optional<Tensor> const& seeds,
                                std::span<int64_t const> plan, std::span<double const> numbers);
 
-// Memory for their result, (B, columns).
+// Allocates the result (B, columns) of the draws, and sets it in `p`.
 inline Tensor columns_for(DrawParameters<float>& p, Tensor const& images) {
   Tensor const result = empty({p.batch, p.columns}, images, Layout::planar, ScalarType::Float);
   p.result = data_ptr<float>(result);
   return result;
 }
 
-// A part of the memory of a contiguous tensor, from element `offset` on: a second tensor for less than an allocation.
-inline Tensor part_of(Tensor const& x, std::initializer_list<int64_t> sizes, int64_t offset) {
+// A contiguous view of the memory of tensor `x` from element `offset` on. Several views of one allocation cost the host
+// less than several allocations.
+inline Tensor view_of(Tensor const& x, std::initializer_list<int64_t> sizes, int64_t offset) {
   int64_t strides[8], stride = 1;
   for (size_t axis = sizes.size(); axis-- > 0;) {
     strides[axis] = stride;

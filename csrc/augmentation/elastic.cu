@@ -1,6 +1,6 @@
-// Displacements of elastic transforms on CUDA, in one launch that stores nothing in between. A block goes down 128
-// columns of a plane. Of 32 rows at a time it draws the noise into shared memory and filters it along x, and every 64
-// rows along y. The blur takes 126 products a pixel for windows of 63 x 63, so instructions limit the kernel.
+// Displacements of elastic transforms on CUDA, in one launch without intermediate images. A block traverses 128 columns
+// of a plane downwards. It draws 32 rows of noise at a time into shared memory and filters them along x, and it filters
+// 64 rows at a time along y. A window of 63 x 63 takes 126 products per pixel, so instructions limit the kernel.
 #include "augmentation/elastic.h"
 #include "core/row_prefetcher.cuh"
 
@@ -18,8 +18,8 @@ struct ElasticMemory {
   alignas(16) float kx[kMaxElasticTaps + 1], ky[kMaxElasticTaps + 1];
 };
 
-// N sums over windows that begin at 0 ... N - 1, of C adjacent channels of numbers each: the last N numbers are in
-// registers.
+// N sums over windows that begin at 0 ... N - 1, for C adjacent columns. The last N values are kept in registers.
+// Unlike that of filters/separable.cu it reads the weights by vectors.
 template <int N, int C, class Load>
 __device__ __forceinline__ void filter_windows(float const* weights, int taps, Load load, float (&sums)[N][C]) {
   float v[N][C];
@@ -68,7 +68,7 @@ __global__ void __launch_bounds__(kThreads, 2) blur_noise(__grid_constant__ Elas
   }
   [[maybe_unused]] DrawSource source{};
   if constexpr (Drawn) source = p.noise.source(b);
-  // Blocks of four pixels from the first column that a window reads.
+  // A draw makes four pixels, so rows are drawn in blocks of four from the first column that a window reads.
   int const left = x0 - p.taps_x / 2, begin = left & -4, before = left - begin;
   int const blocks = (before + min(kTileWidth, width - x0) + p.taps_x - 1 + 3) / 4;
   uint32_t const first_block = uint32_t(channel) * uint32_t(p.noise.blocks());
@@ -76,7 +76,7 @@ __global__ void __launch_bounds__(kThreads, 2) blur_noise(__grid_constant__ Elas
   for (int y = y0; y < y1; y += kTileHeight) {
     int const has = y == y0 ? 0 : overlap, needs = min(kTileHeight, y1 - y) + overlap;
     for (int row = has; row < needs; row += 32) {
-      // Each thread takes a row, and a warp every eighth block, then 16 columns of results.
+      // Each thread has a row. Its warp draws every eighth block of four pixels, then filters 16 columns.
       int const at = y - p.taps_y / 2 + row + lane;
       bool const exists = row + lane < needs && at >= 0 && at < height;
 #pragma unroll 2
@@ -126,7 +126,7 @@ __global__ void __launch_bounds__(kThreads, 2) blur_noise(__grid_constant__ Elas
       if (to < y1 && x < width)
         *reinterpret_cast<float4*>(result + to * width + x) = {sums[n][0], sums[n][1], sums[n][2], sums[n][3]};
     }
-    // The last rows are the first of the next tile.
+    // The last rows of this tile are the first ones of the next.
     if (y + kTileHeight < y1) {
       __syncthreads();
       for (int i = threadIdx.x; i < overlap * kPitch / 4; i += kThreads)
@@ -150,8 +150,6 @@ int elastic_displacements(ElasticDisplacements const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-bool serves_elastic_displacements() {
-  return int64_t(sizeof(ElasticMemory)) <= max_shared_bytes(sizeof(ElasticMemory));
-}
+bool has_elastic_displacements() { return int64_t(sizeof(ElasticMemory)) <= max_shared_bytes(sizeof(ElasticMemory)); }
 
 }  // namespace kv::augmentation::cuda

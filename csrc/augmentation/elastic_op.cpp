@@ -1,4 +1,4 @@
-// Displacements of elastic transforms: schema and entry, for CPU and CUDA alike.
+// Displacements of elastic transforms: schema and entry, for CPU and CUDA.
 #include "augmentation/elastic.h"
 #include "augmentation/noise_glue.h"
 #include "filters/separable_glue.h"
@@ -11,7 +11,7 @@ struct ElasticBlur {
   double sigma_y, sigma_x, scale[2];
 };
 
-// The noise (B, 2, H, W) that was given, or drawn: numbers of float32 in the type of `noise`.
+// The noise (B, 2, H, W): the argument, or drawn in float32 and converted to the type of `noise`.
 Tensor elastic_noise(Tensor const& noise, NoiseSource const* source) {
   if (!source) return as_layout(noise, Layout::planar);
   Tensor const drawn = empty(noise.sizes(), noise, Layout::planar, ScalarType::Float);
@@ -45,11 +45,11 @@ void set_gaussian(float (&weights)[kMaxElasticTaps + 1], int64_t size, double si
 bool fits_kernel(Tensor const& noise, ElasticBlur const& blur) {
   return noise.scalar_type() == ScalarType::Float && noise.size(3) % 4 == 0 && noise.numel() > 0 &&
          noise.size(2) * noise.size(3) <= INT32_MAX && blur.ky <= kMaxElasticTaps && blur.kx <= kMaxElasticTaps &&
-         blur.ky % 2 == 1 && blur.kx % 2 == 1 && cuda::serves_elastic_displacements();
+         blur.ky % 2 == 1 && blur.kx % 2 == 1 && cuda::has_elastic_displacements();
 }
 #endif
 
-// Without keys `noise` is the noise; with them it is drawn, and `noise` has its size and type.
+// Without keys `noise` is the noise. With keys the noise is drawn, and only the size and the type of `noise` are read.
 Tensor elastic_displacements(Tensor const& noise, std::optional<Tensor> const& keys, std::optional<Tensor> const& seeds,
                              std::vector<int64_t> const& plan, int64_t ky, int64_t kx, double sigma_y, double sigma_x,
                              double scale_x, double scale_y) {

@@ -1,4 +1,4 @@
-// Arguments of operators with noise, checked. Included by noise_op.cpp and elastic_op.cpp.
+// Checks of arguments that operators with noise have in common. Included by noise_op.cpp and elastic_op.cpp.
 #pragma once
 
 #include "augmentation/noise.h"
@@ -6,8 +6,8 @@
 
 namespace kv::augmentation {
 
-// Where noise comes from: keys (K,) on the CPU or the device of the images; seeds (B,), which replace them; and the
-// plan: the index of the key, the position in the chain, the index of the draw, same_on_batch.
+// What determines noise: keys (K,) on the CPU or on the device of the images; seeds (B,), which replace the keys; and
+// the plan, which is the index of the key, the position in the chain, the index of the draw, and same_on_batch.
 struct NoiseSource {
   char const* op;
   Tensor const &images, &keys;
@@ -45,7 +45,7 @@ struct NoiseSource {
   }
 };
 
-// (B,) float32, whose zeros leave samples unchanged.
+// `chosen` is (B,) float32; samples whose value is 0 are left unchanged.
 inline void check_chosen(char const* op, std::optional<Tensor> const& chosen, Tensor const& images) {
   if (!chosen) return;
   KV_CHECK(chosen->dim() == 1 && (chosen->size(0) == images.size(0) || chosen->size(0) == 1) &&
@@ -58,7 +58,7 @@ void set_chosen(PixelNoise<T>& n, std::optional<Tensor> const& chosen) {
   n.chosen_stride = chosen && chosen->size(0) > 1 ? chosen->stride(0) : 0;
 }
 
-// Images x and y of the same layout, dense.
+// Sets the images x and y, which are dense and have the same layout.
 template <class T>
 void set_images(PixelNoise<T>& n, Tensor const& x, Tensor const& y, Layout layout) {
   bool const last = layout == Layout::channels_last;
@@ -68,6 +68,7 @@ void set_images(PixelNoise<T>& n, Tensor const& x, Tensor const& y, Layout layou
   n.channel_stride = last ? 1 : n.pixels, n.step = last ? n.channels : 1;
 }
 
+// Work items of the CPU kernel.
 inline int64_t noise_units(Tensor const& x) {
   return x.numel() ? x.size(0) * ((x.size(2) * x.size(3) + kNoiseChunk - 1) / kNoiseChunk) : 0;
 }

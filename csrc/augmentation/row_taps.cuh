@@ -1,5 +1,5 @@
-// The taps of bilinear warps that map rows to rows, as crops, flips and resizing do: an axis at a time. Included by
-// warp_and_color.cu and warp_rows_backward.cu.
+// The taps of bilinear warps that map rows to rows, as crops, flips and resizing do. Such warps are separable: each
+// axis has taps of its own. Included by warp_and_color.cu and warp_rows_backward.cu.
 #pragma once
 
 #include "core/launch.cuh"
@@ -28,8 +28,8 @@ struct AxisTaps {
 struct RowMap {
   double scale[2], offset[2];
 
-  // From the caller's matrix. A diagonal one with a translation, as those of crops, flips and resizing are, is inverted
-  // by a tenth of the instructions, which all threads wait for; the result is the same.
+  // From the caller's matrix. Crops, flips and resizing have diagonal matrices with a translation. Their inverse takes
+  // a tenth of the instructions of a general one, and all threads wait for it; the result is the same.
   template <class F>
   __device__ __forceinline__ void init(F const* entries, geometry::MatrixUse const& use) {
     double m[9];

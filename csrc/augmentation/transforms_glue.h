@@ -38,7 +38,7 @@ TransformMatrix<T> transform_params(char const* op, Tensor const& columns, std::
   return p;
 }
 
-// How many numbers the inputs of a chain have.
+// The count of numbers that a chain of transforms takes.
 inline size_t count_inputs(char const* op, std::span<int64_t const> plan) {
   size_t count = 0;
   for (size_t at = 0; at < plan.size();) {

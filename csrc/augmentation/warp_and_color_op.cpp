@@ -1,4 +1,4 @@
-// Warps with a program of color steps: schemas and entries, for CPU and CUDA alike. A warp without steps, or steps
+// Warps with a program of color steps: schemas and entries, for CPU and CUDA. A warp without steps, or steps
 // without a warp, run as such; so do both one after the other where no kernel joins them.
 #include "augmentation/broadcast_scalar.h"
 #include "augmentation/transforms_glue.h"
@@ -157,8 +157,8 @@ struct WarpAndColorArguments {
   }
 };
 
-// A gradient whose rows kernels can read by vectors. An expanded scalar is written to memory, which takes half as long as
-// a copy.
+// A gradient whose rows kernels can read by vectors. An expanded scalar is written to memory, which takes half as long
+// as a copy.
 Tensor materialized([[maybe_unused]] char const* op, Tensor const& grad) {
   if (!color::is_expanded_scalar(grad)) return grad;
   Tensor const result = empty(grad.sizes(), grad);
@@ -247,7 +247,7 @@ PassResults run_pass(Tensor const& image, OptionalTensor const& columns, Optiona
 
 namespace {
 
-// Without a warp the matrices are (B, 0, 3), and without contrast the means are (B, 0).
+// Missing matrices are (B, 0, 3), and missing means are (B, 0).
 std::tuple<Tensor, Tensor, Tensor> warp_and_color(Tensor const& image, OptionalTensor const& columns,
                                                   OptionalTensor const& fill, std::vector<int64_t> const& size,
                                                   std::vector<int64_t> const& plan, Numbers const& numbers) {

@@ -1,12 +1,13 @@
-// The transpose of a warp that maps rows to rows is separable, and so its gradient is taken an axis at a time. A block
-// has some rows of the source:
+// The gradient of the image through a warp that maps rows to rows, on CUDA. The transpose of such a warp is separable:
+// it is computed along y, then along x. A block computes some rows of the source:
 //
-//   down      a row of the source is the sum of the rows of the gradient that have it as a tap. A thread goes down four
-//             columns of the gradient, and keeps the sums of the two rows between which it is.
-//   across    a pixel is the sum of the columns that have it as a tap, of sums that the block keeps in shared memory.
+//   down      A row of the source is the weighted sum of the rows of the gradient that have it as a tap. A thread
+//             traverses four columns of the gradient downwards, and keeps the sums of the two source rows that the
+//             current row reads. Complete sums go to shared memory.
+//   across    A pixel is the weighted sum of the columns of these sums that have it as a tap.
 //
-// Along an axis coordinates grow or shrink, so that what has a pixel as a tap is adjacent. Every pixel is written once,
-// also those that nothing reads, and nothing is added by atomics: results are the same every time.
+// Coordinates are monotonic along an axis, so the rows (columns) that have a pixel as a tap are adjacent. Every pixel
+// is written once, without atomics: results have the same bits every run.
 #include "augmentation/row_taps.cuh"
 #include "augmentation/warp_rows_backward.h"
 
@@ -18,13 +19,13 @@ constexpr int kRowsOfThread = 8;                                   // across, wh
 constexpr int kRowsAhead = 4;                                      // of the gradient that are loaded together
 constexpr int64_t kMaxSums = 48 << 10;                             // bytes
 
-// A row or a column of the gradient adds (1 - t) of itself to this pixel and t to the next one.
+// A row or a column of the gradient adds to `pixel` with weight 1 - t, and to the next one with weight t.
 struct TapPair {
   int pixel;
   float t;
 };
 
-// Those of an axis in the order of their pixels.
+// The tap pairs of an axis, sorted by pixel.
 struct TapPairs {
   TapPair* pairs;
   int count;
@@ -38,7 +39,7 @@ struct TapPairs {
       pairs[i] = {taps.first, taps.second == taps.first ? 0.f : taps.t};
     }
   }
-  // The first one with this pixel or a later one.
+  // The index of the first pair with this pixel or a later one.
   __device__ __forceinline__ int first_at(int pixel) const {
     int low = 0, high = count;
     while (low < high) {
@@ -61,7 +62,7 @@ struct TapPairs {
   }
 };
 
-// A block has `rows` rows of an image, a multiple of R, and sums for them of a group of channels.
+// A block has `rows` rows of an image, a multiple of R, and keeps their sums for a group of channels.
 template <class T, int R, bool Vectors>
 __global__ void __launch_bounds__(kMaxThreads)
     add_rows(__grid_constant__ geometry::SampleImageBackward<T> const p, int parts, int rows) {
@@ -136,7 +137,7 @@ __global__ void __launch_bounds__(kMaxThreads)
 #pragma unroll 1
             while (y < pair.pixel) advance();  // where the source has more rows
           }
-          // What is not finite counts only where it has a weight.
+          // A tap of weight 0 contributes nothing, even if it is inf or NaN.
           if (pair.t != 1)
 #pragma unroll
             for (int i = 0; i < 4; ++i) own[i] += (1 - pair.t) * g[r][i];
@@ -175,7 +176,7 @@ __global__ void __launch_bounds__(kMaxThreads)
   }
 }
 
-// What a block has in shared memory: rows of sums, and how both axes read the gradient.
+// The shared memory of a block: rows of sums, and the tap pairs of both axes.
 struct BlockMemory {
   int64_t rows;
   size_t bytes;

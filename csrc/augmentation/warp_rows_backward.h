@@ -1,5 +1,5 @@
 // The gradient of the image through a bilinear warp that maps rows to rows, as crops, flips and resizing do, on CUDA.
-// Any other warp, and all on the CPU, have geometry::sample_image_backward. Included by warp_rows_backward.cu and
+// Other warps, and all warps on the CPU, take geometry::sample_image_backward. Included by warp_rows_backward.cu and
 // warp_and_color_op.cpp.
 #pragma once
 
@@ -8,8 +8,8 @@
 
 namespace kv::augmentation {
 
-// A sample for each image. `sums` is not used: every pixel of `grad_x`, whose rows are dense, is written once. Types
-// compute in float, and the padding is not a reflection.
+// There is one sample for each image, T computes in float, and the padding is not a reflection. The rows of `grad_x`
+// are dense. `sums` is not used, because every pixel of `grad_x` is written once.
 template <class T>
 struct WarpRowsBackward {
   geometry::SampleImageBackward<T> warp;
@@ -18,7 +18,7 @@ struct WarpRowsBackward {
 KV_KERNEL(warp_rows_backward, WarpRowsBackward)
 
 namespace cuda {
-// Whether what a block needs fits its shared memory.
+// Whether the shared memory of a block is large enough.
 bool fits_block(geometry::Size source, geometry::Size output);
 }  // namespace cuda
 

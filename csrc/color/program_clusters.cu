@@ -1,5 +1,6 @@
-// Color programs around a mean in one launch. The blocks of a sample are a cluster and keep in shared memory what
-// they have computed up to the contrast until the mean is known, or, in a gradient, that of the mean.
+// Color programs around a mean in one launch. The blocks of a sample are a cluster. They keep in shared memory the
+// pixels up to the contrast step until the mean is known; in the backward pass, the gradients until that of the mean is
+// known.
 #include "core/cluster.cuh"
 #include "program.cuh"
 #include "program_clusters.h"
@@ -126,7 +127,8 @@ __global__ void __launch_bounds__(kClusterThreads, 2)
   cluster_wait();  // shared memory exists until all blocks have read it
 }
 
-// The inputs of steps [begin, end), of which c is the first and becomes the last.
+// Stores the inputs of steps [begin, end) and runs these steps. c is the input of the first step, and then the result
+// of the last one.
 using Inputs = Values[kMaxSteps - 1];
 __device__ __forceinline__ void keep_inputs(Sample<float> const& sample, int begin, int end, Values& c,
                                             Inputs& inputs) {
@@ -239,8 +241,8 @@ template <class Kernel>
 bool takes_clusters(Kernel* kernel, Program<float> const& p) {
   constexpr int64_t kMaxShared = 112 << 10;  // two blocks on a multiprocessor
   constexpr int64_t kStaticShared = 2 << 10;
-  // Whatever the number of samples: two runs are faster for few, but their sums have another order, and the result of a
-  // sample must not depend on the batch.
+  // This does not depend on the number of samples. Two runs are faster for few samples, but they sum in another order,
+  // and the result of a sample must not depend on the size of the batch.
   return p.contrast >= 0 && p.x.channels == 3 && p.pixels % P == 0 && p.x.access == Access::plain_vectors &&
          has_frequent_steps_only(p) && int64_t(bytes_of(p.pixels)) + kStaticShared <= max_shared_bytes(kMaxShared) &&
          supports_clusters(kernel);

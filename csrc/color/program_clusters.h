@@ -6,8 +6,8 @@
 
 namespace kv::color::cuda {
 
-// Whether a program around a mean takes one launch, or its gradient of the image only. The images are planes of floats,
-// the steps are frequent ones, and what is computed of a sample up to its contrast fits the shared memory of a cluster.
+// Whether one launch serves a program around a mean, or the gradient of its image without those of parameters. It
+// serves planes of floats and frequent steps, if a sample fits the shared memory of a cluster.
 bool takes_clusters(Program<float> const& p);
 bool takes_clusters(ProgramBackward<float> const& p);
 

@@ -22,7 +22,7 @@ constexpr uint64_t kFrequentSteps = uint64_t(1) << int(Step::scale_shift) | uint
                                     uint64_t(1) << int(Step::contrast) | uint64_t(1) << int(Step::scale_shift_rgb) |
                                     uint64_t(1) << int(Step::standardize_rgb) | uint64_t(1) << int(Step::saturation) |
                                     uint64_t(1) << int(Step::saturation_gray) | uint64_t(1) << int(Step::hue);
-// Whether P takes these only.
+// Whether P supports only frequent steps.
 template <class P>
 constexpr bool takes_frequent_steps_only() {
   if constexpr (requires { P::kFrequentOnly; })

@@ -70,16 +70,16 @@ struct Clahe {
   TileAxis down, across;
   int32_t limit;    // the clip limit of a tile's counts
   bool to_levels;   // the result is rounded to levels
-  uint8_t* tables;  // kLevels for every tile of every plane; null on the CPU where its rows of work are planes
-  // CPU, besides the tables: whether the tiles of a row of them have a NaN.
+  uint8_t* tables;  // kLevels for every tile of every plane; null on the CPU if the work is divided by planes
+  // CPU, with tables: whether a row of tiles has a NaN.
   uint8_t* has_nan = nullptr;
 
   KV_HD uint8_t* tables_of(int64_t plane) const { return tables + plane * down.count * across.count * kLevels; }
   KV_HD bool by_cells() const { return tables != nullptr; }
 };
 
-// On the CPU, a row of work is a plane. Where there are few planes it is a row of cells, behind a pass of its own for
-// the tables, whose rows of work are rows of tiles: more threads than planes share the work.
+// On the CPU the work is divided by planes. If there are few planes, it is divided by rows of cells, after a first pass
+// for the tables that is divided by rows of tiles, so that more threads than planes can run.
 KV_KERNEL(clahe, Clahe)
 KV_KERNEL(clahe_tables, Clahe)  // CPU
 

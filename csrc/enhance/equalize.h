@@ -16,7 +16,7 @@ struct Equalize {
   T* changed;  // a Change per plane
   bool opencv;
   int32_t* counts;    // working memory, kLevels per plane; on the CPU per part of a plane, if there are parts
-  int64_t parts = 1;  // CPU: planes are divided into parts, so that more threads than planes share the work
+  int64_t parts = 1;  // CPU: parts that planes are divided into, so that more threads than planes can run
 
   KV_HD int64_t first_of(int64_t part) const { return x.width * part / parts; }
 };

@@ -6,7 +6,8 @@
 
 namespace kv::enhance {
 
-// Threads of the CPU share a plane of that many pixels where there are fewer planes than that.
+// On the CPU, planes of at least kLargePlane pixels are divided among threads if there are fewer than kManyPlanes
+// planes.
 constexpr int64_t kLargePlane = 1 << 16, kManyPlanes = 16;
 
 // `x`, copied only if it is not dense: all pixels of a plane then form one row.

@@ -1,4 +1,4 @@
-// Slots of orientations on CUDA: a block a sample goes through its frames in order.
+// Slots of orientations on CUDA: one block per sample traverses its frames in order, by prefix sums.
 #include "core/launch.cuh"
 #include "orientation_slots.h"
 
@@ -16,15 +16,15 @@ __global__ void __launch_bounds__(kThreads) fill_slots(__grid_constant__ Orienta
   for (int start = 0; start < p.count && filled < p.count; start += kThreads) {
     int const at = start + int(threadIdx.x);
     int64_t const i = sample * p.count + at;
-    int const own = at < p.count ? p.orientations(i) : 0;
-    int through = own;
+    int const own = at < p.count ? p.count_orientations(i) : 0;
+    int inclusive = own;
     for (int step = 1; step < 32; step *= 2) {
-      int const before = __shfl_up_sync(0xffffffffu, through, step);
-      if (lane >= step) through += before;
+      int const before = __shfl_up_sync(0xffffffffu, inclusive, step);
+      if (lane >= step) inclusive += before;
     }
-    if (lane == 31) of_warps[warp] = through;
+    if (lane == 31) of_warps[warp] = inclusive;
     __syncthreads();
-    int before = filled + through - own, all = 0;
+    int before = filled + inclusive - own, all = 0;
     for (int w = 0; w < kWarps; ++w) {
       before += w < warp ? of_warps[w] : 0;
       all += of_warps[w];

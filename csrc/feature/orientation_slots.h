@@ -1,6 +1,7 @@
-// Frames rotated onto the orientations of their patches, one slot for each orientation: of the frames of a sample in
-// order, each with its orientations in order, the first `count`. Repetitions of a frame's first angle are no
-// orientations. Included by orientation_slots_cpu.cpp, orientation_slots.cu and orientation_slots_op.cpp.
+// Frames rotated by the orientations of their patches, one slot for each orientation. Frames and the orientations of
+// each frame keep their order, and the first `count` of a sample are kept. An angle that repeats the first one of its
+// frame is not an orientation. Included by orientation_slots_cpu.cpp, orientation_slots.cu and
+// orientation_slots_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -8,7 +9,7 @@
 
 namespace kv::feature {
 
-// What formulas are evaluated on.
+// The value type that formulas are evaluated on.
 #if defined(__CUDACC__)
 using FormulaValue = double;
 KV_HD double first_of(double x) { return x; }
@@ -27,16 +28,16 @@ struct OrientationSlots {
   int64_t batch;
   int count, peaks;
 
-  // Of frame i of all samples.
+  // `i` counts the frames of all samples.
   KV_HD bool is_orientation(int64_t i, int k) const { return k == 0 || angles[i * peaks + k] != angles[i * peaks]; }
-  KV_HD int orientations(int64_t i) const {
+  KV_HD int count_orientations(int64_t i) const {
     bool is_filled = false;
     for (int e = 0; e < 6; ++e) is_filled = is_filled || frames[6 * i + e] != 0;
     int sum = 0;
     for (int k = 0; k < peaks; ++k) sum += is_filled && is_orientation(i, k);
     return sum;
   }
-  // Fills the slots of frame i from `slot` on.
+  // Writes the orientations of frame i to the slots from `slot` on.
   KV_HD void store(int64_t sample, int64_t slot, int64_t i) const {
     for (int k = 0; k < peaks && slot < count; ++k) {
       if (!is_orientation(i, k)) continue;

@@ -8,7 +8,7 @@ void orientation_slots(OrientationSlots<F> const& p, int64_t begin, int64_t end)
   for (int64_t sample = begin; sample < end; ++sample) {
     int64_t slot = 0;
     for (int64_t i = sample * p.count; i < (sample + 1) * p.count && slot < p.count; ++i) {
-      int const orientations = p.orientations(i);
+      int const orientations = p.count_orientations(i);
       if (orientations > 0) p.store(sample, slot, i);
       slot += orientations;
     }

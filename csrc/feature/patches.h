@@ -32,7 +32,7 @@ struct PyramidShape {
 
 template <class T>
 struct SamplePatches {
-  T const* image;            // (batch, channels) planes, level 0 of a pyramid that begins with level 1; null: level 0
+  T const* image;            // (batch, channels) planes of level 0, if the pyramid begins with level 1; else null
   T const* pyramid;          // (batch, channels, shape.size)
   Compute<T> const* frames;  // (batch, count, 2, 3)
   T* patches;                // (batch, count, channels, n, n)
@@ -42,7 +42,7 @@ struct SamplePatches {
   Compute<T> window;
 
   KV_HD int64_t pixels() const { return int64_t(shape.heights[0]) * shape.widths[0]; }
-  // A level of the first plane of a sample, and the distance to the next plane.
+  // A level of the first channel of a sample, and the distance to the next channel.
   KV_HD T const* level(int64_t sample, int number) const {
     if (image && number == 0) return image + sample * channels * pixels();
     return pyramid + sample * channels * shape.size + shape.offsets[number];

@@ -72,7 +72,7 @@ Tensor sample_patches(Tensor const& pyramid, Tensor const& laf, std::vector<int6
   return patches;
 }
 
-// From a pyramid of the images, which is built here. Its levels are those of pyrdown with a reflected border.
+// Builds the pyramid of the images, by pyrdown with the reflect border, and samples patches from it.
 Tensor pyramid_patches(Tensor const& input, Tensor const& laf, int64_t levels, int64_t patch_size, double window) {
   constexpr char const* op = "pyramid_patches";
   check_images(op, "input", input);
@@ -85,7 +85,7 @@ Tensor pyramid_patches(Tensor const& input, Tensor const& laf, int64_t levels, i
            op, ": expected laf of shape (B, N, 2, 3) of the type that computes");
   for (int l = 0; l + 1 < shape.levels; ++l)
     check_border(op, Border::reflect, 2, min(shape.heights[l], shape.widths[l]));
-  // The images are level 0; memory holds the others.
+  // The images are level 0; `pyramid` holds the levels from 1 on.
   shape.size -= height * width;
   for (int l = 1; l < shape.levels; ++l) shape.offsets[l] -= height * width;
   Tensor const image = dense(input), frames = expand_batch(laf, batch);

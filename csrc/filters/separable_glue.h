@@ -36,7 +36,7 @@ inline void check_sample_weights(char const* op, Tensor const& rows, Tensor cons
            ": weights or sigmas differ in dtype or device from what the input is computed in");
 }
 
-// `rows` contiguous.
+// The same weights or sigmas, contiguous.
 inline Tensor checked_weights(char const* op, Tensor const& rows, Tensor const& x) {
   check_sample_weights(op, rows, x);
   return dense(rows);

@@ -1,10 +1,10 @@
-// The kernels of motion blur: a line through the center of a square or a cube, rotated, with weights that rise or fall
-// along it. A pixel of the kernel is rotated back; there it reads its weight, by interpolation:
+// The kernels of motion blur: a line through the center of a square or a cube, rotated, with weights that change
+// linearly along it. Each pixel of the kernel is rotated back and interpolates the weights of the line there:
 //
 //   weight = sum over taps of line(tap) w(along - tap)  times  w(across) for each other axis     w: of an interpolation
 //
-// The weights of a kernel are divided by their sum. Computed in double: which of two pixels is nearer can be a matter
-// of the last bits. Included by motion_cpu.cpp, motion.cu and motion_op.cpp.
+// The weights of a kernel are divided by their sum. They are computed in double, because the last bits of a coordinate
+// can decide which of two pixels is nearest. Included by motion_cpu.cpp, motion.cu and motion_op.cpp.
 #pragma once
 
 #include <math.h>
@@ -39,7 +39,7 @@ KV_HD double round_half_to_even(double x) {
 struct MotionLine {
   double vector[3];  // of the rotation
   double cosine, sinc, versine;
-  double start, slope;  // the weight at the left end and its change from there to the right end
+  double start, change;  // the weight at the left end, and that at the right end minus it
   int size, center, axes;
   MotionTaps taps;
 
@@ -55,7 +55,7 @@ struct MotionLine {
     sinc = t > 0 ? sin(t) / t : 1;
     cosine = 1 - square * versine;
     double const clamped = direction < -1 ? -1 : direction > 1 ? 1 : direction;
-    start = (clamped + 1) / 2, slope = 1 - 2 * start;
+    start = (clamped + 1) / 2, change = 1 - 2 * start;
   }
 
   // The weight of a tap at a distance.
@@ -65,7 +65,7 @@ struct MotionLine {
     if (d <= 1) return (1.25 * d - 2.25) * d * d + 1;
     return d < 2 ? ((-0.75 * d + 3.75) * d - 6) * d + 3 : 0;
   }
-  // The nearest whole pixel; halves, whatever their last bits, go to the even index as counted from the border.
+  // The nearest whole pixel. Halves, up to rounding errors, go to the even index, counted from the border.
   KV_HD double nearest_pixel(double position) const {
     return round_half_to_even(round_half_to_even(position * 0x1p20) / 0x1p20 + center) - center;
   }
@@ -90,7 +90,7 @@ struct MotionLine {
     for (int k = -before; k <= after; ++k) {
       double const tap = first + k, distance = at[0] - tap;
       if (tap < -center || tap > center) continue;
-      sum += (start + slope * (tap + center) / (size - 1)) * tap_weight(distance < 0 ? -distance : distance);
+      sum += (start + change * (tap + center) / (size - 1)) * tap_weight(distance < 0 ? -distance : distance);
     }
     for (int k = 1; k < axes; ++k) sum *= tap_weight(at[k] < 0 ? -at[k] : at[k]);
     return sum;

@@ -1,5 +1,5 @@
 // Points and normals of depth images on CUDA: a thread takes four adjacent pixels, in accesses of 16 bytes where
-// possible. Points whose coordinates are adjacent are written by way of shared memory.
+// possible. Points (H, W, 3), whose coordinates are adjacent in memory, go through shared memory.
 #include "core/block_reduce.cuh"
 #include "core/launch.cuh"
 #include "geometry/depth/points.h"

@@ -1,4 +1,4 @@
-// Products of polynomials in x, y and z, and the determinant of polynomials in z, of their coefficients: formulas of
+// The coefficients of products of polynomials in x, y and z, and of determinants of polynomials in z: formulas of
 // kvision.geometry.solvers.polynomials. Included by formulas.h and minimal.h.
 #pragma once
 
@@ -77,7 +77,7 @@ KV_HD void add_convolution(V const* a, V const* b, V* to) {
     for (int k = 0; k < Right; ++k) to[i + k] = Sign > 0 ? to[i + k] + a[i] * b[k] : to[i + k] - a[i] * b[k];
 }
 
-// to[i] += sum over k of g[i + k] b[k], or -=: the gradient of a convolution to one of its factors.
+// to[i] += sum over k of g[i + k] b[k], or -=: the vjp of add_convolution for one of its factors.
 template <int Left, int Right, int Sign, class V>
 KV_HD void add_correlation(V const* g, V const* b, V* to) {
 #pragma unroll

@@ -1,5 +1,4 @@
-// Steps of pyramids that are built within an operator: images of one size to images of another, blurred images. Images
-// are contiguous planes. Included by the *_op.cpp files of operators that build pyramids.
+// Resizing and blurring for operators that build a pyramid of contiguous planes. Included by their *_op.cpp files.
 #pragma once
 
 #include "filters/separable_glue.h"
@@ -7,7 +6,7 @@
 
 namespace kv {
 
-// `count` adjacent planes.
+// `count` contiguous planes, one after the other.
 template <class T>
 Planes<T> adjacent_planes(T* data, int64_t count, int64_t height, int64_t width) {
   return {data, count, 1, height * width, 0, width, height, width, 1};
@@ -23,7 +22,7 @@ Planes<T> planes_of_level(T* data, int64_t count, int64_t levels, int64_t level,
 
 namespace kv::geometry {
 
-// `like`: a tensor on the device of the planes.
+// Resizes x to the size of y. `like` is a tensor on their device.
 template <class T>
 void resize_planes([[maybe_unused]] Tensor const& like, Planes<T const> const& x, Planes<T> const& y,
                    ResizeFilter filter, bool align_corners, Border border = Border::replicate) {
@@ -39,7 +38,7 @@ void resize_planes([[maybe_unused]] Tensor const& like, Planes<T const> const& x
 
 namespace kv::filters {
 
-// A Gaussian blur with a reflected border, which `size` / 2 pixels reach.
+// Blurs x by a Gaussian with a window of `size` pixels and the reflect border.
 template <class T>
 void blur_planes(char const* op, [[maybe_unused]] Tensor const& like, Planes<T const> const& x, Planes<T> const& y,
                  int64_t size, double sigma) {

@@ -1,12 +1,12 @@
-// Chains of matrices and maps on CUDA. A thread walks back from pixels of the result, and keeps the coordinates in
-// registers: to store them, to sample an image there, or to differentiate the chain.
+// Chains of matrices and maps on CUDA. A thread walks back from pixels of the result and keeps the sampling coordinates
+// in registers. It stores them, samples an image there, or differentiates the chain.
 #include "geometry/transform/composed/composed_warp.h"
 #include "geometry/transform/source_tile.cuh"
 
 namespace kv::geometry::cuda {
 namespace {
 
-// By all threads of a block: the inverses of the matrices of sample b.
+// Computes the inverses of the matrices of sample b. Called by all threads of a block.
 template <class F>
 __device__ __forceinline__ void find_inverses(Chain<F> const& chain, int64_t b, Homography<F>* inverses) {
   if (int(threadIdx.x) < chain.count && chain.links[threadIdx.x].is_matrix())
@@ -14,7 +14,8 @@ __device__ __forceinline__ void find_inverses(Chain<F> const& chain, int64_t b, 
   __syncthreads();
 }
 
-// The coordinates of a thread's pixels of a tile: (x, y) and those below it. Out of bounds they are no one's.
+// The sampling coordinates of a thread's pixels of a tile: (x, y) and those below it. Coordinates of pixels out of
+// bounds are not used.
 template <class F>
 struct ThreadWalk {
   F u[kPixelsPerThread], v[kPixelsPerThread];
@@ -87,8 +88,8 @@ __global__ void __launch_bounds__(kThreads) add_matrix_gradients(__grid_constant
 
 // --- images ----------------------------------------------------------------------------------------------------------
 
-// N channels at (u, v), from global memory. Tap by tap at the border, and where a tap of weight 0, which contributes
-// nothing, may be NaN or inf.
+// Samples N channels at (u, v) from global memory. Goes tap by tap at the border, and where a tap of weight 0, which
+// contributes nothing, may be NaN or inf.
 template <int N, class T>
 __device__ __noinline__ void sample_unstaged(ComposedWarp<T> const& p, int64_t b, int first, int y, int x, float u,
                                              float v) {

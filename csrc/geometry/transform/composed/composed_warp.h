@@ -1,11 +1,11 @@
-// Chains of matrices and maps as one warp: a pixel of the result walks back through the links to where it reads the
-// image.
+// Chains of matrices and maps as one warp. The sampling coordinates of a pixel of the result are found by walking back
+// through the links:
 //
 //   result  (x, y)  ->  last link  ->  ...  ->  first link  ->  (u, v)  image
 //
-//   matrix  from the pixels before a link to those behind it; the walk applies its inverse
-//   map     displacements (B, 2, H, W) in pixels, interpolated bilinearly; beyond the outermost pixels they stay what
-//           they are there: (x, y) -> (x, y) + d(x, y)
+//   matrix  maps the input of a link to its output; the walk applies its inverse
+//   map     displacements (B, 2, H, W) in pixels, interpolated bilinearly with the replicate border; the walk applies
+//           (x, y) -> (x, y) + d(x, y)
 //
 // Included by composed_warp_cpu.cpp, composed_warp.cu and composed_warp_op.cpp.
 #pragma once
@@ -29,22 +29,23 @@ struct Link {
   static KV_HD MatrixUse use() { return {3, true, false, true, {}, {}}; }
 };
 
-// In the order of the walk: the first one is next to the result.
+// Links in the order of the walk: the first one is the last of the chain.
 template <class F>
 struct Chain {
   int count;
   Link<F> links[kMaxLinks];
 };
 
-// The coordinates (B, 2, h, w), x and y, of the pixels of a result.
+// The sampling coordinates (B, 2, h, w), x and y, of the pixels of a result.
 template <class T>
 struct ComposedCoords {
   Chain<T> chain;
   Images<T> result;
 };
 
-// Their gradients to the links, those of each sample: null where they are not wanted. Displacements are added to. On
-// CUDA each block of threads stores nine sums for every link, and the second kernel adds them up.
+// The gradients of the links from those of the coordinates. `grads` has those of each sample, null where they are not
+// wanted; those of displacements are accumulated. On CUDA each block of threads stores nine sums for every link, and a
+// second kernel adds them up.
 template <class T>
 struct ComposedCoordsBackward {
   Chain<T> chain;
@@ -54,15 +55,14 @@ struct ComposedCoordsBackward {
   int64_t parts;
 };
 
-// `coords` of the sampling are not used.
+// `coords` of Sample are not used.
 template <class T>
 struct ComposedWarp : Sample<T> {
   Chain<Compute<T>> chain;
 };
 
-// Of composed_coords_backward on CUDA: pixels of a block.
-constexpr int kBackwardPixels = 4096;
-// Of composed_warp on the CPU: a band of rows, whose coordinates stay in the cache.
+constexpr int kBackwardPixels = 4096;  // of a block of composed_coords_backward on CUDA
+// composed_warp on the CPU processes bands of rows whose coordinates stay in the cache.
 constexpr int64_t kBandPixels = 8192;
 KV_HD int64_t rows_of_band(int64_t width) { return max(int64_t(1), kBandPixels / width); }
 KV_HD int64_t bands_of(int64_t height, int64_t width) {
@@ -90,8 +90,8 @@ KV_HD void apply_inverse(Homography<F> const& h, V& x, V& y) {
   y = v;
 }
 
-// From the gradient of what `apply_inverse` made of (x, y) to that of (x, y); adds the gradients of the inverse to
-// `sums`.
+// The vjp of apply_inverse at (x, y): replaces the gradients of its result by those of (x, y), and adds the gradient of
+// the inverse matrix to `sums`.
 template <class F, class S>
 KV_HD void apply_inverse_vjp(Homography<F> const& h, F x, F y, F& grad_x, F& grad_y, S* sums) {
   F const* const m = h.m;
@@ -117,10 +117,10 @@ KV_HD void apply_inverse_vjp(Homography<F> const& h, F x, F y, F& grad_x, F& gra
 #define KV_WALK KV_HD
 #endif
 
-// The pair of pixels around a coordinate along an axis, and the weight of the second one. Beyond the outermost pixels,
-// and for NaN to the left, they are the outermost ones.
+// The first of the two pixels around a coordinate along an axis, and the weight t of the second one. Coordinates out of
+// bounds are clamped; NaN becomes 0.
 template <class F, class V>
-KV_WALK auto outermost_pair(int size, V x, V& t) {
+KV_WALK auto linear_taps_at(int size, V x, V& t) {
   V const zero{};
   V const near = vclamp(x, zero, V(zero + F(size - 1)));
   auto first = floor_to_int<F>(near);
@@ -130,22 +130,22 @@ KV_WALK auto outermost_pair(int size, V x, V& t) {
   return first;
 }
 
-// The four displacements around a position: their first offset in a plane, and the weights of the second column and
-// row.
+// The taps of displacements at a position: the offset of the first of four in a plane, and the weights of the second
+// column and row.
 template <class F, class V>
 struct MapTaps {
   V tx, ty;
   decltype(floor_to_int<F>(V{})) at;
 
   KV_WALK MapTaps(Link<F> const& link, V x, V y) {
-    auto const column = outermost_pair<F>(link.width, x, tx), row = outermost_pair<F>(link.height, y, ty);
+    auto const column = linear_taps_at<F>(link.width, x, tx), row = linear_taps_at<F>(link.height, y, ty);
     at = row * link.width + column;
   }
   static KV_WALK int right(Link<F> const& link) { return link.width > 1; }
   static KV_WALK int below(Link<F> const& link) { return link.height > 1 ? link.width : 0; }
 };
 
-// (x, y) and the displacement there. read(plane, offsets) gives the numbers of a plane at offsets.
+// Adds the displacement at (x, y) to (x, y). read(plane, offsets) loads the elements of a plane at these offsets.
 template <class F, class V, class Read>
 KV_WALK void displace(Link<F> const& link, int64_t b, V& x, V& y, Read read) {
   MapTaps<F, V> const taps(link, x, y);
@@ -162,8 +162,8 @@ KV_WALK void displace(Link<F> const& link, int64_t b, V& x, V& y, Read read) {
   y = y + d[1];
 }
 
-// From the gradient of what `displace` made of (x, y) to that of (x, y). Calls add(offset from the displacements of the
-// sample, gradient) for all taps.
+// The vjp of displace at (x, y): adds to the gradients of its result to get those of (x, y). Calls add(offset,
+// gradient) for all taps, with the offset from the displacements of the sample.
 template <class F, class Add>
 KV_WALK void displace_vjp(Link<F> const& link, int64_t b, F x, F y, F& grad_x, F& grad_y, Add add) {
   MapTaps<F, F> const taps(link, x, y);
@@ -188,8 +188,8 @@ KV_WALK void displace_vjp(Link<F> const& link, int64_t b, F x, F y, F& grad_x, F
 
 // --- chains ----------------------------------------------------------------------------------------------------------
 
-// From N pixels of the result to where they read the image; of adjacent ones the loads are in flight together.
-// `inverses` are those of the links that are matrices.
+// Replaces N pixels of the result by their sampling coordinates. The loads of N pixels are independent, so that they
+// are in flight together. `inverses` are the inverses of the links that are matrices.
 template <int N, class F, class V, class Read>
 KV_WALK void walk(Chain<F> const& chain, Homography<F> const* inverses, int64_t b, V (&x)[N], V (&y)[N], Read read) {
 #pragma unroll 1
@@ -206,8 +206,8 @@ KV_WALK void walk(Chain<F> const& chain, Homography<F> const* inverses, int64_t 
   }
 }
 
-// From the gradient of the coordinates of pixel (x, y) to the links. Nine sums of each link get the gradients of its
-// inverse; add(link, offset, gradient) those of displacements.
+// The gradients of the links from that of the coordinates of pixel (x, y). Adds those of inverse matrices to nine sums
+// for each link, and calls add(link, offset, gradient) for those of displacements.
 template <class F, class S, class Add>
 KV_WALK void walk_vjp(Chain<F> const& chain, Homography<F> const* inverses, int64_t b, F x, F y, F grad_x, F grad_y,
                       S (*sums)[9], Add add) {
@@ -231,7 +231,7 @@ KV_WALK void walk_vjp(Chain<F> const& chain, Homography<F> const* inverses, int6
 
 #undef KV_WALK
 
-// Homographies as the kernels use them.
+// A homography in the type that kernels compute in.
 template <class F>
 KV_HD Homography<F> narrowed(Homography<double> const& h) {
   Homography<F> n;

@@ -9,7 +9,7 @@
 namespace kv::geometry::KV_ISA {
 namespace {
 
-// The inverses of the matrices of one sample after the other.
+// The inverses of the matrices of the current sample.
 template <class F>
 struct Inverses {
   Homography<F> maps[kMaxLinks];
@@ -24,7 +24,7 @@ struct Inverses {
   }
 };
 
-// Numbers of a plane, element by element: gather instructions are slower than that on many processors.
+// Reads elements of a plane one by one, because gather instructions are slower on many processors.
 struct ReadLanes {
   template <class F, class I>
   KV_HD auto operator()(F const* plane, I at) const {
@@ -39,7 +39,7 @@ struct ReadLanes {
   }
 };
 
-// The coordinates of row y.
+// The sampling coordinates of row y.
 template <class F>
 void coords_of_row(Chain<F> const& chain, Homography<F> const* inverses, int64_t b, int64_t y, int64_t width, F* to_x,
                    F* to_y) {

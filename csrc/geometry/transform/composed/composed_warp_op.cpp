@@ -1,4 +1,4 @@
-// Chains of matrices and maps as one warp: schemas and entries, for CPU and CUDA alike.
+// Chains of matrices and maps as one warp: schemas and entries, for CPU and CUDA.
 #include "geometry/transform/composed/composed_warp.h"
 #include "geometry/transform/sampling_glue.h"
 
@@ -7,7 +7,7 @@ namespace {
 
 using OptionalTensor = std::optional<Tensor>;
 
-// The links of a schema, the first one first; those behind the last one are missing.
+// The links in a schema, in the order of the chain. The arguments after the last link are None.
 #define KV_LINKS "Tensor a, Tensor? b, Tensor? c, Tensor? d, Tensor? e, Tensor? f, Tensor? g, Tensor? h, "
 #define KV_LINK_ARGUMENTS                                                                                              \
   Tensor const &a, OptionalTensor const &b, OptionalTensor const &c, OptionalTensor const &d, OptionalTensor const &e, \
@@ -38,7 +38,7 @@ struct Links {
     }
     links.push_back(dense(link));
   }
-  // For the links of images.
+  // Checks that the links fit a batch of images.
   void check_images(Tensor const& image) {
     KV_CHECK(batch == 1 || batch == image.size(0), op, ": expected links of 1 or ", image.size(0), " samples, got ",
              batch);
@@ -73,7 +73,7 @@ Tensor composed_coords(KV_LINK_ARGUMENTS, std::vector<int64_t> size) {
   return Links(op, a, {&b, &c, &d, &e, &f, &g, &h}).coords(map_size(op, size));
 }
 
-// The gradients to the links, in the order of the arguments; those that are not wanted, and missing ones, are empty.
+// The gradients of the links, in the order of the arguments. Those of None and those that are not wanted are empty.
 using Gradients = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
 
 Gradients composed_coords_backward(Tensor const& grad, KV_LINK_ARGUMENTS, std::vector<int64_t> wanted) {
@@ -133,7 +133,7 @@ Tensor composed_warp(Tensor const& image, KV_LINK_ARGUMENTS, OptionalTensor cons
     check_planes(op, params.x);
     check_planes(op, params.y);
 #if defined(KV_CUDA)
-    // The kernel that walks and samples in one has no form for these.
+    // There is no fused kernel for float64 and bicubic: the coordinates are stored.
     if (sizeof(T) == 8 || options.interpolation == Interpolation::bicubic) {
       Tensor const coords = links.coords(size);
       Images<F const> const map = images<F const>(coords, batch);

@@ -1,8 +1,8 @@
 // The backward pass of bilinear and nearest resizing on CUDA. A pixel of the source gathers from the pixels of the
 // result that read it.
 //
-// Downsampling of small images: they are at most two along each axis. A block has some rows of 128 adjacent elements,
-// one column of them a thread.
+// Downsampling of small images: at most two pixels along each axis read a pixel. A block has some rows of 128 adjacent
+// elements, and each thread one column of them.
 //
 // Upsampling: a warp traverses the gradient downwards; each thread has four columns. Along y it keeps only two sums: a
 // row of the gradient adds to those of the source rows above and below its coordinate. A complete sum is written to a
@@ -31,8 +31,8 @@ __device__ __noinline__ Contributors<float> find_contributors(ResizeAxis const& 
 
 constexpr int kGatherRows = 8;  // of a block
 
-// The pixels of the result that read a pixel of the source, and their weights. A missing one repeats the first, with
-// weight 0, or is pixel 0.
+// The pixels of the result that read a pixel of the source along an axis, and their weights. Unused entries have weight
+// 0 and an index in bounds.
 struct Readers {
   int at[2];
   float weights[2];
@@ -199,7 +199,7 @@ int resize_linear_backward(Resize<T> const& p, CUstream_st* stream) {
     return a.backward && a.num >= a.den && a.filter <= ResizeFilter::bilinear && a.filter != ResizeFilter::area &&
            !a.antialias && a.max_taps <= 2;
   };
-  // Strips of more pixels take less time; of fewer, they are too few for the machine.
+  // Small images have too few strips to occupy the GPU. For large images strips are faster.
   bool const is_small = p.y.rows() * p.y.row_size() <= 1 << 20;
   if (is_small && shrinks(rows) && shrinks(columns) && !p.minuend) {
     unsigned const across = unsigned(ceil_div(p.y.row_size(), 32 * kWarps)),

@@ -77,19 +77,8 @@ def cmake() -> str:
 
 # Folders whose tests call operators; the others test files, containers and packaging.
 OPERATORS = (
-    *(
-        "augmentation",
-        "color",
-        "contrib",
-        "deployment",
-        "enhance",
-        "feature",
-        "filters",
-        "geometry",
-        "losses",
-        "metrics",
-    ),
-    "morphology",
+    *("augmentation", "color", "contrib", "deployment", "enhance", "feature", "filters", "geometry"),
+    *("losses", "metrics", "morphology"),
 )
 # A test that compares with one of them names it.
 PEERS = ("kornia", "opencv", "torchvision", "pil", "scipy", "scikit", "skimage")

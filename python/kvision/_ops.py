@@ -33,6 +33,7 @@ from kvision._torch_compat import (
     function_caller,
     in_forward_ad,
     in_function_transform,
+    in_onnx_export,
     is_tracing,
     kernel_caller,
     schema_of,
@@ -214,7 +215,7 @@ class Operator:
 
     def _call_traced(self, args: Sequence[Any]) -> Any:
         """What a graph is to hold: the operator, and for ONNX, which has no kernels, the operators of its reference."""
-        if torch.onnx.is_in_onnx_export():  # torch imports torch.onnx only here
+        if in_onnx_export():
             return self._call_reference("ONNX has no kernels of it", args)
         return self.kernel(*args) if is_compiling() else self.kernel(*map(_recorded, args))
 

@@ -1,6 +1,6 @@
-"""The parts of torch without a public name; every other file of kvision uses public names only.
+"""The parts of torch without a public name, and what torch.onnx lacks; every other file of kvision uses public names only.
 
-A comment says which public name would replace each part. tests/test_torch_compat.py asserts that no other file reaches
+A comment says what each part waits for. tests/test_torch_compat.py asserts that no other file reaches
 a private one, and tools/test_torch_versions.py runs the core of the suite on the oldest and the newest torch.
 """
 
@@ -18,6 +18,7 @@ from torch._C._functorch import get_unwrapped, is_functorch_wrapped_tensor
 from torch._functorch.utils import unwrap_dead_wrappers
 from torch._ops import OpOverload
 from torch.autograd import forward_ad
+from torch.compiler import is_compiling
 from torch.utils._python_dispatch import TorchDispatchMode
 
 __all__ = [
@@ -27,8 +28,10 @@ __all__ = [
     "find_operator",
     "function_caller",
     "has_kernel",
+    "hypot",
     "in_forward_ad",
     "in_function_transform",
+    "in_onnx_export",
     "is_tracing",
     "kernel_caller",
     "refuse_script",
@@ -68,6 +71,20 @@ def without_transforms(x: Tensor) -> Tensor:
 def in_forward_ad() -> bool:
     """Whether a level of forward-mode differentiation is open. Waits for a public predicate in torch.autograd.forward_ad."""
     return forward_ad._current_level >= 0
+
+
+def in_onnx_export() -> bool:
+    """Whether torch.onnx.export traces; a public name, but torch imports torch.onnx only when it is asked for."""
+    return (is_compiling() or is_tracing()) and torch.onnx.is_in_onnx_export()
+
+
+def hypot(x: Tensor, y: Tensor) -> Tensor:
+    """torch.hypot, for ONNX of other operators. Waits for torch.onnx to take it."""
+    if not in_onnx_export():
+        return torch.hypot(x, y)
+    largest = torch.maximum(x.abs(), y.abs())
+    unit = torch.where(largest > 0, largest, 1)  # squares then neither overflow nor underflow
+    return unit * ((x / unit) ** 2 + (y / unit) ** 2).sqrt()
 
 
 def has_kernel(operator: str, dispatch_key: str) -> bool:

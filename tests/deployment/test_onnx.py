@@ -21,8 +21,9 @@ from op_tests import assert_close
 pytestmark = pytest.mark.programs
 
 OPSET = 20
-# The number of pixels that an antialiased resize averages depends on both sizes, so that these are part of the program.
-FIXED_SIZE = ("resize",)
+# What has height and width as part of the program: the number of pixels that an antialiased resize averages depends on them, and
+# the border that JPEG adds. Warps of volumes have the batch, too.
+FIXED_SIZE = {"resize": (3, 32, 40), "jpeg_codec_differentiable": (3, 32, 40), "warp_perspective3d": (2, 32, 40)}
 LIBRARIES = ("onnx", "onnxscript", "onnxruntime")
 
 
@@ -31,6 +32,11 @@ def identity_nearby(batch: int) -> Tensor:
     return torch.eye(3) + torch.tensor([[0.02, 0.1, 2.3], [-0.1, 0.03, 1.4], [2e-4, -3e-4, 0.0]]) * torch.rand(
         batch, 1, 1
     )
+
+
+def identity_nearby3d(batch: int) -> Tensor:
+    """Matrices (B, 4, 4) that bend volumes a little."""
+    return torch.eye(4) + torch.tensor([0.05, 0.05, 0.05, 1e-3])[:, None] * torch.rand(batch, 4, 4)
 
 
 # Name -> the call, and its tensors for a batch and a size of images.
@@ -76,6 +82,18 @@ call("ssim", lambda s: images(s, 2))(lambda x, y: K.metrics.ssim(x, y, 11))
 call("total_variation")(lambda x: K.losses.total_variation(x))
 call("dilation")(lambda x: K.morphology.dilation(x, torch.ones(3, 5)))
 call("extract_tensor_patches")(lambda x: K.contrib.extract_tensor_patches(x, 8, 4))
+# Those whose references were written for what ONNX has.
+call("max_blur_pool2d")(lambda x: K.filters.max_blur_pool2d(x, (3, 4)))
+call("jpeg_codec_differentiable", lambda s: [*images(s), 50 + 20 * torch.rand(s[0])])(
+    lambda x, quality: K.enhance.jpeg_codec_differentiable(x, quality)
+)
+call("warp_perspective3d", lambda s: [torch.rand(s[0], 2, 5, *s[1:]), identity_nearby3d(s[0])])(
+    lambda x, matrix: K.geometry.warp_perspective3d(x, matrix, (4, 20, 24))
+)
+call("charbonnier_loss", lambda s: images(s, 2))(lambda x, y: K.losses.charbonnier_loss(x, y, reduction="none"))
+call("cart2pol", lambda s: [torch.randn(s) * torch.tensor(10.0) ** torch.randint(-30, 30, s) for _ in range(2)])(
+    lambda x, y: K.geometry.cart2pol(x, y)
+)
 
 
 class Module(nn.Module):
@@ -119,7 +137,7 @@ def test_program_gives_the_numbers_of_the_call(name: str, tmp_path: Path) -> Non
     for library in LIBRARIES:
         pytest.importorskip(library, reason="torch.onnx.export needs onnx and onnxscript, its programs onnxruntime")
     function, tensors = CALLS[name]
-    example, other = tensors((2, 32, 40)), tensors((3, 32, 40) if name in FIXED_SIZE else (3, 26, 34))
+    example, other = tensors((2, 32, 40)), tensors(FIXED_SIZE.get(name, (3, 26, 34)))
     free = tuple(
         {i: Dim.DYNAMIC for i, (n, m) in enumerate(zip(x.shape, y.shape)) if n != m} for x, y in zip(example, other)
     )

@@ -8,6 +8,7 @@ from torch import Tensor
 
 import kvision as K
 from composition_tests import Case, CompositionTests
+from kvision.geometry.linalg import inverse3x3, inverse4x4
 from op_tests import assert_close
 from point_op_tests import Call, PointOpTests, vector
 
@@ -117,6 +118,13 @@ BAD = [
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+def test_inverses_in_closed_form() -> None:
+    for inverse, n in ((inverse3x3, 3), (inverse4x4, 4)):
+        matrices = torch.randn(2, 50, n, n, dtype=torch.float64, generator=GENERATOR)
+        assert_close(inverse(matrices) @ matrices, torch.eye(n, dtype=torch.float64).expand_as(matrices), atol=1e-10)
+        assert not inverse(torch.ones(1, n, n)).isfinite().any()
 
 
 class TestLinalgOperators(PointOpTests):

@@ -13,6 +13,7 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import is_compiling, with_kernel_casts
+from kvision._torch_compat import in_onnx_export
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.filters.filter2d import filter2d
 from kvision.filters.filter3d import filter3d
@@ -91,8 +92,8 @@ def _approximate(x: Tensor, size: int, h: float) -> Tensor:
     sides = x.shape[2:]
     grown, total = x.clamp(0, 1), torch.zeros_like(x)
     changed = torch.ones((), dtype=torch.bool, device=x.device)
-    in_onnx = is_compiling() and torch.onnx.is_in_onnx_export()  # a loop's body is traced as if it were for torch
-    if is_compiling() and not in_onnx and not (torch.is_grad_enabled() and x.requires_grad):
+    # ONNX gets no loop: its body is traced as if it were for torch.
+    if is_compiling() and not in_onnx_export() and not (torch.is_grad_enabled() and x.requires_grad):
         # A graph has loops of its own, whose length depends on sizes. The gradients through them are wrong in torch 2.13.
         steps = (reduce(torch.sym_max, sides) + radius - 1) // radius
         state = torch.zeros((), dtype=torch.int64, device=x.device), grown, total, changed

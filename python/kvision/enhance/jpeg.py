@@ -47,8 +47,9 @@ def _reference(
     if quality is None:
         quality = torch.full((1,), number, device=x.device, dtype=x.dtype)
     ycbcr = 255 * rgb_to_ycbcr(pad(x, ((0, -h % 16), (0, -w % 16)), "replicate"))
-    y = _through_blocks(ycbcr[:, :1], _steps(quality, _table(_LUMINANCE, table_y, x)))
-    chroma = _through_blocks(_halved(ycbcr[:, 1:]), _steps(quality, _table(_CHROMINANCE, table_c, x)))
+    percent = _percent(quality)
+    y = _through_blocks(ycbcr[:, :1], _steps(percent, _table(_LUMINANCE, table_y, x)))
+    chroma = _through_blocks(_halved(ycbcr[:, 1:]), _steps(percent, _table(_CHROMINANCE, table_c, x)))
     chroma = F.interpolate(chroma, scale_factor=2.0, mode="bilinear", align_corners=False)
     return ycbcr_to_rgb(torch.cat([y, chroma], 1) / 255)[..., :h, :w]
 
@@ -95,10 +96,13 @@ def _kept_table(standard: tuple[tuple[int, ...], ...], device: torch.device, dty
         return torch.tensor(standard, device=device, dtype=dtype)[None]
 
 
-def _steps(quality: Tensor, table: Tensor) -> Tensor:
-    """Scale the table like libjpeg: 100% at quality 50, all ones at 100, and larger steps at lower qualities."""
+def _percent(quality: Tensor) -> Tensor:
+    """How libjpeg scales the tables, (B, 1, 1): 100% at quality 50, all ones at 100, and larger steps at lower qualities."""
     q = quality.clamp(1, 100)
-    percent = _soft_floor(torch.where(q < 50, 5000 / q, 200 - 2 * q))[:, None, None]
+    return _soft_floor(torch.where(q < 50, 5000 / q, 200 - 2 * q))[:, None, None]
+
+
+def _steps(percent: Tensor, table: Tensor) -> Tensor:
     return _soft_floor(_soft_clip((table * percent + 50) / 100, 1, 255))
 
 

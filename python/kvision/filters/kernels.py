@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._torch_compat import in_onnx_export
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 # ---------------------------------------------------------------------------------------------------- Gaussian
@@ -727,6 +728,10 @@ def get_hanning_kernel2d(
 
 def binomial(size: int, device: torch.device, dtype: torch.dtype) -> Tensor:
     """(1, size): a row of Pascal's triangle divided by its sum, made on the device from no host data."""
+    if in_onnx_export():  # which has no cumprod
+        return torch.tensor(
+            [[math.comb(size - 1, i) / 2 ** (size - 1) for i in range(size)]], device=device, dtype=dtype
+        )
     i = torch.arange(size, device=device, dtype=torch.float64)
     row = torch.where(i == 0, 1.0, (size - i) / i).cumprod(0)  # each entry is its neighbor times (size - i) / i
     return (row / row.sum()).to(dtype)[None]

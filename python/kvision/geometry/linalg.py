@@ -194,6 +194,29 @@ def inverse3x3(matrix: Tensor) -> Tensor:
     return adjugates / (matrix[..., 0, :] * adjugates[..., :, 0]).sum(-1)[..., None, None]
 
 
+def inverse4x4(matrix: Tensor) -> Tensor:
+    """The inverse of (*, 4, 4) in closed form, of its blocks of 2 x 2. Singular matrices give inf or NaN."""
+    a, b, c, d = (block for half in matrix.split(2, -2) for block in half.split(2, -1))
+    ab, dc = _adjugate2x2(a) @ b, _adjugate2x2(d) @ c
+    det_a, det_b, det_c, det_d = map(_determinant2x2, (a, b, c, d))
+    determinant = det_a * det_d + det_b * det_c - (ab * dc.mT).sum((-2, -1), keepdim=True)
+    upper = [det_d * a - b @ dc, det_b * c - d @ _adjugate2x2(ab)]
+    lower = [det_c * b - a @ _adjugate2x2(dc), det_a * d - c @ ab]
+    return (
+        torch.cat([torch.cat([_adjugate2x2(block) for block in row], -1) for row in (upper, lower)], -2) / determinant
+    )
+
+
+def _adjugate2x2(matrix: Tensor) -> Tensor:
+    (a, b), (c, d) = (row.unbind(-1) for row in matrix.unbind(-2))
+    return torch.stack([torch.stack([d, -b], -1), torch.stack([-c, a], -1)], -2)
+
+
+def _determinant2x2(matrix: Tensor) -> Tensor:
+    (a, b), (c, d) = (row.unbind(-1) for row in matrix.unbind(-2))
+    return (a * d - b * c)[..., None, None]
+
+
 def dominant_eigenvector(matrix: Tensor) -> Tensor:
     """Unit eigenvectors (*, n) of the largest eigenvalues of symmetric, positive matrices (*, n, n); 0 for the matrix 0.
 

@@ -16,11 +16,12 @@ from torch.compiler import is_compiling
 
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._ops import register
+from kvision._torch_compat import hypot
 
 
 def _charbonnier(x: Tensor, y: Tensor) -> Tensor:
     d = x - y
-    return d * (d / (torch.hypot(d, torch.ones_like(d)) + 1))  # sqrt(...) - 1 would cancel for small d
+    return d * (d / (hypot(d, torch.ones_like(d)) + 1))  # sqrt(...) - 1 would cancel for small d
 
 
 def _welsch(x: Tensor, y: Tensor) -> Tensor:
@@ -33,7 +34,7 @@ def _cauchy(x: Tensor, y: Tensor) -> Tensor:
 
 def _geman_mcclure(x: Tensor, y: Tensor) -> Tensor:
     d = x - y
-    return 2 * (d / torch.hypot(d, torch.full_like(d, 2))) ** 2
+    return 2 * (d / hypot(d, torch.full_like(d, 2))) ** 2
 
 
 def _square(x: Tensor, y: Tensor) -> Tensor:

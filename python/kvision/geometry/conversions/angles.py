@@ -10,6 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._ops import wants_derivative
+from kvision._torch_compat import hypot
 from kvision.geometry._formula import of_rows, register_formula
 
 __all__ = ["angle_to_rotation_matrix", "cart2pol", "deg2rad", "pol2cart", "rad2deg"]
@@ -104,13 +105,13 @@ def cart2pol(x: Tensor, y: Tensor, eps: float = 1e-8) -> tuple[Tensor, Tensor]:
     _check_pair("cart2pol", x=x, y=y)
     x, y = floats(x), floats(y)
     if not wants_derivative(x, y):
-        return torch.hypot(x, y), torch.atan2(y, x + 0)  # not pi for -0
-    rho = torch.hypot(x, y)
+        return hypot(x, y), torch.atan2(y, x + 0)  # not pi for -0
+    rho = hypot(x, y)
     if _check.values_are_readable(rho) and rho.numel() and rho.detach().amin() > 0:
         return rho, torch.atan2(y, x + 0)
     origin = (x == 0) & (y == 0)
     x = torch.where(origin, 1, x)  # hypot and atan2 have no derivative at the origin
-    return torch.hypot(x, y).masked_fill(origin, 0), torch.atan2(y, x).masked_fill(origin, 0)
+    return hypot(x, y).masked_fill(origin, 0), torch.atan2(y, x).masked_fill(origin, 0)
 
 
 def _check_pair(op: str, **tensors: Tensor) -> None:

@@ -19,7 +19,7 @@ from kvision.geometry.bbox import corners
 from kvision.geometry.conversions.angles import cos_sin
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.rotations import axis_angle_to_rotation_matrix
-from kvision.geometry.linalg import adjugate
+from kvision.geometry.linalg import adjugate, inverse4x4
 
 __all__ = [
     "get_affine_matrix2d",
@@ -163,14 +163,14 @@ def _perspective3d_reference(points_src, points_dst, *extent):
     p, q = (
         promoted(torch.cat([x[:, :3], x[:, 5::2]], 1)) for x in (points_src, points_dst)
     )  # no four of them coplanar
-    matrix = _from_simplex(q) @ torch.linalg.inv_ex(_from_simplex(p))[0]
+    matrix = _from_simplex(q) @ inverse4x4(_from_simplex(p))
     return (matrix / matrix[:, 3:, 3:]).to(points_src.dtype)
 
 
 def _from_simplex(points: Tensor) -> Tensor:
     """The homography from the unit vectors and their sum to five `points` (B, 5, 3)."""
     p = torch.cat([points, torch.ones_like(points[..., :1])], -1).mT
-    weights = torch.linalg.inv_ex(p[..., :4])[0] @ p[..., 4:]
+    weights = inverse4x4(p[..., :4]) @ p[..., 4:]
     return p[..., :4] * weights.mT
 
 

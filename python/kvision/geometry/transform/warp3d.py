@@ -16,6 +16,7 @@ from kvision._ops import on_cuda, register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.pixels import by_axes
+from kvision.geometry.linalg import inverse4x4
 from kvision.geometry.transform import matrices, sampling
 from kvision.geometry.transform.warp import transform_grid, transformed_grid
 
@@ -335,7 +336,7 @@ def _reference(volumes, matrix, size, interpolation, padding, align_corners, inv
     m = matrices.promoted(matrix)
     m = homogeneous(m) if m.shape[1] == 3 else m
     if inverse:
-        m = torch.linalg.inv_ex(m)[0]
+        m = inverse4x4(m)
     if normalized:
         source, output = volumes.shape[2:], size
         m = _from_unit(source, align_corners, m) @ m @ _to_unit(output, align_corners, m)

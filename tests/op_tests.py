@@ -526,7 +526,10 @@ class OpTests:
 
     @pytest.mark.tracing
     def test_compile(self, device, backend):
-        """fullgraph with a dynamic batch; values and gradients by inductor. The reference only has to be traceable."""
+        """fullgraph with a dynamic batch; values and gradients by inductor. The reference only has to be traceable.
+
+        tests/deployment/test_dynamic_sweep.py exports every public function.
+        """
         variant = self.variants[0]
         x, kwargs = self.setup(variant, device, torch.float32)
         torch._dynamo.reset()
@@ -544,22 +547,6 @@ class OpTests:
                 (as_tuple(actual)[0] ** 2).sum().backward()
                 (as_tuple(expected)[0] ** 2).sum().backward()
                 assert_close(a.grad, b.grad, *self.tolerances.get(torch.float32, (None, None)))
-
-    @pytest.mark.tracing
-    def test_export(self, device):
-        variant = self.variants[0]
-        x, kwargs = self.setup(variant, device, torch.float32)
-        call = self.call
-
-        class Program(torch.nn.Module):
-            def forward(self, s: Tensor) -> Any:
-                return call(s, kwargs)
-
-        shared = all(not isinstance(v, Tensor) or v.shape[0] == 1 for v in kwargs.values())
-        batch = {0: torch.export.Dim("batch")} if shared else None
-        program = torch.export.export(Program(), (x,), dynamic_shapes=(batch,) if batch else None)
-        y = self.input((3, *self.shape[1:]), torch.float32, device) if shared else x
-        self.check(program.module()(y), self.call(y, kwargs))
 
     @pytest.mark.interface
     def test_cuda_graph(self, variant, device):

@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
+import kvision as K
 import kvision.augmentation as A
 
 CLASSES = {
@@ -164,6 +165,16 @@ def test_transplants_are_regions_of_one_label(name: str, device: torch.device) -
         transplant(x)
     with pytest.raises(ValueError, match=f"{name}: expected image of the size of masks"):
         transplant(x[..., 1:], masks)
+
+
+def test_transplantation_draws_by_the_kernel(device: torch.device) -> None:
+    masks = torch.randint(0, 5, (4, 6, 7), device=device)  # labels have no kernel of the draws
+    x, transplant = torch.rand(4, 2, 6, 7, device=device), A.RandomTransplantation(p=0.6)
+    with K.backend("native"):
+        result = transplant(x, masks, seed=3)
+    with K.backend("reference"):
+        expected = transplant(x, masks, seed=3)
+    assert all(map(torch.equal, result, expected))
 
 
 def test_labels_are_equally_likely_to_be_transplanted() -> None:

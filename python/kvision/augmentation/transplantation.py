@@ -144,7 +144,9 @@ class RandomTransplantation(MixAugmentationBaseV2):
                 donors = masks[params["donor_indices"].to(masks.device)]
                 params["selection"] = donors == per_sample(labels, masks)
             return Execution(shape, None, None, True, params)
-        execution = self._draw(masks, seed, generator)
+        # Draws read the batch and the device of images, and have no kernel for the labels' type.
+        images = masks.new_empty(1, dtype=torch.float32).expand(shape)
+        execution = self._draw(images, seed, generator)
         columns = execution.columns
         if columns is None or not execution.applied:
             none = torch.zeros(0, dtype=torch.int64)
@@ -156,8 +158,9 @@ class RandomTransplantation(MixAugmentationBaseV2):
             }
             chosen = torch.zeros(shape[0])
         else:
-            labels, has_label = self._labels(masks.roll(1, 0), columns.values[:, 0].long())
-            selection = (masks.roll(1, 0) == per_sample(labels, masks)) & has_label
+            donors = masks.roll(1, 0)
+            labels, has_label = self._labels(donors, columns.values[:, 0].long())
+            selection = (donors == per_sample(labels, masks)) & has_label
             everyone = torch.arange(shape[0], device=masks.device)
             chosen = torch.ones(shape[0], device=masks.device)
             if columns.chosen is not None:

@@ -22,6 +22,14 @@ def test_clamped_at_both_ends(device):
     assert C.normals_to_rgb255(2 * x - 1).flatten().tolist() == [0, 127.5, 255]
 
 
+def test_half_types_are_rounded_once(device):
+    x = torch.linspace(-1.2, 1.2, 3003, device=device).view(1, 3, 7, 143)
+    for dtype in (torch.float16, torch.bfloat16):
+        half = x.to(dtype)
+        assert torch.equal(C.rgb_to_rgb255(half), C.rgb_to_rgb255(half.float()).to(dtype))
+        assert torch.equal(C.normals_to_rgb255(half), C.normals_to_rgb255(half.float()).to(dtype))
+
+
 def test_normals(device):
     n = torch.nn.functional.normalize(torch.randn(2, 3, 5, 6, dtype=torch.float64, device=device), dim=1)
     result = C.rgb255_to_normals(C.normals_to_rgb255(n))

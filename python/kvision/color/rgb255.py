@@ -9,11 +9,8 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import apply_on_batch
 from kvision._ops import with_kernel_casts
+from kvision.color.scale_shift import scale_shift
 from kvision.core.exceptions import ImageError
-
-
-def _scaled(x: Tensor) -> Tensor:
-    return (x * 255).clamp(0, 255)
 
 
 def _unscaled(x: Tensor) -> Tensor:
@@ -26,14 +23,16 @@ def _normals(x: Tensor) -> Tensor:
     return n / torch.where(length == 0, 1, length)  # the zero vector stays zero
 
 
-def _colors(n: Tensor) -> Tensor:
-    return _scaled((n + 1) / 2)
-
-
-_rgb_to_rgb255 = with_kernel_casts(_scaled)
 _rgb255_to_rgb = with_kernel_casts(_unscaled)
 _rgb255_to_normals = with_kernel_casts(_normals)
-_normals_to_rgb255 = with_kernel_casts(_colors)
+
+
+def _rgb_to_rgb255(x: Tensor) -> Tensor:
+    return scale_shift(x, 1.0, 0.0, True).mul_(255)
+
+
+def _normals_to_rgb255(n: Tensor) -> Tensor:
+    return scale_shift(n, 127.5, 127.5, False).clamp_(0, 255)
 
 
 def rgb_to_rgb255(image: Tensor) -> Tensor:

@@ -8,9 +8,9 @@ from kvision import _check
 from kvision._dtype import compute_dtype, floats
 from kvision._modules import FunctionModule
 from kvision._ops import register, with_kernel_casts
+from kvision.color.scale_shift import scale_shift
 from kvision.core.exceptions import ShapeError
 from kvision.enhance.batch import as_batch, broadcast, broadcastable, shaped
-from kvision.enhance.brightness import scale_shift
 
 
 def _reference(

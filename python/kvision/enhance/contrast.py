@@ -9,8 +9,8 @@ from kvision._dtype import compute_dtype
 from kvision._modules import FunctionModule
 from kvision.color import rgb_to_grayscale as luma
 from kvision.color.program import step
+from kvision.color.scale_shift import scale_shift
 from kvision.enhance.batch import as_batch, floats, images, parameter, shaped
-from kvision.enhance.brightness import scale_shift
 
 
 def _mean_gray(x: Tensor) -> Tensor:

@@ -13,9 +13,9 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision.color.program import step
+from kvision.color.scale_shift import scale_shift, scale_shift_rgb
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.enhance.batch import shaped
-from kvision.enhance.brightness import scale_shift, scale_shift_rgb
 
 
 def _to_unit(x: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
+from kvision.color.scale_shift import scale_shift_rgb
 from kvision.core.exceptions import ImageError, ShapeError
 from kvision.enhance.batch import parameter
-from kvision.enhance.brightness import scale_shift_rgb
 
 
 def shift_rgb(image: Tensor, r_shift: float | Tensor, g_shift: float | Tensor, b_shift: float | Tensor) -> Tensor:

@@ -55,6 +55,12 @@ def test_values_are_those_of_kornia(name, args, device):
         assert_close(ours.cpu(), his, 1e-7, 1e-9)
 
 
+def test_inverse_rotations_are_views(device):
+    R, t = torch.rand(2, 3, 3, device=device), torch.rand(2, 3, 1, device=device)
+    for invert in (G.camtoworld_to_worldtocam_Rt, G.worldtocam_to_camtoworld_Rt):
+        assert invert(R, t)[0].data_ptr() == R.data_ptr()
+
+
 def test_rotation_check():
     R, t = torch.eye(3)[None], torch.ones(1, 3, 1)
     G.camtoworld_to_worldtocam_Rt(R, t, check_rotation=True)

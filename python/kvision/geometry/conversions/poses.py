@@ -82,7 +82,7 @@ def camtoworld_to_worldtocam_Rt(R: Tensor, t: Tensor, check_rotation: bool = Fal
         check_rotation: raise an error for matrices that are not rotations. This waits for the device.
 
     Returns:
-        Rotations of shape (*, 3, 3) and translations of shape (*, 3, 1) of the inverse poses.
+        Rotations of shape (*, 3, 3), a view of `R`, and translations of shape (*, 3, 1) of the inverse poses.
 
     Raises:
         TypeError: `R` or `t` is not a tensor of real numbers.
@@ -107,7 +107,7 @@ def worldtocam_to_camtoworld_Rt(R: Tensor, t: Tensor, check_rotation: bool = Fal
         check_rotation: raise an error for matrices that are not rotations. This waits for the device.
 
     Returns:
-        Rotations of shape (*, 3, 3) and translations of shape (*, 3, 1) of the inverse poses.
+        Rotations of shape (*, 3, 3), a view of `R`, and translations of shape (*, 3, 1) of the inverse poses.
 
     Raises:
         TypeError: `R` or `t` is not a tensor of real numbers.
@@ -127,7 +127,7 @@ def _inverse(op: str, R: Tensor, t: Tensor, check_rotation: bool) -> tuple[Tenso
     _check_pose(op, R, t)
     if check_rotation:
         check_is_rotation(op, "R", R)
-    return R.mT.clone(), _rotate_back(t, R)
+    return R.mT, _rotate_back(t, R)
 
 
 @with_kernel_casts

@@ -6,12 +6,14 @@ import math
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import compute_dtype, pixels
 from kvision._modes import BORDER, BORDER_NAMES, INTERPOLATION, INTERPOLATION_NAMES
 from kvision._modules import FunctionModule
 from kvision._ops import register, saturate_to_byte
+from kvision._torch_compat import is_tracing
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters import gaussian_blur2d
 
@@ -186,6 +188,8 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
         height, width = side_to_size(_check.ints(op, "size", size, 1)[0], h, w, side)
     else:
         height, width = _check.ints(op, "size", size, 2)
+    if not (is_compiling() or is_tracing()) and (height, width) == (h, w) and input.is_floating_point():
+        return input.clone()  # graphs of any size would be bound not to have this one
     images = (
         input if input.dim() == 4 else input.reshape(-1, *input.shape[-3:]) if input.dim() > 2 else input[None, None]
     )

@@ -14,6 +14,9 @@ from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shap
 
 __all__ = ["GaussianIlluminationGenerator", "LinearCornerIlluminationGenerator", "LinearIlluminationGenerator"]
 
+# Of rows and of columns: how much of the light their ramps have, and 1 where they fall instead of rising.
+_Parts = tuple[tuple[float | Tensor, Tensor], tuple[float | Tensor, Tensor]]
+
 # Maps are computed in float64 and rounded, so that they do not depend on the device.
 
 
@@ -94,19 +97,18 @@ class LinearIlluminationGenerator(RandomGeneratorBase):
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
         gain, sign, direction = columns.double().unbind(1)
-        height, width = shape[-2:]
-        down, right = (ramp[direction.long()] for ramp in self._ramps(_ramp(height, columns), _ramp(width, columns)))
-        ends = torch.stack([torch.stack([a.amin(1), a.amax(1)]) for a in (down, right)]).sum(0)
-        factor = (_signed(gain, sign) / (ends[1] - ends[0]).clamp(min=1e-12))[:, None]
+        light, parts = _signed(gain, sign), self._parts(direction, shape)
         down, right = (
-            (factor * (a - a.amin(1, keepdim=True))).to(columns.dtype) for a in (down, right)
+            _ramp(size, light * weight, is_reversed).to(columns.dtype)
+            for size, (weight, is_reversed) in zip(shape[-2:], parts)
         )  # rows and columns, whose sum is the map
         return {"gradient": (down[:, :, None] + right[:, None])[:, None].expand(*shape)}
 
     @staticmethod
-    def _ramps(y: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
-        """The parts (4, H) and (4, W) of the ramps toward the lower, upper, right and left edge."""
-        return torch.stack([y, 1 - y, 0 * y, 0 * y]), torch.stack([0 * x, 0 * x, x, 1 - x])
+    def _parts(direction: Tensor, shape: Shape) -> _Parts:
+        """The ramps toward the lower, upper, right and left edge."""
+        is_down, is_reversed = direction < 2, direction % 2
+        return (is_down, is_reversed), (~is_down, is_reversed)
 
 
 class LinearCornerIlluminationGenerator(LinearIlluminationGenerator):
@@ -132,13 +134,18 @@ class LinearCornerIlluminationGenerator(LinearIlluminationGenerator):
     _op = "RandomLinearCornerIllumination"
 
     @staticmethod
-    def _ramps(y: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Those of the ramps toward the lower right, lower left, upper right and upper left corner."""
-        return torch.stack([y, y, 1 - y, 1 - y]), torch.stack([x, 1 - x, x, 1 - x])
+    def _parts(direction: Tensor, shape: Shape) -> _Parts:
+        """The ramps toward the lower right, lower left, upper right and upper left corner."""
+        weight = 0.5 if min(shape[-2:]) > 1 else 1.0  # the ramps of both axes add up to 1
+        return (weight, (direction >= 2).to(direction)), (weight, direction % 2)
 
 
-def _ramp(size: int, like: Tensor) -> Tensor:
-    return torch.linspace(0, 1, size, dtype=torch.float64, device=like.device)
+def _ramp(size: int, light: Tensor, is_reversed: Tensor) -> Tensor:
+    """From 0 to light (B,) along an axis, or back where `is_reversed` (B,) is 1: (B, size); 0 along one pixel."""
+    if size == 1:
+        return torch.zeros_like(light)[:, None]
+    ramp = torch.linspace(0, 1, size, dtype=light.dtype, device=light.device)
+    return light[:, None] * (is_reversed[:, None] - ramp).abs()
 
 
 def _bump(center: Tensor, sigma: Tensor, size: int) -> Tensor:

@@ -67,10 +67,9 @@ def angle_error_vec(v1: Tensor, v2: Tensor) -> Tensor:
 
 def _degrees(sine: Tensor, cosine: Tensor) -> Tensor:
     """The angle whose sine is the length of a vector; NaN where an input is NaN."""
-    squared = sine.square().sum(-1)
-    straight = squared == 0  # where the length has no derivative
-    length = torch.where(straight, 0, torch.where(straight, 1, squared).sqrt())
-    return torch.rad2deg(torch.atan2(length, cosine))
+    return torch.rad2deg(
+        torch.atan2(torch.linalg.vector_norm(sine, dim=-1), cosine)
+    )  # a length of 0 has the gradient 0
 
 
 def translation_ate(t: Tensor, t_gt: Tensor) -> Tensor:

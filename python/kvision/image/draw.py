@@ -257,9 +257,11 @@ def _points(op: str, name: str, points: Any, image: Tensor) -> Tensor:
     height, width = image.shape[-2:]
     if not _check.values_are_readable(pixels):
         return pixels
-    outside = ((pixels < 0) | (pixels >= torch.tensor([width, height]))).any(1)
-    if outside.any():
-        x, y = pixels[outside][0].tolist()
+    if len(pixels) == 0:
+        return pixels
+    (left, top), (right, bottom) = (extreme.tolist() for extreme in torch.aminmax(pixels, dim=0))
+    if left < 0 or top < 0 or right >= width or bottom >= height:
+        x, y = next((x, y) for x, y in pixels.tolist() if not (0 <= x < width and 0 <= y < height))
         raise ValueCheckError(
             f"{op}: expected {name} inside the image, x from 0 to {width - 1} and y from 0 to {height - 1}, "
             f"got ({x}, {y})",

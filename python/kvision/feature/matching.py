@@ -194,12 +194,6 @@ def _is_mutual(nearest: Tensor, nearest_back: Tensor) -> Tensor:
     return (nearest >= 0) & (_at(nearest_back, nearest) == own)
 
 
-def _selected(scores: Tensor, nearest: Tensor, kept: Tensor, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    """The list of matches: scores (K, 1) and indices (K, 2) of those that are kept, from (N,)."""
-    own = kept.nonzero()[:, 0]
-    return as_dtype(scores[own, None], dtype), torch.stack([own, nearest[own]], 1)
-
-
 # --- the list of matches --------------------------------------------------------------------------------------------
 
 
@@ -572,23 +566,35 @@ def match_fginn(
     neighbors = _Neighbors(desc1[None], desc2[None], _one(dm), both=mutual)
     nearest = neighbors.indices1[..., 0]
     centers = as_dtype(floats(lafs2[..., 2]), neighbors.distances1.dtype)
-    of_two = centers[0].index_select(0, neighbors.indices1.clamp(min=0).flatten())
-    first, second = of_two.unflatten(0, (-1, 2)).unbind(1)
-    # Only those whose second neighbor is near the first one look for another.
-    again = ((first - second).square().sum(-1) < spatial_th * spatial_th).nonzero()[:, 0]
-    elsewhere = _Neighbors(
-        desc1.index_select(0, again)[None],
-        desc2[None],
-        None if dm is None else dm.index_select(0, again)[None],
-        positions=(first.index_select(0, again)[None], centers, spatial_th),
-        both=False,
-    )
-    other_distances = neighbors.distances1[..., 1].index_copy(1, again, elsewhere.distances1[..., 0])
-    ratio = torch.where(nearest >= 0, neighbors.distances1[..., 0] / other_distances, math.nan)
-    kept = ratio <= th
-    if mutual:
-        kept = kept & _is_mutual(nearest, neighbors.indices2[..., 0])
-    return _selected(ratio[0], nearest[0], kept[0], neighbors.dtype)
+    if desc1.is_cuda and desc1.shape[0] <= _ALL_AT_ONCE:
+        first = centers[0].index_select(0, nearest[0].clamp(min=0))
+        other_distances = _second_elsewhere(desc1, desc2, dm, first, centers, spatial_th)
+    else:  # only those whose second neighbor is near the first one look for another
+        of_two = centers[0].index_select(0, neighbors.indices1.clamp(min=0).flatten())
+        first, second = of_two.unflatten(0, (-1, 2)).unbind(1)
+        again = ((first - second).square().sum(-1) < spatial_th * spatial_th).nonzero()[:, 0]
+        rows = (None if x is None else x.index_select(0, again) for x in (dm, first))
+        others = _second_elsewhere(desc1.index_select(0, again), desc2, *rows, centers, spatial_th)
+        other_distances = neighbors.distances1[..., 1].index_copy(1, again, others)
+    # The list of matches by these ratios. An index of -1 in the second column would say that there is no ratio.
+    neighbors.distances1 = torch.stack([neighbors.distances1[..., 0], other_distances], 2)
+    neighbors.indices1 = nearest[..., None].expand(-1, -1, 2)
+    if mutual:  # without a ratio test on the way back: its ratios are 0 / 1
+        neighbors.distances2 = torch.arange(2, device=centers.device).to(centers).expand_as(neighbors.distances2)
+        neighbors.indices2 = neighbors.indices2[..., :1].expand(-1, -1, 2)
+    return _matches(neighbors, th)
+
+
+# So few descriptors are all searched again on a GPU: the host would have to wait for the number of those that need it.
+_ALL_AT_ONCE = 1024
+
+
+def _second_elsewhere(
+    desc1: Tensor, desc2: Tensor, dm: Tensor | None, first: Tensor, centers: Tensor, spatial_th: float
+) -> Tensor:
+    """The distances (1, N) to the nearest descriptors that are `spatial_th` or more from the centers `first` (N, 2)."""
+    positions = (first[None], centers, spatial_th)
+    return _Neighbors(desc1[None], desc2[None], _one(dm), positions=positions, both=False).distances1[..., 0]
 
 
 # --- modules --------------------------------------------------------------------------------------------------------

@@ -149,11 +149,17 @@ def test_errors(convert, module, channels, device):
         with pytest.raises(error, match=f"^{name}: expected {text}"):
             convert(wrong, cfa)
     if channels == 1:
-        for wrong in (x[..., :5], x[..., :3, :], x[..., :0]):
-            with pytest.raises(ShapeError, match=f"^{name}: expected image with even H and W of at least 2"):
+        for wrong in (x[..., :5], x[..., :3, :]):
+            with pytest.raises(ShapeError, match=f"^{name}: expected image with even H and W, got"):
                 convert(wrong, C.CFA.BG)
 
 
 @pytest.mark.parametrize("cfa", C.CFA)
 def test_no_images(cfa, device):
-    assert C.raw_to_rgb(torch.rand(0, 1, 4, 6, device=device), cfa).shape == (0, 3, 4, 6)
+    for shape in ((0, 1, 4, 6), (2, 1, 0, 6), (2, 1, 4, 0), (1, 0, 6), (5, 2, 1, 0, 0)):
+        *leading, _, h, w = shape
+        x = torch.rand(shape, device=device, requires_grad=True)
+        full, half = C.raw_to_rgb(x, cfa), C.raw_to_rgb_2x2_downscaled(x, cfa)
+        assert full.shape == (*leading, 3, h, w) and half.shape == (*leading, 3, h // 2, w // 2)
+        assert torch.autograd.grad(full.sum(), x)[0].shape == shape
+        assert C.raw_to_rgb(x.detach().byte(), cfa).dtype == torch.uint8

@@ -148,7 +148,7 @@ def raw_to_rgb(image: Tensor, cfa: CFA) -> Tensor:
 
     Raises:
         TypeCheckError: image is not a tensor, cfa is not a CFA.
-        ShapeError: image is not (*, 1, H, W), or H or W is odd or 0.
+        ShapeError: image is not (*, 1, H, W), or H or W is odd.
 
     Example:
         >>> import torch, kvision as K
@@ -160,6 +160,8 @@ def raw_to_rgb(image: Tensor, cfa: CFA) -> Tensor:
     """
     _check_mosaic("raw_to_rgb", image)
     _check_cfa("raw_to_rgb", cfa)
+    if 0 in image.shape[-2:]:
+        return pixels(image).expand(*image.shape[:-3], 3, *image.shape[-2:])
     return apply_on_batch(_raw_to_rgb, pixels(image), cfa.value)
 
 
@@ -175,7 +177,7 @@ def raw_to_rgb_2x2_downscaled(image: Tensor, cfa: CFA) -> Tensor:
 
     Raises:
         TypeCheckError: image is not a tensor, cfa is not a CFA.
-        ShapeError: image is not (*, 1, H, W), or H or W is odd or 0.
+        ShapeError: image is not (*, 1, H, W), or H or W is odd.
 
     Example:
         >>> import torch, kvision as K
@@ -190,8 +192,8 @@ def raw_to_rgb_2x2_downscaled(image: Tensor, cfa: CFA) -> Tensor:
 def _check_mosaic(op: str, image: Any) -> None:
     _check.channels(op, "image", image, 1)
     h, w = image.shape[-2:]
-    if h == 0 or w == 0 or h % 2 or w % 2:
-        raise ShapeError(f"{op}: expected image with even H and W of at least 2, got {tuple(image.shape)}")
+    if h % 2 or w % 2:
+        raise ShapeError(f"{op}: expected image with even H and W, got {tuple(image.shape)}")
 
 
 def _check_cfa(op: str, cfa: Any) -> None:

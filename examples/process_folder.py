@@ -2,6 +2,7 @@
 
     python examples/process_folder.py PICTURES RESULTS                          a Gaussian blur
     python examples/process_folder.py PICTURES RESULTS --pipeline "K.filters.MedianBlur(5)" "K.filters.Sobel()"
+    python examples/process_folder.py PHOTO.jpg RESULTS                         a picture of your own
     python examples/process_folder.py LIST.txt RESULTS                          a path or URL in each line; URLs take fsspec
     ... --device cuda --decoder torchvision                                     JPEG files are decoded on the GPU
     ... --engine ray --actors 8                                                 pip install "kvision[ray]"; RAY_ADDRESS says where
@@ -73,10 +74,12 @@ class Read:
 
 
 def tasks_of(source: Path, out: Path, suffix: str = ".png") -> list[Task]:
-    """A task for each picture below a folder, or for each line of a text file; no two have the same target."""
+    """A task for each picture below a folder, for a picture, or for each line of a text file; no two have the same target."""
     if source.is_dir():
         files = (path for path in sorted(source.rglob("*")) if path.suffix.lower() in SUFFIXES and not path.is_dir())
         names = {str(path.relative_to(source)): str(path) for path in files}
+    elif source.suffix.lower() in SUFFIXES:
+        names = {source.name: str(source)}
     else:
         lines = filter(None, map(str.strip, source.read_text().splitlines()))
         names = {name_of(line): line for line in lines}
@@ -478,6 +481,11 @@ def check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     device = device_of(parser, options.device) if options.engine == "local" else torch.device(options.device)
     if not options.source.exists():
         parser.error(f"{options.source}: expected a folder of pictures or a list of paths, there is none")
+    if options.source.is_file() and options.source.suffix.lower() not in SUFFIXES:
+        try:
+            options.source.read_text()
+        except (OSError, UnicodeDecodeError) as error:
+            parser.error(f"{options.source}: expected a text file with a path or URL in each line: {words(error)}")
     if options.engine == "ray" and importlib.util.find_spec("ray") is None:
         parser.error('--engine ray: Ray is not installed: pip install "kvision[ray]"')
     if options.decoder != "opencv" and (options.engine == "ray" or options.decoder not in decoders(device)):
@@ -491,7 +499,9 @@ def check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
 def main(arguments: list[str] | None = None) -> int:
     cores = os.cpu_count() or 1
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("source", type=Path, help="folder of pictures, or text file with a path or URL in each line")
+    parser.add_argument(
+        "source", type=Path, help="folder of pictures, a picture, or text file with a path or URL in each line"
+    )
     parser.add_argument("out", type=Path, help="folder of the results")
     parser.add_argument("--pipeline", nargs="+", default=[BLUR], metavar="MODULE", help=f"default: {BLUR}")
     parser.add_argument("--uint8", action="store_true", help="give the pipeline uint8 images")

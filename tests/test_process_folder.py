@@ -263,3 +263,12 @@ def test_wrong_options_are_said(options: list[str], said: str, tmp_path: Path, c
     with pytest.raises(SystemExit):
         run(tmp_path / "wrong", tmp_path / "out")
     assert "expected a folder of pictures or a list of paths, there is none" in capsys.readouterr().err
+    (tmp_path / "list.bin").write_bytes(b"\xff\xfe\xff")
+    with pytest.raises(SystemExit):
+        run(tmp_path / "list.bin", tmp_path / "out")
+    assert "expected a text file with a path or URL in each line" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_single_picture(pictures: Path, tmp_path: Path) -> None:
+    assert run(pictures / "a" / "0.jpg", tmp_path / "out", "--compare", 0) == 0
+    assert (tmp_path / "out" / "0.jpg.png").stat().st_size > 0

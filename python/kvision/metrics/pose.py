@@ -66,10 +66,8 @@ def angle_error_vec(v1: Tensor, v2: Tensor) -> Tensor:
 
 
 def _degrees(sine: Tensor, cosine: Tensor) -> Tensor:
-    """The angle whose sine is the length of a vector; NaN where an input is NaN."""
-    return torch.rad2deg(
-        torch.atan2(torch.linalg.vector_norm(sine, dim=-1), cosine)
-    )  # a length of 0 has the gradient 0
+    """The angle whose sine is the length of a vector; NaN where an input is NaN. A length of 0 has the gradient 0."""
+    return torch.rad2deg(torch.atan2(torch.linalg.vector_norm(sine, dim=-1), cosine))
 
 
 def translation_ate(t: Tensor, t_gt: Tensor) -> Tensor:

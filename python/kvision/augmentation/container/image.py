@@ -81,7 +81,7 @@ class ImageSequentialBase(nn.Sequential):
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in _STATE:
-            self.__dict__[name] = value  # torch looks for parameters in what it sets
+            self.__dict__[name] = value  # faster than Module.__setattr__, which looks for parameters
         else:
             super().__setattr__(name, value)
 

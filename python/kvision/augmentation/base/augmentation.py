@@ -1,0 +1,289 @@
+"""The bases of augmentations with what users call: images, labels, the inverse, and what was drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+
+from kvision.augmentation.base.execution import Execution, Params
+from kvision.augmentation.base.one_pass import OnePass
+from kvision.augmentation.base.samples import is_known, known_everywhere, where_chosen, without_added_axes
+from kvision.augmentation.keys import Seed
+from kvision.augmentation.maps import exact
+from kvision.core.exceptions import ShapeError, TypeCheckError
+
+__all__ = [
+    "AugmentationBase",
+    "AugmentationBase2D",
+    "AugmentationBase3D",
+    "RigidAffineAugmentationBase2D",
+    "RigidAffineAugmentationBase3D",
+]
+
+
+class AugmentationBase(OnePass):
+    """What augmentations of images and of volumes share; see the package."""
+
+    def validate_tensor(self, input: Tensor) -> None:
+        """Raise unless `input` is a tensor of a floating-point type or uint8 with at most a batch of images."""
+        op = type(self).__name__
+        if not isinstance(input, Tensor):
+            raise TypeCheckError(f"{op}: expected input to be a Tensor, got {type(input).__name__}")
+        if not input.is_floating_point() and input.dtype != torch.uint8:
+            raise TypeCheckError(f"{op}: expected input of a floating-point type or uint8, got {input.dtype}")
+        if not self.axes - 1 <= input.dim() <= self.axes + 1:
+            layout = ("(H, W), (C, H, W) or (B, C, H, W)", "(D, H, W), (C, D, H, W) or (B, C, D, H, W)")[self.axes - 3]
+            raise ShapeError(f"{op}: expected input of shape {layout}, got {tuple(input.shape)}")
+
+    def transform_tensor(self, input: Tensor, **_: Any) -> Tensor:
+        """The input as a batch: (H, W) and (C, H, W) become (1, C, H, W)."""
+        self.validate_tensor(input)
+        while input.dim() < self.axes + 1:
+            input = input[None]
+        return input
+
+    def _flags_of(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
+        return {**self.flags, **overrides} if overrides else self.flags
+
+    def forward(
+        self,
+        input: Tensor | tuple[Tensor, Tensor],
+        params: Params | None = None,
+        *,
+        seed: Seed = None,
+        generator: Generator | None = None,
+        return_transform: bool | None = None,
+        **kwargs: Any,
+    ) -> Any:
+        """Augment images.
+
+        Args:
+            input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8; volumes have one more axis. A
+                pair of images and matrices (B, 3, 3) passes the matrices on, as chains with `return_transform` do.
+            params: parameters of an earlier call, its `_params`, to repeat it on these images.
+            seed: an int, or int64 (B,) with one of a sample, from which all parameters follow; torch's generator is not used.
+            generator: draws the key of this call; default: that of the constructor, or torch's.
+            return_transform: also return the matrices; default: as the constructor says.
+            **kwargs: flags of this call, such as `resample`.
+
+        Returns:
+            Images (B, C, h, w) of the type of `input`, with fewer axes if `keepdim` and the input has; with
+            `return_transform` a pair of them and the matrices (B, 3, 3).
+
+        Raises:
+            TypeError: `input` is not a tensor of a floating-point type or uint8.
+            ValueError: `input` has another number of axes.
+        """
+        image: Any
+        matrix = None
+        if isinstance(input, (tuple, list)) and len(input) == 2 and all(isinstance(x, Tensor) for x in input):
+            image, matrix = input
+        else:
+            image = input
+        x = self.transform_tensor(image)
+        flags = self._flags_of(kwargs)
+        if params is None:
+            y, execution = self._draw_and_run(x, seed, generator, flags)
+        else:
+            execution = self._execution = self._from_params(params, x)  # before it runs, as in _draw_and_run
+            y = self._run(x, execution, flags)
+        if self.keepdim:
+            y = self._restored(y, image)
+        returns = self.return_transform if return_transform is None else return_transform
+        if not returns:
+            return y if matrix is None else (y, matrix)
+        transform = self._matrix(execution).to(y.device)
+        return y, transform if matrix is None else transform @ matrix.to(transform)
+
+    # --- what was drawn ---
+
+    @property
+    def _params(self) -> Params:
+        """The parameters of the last call by name, with `batch_prob` and `forward_input_shape`."""
+        if self._execution is None:
+            return {}
+        return self._read_params(self._execution)
+
+    @_params.setter
+    def _params(self, params: Params) -> None:
+        self._execution = Execution(tuple(params["forward_input_shape"].tolist()), params=params)
+
+    @property
+    def transform_matrix(self) -> Tensor | None:
+        """The matrices (B, 3, 3) of the last call, from image pixels to result pixels; None before the first call."""
+        return None if self._execution is None else self._matrix(self._execution)
+
+    def forward_parameters(self, batch_shape: Sequence[int]) -> Params:
+        """Draw the parameters of a batch by name, with `batch_prob` and `forward_input_shape`."""
+        shape = tuple(batch_shape)
+        execution = self._draw(torch.empty(1, device=self._rng[0]).expand(shape), None, None)
+        if self._draws_by_name:
+            execution.params = None
+            return {**self._read_params(execution), **self.generate_parameters(shape)}
+        return self._read_params(execution)
+
+    # --- labels ---
+
+    def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        """Masks (B, C, H, W) of any type, moved as the images were."""
+        return self._masks_by_name(masks, execution, flags) if self._is_overridden("apply_transform_mask") else masks
+
+    def _masks_by_name(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        """Masks moved by a method that a user's class overrides, which gets parameters by name."""
+        if not execution.applied:
+            return masks
+        params, matrix = self._params_on_device(masks, execution), self._matrix(execution).to(masks.device)
+        y = self.apply_transform_mask(exact(masks), params, flags, matrix).to(masks.dtype)
+        return where_chosen(execution.chosen, y, masks) if y.shape == masks.shape else y
+
+    def transform_points(self, points: Tensor, execution: Execution) -> Tensor:
+        """Points (B, N, 2), (B, N, 3) of volumes, moved as the images were."""
+        return points
+
+    # --- the inverse ---
+
+    def inverse_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        """Masks (B, C, h, w) of results, moved back."""
+        return masks
+
+    def inverse_points(self, points: Tensor, execution: Execution) -> Tensor:
+        """Points (B, N, 2), (B, N, 3) of volumes, of results, moved back."""
+        return points
+
+    def inverse(self, output: Tensor, params: Params | None = None, **kwargs: Any) -> Tensor:
+        """Undo the geometric part of a call, the last one unless parameters are given.
+
+        Args:
+            output: images (B, C, h, w) as that call returned them.
+            params: the `_params` of the call.
+            **kwargs: flags, such as `resample`.
+
+        Returns:
+            Images of the size that the input had; 0 where the result knows nothing of them.
+        """
+        return output
+
+    def known_pixels(self, output: Tensor, params: Params | None = None) -> Tensor:
+        """Which pixels of the images :meth:`inverse` finds in a result; the others were lost in the call, or in part.
+
+        Args:
+            output: images (B, C, h, w) as that call returned them, of which only the device counts.
+            params: the `_params` of the call.
+
+        Returns:
+            bool (B, 1, H, W), of the size that the input had.
+        """
+        x = self.transform_tensor(output)
+        execution = self._execution_of(params, x, self.flags)
+        if execution is None:
+            return is_known(known_everywhere(x.shape, x.device))
+        ones = known_everywhere(execution.shape, x.device)
+        moved = self.transform_masks(ones, execution, {**self.flags, "resample": "bilinear"})
+        return is_known(self.inverse(moved, params).reshape(ones.shape))
+
+    def _restored(self, y: Tensor, input: Tensor) -> Tensor:
+        """A result with as many axes as the input, where `keepdim` asks for it."""
+        return without_added_axes(y, input) if self.keepdim else y
+
+    def _call_to_invert(self, output: Tensor, params: Params | None, flags: dict[str, Any]) -> tuple[Tensor, Execution]:
+        """Results as a batch, and the call that they came from: the last one, or that of given parameters."""
+        x = self.transform_tensor(output)
+        execution = self._execution_of(params, x, flags)
+        if execution is None:
+            raise RuntimeError(f"{type(self).__name__}.inverse: there was no call yet; pass its params")
+        return x, execution
+
+    def _execution_of(self, params: Params | None, x: Tensor, flags: dict[str, Any]) -> Execution | None:
+        """The last execution, or that of given parameters, for an inverse on the device of results x."""
+        if params is None:
+            return self._execution
+        return self._from_params(params, x.new_empty(1).expand(tuple(int(n) for n in params["forward_input_shape"])))
+
+
+class AugmentationBase2D(AugmentationBase):
+    """Base of the augmentations of images: a subclass overrides `apply_transform`, and what it needs besides.
+
+    Args:
+        p: probability that a sample is augmented.
+        p_batch: probability that a batch is.
+        same_on_batch: all samples get the same parameters.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+        generator: draws the key of each call; default: torch's generator.
+        return_transform: calls return the image and its matrix.
+
+    Raises:
+        TypeError: `p` or `p_batch` is not a number.
+        ValueError: `p` or `p_batch` is not within 0 and 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> class Dim(K.augmentation.AugmentationBase2D):
+        ...     def apply_transform(self, input, params, flags, transform=None):
+        ...         return input / 2
+        >>> Dim(p=1.0)(torch.ones(1, 1, 1, 2))
+        tensor([[[[0.5000, 0.5000]]]])
+    """
+
+    axes = 3
+
+
+class RigidAffineAugmentationBase2D(AugmentationBase2D):
+    """Base of augmentations with a matrix (B, 3, 3): geometric ones, and those that leave pixels in place.
+
+    Args:
+        p: probability that a sample is augmented.
+        p_batch: probability that a batch is.
+        same_on_batch: all samples get the same parameters.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+        generator: draws the key of each call; default: torch's generator.
+        return_transform: calls return the image and its matrix.
+
+    Example:
+        >>> import kvision as K
+        >>> issubclass(K.augmentation.RandomAffine, K.augmentation.RigidAffineAugmentationBase2D)
+        True
+    """
+
+
+class AugmentationBase3D(AugmentationBase):
+    """Base of the augmentations of volumes (B, C, D, H, W); as :class:`AugmentationBase2D`.
+
+    Args:
+        p: probability that a sample is augmented.
+        p_batch: probability that a batch is.
+        same_on_batch: all samples get the same parameters.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+        generator: draws the key of each call; default: torch's generator.
+        return_transform: calls return the image and its matrix.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> class Dim(K.augmentation.AugmentationBase3D):
+        ...     def apply_transform(self, input, params, flags, transform=None):
+        ...         return input / 2
+        >>> Dim(p=1.0)(torch.ones(1, 1, 1, 1, 2))
+        tensor([[[[[0.5000, 0.5000]]]]])
+    """
+
+    axes = 4
+
+
+class RigidAffineAugmentationBase3D(AugmentationBase3D):
+    """Base of augmentations of volumes with a matrix (B, 4, 4).
+
+    Args:
+        p: probability that a sample is augmented.
+        p_batch: probability that a batch is.
+        same_on_batch: all samples get the same parameters.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+        generator: draws the key of each call; default: torch's generator.
+        return_transform: calls return the image and its matrix.
+
+    Example:
+        >>> import kvision as K
+        >>> issubclass(K.augmentation.IntensityAugmentationBase3D, K.augmentation.RigidAffineAugmentationBase3D)
+        True
+    """

@@ -1,0 +1,214 @@
+"""What a subclass of the augmentations declares: its settings, what it draws, and what it does to images.
+
+A subclass sets `_param_generator` and flags in its constructor, and declares one of three effects (`base`). The methods here
+have the defaults; none of them executes anything.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Sequence
+from enum import Enum
+from typing import Any, ClassVar
+
+import torch
+from torch import Generator, Tensor, nn
+
+from kvision.augmentation.base.execution import Params, Shape
+from kvision.augmentation.columns import Span
+from kvision.augmentation.configuration import Flags, Plans, settings_changed
+from kvision.augmentation.draws import Draw, Request
+from kvision.augmentation.random_generator.base import RandomGeneratorBase
+from kvision.augmentation.warp_and_color import Pass
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
+
+_OVERRIDABLE = ("compute_transformation", "apply_transform")
+
+
+class _KeepsArguments(nn.Module):
+    """A module that knows what its constructor was given, for `repr`."""
+
+    _arguments: Any = ((), {})  # or their text by name
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Any:
+        self = super().__new__(cls)
+        self.__dict__["_arguments"] = (args, kwargs)
+        return self
+
+
+class Declaration(_KeepsArguments):
+    """What an augmentation is: settings, and what subclasses override."""
+
+    axes: ClassVar[int]  # of an image with its channels: 3, of a volume: 4
+    whole_batch: ClassVar[bool] = False  # the size of the result changes, so that all samples are chosen or none
+    accepts_bytes: ClassVar[bool] = True  # otherwise uint8 images are computed in float32, in [0, 1]
+    keeps_lines: ClassVar[bool] = True  # straight lines stay straight, so that the corners of a box say where it is
+    fuses_noise: ClassVar[bool] = False  # `apply_transform` takes "_noise" instead of the parameters of pixels
+
+    def __init__(
+        self,
+        p: float = 0.5,
+        p_batch: float = 1.0,
+        same_on_batch: bool = False,
+        keepdim: bool = False,
+        *,
+        generator: Generator | None = None,
+        return_transform: bool | None = None,
+    ) -> None:
+        super().__init__()
+        op = type(self).__name__
+        for name, value in (("p", p), ("p_batch", p_batch)):
+            if isinstance(value, bool) or not hasattr(value, "__float__"):
+                raise TypeCheckError(f"{op}: expected {name} to be a number, got {value!r}")
+            if not 0 <= float(value) <= 1:
+                raise ValueCheckError(f"{op}: expected {name} within 0 and 1, got {value}")
+        self.p, self.p_batch = float(p), float(p_batch)
+        self.same_on_batch, self.keepdim = same_on_batch, keepdim
+        self.generator, self.return_transform = generator, return_transform
+        self._plans = Plans()
+        self.flags: dict[str, Any] = {}
+        self._param_generator: RandomGeneratorBase | None = None
+        self._rng: tuple[torch.device, torch.dtype] = (torch.device("cpu"), torch.float32)
+        self.device, self.dtype = self._rng  # for users' classes, which may have others
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "_execution":
+            self.__dict__[name] = value  # faster than Module.__setattr__, which looks for parameters
+            return
+        settings_changed()
+        setting: Any = Flags(value) if name == "flags" else value
+        super().__setattr__(name, setting)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Copies and pickles have the settings, not the last call.
+        state = {name: value for name, value in self.__dict__.items() if name != "_execution"}
+        return {**state, "_arguments": self._constructor_arguments()}
+
+    def __repr__(self) -> str:
+        if any(name != "_param_generator" for name, _ in self.named_children()):
+            return super().__repr__()
+        return f"{self._get_name()}({self.extra_repr()})"
+
+    def extra_repr(self) -> str:
+        now = {"p": self.p, "p_batch": self.p_batch, "same_on_batch": self.same_on_batch, **self.flags}
+        shown = {**self._constructor_arguments(), **{name: _shown(value) for name, value in now.items()}}
+        return ", ".join(f"{name}={text}" for name, text in shown.items())
+
+    def _constructor_arguments(self) -> dict[str, str]:
+        """The arguments of the constructor as text, without those that all augmentations have."""
+        if isinstance(self._arguments, dict):
+            return self._arguments
+        args, kwargs = self._arguments
+        bound = inspect.signature(type(self).__init__).bind_partial(self, *args, **kwargs)
+        bound.apply_defaults()
+        arguments: dict[str, Any] = {}
+        for name, value in list(bound.arguments.items())[1:]:  # the first one is self
+            is_options = bound.signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD
+            arguments.update(value if is_options else {name: value})
+        common = ("p", "p_batch", "same_on_batch", "keepdim", "generator", "return_transform")
+        return {name: _shown(value) for name, value in arguments.items() if name not in common}
+
+    # --- what is drawn ---
+
+    def set_rng_device_and_dtype(self, device: torch.device | str, dtype: torch.dtype = torch.float32) -> None:
+        """Choose where and in which type `_params` are given. The values do not depend on the device."""
+        self._rng = self.device, self.dtype = torch.device(device), dtype
+        if self._param_generator is not None:
+            self._param_generator.set_rng_device_and_dtype(device, dtype)
+
+    def _request(self, shape: Shape) -> Request | None:
+        """What this augmentation draws for images of a shape; None for nothing."""
+        generator = None if self._draws_by_name else self._param_generator
+        draws: list[Any] = [] if generator is None else list(generator.draws(shape))
+        if self.whole_batch:
+            return Request(draws, 1.0, 1.0, self.same_on_batch) if draws or 0 < self.p_batch < 1 else None
+        per_pixel = generator is not None and generator.per_pixel
+        if self.p < 1 or self.p_batch < 1 or (per_pixel and not draws):
+            draws.insert(0, Draw("chosen"))
+        return Request(draws, self.p, self.p_batch, self.same_on_batch) if draws else None
+
+    def generate_parameters(self, batch_shape: Sequence[int]) -> Params:
+        """Draw the parameters of a batch by name, for all its samples."""
+        if self._param_generator is None:
+            return {}
+        return self._param_generator(tuple(batch_shape), self.same_on_batch)
+
+    @property
+    def _is_certain(self) -> bool:
+        """Whether all samples of all batches are augmented."""
+        return self.p == 1 and self.p_batch == 1
+
+    # --- what is done to images ---
+
+    def output_shape(self, shape: Shape, flags: dict[str, Any]) -> Shape:
+        """The shape of the results for images of a shape."""
+        return shape
+
+    def identity_matrix(self, input: Tensor | Sequence[int]) -> Tensor:
+        """An identity matrix for each sample of images, or of a shape (B, ...)."""
+        n = self.axes
+        if isinstance(input, Tensor):
+            like, batch = input, input.shape[0]
+            dtype = input.dtype if input.dtype in (torch.float32, torch.float64) else torch.float32
+            return torch.eye(n, device=like.device, dtype=dtype).expand(batch, n, n)
+        return torch.eye(n).expand(input[0], n, n)
+
+    def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        """The matrices (B, 3, 3), (B, 4, 4) of volumes, from image pixels to result pixels."""
+        return self.identity_matrix(input)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        """Apply the augmentation with given parameters to all samples."""
+        raise NotImplementedError(f"{type(self).__name__}.apply_transform")
+
+    def _pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
+        """The pass that executes this augmentation by columns instead of parameters by name; None if there is no such pass."""
+        return None
+
+    def _executes_columns(self, shape: Shape) -> bool:
+        """Whether this augmentation is executed from columns, without parameters by name."""
+        return False
+
+    def _further_columns(self, shape: Shape, values: Tensor, chosen: Tensor | None) -> list[Tensor]:
+        """Columns that follow those of the parameters."""
+        return []
+
+    # --- what is done to masks, boxes and points ---
+
+    def apply_transform_mask(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        """Move the masks of all samples with given parameters, for subclasses to override."""
+        return input
+
+    # --- what a user's class overrides ---
+
+    def _is_overridden(self, name: str) -> bool:
+        if name in self.__dict__:
+            return True
+        return _is_of_user(getattr(type(self), name, None))
+
+    @property
+    def _draws_by_name(self) -> bool:
+        """Whether a user's method or generator draws parameters by name, without columns."""
+        generator = self._param_generator
+        return self._is_overridden("generate_parameters") or (
+            generator is not None and _is_of_user(type(generator).forward)
+        )
+
+    def _is_customized(self) -> bool:
+        """Whether a user's class or instance overrides what containers join."""
+        return self._draws_by_name or any(self._is_overridden(name) for name in _OVERRIDABLE)
+
+
+def _is_of_user(method: Any) -> bool:
+    """Whether a method is not one of this library."""
+    return not (getattr(method, "__module__", None) or "").startswith("kvision.")
+
+
+def _shown(value: Any) -> str:
+    return str(
+        value.name.lower() if isinstance(value, Enum) else value.tolist() if isinstance(value, Tensor) else value
+    )

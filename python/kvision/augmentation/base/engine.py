@@ -1,0 +1,251 @@
+"""The engine of augmentations: keys and columns, parameters by name, replay, probabilities, matrices and types."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+
+from kvision._ops import match_layout
+from kvision.augmentation.base.declaration import Declaration
+from kvision.augmentation.base.execution import Execution, Params, Shape
+from kvision.augmentation.base.samples import where_chosen
+from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, identity_values, plan_draws
+from kvision.augmentation.draws import is_chosen_batch
+from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
+from kvision.augmentation.noise import PixelNoise
+from kvision.core.exceptions import ShapeError, ValueCheckError
+
+
+class Engine(Declaration):
+    """Draws the parameters of a call, or takes given ones, and executes what a subclass declares."""
+
+    _execution: Execution | None = None  # of the last call
+
+    # --- drawing ---
+
+    def _applies(self, keys: Keys | None, index: int) -> bool:
+        """Whether the batch is augmented at all, as far as the host knows."""
+        if self.p == 0 or self.p_batch == 0:
+            return False
+        if not self.whole_batch or self.p_batch == 1 or keys is None:
+            return True
+        key = keys.on_host(type(self).__name__)[0 if keys.one_key else index]
+        return is_chosen_batch(key, index if keys.one_key else 0, self.p_batch)
+
+    def _keys(self, x: Tensor, seed: Seed, generator: Generator | None) -> Keys:
+        op = type(self).__name__
+        keys = draw_keys(op, 1, x.device, seed, generator or self.generator)
+        if keys.seeds is not None:
+            check_seeds(op, keys, x.shape[0])
+        return keys
+
+    def _draws(self, shape: Shape, has_seed: bool) -> DrawPlan | None:
+        """The launch that draws for images of a shape, kept for them; None for nothing."""
+        key = ("draws", shape, has_seed)
+        kept: tuple[DrawPlan | None] | None = self._plans.get(key)
+        if kept is not None:
+            return kept[0]
+        request = self._request(shape) if self.p > 0 and self.p_batch > 0 else None
+        draws = None if request is None else plan_draws([request], has_seed)[0]
+        if draws is None or draws.learned is None:
+            self._plans.keep(key, (draws,))
+        return draws
+
+    def _draw(self, x: Tensor, seed: Seed, generator: Generator | None) -> Execution:
+        """Draw the columns of a call."""
+        shape = tuple(x.shape)
+        draws = self._draws(shape, seed is not None)
+        if draws is None:
+            return Execution(shape, applied=self._applies(None, 0))
+        keys = self._keys(x, seed, generator)
+        columns = Columns(draws.draw(x, keys), draws.spans[0])
+        applied = self._applies(keys, 0)
+        return Execution(shape, columns, applied=applied, redraw=(keys, 0), is_certain=self._is_certain)
+
+    # --- parameters by name ---
+
+    def _read_params(self, execution: Execution) -> Params:
+        if execution.params is None:
+            device, dtype = self._rng
+            shape, columns = execution.shape, execution.columns
+            chosen = torch.full((shape[0],), float(execution.applied))
+            request = self._request(shape)
+            redraw = execution.redraw
+            if request is not None and redraw is not None and columns is not None and columns.drawn.is_cuda:
+                # Drawn again on the host, which gives the same numbers and waits for nothing but a key on the device.
+                keys, index = redraw
+                host = Keys(keys.keys.cpu(), None if keys.seeds is None else keys.seeds.cpu(), keys.one_key)
+                (columns,) = draw_columns(torch.empty(shape[0] // execution.frames), host, [request], index)
+                if execution.frames > 1:
+                    columns = columns._replace(drawn=columns.drawn.repeat_interleave(execution.frames, 0))
+                redraw = (host, index)
+            params: Params = {}
+            if columns is not None:
+                if columns.chosen is not None:
+                    chosen = columns.chosen.detach().cpu() * chosen
+                values = columns.values.detach()
+            else:
+                values = torch.empty(shape[0], 0)
+            is_drawn = columns is not None or request is None or not request.draws
+            if self._param_generator is not None and is_drawn and not self._draws_by_name:
+                params = self._param_generator.to_params(values, shape)
+                if self._param_generator.per_pixel and redraw is not None:
+                    noise = PixelNoise(*redraw, self.same_on_batch, values.device)
+                    params.update(self._pixel_params(values, execution, noise))
+            params["batch_prob"] = chosen
+            params["forward_input_shape"] = torch.tensor(shape)
+            execution.params = {
+                name: x.to(device, dtype if x.is_floating_point() else None) if isinstance(x, Tensor) else x
+                for name, x in params.items()
+            }
+        return execution.params
+
+    def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
+        if execution.params is not None:
+            return self._on_device(execution.params, x.device)
+        if self._draws_by_name:
+            execution.params = {**self._read_params(execution), **self.generate_parameters(execution.shape)}
+            return self._on_device(execution.params, x.device)
+        params: Params = {"forward_input_shape": torch.tensor(execution.shape)} if for_users else {}
+        generator = self._param_generator
+        if execution.columns is None or generator is None:
+            return params
+        values, shape = execution.columns.values, execution.shape
+        params.update(generator.to_params(values, shape))
+        if generator.per_pixel and execution.redraw is not None:
+            noise = PixelNoise(*execution.redraw, self.same_on_batch, x.device)
+            if self.fuses_noise and execution.frames == 1 and not self._is_customized():
+                params["_noise"] = (values, noise)
+            else:
+                params.update(self._pixel_params(values, execution, noise))
+        return params
+
+    def _pixel_params(self, values: Tensor, execution: Execution, noise: PixelNoise) -> Params:
+        """The parameters with numbers of their own for each pixel, the same for the frames of a video."""
+        assert self._param_generator is not None
+        shape, frames = execution.shape, execution.frames
+        if frames == 1:
+            return self._param_generator.pixel_params(values, shape, noise)
+        drawn = self._param_generator.pixel_params(values[::frames], (shape[0] // frames, *shape[1:]), noise)
+        return {name: x.repeat_interleave(frames, 0) for name, x in drawn.items()}
+
+    @staticmethod
+    def _on_device(params: Params, device: torch.device) -> Params:
+        return {name: x.to(device) if isinstance(x, Tensor) else x for name, x in params.items()}
+
+    # --- replay ---
+
+    def _from_params(self, params: Params, x: Tensor) -> Execution:
+        """An execution that replays given parameters."""
+        shape = tuple(x.shape)
+        chosen = params.get("batch_prob")
+        if chosen is not None and len(chosen) != shape[0]:
+            raise ShapeError(
+                f"{type(self).__name__}: expected params of a batch of {shape[0]}, got those of {len(chosen)} images"
+            )
+        applied = True
+        if chosen is None:
+            params = {**params, "batch_prob": torch.ones(shape[0])}
+        elif chosen.device.type == "cpu":
+            is_chosen = chosen > 0.5
+            applied = bool(is_chosen.any()) or shape[0] == 0 or self._was_planned(params)
+            chosen = None if bool(is_chosen.all()) else is_chosen
+        else:
+            chosen = chosen > 0.5
+        if "forward_input_shape" not in params:
+            params = {**params, "forward_input_shape": torch.tensor(shape)}
+        chosen = None if chosen is None else chosen.to(x.device)
+        columns = None
+        if applied and not self._is_customized() and self._executes_columns(shape):
+            columns = self._columns_of(params, shape, x.device, chosen)
+        return Execution(shape, columns, chosen, applied, params)
+
+    def _was_planned(self, params: Params) -> bool:
+        """Whether a call with these parameters planned for this augmentation, although no sample was chosen.
+
+        What is joined with neighbors takes part in their pass, which has to be the same in a replay.
+        """
+        if self.whole_batch or self.p == 0 or self.p_batch == 0 or self._is_customized():
+            return False
+        return self._param_generator is None or not params.keys() <= {"batch_prob", "forward_input_shape"}
+
+    def _columns_of(self, params: Params, shape: Shape, device: torch.device, chosen: Tensor | None) -> Columns | None:
+        """The columns that would have been drawn for given parameters."""
+        if self._param_generator is None:
+            values, draws = torch.empty(shape[0], 0, device=device), []
+        else:
+            try:
+                values = self._param_generator.to_columns(self._on_device(params, device), shape).to(device)
+            except KeyError as error:
+                raise ValueCheckError(
+                    f"{type(self).__name__}: expected params with {error.args[0]!r}, got {', '.join(params)}"
+                ) from None
+            draws = list(self._param_generator.draws(shape))
+        if values.dtype != torch.float64:
+            values = values.float()
+        parts = [values, *self._further_columns(shape, values, chosen)]
+        if chosen is not None and not self.whole_batch:
+            identity = torch.tensor(identity_values(draws), dtype=values.dtype).to(device, non_blocking=True)
+            parts[0] = torch.where(chosen[:, None], values, identity)
+            parts.insert(0, chosen[:, None].to(values.dtype))
+        drawn = torch.cat(parts, 1) if len(parts) > 1 else values
+        return Columns(drawn, Span(0, drawn.shape[1], len(parts) > 1 and parts[0] is not values and chosen is not None))
+
+    # --- execution ---
+
+    def _draw_and_run(
+        self, x: Tensor, seed: Seed, generator: Generator | None, flags: dict[str, Any]
+    ) -> tuple[Tensor, Execution]:
+        """Draw parameters and execute with them. The execution is stored for `_params` and `transform_matrix`."""
+        # Stored before it runs, because a user's method may add to `_params`; faster than Module.__setattr__.
+        execution = self.__dict__["_execution"] = self._draw(x, seed, generator)
+        return self._run(x, execution, flags), execution
+
+    def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        """Execute on images (B, C, H, W): by the methods that users override."""
+        if not execution.applied:
+            return x
+        stored = x.dtype
+        transform: Tensor | None = None
+        if self._needs_no_matrix():
+            params = self._params_on_device(x, execution, for_users=False)
+            execution.identity = x.device, stored if stored in (torch.float32, torch.float64) else torch.float32
+        else:
+            params = self._params_on_device(x, execution)
+            transform = self.compute_transformation(x, params, flags)
+        image = x
+        if stored == torch.uint8 and not self.accepts_bytes:
+            image = x.float().div_(255)
+        elif execution.chosen is not None and self._is_overridden("apply_transform"):
+            image = x.clone()  # which may write to it, and samples that are not chosen stay
+        y = self.apply_transform(image, params, flags, transform)
+        if stored == torch.uint8 and y.dtype != torch.uint8:
+            y = (y * 255).round_().clamp_(0, 255).to(torch.uint8)
+        elif y.dtype != stored and stored.is_floating_point:
+            y = y.to(stored)
+        if y.dim() == 4 and y.shape == x.shape:
+            y = match_layout(y, x)
+        if execution.chosen is not None and y.shape == x.shape:
+            y = where_chosen(execution.chosen, y, x)
+            if transform is not None:
+                identity = self.identity_matrix(x).to(transform)
+                transform = torch.where(execution.chosen[:, None, None], transform, identity)
+        execution.matrix = transform
+        return y
+
+    def _needs_no_matrix(self) -> bool:
+        """Whether positions are kept and no method is a user's: then the identity matrix is made only when it is read."""
+        needs_no_matrix: bool | None = self._plans.get("needs_no_matrix")
+        if needs_no_matrix is None:
+            keeps_positions = type(self).compute_transformation is Declaration.compute_transformation
+            needs_no_matrix = keeps_positions and not self._is_customized()
+            self._plans.keep("needs_no_matrix", needs_no_matrix)
+        return needs_no_matrix
+
+    def _matrix(self, execution: Execution) -> Tensor:
+        if execution.matrix is None:
+            identity = self.identity_matrix(execution.shape)
+            execution.matrix = identity if execution.identity is None else identity.to(*execution.identity)
+        return execution.matrix

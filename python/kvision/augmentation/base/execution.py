@@ -1,0 +1,55 @@
+"""What one call of an augmentation drew and did: kept for `_params`, matrices, labels, the inverse and replay."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision.augmentation.columns import Columns
+from kvision.augmentation.keys import Keys
+
+Shape = tuple[int, ...]
+Params = dict[str, Any]
+
+
+class Execution:
+    """One call of an augmentation: what was drawn, for `_params`, `transform_matrix`, labels, inverse and replay."""
+
+    def __init__(
+        self,
+        shape: Shape,
+        columns: Columns | None = None,
+        chosen: Tensor | None = None,
+        applied: bool = True,
+        params: Params | None = None,
+        redraw: tuple[Keys, int] | None = None,
+        frames: int = 1,
+        is_certain: bool = False,
+    ) -> None:
+        self.shape = shape  # of the images, (B, C, H, W)
+        self.columns = columns  # of the parameters, on their device
+        self._chosen = chosen
+        self.applied = applied  # False where the whole batch passes unchanged
+        self.params = params  # by name, where they were given or have been read
+        self.redraw = redraw  # the keys, and the index of this augmentation's
+        self.frames = frames  # neighboring samples that share what was drawn
+        self.is_certain = is_certain  # all samples are chosen, which is known without the columns
+        self.matrix: Tensor | None = None
+        # Device and type of identity matrices, if these are made only when they are read.
+        self.identity: tuple[torch.device, torch.dtype] | None = None
+
+    def keep_matrix(self, matrix: Tensor) -> None:
+        """Keep the matrices of an operator, which carry no gradients; where parameters do, they are computed when asked for."""
+        if self.columns is None or not self.columns.drawn.requires_grad:
+            self.matrix = matrix
+
+    @property
+    def chosen(self) -> Tensor | None:
+        """(B,) bool, the samples that are augmented; None for all."""
+        if self.is_certain:
+            return None
+        if self._chosen is None and self.columns is not None and self.columns.chosen is not None:
+            self._chosen = self.columns.chosen > 0.5
+        return self._chosen

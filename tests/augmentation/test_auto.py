@@ -10,12 +10,13 @@ from typing import Any
 
 import pytest
 import torch
+from scipy import stats
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import kvision as K
 import kvision.augmentation as A
-from kvision.augmentation.auto import AutoAugment, PolicyAugmentBase, RandAugment, TrivialAugment
+from kvision.augmentation.auto import AugMix, AutoAugment, PolicyAugmentBase, RandAugment, TrivialAugment
 from kvision.augmentation.auto.operation_table import OPERATIONS
 
 POLICIES: dict[str, Callable[[], PolicyAugmentBase]] = {
@@ -26,6 +27,14 @@ POLICIES: dict[str, Callable[[], PolicyAugmentBase]] = {
     "trivial": TrivialAugment,
 }
 policies = pytest.mark.parametrize("make", POLICIES.values(), ids=list(POLICIES))
+MIXTURES: dict[str, Callable[[], AugMix]] = {
+    "default": AugMix,
+    "deep": lambda: AugMix(10, 2, 4, 0.4),
+    "plain": lambda: AugMix(5, 1, -1, 2.0, False),
+}
+mixtures = pytest.mark.parametrize("make", MIXTURES.values(), ids=list(MIXTURES))
+POLICIES_AND_MIXTURES = {**POLICIES, **MIXTURES}
+policies_and_mixtures = pytest.mark.parametrize("make", POLICIES_AND_MIXTURES.values(), ids=list(POLICIES_AND_MIXTURES))
 NAMES = {operation.number: name for name, operation in OPERATIONS.items()}
 
 
@@ -223,7 +232,7 @@ def test_trivial_augment_draws_levels() -> None:
 # --- what all augmentations promise -----------------------------------------------------------------------------------
 
 
-@policies
+@policies_and_mixtures
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16, torch.uint8], ids=str)
 def test_replay_is_exact(make: Any, dtype: torch.dtype, device: torch.device) -> None:
     augment, x = make(), images(device, dtype=dtype)
@@ -237,7 +246,7 @@ def test_replay_is_exact(make: Any, dtype: torch.dtype, device: torch.device) ->
     assert torch.equal(augment.inverse(y, params), again.inverse(y))
 
 
-@policies
+@policies_and_mixtures
 def test_seeds(make: Any, device: torch.device) -> None:
     augment, x = make(), images(device)
     assert torch.equal(augment(x, seed=5), augment(x, seed=5))
@@ -269,7 +278,7 @@ def test_same_on_batch(device: torch.device) -> None:
         assert torch.equal(y, y[:1].expand_as(y))
 
 
-@policies
+@policies_and_mixtures
 def test_an_empty_batch_and_one_image(make: Any, device: torch.device) -> None:
     augment = make()
     assert augment(images(device)[:0]).shape == (0, 3, 12, 15)
@@ -277,7 +286,7 @@ def test_an_empty_batch_and_one_image(make: Any, device: torch.device) -> None:
     assert augment(images(device)[0]).shape == (1, 3, 12, 15)
 
 
-@policies
+@policies_and_mixtures
 def test_gradients_reach_images(make: Any, device: torch.device) -> None:
     x = images(device).requires_grad_()
     make()(x).sum().backward()
@@ -294,7 +303,7 @@ class _Count(TorchDispatchMode):
         return func(*args, **(kwargs or {}))
 
 
-@policies
+@policies_and_mixtures
 def test_work_does_not_depend_on_the_batch_and_reads_nothing_back(make: Any) -> None:
     calls = []
     make()(images(batch=2), seed=1)  # constants are made once in a process
@@ -346,6 +355,88 @@ def test_a_policy_in_a_chain(device: torch.device) -> None:
     assert A.ImageSequential(AutoAugment([[("invert", 0.5, None)]])).is_intensity_only()
 
 
+# --- mixtures ---------------------------------------------------------------------------------------------------------
+
+
+@mixtures
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
+def test_a_mixture_is_the_weighted_mean_of_its_chains(make: Any, dtype: torch.dtype, device: torch.device) -> None:
+    augment, x = make(), images(device, 64, dtype)
+    y = augment(x, seed=2)
+    assert y.dtype == dtype and y.shape == x.shape
+    params, image = augment._params, x.float() / 255 if dtype == torch.uint8 else x.float()
+    weights = params[0].data["weights"].to(device)[..., None, None, None]
+    depth = len(params) // augment.mixture_width
+    chains = [expected(image, params[i : i + depth]) for i in range(0, len(params), depth)]
+    mixture = weights[:, 0] * image + sum(weights[:, i + 1] * chain for i, chain in enumerate(chains))
+    error = (y.float() / 255 - mixture if dtype == torch.uint8 else y.float() - mixture).abs()
+    # Rounding may carry a value across a threshold of solarize, or a level of equalize and posterize.
+    assert (error <= {torch.uint8: 0.02, torch.float16: 5e-3}.get(dtype, 1e-4)).float().mean() > 0.985
+    assert not torch.equal(y, x)
+
+
+def test_weights_of_a_mixture_are_those_of_beta_and_dirichlet() -> None:
+    alpha, width = 0.7, 3
+    weights = drawn(AugMix(3, width, 1, alpha))[0]["weights"].double()
+    assert weights.shape == (20_000, 1 + width) and (weights >= 0).all()
+    torch.testing.assert_close(weights.sum(1), torch.ones(20_000, dtype=torch.float64), atol=1e-6, rtol=0)
+    image, chains = weights[:, 0], weights[:, 1:] / (1 - weights[:, :1])
+    for values, a, b in ((image, alpha, alpha), *((chain, alpha, (width - 1) * alpha) for chain in chains.T)):
+        assert stats.kstest(values.numpy(), stats.beta(a, b).cdf).pvalue > 1e-4
+    # Of a Dirichlet distribution, and independent of the image's weight.
+    correlation = torch.corrcoef(torch.cat([image[:, None], chains], 1).T)
+    expected_rows = torch.full((width, width), -1 / (width - 1), dtype=torch.float64).fill_diagonal_(1.0)
+    assert (correlation[1:, 1:] - expected_rows).abs().max() < 0.03 and correlation[0, 1:].abs().max() < 0.03
+
+
+def test_operations_of_a_mixture() -> None:
+    """Names and values are torchvision's: level i of 10, of which severity 3 draws the lowest three; * are mirrored."""
+    items = drawn(AugMix(3))
+    assert len(items) == 9
+    executed = torch.stack([item["operation"] >= 0 for item in items], 1).unflatten(1, (3, 3))
+    assert executed[..., 0].all() and not (executed[..., 2] & ~executed[..., 1]).any()
+    depths = executed.sum(2).flatten()
+    assert all((depths == n).float().mean() == pytest.approx(1 / 3, abs=0.01) for n in (1, 2, 3))
+    values = {
+        "shear_x": [0.3 * i / 9 for i in range(3)],
+        "translate_y": [i / 27 for i in range(3)],
+        "rotate": [30 * i / 9 for i in range(3)],
+        "posterize": [4, 3.5556, 3.1111],
+        "solarize": [1, 8 / 9, 7 / 9],
+        "sharpness": [1, 1.1, 1.2],
+    }
+    for name, levels in values.items():
+        operation = OPERATIONS[name]
+        magnitude = items[0]["magnitude"][items[0]["operation"] == operation.number]
+        mirrored = [2 * operation.neutral - level for level in levels] if operation.neutral is not None else []
+        assert magnitude.unique().tolist() == pytest.approx(sorted({*levels, *mirrored}), abs=1e-4)
+    counts = items[0]["operation"].bincount(minlength=len(OPERATIONS))
+    assert (counts > 0).sum() == 13
+    assert "sharpness" not in {entry.name for part in AugMix(all_ops=False).policy for entry in part}
+    bits = drawn(AugMix(10))[0]
+    bits = bits["magnitude"][bits["operation"] == OPERATIONS["posterize"].number].round().unique()
+    assert bits.tolist() == [0, 1, 2, 3, 4]
+
+
+def test_a_mixture_leaves_labels_where_they_are(device: torch.device) -> None:
+    augment = A.AugmentationSequential(AugMix(10), data_keys=["input", "mask", "keypoints"])
+    x, points = images(device), torch.rand(32, 2, 2, device=device)
+    y, mask, moved_points = augment(x, x, points)
+    assert torch.equal(mask, x) and torch.equal(moved_points, points) and not torch.equal(y, x)
+    assert torch.equal(augment(x, x, points, params=augment._params)[0], y)
+    assert torch.equal(augment.transform_matrix, torch.eye(3).expand(32, 3, 3)) and augment.is_intensity_only()
+
+
+def test_gradients_of_a_mixture(device: torch.device) -> None:
+    augment = AugMix(2, 2, 2, all_ops=False)
+    params = augment.forward_parameters((1, 3, 5, 6))
+    for item, name in zip(params, ("rotate", "shear_x", "translate_y", "rotate")):
+        item.data["operation"] = torch.tensor([OPERATIONS[name].number])
+        item.data["magnitude"] = torch.tensor([0.2])
+    x = images(device, 1, torch.float64)[..., :5, :6].requires_grad_()
+    assert torch.autograd.gradcheck(lambda x: augment(x, params=params), (x,))
+
+
 # --- errors -----------------------------------------------------------------------------------------------------------
 
 
@@ -368,6 +459,22 @@ def test_a_policy_in_a_chain(device: torch.device) -> None:
         (lambda: RandAugment(1, 3, [[("rotate", 0, 1), ("invert", 0, 1)]]), TypeError, "one entry"),
         (lambda: TrivialAugment([[("twirl", 0, 1)]]), ValueError, "got 'twirl'"),
         (lambda: RandAugment(2, 3)(images(), params=[]), ValueError, "2 steps, got 0"),
+        (lambda: RandAugment(17, 3), ValueError, "n to take at most 64 random numbers a sample, got 68"),
+        (lambda: AugMix(11), ValueError, "severity within 1 and 10, got 11"),
+        (lambda: AugMix(2.5), TypeError, "severity to be an int"),
+        (lambda: AugMix(3, 0), ValueError, "mixture_width of at least 1"),
+        (lambda: AugMix(3, 3, 0), ValueError, "chain_depth to be -1 or at least 1, got 0"),
+        (lambda: AugMix(alpha=0.0), ValueError, "alpha above 0"),
+        (
+            lambda: AugMix(3, 5),
+            ValueError,
+            "mixture_width and chain_depth to take at most 64 random numbers a sample, got 70",
+        ),
+        (
+            lambda: AugMix(3, 1, 1)(images(), params=RandAugment(1, 3).forward_parameters((32, 3, 12, 15))),
+            ValueError,
+            "weights",
+        ),
     ],
 )
 def test_errors(make: Callable[[], Any], error: type[Exception], message: str) -> None:

@@ -89,6 +89,11 @@ def plan_draws(requests: Sequence[Request], one_key: bool, first: int = 0) -> li
     return [*plans, _plan_launch(requests, begin, len(requests), one_key, first)]
 
 
+def fits_one_launch(request: Request) -> bool:
+    """Whether the operator takes all draws of a request at once, as it must."""
+    return len(request.draws) <= MAX_DRAWS and 2 + sum(len(draw.numbers) for draw in request.draws) <= MAX_NUMBERS
+
+
 def _plan_launch(requests: Sequence[Request], begin: int, end: int, one_key: bool, first: int) -> DrawPlan:
     own = requests[begin:end]
     plan, numbers, firsts = make_plan(own, one_key, first + begin)

@@ -233,6 +233,7 @@ class RandAugment(PolicyAugmentBase):
             entries.append([(name, 1.0, value, value)])
         super().__init__(entries, transformation_matrix_mode, count=n, same_on_batch=same_on_batch, generator=generator)
         self.n, self.m = n, m
+        self._check_draws("n")
 
 
 class TrivialAugment(PolicyAugmentBase):

@@ -9,11 +9,11 @@ import torch
 from torch import Generator, Tensor
 
 from kvision.augmentation.auto.operation_table import OPERATIONS, execute_step
-from kvision.augmentation.columns import DrawPlan, plan_draws
+from kvision.augmentation.columns import DrawPlan, fits_one_launch, plan_draws
 from kvision.augmentation.container.image import ImageSequential, ParamItem, identity_of
 from kvision.augmentation.container.runs import Randomness
 from kvision.augmentation.container.stages import Applied, Stage, invert, product
-from kvision.augmentation.draws import Draw, Request
+from kvision.augmentation.draws import MAX_DRAWS, Draw, Request
 from kvision.augmentation.keys import check_seeds, draw_keys
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
@@ -30,6 +30,14 @@ class Entry(NamedTuple):
     probability: float
     low: float
     high: float
+
+
+class Drawn(NamedTuple):
+    """What was drawn for a call: the number of the operation and its value, of each sample in each step."""
+
+    operation: Tensor  # (B, steps), int64; -1 for none
+    value: Tensor  # (B, steps)
+    weights: Tensor | None = None  # of a mixture (B, 1 + chains): that of the image, then those of its chains
 
 
 class PolicyAugmentBase(ImageSequential):
@@ -62,7 +70,8 @@ class PolicyAugmentBase(ImageSequential):
         tensor([0., 1.])
     """
 
-    _steps: Sequence[tuple[Tensor, Tensor]] = ()  # of the last call
+    _drawn: Drawn | None = None  # of the last call
+    _top_level = LEVELS  # levels from 0 to this one are drawn
 
     def __init__(
         self,
@@ -98,11 +107,11 @@ class PolicyAugmentBase(ImageSequential):
     def _request(self) -> Request:
         """For each sub-policy of a sample its index, then for each of its operations chance, level and mirroring."""
         choice = Draw("integer", (0, 1, len(self.policy), 0))
-        step = [Draw("uniform", (0.0, 1.0, 0.0)), Draw("integer", (0, 1, LEVELS + 1, 0)), Draw("integer", (0, 1, 2, 0))]
+        level = Draw("integer", (0, 1, self._top_level + 1, 0))
+        step = [Draw("uniform", (0.0, 1.0, 0.0)), level, Draw("integer", (0, 1, 2, 0))]
         return Request([choice, *step * self._length] * self.count, same_on_batch=bool(self.same_on_batch))
 
-    def _draw(self, x: Tensor, source: Randomness) -> list[tuple[Tensor, Tensor]]:
-        """The operation and the value (B,) of each sample in each step."""
+    def _draw(self, x: Tensor, source: Randomness) -> Drawn:
         keys = draw_keys(source.op, 1, x.device, source.seed_of_samples, source.generator)
         (plan,) = self._plan(keys.one_key, source.position if keys.one_key else 0)
         check_seeds(source.op, keys, len(range(0, len(x), source.frames)))
@@ -111,13 +120,26 @@ class PolicyAugmentBase(ImageSequential):
             drawn = drawn.repeat_interleave(source.frames, 0)
         if self._table.device != x.device:
             self._table = self._table.to(x.device)
-        columns = drawn.unflatten(1, (self.count, 1 + 3 * self._length))
+        return self._of_columns(drawn)
+
+    def _of_columns(self, columns: Tensor) -> Drawn:
+        """What the columns (B, P) of the request say."""
+        columns = columns.unflatten(1, (self.count, 1 + 3 * self._length))
         number, probability, low, high, neutral = self._table[columns[..., 0].long()].unbind(-1)
         chance, level, mirrored = columns[..., 1:].unflatten(-1, (self._length, 3)).unbind(-1)
-        value = low + (high - low) * level / LEVELS
+        value = low + (high - low) * level / max(self._top_level, 1)
         value = torch.where((mirrored > 0.5) & ~neutral.isnan(), 2 * neutral - value, value)
         operation = torch.where(chance < probability, number, -1.0).long()
-        return list(zip(operation.flatten(1).unbind(1), value.flatten(1).unbind(1)))
+        return Drawn(operation.flatten(1), value.flatten(1))
+
+    def _check_draws(self, arguments: str) -> None:
+        """Raise unless one launch draws all that a sample gets."""
+        request = self._request()
+        if not fits_one_launch(request):
+            raise ValueCheckError(
+                f"{type(self).__name__}: expected {arguments} to take at most {MAX_DRAWS} random numbers a sample, got "
+                f"{len(request.draws)}"
+            )
 
     def _plan(self, one_key: bool, position: int) -> Sequence[DrawPlan]:
         key = ("draw", one_key, position, bool(self.same_on_batch))
@@ -127,48 +149,54 @@ class PolicyAugmentBase(ImageSequential):
             self._plans.keep(key, plan)
         return plan
 
-    def _replayed_steps(self, params: Sequence[ParamItem], x: Tensor) -> list[tuple[Tensor, Tensor]]:
-        """Operations and magnitudes of each step, from the parameters of an earlier call."""
+    def _redrawn(self, params: Sequence[ParamItem], x: Tensor) -> Drawn:
+        """What was drawn for an earlier call, from its parameters."""
         if len(params) != self.count * self._length:
             raise ValueCheckError(
                 f"{type(self).__name__}: expected params of {self.count * self._length} steps, got {len(params)}"
             )
-        return [(item.data["operation"].to(x.device), item.data["magnitude"].to(x.device)) for item in params]
+        operation, value = (torch.stack([item.data[key] for item in params], 1) for key in ("operation", "magnitude"))
+        return Drawn(operation.to(x.device), value.to(x.device))
 
     @property
     def _params(self) -> list[ParamItem]:
         """What each step of the last call did: numbers of operations, -1 for none, and their magnitudes, on the CPU."""
         if self._given_params is None:
-            shape = torch.tensor(self._shape or ())
-            self._given_params = []
-            for i, (operation, value) in enumerate(self._steps):
-                operation, value = operation.cpu(), value.detach().cpu()
-                data = {"operation": operation, "magnitude": value, "batch_prob": (operation >= 0).float()}
-                self._given_params.append(ParamItem(f"step_{i}", {**data, "forward_input_shape": shape}))
+            self._given_params = [] if self._drawn is None else self._items(self._drawn)
         return self._given_params
 
     @_params.setter
     def _params(self, params: list[ParamItem]) -> None:
         self._given_params = params
 
+    def _items(self, drawn: Drawn) -> list[ParamItem]:
+        """What was drawn, by steps and names."""
+        shape = torch.tensor(self._shape or ())
+        items = []
+        for i, (operation, value) in enumerate(zip(drawn.operation.cpu().unbind(1), drawn.value.cpu().unbind(1))):
+            data = {"operation": operation, "magnitude": value, "batch_prob": (operation >= 0).float()}
+            items.append(ParamItem(f"step_{i}", {**data, "forward_input_shape": shape}))
+        return items
+
     def forward_parameters(self, batch_shape: Sequence[int]) -> list[ParamItem]:
         """Draw the parameters of a call on images of a shape, without executing it."""
         drawn = self._draw(torch.empty(batch_shape[0]), self._source(None, None))
-        self._steps, self._shape, self._given_params = drawn, tuple(batch_shape), None
+        self._drawn, self._shape, self._given_params = drawn, tuple(batch_shape), None
         self._stages = []
         return self._params
 
     # --- execution ---
 
     def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> Tensor:
-        steps = self._draw(x, source) if params is None else self._replayed_steps(params, x)
-        self._shape, self._steps, self._given_params = tuple(x.shape), steps, None
-        x, self._stages = self._run_steps(x, steps)
+        drawn = self._draw(x, source) if params is None else self._redrawn(params, x)
+        self._shape, self._drawn, self._given_params = tuple(x.shape), drawn, None
+        x, self._stages = self._run(x, drawn)
         return x
 
-    def _run_steps(self, x: Tensor, steps: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor, list[Stage]]:
+    def _run(self, x: Tensor, drawn: Drawn) -> tuple[Tensor, list[Stage]]:
+        """Execute what was drawn; gives the images, and what labels have to follow."""
         stages: list[Stage] = []
-        for i, (operation, value) in enumerate(steps):
+        for i, (operation, value) in enumerate(zip(drawn.operation.unbind(1), drawn.value.unbind(1))):
             x, more = execute_step(x, self._names[i % self._length], operation, value)
             stages += more
         return x, stages
@@ -186,14 +214,14 @@ class PolicyAugmentBase(ImageSequential):
         if params is None and not recompute:
             return self.transform_matrix
         x = self.transform_tensor(input)
-        steps = self._replayed_steps(params or self._params, x)
-        return product(identity_of(tuple(x.shape)), self._run_steps(x, steps)[1])
+        stages = self._run(x, self._redrawn(params or self._params, x))[1]
+        return product(identity_of(tuple(x.shape)), stages)
 
     def inverse(
         self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
     ) -> Tensor:
         x = self.transform_tensor(input)
-        stages = self._stages if params is None else self._run_steps(x, self._replayed_steps(params, x))[1]
+        stages = self._stages if params is None else self._run(x, self._redrawn(params, x))[1]
         return self._restored(invert(x, stages), input)
 
     def is_intensity_only(self, strict: bool = True) -> bool:

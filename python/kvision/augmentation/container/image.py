@@ -37,7 +37,7 @@ torch.serialization.add_safe_globals([ParamItem])  # torch.load reads `_params`
 # What a call leaves behind.
 _STATE = frozenset(
     "_stages _shape _executed _given_params _result_size _kept_boxes _points _videos _restore "
-    "_steps _executed_cells".split()
+    "_drawn _executed_cells".split()
 )
 
 

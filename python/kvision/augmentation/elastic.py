@@ -12,6 +12,7 @@ from kvision.augmentation import maps
 from kvision.augmentation.base import AugmentationBase2D, Execution, Params, where_chosen
 from kvision.augmentation.displacements import blur_settings, elastic_displacements
 from kvision.augmentation.maps import vector
+from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.random_generator.elastic import ElasticGenerator, FisheyeGenerator, ThinPlateSplineGenerator
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample, SamplePadding
@@ -46,7 +47,7 @@ class MapAugmentation(AugmentationBase2D):
 
     def displacements_of(self, execution: Execution, flags: dict[str, Any], like: Tensor) -> Tensor:
         """The map of an execution, 0 for samples that are not chosen, on the device of `like` and in the type it computes in."""
-        params = self._params_on_device(like, execution)
+        params = self._params_on_device(like, execution, for_users=False)
         dtype = compute_dtype(like) if like.is_floating_point() else torch.float32
         like = like if like.dtype == dtype else like.new_empty(0, dtype=dtype)
         moved = self.displacements(execution.shape, params, flags, like)
@@ -134,8 +135,6 @@ class RandomElasticTransform(MapAugmentation):
         torch.Size([2, 3, 8, 8])
     """
 
-    fuses_noise = True
-
     def __init__(
         self,
         kernel_size: tuple[int, int] = (63, 63),
@@ -160,6 +159,12 @@ class RandomElasticTransform(MapAugmentation):
             "padding_mode": padding_mode,
         }
 
+    def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
+        if execution.params is None and execution.redraw and execution.frames == 1 and not self._is_customized():
+            # There are no other parameters: no columns are read.
+            return {"_noise": (None, PixelNoise(*execution.redraw, self.same_on_batch, x.device))}
+        return super()._params_on_device(x, execution, for_users)
+
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
         key = ("displacements", shape[-2:])
         plan = self._plans.get(key) if flags is self.flags else None
@@ -170,7 +175,7 @@ class RandomElasticTransform(MapAugmentation):
             if flags is self.flags:
                 self._plans.keep(key, plan)
         if "_noise" in params:
-            size = like.new_empty(1).expand(shape[0], 2, *shape[-2:])
+            size = like.new_empty_strided((shape[0], 2, *shape[-2:]), (0, 0, 0, 0))  # one element
             return elastic_displacements(size, params["_noise"][1], *plan)
         return elastic_displacements(params["noise"].to(like), None, *plan)
 

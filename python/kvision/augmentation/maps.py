@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from kvision._dtype import compute_dtype
+from kvision._dtype import as_dtype, compute_dtype
 from kvision._modes import INTERPOLATION, PADDING
 from kvision._ops import saturate_to_byte
 from kvision.augmentation.warp_and_color import Resampling, fill_of_images
@@ -72,7 +72,7 @@ def read_labels_composed(masks: Tensor, links: Sequence[Tensor], size: Sequence[
     values = exact(masks)
     if links[0].dtype != compute_dtype(values):  # to convert coordinates takes less memory than to convert links
         return read_labels(masks, composed_coords(*link_arguments(links, size), list(size)).movedim(1, -1), resampling)
-    return _read_composed(values, links, size, resampling, resampling.fill).to(masks.dtype)
+    return as_dtype(_read_composed(values, links, size, resampling, resampling.fill), masks.dtype)
 
 
 def exact(masks: Tensor) -> Tensor:

@@ -159,9 +159,22 @@ def make_plan(transforms: Sequence[Transform]) -> tuple[list[int], list[float]]:
     return plan, numbers
 
 
+class MatrixPlan:
+    """The matrix of a chain of transforms, of which the first one is applied first: planned once, computed for any columns."""
+
+    def __init__(self, transforms: Sequence[Transform]) -> None:
+        starts = range(0, max(len(transforms), 1), MAX_TRANSFORMS)
+        self._launches = [make_plan(transforms[start : start + MAX_TRANSFORMS]) for start in starts]
+
+    def matrix(self, columns: Tensor) -> Tensor:
+        """The homographies (B, 3, 3) from columns (B, P)."""
+        first, *rest = self._launches
+        matrix: Tensor = _transform_matrix(columns, *first)
+        for launch in rest:
+            matrix = _transform_matrix(columns, *launch) @ matrix
+        return matrix
+
+
 def transform_matrix(columns: Tensor, transforms: Sequence[Transform]) -> Tensor:
     """The homographies (B, 3, 3) of a chain, of which the first transform is applied first, from columns (B, P)."""
-    matrix: Tensor = _transform_matrix(columns, *make_plan(transforms[:MAX_TRANSFORMS]))
-    if len(transforms) > MAX_TRANSFORMS:
-        matrix = transform_matrix(columns, transforms[MAX_TRANSFORMS:]) @ matrix
-    return matrix
+    return MatrixPlan(transforms).matrix(columns)

@@ -272,7 +272,7 @@ class Resampling(NamedTuple):
         padding = self.padding
         if padding in ("zeros", "fill"):
             padding = "zeros" if fill is None else "fill"
-        return self._replace(mode=mode or self.mode, padding=padding, fill=fill if padding == "fill" else None)
+        return Resampling(mode or self.mode, padding, self.align_corners, fill if padding == "fill" else None)
 
     def for_inverse(self, mode: str | None = None) -> Resampling:
         """How results are read to undo a call, which know nothing of the pixels that left them."""

@@ -200,7 +200,11 @@ class Declaration(_KeepsArguments):
 
     def _is_customized(self) -> bool:
         """Whether a user's class or instance overrides what containers join."""
-        return self._draws_by_name or any(self._is_overridden(name) for name in _OVERRIDABLE)
+        is_customized: bool | None = self._plans.get("customized")
+        if is_customized is None:
+            is_customized = self._draws_by_name or any(self._is_overridden(name) for name in _OVERRIDABLE)
+            self._plans.keep("customized", is_customized)
+        return is_customized
 
 
 def _is_of_user(method: Any) -> bool:

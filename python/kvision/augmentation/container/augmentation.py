@@ -372,24 +372,23 @@ class AugmentationSequential(ImageSequential):
         if batched.dim() != axes:
             layout = "(B, C, H, W)" if axes == 4 else "(B, C, D, H, W)"
             raise ShapeError(f"AugmentationSequential: expected mask of shape {layout}, got {tuple(shape)}")
-        if images is not None and (len(batched), *batched.shape[2:]) != (images[0], *images[2:]):
+        if images is not None and (batched.shape[0], *batched.shape[2:]) != (images[0], *images[2:]):
             raise ShapeError(
                 f"AugmentationSequential: expected mask of {images[0]} images of {tuple(images[2:])}, got {tuple(shape)}"
             )
-        moved = move_masks(batched, stages, self._mask_mode(), self._mask_flag("fill_value"))
+        moved = move_masks(batched, stages, *self._mask_flags())
         if moved.shape[:2] == batched.shape[:2] and masks.dim() < axes:
             return moved.reshape(*shape[: 2 - axes], *moved.shape[2:])
         return moved
 
-    def _mask_mode(self) -> str | None:
-        mode = self._mask_flag("resample")
-        return None if mode is None else Resample.get(mode).name.lower()
-
-    def _mask_flag(self, name: str) -> Any:
-        for key, flags in self.extra_args.items():
-            if DataKey.get(key) == DataKey.MASK and name in flags:
-                return flags[name]
-        return None
+    def _mask_flags(self) -> tuple[str | None, Any]:
+        """How masks are read, None for as the images, and the value of pixels that enter."""
+        flags: dict[str, Any] = {}
+        for key, given in self.extra_args.items():
+            if DataKey.get(key) == DataKey.MASK:
+                flags = {**given, **flags}
+        mode = flags.get("resample")
+        return None if mode is None else Resample.get(mode).name.lower(), flags.get("fill_value")
 
     def inverse(
         self,

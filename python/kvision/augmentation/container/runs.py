@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator, Tensor, nn
 
-from kvision._dtype import compute_dtype
+from kvision._dtype import as_dtype, compute_dtype
 from kvision.augmentation.base import AugmentationBase, Execution, Shape
 from kvision.augmentation.columns import Columns, DrawPlan, Span, plan_draws
 from kvision.augmentation.configuration import Plans
@@ -33,7 +33,7 @@ from kvision.augmentation.elastic import MapAugmentation
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, color_part
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys, frame_seeds
-from kvision.augmentation.transforms import MAX_TRANSFORMS, Transform, transform_matrix
+from kvision.augmentation.transforms import MAX_TRANSFORMS, MatrixPlan, Transform, transform_matrix
 from kvision.augmentation.warp_and_color import (
     SAME,
     ColorPart,
@@ -183,7 +183,7 @@ class _Joined(NamedTuple):
 class _Composition(NamedTuple):
     """Augmentations that are executed by one resampling, some of which have no matrix or blur what becomes smaller."""
 
-    links: Sequence[Sequence[Transform] | int]  # chains of matrices, and the numbers of maps in the run
+    links: Sequence[MatrixPlan | int]  # chains of matrices, and the numbers of maps in the run
     source: tuple[int, int]
     size: tuple[int, int]
     resampling: Resampling
@@ -266,7 +266,7 @@ def _compose(
 ) -> Composed:
     """What a composition does for drawn parameters."""
     dtype = compute_dtype(x) if x.is_floating_point() else torch.float32
-    columns = x.new_empty(x.shape[0], 0, dtype=dtype) if columns is None else columns.to(dtype)
+    columns = x.new_empty(x.shape[0], 0, dtype=dtype) if columns is None else as_dtype(columns, dtype)
     links: list[Tensor | MapLink] = []
     for link in step.links:
         if isinstance(link, int):
@@ -274,7 +274,7 @@ def _compose(
             assert isinstance(module, MapAugmentation)
             links.append(MapLink(module, executions[link], module.flags))
         else:
-            links.append(transform_matrix(columns, link))
+            links.append(link.matrix(columns))
     return Composed(links, step.source, step.size, step.resampling, step.samples)
 
 
@@ -512,7 +512,7 @@ class _Pending:
         self.steps.append(_Joined(image_pass, [g.number for g in geometric], chain, source, size, resampling))
 
     def _compose(self, geometric: Sequence[_Geometric]) -> None:
-        links: list[Sequence[Transform] | int] = []
+        links: list[MatrixPlan | int] = []
         chain: list[Transform] = []
         samples = 1
         for g in geometric:
@@ -520,9 +520,9 @@ class _Pending:
             if g.chain is not None:
                 chain += g.chain
                 continue
-            links += [chain, g.number] if chain else [g.number]
+            links += [MatrixPlan(chain), g.number] if chain else [g.number]
             chain = []
-        links += [chain] if chain else []
+        links += [MatrixPlan(chain)] if chain else []
         self.steps.append(_Composition(links, *_sizes_and_resampling(geometric), samples))
 
     def finish(self, output: Output) -> list[_Step]:

@@ -147,7 +147,8 @@ class Composed:
     def tensors(self, x: Tensor) -> Sequence[Tensor]:
         """The links as matrices (B, 3, 3) and displacements (B, 2, H, W) for images or masks; kept until `forget`."""
         if self._links is None or self._links[0].device != x.device:
-            like = x.new_empty(0, dtype=compute_dtype(x) if x.is_floating_point() else torch.float32)
+            dtype = compute_dtype(x) if x.is_floating_point() else torch.float32
+            like = x if x.dtype == dtype else x.new_empty(0, dtype=dtype)
             self._links = [
                 link.displacements(like) if isinstance(link, MapLink) else link.to(like) for link in self.links
             ]

@@ -573,8 +573,9 @@ def match_fginn(
         of_two = centers[0].index_select(0, neighbors.indices1.clamp(min=0).flatten())
         first, second = of_two.unflatten(0, (-1, 2)).unbind(1)
         again = ((first - second).square().sum(-1) < spatial_th * spatial_th).nonzero()[:, 0]
-        rows = (None if x is None else x.index_select(0, again) for x in (dm, first))
-        others = _second_elsewhere(desc1.index_select(0, again), desc2, *rows, centers, spatial_th)
+        rows = None if dm is None else dm.index_select(0, again)
+        of_first = first.index_select(0, again)
+        others = _second_elsewhere(desc1.index_select(0, again), desc2, rows, of_first, centers, spatial_th)
         other_distances = neighbors.distances1[..., 1].index_copy(1, again, others)
     # The list of matches by these ratios. An index of -1 in the second column would say that there is no ratio.
     neighbors.distances1 = torch.stack([neighbors.distances1[..., 0], other_distances], 2)

@@ -13,8 +13,9 @@ so that a second start does what is left of the first. A picture that cannot be 
 RESULTS/broken.csv and is left alone until --retry.
 
 On one machine the workers of a DataLoader decode, each with several threads. A worker that dies is replaced; a picture whose worker
-dies again, when it is alone, counts as broken. With Ray, tasks decode on all CPUs and a pool of actors, one a GPU, grows with what
-waits; Ray holds back the tasks when the actors are busy, and repeats what was lost with a machine.
+dies again, when it is alone, counts as broken. With Ray, a pool of actors, one a GPU, grows with what waits, and tasks decode on
+all CPUs; without GPUs the actors decode as well. Ray holds back what the actors are too busy for, and repeats what was lost with a
+machine.
 """
 
 from __future__ import annotations
@@ -511,7 +512,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--batch", type=int, default=32)
     parser.add_argument("--workers", type=int, default=max(1, cores // 4), help="processes that decode")
     parser.add_argument("--threads", type=int, default=min(4, cores), help="of a worker, and to write")
-    parser.add_argument("--actors", type=int, default=max(1, torch.cuda.device_count()), help="most of them, with Ray")
+    actors = torch.cuda.device_count() or cores
+    parser.add_argument("--actors", type=int, default=actors, help="most, with Ray; default: GPUs, else CPUs, here")
     parser.add_argument("--retry", action="store_true", help="try the pictures of broken.csv again")
     parser.add_argument("--compare", type=int, default=64, metavar="N", help="pictures for OpenCV's loop; 0 for none")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")

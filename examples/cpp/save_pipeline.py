@@ -45,10 +45,10 @@ class Pipeline(nn.Module):
 def save(pipeline: nn.Module, image: Tensor, folder: Path) -> None:
     """Write pipeline.pt2, pipeline.pt and case.pt."""
     folder.mkdir(parents=True, exist_ok=True)
-    program = torch.export.export(pipeline, (image,), dynamic_shapes=({0: torch.export.Dim.DYNAMIC},))
-    torch._inductor.aoti_compile_and_package(program, package_path=str(folder / "pipeline.pt2"))
-
     with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # torch 2.13 warns of its own code
+        program = torch.export.export(pipeline, (image,), dynamic_shapes=({0: torch.export.Dim.DYNAMIC},))
+        torch._inductor.aoti_compile_and_package(program, package_path=str(folder / "pipeline.pt2"))
         warnings.simplefilter("ignore")  # each size that is recorded as a number
         torch.jit.trace(pipeline, image).save(str(folder / "pipeline.pt"))
 

@@ -31,8 +31,9 @@ def _rgb_to_rgb255(x: Tensor) -> Tensor:
     return scale_shift(x, 1.0, 0.0, True).mul_(255)
 
 
+@with_kernel_casts
 def _normals_to_rgb255(n: Tensor) -> Tensor:
-    return scale_shift(n, 127.5, 127.5, False).clamp_(0, 255)
+    return scale_shift(n, 0.5, 0.5, True).mul_(255)
 
 
 def rgb_to_rgb255(image: Tensor) -> Tensor:

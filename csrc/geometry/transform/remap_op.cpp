@@ -82,7 +82,8 @@ Tensor remap_image_backward(Tensor const& grad, Tensor const& map_x, Tensor cons
         SampleImageBackward<T> const params{a.of<T>(source, map.coords<Compute<T>>(source, sampled.samples)),
                                             images<T const>(from, sampled.samples), images<T>(to, batch.images),
                                             data_ptr<Compute<T>>(sums)};
-        [[maybe_unused]] int64_t const cost = 8 * grad.size(2) * grad.size(3) * sampled.samples / std::max<int64_t>(batch.images, 1);
+        [[maybe_unused]] int64_t const cost =
+            8 * grad.size(2) * grad.size(3) * sampled.samples / std::max<int64_t>(batch.images, 1);
         KV_RUN(sample_image_backward, from, params, batch.images * channels, cost);
       });
 }

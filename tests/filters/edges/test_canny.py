@@ -27,6 +27,8 @@ class TestCanny(OpTests):
         {"low_threshold": 0.4, "high_threshold": 1.1},
         {"kernel_size": 3, "sigma": (0.8, 0.6)},
     ]
+    # The direction of a gradient, which its derivative divides by the magnitude, loses digits where derivatives cancel.
+    tolerances = {torch.float32: (1e-4, 1e-5)}
     errors = [
         ({"low_threshold": 0.5, "high_threshold": 0.1}, ValueError, "expected 0 < low_threshold <= high_threshold"),
         ({"low_threshold": 0.0}, ValueError, "expected 0 < low_threshold"),

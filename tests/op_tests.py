@@ -23,6 +23,7 @@ import torch
 from hypothesis import given
 from torch import Tensor
 from torch._subclasses.fake_tensor import FakeTensorMode
+from torch.utils._python_dispatch import TorchDispatchMode
 
 import kvision as K
 import raw_calls
@@ -693,6 +694,18 @@ def fake_differs(name: str, args: Sequence[Any]) -> str:
 def describe_layout(y: Tensor) -> tuple[Any, ...]:
     strides = [s if n > 1 else 0 for s, n in zip(y.stride(), y.shape)] if y.numel() else []
     return tuple(y.shape), strides, y.dtype, y.device.type
+
+
+class DispatchedOperators(TorchDispatchMode):
+    """Collects the names of all operators that are dispatched, torch's and kvision's, without their overloads."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.names: list[str] = []
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        self.names.append(func.overloadpacket.__name__)
+        return func(*args, **(kwargs or {}))
 
 
 @contextlib.contextmanager

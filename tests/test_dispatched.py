@@ -7,9 +7,9 @@ from collections.abc import Callable
 import pytest
 import torch
 from torch import Tensor
-from torch.utils._python_dispatch import TorchDispatchMode
 
 import kvision as K
+from op_tests import DispatchedOperators
 
 VIEWS = (
     "alias",
@@ -28,18 +28,9 @@ VIEWS = (
 )
 
 
-class Dispatched(TorchDispatchMode):
-    """The names of operators that are neither views nor allocations."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.names: list[str] = []
-
-    def __torch_dispatch__(self, call, types, args=(), kwargs=None):
-        name = call.name().removeprefix("aten::")
-        if not name.split(".")[0].startswith(("unsqueeze", "_unsafe_view")) and name.split(".")[0] not in VIEWS:
-            self.names.append(name)
-        return call(*args, **(kwargs or {}))
+def work(names: list[str]) -> list[str]:
+    """The operators among `names` that are neither views nor allocations."""
+    return [n for n in names if not n.startswith(("unsqueeze", "_unsafe_view")) and n not in VIEWS]
 
 
 def descriptors() -> tuple[Tensor, ...]:
@@ -67,16 +58,17 @@ def test_dispatched_operators(name: str) -> None:
     call, most = CALLS[name]
     with K.backend("native"):
         call()
-        with Dispatched() as dispatched:
+        with DispatchedOperators() as dispatched:
             call()
-    names = [n for n in dispatched.names if not n.startswith(("rand", "zeros", "ones"))]  # those make the arguments
+    makes_arguments = ("rand", "zeros", "ones")
+    names = [n for n in work(dispatched.names) if not n.startswith(makes_arguments)]
     assert len(names) <= most, names
 
 
 def test_images_of_the_same_size_are_copied() -> None:
     x = torch.rand(1, 3, 4, 5, requires_grad=True)
-    with Dispatched() as dispatched:
+    with DispatchedOperators() as dispatched:
         y = K.geometry.resize(x, (4, 5))
         (grad,) = torch.autograd.grad(y, x, torch.ones(x.shape))
-    assert dispatched.names == ["clone", "ones"] and torch.equal(grad, torch.ones(x.shape))
+    assert work(dispatched.names) == ["clone", "ones"] and torch.equal(grad, torch.ones(x.shape))
     assert y.data_ptr() != x.data_ptr()

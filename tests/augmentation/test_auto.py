@@ -12,12 +12,12 @@ import pytest
 import torch
 from scipy import stats
 from torch import Tensor
-from torch.utils._python_dispatch import TorchDispatchMode
 
 import kvision as K
 import kvision.augmentation as A
 from kvision.augmentation.auto import AugMix, AutoAugment, PolicyAugmentBase, RandAugment, TrivialAugment
 from kvision.augmentation.auto.operation_table import OPERATIONS
+from op_tests import DispatchedOperators
 
 POLICIES: dict[str, Callable[[], PolicyAugmentBase]] = {
     "imagenet": lambda: AutoAugment("imagenet"),
@@ -293,24 +293,14 @@ def test_gradients_reach_images(make: Any, device: torch.device) -> None:
     assert x.grad.isfinite().all() and x.grad.any()
 
 
-class _Count(TorchDispatchMode):
-    def __init__(self) -> None:
-        super().__init__()
-        self.names: list[str] = []
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        self.names.append(str(func))
-        return func(*args, **(kwargs or {}))
-
-
 @policies_and_mixtures
 def test_work_does_not_depend_on_the_batch_and_reads_nothing_back(make: Any) -> None:
     calls = []
     make()(images(batch=2), seed=1)  # constants are made once in a process
     for batch in (2, 50):
-        with _Count() as count:
+        with DispatchedOperators() as dispatched:
             make()(images(batch=batch), seed=1)
-        calls.append([name for name in count.names if "random" not in name])
+        calls.append([name for name in dispatched.names if "random" not in name])
     assert len(calls[0]) == len(calls[1])
     assert not [name for name in calls[1] if "local_scalar" in name or "nonzero" in name]
 

@@ -10,11 +10,11 @@ import pytest
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
-from torch.utils._python_dispatch import TorchDispatchMode
 
 import kvision.augmentation as A
 from kvision import _backend
 from kvision.augmentation.container.stages import Composed
+from op_tests import DispatchedOperators
 
 H, W = 40, 52
 
@@ -356,18 +356,6 @@ def test_a_cuda_graph_draws_anew(device: torch.device) -> None:
     assert not torch.equal(y, before) and not torch.equal(mask, mask_before) and 0 < y.mean() < 1
 
 
-class _Operators(TorchDispatchMode):
-    """The names of the operators that are called."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.names: list[str] = []
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        self.names.append(func.overloadpacket.__name__)
-        return func(*args, **(kwargs or {}))
-
-
 def test_a_call_is_few_operators(backend: str) -> None:
     """Host time of small batches is that of operators: keys, draws, a matrix before and one behind the map, the map, two reads."""
     if backend == "reference" or "cpu" in _backend.unserved:
@@ -375,7 +363,7 @@ def test_a_call_is_few_operators(backend: str) -> None:
     augment = A.AugmentationSequential(*CHAINS["pipeline B"](), data_keys=["input", "mask"], resample="once")
     x = images()
     augment(x, x)  # which plans
-    with _Operators() as called:
+    with DispatchedOperators() as called:
         augment(x, x)
     keys, size = ["empty", "random_"], ["new_empty_strided"]
     matrices, reads = ["transform_matrix"] * 2, ["composed_warp"] * 2

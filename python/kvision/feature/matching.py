@@ -581,12 +581,14 @@ def match_fginn(
     neighbors.distances1 = torch.stack([neighbors.distances1[..., 0], other_distances], 2)
     neighbors.indices1 = nearest[..., None].expand(-1, -1, 2)
     if mutual:  # without a ratio test on the way back: its ratios are 0 / 1
-        neighbors.distances2 = torch.arange(2, device=centers.device).to(centers).expand_as(neighbors.distances2)
+        zero_and_one = torch.arange(2.0, dtype=centers.dtype, device=centers.device)
+        neighbors.distances2 = zero_and_one.expand_as(neighbors.distances2)
         neighbors.indices2 = neighbors.indices2[..., :1].expand(-1, -1, 2)
     return _matches(neighbors, th)
 
 
-# So few descriptors are all searched again on a GPU: the host would have to wait for the number of those that need it.
+# So few descriptors are all searched again on a GPU: the host would have to wait for the number of those that need it. The limit
+# was not measured.
 _ALL_AT_ONCE = 1024
 
 

@@ -24,14 +24,14 @@ template <class F>
 struct Eroded {
   F const* c;
   ValueRange<F> span;
-  F from, scale;
+  F from, width;
 
   __device__ __forceinline__ Eroded(F const* c, F const* numbers, unsigned chunks) : c(c) {
     F ends[2] = {-F(INFINITY), -F(INFINITY)};
     reduce_chunks(ends, numbers, chunks, NanMax());
-    span = {-ends[0], ends[1]}, from = span.from(), scale = span.scale();
+    span = {-ends[0], ends[1]}, from = span.from(), width = span.width();
   }
-  __device__ __forceinline__ F b(int64_t i) const { return (c[i] - from) * scale; }
+  __device__ __forceinline__ F b(int64_t i) const { return (c[i] - from) / width; }
 };
 
 // The mean of value(i) at pixel i and its direct neighbors.
@@ -152,11 +152,10 @@ __global__ void __launch_bounds__(kThreads) grow(__grid_constant__ Growth<F> con
           [&](unsigned i) { p.out[all + i] = gradient_of(i) * 2 * group.differences.at(group.first + plane, i); });
     } else {
       Eroded<F> const next(p.next_c + offset, p.next_numbers + plane * chunks * 2, chunks);
-      F const top = NormalizeVjp<F>::of(next.span, 0, 0, 1, 1).top;
       group.for_each([&](unsigned i) {
         F const derivative = gradient_of(i), b = next.b(i);
         p.next_g[offset + i] = derivative;
-        result[0] += derivative, result[1] += derivative * b, result[2] += b == 0, result[3] += b == top;
+        result[0] += derivative, result[1] += derivative * b, result[2] += b == 0, result[3] += b == 1;
       });
       block_reduce<kSumThreads>(result, Sum());
       if (threadIdx.x == 0)

@@ -75,25 +75,24 @@ struct ValueRange {
 
   KV_HD bool is_flat() const { return high == low; }
   KV_HD F from() const { return is_flat() ? F(0) : low; }
-  KV_HD F scale() const { return is_flat() ? F(1) : F(1) / (high - low); }
+  KV_HD F width() const { return is_flat() ? F(1) : high - low; }
 };
 
 // Maps the gradient of b_i to the gradient of c_i.
 template <class F>
 struct NormalizeVjp {
-  F scale, top, of_low, of_high;  // top: the maximum of b_i
-  bool all;                       // no c_i is 0
+  F width, of_low, of_high;
+  bool all;  // no c_i is 0
 
   // From the sums of g and of g b_i, and the numbers of pixels with the minimum and with the maximum.
   KV_HD static NormalizeVjp of(ValueRange<F> const& span, F sum, F product, F lowest, F highest) {
-    F const scale = span.scale(), top = (span.high - span.low) * scale;
-    if (span.is_flat()) return {scale, top, F(0), F(0), span.low > 0};
-    return {scale, top, (product - sum) * scale / lowest, -product * scale / highest, span.low > 0};
+    if (span.is_flat()) return {F(1), F(0), F(0), span.low > 0};
+    return {span.width(), (product - sum) / lowest, -product / highest, span.low > 0};
   }
   template <class V>
   KV_HD V operator()(V g, V b) const {
-    V const zero{};
-    V const derivative = g * scale + (b == zero ? zero + of_low : zero) + (b == zero + top ? zero + of_high : zero);
+    V const zero{}, one = zero + F(1);
+    V const derivative = (g + (b == zero ? zero + of_low : zero) + (b == one ? zero + of_high : zero)) / width;
     return all ? derivative : V(b > zero ? derivative : b <= zero ? zero : b);  // NaN in b stays NaN
   }
 };

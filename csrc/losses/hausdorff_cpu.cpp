@@ -107,10 +107,10 @@ KV_HD ValueRange<F> erode(Padded<F> const& r, F const* from, F* to) {
     nan = nan_or_zero[i] == nan_or_zero[i] ? nan : nan_or_zero[i];
   }
   if (nan != nan) span = {nan, nan};
-  F const first = span.from(), scale = span.scale();
+  F const first = span.from(), range = span.width();
   r.for_each([&](auto width, int64_t at, int64_t) {
     constexpr int M = decltype(width)::value;
-    store<M>(to + at, Lanes<F, M>((load<M>(to + at) - first) * scale));
+    store<M>(to + at, Lanes<F, M>((load<M>(to + at) - first) / range));
   });
   return span;
 }
@@ -159,7 +159,6 @@ void hausdorff_backward(HausdorffBackward<F> const& p, int64_t begin, int64_t en
       F const weight = i > 0 ? F(weight_of(i, p.alpha)) : F(0);
       F const *const grad = p.of_sums ? nullptr : p.grad + plane * size, of_sum = p.of_sums ? p.grad[plane] : F(0);
       F const* const b = r.plane(i);
-      F const top = i > 0 ? NormalizeVjp<F>::of(spans.data[i], 0, 0, 1, 1).top : F(0);
       Sum<F> sum, product, lowest, highest;
       r.for_each([&](auto width, int64_t at, int64_t e) {
         constexpr int M = decltype(width)::value;
@@ -173,7 +172,7 @@ void hausdorff_backward(HausdorffBackward<F> const& p, int64_t begin, int64_t en
         V const x = load<M>(b + at);
         store<M>(g + at, derivative);
         sum.template add<M>(derivative), product.template add<M>(V(derivative * x));
-        lowest.template add<M>(V(x == zero ? one : zero)), highest.template add<M>(V(x == zero + top ? one : zero));
+        lowest.template add<M>(V(x == zero ? one : zero)), highest.template add<M>(V(x == one ? one : zero));
       });
       if (i == 0) break;
       auto const gradients =

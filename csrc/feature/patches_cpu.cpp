@@ -73,17 +73,18 @@ void sample_patches(SamplePatches<T> const& p, int64_t begin, int64_t end) {
     }
     T const* const level = p.level(k / p.count, f.level);
     int64_t const stride = p.plane_stride(f.level);
-    for_each_sample<T>(at, p.n, [&](auto width, int64_t i, auto u, F v) KV_INLINE {
-      constexpr int N = decltype(width)::value;
-      using V = Lanes<F, N>;
-      BilinearTaps<F, V> const taps(f, u, v);
-      for (int c = 0; c < p.channels; ++c) {
-        T const* const plane = level + c * stride;
-        V values[4];
-        for (int t = 0; t < 4; ++t) values[t] = gather<N>(plane, taps.indices[t]);
-        store<N>(out + c * area + i, taps.sample(values));
-      }
-    });
+    for (int i = 0; i < p.n; ++i)
+      for_each_vector<T>(0, p.n, [&](auto width, int64_t j) KV_INLINE {
+        constexpr int N = decltype(width)::value;
+        using V = Lanes<F, N>;
+        BilinearTaps<F, V> const taps(f, load<N>(at.u.data + j), at.u.data[i]);
+        for (int c = 0; c < p.channels; ++c) {
+          T const* const plane = level + c * stride;
+          V values[4];
+          for (int t = 0; t < 4; ++t) values[t] = gather<N>(plane, taps.indices[t]);
+          store<N>(out + c * area + int64_t(i) * p.n + j, taps.sample(values));
+        }
+      });
   }
 }
 

@@ -82,41 +82,47 @@ __device__ __forceinline__ Polar<F> to_polar(Gradient<F> g, F eps) {
 KV_HD bool has_direction(float squared) { return squared > 0 && squared - squared == 0; }
 KV_HD bool has_direction(double squared) { return squared > 0 && squared - squared == 0; }
 
-// Within 1e-7 (float) or 1e-15 (double): multiples of pi / 8 nearby, and the series of what is left, whose tangent is
-// at most tan(pi / 16).
+// v, negated where s is negative.
+template <class F, int N>
+KV_HD Lanes<F, N> negated_by(Lanes<F, N> s, Lanes<F, N> v) {
+  using Bits = Lanes<typename integer_of<sizeof(F)>::bits, N>;
+  Bits const sign = __builtin_bit_cast(Bits, s) & (typename integer_of<sizeof(F)>::bits(1) << (8 * sizeof(F) - 1));
+  return __builtin_bit_cast(Lanes<F, N>, Bits(__builtin_bit_cast(Bits, v) ^ sign));
+}
+
+// Within 4e-7 (float) or 1e-15 (double): that of the first octant by a minimax polynomial of (atan(t) / t - 1) / t^2,
+// turned. Gradients of 0 and those that are not finite give any number or NaN.
 template <class F, int N>
 KV_HD Lanes<F, N> angle_of(Lanes<F, N> y, Lanes<F, N> x) {
   using V = Lanes<F, N>;
-  constexpr F half_pi = F(kPi / 2), eighth = F(0.41421356237309504880);  // tan(pi / 8)
+  constexpr F half_pi = F(kPi / 2);
   V const width = vabs(x), height = vabs(y), none = {};
-  auto const steep = height > width;
-  V const a = steep ? width : height, b = steep ? height : width;
-  auto const far = a > F(0.66817863791929891999) * b, near = a <= F(0.19891236737965800691) * b;
-  V const tangent = near ? none : far ? none + 1 : none + eighth;
-  V const t = b == 0 ? none : (a - tangent * b) / (b + tangent * a), square = t * t;
+  V const t = min(width, height) / max(width, height), square = t * t;
   V series;
   if constexpr (sizeof(F) == 4) {
-    constexpr F c[] = {F(1 / 9.), F(-1 / 7.), F(1 / 5.), F(-1 / 3.)};
+    constexpr F c[] = {-4.3553850e-3f, 2.3040064e-2f,  -5.7773492e-2f, 9.7942278e-2f,
+                       -1.3976580e-1f, 1.99627035e-1f, -3.33316590e-1f};
     series = polynomial(square, c);
   } else {
-    constexpr F c[] = {-1 / 23., 1 / 21., -1 / 19., 1 / 17., -1 / 15., 1 / 13.,
-                       -1 / 11., 1 / 9.,  -1 / 7.,  1 / 5.,  -1 / 3.};
+    constexpr F c[] = {-1.7656321234343396e-5, 1.9779598863425907e-4, -1.0512689753441275e-3, 3.5474150742443884e-3,
+                       -8.6072302164316396e-3, 1.6195344293177326e-2, -2.5032258784772563e-2, 3.3452314129914370e-2,
+                       -4.0558940413868386e-2, 4.6569953564046746e-2, -5.2332047456763639e-2, 5.8756706554030951e-2,
+                       -6.6655259746695615e-2, 7.6921627584538851e-2, -9.0908958954595872e-2, 1.1111110296188281e-1,
+                       -1.4285714254355201e-1, 1.9999999999351877e-1, -3.3333333333328197e-1};
     series = polynomial(square, c);
   }
-  V angle = t + t * square * series + (near ? none : far ? none + half_pi / 2 : none + half_pi / 4);
-  angle = steep ? half_pi - angle : angle;
-  angle = x < 0 ? 2 * half_pi - angle : angle;
-  return y < 0 ? -angle : angle;
+  auto const steep = height > width;
+  V const first = steep ? none + half_pi : x < 0 ? none + 2 * half_pi : none, turn = steep ? none - 1 : none + 1;
+  V const sign = negated_by<F, N>(y, negated_by<F, N>(x, turn));
+  return negated_by<F, N>(y, first) + sign * (t + t * square * series);
 }
 
 template <class F, int N>
 KV_HD Polar<Lanes<F, N> > to_polar(Gradient<Lanes<F, N> > g, F eps) {
   using V = Lanes<F, N>;
   V const squared = g.x * g.x + g.y * g.y, none = {};
-  V const finite = squared - squared == 0 ? squared : none;
-  auto const directed = finite > 0;
-  V const x = directed ? g.x : none, y = directed ? g.y : none;
-  return {directed ? vsqrt(V(finite + eps)) : none, angle_of<F, N>(y, x)};
+  auto const directed = squared * 0 < squared;  // 0 times infinity is NaN
+  return {directed ? vsqrt(V(squared + eps)) : none, directed ? angle_of<F, N>(g.y, g.x) : none};
 }
 
 #endif

@@ -55,6 +55,14 @@ class TestSIFTDescriptor(SquarePatchTests):
         assert_close(K.feature.SIFTDescriptor(32, rootsift=False)(flat), torch.zeros(1, 128, device=device))
         assert_close(K.feature.SIFTDescriptor(32)(flat), torch.full((1, 128), 1e-5, device=device))
 
+    def test_double_precision(self, device):
+        """Angles of float64 are not those of float32: the polynomials of the kernels have enough terms."""
+        x = torch.rand(8, 1, 41, 41, device=device, dtype=torch.float64)
+        module = K.feature.SIFTDescriptor(41, rootsift=False).to(device, torch.float64)
+        with K.backend("reference"):
+            expected = module(x)
+        assert (module(x) - expected).abs().max() < 1e-13
+
     def test_directions(self, device):
         """A ramp has one angular bin: that of its direction, from x to y."""
         for a in range(8):

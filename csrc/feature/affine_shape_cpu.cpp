@@ -44,7 +44,7 @@ void affine_shape(AffineShape<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   Scratch<F> scratch(p.n + PaddedPatch<F>::size(p.n));
   F* const weights = scratch.data;
-  PaddedPatch<F> const patch{weights + p.n, p.n};
+  PaddedPatch<F> const patch(weights + p.n, p.n);
   fill_weights<T>(weights, p.n);
   for (int64_t k = begin; k < end; ++k) {
     patch.read(p.patches + k * p.n * p.n);
@@ -62,7 +62,7 @@ void affine_shape_backward(AffineShapeBackward<T> const& p, int64_t begin, int64
   int64_t const padded = PaddedPatch<F>::size(n);
   Scratch<F> scratch(n + 3 * padded);
   F* const weights = scratch.data;
-  PaddedPatch<F> const patch{weights + n, n}, u{patch.data + padded, n}, v{u.data + padded, n};
+  PaddedPatch<F> const patch(weights + n, n), u(patch.data + padded, n), v(u.data + padded, n);
   fill_weights<T>(weights, n);
   for (int64_t k = begin; k < end; ++k) {
     patch.read(p.patches + k * n * n);

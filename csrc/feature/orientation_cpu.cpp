@@ -12,11 +12,11 @@ struct OrientationPatch {
   F* weights;  // of the Gaussian along an axis
   PaddedPatch<F> patch;
   F *magnitudes, *angles;  // of a row
-  VotesOfRow<F> votes;
+  VotesOfPixels<F> votes;
   F *histogram, *smoothed;
 
   static KV_HD int64_t size(int n, int bins) { return 6 * n + PaddedPatch<F>::size(n) + 2 * bins; }
-  KV_HD OrientationPatch(int n, int bins, F* memory) : n(n), bins(bins), weights(memory), patch{memory + n, n} {
+  KV_HD OrientationPatch(int n, int bins, F* memory) : n(n), bins(bins), weights(memory), patch(memory + n, n) {
     magnitudes = patch.data + PaddedPatch<F>::size(n), angles = magnitudes + n;
     votes = {angles + n, angles + 2 * n, angles + 3 * n};
     histogram = angles + 4 * n, smoothed = histogram + bins;
@@ -79,7 +79,7 @@ void orientation_backward(OrientationBackward<T> const& p, int64_t begin, int64_
   int64_t const padded = PaddedPatch<F>::size(n), own = OrientationPatch<F>::size(n, bins);
   Scratch<F> scratch(own + 2 * padded);
   OrientationPatch<F> s(n, bins, scratch.data);
-  PaddedPatch<F> const u{scratch.data + own, n}, v{u.data + padded, n};
+  PaddedPatch<F> const u(scratch.data + own, n), v(u.data + padded, n);
   F const per_radian = F(bins) / F(2 * kPi);
   for (int64_t k = begin; k < end; ++k) {
     Peaks<F> peaks = s.find_peaks(p.patches + k * n * n, p);

@@ -1,4 +1,5 @@
-// Patches in working memory on the CPU: rows with a pixel of border on each side. Included by *_cpu.cpp files.
+// Patches in working memory on the CPU: rows with a pixel of border on each side, and room for whole vectors of pixels.
+// Included by *_cpu.cpp files.
 #pragma once
 
 #include "core/scratch.h"
@@ -7,13 +8,20 @@
 namespace kv::feature::KV_ISA {
 namespace {
 
+// The numbers in the vectors that hold n of them.
+template <class F>
+KV_HD int whole_vectors(int n) {
+  return (n + kLanes<F> - 1) / kLanes<F> * kLanes<F>;
+}
+
 template <class F>
 struct PaddedPatch {
-  F* data;  // (n + 2) x (n + 2)
-  int n;
+  F* data;  // (n + 2) rows
+  int n, stride;
 
-  static KV_HD int64_t size(int n) { return int64_t(n + 2) * (n + 2); }
-  KV_HD F* row(int y) const { return data + int64_t(y + 1) * (n + 2) + 1; }
+  KV_HD PaddedPatch(F* data, int n) : data(data), n(n), stride(whole_vectors<F>(n) + 2) {}
+  static KV_HD int64_t size(int n) { return int64_t(n + 2) * (whole_vectors<F>(n) + 2); }
+  KV_HD F* row(int y) const { return data + int64_t(y + 1) * stride + 1; }
 
   // Extends the patch by its border pixels, times a sign along each axis.
   KV_HD void extend(F sign_x, F sign_y) const {
@@ -45,21 +53,21 @@ KV_HD void for_each_gradient(PaddedPatch<F> const& p, int y, Stencil<F> stencil,
   });
 }
 
-// The votes of a row of pixels, of which each has two bins: its magnitude is the sum of both.
+// The votes of pixels, of which each has two bins: its magnitude is the sum of both.
 template <class F>
-struct VotesOfRow {
+struct VotesOfPixels {
   F *first, *earlier, *later;  // the first bin, the magnitudes of both
 
   // angular_vote of N pixels.
   template <int N>
-  KV_HD void set(int64_t x, Polar<Lanes<F, N>> const& polar, int bins, F offset) const {
+  KV_HD void set(int64_t i, Polar<Lanes<F, N>> const& polar, int bins, F offset) const {
     using V = Lanes<F, N>;
     V position = polar.angle * (F(bins) / F(2 * kPi)) + offset;
     position = position < 0 ? V(position + F(bins)) : position;
     V const whole = vfloor(position), later_vote = polar.magnitude * (position - whole);
-    store<N>(first + x, V(whole >= F(bins) ? V(whole - F(bins)) : whole));
-    store<N>(earlier + x, V(polar.magnitude - later_vote));
-    store<N>(later + x, later_vote);
+    store<N>(first + i, V(whole >= F(bins) ? V(whole - F(bins)) : whole));
+    store<N>(earlier + i, V(polar.magnitude - later_vote));
+    store<N>(later + i, later_vote);
   }
 };
 

@@ -8,9 +8,6 @@ namespace {
 // Vectors of four: there are as many cells along an axis.
 constexpr int kUsualCells = 4;
 
-// Histograms of a row, for pixels that take turns: adding to a sum waits for the sum before.
-constexpr int kTurns = 4;
-
 template <class F>
 KV_HD void add_scaled(F* to, F const* from, F scale, int size) {
   int i = 0;
@@ -27,31 +24,39 @@ KV_HD F dot(F const* a, F const* b, int size) {
   return sum + ((sums[0] + sums[1]) + (sums[2] + sums[3]));
 }
 
-// The working memory of a patch, and what both passes do with it.
+// The working memory of a patch, and what both passes do with it. Rows of pixels end with whole vectors.
 template <class F>
 struct SiftPatch {
+  static constexpr int N = kLanes<F>;
+  using V = Lanes<F, N>;
   SiftGrid const& grid;
-  F* pooling;  // (cells, n)
+  int planes, width;  // bins * cells, the pixels of a row
+  F* pooling;         // (width, cells)
   PaddedPatch<F> patch;
   F *magnitudes, *angles;  // of a row
-  VotesOfRow<F> votes;
-  F* row;      // kTurns x (bins, cells): the votes of a row, or what their gradients are
-  F* h;        // (cells, bins, cells)
-  int planes;  // bins * cells
+  VotesOfPixels<F> votes;  // (n, width)
+  F* columns;              // (cells, bins, width): the votes of columns of pixels for the cells along y
+  F* row;                  // (bins, cells): the gradient of the votes of a row
+  F* h;                    // (cells, bins, cells)
 
   static KV_HD int64_t size(SiftGrid const& g) {
-    return int64_t(g.cells) * g.n + PaddedPatch<F>::size(g.n) + 5 * g.n + kTurns * g.bins * g.cells + g.size();
+    int64_t const width = whole_vectors<F>(g.n);
+    return PaddedPatch<F>::size(g.n) + width * (g.cells + 2 + 3 * g.n + g.bins * g.cells) + g.bins * g.cells + g.size();
   }
-  KV_HD SiftPatch(SiftGrid const& g, F* memory) : grid(g), planes(g.bins * g.cells) {
-    pooling = memory;
-    patch = {pooling + int64_t(g.cells) * g.n, g.n};
-    magnitudes = patch.data + PaddedPatch<F>::size(g.n);
-    angles = magnitudes + g.n;
-    votes = {angles + g.n, angles + 2 * g.n, angles + 3 * g.n};
-    row = angles + 4 * g.n;
-    h = row + kTurns * planes;
-    for (int x = 0; x < g.n; ++x)
-      for (int c = 0; c < g.cells; ++c) pooling[x * g.cells + c] = g.template pooling<F>(c, x);
+  KV_HD SiftPatch(SiftGrid const& g, F* memory)
+      : grid(g),
+        planes(g.bins * g.cells),
+        width(whole_vectors<F>(g.n)),
+        pooling(memory),
+        patch(pooling + int64_t(width) * g.cells, g.n) {
+    int64_t const pixels = int64_t(g.n) * width;
+    magnitudes = patch.data + PaddedPatch<F>::size(g.n), angles = magnitudes + width;
+    votes = {angles + width, angles + width + pixels, angles + width + 2 * pixels};
+    columns = votes.later + pixels;
+    row = columns + int64_t(planes) * width, h = row + planes;
+    for (int x = 0; x < width; ++x)
+      for (int c = 0; c < g.cells; ++c) pooling[x * g.cells + c] = x < g.n ? g.template pooling<F>(c, x) : F(0);
+    for (int64_t i = 0; i < PaddedPatch<F>::size(g.n); ++i) patch.data[i] = 0;
   }
 
   template <class T>
@@ -64,39 +69,64 @@ struct SiftPatch {
     });
   }
 
-  // Adds the votes of a row to its histograms. `Cells` is the number of cells, or 0 for any.
-  template <int Cells>
-  KV_HD void count_votes() {
-    int const cells = Cells ? Cells : grid.cells;
-    for (int x = 0; x < grid.n; ++x) {
-      F* const to = row + (x % kTurns) * planes;
-      int const first = int(votes.first[x]), second = first + 1 == grid.bins ? 0 : first + 1;
-      add_scaled(to + first * cells, pooling + x * cells, votes.earlier[x], cells);
-      add_scaled(to + second * cells, pooling + x * cells, votes.later[x], cells);
+  // The votes of columns for the bins [begin, begin + Bins) of cells in row `cell`. A pixel adds to all of these bins,
+  // 0 to most: memory would have to wait for sums at a place of each pixel's own.
+  template <int Bins>
+  KV_HD void sum_columns(int cell, int begin) {
+    V const none{};
+    int const first_row = grid.first(cell), end_row = grid.end(cell), bin_before = (begin == 0 ? grid.bins : begin) - 1;
+    for (int x = 0; x < width; x += N) {
+      V sums[Bins] = {};
+      for (int y = first_row; y < end_row; ++y) {
+        F const weight = pooling[y * grid.cells + cell];
+        int64_t const pixel = int64_t(y) * width + x;
+        V const first = load<N>(votes.first + pixel);
+        V const earlier = load<N>(votes.earlier + pixel) * weight, later = load<N>(votes.later + pixel) * weight;
+        V before = first == F(bin_before) ? later : none;  // the votes of pixels whose first bin is the one before
+        for (int a = 0; a < Bins; ++a) {
+          auto const is_first = first == F(begin + a);
+          sums[a] += is_first ? earlier : before;
+          before = is_first ? later : none;
+        }
+      }
+      for (int a = 0; a < Bins; ++a) store<N>(columns + (int64_t(cell) * grid.bins + begin + a) * width + x, sums[a]);
+    }
+  }
+
+  // The votes of columns for the cells along x, of Rows rows of `columns` and of h.
+  template <int Rows>
+  KV_HD void pool_columns(int begin) {
+    F const* const from = columns + int64_t(begin) * width;
+    F* const to = h + int64_t(begin) * grid.cells;
+    if (grid.cells == kUsualCells) {
+      Lanes<F, kUsualCells> sums[Rows] = {};
+      for (int x = 0; x < grid.n; ++x)
+        for (int i = 0; i < Rows; ++i) sums[i] += load<kUsualCells>(pooling + x * kUsualCells) * from[i * width + x];
+      for (int i = 0; i < Rows; ++i) store<kUsualCells>(to + i * kUsualCells, sums[i]);
+    } else {
+      for (int i = 0; i < Rows * grid.cells; ++i) to[i] = 0;
+      for (int i = 0; i < Rows; ++i)
+        for (int x = 0; x < grid.n; ++x)
+          add_scaled(to + i * grid.cells, pooling + x * grid.cells, from[i * width + x], grid.cells);
     }
   }
 
   template <class T>
   KV_HD void fill_histogram(T const* from) {
     patch.read(from);
-    for (int i = 0; i < grid.size(); ++i) h[i] = 0;
-    for (int y = 0; y < grid.n; ++y) {
-      for_each_gradient<T>(patch, y, central_differences<F>(), [&](auto width, int64_t x, auto g) KV_INLINE {
-        constexpr int N = decltype(width)::value;
-        votes.template set<N>(x, to_polar<F, N>(g, F(kSiftEpsilon)), grid.bins, F(0));
-      });
-      for (int i = 0; i < kTurns * planes; ++i) row[i] = 0;
-      if (grid.cells == kUsualCells)
-        count_votes<kUsualCells>();
-      else
-        count_votes<0>();
-      for (int i = 1; i < kTurns; ++i) add_scaled(row, row + i * planes, F(1), planes);
-      for (int c = 0; c < grid.cells; ++c) {
-        F const weight = pooling[y * grid.cells + c];
-        if (weight == 0) continue;
-        add_scaled(h + c * planes, row, weight, planes);
+    for (int y = 0; y < grid.n; ++y)
+      for (int x = 0; x < width; x += N) {
+        auto const g = patch_gradient(central_differences<F>(), neighbors<N>(patch, y, x));
+        votes.template set<N>(int64_t(y) * width + x, to_polar<F, N>(g, F(kSiftEpsilon)), grid.bins, F(0));
       }
+    for (int c = 0; c < grid.cells; ++c) {
+      int a = 0;
+      for (; a + 8 <= grid.bins; a += 8) sum_columns<8>(c, a);
+      for (; a < grid.bins; ++a) sum_columns<1>(c, a);
     }
+    int i = 0;
+    for (; i + 4 <= planes; i += 4) pool_columns<4>(i);
+    for (; i < planes; ++i) pool_columns<1>(i);
   }
 };
 
@@ -110,8 +140,13 @@ struct Entries {
   }
   template <class Call>
   KV_HD F sum(Call f) const {
-    F total = 0;
-    for (int i = 0; i < size; ++i) total += f(i);
+    constexpr int N = kLanes<F>;
+    F sums[N] = {}, total = 0;
+    int i = 0;
+    for (; i + N <= size; i += N)
+      for (int k = 0; k < N; ++k) sums[k] += f(i + k);
+    for (; i < size; ++i) total += f(i);
+    for (int k = 0; k < N; ++k) total += sums[k];
     return total;
   }
 };
@@ -141,7 +176,7 @@ void sift_backward(SiftBackward<T> const& p, int64_t begin, int64_t end) {
   Scratch<F> scratch(SiftPatch<F>::size(p.grid) + size + 2 * padded);
   SiftPatch<F> s(p.grid, scratch.data);
   F* const g = s.h + size;
-  PaddedPatch<F> const u{g + size, n}, v{u.data + padded, n};
+  PaddedPatch<F> const u(g + size, n), v(u.data + padded, n);
   F const per_radian = F(p.grid.bins) / F(2 * kPi);
   for (int64_t k = begin; k < end; ++k) {
     s.fill_histogram(p.patches + k * n * n);

@@ -58,41 +58,47 @@ struct ResponseRows {
     F const* rows[3][3];
     for (int k = 0; k < 3; ++k)
       for (int j = 0; j < 3; ++j) rows[k][j] = row(z + k - 1, y + j - 1);
-    auto const search = [&](auto n, int64_t x) KV_INLINE {
-      constexpr int N = decltype(n)::value;
-      Lanes<F, N> const v = load<N>(rows[1][1] + x);
-      auto above = v == v, below = v == v;
+    auto const visit_extremum = [&](int64_t x) KV_INLINE {
+      F const v = rows[1][1][x];
+      bool above = true, below = minima;
+      for (int k = 0; k < 3; ++k)
+        for (int j = 0; j < 3; ++j)
+          for (int i = -1; i <= 1; ++i) {
+            if (k == 1 && j == 1 && i == 0) continue;
+            above = above && v > rows[k][j][x + i];
+            below = below && v < rows[k][j][x + i];
+          }
+      if (above || below) visit(int(x), above);
+    };
+    constexpr int N = kLanes<T>;
+    using V = Lanes<F, N>;
+    int64_t x = 1;
+    for (; x + N < width; x += N) {
+      V const v = load<N>(rows[1][1] + x);
+      V highest = load<N>(rows[1][1] + x - 1), lowest = highest;
       auto const compare = [&](F const* other) KV_INLINE {
-        Lanes<F, N> const o = load<N>(other + x);
-        above &= v > o;
-        below &= v < o;
+        V const o = load<N>(other + x);
+        highest = max(highest, o), lowest = min(lowest, o);
       };
-      auto const remain = [&]() KV_INLINE {
-        if constexpr (N == 1)
-          return above || (minima && below);
-        else
-          return any_lane(minima ? above | below : above);
+      // The extrema, and pixels beside NaN, which max and min may ignore.
+      auto const candidates = [&]() KV_INLINE {
+        auto const above = v > highest;
+        return minima ? above | (v < lowest) : above;
       };
       // Few pixels are extrema of their level, so most vectors end here.
-      compare(rows[1][1] - 1), compare(rows[1][1] + 1);
+      compare(rows[1][1] + 1), compare(rows[0][1]), compare(rows[2][1]);
       for (int j = 0; j < 3; j += 2)
         for (int i = -1; i <= 1; ++i) compare(rows[1][j] + i);
-      if (!remain()) return;
+      if (!any_lane(candidates())) continue;
       for (int k = 0; k < 3; k += 2)
         for (int j = 0; j < 3; ++j)
           for (int i = -1; i <= 1; ++i) compare(rows[k][j] + i);
-      if (!remain()) return;
-      if constexpr (N == 1) {
-        visit(int(x), bool(above));
-      } else {
-        for (int i = 0; i < N; ++i)
-          if (above[i] || (minima && below[i])) visit(int(x) + i, above[i] != 0);
-      }
-    };
-    constexpr int N = kLanes<T>;
-    int64_t x = 1;
-    for (; x + N < width; x += N) search(Width<N>{}, x);
-    for (; x + 1 < width; ++x) search(Width<1>{}, x);
+      auto const remaining = candidates();
+      if (!any_lane(remaining)) continue;
+      for (int i = 0; i < N; ++i)
+        if (remaining[i]) visit_extremum(x + i);
+    }
+    for (; x + 1 < width; ++x) visit_extremum(x);
   }
 };
 

@@ -5,22 +5,28 @@
 namespace kv::feature::KV_ISA {
 namespace {
 
-// The working memory of a patch, and what both passes do with it.
+// The working memory of a patch, and what both passes do with it. Rows of pixels end with whole vectors.
 template <class F>
 struct OrientationPatch {
-  int n, bins;
-  F* weights;  // of the Gaussian along an axis
+  int n, bins, width;  // of which `width` are the pixels of a row
+  F* weights;          // of the Gaussian along an axis, 0 after its end
   PaddedPatch<F> patch;
   F *magnitudes, *angles;  // of a row
-  VotesOfPixels<F> votes;
+  VotesOfPixels<F> votes;  // (n, width)
   F *histogram, *smoothed;
 
-  static KV_HD int64_t size(int n, int bins) { return 6 * n + PaddedPatch<F>::size(n) + 2 * bins; }
-  KV_HD OrientationPatch(int n, int bins, F* memory) : n(n), bins(bins), weights(memory), patch(memory + n, n) {
-    magnitudes = patch.data + PaddedPatch<F>::size(n), angles = magnitudes + n;
-    votes = {angles + n, angles + 2 * n, angles + 3 * n};
-    histogram = angles + 4 * n, smoothed = histogram + bins;
-    for (int i = 0; i < n; ++i) weights[i] = centered_gaussian(i, n, F(n) / 6);
+  static KV_HD int64_t size(int n, int bins) {
+    return PaddedPatch<F>::size(n) + int64_t(whole_vectors<F>(n)) * (3 + 3 * n) + 2 * bins;
+  }
+  KV_HD OrientationPatch(int n, int bins, F* memory)
+      : n(n), bins(bins), width(whole_vectors<F>(n)), weights(memory), patch(memory + width, n) {
+    int64_t const pixels = int64_t(n) * width;
+    magnitudes = patch.data + PaddedPatch<F>::size(n), angles = magnitudes + width;
+    F* const first = angles + width;
+    votes = {first, first + pixels, first + 2 * pixels};
+    histogram = first + 3 * pixels, smoothed = histogram + bins;
+    for (int i = 0; i < width; ++i) weights[i] = i < n ? centered_gaussian(i, n, F(n) / 6) : F(0);
+    patch.clear();
   }
 
   template <class T>
@@ -37,19 +43,19 @@ struct OrientationPatch {
   KV_HD Peaks<F> find_peaks(T const* from, Params const& p) {
     patch.read(from);
     for (int b = 0; b < bins; ++b) histogram[b] = 0;
-    for (int y = 0; y < n; ++y) {
-      for_each_gradient<T>(patch, y, sobel_stencil<F>(), [&](auto width, int64_t x, auto g) KV_INLINE {
-        constexpr int N = decltype(width)::value;
-        auto polar = to_polar<F, N>(g, p.eps);
+    constexpr int N = kLanes<T>;
+    for (int y = 0; y < n; ++y)
+      for (int x = 0; x < n; x += N) {
+        auto polar = to_polar<F, N>(patch_gradient(sobel_stencil<F>(), neighbors<N>(patch, y, x)), p.eps);
         polar.magnitude *= load<N>(weights + x) * weights[y];
-        votes.template set<N>(x, polar, bins, F(bins) / 2);
-      });
-      for (int x = 0; x < n; ++x) {
-        int const first = int(votes.first[x]), second = first + 1 == bins ? 0 : first + 1;
-        histogram[first] += votes.earlier[x];
-        histogram[second] += votes.later[x];
+        votes.template set<N>(int64_t(y) * width + x, polar, bins, F(bins) / 2);
       }
-    }
+    for (int y = 0; y < n; ++y)
+      for (int64_t i = int64_t(y) * width, end = i + n; i < end; ++i) {
+        int const first = int(votes.first[i]), second = first + 1 == bins ? 0 : first + 1;
+        histogram[first] += votes.earlier[i];
+        histogram[second] += votes.later[i];
+      }
     int peak = 0;
     for (int b = 0; b < bins; ++b) {
       smoothed[b] = smoothed_bin(histogram, b, bins);

@@ -22,6 +22,10 @@ struct PaddedPatch {
   KV_HD PaddedPatch(F* data, int n) : data(data), n(n), stride(whole_vectors<F>(n) + 2) {}
   static KV_HD int64_t size(int n) { return int64_t(n + 2) * (whole_vectors<F>(n) + 2); }
   KV_HD F* row(int y) const { return data + int64_t(y + 1) * stride + 1; }
+  // Vectors of the last pixels of a row read what is behind them.
+  KV_HD void clear() const {
+    for (int64_t i = 0; i < size(n); ++i) data[i] = 0;
+  }
 
   // Extends the patch by its border pixels, times a sign along each axis.
   KV_HD void extend(F sign_x, F sign_y) const {

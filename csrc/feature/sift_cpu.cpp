@@ -56,7 +56,7 @@ struct SiftPatch {
     row = columns + int64_t(planes) * width, h = row + planes;
     for (int x = 0; x < width; ++x)
       for (int c = 0; c < g.cells; ++c) pooling[x * g.cells + c] = x < g.n ? g.template pooling<F>(c, x) : F(0);
-    for (int64_t i = 0; i < PaddedPatch<F>::size(g.n); ++i) patch.data[i] = 0;
+    patch.clear();
   }
 
   template <class T>

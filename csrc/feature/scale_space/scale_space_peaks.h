@@ -21,8 +21,8 @@
 
 namespace kv::feature {
 
-constexpr int64_t kPeakRows = 64;  // of a band
-constexpr int kMaxOctaves = 16;    // MAX_OCTAVES in python/kvision/feature/scale_space/scale_space_features.py
+constexpr int64_t kPeakPixels = 1 << 16;  // of a band, about
+constexpr int kMaxOctaves = 16;           // MAX_OCTAVES in python/kvision/feature/scale_space/scale_space_features.py
 
 template <class F>
 struct ScaleSpacePeak {
@@ -39,6 +39,10 @@ struct PeakRank {
     return score > other.score || (score == other.score && voxel < other.voxel);
   }
 };
+
+// The rows of a band that a thread of the CPU searches. Bands of all octaves have as many pixels, so that threads have
+// as much to do.
+KV_HD int64_t peak_rows(int64_t width) { return max(kPeakPixels / width, int64_t(1)); }
 
 // The tiles of pixels that blocks of CUDA search, inside of the border of a level.
 constexpr int kPeakTileWidth = 30, kPeakTileHeight = 64;

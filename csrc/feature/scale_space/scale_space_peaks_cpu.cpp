@@ -122,8 +122,8 @@ void find_scale_space_peaks(ScaleSpacePeaks<T> const& p, int64_t begin, int64_t 
     PeakOctave<T> const& octave = p.octave_of_part(part);
     auto const read = response_of<T>(p.differences, octave.plane());
     rows.start(octave, sample);
-    int64_t const first = (part - octave.first_part) * kPeakRows;
-    int const from = int(max(first, int64_t(1))), to = int(min(first + kPeakRows, int64_t(rows.height - 1)));
+    int64_t const count = peak_rows(rows.width), first = (part - octave.first_part) * count;
+    int const from = int(max(first, int64_t(1))), to = int(min(first + count, int64_t(rows.height - 1)));
     StrongestPeaks<F> strongest{p.bands + band * p.count, p.count, 0};
     if (from < to) rows.fill(from - 1), rows.fill(from);
     for (int y = from; y < to; ++y) {

@@ -31,7 +31,7 @@ template <class T>
 void run_scale_space_peaks(Tensor const& like, ScaleSpacePeaks<T>& p) {
   using F = Compute<T>;
   auto const divide_up = [](int64_t n, int64_t by) { return (n + by - 1) / by; };
-  int64_t voxels = 0, capacity = 0, parts = 0, widest = 0;
+  int64_t voxels = 0, capacity = 0, parts = 0;
   for (int o = 0; o < p.octave_count; ++o) {
     PeakOctave<T>& octave = p.octaves[o];
     int64_t const depth = octave.size[0], height = octave.size[1], width = octave.size[2];
@@ -41,12 +41,11 @@ void run_scale_space_peaks(Tensor const& like, ScaleSpacePeaks<T>& p) {
 #if defined(KV_CUDA)
       parts += peak_tiles(int(height), int(width));
 #else
-      parts += divide_up(height, kPeakRows);
+      parts += divide_up(height, peak_rows(width));
 #endif
     }
     // Of 2 x 2 x 2 voxels at most one is a maximum and one a minimum.
     capacity += (1 + p.minima) * divide_up(depth, 2) * divide_up(height, 2) * divide_up(width, 2);
-    widest = max(widest, width);
   }
   KV_CHECK(voxels <= INT32_MAX && parts <= INT32_MAX, "scale_space_peaks: the volumes are too large");
   p.parts_of_sample = int(parts), p.capacity = capacity;
@@ -63,7 +62,7 @@ void run_scale_space_peaks(Tensor const& like, ScaleSpacePeaks<T>& p) {
 #if defined(KV_CUDA)
   KV_RUN(find_scale_space_peaks, like, p, p.samples, 0);  // without parts it only clears the sizes
 #else
-  KV_RUN(find_scale_space_peaks, like, p, p.samples * parts, 16 * kPeakRows * widest);
+  KV_RUN(find_scale_space_peaks, like, p, p.samples * parts, 16 * kPeakPixels);
 #endif
   KV_RUN(sort_scale_space_peaks, like, p, p.samples, 64 * p.count);
 }

@@ -86,6 +86,23 @@ def test_features_are_those_of_the_modules(name, device):
 
 
 @pytest.mark.native
+@pytest.mark.parametrize("name", ["hessian", "differences"])
+def test_features_do_not_depend_on_threads(name):
+    """The CPU has the levels of one image for every four threads in memory."""
+    image = torch.cat([photo(96, 110), photo(96, 110).flip(-1), photo(96, 110).flip(-2)])
+    detector, threads = detectors()[name], torch.get_num_threads()
+    expected = [detector(x[None]) for x in image]
+    try:
+        for n in (1, 2, 5, 16):
+            torch.set_num_threads(n)
+            lafs, responses = detector(image)
+            for i, (laf, response) in enumerate(expected):
+                assert torch.equal(lafs[i], laf[0]) and torch.equal(responses[i], response[0])
+    finally:
+        torch.set_num_threads(threads)
+
+
+@pytest.mark.native
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16], ids=str)
 def test_features_of_narrower_types_are_near(dtype, device):
     image = photo(96, 110).to(device)

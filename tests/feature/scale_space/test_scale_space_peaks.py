@@ -121,14 +121,26 @@ def test_a_blob_is_found_between_voxels(device):
 
 @pytest.mark.native  # torch.topk, by which the reference chooses, gives equal ones in any order
 def test_equal_peaks_are_in_the_order_of_their_voxels(device):
-    levels = torch.zeros(1, 3, 200, 30, device=device)
-    rows = torch.tensor([3, 64, 130, 190], device=device)
+    height, width = 40, 8192  # the CPU searches bands of 8 rows
+    levels = torch.zeros(1, 3, height, width, device=device)
+    rows = torch.tensor([3, 8, 23, 36], device=device)
     levels[0, 1, rows, 7] = 1
     for count in (2, 4):
         voxels = peaks(levels, count=count)[1].long()
         if levels.is_cpu:
-            assert voxels.tolist() == [((200 + rows) * 30 + 7).tolist()[:count]]
+            assert voxels.tolist() == [((height + rows) * width + 7).tolist()[:count]]
         assert voxels.shape == (1, count) and (voxels >= 0).all()
+
+
+def test_a_voxel_beside_nan_is_no_peak(device):
+    near = [(z, y, x) for z in (0, 1, 2) for y in (3, 4, 5) for x in (16, 17, 18) if (z, y, x) != (1, 4, 17)]
+    levels = torch.zeros(len(near) + 1, 3, 8, 40, device=device)
+    levels[:, 1, 4, 17] = 1
+    for sample, (z, y, x) in enumerate(near):
+        levels[sample, z, y, x] = torch.nan
+    for sign in (1, -1):
+        voxels = peaks(sign * levels, minima=True)[1]
+        assert (voxels[:-1] < 0).all() and (voxels[-1] >= 0).sum() == 1
 
 
 def test_what_is_not_finite_is_no_peak(device):

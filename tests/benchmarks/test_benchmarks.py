@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from benchmarks import __main__ as command
-from benchmarks import awkward, kernels, overhead, scaling, sobel_figure, threads
+from benchmarks import awkward, kernels, overhead, scaling, sift_cpu, sobel_figure, threads
 from benchmarks.bars import EXTRA, check, losses
 from benchmarks.case import Bars, Case, dead_leaves, nonlinear_backward, photographs
 from benchmarks.cases import ALL
@@ -287,6 +287,17 @@ def test_sobel_figure(tmp_path, capsys):
     rows = list(csv.DictReader((tmp_path / "sobel.csv").open()))
     assert {(r["library"], r["batch"]) for r in rows} >= {("kvision cpu", "1"), ("kvision cpu", "2")}
     assert all(float(r["ms"]) > 0 and 3 <= int(r["repeats"]) <= 5 for r in rows)
+
+
+@pytest.mark.native
+def test_sift_cpu(capsys, monkeypatch):
+    pytest.importorskip("skimage")
+    monkeypatch.setattr(sift_cpu, "SIZE", (48, 64))
+    monkeypatch.setattr(sift_cpu, "BATCHES", (1, 7))
+    assert sift_cpu.main(["--features", "5", "--seconds", "0.003"]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    ratios = {line[0]: float(line[-1]) for line in lines if len(line) > 2 and line[0] in ("astronaut", "camera", "7")}
+    assert len(ratios) == 3 and min(ratios.values()) > 0
 
 
 def test_threads(capsys):

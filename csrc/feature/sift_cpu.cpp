@@ -31,7 +31,7 @@ struct SiftPatch {
   using V = Lanes<F, N>;
   SiftGrid const& grid;
   int planes, width;  // bins * cells, the pixels of a row
-  F* pooling;         // (width, cells)
+  F* pooling;         // (n, cells)
   PaddedPatch<F> patch;
   F *magnitudes, *angles;  // of a row
   VotesOfPixels<F> votes;  // (n, width)
@@ -41,21 +41,22 @@ struct SiftPatch {
 
   static KV_HD int64_t size(SiftGrid const& g) {
     int64_t const width = whole_vectors<F>(g.n);
-    return PaddedPatch<F>::size(g.n) + width * (g.cells + 2 + 3 * g.n + g.bins * g.cells) + g.bins * g.cells + g.size();
+    return PaddedPatch<F>::size(g.n) + int64_t(g.n) * g.cells + width * (2 + 3 * g.n + g.bins * g.cells) +
+           g.bins * g.cells + g.size();
   }
   KV_HD SiftPatch(SiftGrid const& g, F* memory)
       : grid(g),
         planes(g.bins * g.cells),
         width(whole_vectors<F>(g.n)),
         pooling(memory),
-        patch(pooling + int64_t(width) * g.cells, g.n) {
+        patch(pooling + int64_t(g.n) * g.cells, g.n) {
     int64_t const pixels = int64_t(g.n) * width;
     magnitudes = patch.data + PaddedPatch<F>::size(g.n), angles = magnitudes + width;
     votes = {angles + width, angles + width + pixels, angles + width + 2 * pixels};
     columns = votes.later + pixels;
     row = columns + int64_t(planes) * width, h = row + planes;
-    for (int x = 0; x < width; ++x)
-      for (int c = 0; c < g.cells; ++c) pooling[x * g.cells + c] = x < g.n ? g.template pooling<F>(c, x) : F(0);
+    for (int x = 0; x < g.n; ++x)
+      for (int c = 0; c < g.cells; ++c) pooling[x * g.cells + c] = g.template pooling<F>(c, x);
     patch.clear();
   }
 
@@ -69,8 +70,8 @@ struct SiftPatch {
     });
   }
 
-  // The votes of columns for the bins [begin, begin + Bins) of cells in row `cell`. A pixel adds to all of these bins,
-  // 0 to most: memory would have to wait for sums at a place of each pixel's own.
+  // The votes of columns for the bins [begin, begin + Bins) of the row `cell` of cells. A vector of pixels adds to all
+  // of these bins, 0 to most, in registers: in memory a sum would wait for the store of the sum before.
   template <int Bins>
   KV_HD void sum_columns(int cell, int begin) {
     V const none{};

@@ -1,5 +1,7 @@
-// Checks of arguments that operators with noise have in common. Included by noise_op.cpp and elastic_op.cpp.
+// Checks of arguments that operators with noise have in common. Included by noise_op.cpp and elastic_glue.h.
 #pragma once
+
+#include <span>
 
 #include "augmentation/noise.h"
 #include "glue/glue.h"
@@ -12,7 +14,7 @@ struct NoiseSource {
   char const* op;
   Tensor const &images, &keys;
   std::optional<Tensor> const& seeds;
-  std::vector<int64_t> const& plan;
+  std::span<int64_t const> plan;
 
   bool is_on_device(Tensor const& t) const { return t.device() == images.device(); }
 

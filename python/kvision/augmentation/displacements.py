@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -54,6 +54,15 @@ def blur_settings(kernel_size: Any, sigma: Any) -> tuple[int, int, Any, Any]:
         return ky, kx, checked, None
     sigma_y, sigma_x = checked
     return ky, kx, sigma_y, sigma_x
+
+
+class NoiseField(NamedTuple):
+    """Displacements that follow from the keys of a call: what a kernel needs to draw and to blur their noise."""
+
+    size: tuple[int, int]
+    noise: tuple[int, int, int, int]  # noise_plan
+    blur: tuple[int, int, float, float]
+    scale: tuple[float, float]  # of x and y
 
 
 def elastic_displacements(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -41,7 +43,7 @@ class DrawnPass:
         return y, matrix, columns
 
     def _packed(self) -> tuple[Tensor, Tensor]:
-        """The plan and the numbers of the kernel, as tensors, because torch converts the entries of lists one by one.
+        """The plan and the numbers of the kernel.
 
         The plan is the length of the plan of the draws, and that plan; how many of the numbers belong to the draws; the length
         of the size of the result, and that size; the plan of the pass.
@@ -55,8 +57,12 @@ class DrawnPass:
             *image_pass.size,
             *image_pass.plan,
         ]
-        numbers = [*draws.numbers, *image_pass.numbers]
-        return (
-            torch.tensor(plan, dtype=torch.int64, device="cpu"),
-            torch.tensor(numbers, dtype=torch.float64, device="cpu"),
-        )
+        return packed(plan, [*draws.numbers, *image_pass.numbers])
+
+
+def packed(plan: Sequence[int], numbers: Sequence[float]) -> tuple[Tensor, Tensor]:
+    """A plan and its numbers as tensors, because torch converts the entries of lists one by one."""
+    return (
+        torch.tensor(plan, dtype=torch.int64, device="cpu"),
+        torch.tensor(numbers, dtype=torch.float64, device="cpu"),
+    )

@@ -10,9 +10,9 @@ from torch import Tensor
 from kvision._dtype import compute_dtype
 from kvision.augmentation import maps
 from kvision.augmentation.base import AugmentationBase2D, Execution, Params, where_chosen
-from kvision.augmentation.displacements import blur_settings, elastic_displacements
+from kvision.augmentation.displacements import NoiseField, blur_settings, elastic_displacements
 from kvision.augmentation.maps import vector
-from kvision.augmentation.noise import PixelNoise
+from kvision.augmentation.noise import PixelNoise, noise_plan
 from kvision.augmentation.random_generator.elastic import ElasticGenerator, FisheyeGenerator, ThinPlateSplineGenerator
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample, SamplePadding
@@ -31,6 +31,13 @@ class MapAugmentation(AugmentationBase2D):
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
         """The map (B, 2, H, W), as maps.py stores it."""
         raise NotImplementedError
+
+    def noise_field(self, shape: tuple[int, ...], number: int, one_key: bool) -> NoiseField | None:
+        """The map for kernels that draw its noise; None if it is another map.
+
+        `number` is that of the augmentation, as draw_columns counts.
+        """
+        return None
 
     def resampling(self, flags: dict[str, Any]) -> Resampling:
         """How images are read."""
@@ -165,13 +172,22 @@ class RandomElasticTransform(MapAugmentation):
             return {"_noise": (None, PixelNoise(*execution.redraw, self.same_on_batch, x.device))}
         return super()._params_on_device(x, execution, for_users)
 
+    def _blur_and_scale(self, shape: tuple[int, ...], flags: dict[str, Any]) -> tuple[Any, tuple[float, float]]:
+        less = 1 if flags["align_corners"] else 0
+        scale_x, scale_y = (alpha * (n - less) / 2 for alpha, n in zip(flags["alpha"], (shape[-1], shape[-2])))
+        return blur_settings(flags["kernel_size"], flags["sigma"]), (scale_x, scale_y)
+
+    def noise_field(self, shape: tuple[int, ...], number: int, one_key: bool) -> NoiseField | None:
+        blur, scale = self._blur_and_scale(shape, self.flags)
+        if blur[3] is None or self._is_overridden("displacements"):  # standard deviations in a tensor; a user's map
+            return None
+        return NoiseField((shape[-2], shape[-1]), noise_plan(number, one_key, self.same_on_batch), blur, scale)
+
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
         key = ("displacements", shape[-2:])
         plan = self._plans.get(key) if flags is self.flags else None
         if plan is None:
-            less = 1 if flags["align_corners"] else 0
-            scale = tuple(alpha * (n - less) / 2 for alpha, n in zip(flags["alpha"], (shape[-1], shape[-2])))
-            plan = blur_settings(flags["kernel_size"], flags["sigma"]), scale
+            plan = self._blur_and_scale(shape, flags)
             if flags is self.flags:
                 self._plans.keep(key, plan)
         if "_noise" in params:

@@ -164,11 +164,11 @@ class MatrixPlan:
 
     def __init__(self, transforms: Sequence[Transform]) -> None:
         starts = range(0, max(len(transforms), 1), MAX_TRANSFORMS)
-        self._launches = [make_plan(transforms[start : start + MAX_TRANSFORMS]) for start in starts]
+        self.launches = [make_plan(transforms[start : start + MAX_TRANSFORMS]) for start in starts]
 
     def matrix(self, columns: Tensor) -> Tensor:
         """The homographies (B, 3, 3) from columns (B, P)."""
-        first, *rest = self._launches
+        first, *rest = self.launches
         matrix: Tensor = _transform_matrix(columns, *first)
         for launch in rest:
             matrix = _transform_matrix(columns, *launch) @ matrix

@@ -23,10 +23,12 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision._dtype import as_dtype, compute_dtype
-from kvision.augmentation.base import AugmentationBase, Execution, Shape
+from kvision.augmentation.base import AugmentationBase, Execution, Shape, where_chosen
 from kvision.augmentation.columns import Columns, DrawPlan, Span, plan_draws
 from kvision.augmentation.configuration import Plans
 from kvision.augmentation.container.stages import Applied, Composed, MapLink, Stage, Warp
+from kvision.augmentation.displacements import NoiseField
+from kvision.augmentation.drawn_links import DrawnLinks
 from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.draws import Request
 from kvision.augmentation.elastic import MapAugmentation
@@ -204,14 +206,16 @@ class _RunPlan(NamedTuple):
     steps: Sequence[_Step]
     first: int  # number of the first key, or position in the chain
     certain: Sequence[bool]  # whether all samples are augmented
-    drawn: DrawnPass | None  # the draws and the first step by one operator
+    drawn: DrawnPass | DrawnLinks | None  # the draws, and the first step or its links, by one operator
 
 
 def _execute_run(
     x: Tensor, run: Sequence[Child], source: Randomness, position: int, plan: _RunPlan | None = None
 ) -> tuple[Tensor, list[Stage]]:
     modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
-    first: tuple[Tensor, Tensor] | None = None  # the result of the first step, if it is executed with the draws
+    # Of the first step, if it is computed with the draws: the result, or the links.
+    first: tuple[Tensor, Tensor] | None = None
+    links: list[Tensor] | None = None
     if run[0].params is not None:
         executions, columns = _replay(x, run)
         steps: Sequence[_Step] = _plan_steps(modules, executions, source)
@@ -223,11 +227,13 @@ def _execute_run(
             keys = _keys(x, plan, source)
         if keys is not None and keys.seeds is not None:
             check_seeds(source.op, keys, x[:: source.frames].shape[0])
-        if plan.drawn is not None and keys is not None:
+        if plan.drawn is None or keys is None:
+            columns = _draw(x, plan, keys, source.frames)
+        elif isinstance(plan.drawn, DrawnPass):
             y, matrix, columns = plan.drawn.run(x, keys)
             first = y, matrix
         else:
-            columns = _draw(x, plan, keys, source.frames)
+            columns, links = plan.drawn.run(x, keys)
         executions, steps = _executions(plan, columns, keys, source.frames), plan.steps
     for child, module, execution in zip(run, modules, executions):
         child.execution = module.__dict__["_execution"] = execution  # faster than Module.__setattr__
@@ -239,7 +245,8 @@ def _execute_run(
             stages.append(Applied(module, execution, module.flags))
             continue
         if isinstance(step, _Composition):
-            composed = _compose(x, step, modules, executions, columns)
+            composed = _compose(x, step, modules, executions, columns, links)
+            links = None
             x = composed.run(x)
             stages.append(composed)
             continue
@@ -263,19 +270,22 @@ def _compose(
     modules: Sequence[AugmentationBase],
     executions: Sequence[Execution],
     columns: Tensor | None,
+    drawn: list[Tensor] | None,
 ) -> Composed:
-    """What a composition does for drawn parameters."""
+    """What a composition does for drawn parameters; `drawn` are its links, if they were computed with the draws."""
     dtype = compute_dtype(x) if x.is_floating_point() else torch.float32
     columns = x.new_empty(x.shape[0], 0, dtype=dtype) if columns is None else as_dtype(columns, dtype)
     links: list[Tensor | MapLink] = []
-    for link in step.links:
-        if isinstance(link, int):
-            module = modules[link]
-            assert isinstance(module, MapAugmentation)
-            links.append(MapLink(module, executions[link], module.flags))
-        else:
-            links.append(link.matrix(columns))
-    return Composed(links, step.source, step.size, step.resampling, step.samples)
+    for i, link in enumerate(step.links):
+        if isinstance(link, MatrixPlan):
+            links.append(link.matrix(columns) if drawn is None else drawn[i])
+            continue
+        module, execution = modules[link], executions[link]
+        assert isinstance(module, MapAugmentation)
+        links.append(MapLink(module, execution, module.flags))
+        if drawn is not None:
+            drawn[i] = where_chosen(execution.chosen, drawn[i], 0.0)
+    return Composed(links, step.source, step.size, step.resampling, step.samples, drawn)
 
 
 def _replay(x: Tensor, run: Sequence[Child]) -> tuple[list[Execution], Tensor | None]:
@@ -391,8 +401,36 @@ def _plan_run(
     steps = _plan_steps(modules, planned, source)
     certain = [module._is_certain for module in modules]
     start = steps[0] if steps and len(draws) == 1 and source.frames == 1 else None
-    drawn = DrawnPass(draws[0], start.image_pass) if isinstance(start, _Joined) else None
+    drawn: DrawnPass | DrawnLinks | None = None
+    if isinstance(start, _Joined):
+        drawn = DrawnPass(draws[0], start.image_pass)
+    elif isinstance(start, _Composition):
+        keys_of = [None if number is None else first + number for number in numbers]
+        links = _drawn_links(start.links, modules, shapes, keys_of, one_key)
+        drawn = None if links is None else DrawnLinks(draws[0], links)
     return _RunPlan(draws, numbers, spans, shapes, applied, steps, first, certain, drawn), keys
+
+
+def _drawn_links(
+    links: Sequence[MatrixPlan | int],
+    modules: Sequence[AugmentationBase],
+    shapes: Sequence[Shape],
+    numbers: Sequence[int | None],  # of the keys of augmentations, or their positions in the chain
+    one_key: bool,
+) -> list[MatrixPlan | NoiseField] | None:
+    """The links of a composition for the kernel that computes them with the draws; None if it does not serve all."""
+    drawn: list[MatrixPlan | NoiseField] = []
+    for link in links:
+        if isinstance(link, MatrixPlan):
+            drawn.append(link)
+            continue
+        module, number = modules[link], numbers[link]
+        assert isinstance(module, MapAugmentation)
+        field = None if number is None else module.noise_field(shapes[link], number, one_key)
+        if field is None:
+            return None
+        drawn.append(field)
+    return drawn
 
 
 def _more_keys(keys: Keys | None, count: int, x: Tensor, source: Randomness) -> Keys:

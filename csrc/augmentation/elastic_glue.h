@@ -1,0 +1,20 @@
+// Displacements of elastic transforms for the entries of operators. Included by elastic_op.cpp and draw_links_op.cpp.
+#pragma once
+
+#include "augmentation/elastic.h"
+#include "augmentation/noise_glue.h"
+
+namespace kv::augmentation {
+
+// The window of the blur, its standard deviations, and the scales of x and y.
+struct ElasticBlur {
+  int64_t ky, kx;
+  double sigma_y, sigma_x, scale[2];
+};
+
+// Writes the displacements `result` (B, 2, H, W), which is dense: of `noise`, or of noise of `source` if there is one,
+// whose images are the result.
+void write_displacements(char const* op, Tensor const* noise, NoiseSource const* source, ElasticBlur const& blur,
+                         Tensor const& result);
+
+}  // namespace kv::augmentation

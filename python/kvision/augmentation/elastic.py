@@ -32,7 +32,7 @@ class MapAugmentation(AugmentationBase2D):
         """The map (B, 2, H, W), as maps.py stores it."""
         raise NotImplementedError
 
-    def noise_field(self, shape: tuple[int, ...], number: int, one_key: bool) -> NoiseField | None:
+    def _noise_field(self, shape: tuple[int, ...], number: int, one_key: bool) -> NoiseField | None:
         """The map for kernels that draw its noise; None if it is another map.
 
         `number` is that of the augmentation, as draw_columns counts.
@@ -177,7 +177,7 @@ class RandomElasticTransform(MapAugmentation):
         scale_x, scale_y = (alpha * (n - less) / 2 for alpha, n in zip(flags["alpha"], (shape[-1], shape[-2])))
         return blur_settings(flags["kernel_size"], flags["sigma"]), (scale_x, scale_y)
 
-    def noise_field(self, shape: tuple[int, ...], number: int, one_key: bool) -> NoiseField | None:
+    def _noise_field(self, shape: tuple[int, ...], number: int, one_key: bool) -> NoiseField | None:
         blur, scale = self._blur_and_scale(shape, self.flags)
         if blur[3] is None or self._is_overridden("displacements"):  # standard deviations in a tensor; a user's map
             return None

@@ -426,7 +426,7 @@ def _drawn_links(
             continue
         module, number = modules[link], numbers[link]
         assert isinstance(module, MapAugmentation)
-        field = None if number is None else module.noise_field(shapes[link], number, one_key)
+        field = None if number is None else module._noise_field(shapes[link], number, one_key)
         if field is None:
             return None
         drawn.append(field)

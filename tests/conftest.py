@@ -23,7 +23,7 @@ from kvision import _backend
 from op_tests import OpTests
 
 hypothesis.settings.register_profile("quick", max_examples=30, deadline=None, derandomize=True)
-hypothesis.settings.register_profile("ci", max_examples=300, deadline=None, print_blob=True)
+hypothesis.settings.register_profile("ci", max_examples=300, deadline=None, derandomize=True)
 hypothesis.settings.register_profile("thorough", max_examples=5000, deadline=None, print_blob=True)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 

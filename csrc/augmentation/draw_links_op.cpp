@@ -16,9 +16,9 @@ namespace {
 std::vector<Tensor> draw_links(Tensor const& image, Tensor const& keys, std::optional<Tensor> const& seeds,
                                Tensor const& plan, Tensor const& numbers) {
   constexpr char const* op = "draw_links";
-  PackedPlan rest(op, plan, numbers);
+  PlanReader rest = read_plan(op, plan, numbers);
   auto const draws = rest.next_list();
-  auto params = draws_of(image, keys, seeds, draws, rest.next_numbers(rest.next()));
+  auto params = draws_of(image, keys, seeds, draws, rest.next_numbers(rest.next_count()));
   int64_t const matrices = rest.next();
   ChainPlan chain = matrices > 0 ? rest.next_chain() : ChainPlan{};
   auto const [columns, first] = draw_columns(op, image, params, chain);

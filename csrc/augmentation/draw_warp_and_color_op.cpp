@@ -13,14 +13,14 @@ std::tuple<Tensor, Tensor, Tensor> draw_warp_and_color(Tensor const& image, Tens
                                                        std::optional<Tensor> const& seeds, Tensor const& plan,
                                                        Tensor const& numbers) {
   constexpr char const* op = "draw_warp_and_color";
-  PackedPlan rest(op, plan, numbers);
+  PlanReader rest = read_plan(op, plan, numbers);
   auto const draws = rest.next_list();
-  auto params = draws_of(image, keys, seeds, draws, rest.next_numbers(rest.next()));
+  auto params = draws_of(image, keys, seeds, draws, rest.next_numbers(rest.next_count()));
   auto const size = rest.next_list();
   ChainPlan chain;
   if (!size.empty()) {
-    PackedPlan of_pass = rest;
-    of_pass.next(5);
+    PlanReader of_pass = rest;
+    of_pass.next(kPassOptions);
     chain = of_pass.next_chain();
   }
   auto const [columns, drawn_matrix] = draw_columns(op, image, params, chain);

@@ -6,6 +6,10 @@
 
 namespace kv::augmentation {
 
+// The integers of a plan before its transforms: the dtype and the layout of the result; interpolation, padding and
+// align_corners.
+constexpr size_t kPassOptions = 5;
+
 // The result; the matrices of the warp (B, 3, 3), if there is one; the means of contrast (B, 1), if there is contrast.
 struct PassResults {
   Tensor y;

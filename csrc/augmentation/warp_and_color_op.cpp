@@ -1,7 +1,7 @@
 // Warps with a program of color steps: schemas and entries, for CPU and CUDA. A warp without steps, or steps
 // without a warp, run as such; so do both one after the other where no kernel joins them.
 #include "augmentation/broadcast_scalar.h"
-#include "augmentation/transforms_glue.h"
+#include "augmentation/plan_reader.h"
 #include "augmentation/warp_and_color.h"
 #include "augmentation/warp_and_color_glue.h"
 #include "augmentation/warp_rows_backward.h"
@@ -14,10 +14,9 @@ namespace {
 using OptionalTensor = std::optional<Tensor>;
 using Numbers = std::vector<double>;
 
-// The schemas' `plan`, as make_plan in warp_and_color.py writes it: the dtype and the layout of the result;
-// interpolation, padding and align_corners; the number of integers of the transforms, and these; the number of steps,
-// and these; the number of columns of their parameters, and these; and the order of the steps. `numbers` are those of
-// the transforms, then those of the steps.
+// The schemas' `plan`, as make_plan in warp_and_color.py writes it: the options (see kPassOptions); the number of
+// integers of the transforms, and these; the number of steps, and these; the number of columns of their parameters, and
+// these; and the order of the steps. `numbers` are those of the transforms, then those of the steps.
 struct WarpAndColorPlan {
   int64_t interpolation, padding;
   bool align_corners;
@@ -27,34 +26,21 @@ struct WarpAndColorPlan {
   Numbers numbers;
 
   WarpAndColorPlan(char const* op, std::vector<int64_t> const& plan, Numbers const& all_numbers) {
-    std::span<int64_t const> rest(plan);
-    auto const next = [&](size_t count) {
-      KV_CHECK(count <= rest.size(), op, ": the plan ends early");
-      auto const part = rest.first(count);
-      rest = rest.subspan(count);
-      return part;
-    };
-    auto const list = [&] {
-      int64_t const count = next(1)[0];
-      KV_CHECK(count >= 0, op, ": expected a number of integers, got ", count);
-      return next(size_t(count));
-    };
-    auto const head = next(5);
+    PlanReader rest(op, plan, all_numbers);
+    auto const head = rest.next(kPassOptions);
     KV_CHECK(head[0] >= -1 && head[0] <= int64_t(DType::float64), op, ": there is no dtype ", head[0]);
     KV_CHECK(head[1] >= -1 && head[1] <= 1, op, ": there is no layout ", head[1]);
     interpolation = head[2];
     padding = head[3];
     align_corners = head[4] != 0;
-    transforms = list();
-    auto const steps = list();
+    auto const chain = rest.next_chain();
+    transforms = chain.plan, transform_numbers = chain.numbers;
+    auto const steps = rest.next_list();
     KV_CHECK(steps.size() <= color::kMaxSteps, op, ": expected at most ", color::kMaxSteps, " steps, got ",
              steps.size());
-    program = {head[0], head[1], steps, list()};
-    order = rest;
-    size_t const count = count_inputs(op, transforms);
-    KV_CHECK(count <= all_numbers.size(), op, ": expected at least ", count, " numbers, got ", all_numbers.size());
-    transform_numbers = std::span<double const>(all_numbers).first(count);
-    numbers.assign(all_numbers.begin() + std::ptrdiff_t(count), all_numbers.end());
+    program = {head[0], head[1], steps, rest.next_list()};
+    order = rest.plan();
+    numbers.assign(rest.numbers().begin(), rest.numbers().end());
   }
   bool has_steps() const { return !program.steps.empty(); }
 };

@@ -11,6 +11,7 @@ from torch import Tensor
 
 import kvision as K
 import kvision.augmentation as A
+from drawn_tests import assert_equal_params, has_kernels, random_images, record_kernel
 from kvision import _backend
 from kvision.augmentation import drawn_links
 from kvision.augmentation.container.stages import Composed
@@ -33,30 +34,11 @@ CHAINS: dict[str, Callable[[], list[Any]]] = {
 
 @pytest.fixture
 def kernel_calls(monkeypatch: pytest.MonkeyPatch) -> tuple[list[Any], list[bool]]:
-    """The calls of the kernel, and a list whose last entry says whether it may serve."""
-    calls: list[Any] = []
-    serves = [True]
-    fast_path = drawn_links._draw_links
-
-    class Recorder:
-        def serves(self, x: Tensor) -> bool:
-            return serves[-1] and fast_path.serves(x)
-
-        def kernel(self, *args: Any) -> Any:
-            calls.append(args)
-            return fast_path.kernel(*args)
-
-    monkeypatch.setattr(drawn_links, "_draw_links", Recorder())
-    return calls, serves
+    return record_kernel(monkeypatch, drawn_links, "_draw_links")
 
 
 def images(device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
-    x = torch.rand(9, 3, 24, 28, generator=torch.Generator().manual_seed(3))
-    return (x * 255).to(device, dtype) if dtype == torch.uint8 else x.to(device, dtype)
-
-
-def has_kernels(device: torch.device, backend: str) -> bool:
-    return backend != "reference" and device.type not in _backend.unserved
+    return random_images((9, 3, 24, 28), device, dtype)
 
 
 def sequence(name: str) -> Any:
@@ -88,10 +70,7 @@ def test_kernel_equals_separate_operators(name, dtype, seed, device, backend, ke
     assert (fused_mask != mask).float().mean() <= (1e-3 if on_cuda else 0)
     assert_close(fused_matrix, matrix, 0.0, 1e-5 if on_cuda else 0.0)
     assert torch.equal(state, fused_state)
-    flat, fused_flat = (torch.utils._pytree.tree_leaves(p) for p in (params, fused_params))
-    assert len(flat) == len(fused_flat)
-    for expected, actual in zip(flat, fused_flat):
-        assert torch.equal(expected, actual) if isinstance(expected, Tensor) else expected == actual
+    assert_equal_params(fused_params, params)
 
 
 def test_gradients_of_images_pass_the_kernel(device, backend, kernel_calls):
@@ -146,7 +125,7 @@ def test_calls_that_the_kernel_does_not_serve(case, device, kernel_calls):
 
 def test_plans_are_checked(device):
     if device.type in _backend.unserved:
-        pytest.skip("this test is about the kernel")
+        pytest.skip("plans are checked by the kernel, which is not there")
     augment, x = sequence("maps of two sizes"), images(device)
     augment(x, x, seed=0)
     (plan,) = [p for p in augment._plans._plans.values() if hasattr(p, "drawn")]

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import kvision as K
+from drawn_tests import assert_equal_params, has_kernels, random_images, record_kernel
 from kvision import _backend
 from kvision.augmentation import drawn_pass
 from op_tests import assert_close
@@ -32,29 +33,11 @@ MAKE = {
 
 @pytest.fixture
 def kernel_calls(monkeypatch):
-    """The calls of the kernel, and a list whose last entry says whether it may serve."""
-    calls, serves = [], [True]
-    fast_path = drawn_pass._draw_warp_and_color
-
-    class Recorder:
-        def serves(self, x):
-            return serves[-1] and fast_path.serves(x)
-
-        def kernel(self, *args):
-            calls.append(args)
-            return fast_path.kernel(*args)
-
-    monkeypatch.setattr(drawn_pass, "_draw_warp_and_color", Recorder())
-    return calls, serves
+    return record_kernel(monkeypatch, drawn_pass, "_draw_warp_and_color")
 
 
 def images(device, dtype=torch.float32, batch=37):
-    x = torch.rand(batch, 3, 16, 18, generator=torch.Generator().manual_seed(3))
-    return (x * 255).to(device, dtype) if dtype == torch.uint8 else x.to(device, dtype)
-
-
-def has_kernels(device: torch.device, backend: str) -> bool:
-    return backend != "reference" and device.type not in _backend.unserved
+    return random_images((batch, 3, 16, 18), device, dtype)
 
 
 @pytest.mark.parametrize("seed", [None, 5, "each"])
@@ -78,10 +61,7 @@ def test_kernel_equals_separate_operators(name, dtype, seed, device, backend, ke
     assert_close(fused, y, 0.0, tolerance)
     assert_close(fused_matrix, matrix, 0.0, 1e-5 if device.type == "cuda" else 0.0)
     assert torch.equal(state, fused_state)
-    flat, fused_flat = (torch.utils._pytree.tree_leaves(p) for p in (params, fused_params))
-    assert len(flat) == len(fused_flat)
-    for expected, actual in zip(flat, fused_flat):
-        assert torch.equal(expected, actual) if isinstance(expected, torch.Tensor) else expected == actual
+    assert_equal_params(fused_params, params)
 
 
 @pytest.mark.parametrize("case", ["gradient", "reference", "vmap", "float64", "no samples", "subclass"])
@@ -109,7 +89,7 @@ def test_calls_that_the_kernel_does_not_serve(case, device, kernel_calls, backen
 
 def test_plans_are_checked(device):
     if device.type in _backend.unserved:
-        pytest.skip("this test is about the kernel")
+        pytest.skip("plans are checked by the kernel, which is not there")
     own_plan, own_numbers = MAKE["affine"]()._plan(images(device), False).drawn._packed()
     keys = torch.zeros(1, dtype=torch.int64)
     x = images(device)

@@ -63,7 +63,7 @@ class DrawPlan(NamedTuple):
     def draw(self, images: Tensor, keys: Keys) -> Tensor:
         """The columns (B, P)."""
         own = self.keys_of(keys)
-        seeds = None if keys.seeds is None else keys.seeds.to(images.device, non_blocking=True)
+        seeds = keys.seeds_on(images.device)
         images = images.detach() if images.requires_grad else images
         drawn: Tensor = draw_parameters(images, own, seeds, self.plan, self.numbers)
         return drawn if self.learned is None else _with_learned(drawn, self.learned)

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import torch
 from torch import Tensor
 
 from kvision._ops import FastPath
 from kvision.augmentation.columns import DrawPlan
 from kvision.augmentation.displacements import NoiseField
-from kvision.augmentation.drawn_pass import packed
+from kvision.augmentation.drawn_pass import COMPUTED_IN_FLOAT32, packed
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.transforms import MatrixPlan
 
-# Types of images whose coordinates are computed in float32.
-_draw_links = FastPath("draw_links", (torch.float32, torch.float16, torch.bfloat16, torch.uint8))
+_draw_links = FastPath("draw_links", COMPUTED_IN_FLOAT32)
 
 
 class DrawnLinks:
@@ -37,8 +35,7 @@ class DrawnLinks:
             return self.draws.draw(images, keys), None
         if self._plan is None:
             self._plan = self._packed()
-        seeds = None if keys.seeds is None else keys.seeds.to(x.device, non_blocking=True)
-        columns, *results = _draw_links.kernel(images, self.draws.keys_of(keys), seeds, *self._plan)
+        columns, *results = _draw_links.kernel(images, self.draws.keys_of(keys), keys.seeds_on(x.device), *self._plan)
         return columns, [results[i] for i in self._order]
 
     def _packed(self) -> tuple[Tensor, Tensor]:

@@ -14,7 +14,10 @@ from kvision.augmentation.warp_and_color import Pass
 from kvision.color.program import _DTYPES
 from kvision.enhance.posterize import SPLIT
 
-_draw_warp_and_color = FastPath("draw_warp_and_color", (torch.float32, torch.float16, torch.bfloat16, torch.uint8))
+# Types of images whose parameters and sampling coordinates are computed in float32.
+COMPUTED_IN_FLOAT32 = (torch.float32, torch.float16, torch.bfloat16, torch.uint8)
+
+_draw_warp_and_color = FastPath("draw_warp_and_color", COMPUTED_IN_FLOAT32)
 
 
 class DrawnPass:
@@ -35,8 +38,9 @@ class DrawnPass:
         if self.has_kernel and x.dtype not in self._types_with_other_numbers and _draw_warp_and_color.serves(x):
             if self._plan is None:
                 self._plan = self._packed()
-            seeds = None if keys.seeds is None else keys.seeds.to(x.device, non_blocking=True)
-            y, matrix, columns = _draw_warp_and_color.kernel(x, self.draws.keys_of(keys), seeds, *self._plan)
+            y, matrix, columns = _draw_warp_and_color.kernel(
+                x, self.draws.keys_of(keys), keys.seeds_on(x.device), *self._plan
+            )
             return y, matrix, columns
         columns = self.draws.draw(x, keys)
         y, matrix = self.image_pass.run(x, columns)

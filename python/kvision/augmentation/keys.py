@@ -25,6 +25,10 @@ class Keys(NamedTuple):
     seeds: Tensor | None = None
     one_key: bool = False
 
+    def seeds_on(self, device: torch.device) -> Tensor | None:
+        """The seeds for an operator on this device, without waiting for it."""
+        return None if self.seeds is None else self.seeds.to(device, non_blocking=True)
+
     def on_host(self, op: str) -> list[int]:
         """The keys as numbers, for decisions about sizes and modules."""
         keys = self.keys if self.seeds is None else self.seeds[:1]

@@ -195,12 +195,8 @@ salt_and_pepper = register(
 def noise_plan(number: int, one_key: bool, same_on_batch: bool, map: int = 0) -> tuple[int, int, int, int]:
     """The plan of the noise of an augmentation, by its number as draw_columns counts."""
     key, position = (0, number) if one_key else (number, 0)
-    return (
-        key,
-        position,
-        MAX_DRAWS + 1 + map,
-        int(same_on_batch),
-    )  # draws of parameters have the numbers up to MAX_DRAWS
+    draw = MAX_DRAWS + 1 + map  # draws of parameters have the numbers up to MAX_DRAWS
+    return key, position, draw, int(same_on_batch)
 
 
 class PixelNoise(NamedTuple):
@@ -213,10 +209,8 @@ class PixelNoise(NamedTuple):
 
     def arguments(self, map: int = 0) -> tuple[Tensor, Tensor | None, None, tuple[int, int, int, int]]:
         """The arguments of the operators after the parameters, for all samples."""
-        seeds = self.keys.seeds
-        if seeds is not None:
-            seeds = seeds.to(self.device, non_blocking=True)
-        return self.keys.keys, seeds, None, noise_plan(self.number, self.keys.one_key, self.same_on_batch, map)
+        plan = noise_plan(self.number, self.keys.one_key, self.same_on_batch, map)
+        return self.keys.keys, self.keys.seeds_on(self.device), None, plan
 
     def uniform(self, shape: Sequence[int], map: int = 0) -> Tensor:
         """Uniform noise (B, C, H, W) in [0, 1], float64."""

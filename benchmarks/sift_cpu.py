@@ -29,13 +29,15 @@ BATCHES = (1, 2, 4, 8)
 
 
 def pictures(folder: Path | None) -> Iterator[tuple[str, np.ndarray]]:
-    """Names, and gray images (480, 640) of uint8."""
+    """Names, and gray images of SIZE and uint8."""
     from skimage import data
 
     for name in (*PHOTOGRAPHS, "camera"):
         yield name, resized(getattr(data, name)())
-    for name, _ in SEQUENCES if folder else ():
-        image = cv2.imread(str(Path(folder or "", "homography", name, "img1.png")), cv2.IMREAD_GRAYSCALE)
+    if folder is None:
+        return
+    for name, _ in SEQUENCES:
+        image = cv2.imread(str(folder / "homography" / name / "img1.png"), cv2.IMREAD_GRAYSCALE)
         if image is not None:
             yield name, resized(image)
 
@@ -64,7 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     set_threads(1)
     about = machine.describe(torch.device("cpu"), ["opencv"])
     print(f"{about['hardware']}  {about['date']}  kvision {about['commit']}  torch {about['torch']}  {about['peers']}")
-    print(f"$ {about['command']}\n{_C.active_isa()}, ms (minimum), {options.features} features of 640x480\n")
+    print(
+        f"$ {about['command']}\n{_C.active_isa()}, ms (minimum), {options.features} features of {SIZE[1]}x{SIZE[0]}\n"
+    )
     feature, peer = K.feature.SIFTFeature(options.features), cv2.SIFT_create(options.features)
     images = dict(pictures(options.data))
     with torch.no_grad():

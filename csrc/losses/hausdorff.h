@@ -9,6 +9,9 @@
 // low) and the maximum -D / (high - low), split evenly among equal pixels. Where c_i is 0, its gradient is 0 in any
 // case. The mean is its own transpose.
 //
+// Where little survives, high - low is tiny. So b_i is a quotient, which is exactly 1 at the maximum, and the terms of
+// a gradient are added before they are divided: those of a single surviving pixel cancel exactly.
+//
 // Included by hausdorff_cpu.cpp, hausdorff.cu and hausdorff_op.cpp.
 #pragma once
 

@@ -94,17 +94,8 @@ def work(rank: int, ranks: int, options: Options, folder: str) -> None:
     if device.type == "cuda":
         torch.cuda.set_device(device)
         torch.backends.cudnn.benchmark = True
-    else:
-        torch.set_num_threads(1)
-    backend, own = ("nccl", device) if device.type == "cuda" else ("gloo", None)
-    store = dist.FileStore(f"{folder}/store{ranks}", ranks)
-    dist.init_process_group(
-        backend, store=store, rank=rank, world_size=ranks, device_id=own, timeout=timedelta(seconds=HANGS)
-    )
-    train = example()
-    pictures = train.Textures(options.count, options.size, device)
-    setup = train.Setup(device, options.model, options.batch, size=options.size, crop=options.crop)
-    progress = tqdm(desc=f"{ranks} rank{'s' * (ranks > 1)}", total=5, unit="figure", disable=rank > 0)
+    torch.set_num_threads(1)  # as under torchrun; threads of several ranks that wait for each other take the cores
+    progress = tqdm(desc=f"{ranks} rank{'s' * (ranks > 1)}", total=6, unit="figure", disable=rank > 0)
 
     def figure(name: str, measure: Callable[[], Any]) -> Any:
         """What `measure` gives; the bar says meanwhile what that is, so that a rank that hangs is seen where it does."""
@@ -113,6 +104,10 @@ def work(rank: int, ranks: int, options: Options, folder: str) -> None:
         progress.update()
         return result
 
+    figure("ranks join", partial(join, rank, ranks, device, folder))
+    train = example()
+    pictures = train.Textures(options.count, options.size, device)
+    setup = train.Setup(device, options.model, options.batch, size=options.size, crop=options.crop)
     alone, slowest = figure("augmentation alone", partial(augmentation, train, setup, pictures, options.seconds))
     plain = replace(setup, augment=False)
     without, _ = figure("training without augmentation", partial(training, train, plain, pictures, options.seconds))
@@ -132,6 +127,15 @@ def work(rank: int, ranks: int, options: Options, folder: str) -> None:
     if rank == 0:
         Path(folder, f"{ranks}.json").write_text(json.dumps(asdict(row)))
     dist.destroy_process_group()
+
+
+def join(rank: int, ranks: int, device: torch.device, folder: str) -> None:
+    """Make this process one of the ranks."""
+    backend, own = ("nccl", device) if device.type == "cuda" else ("gloo", None)
+    store = dist.FileStore(f"{folder}/store{ranks}", ranks)
+    dist.init_process_group(
+        backend, store=store, rank=rank, world_size=ranks, device_id=own, timeout=timedelta(seconds=HANGS)
+    )
 
 
 def wait(device: torch.device) -> None:

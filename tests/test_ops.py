@@ -206,7 +206,8 @@ print(megabytes() - before, y.data_ptr() % 64)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", [(12, 3, 250, 318), (1, 3, 480, 640), (1, 1, 200, 200)], ids=str)
-def test_memory_of_results_does_not_fault_anew(shape, backend):
+@pytest.mark.parametrize("call", ["filters.box_blur(x, 3)", "geometry.hflip(x)"])
+def test_memory_of_results_does_not_fault_anew(call, shape, backend):
     if backend == "reference":
         pytest.skip("the memory of the reference is torch's")
     code = f"""
@@ -215,10 +216,10 @@ def faults():
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 x = torch.rand({shape})
 for _ in range(5):
-    y = K.filters.box_blur(x, 3)
+    y = K.{call}
 before = faults()
 for _ in range(20):
-    y = K.filters.box_blur(x, 3)
+    y = K.{call}
 print(faults() - before, y.numel() * y.element_size() // 4096)
 """
     for _ in range(2):  # whether glibc gives memory back depends on addresses

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._modules import FunctionModule
 from kvision._ops import register
+from kvision._torch_compat import is_tracing
 from kvision.core.exceptions import ShapeError
 
 __all__ = ["Hflip", "Rot180", "Vflip", "hflip", "rot180", "vflip"]
@@ -22,6 +24,8 @@ def _backward(needs, grad, sizes, columns, rows):
 
 
 flipped = register("flip", _reference, backward=_backward, linear=True, bytes=True)
+
+_LARGE = 1 << 16  # bytes
 
 
 def hflip(input: Tensor) -> Tensor:
@@ -96,14 +100,24 @@ def _flip(op: str, input: Tensor, columns: bool, rows: bool) -> Tensor:
         return _flip(op, input[None], columns, rows)[0]
     if input.dim() == 0:
         raise ShapeError(f"{op}: expected input of shape (*, H, W), got {tuple(input.shape)}", actual_shape=input.shape)
-    # The kernel is for half types and bytes, and for CUDA.
-    torch_is_fast = input.is_cpu and input.dtype in (torch.float32, torch.float64)
-    if torch_is_fast or input.dtype not in flipped.dtypes or 0 in input.shape[-2:]:
+    if _torch_is_fast(input) or input.dtype not in flipped.dtypes or 0 in input.shape[-2:]:
         return input.flip([axis for axis, flips in ((-2, rows), (-1, columns)) if flips])
     if input.dim() == 4:
         return flipped(input, columns, rows)
     images = input.reshape(-1, *input.shape[-3:]) if input.dim() > 2 else input[None, None]
     return flipped(images, columns, rows).reshape(input.shape)
+
+
+def _torch_is_fast(x: Tensor) -> bool:
+    """Whether torch's flip takes less time than the kernel, as of float32 and float64 on the CPU.
+
+    The kernel's large results are not in memory that is new to the process, see docs/notes/memory.md.
+    """
+    if not x.is_cpu or x.dtype not in (torch.float32, torch.float64):
+        return False
+    if is_compiling() or is_tracing() or (x.requires_grad and torch.is_grad_enabled()):
+        return True
+    return x.numel() * x.element_size() < _LARGE
 
 
 class Hflip(FunctionModule):

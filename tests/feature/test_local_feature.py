@@ -114,6 +114,16 @@ def test_results_and_gradients_are_finite_whatever_the_image_is(detector, backen
     assert all((x == 0).all() for x in results) and (grad == 0).all()
 
 
+@pytest.mark.parametrize("detector", [*DETECTORS, "SIFTFeature as OpenCV's"])
+def test_runs_give_the_same_bits(detector, device):
+    module = DETECTORS.get(detector, lambda: F.SIFTFeature(20, opencv=True))().to(device)
+    image = photo(80, 90).float().to(device)
+    image = torch.cat([image, image.flip(-1)])
+    with torch.no_grad():
+        first, second = module(image), module(image)
+    assert all(torch.equal(x, y) for x, y in zip(first, second))
+
+
 @pytest.mark.parametrize("detector", ["Hessian with shapes", "SIFTFeature"])
 def test_a_pixel_that_is_not_a_number_leaves_the_other_gradients(detector, device):
     image = photo(120, 150).float().to(device)

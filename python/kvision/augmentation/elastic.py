@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision._dtype import compute_dtype
+from kvision._ops import match_layout
 from kvision.augmentation import maps
 from kvision.augmentation.base import AugmentationBase2D, Execution, Params, where_chosen
 from kvision.augmentation.displacements import NoiseField, blur_settings, elastic_displacements
@@ -45,6 +46,13 @@ class MapAugmentation(AugmentationBase2D):
         padding = SamplePadding.get(flags.get("padding_mode", SamplePadding.ZEROS)).name.lower()
         return Resampling(mode, padding, flags.get("align_corners", True))
 
+    def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if not execution.applied or not execution.keeps_map or self._is_customized():
+            return super()._run(x, execution, flags)
+        y = maps.read_displaced(x, self._map_of(execution, flags, x), self.resampling(flags))
+        execution.identity = x.device, x.dtype if x.dtype == torch.float64 else torch.float32
+        return where_chosen(execution.chosen, match_layout(y, x), x)
+
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
@@ -54,11 +62,19 @@ class MapAugmentation(AugmentationBase2D):
 
     def displacements_of(self, execution: Execution, flags: dict[str, Any], like: Tensor) -> Tensor:
         """The map of an execution, 0 for samples that are not chosen, on the device of `like` and in the type it computes in."""
+        return where_chosen(execution.chosen, self._map_of(execution, flags, like), 0.0)
+
+    def _map_of(self, execution: Execution, flags: dict[str, Any], like: Tensor) -> Tensor:
+        """The map as drawn for all samples. The first one of an execution that keeps its map serves later ones of its type."""
+        dtype, kept = compute_dtype(like), execution.map
+        if kept is not None and kept.device == like.device and kept.dtype == dtype:
+            return kept
         params = self._params_on_device(like, execution, for_users=False)
-        dtype = compute_dtype(like) if like.is_floating_point() else torch.float32
         like = like if like.dtype == dtype else like.new_empty(0, dtype=dtype)
         moved = self.displacements(execution.shape, params, flags, like)
-        return where_chosen(execution.chosen, moved, 0.0)
+        if execution.keeps_map and kept is None:
+            execution.map = moved
+        return moved
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or masks.shape[0] == 0:

@@ -39,6 +39,8 @@ class Execution:
         self.matrix: Tensor | None = None
         # Device and type of identity matrices, if these are made only when they are read.
         self.identity: tuple[torch.device, torch.dtype] | None = None
+        self.keeps_map = False  # for labels of the same call
+        self.map: Tensor | None = None  # of a deformation, kept by `keeps_map`
 
     def keep_matrix(self, matrix: Tensor) -> None:
         """Keep the matrices of an operator, which carry no gradients; where parameters do, they are computed when asked for."""

@@ -201,7 +201,8 @@ class AugmentationSequential(ImageSequential):
         inputs = self._of_frames(keys, inputs)
         image = inputs[first]
         x = self.transform_tensor(image)
-        y = self._execute(x, params, self._source(seed, generator))
+        source = self._source(seed, generator)
+        y = self._execute(x, params, source if len(keys) == 1 else source._replace(has_labels=True))
         state["_result_size"] = tuple(y.shape[2:])
         outputs = []
         for i, (key, value) in enumerate(zip(keys, inputs)):

@@ -232,7 +232,7 @@ class PatchSequential(ImageSequential):
         if isinstance(seed, Tensor) and seed.dim() == 1:
             of_cells = frame_seeds(seed, len(cells)).unflatten(0, (len(seed), len(cells)))
             seed = torch.cat([of_cells[:, n] for n in numbers])
-        own = source._replace(seed=seed, output=SAME, plans=self._plans)
+        own = source._replace(seed=seed, output=SAME, plans=self._plans, has_labels=False)
         y, _ = execute(x, children, own, position)
         if y.shape != x.shape:
             raise ShapeError(

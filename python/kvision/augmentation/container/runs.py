@@ -75,6 +75,7 @@ class Randomness(NamedTuple):
     frames: int = 1  # how many neighboring samples share their parameters: the frames of a video
     position: int = 0  # of the first child in the chain, under a seed
     time: int = 0  # how many neighboring samples are the frames of a video; 0 for images
+    has_labels: bool = False  # which follow the images, so that maps are kept for them
 
     @property
     def seed_of_samples(self) -> Seed:
@@ -118,7 +119,7 @@ def _position_inside(position: int) -> int:
 
 def _key(x: Tensor, children: Sequence[Child], source: Randomness, position: int) -> Hashable:
     """The key of the plan of a run: all that it depends on besides the settings of modules."""
-    _, seed, _, once, _, output, frames, _, time = source
+    _, seed, _, once, _, output, frames, _, time, _ = source
     modules = [(id(child.module), child.params is None) for child in children]
     return (x.shape, position, seed is None, once, output, frames, time, *modules)
 
@@ -241,6 +242,7 @@ def _execute_run(
     for step in steps:
         if isinstance(step, int):
             module, execution = modules[step], executions[step]
+            execution.keeps_map = source.has_labels
             x = module._run(x, execution, module.flags)
             stages.append(Applied(module, execution, module.flags))
             continue

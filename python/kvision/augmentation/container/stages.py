@@ -305,9 +305,11 @@ def mixes(stages: Sequence[Stage]) -> bool:
 
 
 def forget_coordinates(stages: Sequence[Stage]) -> None:
-    """Free the displacements of composed maps."""
+    """Free the displacements of maps."""
     for stage in stages:
         if isinstance(stage, Composed):
             stage.forget()
         elif isinstance(stage, Applied):
             forget_coordinates(stage.stages or ())
+            if stage.execution is not None and stage.execution.keeps_map:
+                stage.execution.keeps_map, stage.execution.map = False, None

@@ -10,6 +10,7 @@ from torch import Generator, Tensor, nn
 
 from kvision.augmentation.container.image import ImageSequential, ParamItem, invert
 from kvision.augmentation.container.runs import Randomness, Stage
+from kvision.augmentation.container.stages import forget_coordinates
 from kvision.augmentation.keys import Seed
 from kvision.core.exceptions import ShapeError, ValueCheckError
 
@@ -145,7 +146,9 @@ class VideoSequential(ImageSequential):
         """
         layout = self._layout(input)
         source = self._of_frames(self._source(seed, generator), layout.sizes[1])
-        return layout.videos(self._execute(layout.frames(input), params, source))
+        frames = self._execute(layout.frames(input), params, source)
+        forget_coordinates(self._stages)
+        return layout.videos(frames)
 
     def _of_frames(self, source: Randomness, time: int) -> Randomness:
         return source._replace(frames=time if self.same_on_frame else 1, time=time)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 import io
+import json
 import pickle
 from typing import Any
 
@@ -13,8 +14,9 @@ import torch
 from torch import Tensor
 
 import kvision.augmentation as A
-from augmentation_cases import CASES, GEOMETRIC, INTENSITY, Case
+from augmentation_cases import CASES, Case
 from kvision.augmentation.base import AugmentationBase
+from op_tests import does_not_wait
 
 BASES = (
     "AugmentationBase",
@@ -54,6 +56,10 @@ def test_replay_is_exact(case: Case, device: torch.device) -> None:
     again = case.make(p=0.7)
     assert torch.equal(again(x, params=augment._params), first)
     params = torch.load(_saved(augment._params))
+    assert torch.equal(augment(x, params=params), first)
+    types = {key: value.dtype for key, value in params.items()}
+    text = json.dumps({key: value.tolist() for key, value in params.items()})
+    params = {key: torch.tensor(value, dtype=types[key]) for key, value in json.loads(text).items()}
     assert torch.equal(augment(x, params=params), first)
     other = images(device).flip(0)
     augment(other)
@@ -275,11 +281,74 @@ def test_return_transform(case: Case) -> None:
 
 
 @pytest.mark.tracing
-@pytest.mark.parametrize("case", [*GEOMETRIC[:3], INTENSITY[1]], ids=lambda case: case.name)
+@names
 def test_compiles(case: Case) -> None:
-    x, augment = images(), case.make(p=0.7)
+    """With a seed, and with torch's generator, from which compiled calls draw what eager calls draw."""
+    if case.loops or case.one_kernel:
+        pytest.skip("the host reads limits, or the size of a kernel, where these have a range")
+    torch.compiler.reset()  # one function is compiled for all classes
+    x, augment = images(), case.make(**({} if case.changes_size else {"p": 0.7}))
+    compiled = torch.compile(lambda x, seed: augment(x, seed=seed), fullgraph=True, backend="aot_eager")
+    torch.testing.assert_close(compiled(x, 4), augment(x, seed=4))
+    torch.manual_seed(1)
+    y = compiled(x, None)
+    torch.manual_seed(1)
+    torch.testing.assert_close(y, augment(x))
+
+
+@pytest.mark.tracing
+@pytest.mark.parametrize(
+    "make", [lambda: A.RandomClahe((2.0, 2.0), (2, 2), p=1.0), lambda: A.RandomMotionBlur(3, 35.0, 0.5, p=1.0)]
+)
+def test_compiles_without_decisions_of_the_host(make: Any) -> None:
+    x, augment = images(), make()
     compiled = torch.compile(lambda x: augment(x, seed=4), fullgraph=True, backend="aot_eager")
     torch.testing.assert_close(compiled(x), augment(x, seed=4))
+
+
+@pytest.mark.parametrize("seed", [None, 5, torch.arange(6) + 3], ids=["none", "one", "each"])
+@pytest.mark.parametrize("p", [1.0, 0.6])
+def test_the_host_draws_the_size_of_a_kernel_again(p: float, seed: Any) -> None:
+    augment = A.RandomMotionBlur((3, 21), 35.0, 0.5, p=p)
+    chain = A.ImageSequential(A.RandomHorizontalFlip(), augment)
+    for _ in range(4):
+        for call in (augment, chain):
+            call(images(), seed=seed)
+            execution = augment._execution
+            assert augment._first_value_on_host(execution) == execution.columns.values[0, 0]
+            assert augment._params["ksize_factor"][0] == int(execution.columns.values[0, 0])
+
+
+@names
+def test_no_call_waits_for_the_device(case: Case, device: torch.device) -> None:
+    if case.loops:
+        pytest.skip("reads the limits of its samples, which it treats one by one")
+    x, augment = images(device), case.make(**({} if case.changes_size else {"p": 0.7}))
+    does_not_wait(device, [lambda: augment(x), lambda: augment(x, seed=1)])
+
+
+@random_names
+def test_a_graph_draws_anew(case: Case, device: torch.device) -> None:
+    if device.type != "cuda":
+        pytest.skip("CUDA graphs are CUDA's")
+    if case.loops:
+        pytest.skip("reads the limits of its samples, which it treats one by one")
+    x, augment = images(device), case.make(p=1.0)
+    x = torch.cat([x] * 4)
+    for _ in range(2):
+        augment(x)
+    graph = torch.cuda.CUDAGraph()
+    if case.one_kernel:  # of a size that the host decides
+        with pytest.raises(RuntimeError, match=f"{case.name}: .* cannot be captured"), torch.cuda.graph(graph):
+            augment(x)
+        return
+    augment = case.make(p=0.5) if "Flip" in case.name else augment  # which is all that flips draw
+    with torch.cuda.graph(graph):
+        y = augment(x)
+    graph.replay()
+    before = y.clone()
+    graph.replay()
+    assert not torch.equal(y, before)
 
 
 @pytest.mark.parametrize(

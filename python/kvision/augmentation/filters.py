@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import enhance, filters
-from kvision.augmentation.base import Params
+from kvision.augmentation.base import AugmentationBase, Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.filters import (
     JPEGGenerator,
@@ -154,7 +154,20 @@ class RandomMedianBlur(IntensityAugmentationBase2D):
         return filters.median_blur(input, flags["kernel_size"])
 
 
-class RandomMotionBlur(IntensityAugmentationBase2D):
+class OneKernelSize(AugmentationBase):
+    """A blur whose kernel size is drawn for the batch."""
+
+    _param_generator: MotionBlurGenerator
+
+    def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
+        is_drawn = execution.params is None and execution.redraw is not None
+        params = super()._params_on_device(x, execution, for_users)
+        if is_drawn and not for_users and x.is_cuda and not self._param_generator._has_one_size and len(x) > 0:
+            params["ksize_factor"] = self._first_value_on_host(execution).int()[None]
+        return params
+
+
+class RandomMotionBlur(OneKernelSize, IntensityAugmentationBase2D):
     """Blur images along a random line.
 
     Args:

@@ -29,12 +29,17 @@ class Keys(NamedTuple):
         """The seeds for an operator on this device, without waiting for it."""
         return None if self.seeds is None else self.seeds.to(device, non_blocking=True)
 
+    def cpu(self) -> Keys:
+        """The same on the CPU; waits for those that are on another device."""
+        return self._replace(keys=self.keys.cpu(), seeds=None if self.seeds is None else self.seeds.cpu())
+
     def on_host(self, op: str) -> list[int]:
         """The keys as numbers, for decisions about sizes and modules."""
         keys = self.keys if self.seeds is None else self.seeds[:1]
         if keys.is_cuda and torch.cuda.is_current_stream_capturing():
             raise RuntimeError(
-                f"{op}: a random choice that changes sizes or modules cannot be captured in a CUDA graph; use p=0 or 1"
+                f"{op}: a random choice that changes sizes or modules cannot be captured in a CUDA graph; use p=0 or 1, and one "
+                "size of a kernel"
             )
         return [int(k) for k in keys.tolist()]
 

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from kvision import enhance, filters
 from kvision.augmentation.base import Params, Shape
 from kvision.augmentation.crop import padding_resampling
-from kvision.augmentation.filters import border_name
+from kvision.augmentation.filters import OneKernelSize, border_name
 from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D
 from kvision.augmentation.geometric_base import Resampling
 from kvision.augmentation.intensity_base import IntensityAugmentationBase3D
@@ -488,7 +488,7 @@ class RandomEqualize3D(IntensityAugmentationBase3D):
         return enhance.equalize3d(input)
 
 
-class RandomMotionBlur3D(IntensityAugmentationBase3D):
+class RandomMotionBlur3D(OneKernelSize, IntensityAugmentationBase3D):
     """Blur volumes along a random line.
 
     Args:

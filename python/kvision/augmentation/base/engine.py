@@ -12,7 +12,7 @@ from kvision.augmentation.base.declaration import Declaration
 from kvision.augmentation.base.execution import Execution, Params, Shape
 from kvision.augmentation.base.samples import where_chosen
 from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, identity_values, plan_draws
-from kvision.augmentation.draws import is_chosen_batch
+from kvision.augmentation.draws import Request, is_chosen_batch
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
 from kvision.augmentation.noise import PixelNoise
 from kvision.core.exceptions import ShapeError, ValueCheckError
@@ -74,13 +74,10 @@ class Engine(Declaration):
             request = self._request(shape)
             redraw = execution.redraw
             if request is not None and redraw is not None and columns is not None and columns.drawn.is_cuda:
-                # Drawn again on the host, which gives the same numbers and waits for nothing but a key on the device.
-                keys, index = redraw
-                host = Keys(keys.keys.cpu(), None if keys.seeds is None else keys.seeds.cpu(), keys.one_key)
-                (columns,) = draw_columns(torch.empty(shape[0] // execution.frames), host, [request], index)
+                redraw = (redraw[0].cpu(), redraw[1])
+                columns = self._drawn_again(request, shape[0] // execution.frames, *redraw)
                 if execution.frames > 1:
                     columns = columns._replace(drawn=columns.drawn.repeat_interleave(execution.frames, 0))
-                redraw = (host, index)
             params: Params = {}
             if columns is not None:
                 if columns.chosen is not None:
@@ -101,6 +98,22 @@ class Engine(Declaration):
                 for name, x in params.items()
             }
         return execution.params
+
+    def _first_value_on_host(self, execution: Execution) -> Tensor:
+        """The first value of the first sample, for decisions of the host, without waiting for what the device has drawn."""
+        request = self._request(execution.shape)
+        assert request is not None and execution.redraw is not None
+        keys, index = execution.redraw
+        keys.on_host(type(self).__name__)  # which raises where it cannot be read
+        one = keys._replace(seeds=None if keys.seeds is None else keys.seeds[:1]).cpu()
+        first = 1 if request.draws[0].kind == "chosen" else 0
+        return self._drawn_again(request._replace(draws=request.draws[: first + 1]), 1, one, index).values[0, 0]
+
+    @staticmethod
+    def _drawn_again(request: Request, samples: int, keys: Keys, index: int) -> Columns:
+        """The columns of a request on the host, which are the same numbers and wait for nothing but keys on the device."""
+        (columns,) = draw_columns(torch.empty(samples), keys, [request], index)
+        return columns
 
     def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
         if execution.params is not None:

@@ -104,10 +104,13 @@ class MotionBlurGenerator(RandomGeneratorBase):
         low, high = self._sizes
         return [Draw("integer", (low, 2, (high - low) // 2 + 1, low)), self._angle.uniform(), self._direction.uniform()]
 
+    @property
+    def _has_one_size(self) -> bool:
+        return self._sizes[0] == self._sizes[1]
+
     def size_of(self, ksize: Tensor) -> int:
-        """The size of the batch: that of the first sample, without waiting for the device where there is one size."""
-        low, high = self._sizes
-        return low if low == high or ksize.numel() == 0 else int(ksize[0])
+        """The size of the batch: that of the first sample."""
+        return self._sizes[0] if self._has_one_size or ksize.numel() == 0 else int(ksize[0])
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
         # The kernels of a batch have one size: the first one drawn.

@@ -106,16 +106,21 @@ def has_gradient(augment: Callable[[Tensor], Tensor], leaf: Tensor) -> bool:
         raise
 
 
-def libraries() -> dict[str, dict[str, Make]]:
-    pipelines_of = {"kvision": kornia_pipeline(A)}
-    for name, module, pipelines in (
-        ("kornia", "kornia.augmentation", kornia_pipeline),
-        ("torchvision", "torchvision.transforms.v2", torchvision_pipeline),
-    ):
+def imported_libraries() -> dict[str, Any]:
+    """The modules of augmentations of other libraries that can be imported."""
+    modules = {}
+    for name, module in (("kornia", "kornia.augmentation"), ("torchvision", "torchvision.transforms.v2")):
         try:
-            pipelines_of[name] = pipelines(importlib.import_module(module))
+            modules[name] = importlib.import_module(module)
         except (ImportError, RuntimeError) as error:
             print(f"{name} is not measured: {str(error).splitlines()[0]}")
+    return modules
+
+
+def libraries() -> dict[str, dict[str, Make]]:
+    pipelines_of = {"kvision": kornia_pipeline(A)}
+    for name, module in imported_libraries().items():
+        pipelines_of[name] = torchvision_pipeline(module) if name == "torchvision" else kornia_pipeline(module)
     return pipelines_of
 
 

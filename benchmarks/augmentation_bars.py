@@ -1,0 +1,154 @@
+"""`python -m benchmarks.augmentation_bars [NAMES]`: the pipelines of augmentation next to their bars, on one GPU.
+
+Milliseconds of the device for a batch, forward and forward + backward of a `sum()`. Microseconds of the host for one image and for
+the batch, parameters included. Launches, and kilobytes of memory beyond the results, of a forward call. Bars are for an NVIDIA
+H200. What misses its bar has an exclamation mark.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+import kvision.augmentation as A
+from benchmarks import machine
+from benchmarks.augmentation import JITTER, MEAN, STD, pipeline_b
+from benchmarks.case import photographs
+from benchmarks.host_time import microseconds
+from benchmarks.timing import clock, extra_bytes, launches
+
+MOST_LAUNCHES = 4
+CROP = 7 / 8  # of a side
+
+
+class Pipeline(NamedTuple):
+    """A pipeline, the size of its images, and its bars, None for none; host times are those of one image and of the batch."""
+
+    name: str
+    make: Callable[[int], Callable[..., Any]]  # of the side of the images
+    size: tuple[int, ...]
+    forward: float | None = None
+    both: float | None = None
+    host: float | None = None
+    stored: torch.dtype = torch.float32
+    has_masks: bool = False
+    differentiable: bool = True
+
+
+def pipeline_a(side: int, *color: torch.nn.Module, antialias: bool = False, **options: Any) -> A.ImageSequential:
+    crop = round(CROP * side)
+    return A.ImageSequential(
+        A.RandomResizedCrop((crop, crop), antialias=antialias),
+        A.RandomHorizontalFlip(),
+        *(color or (A.ColorJitter(*JITTER),)),
+        A.Normalize(MEAN, STD),
+        **options,
+    )
+
+
+def without_contrast(side: int) -> A.ImageSequential:
+    brightness, _, saturation, hue = JITTER
+    return pipeline_a(
+        side,
+        A.RandomBrightness((1 - brightness, 1 + brightness), p=1.0),
+        A.RandomSaturation((1 - saturation, 1 + saturation), p=1.0),
+        A.RandomHue((-hue, hue), p=1.0),
+    )
+
+
+def to_halves(side: int) -> A.ImageSequential:
+    return pipeline_a(side, output_dtype=torch.float16, memory_format=torch.channels_last)
+
+
+def of_videos(side: int) -> A.VideoSequential:
+    return A.VideoSequential(*pipeline_a(side).children(), same_on_frame=True)
+
+
+LARGE, USUAL = (128, 3, 256, 256), (128, 3, 224, 224)
+PIPELINES = [
+    Pipeline("A", pipeline_a, LARGE, 0.10, 0.25, 60),
+    Pipeline("A without contrast", without_contrast, LARGE, 0.06),
+    Pipeline("A antialiased", lambda side: pipeline_a(side, antialias=True), LARGE, 0.13),
+    Pipeline("A uint8 to half", to_halves, LARGE, 0.075, stored=torch.uint8, differentiable=False),
+    Pipeline(
+        "B once", lambda side: pipeline_b(A, side, resample="once"), (32, 3, 512, 512), 0.45, host=120, has_masks=True
+    ),
+    Pipeline("B each", lambda side: pipeline_b(A, side), (32, 3, 512, 512), has_masks=True),
+    Pipeline("C", lambda side: A.RandomAffine(30.0, (0.1, 0.1), (0.8, 1.2), 10.0, p=1.0), USUAL, 0.065, host=35),
+    Pipeline("D", lambda side: A.ColorJitter(*JITTER), USUAL, 0.085, host=35),
+    Pipeline("AutoAugment", lambda side: A.auto.AutoAugment(), USUAL, 0.5),
+    Pipeline("RandAugment(2, 9)", lambda side: A.auto.RandAugment(2, 9), USUAL, 0.5),
+    Pipeline("video", of_videos, (8, 16, 3, 256, 256), 0.25),
+]
+
+
+def inputs_of(pipeline: Pipeline, device: torch.device) -> list[Tensor]:
+    (images,) = photographs((pipeline.size[0], *pipeline.size[-3:]), torch.float32, device)
+    if len(pipeline.size) == 5:
+        images = images[:, None].expand(pipeline.size).contiguous()
+    if pipeline.stored == torch.uint8:
+        images = (255 * images).to(torch.uint8)
+    return [images, (images[:, :1] > 0.5).float()] if pipeline.has_masks else [images]
+
+
+def checked(measured: float, bar: float | None, digits: int) -> str:
+    """A figure and its bar."""
+    if bar is None:
+        return f"{measured:.{digits}f}"
+    return f"{measured:.{digits}f}{'!' if measured > bar else ''} ({bar:g})"
+
+
+def row(pipeline: Pipeline, device: torch.device, seconds: float) -> str:
+    augment, inputs = pipeline.make(pipeline.size[-1]), inputs_of(pipeline, device)
+    one = [x[:1].contiguous() for x in inputs]
+    leaf = inputs[0].clone().requires_grad_() if pipeline.differentiable else None
+
+    def forward() -> Any:
+        return augment(*inputs)
+
+    def both() -> Any:
+        result = augment(leaf, *inputs[1:])
+        return torch.autograd.grad((result[0] if pipeline.has_masks else result).sum(), leaf)
+
+    stopwatch = clock(device, seconds)
+    cells = [checked(1e3 * stopwatch.time(forward).median, pipeline.forward, 3)]
+    with torch.enable_grad():
+        cells.append("-" if leaf is None else checked(1e3 * stopwatch.time(both).median, pipeline.both, 3))
+    if device.type == "cuda":
+        hosts = (microseconds(lambda: augment(*one)), microseconds(forward))
+        cells += [checked(host, pipeline.host, 0) for host in hosts]
+        cells += [checked(launches(forward), MOST_LAUNCHES if pipeline.name == "A" else None, 0)]
+        cells += [f"{extra_bytes(forward) / 1e3:.0f}"]
+    else:
+        cells += ["-"] * 4
+    size = "x".join(map(str, pipeline.size))
+    return f"{pipeline.name:20}{size:>16}" + "".join(f"{cell:>16}" for cell in cells)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parse = argparse.ArgumentParser(prog="python -m benchmarks.augmentation_bars", description=__doc__)
+    parse.add_argument("names", nargs="*", metavar="NAME", help="parts of the names to run; default: all")
+    parse.add_argument("--device", choices=("cpu", "cuda"), default="cuda", help="the CPU is for a first look only")
+    parse.add_argument("--seconds", type=float, default=0.1, help="time for one figure (default 0.1)")
+    options = parse.parse_args(arguments)
+    device = torch.device(options.device)
+    about = machine.describe(device, [])
+    print(
+        f"{about['hardware']}  {about['date']}  kvision {about['commit']}  torch {about['torch']}\n$ {about['command']}"
+    )
+    print("measured, ! where it misses the bar (in parentheses)\n")
+    names = ("ms", "f+b", "host, one", "host, batch", "launches", "extra KB")
+    print(f"{'':20}{'images':>16}" + "".join(f"{name:>16}" for name in names))
+    for pipeline in PIPELINES:
+        if not options.names or any(name in pipeline.name for name in options.names):
+            print(row(pipeline, device, options.seconds), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,31 @@
+"""The commands of the benchmarks of augmentation, on small images."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from benchmarks import augmentation_bars, augmentation_table
+
+
+def test_table_by_size_and_batch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--repeats", "3", "--seconds", "0", "--sizes", "16,24", "--batches", "1,2", "--out", str(tmp_path)]
+    assert augmentation_table.main(options) == 0
+    rows = [row for row in csv.DictReader((tmp_path / "table.csv").open()) if row["library"] == "kvision"]
+    of_cpu = {(row["operation"], row["side"], row["batch"]) for row in rows if row["device"] == "cpu"}
+    shapes = (("16", "1"), ("24", "1"), ("16", "2"))
+    assert of_cpu == {(name, *shape) for name in augmentation_table.OPERATIONS for shape in shapes}
+    assert len(augmentation_table.OPERATIONS) == 11 and all(float(row["ms"]) > 0 for row in rows)
+    lines = capsys.readouterr().out.splitlines()
+    assert sum(line.startswith("RandomErasing") for line in lines) >= 2
+
+
+def test_bars(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    small = [p._replace(size=(2, *p.size[1:-2], 32, 32)) for p in augmentation_bars.PIPELINES]
+    monkeypatch.setattr(augmentation_bars, "PIPELINES", small)
+    assert augmentation_bars.main(["--device", "cpu", "--seconds", "0.001"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line[:20].rstrip() for line in lines[-len(small) :]] == [p.name for p in small]
+    assert augmentation_bars.checked(0.2, 0.1, 3) == "0.200! (0.1)" and augmentation_bars.checked(7, None, 0) == "7"

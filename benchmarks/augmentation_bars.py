@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 import kvision.augmentation as A
-from benchmarks import machine
+from benchmarks import kernels, machine
 from benchmarks.augmentation import JITTER, MEAN, STD, pipeline_b
 from benchmarks.case import photographs
 from benchmarks.host_time import microseconds
@@ -130,13 +130,41 @@ def row(pipeline: Pipeline, device: torch.device, seconds: float) -> str:
     return f"{pipeline.name:20}{size:>16}" + "".join(f"{cell:>16}" for cell in cells)
 
 
+def call_watched(pipeline: Pipeline, device: torch.device) -> None:
+    """Call under the profiler, with the gradient of a `sum()`."""
+    augment, (images, *masks) = pipeline.make(pipeline.size[-1]), inputs_of(pipeline, device)
+
+    def call(x: Tensor) -> Tensor:
+        result = augment(x, *masks)
+        moved: Tensor = result[0] if masks else result
+        return moved.sum() if x.requires_grad else moved
+
+    kernels.call_watched(pipeline.name, call, images)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     parse = argparse.ArgumentParser(prog="python -m benchmarks.augmentation_bars", description=__doc__)
     parse.add_argument("names", nargs="*", metavar="NAME", help="parts of the names to run; default: all")
     parse.add_argument("--device", choices=("cpu", "cuda"), default="cuda", help="the CPU is for a first look only")
     parse.add_argument("--seconds", type=float, default=0.1, help="time for one figure (default 0.1)")
+    parse.add_argument(
+        "--kernels", action="store_true", help="their kernels by Nsight Compute instead, as benchmarks.kernels"
+    )
     options = parse.parse_args(arguments)
+    chosen = [p for p in PIPELINES if not options.names or any(name in p.name for name in options.names)]
     device = torch.device(options.device)
+    if kernels.is_watched():
+        for pipeline in chosen:
+            call_watched(pipeline, device)
+        return 0
+    if device.type == "cuda" and not torch.cuda.is_available():
+        parse.error("this needs a GPU; --device cpu is for a first look")
+    if options.kernels:
+        try:
+            kernels.print_kernels("benchmarks.augmentation_bars", [pipeline.name for pipeline in chosen])
+        except FileNotFoundError as error:
+            parse.error(str(error))
+        return 0
     about = machine.describe(device, [])
     print(
         f"{about['hardware']}  {about['date']}  kvision {about['commit']}  torch {about['torch']}\n$ {about['command']}"
@@ -144,9 +172,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print("measured, ! where it misses the bar (in parentheses)\n")
     names = ("ms", "f+b", "host, one", "host, batch", "launches", "extra KB")
     print(f"{'':20}{'images':>16}" + "".join(f"{name:>16}" for name in names))
-    for pipeline in PIPELINES:
-        if not options.names or any(name in pipeline.name for name in options.names):
-            print(row(pipeline, device, options.seconds), flush=True)
+    for pipeline in chosen:
+        print(row(pipeline, device, options.seconds), flush=True)
     return 0
 
 

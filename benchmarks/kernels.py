@@ -20,10 +20,12 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
+from torch import Tensor
 
 from benchmarks import machine
 from benchmarks.__main__ import parse_dtypes, parse_sizes
@@ -67,16 +69,21 @@ def run(names: list[str], size: tuple[int, ...], dtype: torch.dtype) -> None:
     """The program that ncu profiles: each case once forward and backward, after a call that is not profiled."""
     for name in names:
         first, *rest = ALL[name].inputs(size, dtype, torch.device("cuda"))
-        ALL[name].call(first, *rest)
-        with _watched(), torch.cuda.nvtx.range(name):
-            ALL[name].call(first, *rest)
-        if not first.is_floating_point():
-            continue
-        leaf = first.detach().requires_grad_()
-        outputs = [y for y in tensors_of(ALL[name].call(leaf, *rest)) if y.requires_grad]
-        grads = [torch.ones_like(y) for y in outputs]
-        with _watched():  # torch's autograd engine runs in another thread, outside of this thread's range
-            torch.autograd.grad(outputs, leaf, grads)
+        call_watched(name, lambda x, name=name, rest=rest: ALL[name].call(x, *rest), first)
+
+
+def call_watched(name: str, call: Callable[[Tensor], Any], x: Tensor) -> None:
+    """Call once forward and backward under the profiler, after a call that is not profiled."""
+    call(x)
+    with _watched(), torch.cuda.nvtx.range(name):
+        call(x)
+    if not x.is_floating_point():
+        return
+    leaf = x.detach().requires_grad_()
+    outputs = [y for y in tensors_of(call(leaf)) if y.requires_grad]
+    grads = [torch.ones_like(y) for y in outputs]
+    with _watched():  # torch's autograd engine runs in another thread, outside of this thread's range
+        torch.autograd.grad(outputs, leaf, grads)
 
 
 @contextlib.contextmanager
@@ -88,8 +95,9 @@ def _watched() -> Iterator[None]:
     torch.cuda.profiler.stop()
 
 
-def rows(report: str) -> Iterator[str]:
-    """Parse ncu's CSV into a row for each kernel."""
+def rows(report: str, names: Sequence[str] = tuple(ALL)) -> Iterator[str]:
+    """Parse ncu's CSV into a row for each kernel, with the name of its range."""
+    names = sorted(names, key=len, reverse=True)  # some begin as others
     lines = report[report.index('"ID"') :].splitlines()
     kernels: dict[str, dict[str, str]] = {}
     for row in csv.DictReader(lines):
@@ -98,7 +106,7 @@ def rows(report: str) -> Iterator[str]:
         kernel["range"] = next((v for k, v in row.items() if "Range" in k and v), "")
         kernel[row["Metric Name"]] = row["Metric Value"].replace(",", "")
     for kernel in kernels.values():
-        case = next((n for n in ALL if re.search(rf"\b{n}\b", kernel["range"])), "  backward")
+        case = next((n for n in names if re.search(rf"(?<!\w){re.escape(n)}(?!\w)", kernel["range"])), "  backward")
         figures = " ".join(
             f"{_number(kernel.get(metric)) * by:{width}.{digits}f}" for _, width, digits, by, metric in _COLUMNS
         )
@@ -125,15 +133,28 @@ def main() -> None:
     parser.add_argument("--dtype", type=parse_dtypes, default=[torch.float32], help="one; default: float32")
     options = parser.parse_args()
     names, size, dtype = options.names or list(ALL), options.sizes[0], options.dtype[0]
-    if _INSIDE in os.environ:
+    if is_watched():
         return run(names, size, dtype)
+    try:
+        print_kernels("benchmarks.kernels", names)
+    except FileNotFoundError as error:
+        parser.error(str(error))
+
+
+def is_watched() -> bool:
+    """Whether this process is the program that ncu profiles."""
+    return _INSIDE in os.environ
+
+
+def print_kernels(module: str, names: Sequence[str]) -> None:
+    """Run a module with the arguments of this program again, under ncu, and print its kernels by the names of their ranges."""
     ncu = shutil.which("ncu") or shutil.which(
         "ncu", path=str(Path(os.environ.get("CUDA_HOME", "/usr/local/cuda")) / "bin")
     )
     if ncu is None or not torch.cuda.is_available():
-        parser.error("this needs a GPU, and Nsight Compute's ncu on the PATH or in CUDA_HOME/bin")
+        raise FileNotFoundError("this needs a GPU, and Nsight Compute's ncu on the PATH or in CUDA_HOME/bin")
     metrics = ",".join(metric for *_, metric in _COLUMNS)
-    watched = [sys.executable, "-m", "benchmarks.kernels", *sys.argv[1:]]
+    watched = [sys.executable, "-m", module, *sys.argv[1:]]
     flags = ["--clock-control", "none", "--profile-from-start", "off", "--nvtx", "--csv", "--print-units", "base"]
     done = subprocess.run(
         [ncu, *flags, "--metrics", metrics, *watched],
@@ -146,7 +167,7 @@ def main() -> None:
     print(f"{machine.hardware(torch.device('cuda'))}  torch {torch.__version__}  $ {machine.command()}\n")
     headings = " ".join(f"{name:>{width}}" for name, width, *_ in _COLUMNS)
     print(f"{'case':20} {'kernel':36} {headings}")
-    for row in rows(done.stdout):
+    for row in rows(done.stdout, names):
         print(row, flush=True)
 
 

@@ -1,4 +1,4 @@
-"""Augmentations that users wrote for Kornia: what they override is called, for images, masks and the inverse."""
+"""Augmentations of users: what they override is called, for images, masks and the inverse, and what they declare is joined."""
 
 from __future__ import annotations
 
@@ -12,8 +12,12 @@ import torch
 from torch import Tensor
 
 import kvision.augmentation as A
-from kvision import geometry
-from kvision.augmentation import random_generator
+from kvision import _backend, geometry
+from kvision.augmentation import random_generator, transforms
+from kvision.augmentation.intensity_base import ColorSteps
+from kvision.augmentation.warp_and_color import ColorStep
+from kvision.constants import Resample, SamplePadding
+from op_tests import DispatchedOperators
 
 pytestmark = pytest.mark.interface
 
@@ -178,3 +182,46 @@ def test_repr_has_the_arguments() -> None:
     assert list(inspect.signature(A.AugmentationBase2D).parameters)[:2] == ["p", "p_batch"]
     inside = A.AugmentationSequential(A.RandomBrightness((0.5, 1.5)), data_keys=["image"])
     assert "RandomBrightness(brightness=(0.5, 1.5), clip_output=True, p=1.0" in repr(inside)
+
+
+class Dim(A.IntensityAugmentationBase2D):
+    """Declared by its color steps."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self._param_generator = random_generator.PlainUniformGenerator(((0.2, 0.8), "factor", None, None))
+
+    def color_steps(self, shape: Any, flags: dict[str, Any]) -> ColorSteps:
+        return ColorSteps([ColorStep("scale_shift", (1.0, 0.0, 0.0), (0,))])
+
+
+class Tilt(A.GeometricAugmentationBase2D):
+    """Declared by the formula of its matrix."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self._param_generator = random_generator.PlainUniformGenerator(((-20.0, 20.0), "angle", None, None))
+        self.flags = {"resample": Resample.BILINEAR, "padding_mode": SamplePadding.ZEROS, "align_corners": True}
+
+    def transforms(self, shape: Any, flags: dict[str, Any]) -> list[transforms.Transform]:
+        return [transforms.affine(transforms.center_of(shape), angle=0)]
+
+
+def test_declared_classes_are_joined_with_their_neighbors(device: torch.device, backend: str) -> None:
+    x = torch.rand(32, 3, 16, 20, device=device)
+    chain = A.ImageSequential(A.RandomHorizontalFlip(), Tilt(p=0.7), Dim(p=0.5), A.RandomInvert())
+    chain(x)  # which plans
+    with DispatchedOperators() as called:
+        y = chain(x)
+    if backend != "reference" and device.type not in _backend.unserved:
+        assert called.names == ["empty", "random_", "draw_warp_and_color"]
+    expected = x
+    for child, item in zip(chain.children(), chain._params):
+        expected = child(expected, params=item.data)
+    torch.testing.assert_close(y, expected)
+    factors, chosen = (chain._params[2].data[name].to(device) for name in ("factor", "batch_prob"))
+    dimmed = torch.where(chosen > 0.5, factors, 1.0)[:, None, None, None] * x
+    torch.testing.assert_close(chain[2](x, params=chain._params[2].data), dimmed)
+    angles, chosen = (chain._params[1].data[name] for name in ("angle", "batch_prob"))
+    cosines = torch.where(chosen > 0.5, angles.deg2rad().cos(), 1.0)
+    torch.testing.assert_close(chain[1].transform_matrix[:, 0, 0].cpu(), cosines)

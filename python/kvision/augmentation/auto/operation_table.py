@@ -100,7 +100,10 @@ def execute_step(x: Tensor, names: Sequence[str], operation: Tensor, value: Tens
     for name, function in _ALONE.items():
         if name in names:
             chosen = is_one(operation, name)
-            x = torch.where(chosen[:, None, None, None], _on_floats(function, x, chosen, value), x)
+            changes = chosen[:, None, None, None]
+            if name == "auto_contrast":
+                changes = changes & _has_range(x)
+            x = torch.where(changes, _on_floats(function, x, chosen, value), x)
     return x, stages
 
 
@@ -165,8 +168,13 @@ def _equalize(x: Tensor, chosen: Tensor, value: Tensor) -> Tensor:
 
 
 def _auto_contrast(x: Tensor, chosen: Tensor, value: Tensor) -> Tensor:
-    flat = x.amax((-2, -1), keepdim=True) == x.amin((-2, -1), keepdim=True)
-    return torch.where(flat, x, enhance.normalize_min_max(x))
+    return enhance.normalize_min_max(x)
+
+
+def _has_range(x: Tensor) -> Tensor:
+    """(B, C, 1, 1), whether a channel has more than one value."""
+    lowest, highest = x.detach().flatten(-2).aminmax(dim=-1)
+    return (lowest != highest)[..., None, None]
 
 
 _ALONE = {"sharpness": _sharpness, "equalize": _equalize, "auto_contrast": _auto_contrast}

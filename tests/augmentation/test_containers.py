@@ -215,6 +215,35 @@ def test_random_apply() -> None:
         A.ImageSequential(*children, random_apply_weights=[1.0])
 
 
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: A.RandomCrop((9, 9), p=0.5),
+        lambda: A.ImageSequential(A.RandomHorizontalFlip(), A.RandomCrop((9, 9), p=0.5)),
+        lambda: A.ImageSequential(A.RandomHorizontalFlip(), A.RandomInvert(), random_apply=1),
+    ],
+    ids=["crop", "crop in a chain", "random_apply"],
+)
+def test_choices_of_sizes_and_modules_are_not_captured(make: Any, device: torch.device) -> None:
+    if device.type != "cuda":
+        pytest.skip("CUDA graphs are CUDA's")
+    augment, x = make(), images(device)
+    augment(x)
+    graph = torch.cuda.CUDAGraph()
+    with pytest.raises(RuntimeError, match="cannot be captured in a CUDA graph"), torch.cuda.graph(graph):
+        augment(x)
+
+
+def test_random_apply_is_not_captured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its key is on the host, where a capture could not be noticed otherwise. A seed decides for all replays."""
+    augment = A.ImageSequential(A.RandomHorizontalFlip(), A.RandomInvert(), random_apply=1)
+    monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: True)
+    with pytest.raises(RuntimeError, match="ImageSequential: .* cannot be captured in a CUDA graph"):
+        augment(images())
+    assert augment(images(), seed=1).shape == images().shape
+
+
 def test_nested_containers_and_other_modules() -> None:
     class Double(nn.Module):
         def forward(self, x: Tensor) -> Tensor:

@@ -36,12 +36,18 @@ class Keys(NamedTuple):
     def on_host(self, op: str) -> list[int]:
         """The keys as numbers, for decisions about sizes and modules."""
         keys = self.keys if self.seeds is None else self.seeds[:1]
-        if keys.is_cuda and torch.cuda.is_current_stream_capturing():
-            raise RuntimeError(
-                f"{op}: a random choice that changes sizes or modules cannot be captured in a CUDA graph; use p=0 or 1, and one "
-                "size of a kernel"
-            )
+        if keys.is_cuda:
+            refuse_capture(op)
         return [int(k) for k in keys.tolist()]
+
+
+def refuse_capture(op: str) -> None:
+    """Raise while a CUDA graph is captured, whose replays would repeat a choice of the host."""
+    if torch.cuda.is_initialized() and torch.cuda.is_current_stream_capturing():
+        raise RuntimeError(
+            f"{op}: a random choice that changes sizes or modules cannot be captured in a CUDA graph; use p=0 or 1, one size "
+            "of a kernel, and no random_apply"
+        )
 
 
 def draw_keys(op: str, count: int, device: torch.device, seed: Seed, generator: Generator | None) -> Keys:

@@ -16,7 +16,7 @@ from kvision.augmentation.container.runs import Child, Randomness, execute
 from kvision.augmentation.container.stages import Applied, Stage, forget_coordinates, invert, move_masks, product
 from kvision.augmentation.draws import philox, unit
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
-from kvision.augmentation.keys import Seed, draw_keys
+from kvision.augmentation.keys import Seed, draw_keys, refuse_capture
 from kvision.augmentation.warp_and_color import SAME, Output
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
@@ -240,6 +240,8 @@ class ImageSequential(ImageSequentialBase):
         """Children drawn as `random_apply` says, at most one of which mixes samples."""
         children = list(self.named_children())
         op = type(self).__name__
+        if seed is None:
+            refuse_capture(op)
         keys = draw_keys(op, 1, torch.device("cpu"), seed, generator or self.generator)
         key = keys.on_host(op)[0]
         low, high = self.random_apply or (len(children), len(children) + 1)

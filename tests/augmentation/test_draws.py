@@ -22,6 +22,7 @@ from kvision.augmentation.draws import (
     philox,
     uniform,
 )
+from kvision.augmentation.keys import draw_keys
 from op_tests import instruction_set
 from point_op_tests import Call, PointOpTests, vector
 
@@ -359,6 +360,15 @@ def test_plans_are_checked(device):
     for keys, ints, floats, message in bad:
         with pytest.raises(RuntimeError, match=f"draw_parameters: .*{message}"):
             draw_parameters(x, keys, None, ints, floats)
+
+
+def test_a_generator_of_the_cpu_is_not_captured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All replays would get the numbers of the capture."""
+    monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: True)
+    with pytest.raises(RuntimeError, match="op: a generator of the CPU cannot draw for a CUDA graph"):
+        draw_keys("op", 1, torch.device("cuda"), None, torch.Generator())
+    assert draw_keys("op", 1, torch.device("cuda"), 5, None).one_key
+    assert len(draw_keys("op", 2, torch.device("cpu"), None, torch.Generator()).keys) == 2
 
 
 @pytest.mark.native

@@ -66,6 +66,10 @@ def draw_keys(op: str, count: int, device: torch.device, seed: Seed, generator: 
         # Compilers know no random_ of a generator. The lowest number is added to the words of a range, as random_ does not.
         return Keys(torch.randint(_LOWEST, 2**63 - 1, (count,), generator=generator, device=where) ^ _LOWEST)
     if where.type == "cpu":
+        if _captures(device):
+            raise RuntimeError(
+                f"{op}: a generator of the CPU cannot draw for a CUDA graph; use one of the GPU, registered with it"
+            )
         return Keys(_random_words(count, generator))
     # A CUDA generator gives other numbers for several in one call than for several calls.
     each = [

@@ -1,6 +1,7 @@
 // Noise on the CPU: chunks [begin, end) of the planes of samples. Compiled once per instruction set.
 #include <cstddef>
 
+#include "core/ceil_div.h"
 #include "core/lanes.h"
 // Included after core/lanes.h, whose vectors it uses.
 #include "augmentation/noise.h"
@@ -8,8 +9,8 @@
 namespace kv::augmentation::KV_ISA {
 namespace {
 
-constexpr int kWide = kVectorBytes / 8;  // blocks at once: products of words take 64 bits
-using Words = Lanes<uint64_t, kWide>;
+constexpr int kBlocksPerVector = kVectorBytes / 8;  // blocks at once: products of words take 64 bits
+using Words = Lanes<uint64_t, kBlocksPerVector>;
 
 // The products of the lower 32 bits of lanes with m.
 KV_HD Words times(Words a, uint32_t m) {
@@ -24,10 +25,10 @@ KV_HD Words times(Words a, uint32_t m) {
 #endif
 }
 
-// The words of kWide blocks from `block` on; see philox in core/philox.h. Upper halves are garbage.
+// The words of kBlocksPerVector blocks from `block` on; see philox in core/philox.h. Upper halves are garbage.
 KV_HD void philox_blocks(DrawSource const& source, uint32_t draw, uint32_t block, Words (&w)[4]) {
   Words a = Words{} + draw, b = Words{} + block, c = Words{} + source.sample, d = Words{} + source.position;
-  for (int i = 0; i < kWide; ++i) b[i] = uint32_t(block + uint32_t(i));
+  for (int i = 0; i < kBlocksPerVector; ++i) b[i] = uint32_t(block + uint32_t(i));
   uint32_t low = uint32_t(source.key), high = uint32_t(source.key >> 32);
   for (int round = 0; round < 10; ++round) {
     Words const first = times(a, 0xD2511F53u), second = times(c, 0xCD9E8D57u);
@@ -41,27 +42,27 @@ KV_HD void philox_blocks(DrawSource const& source, uint32_t draw, uint32_t block
   w[0] = a, w[1] = b, w[2] = c, w[3] = d;
 }
 
-constexpr int kChunk = kNoiseChunk, kBuffer = kChunk + 8 * kWide;
+constexpr int kChunk = kNoiseChunk, kBuffer = kChunk + 8 * kBlocksPerVector;
 
 // Variates of the chunk that begins with `block`.
 KV_HD void fill_normals(DrawSource const& source, uint32_t draw, uint32_t block, int count, float* to) {
-  constexpr int N = 2 * kWide;
+  constexpr int N = 2 * kBlocksPerVector;
   using Ints = Lanes<int32_t, N>;
   for (int first = 0; first < count; first += 4 * N) {
     Words low[4], high[4];
     philox_blocks(source, draw, block + uint32_t(first / 4), low);
-    philox_blocks(source, draw, block + uint32_t(first / 4 + kWide), high);
-    // As twice as many lanes of 32 bits: lane 2 k is of block k, lane 2 k + 1 of block kWide + k.
+    philox_blocks(source, draw, block + uint32_t(first / 4 + kBlocksPerVector), high);
+    // As twice as many lanes of 32 bits: lane 2 k is of block k, lane 2 k + 1 of block kBlocksPerVector + k.
     Ints words[4];
     for (int i = 0; i < 4; ++i) words[i] = __builtin_bit_cast(Ints, Words((low[i] & 0xffffffffu) | high[i] << 32));
     Lanes<float, N> n[4];
     for (int i = 0; i < 4; i += 2) normal_pair<N>(words[i], words[i + 1], n[i], n[i + 1]);
     float lanes[4][N];
     for (int i = 0; i < 4; ++i) store<N>(lanes[i], n[i]);
-    for (int k = 0; k < kWide; ++k)
+    for (int k = 0; k < kBlocksPerVector; ++k)
       for (int i = 0; i < 4; ++i) {
         to[first + 4 * k + i] = lanes[i][2 * k];
-        to[first + 4 * (kWide + k) + i] = lanes[i][2 * k + 1];
+        to[first + 4 * (kBlocksPerVector + k) + i] = lanes[i][2 * k + 1];
       }
   }
 }
@@ -74,10 +75,10 @@ KV_HD void fill_normals(DrawSource const& source, uint32_t draw, uint32_t block,
 }
 
 KV_HD void fill_words(DrawSource const& source, uint32_t draw, uint32_t block, int count, uint32_t* to) {
-  for (int first = 0; first < count; first += 4 * kWide) {
+  for (int first = 0; first < count; first += 4 * kBlocksPerVector) {
     Words w[4];
     philox_blocks(source, draw, block + uint32_t(first / 4), w);
-    for (int k = 0; k < kWide; ++k)
+    for (int k = 0; k < kBlocksPerVector; ++k)
       for (int i = 0; i < 4; ++i) to[first + 4 * k + i] = uint32_t(w[i][k]);
   }
 }
@@ -110,7 +111,7 @@ template <class Variates, class T>
 KV_HD void add_noise(PixelNoise<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   F noise[kBuffer];
-  int64_t const chunks = (p.pixels + kChunk - 1) / kChunk;
+  int64_t const chunks = ceil_div(p.pixels, kChunk);
   for (int64_t unit = begin; unit < end; ++unit) {
     int64_t const b = unit / chunks, first = unit % chunks * kChunk;
     int const count = int(min(p.pixels - first, int64_t(kChunk)));
@@ -158,7 +159,7 @@ void salt_and_pepper(PixelNoise<T> const& p, int64_t begin, int64_t end) {
   T pepper, salt;
   store<1>(&pepper, Compute<T>(0));
   store<1>(&salt, p.salt);
-  int64_t const chunks = (p.pixels + kChunk - 1) / kChunk;
+  int64_t const chunks = ceil_div(p.pixels, kChunk);
   for (int64_t unit = begin; unit < end; ++unit) {
     int64_t const b = unit / chunks, first = unit % chunks * kChunk;
     int const count = int(min(p.pixels - first, int64_t(kChunk)));

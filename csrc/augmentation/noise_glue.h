@@ -72,7 +72,7 @@ void set_images(PixelNoise<T>& n, Tensor const& x, Tensor const& y, Layout layou
 
 // Work items of the CPU kernel.
 inline int64_t noise_units(Tensor const& x) {
-  return x.numel() ? x.size(0) * ((x.size(2) * x.size(3) + kNoiseChunk - 1) / kNoiseChunk) : 0;
+  return x.numel() ? x.size(0) * ceil_div(x.size(2) * x.size(3), kNoiseChunk) : 0;
 }
 
 }  // namespace kv::augmentation

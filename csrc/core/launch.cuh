@@ -7,14 +7,13 @@
 #include <type_traits>
 
 #include "border.h"
+#include "ceil_div.h"
 #include "half.h"
 #include "shared_memory.h"
 #include "view.h"
 #include "warp_reduce.cuh"
 
 namespace kv {
-
-constexpr int64_t ceil_div(int64_t a, int64_t b) { return (a + b - 1) / b; }
 
 // --- storage <-> compute type ----------------------------------------------------------------------------------------
 

@@ -1,12 +1,13 @@
 // CPU kernel for add_weighted. Compiled once per instruction set.
 #include "add_weighted.h"
+#include "core/ceil_div.h"
 #include "core/lanes.h"
 
 namespace kv::enhance::KV_ISA {
 
 template <class T>
 void add_weighted(AddWeighted<T> const& p, int64_t begin, int64_t end) {
-  int64_t const width = p.x.width, step = p.x.step, chunks = (width + kAddWeightedChunk - 1) / kAddWeightedChunk;
+  int64_t const width = p.x.width, step = p.x.step, chunks = ceil_div(width, kAddWeightedChunk);
   for (; begin < end; ++begin) {
     int64_t const plane = begin / chunks, first = begin % chunks * kAddWeightedChunk,
                   last = min(first + kAddWeightedChunk, width);

@@ -1,4 +1,4 @@
-// add_weighted: schema and operator, for CPU and CUDA.
+// add_weighted: schema and entry, for CPU and CUDA.
 #include "add_weighted.h"
 #include "glue/glue.h"
 
@@ -56,8 +56,7 @@ Tensor add_weighted(Tensor const& input, Tensor const& other, OptionalTensor con
     };
     AddWeighted<T> const p{rows(Type<T const>{}, x), rows(Type<T const>{}, y), rows(Type<T>{}, result),
                            weight(alpha, a),         weight(beta, b),          weight(gamma, c)};
-    KV_RUN(add_weighted, x, p, p.x.count() * ((p.x.width + kAddWeightedChunk - 1) / kAddWeightedChunk),
-           kAddWeightedChunk);
+    KV_RUN(add_weighted, x, p, p.x.count() * ceil_div(p.x.width, kAddWeightedChunk), kAddWeightedChunk);
   });
   return result;
 }

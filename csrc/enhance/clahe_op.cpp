@@ -1,4 +1,4 @@
-// CLAHE: schema and operator, for CPU and CUDA.
+// CLAHE: schema and entry, for CPU and CUDA.
 #include "clahe.h"
 #include "plane_views.h"
 
@@ -9,7 +9,7 @@ constexpr int64_t kMaxTiles = (1 << 15) - 1;  // along an axis
 
 // Tiles of equal size. Where one axis needs padding, OpenCV pads the other one as well.
 TileAxis axis_of(int64_t pixels, int64_t tiles, bool fits, bool opencv) {
-  int64_t const size = opencv && !fits ? pixels / tiles + 1 : (pixels + tiles - 1) / tiles;
+  int64_t const size = opencv && !fits ? pixels / tiles + 1 : ceil_div(pixels, tiles);
   return {int(tiles), int(size), int(pixels), !opencv};
 }
 

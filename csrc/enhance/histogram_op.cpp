@@ -1,4 +1,4 @@
-// Sums of Gaussians: schemas and operators, for CPU and CUDA.
+// Sums of Gaussians: schemas and entries, for CPU and CUDA.
 #include "histogram.h"
 #include "sample_rows.h"
 
@@ -41,7 +41,7 @@ struct Samples {
             bandwidth.size(0) > 1 ? 1 : 0,
             nullptr,
             chunk,
-            max((samples + chunk - 1) / chunk, int64_t(1)),
+            max(ceil_div(samples, chunk), int64_t(1)),
             nullptr};
   }
 };

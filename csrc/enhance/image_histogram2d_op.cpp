@@ -1,4 +1,4 @@
-// Histograms with compact kernels: schemas and operators, for CPU and CUDA.
+// Histograms with compact kernels: schemas and entries, for CPU and CUDA.
 #include "image_histogram2d.h"
 #include "sample_rows.h"
 
@@ -25,7 +25,7 @@ ImageHistogram2d<T> params_of(char const* op, Tensor const& x, double low, doubl
           check_kernel(op, kernel),
           nullptr,
           kSamplesAtOnce,
-          max((samples + kSamplesAtOnce - 1) / kSamplesAtOnce, int64_t(1)),
+          max(ceil_div(samples, kSamplesAtOnce), int64_t(1)),
           nullptr};
 }
 

@@ -1,4 +1,4 @@
-// The JPEG approximation: schemas and operators, for CPU and CUDA.
+// The JPEG approximation: schemas and entries, for CPU and CUDA.
 #include "glue/images.h"
 #include "jpeg.h"
 
@@ -44,7 +44,7 @@ void check_jpeg(char const* op, Tensor const& x) {
   KV_CHECK(x.size(2) <= (1 << 24) && x.size(3) <= (1 << 24) && x.size(0) <= INT32_MAX, op, ": input is too large");
 }
 
-int64_t padded(int64_t n) { return (n + kJpegSide - 1) / kJpegSide * kJpegSide; }
+int64_t padded(int64_t n) { return ceil_div(n, kJpegSide) * kJpegSide; }
 
 Tensor jpeg_memory(Tensor const& x) {
   return empty({x.size(0), padded(x.size(2)) * padded(x.size(3)) / 2 * 3}, x, Layout::planar, compute_dtype(x));
@@ -101,7 +101,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> jpeg_backward(Tensor const& grad, Ten
     int64_t const units = b * (levels.height / kJpegSide);
     [[maybe_unused]] int64_t const cost = 16 * kJpegSide * levels.width;  // per CPU task
 #if defined(KV_CUDA)
-    int64_t const chunks = (levels.height / kJpegSide) * ((levels.width + kJpegWidth - 1) / kJpegWidth);
+    int64_t const chunks = (levels.height / kJpegSide) * ceil_div(levels.width, kJpegWidth);
 #else
     int64_t const chunks = levels.height / kJpegSide;
 #endif

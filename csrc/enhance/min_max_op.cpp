@@ -1,4 +1,4 @@
-// Min-max normalization: schemas and operators, for CPU and CUDA.
+// Min-max normalization: schemas and entries, for CPU and CUDA.
 #include "min_max.h"
 #include "plane_views.h"
 
@@ -10,7 +10,7 @@ struct Chunks {
   int64_t size, count;
   Chunks(int64_t planes, int64_t pixels)
       : size(max(clamp(planes * pixels / 1024, int64_t(4096), int64_t(16384)), (pixels + 1023) / 1024)),
-        count((pixels + size - 1) / size) {
+        count(ceil_div(pixels, size)) {
     size = (size + 7) / 8 * 8;
   }
 };

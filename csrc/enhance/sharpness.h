@@ -7,6 +7,7 @@
 // The border, one pixel wide, is only clipped. Included by sharpness_cpu.cpp, sharpness.cu and sharpness_op.cpp.
 #pragma once
 
+#include "core/ceil_div.h"
 #include "core/isa.h"
 #include "core/view.h"
 #if defined(__CUDACC__)
@@ -52,7 +53,7 @@ constexpr int kTileWidth = 64, kTileHeight = 16, kStripWidth = 128, kStripRows =
 template <class T>
 int64_t sharpness_tiles(Planes<T> const& x) {
   int64_t const width = x.step == 1 ? kStripWidth : kTileWidth, height = x.step == 1 ? kStripRows : kTileHeight;
-  return (x.width + width - 1) / width * ((x.height + height - 1) / height);
+  return ceil_div(x.width, width) * ceil_div(x.height, height);
 }
 
 template <class V, class F>

@@ -1,4 +1,4 @@
-// The two nearest descriptors: schemas and operators, for CPU and CUDA.
+// The two nearest descriptors: schemas and entries, for CPU and CUDA.
 #include "feature/matching.h"
 #include "glue/batch.h"
 
@@ -45,7 +45,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> two_nearest(
   constexpr char const* op = "two_nearest";
   DescriptorPair const x(op, desc1, desc2);
   int64_t const batch = x.batch, n = desc1.size(1), m = desc2.size(1), listed = both ? m : 0;
-  auto const wanted1 = checked_mask(op, "mask1", mask1, x.first), wanted2 = checked_mask(op, "mask2", mask2, x.second);
+  auto const valid1 = checked_mask(op, "mask1", mask1, x.first), valid2 = checked_mask(op, "mask2", mask2, x.second);
   KV_CHECK(positions1.has_value() == positions2.has_value(), op, ": expected positions of both sets or none");
   std::optional<Tensor> at1, at2;
   if (positions1) {
@@ -59,12 +59,12 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> two_nearest(
   auto const run = [&](auto type) {
     using T = typename decltype(type)::type;
 #if defined(KV_CUDA)
-    int64_t const tile = kMatchingTile<T>, tiles1 = (n + tile - 1) / tile, tiles2 = (m + tile - 1) / tile;
+    int64_t const tile = kMatchingTile<T>, tiles1 = ceil_div(n, tile), tiles2 = ceil_div(m, tile);
     int64_t const blocks = batch * tiles1 < 1 ? 1 : batch * tiles1;
-    int64_t const splits1 = clamp((kMatchingBlocks + blocks - 1) / blocks, int64_t(1), tiles2 < 1 ? 1 : tiles2);
+    int64_t const splits1 = clamp(ceil_div(kMatchingBlocks, blocks), int64_t(1), tiles2 < 1 ? 1 : tiles2);
     int64_t const splits2 = tiles1;
 #else
-    int64_t const splits1 = 1, splits2 = (n + kMatchingCpuRows - 1) / kMatchingCpuRows;
+    int64_t const splits1 = 1, splits2 = ceil_div(n, kMatchingCpuRows);
 #endif
 #if defined(KV_CUDA)
     torch::stable::accelerator::DeviceGuard const guard(x.first.get_device_index());
@@ -89,8 +89,8 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> two_nearest(
                               nullptr,
                               nullptr};
     };
-    TwoNearest<T> params{set(x.first, wanted1, at1, splits1, partial1, distances1, indices1),
-                         set(x.second, wanted2, at2, splits2, partial2, distances2, indices2), batch, int(x.width),
+    TwoNearest<T> params{set(x.first, valid1, at1, splits1, partial1, distances1, indices1),
+                         set(x.second, valid2, at2, splits2, partial2, distances2, indices2), batch, int(x.width),
                          T(distance * distance)};
     if (!both) params.second.partial = nullptr;
 #if defined(KV_CUDA)

@@ -1,4 +1,4 @@
-// Points transformed by matrices: schemas and entries for CPU and CUDA.
+// Points transformed by matrices: schemas and entries, for CPU and CUDA.
 #include "geometry/transform_points.h"
 #include "glue/glue.h"
 
@@ -118,7 +118,7 @@ std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad,
 #else
   int64_t const part = 4096;
 #endif
-  int64_t const parts = (count + part - 1) / part;
+  int64_t const parts = ceil_div(count, part);
   ScalarType const type = compute_dtype(points);
   Tensor const grad_points = empty({matrices, count, points.size(2)}, points),
                grad_depth = empty({matrices, count, depth ? 1 : 0}, points),

@@ -7,6 +7,7 @@
 #pragma once
 
 #include "core/border.h"
+#include "core/ceil_div.h"
 #include "core/dtype.h"
 #include "core/isa.h"
 #include "core/view.h"

@@ -1,4 +1,4 @@
-// Hausdorff loss: schemas and operators, for CPU and CUDA.
+// Hausdorff loss: schemas and entries, for CPU and CUDA.
 #include "glue/glue.h"
 #include "hausdorff.h"
 
@@ -48,7 +48,7 @@ struct LabelledPlanes {
 template <class Params>
 std::pair<Tensor, Tensor> make_room(LabelledPlanes const& x, Params& params, int64_t maps, int64_t numbers) {
   constexpr int64_t kElementsAtOnce = 1 << 20;
-  int64_t const n = x.extent.size(), chunks = (n + kErosionChunk - 1) / kErosionChunk;
+  int64_t const n = x.extent.size(), chunks = ceil_div(n, kErosionChunk);
   params.at_once = clamp(std::max(kElementsAtOnce / n, x.planes() / maps), int64_t(1), x.planes());
   std::pair const room(empty({maps, params.at_once, n}, x.pred), empty({numbers, params.at_once, chunks}, x.pred));
   params.maps = static_cast<decltype(params.maps)>(const_cast<void*>(room.first.const_data_ptr()));

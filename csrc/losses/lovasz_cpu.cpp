@@ -1,5 +1,6 @@
 // Lovász losses on the CPU: blocks [begin, end) of pixels for errors and for gradients of the logits, segments [begin,
 // end) for the sorted errors. Compiled once per instruction set.
+#include "core/ceil_div.h"
 #include "core/lanes.h"
 #include "core/scratch.h"
 #include "lovasz.h"
@@ -19,7 +20,7 @@ struct LovaszMath {
 template <class T, class Call>
 KV_HD void for_each_pixel(LovaszLabels const& labels, int64_t begin, int64_t end, Call f) {
   using F = Compute<T>;
-  int64_t const blocks = (labels.pixels + kLovaszBlock - 1) / kLovaszBlock;
+  int64_t const blocks = ceil_div(labels.pixels, kLovaszBlock);
   for (int64_t block = begin; block < end; ++block) {
     int64_t const b = block / blocks, first = block % blocks * kLovaszBlock;
     for_each_vector<T>(first, min(first + kLovaszBlock, labels.pixels), [&](auto width, int64_t i) {

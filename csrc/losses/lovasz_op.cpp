@@ -1,4 +1,4 @@
-// Lovász losses: schemas and operators, for CPU and CUDA.
+// Lovász losses: schemas and entries, for CPU and CUDA.
 #include "glue/glue.h"
 #include "lovasz.h"
 
@@ -28,7 +28,7 @@ struct LovaszImages {
     bool const bytes = target.scalar_type() == ScalarType::Byte, one_target = target.size(0) == 1;
     return {target.const_data_ptr(), bytes, one_target, hinge, batch, classes, pixels};
   }
-  int64_t blocks() const { return batch * ((pixels + kLovaszBlock - 1) / kLovaszBlock); }
+  int64_t blocks() const { return batch * ceil_div(pixels, kLovaszBlock); }
   int64_t cost() const { return 4 * min(pixels, kLovaszBlock) * classes; }
 };
 
@@ -48,7 +48,7 @@ std::tuple<Tensor, Tensor> lovasz(Tensor const& pred, Tensor const& target, bool
     // A group of segments: its memory, four times that of its gradients, is as large as a map of the batch, but at
     // least enough to occupy the GPU.
     constexpr int64_t kElementsAtOnce = 1 << 20, kSize = 2 * sizeof(Ranked<F>);
-    int64_t const segments = x.batch * x.classes, chunks = (x.pixels + kRankedChunk<F> - 1) / kRankedChunk<F>;
+    int64_t const segments = x.batch * x.classes, chunks = ceil_div(x.pixels, kRankedChunk<F>);
     params.at_once = clamp(std::max(kElementsAtOnce / x.pixels, segments / 4), int64_t(1), segments);
     Tensor const ranked = empty({2, params.at_once, x.pixels, kSize / 2}, pred, Layout::planar, ScalarType::Byte);
     Tensor const counts = empty({params.at_once, chunks + 1, kRankedDigits}, pred, Layout::planar, ScalarType::Int);

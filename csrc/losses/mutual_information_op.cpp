@@ -1,4 +1,4 @@
-// Mutual information: schemas and operators, for CPU and CUDA.
+// Mutual information: schemas and entries, for CPU and CUDA.
 #include <limits>
 
 #include "glue/batch.h"
@@ -9,7 +9,7 @@ namespace {
 
 constexpr int64_t kMaxBins = 1 << 14;
 // CUDA: as many chunks as the GPU can run blocks, each with enough samples.
-constexpr int64_t kBlocks = 512, kSamplesOfPiece = 1 << 10;
+constexpr int64_t kBlocks = 512, kSamplesPerChunk = 1 << 10;
 
 // Two signals (rows, samples), float32 or float64, and their masks.
 struct TwoSignals {
@@ -41,7 +41,7 @@ struct TwoSignals {
             mask ? stride(*mask) : 0};
   }
   int64_t chunks() const {
-    return min((kBlocks + rows - 1) / max(rows, int64_t(1)), (samples + kSamplesOfPiece - 1) / kSamplesOfPiece);
+    return min((kBlocks + rows - 1) / max(rows, int64_t(1)), ceil_div(samples, kSamplesPerChunk));
   }
   template <class Call>
   void for_type(Call f) const {

@@ -1,4 +1,4 @@
-// Losses of segmentations: schemas and operators, for CPU and CUDA.
+// Losses of segmentations: schemas and entries, for CPU and CUDA.
 #include "core/row_sums.h"
 #include "glue/glue.h"
 #include "segmentation.h"
@@ -22,7 +22,7 @@ struct Labelled {
     KV_CHECK(pred.dim() == 5 && pred.numel() > 0 && pred.size(2) <= kMaxClasses, op,
              ": expected pred of shape (losses, B, C, H, W) with 1 to ", kMaxClasses, " classes");
     losses = pred.size(0), batch = pred.size(1), classes = pred.size(2), pixels = pred.size(3) * pred.size(4);
-    chunks = (pixels + chunk - 1) / chunk;
+    chunks = ceil_div(pixels, chunk);
     KV_CHECK(labels.dim() == 4 && (labels.size(0) == losses || labels.size(0) == 1) && labels.size(1) == batch &&
                  labels.size(2) == pred.size(3) && labels.size(3) == pred.size(4) &&
                  labels.scalar_type() == ScalarType::Long && labels.device() == pred.device(),
@@ -34,7 +34,7 @@ struct Labelled {
              op, ": expected weight of shape (losses or 1, C) in the type that pred is computed in");
   }
 
-  int64_t all_pieces() const { return losses * batch * chunks; }
+  int64_t num_chunks() const { return losses * batch * chunks; }
   int64_t cost() const { return 4 * min(pixels, chunk) * classes; }
   Tensor number(torch::headeronly::IntHeaderOnlyArrayRef sizes) const {
     return empty(sizes, logits, Layout::planar, compute_dtype(logits));
@@ -92,7 +92,7 @@ std::tuple<Tensor, Tensor> overlap(Tensor const& pred, Tensor const& target, std
     using F = Compute<T>;
     Overlap<T> const params{x.of<T>(), x.overlap_terms<F>(micro, alpha, beta, eps), data_ptr<F>(partial),
                             data_ptr<F>(sums), data_ptr<F>(loss)};
-    KV_RUN(overlap, pred, params, x.all_pieces(), x.cost());
+    KV_RUN(overlap, pred, params, x.num_chunks(), x.cost());
 #if !defined(KV_CUDA)
     for (int64_t i = 0; i < samples * bins; ++i) {
       double sum = 0;
@@ -125,7 +125,7 @@ Tensor overlap_backward(Tensor const& grad, Tensor const& sums, Tensor const& pr
     using F = Compute<T>;
     OverlapBackward<T> const params{x.of<T>(), x.overlap_terms<F>(micro, alpha, beta, eps), data_ptr<F const>(g),
                                     data_ptr<F const>(of_samples), data_ptr<T>(grad_x)};
-    KV_RUN(overlap_backward, pred, params, x.all_pieces(), x.cost());
+    KV_RUN(overlap_backward, pred, params, x.num_chunks(), x.cost());
   });
   return grad_x;
 }
@@ -135,13 +135,13 @@ Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> con
              double gamma, int64_t ignored, bool ignores, bool summed) {
   Labelled const x("focal", pred, target, weight, ignored, ignores, kShortChunk);
   Tensor const loss = summed ? x.number({x.losses}) : x.number({x.losses, x.batch, pred.size(3), pred.size(4)});
-  Tensor const partial = x.number({summed ? x.all_pieces() : 0});
+  Tensor const partial = x.number({summed ? x.num_chunks() : 0});
   dispatch_floating("focal", pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Focal<T> const params{x.of<T>(), x.focal_terms<F>(first, other, gamma), summed ? nullptr : data_ptr<F>(loss),
                           data_ptr<F>(partial), summed ? data_ptr<F>(loss) : nullptr};
-    KV_RUN(focal, pred, params, x.all_pieces(), x.cost());
+    KV_RUN(focal, pred, params, x.num_chunks(), x.cost());
 #if !defined(KV_CUDA)
     if (summed) add_chunks(params.partial, x.losses, x.batch * x.chunks, FinalizeSum<F>{F(1), F(0)}, params.sums);
 #endif
@@ -161,7 +161,7 @@ Tensor focal_backward(Tensor const& grad, Tensor const& pred, Tensor const& targ
     using F = Compute<T>;
     FocalBackward<T> const params{x.of<T>(), x.focal_terms<F>(first, other, gamma), data_ptr<F const>(g), summed,
                                   data_ptr<T>(grad_x)};
-    KV_RUN(focal_backward, pred, params, x.all_pieces(), x.cost());
+    KV_RUN(focal_backward, pred, params, x.num_chunks(), x.cost());
   });
   return grad_x;
 }

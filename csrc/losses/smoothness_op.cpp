@@ -1,4 +1,4 @@
-// Smoothness of inverse depth: schemas and operators, for CPU and CUDA.
+// Smoothness of inverse depth: schemas and entries, for CPU and CUDA.
 #include "core/row_sums.h"
 #include "glue/glue.h"
 #include "smoothness.h"
@@ -28,7 +28,7 @@ Tensor smoothness(Tensor const& depth, Tensor const& image, double along_y, doub
   Tensor const d = as_layout(depth, Layout::planar), x = as_layout(image, Layout::planar);
   int64_t const samples = d.size(0), height = d.size(2), width = d.size(3);
 #if defined(KV_CUDA)
-  int64_t const chunks = (height + kSmoothRows - 1) / kSmoothRows * ((width + kSmoothColumns - 1) / kSmoothColumns);
+  int64_t const chunks = ceil_div(height, kSmoothRows) * ceil_div(width, kSmoothColumns);
 #else
   int64_t const chunks = height;
 #endif

@@ -1,4 +1,4 @@
-// Total variation: schemas and operators, for CPU and CUDA.
+// Total variation: schemas and entries, for CPU and CUDA.
 #include "glue/glue.h"
 #include "total_variation.h"
 
@@ -15,7 +15,7 @@ Tensor total_variation(Tensor const& input, double along_y, double along_x) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     int64_t const columns = kVariationColumns<T>, rows = kVariationRows;
-    int64_t const chunks = (height + rows - 1) / rows * ((width + columns - 1) / columns);
+    int64_t const chunks = ceil_div(height, rows) * ceil_div(width, columns);
 #if defined(KV_CUDA)
     Tensor const partial = empty({x.size(0), x.size(1), chunks}, x, Layout::planar, compute_dtype(x));
 #else

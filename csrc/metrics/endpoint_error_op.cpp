@@ -1,4 +1,4 @@
-// Endpoint errors: schemas and operators, for CPU and CUDA.
+// Endpoint errors: schemas and entries, for CPU and CUDA.
 #include "endpoint_error.h"
 #include "glue/glue.h"
 
@@ -27,7 +27,7 @@ struct VectorRows {
     auto const stride = [&](Tensor const& t) { return t.size(0) == rows ? 2 * size : 0; };
     return {data_ptr<T const>(x), data_ptr<T const>(y), planar, stride(x), stride(y), rows, size};
   }
-  int64_t chunks() const { return (size + kEndpointChunk - 1) / kEndpointChunk; }
+  int64_t chunks() const { return ceil_div(size, kEndpointChunk); }
   int64_t cost() const { return 4 * min(size, kEndpointChunk); }
 };
 

@@ -14,7 +14,7 @@ int64_t images_at_once(int64_t batch) {
   return batch;
 #else
   constexpr int64_t kThreadsOfImage = 4;
-  return min(batch, (int64_t(torch::stable::get_num_threads()) + kThreadsOfImage - 1) / kThreadsOfImage);
+  return min(batch, ceil_div(torch::stable::get_num_threads(), kThreadsOfImage));
 #endif
 }
 
@@ -106,8 +106,8 @@ std::tuple<Tensor, Tensor> scale_space_features(Tensor const& input, std::vector
   dispatch_floating(op, image, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    int64_t const together = images_at_once(batch), height = image.size(2), width = image.size(3);
-    ScaleSpace const space(image, together, levels, sizes);
+    int64_t const images_at_a_time = images_at_once(batch), height = image.size(2), width = image.size(3);
+    ScaleSpace const space(image, images_at_a_time, levels, sizes);
     std::vector<Tensor> responses;
     ScaleSpacePeaks<T> params{};
     for (int64_t o = 0; o < octaves; ++o) {
@@ -132,8 +132,8 @@ std::tuple<Tensor, Tensor> scale_space_features(Tensor const& input, std::vector
     params.differences = differences, params.minima = minima;
     params.levels_of_octave = F(levels_of_octave), params.margin = F(margin);
     params.edge_ratio = F(edge_ratio), params.threshold = F(threshold);
-    for (int64_t first = 0; first < batch; first += together) {
-      params.samples = min(together, batch - first);
+    for (int64_t first = 0; first < batch; first += images_at_a_time) {
+      params.samples = min(images_at_a_time, batch - first);
       params.images = data_ptr<T const>(image) + first * params.pixels;
       params.frames = data_ptr<F>(frames) + first * count * 6, params.scores = data_ptr<F>(scores) + first * count;
       space.build(op, image, adjacent_planes(params.images, params.samples, height, width), windows, sigmas, next);

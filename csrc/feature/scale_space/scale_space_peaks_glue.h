@@ -30,7 +30,6 @@ geometry::ConvQuadInterp3d<T> refinement(int64_t steps, double largest_shift, in
 template <class T>
 void run_scale_space_peaks(Tensor const& like, ScaleSpacePeaks<T>& p) {
   using F = Compute<T>;
-  auto const divide_up = [](int64_t n, int64_t by) { return (n + by - 1) / by; };
   int64_t voxels = 0, capacity = 0, parts = 0;
   for (int o = 0; o < p.octave_count; ++o) {
     PeakOctave<T>& octave = p.octaves[o];
@@ -41,11 +40,11 @@ void run_scale_space_peaks(Tensor const& like, ScaleSpacePeaks<T>& p) {
 #if defined(KV_CUDA)
       parts += peak_tiles(int(height), int(width));
 #else
-      parts += divide_up(height, peak_rows(width));
+      parts += ceil_div(height, peak_rows(width));
 #endif
     }
     // Of 2 x 2 x 2 voxels at most one is a maximum and one a minimum.
-    capacity += (1 + p.minima) * divide_up(depth, 2) * divide_up(height, 2) * divide_up(width, 2);
+    capacity += (1 + p.minima) * ceil_div(depth, 2) * ceil_div(height, 2) * ceil_div(width, 2);
   }
   KV_CHECK(voxels <= INT32_MAX && parts <= INT32_MAX, "scale_space_peaks: the volumes are too large");
   p.parts_of_sample = int(parts), p.capacity = capacity;

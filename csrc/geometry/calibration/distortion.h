@@ -7,6 +7,7 @@
 // by distortion_cpu.cpp, distortion.cu and distortion_op.cpp.
 #pragma once
 
+#include "core/ceil_div.h"
 #include "core/isa.h"
 
 namespace kv::geometry {
@@ -29,7 +30,7 @@ struct LensPoints {
 // pixels of a sample are summed first, then the chunks are added up.
 constexpr int kLensSums = 25;  // focal lengths, center, 12 coefficients, tilt
 constexpr int kLensChunk = 4096;
-inline int64_t lens_parts(int64_t count) { return (count + kLensChunk - 1) / kLensChunk; }
+inline int64_t lens_parts(int64_t count) { return ceil_div(count, kLensChunk); }
 
 template <class T>
 struct LensBackward : LensPoints<T> {

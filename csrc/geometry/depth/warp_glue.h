@@ -34,8 +34,7 @@ struct Depths {
 // The number of chunks for the gradient to a projection: one for each tile on CUDA, for each row on the CPU.
 inline int64_t projection_parts(Size output) {
 #if defined(KV_CUDA)
-  auto const tiles = [](int64_t side, int tile) { return (side + tile - 1) / tile; };
-  return tiles(output.height, kDepthTileHeight) * tiles(output.width, kDepthTileWidth);
+  return ceil_div(output.height, kDepthTileHeight) * ceil_div(output.width, kDepthTileWidth);
 #else
   return output.height;
 #endif

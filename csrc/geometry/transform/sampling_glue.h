@@ -57,8 +57,7 @@ void check_planes([[maybe_unused]] char const* op, [[maybe_unused]] Images<T> co
 // on the CPU.
 inline int64_t coords_backward_parts(Size output, [[maybe_unused]] int row) {
 #if defined(KV_CUDA)
-  auto const parts = [](int64_t size, int64_t part) { return (size + part - 1) / part; };
-  return parts(output.height, kTile) * parts(output.width, row * kTile);
+  return ceil_div(output.height, kTile) * ceil_div(output.width, row * kTile);
 #else
   return output.height;
 #endif
@@ -197,8 +196,7 @@ struct WarpMatrix {
 // Whether a CUDA kernel computes the matrices itself. Each of its blocks waits for its matrix; with many blocks that
 // takes longer than a separate launch before them.
 inline bool is_computed_in_kernel(int64_t samples, Size output) {
-  auto const tiles = [](int64_t size) { return (size + kTile - 1) / kTile; };
-  return samples * tiles(output.height) * tiles(output.width) <= 1024;
+  return samples * ceil_div(output.height, kTile) * ceil_div(output.width, kTile) <= 1024;
 }
 
 // A formula and its inputs in operator schemas, and the C++ arguments for them.

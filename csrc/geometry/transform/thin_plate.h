@@ -5,6 +5,7 @@
 // Included by thin_plate_cpu.cpp, thin_plate.cu and thin_plate_op.cpp.
 #pragma once
 
+#include "core/ceil_div.h"
 #include "core/isa.h"
 #include "geometry/small_matrix.h"
 #include "geometry/thread_group.h"
@@ -35,7 +36,7 @@ struct ThinPlate {
 
 // The number of points in one partial sum.
 constexpr int kThinPlateChunk = 1024;
-inline int64_t thin_plate_chunks(int64_t count) { return (count + kThinPlateChunk - 1) / kThinPlateChunk; }
+inline int64_t thin_plate_chunks(int64_t count) { return ceil_div(count, kThinPlateChunk); }
 
 // Adds the parts up: to (B, centers, 2), (B, centers, 2), (B, 3, 2).
 template <class T>

@@ -1,4 +1,4 @@
-// Warps of volumes: schemas and entry points of the operators, for CPU and CUDA.
+// Warps of volumes: schemas and entries, for CPU and CUDA.
 #include "geometry/transform/sampling_glue.h"
 #include "geometry/transform/warp3d.h"
 
@@ -17,7 +17,7 @@ Size3 size3_of(char const* op, Tensor const& x) { return size3_of(op, {x.size(2)
 // Parts of a sample: chunks of voxels on CUDA, rows on the CPU.
 int64_t parts_of(Size3 const& output) {
 #if defined(KV_CUDA)
-  return (output.depth * output.height * output.width + kVoxelsOfPart - 1) / kVoxelsOfPart;
+  return ceil_div(output.depth * output.height * output.width, kVoxelsOfPart);
 #else
   return output.depth * output.height;
 #endif

@@ -106,7 +106,7 @@ Gradients composed_coords_backward(Tensor const& grad, KV_LINK_ARGUMENTS, std::v
     }
 #if defined(KV_CUDA)
     KV_CHECK(batch <= 65535, op, ": expected at most 65535 samples");
-    params.parts = (size.height * size.width + kBackwardPixels - 1) / kBackwardPixels;
+    params.parts = ceil_div(size.height * size.width, kBackwardPixels);
     Tensor const sums = empty({batch, params.parts, count, 9}, grad, Layout::planar, ScalarType::Double);
     params.sums = data_ptr<double>(sums);
 #endif

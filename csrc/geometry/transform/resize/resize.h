@@ -19,6 +19,7 @@
 #pragma once
 
 #include "core/border.h"
+#include "core/ceil_div.h"
 #include "core/cubic.h"
 #include "core/isa.h"
 #include "core/view.h"
@@ -85,8 +86,6 @@ int resize_strips(Resize<T> const& p, CUstream_st* stream);
 
 // --- sizes -----------------------------------------------------------------------------------------------------------
 
-inline int64_t div_up(int64_t a, int64_t b) { return (a + b - 1) / b; }
-
 // Half of the window's width, in units of x.
 KV_HD int filter_radius(ResizeFilter filter) {
   return filter == ResizeFilter::bilinear ? 1 : filter == ResizeFilter::bicubic ? 2 : 3;
@@ -117,21 +116,21 @@ inline ResizeAxis::ResizeAxis(ResizeFilter filter, int64_t source, int64_t resul
   switch (filter) {
     case ResizeFilter::nearest:
     case ResizeFilter::nearest_exact:
-      taps = 1, readers = div_up(result, source);
+      taps = 1, readers = ceil_div(result, source);
       break;
     case ResizeFilter::area:
       taps = source % result ? source / result + 2 : source / result;
-      readers = shrinks ? 2 : div_up(result, source) + 1;
+      readers = shrinks ? 2 : ceil_div(result, source) + 1;
       break;
     case ResizeFilter::pyrdown:
-      taps = 6, readers = num ? div_up(6 * den, num) : result;
+      taps = 6, readers = num ? ceil_div(6 * den, num) : result;
       break;
     case ResizeFilter::pyrup:
-      taps = 4, readers = num ? div_up(2 * den, num) + 4 : result;
+      taps = 4, readers = num ? ceil_div(2 * den, num) + 4 : result;
       break;
     default:  // windows are 0 at both ends
-      taps = div_up(2 * filter_radius(filter) * unit, den);
-      readers = num ? div_up(2 * filter_radius(filter) * unit, num) : result;
+      taps = ceil_div(2 * filter_radius(filter) * unit, den);
+      readers = num ? ceil_div(2 * filter_radius(filter) * unit, num) : result;
   }
   max_taps = int(backward ? min(readers, result) : min(taps, source));
   max_readers = int(backward ? min(taps, source) : min(readers, result));

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.patch_kornia`: a program that stays with Kornia, before and after `kvision.patch_kornia()`.
+"""`python -m benchmarks.patch_kornia`: a program written for Kornia, before and after `kvision.patch_kornia()`.
 
 Ten calls of Kornia's functions, and a pipeline of its augmentations (random resized crop, flip, color jitter, normalize),
 forward and forward + backward. Both run the same lines; the second time inside of the patch.

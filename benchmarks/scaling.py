@@ -55,7 +55,7 @@ class Options:
     device: str
     model: str
     batch: int
-    count: int  # of the pictures, the same for any number of ranks
+    count: int  # of the images, the same for any number of ranks
     size: int
     crop: int
     seconds: float

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.sweep`: what Kornia has as well, function by function, against Kornia's, at two sizes.
+"""`python -m benchmarks.sweep`: every function that Kornia has too, against Kornia's, at two sizes.
 
 Forward without a gradient, and forward + backward to all floating-point arguments, where both libraries have a gradient.
 The arguments are those of benchmarks/sample_calls.py; those of features and augmentations, modules among them, are in

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.uint8_cpu`: uint8 images on one CPU thread, against OpenCV, and torch where OpenCV has nothing.
+"""`python -m benchmarks.uint8_cpu`: uint8 images on one CPU thread, against OpenCV, and torch where OpenCV lacks the function.
 
 One color image, planar and in channels_last; OpenCV's are interleaved, and it writes into memory allocated beforehand. Both
 take turns in one process. The figures are the quickest of many calls, which other work on the machine disturbs least.

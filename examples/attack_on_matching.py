@@ -75,7 +75,7 @@ class Outcome(NamedTuple):
         return self.inliers >= WANTED_INLIERS and min(self.psnr) >= WANTED_PSNR
 
 
-# --- pictures and homographies --------------------------------------------------------------------------------------
+# --- images and homographies --------------------------------------------------------------------------------------
 
 
 def pictures(originals: list[Tensor], height: int, device: torch.device) -> tuple[Tensor, Tensor]:

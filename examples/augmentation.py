@@ -1,13 +1,13 @@
-"""Augment the pictures of a training loop: in the workers of a DataLoader, or whole batches on the device that trains.
+"""Augment the images of a training loop: in the workers of a DataLoader, or whole batches on the device that trains.
 
     python examples/augmentation.py                        windows of scikit-image's photographs
     python examples/augmentation.py --image PHOTO...       of your own
     python examples/augmentation.py --workers 8 --batch 256 --device cuda
 
 First the chain of the Kornia paper: a torch.nn.Sequential of augmentations that returns the product of their matrices, by which the
-pictures are moved back. Then a small network learns which photograph a window is from, once without augmentation, once with
+images are moved back. Then a small network learns which photograph a window is from, once without augmentation, once with
 every sample augmented by the worker that loads it, and once with every batch augmented on the device. Seeds of samples give the
-same pictures either way. The program prints images a second, and writes the chain, a sheet of draws and a batch as pictures.
+same images either way. The program prints images a second, and writes the chain, a sheet of draws and a batch as images.
 """
 
 from __future__ import annotations
@@ -184,7 +184,7 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     parser.add_argument("--batch", type=int, default=32, help="windows in a batch (default 32)")
     parser.add_argument("--windows", type=int, default=512, help="windows in an epoch (default 512)")
     parser.add_argument("--epochs", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=Path("out/augmentation"), help="where the pictures go")
+    parser.add_argument("--out", type=Path, default=Path("out/augmentation"), help="where the images go")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     options = parser.parse_args(arguments)
     for name in ("batch", "windows", "epochs"):
@@ -224,7 +224,7 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     print(f"largest difference between samples and batches: {(by_sample - by_batch).abs().max():.1g}")
     shown = A.Denormalize(MEAN, STD)(by_batch[:16]).clamp(0, 1)
     K.io.write_image(options.out / "batch.png", K.image.make_grid(shown, n_row=4, padding=8))
-    print(f"the chain, draws and a batch are pictures in {options.out}")
+    print(f"the chain, draws and a batch are images in {options.out}")
     return {name: result.rate for name, result in results.items()}
 
 

@@ -123,7 +123,7 @@ def depth_range(camera: Tensor, motions: Tensor, width: int) -> tuple[float, flo
 def stereo(
     left: Tensor, right: Tensor, focal: float | None, baseline: float, device: torch.device, width: int
 ) -> Scene:
-    """A rectified pair of pictures (1, 3, H, W), the second taken `baseline` to the right. Its depth is not known."""
+    """A rectified pair of images (1, 3, H, W), the second taken `baseline` to the right. Its depth is not known."""
     before = (left.shape[2], left.shape[3])
     size = (round(before[0] * width / before[1]), width)
     focal = 1.2 * before[1] if focal is None else focal
@@ -302,7 +302,7 @@ def main(arguments: list[str] | None = None) -> int:
     own = images_of(parser, options.image)
     if own and own[0].shape != own[1].shape:
         parser.error(
-            f"--image: expected two pictures of one size, got {tuple(own[0].shape[2:])} and {tuple(own[1].shape[2:])}"
+            f"--image: expected two images of one size, got {tuple(own[0].shape[2:])} and {tuple(own[1].shape[2:])}"
         )
     require(parser, "matplotlib", "tqdm", *(() if own else ("skimage",)), *(("kornia",) if options.kornia else ()))
     options.out.mkdir(parents=True, exist_ok=True)

@@ -6,7 +6,7 @@
     python examples/feature_matching.py --weights HardNet.pth       HardNet describes the patches instead of SIFT
 
 The third example of the Kornia paper: a Hessian detector with affine shapes and orientations, patches, descriptors, mutual
-nearest neighbors that pass the ratio test, RANSAC. Every pair gives a picture of its inliers.
+nearest neighbors that pass the ratio test, RANSAC. Every pair gives an image of its inliers.
 """
 
 from __future__ import annotations
@@ -200,7 +200,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, help="folder of real pairs")
     parser.add_argument("--weights", type=Path, help="published weights of HardNet; default: SIFT describes")
     parser.add_argument("--features", type=int, default=2000, help="of each image")
-    parser.add_argument("--out", type=Path, default=Path("out/matching"), help="where the pictures go")
+    parser.add_argument("--out", type=Path, default=Path("out/matching"), help="where the images go")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     options = parser.parse_args(arguments)
     device = device_of(parser, options.device)
@@ -226,14 +226,14 @@ def main(arguments: list[str] | None = None) -> int:
         count = int(matches.inliers.sum())
         seconds = time.perf_counter() - begin
         inliers += count
-        verdict = ""
+        result = ""
         if pair.truth is not None:
             error = corner_error(matches.homography, pair)
             missed += error > LIMIT
-            verdict = f", corners {error:.2f} px off (at most {LIMIT:g})" + ("  MISSED" if error > LIMIT else "")
+            result = f", corners {error:.2f} px off (at most {LIMIT:g})" + ("  MISSED" if error > LIMIT else "")
         print(
             f"[{'#' * (i + 1):{len(pairs)}}] {pair.name:10} {count} inliers of {len(matches.points1)} matches in "
-            f"{seconds:.1f} s{verdict}",
+            f"{seconds:.1f} s{result}",
             flush=True,
         )
         draw(pair, matches, options.out / f"{pair.name}.png")
@@ -241,7 +241,7 @@ def main(arguments: list[str] | None = None) -> int:
     K.io.write_image(options.out / "panorama.png", (255 * stitched[0].clamp(0, 1)).round().byte().cpu())
     print(
         f"{inliers} inliers in {len(pairs)} pairs, {missed} missed; panorama of {len(overlapping)} views "
-        f"{stitched.shape[3]}x{stitched.shape[2]}; pictures are in {options.out}"
+        f"{stitched.shape[3]}x{stitched.shape[2]}; images are in {options.out}"
     )
     return 1 if missed else 0
 

@@ -1,18 +1,18 @@
-"""Apply a pipeline of kvision to every picture of a folder: on one machine, or with Ray on a cluster.
+"""Apply a pipeline of kvision to every image of a folder: on one machine, or with Ray on a cluster.
 
     python examples/process_folder.py PICTURES RESULTS                          a Gaussian blur
     python examples/process_folder.py PICTURES RESULTS --pipeline "K.filters.MedianBlur(5)" "K.filters.Sobel()"
-    python examples/process_folder.py PHOTO.jpg RESULTS                         a picture of your own
+    python examples/process_folder.py PHOTO.jpg RESULTS                         an image of your own
     python examples/process_folder.py LIST.txt RESULTS                          a path or URL in each line; URLs take fsspec
     ... --device cuda --decoder torchvision                                     JPEG files are decoded on the GPU
     ... --engine ray --actors 8                                                 pip install "kvision[ray]"; RAY_ADDRESS says where
 
 A step of the pipeline is a Python expression for an nn.Module that takes images (B, 3, H, W) in [0, 1], or uint8 with --uint8;
 images of one size go through it together. The result of PICTURES/a/b.jpg is RESULTS/a/b.jpg.png. It appears complete or not at all,
-so that a second start does what is left of the first. A picture that cannot be read, or that the pipeline refuses, is a line of
+so that a second start does what is left of the first. An image that cannot be read, or that the pipeline refuses, is a line of
 RESULTS/broken.csv and is left alone until --retry.
 
-On one machine the workers of a DataLoader decode, each with several threads. A worker that dies is replaced; a picture whose worker
+On one machine the workers of a DataLoader decode, each with several threads. A worker that dies is replaced; an image whose worker
 dies again, when it is alone, counts as broken. With Ray, a pool of actors, one a GPU, grows with what waits, and tasks decode on
 all CPUs; without GPUs the actors decode as well. Ray holds back what the actors are too busy for, and repeats what was lost with a
 machine.
@@ -55,7 +55,7 @@ PARTIAL = "partial"
 
 @dataclass(frozen=True)
 class Task:
-    """A picture and the file of its result."""
+    """An image and the file of its result."""
 
     path: str
     target: str
@@ -75,7 +75,7 @@ class Read:
 
 
 def tasks_of(source: Path, out: Path, suffix: str = ".png") -> list[Task]:
-    """A task for each picture below a folder, for a picture, or for each line of a text file; no two have the same target."""
+    """A task for each image below a folder, for an image, or for each line of a text file; no two have the same target."""
     if source.is_dir():
         files = (path for path in sorted(source.rglob("*")) if path.suffix.lower() in SUFFIXES and not path.is_dir())
         names = {str(path.relative_to(source)): str(path) for path in files}
@@ -99,7 +99,7 @@ def words(error: Exception) -> str:
 
 
 class Report:
-    """RESULTS/broken.csv, a line for each broken picture, written at once."""
+    """RESULTS/broken.csv, a line for each broken image, written at once."""
 
     def __init__(self, out: Path, retry: bool) -> None:
         self.path = out / "broken.csv"
@@ -145,7 +145,7 @@ def read(number: int, task: Task, keep_jpeg: bool) -> Read:
             if keep_jpeg and (data := plain_jpeg(path)):
                 return Read(number, jpeg=torch.frombuffer(bytearray(data), dtype=torch.uint8))
             return Read(number, K.io.load_image(path, K.io.ImageLoadType.RGB8))
-    except Exception as error:  # whatever is wrong with a picture, the others go on
+    except Exception as error:  # whatever is wrong with an image, the others go on
         return Read(number, error=words(error))
 
 
@@ -162,7 +162,7 @@ def plain_jpeg(path: str) -> bytes:
 
 
 class Pictures(Dataset[Read]):
-    """The pictures of some tasks. A worker decodes those of a batch in several threads."""
+    """The images of some tasks. A worker decodes those of a batch in several threads."""
 
     def __init__(self, tasks: Sequence[Task], threads: int, keep_jpeg: bool) -> None:
         self.tasks, self.threads, self.keep_jpeg = tasks, threads, keep_jpeg
@@ -213,7 +213,7 @@ class Apply:
         self.decode = jpeg_decoder(decoder, self.device) if decoder != "opencv" else None
 
     def __call__(self, batch: Sequence[Read]) -> list[tuple[int, Tensor | str]]:
-        """For each picture its number, and the result, uint8 (C, H, W) in CPU memory, or an error."""
+        """For each image its number, and the result, uint8 (C, H, W) in CPU memory, or an error."""
         results: list[tuple[int, Tensor | str]] = [(item.number, item.error) for item in batch if item.error]
         pixels = {item.number: item.pixels for item in batch if item.pixels is not None}
         files = {item.number: item.jpeg for item in batch if item.jpeg is not None}
@@ -326,7 +326,7 @@ def run_here(tasks: Sequence[Task], options: argparse.Namespace, job: Job) -> No
     pictures = Pictures(tasks, options.threads, options.decoder != "opencv")
     waiting = deque(range(len(tasks)))
     context = "forkserver"  # workers without the threads and the GPU of this process
-    careful = 0  # pictures to read alone, after a worker died
+    careful = 0  # images to read alone, after a worker died
     while waiting:
         workers, size = (1, 1) if careful else (options.workers, options.batch)
         numbers = list(waiting)[: careful or None]
@@ -354,7 +354,7 @@ def run_here(tasks: Sequence[Task], options: argparse.Namespace, job: Job) -> No
 
 
 def decode_rows(rows: dict[str, Any]) -> dict[str, Any]:
-    """Pictures of a batch of Ray's rows, in threads. A broken one has no pixels."""
+    """Images of a batch of Ray's rows, in threads. A broken one has no pixels."""
     with ThreadPoolExecutor(4) as pool:
         items = list(pool.map(lambda path: read(0, Task(path, ""), False), rows["path"]))
     empty = torch.zeros(3, 0, 0, dtype=torch.uint8)
@@ -397,7 +397,7 @@ class ApplyRows:
 def run_on_cluster(
     tasks: Sequence[Task], options: argparse.Namespace, report: Report, progress: Callable[[], object]
 ) -> int:
-    """Decode in tasks, apply in a pool of actors. Returns the number of broken pictures."""
+    """Decode in tasks, apply in a pool of actors. Returns the number of broken images."""
     import ray
 
     logging.getLogger("ray.data").setLevel(logging.WARNING)
@@ -426,7 +426,7 @@ def run_on_cluster(
 
 
 def compare(tasks: Sequence[Task], options: argparse.Namespace) -> None:
-    """Print images a second of OpenCV's loop on some of the pictures, and of every decoder that is installed."""
+    """Print images a second of OpenCV's loop on some of the images, and of every decoder that is installed."""
     import cv2
 
     blurs = options.pipeline == [BLUR]
@@ -443,7 +443,7 @@ def compare(tasks: Sequence[Task], options: argparse.Namespace) -> None:
             cv2.imwrite(f"{folder}/{i}{options.format}", image, quality)
         rate = len(whole) / (time.perf_counter() - begin)
     does = "the same in a loop of OpenCV" if blurs else "reading and writing alone in a loop of OpenCV"
-    print(f"{does}, {len(whole)} pictures: {rate:.0f} images/s")
+    print(f"{does}, {len(whole)} images: {rate:.0f} images/s")
     device = torch.device(options.device)
     for name in decoders(device):
         items = [read(i, task, name != "opencv") for i, task in enumerate(whole)]
@@ -458,7 +458,7 @@ def compare(tasks: Sequence[Task], options: argparse.Namespace) -> None:
             for i in range(0, count, options.batch):
                 decode(files[i : i + options.batch])
             torch.cuda.synchronize(device)
-        print(f"decoding by {name}, {count} pictures: {count / (time.perf_counter() - begin):.0f} images/s")
+        print(f"decoding by {name}, {count} images: {count / (time.perf_counter() - begin):.0f} images/s")
 
 
 def decoders(device: torch.device) -> list[str]:
@@ -481,7 +481,7 @@ def check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     """End the program in one line where the options ask for what is not there."""
     device = device_of(parser, options.device) if options.engine == "local" else torch.device(options.device)
     if not options.source.exists():
-        parser.error(f"{options.source}: expected a folder of pictures or a list of paths, there is none")
+        parser.error(f"{options.source}: expected a folder of images or a list of paths, there is none")
     if options.source.is_file() and options.source.suffix.lower() not in SUFFIXES:
         try:
             options.source.read_text()
@@ -501,7 +501,7 @@ def main(arguments: list[str] | None = None) -> int:
     cores = os.cpu_count() or 1
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "source", type=Path, help="folder of pictures, a picture, or text file with a path or URL in each line"
+        "source", type=Path, help="folder of images, an image, or text file with a path or URL in each line"
     )
     parser.add_argument("out", type=Path, help="folder of the results")
     parser.add_argument("--pipeline", nargs="+", default=[BLUR], metavar="MODULE", help=f"default: {BLUR}")
@@ -514,8 +514,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--threads", type=int, default=min(4, cores), help="of a worker, and to write")
     actors = torch.cuda.device_count() or cores
     parser.add_argument("--actors", type=int, default=actors, help="most, with Ray; default: GPUs, else CPUs, here")
-    parser.add_argument("--retry", action="store_true", help="try the pictures of broken.csv again")
-    parser.add_argument("--compare", type=int, default=64, metavar="N", help="pictures for OpenCV's loop; 0 for none")
+    parser.add_argument("--retry", action="store_true", help="try the images of broken.csv again")
+    parser.add_argument("--compare", type=int, default=64, metavar="N", help="images for OpenCV's loop; 0 for none")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     options = parser.parse_args(arguments)
     check(parser, options)
@@ -538,7 +538,7 @@ def main(arguments: list[str] | None = None) -> int:
             run_here(tasks, options, job)
             broken = job.broken
     seconds = time.perf_counter() - begin
-    print(f"{len(everything)} pictures, {len(everything) - len(tasks)} of them done before", end="; ")
+    print(f"{len(everything)} images, {len(everything) - len(tasks)} of them done before", end="; ")
     print(f"{len(tasks) - broken} done and {broken} broken in {seconds:.1f} s: {len(tasks) / seconds:.3g} images/s")
     if options.compare and tasks:
         compare(list(itertools.islice(tasks, options.compare)), options)

@@ -1,14 +1,14 @@
 """Train a classifier on any number of processes, machines and GPUs, with kvision's augmentation and losses.
 
-    python examples/train_distributed.py                                                 one process, synthetic pictures
+    python examples/train_distributed.py                                                 one process, synthetic images
     torchrun --nproc-per-node 2 examples/train_distributed.py --device cpu               two CPU processes
     torchrun --nproc-per-node gpu examples/train_distributed.py --model resnet50         one process for each GPU of this machine
     torchrun --nnodes 4 --nproc-per-node gpu --rdzv-backend c10d --rdzv-endpoint HOST:29500 examples/train_distributed.py ...
-    ... --data FOLDER                          your own pictures, FOLDER/CLASS/NAME.jpg
+    ... --data FOLDER                          your own images, FOLDER/CLASS/NAME.jpg
     ... --checkpoint FOLDER                    save every so many steps, and continue from there when started again
 
 Gradients are averaged by DistributedDataParallel, over NCCL on GPUs and gloo on CPUs. Every rank augments its own part of the batch
-on its own device, with its own stream of random numbers; with --seed-samples the numbers are functions of the epoch and the picture
+on its own device, with its own stream of random numbers; with --seed-samples the numbers are functions of the epoch and the image
 instead, and a batch is augmented alike on any number of ranks. A checkpoint has the parameters, the state of the optimizer and all
 generators: a run that was killed, also in a single rank, gives the same losses when it is started again with the same number of
 ranks. On GPUs this also takes --deterministic. FOLDER must be seen by all machines. torchrun starts the ranks again itself with
@@ -46,7 +46,7 @@ TEXTURES = ("stripes", "checks", "rings", "dots")
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 WARM_UP, MOMENTUM, DECAY = 0.05, 0.9, 1e-4  # share of the steps; of SGD; of the weights
 
-# --- pictures -------------------------------------------------------------------------------------------------------
+# --- images -------------------------------------------------------------------------------------------------------
 
 
 class Order(Sampler[list[int]]):
@@ -70,7 +70,7 @@ class Order(Sampler[list[int]]):
             yield permutation(self.count, self.seed, epoch)[start : start + self.batch].tolist()
 
     def seeds(self, step: int, indices: Tensor) -> Tensor:
-        """Of the samples: another one for each picture in each epoch."""
+        """Of the samples: another one for each image in each epoch."""
         return indices + (step // self.each_epoch) * self.count + (self.seed << 40)
 
 
@@ -80,7 +80,7 @@ def permutation(count: int, seed: int, epoch: int) -> Tensor:
 
 
 class Textures:
-    """Synthetic pictures, uint8 (3, size, size), in the memory of the device. The class is the kind of texture."""
+    """Synthetic images, uint8 (3, size, size), in the memory of the device. The class is the kind of texture."""
 
     classes = TEXTURES
 
@@ -113,7 +113,7 @@ class Textures:
 
 
 class Folder(Dataset[tuple[Tensor, int, int]]):
-    """Pictures of FOLDER/CLASS, uint8 (3, size, size): the square in the middle. The processes of a DataLoader decode them."""
+    """Images of FOLDER/CLASS, uint8 (3, size, size): the square in the middle. The processes of a DataLoader decode them."""
 
     def __init__(self, folder: Path, size: int) -> None:
         self.size = size
@@ -141,7 +141,7 @@ class Folder(Dataset[tuple[Tensor, int, int]]):
 
 
 class Augmentation(nn.Module):
-    """Random resized crop, flip and color jitter of uint8 pictures, normalized, in `dtype`."""
+    """Random resized crop, flip and color jitter of uint8 images, normalized, in `dtype`."""
 
     def __init__(self, size: int, dtype: torch.dtype, generator: torch.Generator | None = None) -> None:
         super().__init__()
@@ -378,14 +378,14 @@ def process_group(device: torch.device) -> Iterator[None]:
 
 
 def pictures_of(parser: argparse.ArgumentParser, options: argparse.Namespace, device: torch.device) -> Any:
-    """The pictures to train on; too few of them end the program in one line."""
+    """The images to train on; too few of them end the program in one line."""
     global_batch = options.batch * dist.get_world_size()
     if options.data is None:
         return Textures(max(options.count, global_batch), options.size, device)
     pictures = Folder(options.data, options.size) if options.data.is_dir() else ()
     if len(pictures) < global_batch or len(pictures.classes) < 2:
         parser.error(
-            f"--data {options.data}: expected a folder with {global_batch} pictures or more in a folder of each class, got "
+            f"--data {options.data}: expected a folder with {global_batch} images or more in a folder of each class, got "
             f"{len(pictures)} in {len(getattr(pictures, 'classes', ()))}"
         )
     return pictures
@@ -434,22 +434,22 @@ def train(setup: Setup, pictures: Textures | Folder, options: argparse.Namespace
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, help="folder of pictures, in a folder for each class; default: synthetic")
-    parser.add_argument("--count", type=int, default=512, help="of synthetic pictures")
-    parser.add_argument("--size", type=int, default=256, help="of the pictures, before augmentation")
-    parser.add_argument("--crop", type=int, default=224, help="of the pictures, after it")
+    parser.add_argument("--data", type=Path, help="folder of images, in a folder for each class; default: synthetic")
+    parser.add_argument("--count", type=int, default=512, help="of synthetic images")
+    parser.add_argument("--size", type=int, default=256, help="of the images, before augmentation")
+    parser.add_argument("--crop", type=int, default=224, help="of the images, after it")
     parser.add_argument("--model", choices=("small", "resnet50"), default="small", help="resnet50 is torchvision's")
     parser.add_argument("--batch", type=int, default=32, help="of each rank")
     parser.add_argument("--steps", type=int, default=200)
     parser.add_argument("--rate", type=float, default=0.1, help="largest learning rate")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--seed-samples", action="store_true", help="augment a picture alike on any number of ranks")
+    parser.add_argument("--seed-samples", action="store_true", help="augment an image alike on any number of ranks")
     parser.add_argument(
         "--deterministic", action="store_true", help="use only algorithms that give the same bits again"
     )
     parser.add_argument("--checkpoint", type=Path, metavar="FOLDER", help="save to it, and continue from it")
     parser.add_argument("--every", type=int, default=20, help="steps between two lines, and checkpoints")
-    parser.add_argument("--workers", type=int, default=2, help="processes that decode pictures, for each rank")
+    parser.add_argument("--workers", type=int, default=2, help="processes that decode images, for each rank")
     parser.add_argument("--out", type=Path, default=Path("out/train"), help="where losses.csv goes")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     options = parser.parse_args(arguments)

@@ -80,7 +80,7 @@ class CompositionTests:
 
     @pytest.mark.tracing
     @pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
-    def test_compiles_whole_with_any_batch(self, name, case, device):
+    def test_compiles_with_dynamic_batch(self, name, case, device):
         """Values and gradients of one graph. test_dynamic_sweep.py exports every public function."""
         if name not in (self.cases if self.compiled is None else self.compiled):
             pytest.skip("others stand for it")

@@ -443,7 +443,7 @@ class OpTests:
         assert torch.autograd.gradgradcheck(f, values, fast_mode=True, nondet_tol=noise)
 
     @pytest.mark.interface
-    def test_only_what_is_asked_for(self, variant, device):
+    def test_computes_only_requested_gradients(self, variant, device):
         """Gradients of the parameters alone equal those asked for together."""
         self.needs_gradient()
         x, kwargs = self.setup(variant, device)

@@ -79,6 +79,6 @@ class SquarePatchTests(OpTests):
         x, kwargs = self.setup(variant, device, torch.float32)
         assert torch.equal(self.call(x, kwargs)[1:2], self.call(x[1:2], kwargs))
 
-    def test_contrast_and_brightness_change_nothing(self, variant, device):
+    def test_is_invariant_to_contrast_and_brightness(self, variant, device):
         x, kwargs = self.setup(variant, device)
         assert_close(self.call(100 * x + 3, kwargs), self.call(x, kwargs), 1e-5, 1e-5)

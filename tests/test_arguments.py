@@ -62,7 +62,7 @@ def with_tensor_first(home: str) -> Iterator[Call]:
 
 
 @pytest.mark.parametrize("home", HOMES)
-def test_what_is_no_tensor_is_named(home):
+def test_other_types_are_named(home):
     for call in with_tensor_first(home):
         key = next(iter(call.arguments()))
         for kind, value in NO_TENSORS.items():

@@ -85,7 +85,7 @@ def test_takes_sample_photographs_by_default(tmp_path, capsys):
     assert (tmp_path / "1_astronaut_canny.png").exists()
 
 
-@pytest.mark.parametrize("content", [None, b"", b"not a picture", b"\x89PNG\r\n\x1a\n cut short"])
+@pytest.mark.parametrize("content", [None, b"", b"not an image", b"\x89PNG\r\n\x1a\n cut short"])
 def test_a_bad_file_is_named_without_a_traceback(content, photos, tmp_path, capsys):
     bad = tmp_path / "bad.png"
     if content is not None:
@@ -103,7 +103,7 @@ def test_a_bad_file_is_named_without_a_traceback(content, photos, tmp_path, caps
         pytest.param("skimage", "scikit-image", marks=pytest.mark.slow),
     ],
 )
-def test_a_missing_package_is_said_with_how_to_get_it(package: str, name: str, tmp_path: Path) -> None:
+def test_missing_package_is_reported_with_its_command(package: str, name: str, tmp_path: Path) -> None:
     program = f"""
 import runpy, sys
 sys.modules[{package!r}] = None
@@ -123,7 +123,7 @@ def test_an_output_folder_that_is_a_file_is_named(photos, capsys):
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
-def test_a_missing_device_is_said(photos, capsys):
+def test_missing_device_is_reported(photos, capsys):
     assert demo.main([str(photos[0]), "--device", "cuda"]) == 2
     assert "CUDA" in capsys.readouterr().err
 

@@ -141,7 +141,7 @@ def test_training_with_augmentation(workers: int, device, tmp_path: Path, capsys
     assert len(rates) == 3 and all(rate > 0 for rate in rates.values())
     printed = capsys.readouterr().out
     assert float(re.search(r"difference between samples and batches: (\S+)", printed)[1]) < 1e-4
-    assert printed.endswith(f"are pictures in {tmp_path / 'out'}\n")
+    assert printed.endswith(f"are images in {tmp_path / 'out'}\n")
     for name in ("chain", "draws", "batch"):
         assert K.io.load_image(tmp_path / "out" / f"{name}.png").std() > 0.05
 
@@ -212,7 +212,7 @@ WITHOUT_IMAGE = ("train_distributed",)
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
 @pytest.mark.parametrize("name", NAMES + WITHOUT_IMAGE)
-def test_a_missing_device_is_said(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_device_is_reported(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
         example(name).main(["--device", "cuda"])
     assert stopped.value.code == 2
@@ -220,7 +220,7 @@ def test_a_missing_device_is_said(name: str, capsys: pytest.CaptureFixture[str])
 
 
 @pytest.mark.parametrize("name", (*NAMES, "train_distributed", "process_folder", "cpp/save_pipeline"))
-def test_a_missing_package_is_said(name: str, tmp_path: Path, monkeypatch, capsys) -> None:
+def test_missing_package_is_reported(name: str, tmp_path: Path, monkeypatch, capsys) -> None:
     """The error comes before anything is computed."""
     missing = {"PIL", "matplotlib", "ray", "skimage", "torchvision", "tqdm"}
     for module in missing:
@@ -249,7 +249,7 @@ def test_a_wrong_folder_is_an_error(name: str, tmp_path: Path, capsys: pytest.Ca
 
 
 @pytest.mark.parametrize("name", NAMES + WITHOUT_IMAGE)
-def test_an_unknown_device_is_said(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_device_is_reported(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
         example(name).main(["--device", "gpu"])
     assert stopped.value.code == 2
@@ -257,8 +257,8 @@ def test_an_unknown_device_is_said(name: str, capsys: pytest.CaptureFixture[str]
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("content", [None, b"no picture"])
-def test_a_picture_that_cannot_be_read_is_said(name: str, content, tmp_path: Path, capsys) -> None:
+@pytest.mark.parametrize("content", [None, b"no image"])
+def test_unreadable_image_is_reported(name: str, content, tmp_path: Path, capsys) -> None:
     path = tmp_path / "mine.png"
     if content is not None:
         path.write_bytes(content)
@@ -285,7 +285,7 @@ def photographs(folder: Path, shift: int = 0) -> tuple[Path, Path]:
     return paths
 
 
-def test_registration_of_own_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_registration_of_user_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     left, _ = photographs(tmp_path)
     out = tmp_path / "out"
     example("image_registration").main(
@@ -295,7 +295,7 @@ def test_registration_of_own_pictures(tmp_path: Path, capsys: pytest.CaptureFixt
     assert (out / "left_gauss-newton.png").stat().st_size > 0
 
 
-def test_the_correlation_tells_other_minima(device) -> None:
+def test_correlation_separates_other_minima(device) -> None:
     pytest.importorskip("skimage")
     registration = example("image_registration")
     pair = next(registration.synthetic(device))
@@ -304,7 +304,7 @@ def test_the_correlation_tells_other_minima(device) -> None:
     )
 
 
-def test_depth_of_own_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_depth_of_user_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A flat scene at a shift of 8 pixels of 160, and a range of depth from the views alone."""
     depth = example("depth_estimation")
     left, right = photographs(tmp_path, 8)

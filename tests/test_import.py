@@ -67,7 +67,7 @@ print("kvision" in sys.modules)
     assert printed(program).strip() == "False"
 
 
-def test_all_names_are_there() -> None:
+def test_all_names_exist() -> None:
     program = "from kvision import *; import kvision; print(set(kvision.__all__) <= {*globals()}, sobel, filters)"
     everything, rest = printed(program).split(maxsplit=1)
     assert everything == "True" and "function sobel" in rest and "module 'kvision.filters'" in rest

@@ -114,9 +114,7 @@ def test_the_command_reports_files_and_folders(tmp_path: Path, capsys: pytest.Ca
 
 
 @pytest.mark.parametrize("content", [None, b"def f(:", b"\xff\xfe"])
-def test_a_file_that_cannot_be_read_is_named(
-    content: bytes | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unreadable_file_is_named(content: bytes | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "bad.py"
     if content is not None:
         path.write_bytes(content)

@@ -68,7 +68,7 @@ BYTES_ON_CPU = {
 @pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=str)
 @pytest.mark.parametrize("name", BYTES_ON_CPU)
 def test_bytes_go_through_kernels_of_floats(name, layout, backend, monkeypatch):
-    """As on CUDA, whose kernels of these operators take no bytes: here the CPU's are kept from taking them."""
+    """Disable the uint8 kernels of the CPU for these operators, as CUDA has none."""
     if backend == "reference":
         pytest.skip("this test is about the kernels")
     operator, call = _ops.operators[name], BYTES_ON_CPU[name]

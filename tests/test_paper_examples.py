@@ -85,7 +85,7 @@ def test_filters_are_layers(image: Tensor, device: torch.device) -> None:
     assert image.grad.abs().sum() > 0 and all(p.grad is not None for p in model.parameters())
 
 
-# -- the examples. Each begins with a picture that OpenCV reads.
+# -- the examples. Each begins with an image that OpenCV reads.
 
 
 @pytest.fixture

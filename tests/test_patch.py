@@ -37,7 +37,7 @@ def namespaces() -> dict[str, dict[str, Any]]:
     }
 
 
-def test_kvision_takes_the_place_everywhere_and_is_undone() -> None:
+def test_patch_replaces_kornia_and_is_undone() -> None:
     before = namespaces()
     with K.patch_kornia() as patch:
         assert kornia.filters.sobel is K.filters.sobel
@@ -56,7 +56,7 @@ def test_kvision_takes_the_place_everywhere_and_is_undone() -> None:
         assert not changed, name
 
 
-def test_the_report_names_what_is_left_and_why() -> None:
+def test_report_names_remaining_uses_with_reasons() -> None:
     with K.patch_kornia() as patch:
         assert "propagates labels" in patch.left["contrib.connected_components"]
         assert "of its own library" in patch.left["geometry.depth_warp"]
@@ -69,7 +69,7 @@ def test_the_report_names_what_is_left_and_why() -> None:
         assert all(name in repr(patch) for name in names)
 
 
-def test_calls_that_would_differ_go_to_kornia() -> None:
+def test_calls_with_other_results_go_to_kornia() -> None:
     image = torch.rand(1, 3, 16, 16)
     data = (255 * image).to(torch.uint8)
     expected = kornia.geometry.resize(image, 8, antialias=True), kornia.filters.box_blur(data, 3)
@@ -319,7 +319,7 @@ LACKING = re.compile(r"NameError: name|has no attribute|No module named 'kvision
 
 
 @pytest.mark.slow
-def test_examples_of_kornia_pass_with_kvision_in_its_place(examples) -> None:
+def test_examples_of_kornia_pass_with_the_patch(examples) -> None:
     """All that pass with Kornia and use nothing that kvision lacks, but for those of random and of decided differences."""
     every, before = examples
     shared = [(m, test) for m, test in every if hasattr(K, m.__name__.split(".")[1])]  # no models of Kornia's own

@@ -1,4 +1,4 @@
-"""examples/process_folder.py: killed workers and jobs, broken pictures, lists of paths, decoders of a GPU."""
+"""examples/process_folder.py: killed workers and jobs, broken images, lists of paths, decoders of a GPU."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ WAIT = "type('Wait', (nn.Module,), {'forward': lambda self, x: (__import__('time
 
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """500 pictures in two folders, in three formats and two sizes, seven of them broken."""
+    """500 images in two folders, in three formats and two sizes, seven of them broken."""
     folder = tmp_path_factory.mktemp("pictures")
     texture = np.random.default_rng(0).integers(0, 256, (60, 80, 3), np.uint8)
     for name in ("a", "b"):
@@ -50,7 +50,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
         path.write_bytes(cv2.imencode(path.suffix.lower(), image)[1].tobytes())
     whole = {suffix: cv2.imencode(suffix, texture)[1].tobytes() for suffix in (".jpg", ".png")}
     (folder / "empty.png").write_bytes(b"")
-    (folder / "text.jpg").write_text("this is no picture")
+    (folder / "text.jpg").write_text("this is no image")
     (folder / "short.jpg").write_bytes(whole[".jpg"][: len(whole[".jpg"]) // 2])
     (folder / "short.png").write_bytes(whole[".png"][: len(whole[".png"]) // 2])
     damaged = bytearray(whole[".png"])
@@ -110,7 +110,7 @@ def workers_of(process: int, engine: str) -> list[int]:
 
 
 def check(pictures: Path, out: Path) -> None:
-    """Every picture has its result or its line in the report, and some results are what the pipeline gives."""
+    """Every image has its result or its line in the report, and some results are what the pipeline gives."""
     names = {str(path.relative_to(pictures)) for path in pictures.rglob("*") if not path.is_dir()}
     assert len(names) == COUNT
     assert set(results(out)) == {f"{name}.png" for name in names - set(BROKEN)}
@@ -130,7 +130,7 @@ def check(pictures: Path, out: Path) -> None:
     "engine",
     ["local", pytest.param("ray", marks=pytest.mark.skipif(not find_spec("ray"), reason="Ray is not installed"))],
 )
-def test_nothing_is_lost_and_nothing_done_twice(engine: str, pictures: Path, tmp_path: Path) -> None:
+def test_each_image_is_processed_once(engine: str, pictures: Path, tmp_path: Path) -> None:
     """A worker is killed in the middle, later the whole job, which is then started again."""
     out = tmp_path / "out"
     options = ("--engine", engine, "--workers", "2", "--compare", "0", "--pipeline", BLUR, WAIT)
@@ -152,25 +152,25 @@ def test_nothing_is_lost_and_nothing_done_twice(engine: str, pictures: Path, tmp
     assert job.returncode == 0, output
     check(pictures, out)
     assert results(out).items() >= first.items(), "results of the first start were written again"
-    assert f"{COUNT} pictures, " in output and output.endswith(f"results and broken.csv are in {out}\n")
+    assert f"{COUNT} images, " in output and output.endswith(f"results and broken.csv are in {out}\n")
 
 
 def run(*options: object) -> int:
     return example("process_folder").main([*map(str, options), "--device", "cpu", "--workers", "0"])
 
 
-def test_a_second_start_has_nothing_to_do(pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_second_start_does_no_work(pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert run(pictures, out) == 0
     check(pictures, out)
     printed = capsys.readouterr().out
     done = COUNT - len(BROKEN)
-    assert printed.startswith(f"500 pictures, 0 of them done before; {done} done and 7 broken in ")
+    assert printed.startswith(f"500 images, 0 of them done before; {done} done and 7 broken in ")
     assert "the same in a loop of OpenCV, " in printed and "decoding by opencv, " in printed
     first = results(out)
     assert run(pictures, out) == 0
     assert results(out) == first
-    assert "500 pictures, 500 of them done before; 0 done and 0 broken" in capsys.readouterr().out
+    assert "500 images, 500 of them done before; 0 done and 0 broken" in capsys.readouterr().out
     assert run(pictures, out, "--retry", "--compare", 0) == 0
     assert "493 of them done before; 0 done and 7 broken" in capsys.readouterr().out
     check(pictures, out)
@@ -190,7 +190,7 @@ def test_a_list_of_paths_and_urls(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert run(tmp_path / "list.txt", tmp_path / "out", "--pipeline", "K.filters.Sobel()", "--compare", 0) == 0
     inside = str(tmp_path).lstrip("/")
     assert results(tmp_path / "out").keys() == {f"{inside}/a b.png.png", f"{inside}/c.png.png"}
-    assert "3 pictures, 0 of them done before; 2 done and 1 broken" in capsys.readouterr().out
+    assert "3 images, 0 of them done before; 2 done and 1 broken" in capsys.readouterr().out
     assert "nowhere://bucket/d.png," in (tmp_path / "out" / "broken.csv").read_text()
 
 
@@ -200,7 +200,7 @@ def test_results_as_jpeg(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert run(tmp_path / "list.txt", tmp_path / "out", "--format", ".jpg") == 0
     (result,) = (tmp_path / "out").rglob("gray.png.jpg")
     assert result.read_bytes().startswith(b"\xff\xd8")
-    assert "the same in a loop of OpenCV, 1 pictures: " in capsys.readouterr().out
+    assert "the same in a loop of OpenCV, 1 images: " in capsys.readouterr().out
 
 
 def test_a_task_is_finished_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,10 +210,10 @@ def test_a_task_is_finished_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     tasks = [process.Task(str(i), str(tmp_path / f"{i}.png")) for i in range(3)]
     job = process.Job(tasks, process.Report(tmp_path, False), 2, lambda: None)
     for _ in range(2):
-        job.finish([(0, torch.zeros(3, 1, 1)), (1, "no picture"), (2, torch.zeros(3, 1, 1))])
+        job.finish([(0, torch.zeros(3, 1, 1)), (1, "no image"), (2, torch.zeros(3, 1, 1))])
     job.wait()
     assert sorted(written) == ["0", "2"] and job.broken == 1
-    assert (tmp_path / "broken.csv").read_text().splitlines() == ["path,error", "1,no picture"]
+    assert (tmp_path / "broken.csv").read_text().splitlines() == ["path,error", "1,no image"]
 
 
 def test_jpeg_files_go_to_the_decoder_of_the_gpu(pictures: Path) -> None:
@@ -255,20 +255,20 @@ def test_a_rotated_jpeg_is_left_to_opencv(data) -> None:
         (["--pipeline", "K.filters.NoSuch()"], "--pipeline: AttributeError: module 'kvision.filters' has no attribute"),
     ],
 )
-def test_wrong_options_are_said(options: list[str], said: str, tmp_path: Path, capsys) -> None:
+def test_wrong_options_are_reported(options: list[str], said: str, tmp_path: Path, capsys) -> None:
     with pytest.raises(SystemExit) as stopped:
         example("process_folder").main([str(tmp_path), str(tmp_path / "out"), "--device", "cpu", *options])
     assert stopped.value.code == 2
     assert f"error: {said}" in capsys.readouterr().err.splitlines()[-1]
     with pytest.raises(SystemExit):
         run(tmp_path / "wrong", tmp_path / "out")
-    assert "expected a folder of pictures or a list of paths, there is none" in capsys.readouterr().err
+    assert "expected a folder of images or a list of paths, there is none" in capsys.readouterr().err
     (tmp_path / "list.bin").write_bytes(b"\xff\xfe\xff")
     with pytest.raises(SystemExit):
         run(tmp_path / "list.bin", tmp_path / "out")
     assert "expected a text file with a path or URL in each line" in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_a_single_picture(pictures: Path, tmp_path: Path) -> None:
+def test_single_image(pictures: Path, tmp_path: Path) -> None:
     assert run(pictures / "a" / "0.jpg", tmp_path / "out", "--compare", 0) == 0
     assert (tmp_path / "out" / "0.jpg.png").stat().st_size > 0

@@ -1,4 +1,4 @@
-"""Calls leave nothing behind: the heap and the GPU's memory do not grow over thousands of them."""
+"""Calls leak no memory: the heap and the GPU's memory do not grow over thousands of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""examples/train_distributed.py under torchrun on CPUs: streams, resumption after a killed rank, folders of pictures."""
+"""examples/train_distributed.py under torchrun on CPUs: streams, resumption after a killed rank, folders of images."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_streams_of_ranks_differ(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_ranks_share_an_epoch(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every picture once in an epoch, in batches that are the same for 1 and 2 ranks."""
+    """Every image once in an epoch, in batches that are the same for 1 and 2 ranks."""
     training = example("train_distributed")
 
     def batches(ranks: int) -> list[list[int]]:
@@ -148,7 +148,7 @@ def test_ranks_share_an_epoch(monkeypatch: pytest.MonkeyPatch) -> None:
     assert alone[:3] != alone[3:]
 
 
-def test_pictures_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_images_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for label, name in enumerate(("dark", "bright")):
         (tmp_path / "data" / name).mkdir(parents=True)
         for i in range(6):

@@ -58,7 +58,7 @@ REASONS = {
 @dataclass
 class Row:
     name: str
-    verdict: str  # agrees, differs, not run, not exported
+    result: str  # agrees, differs, not run, not exported
     message: str = ""
 
     @property
@@ -174,7 +174,7 @@ def page(rows: list[Row]) -> str:
     import onnxruntime
 
     rows = [row for row in rows if row.message != NO_TENSORS]
-    agree = [row for row in rows if row.verdict == "agrees"]
+    agree = [row for row in rows if row.result == "agrees"]
     versions = f"torch {torch.__version__.split('+')[0]}, onnxruntime {onnxruntime.__version__}, opset {OPSET}"
     lines = [
         "# Functions in ONNX",
@@ -191,7 +191,7 @@ def page(rows: list[Row]) -> str:
         "|---|---|---|",
     ]
     lines += [
-        f"| `{row.name}` | {row.verdict} | {row.reason.replace('|', ' ')} |" for row in rows if row.verdict != "agrees"
+        f"| `{row.name}` | {row.result} | {row.reason.replace('|', ' ')} |" for row in rows if row.result != "agrees"
     ]
     lines += ["", "## Those that do", ""]
     for module in sorted({row.name.split(".")[0] for row in agree}):
@@ -223,7 +223,7 @@ def main() -> None:
         kept[row.name] = asdict(row)
         KEPT.parent.mkdir(exist_ok=True)
         KEPT.write_text(json.dumps(kept, indent=1))
-        print(f"{row.name:50} {row.verdict:14} {row.message if options.show else row.reason}", flush=True)
+        print(f"{row.name:50} {row.result:14} {row.message if options.show else row.reason}", flush=True)
     assert not {call.name for call in calls} & set(WITHOUT_SAMPLE)
     if not options.names:
         PAGE.write_text(page([Row(**kept[call.name]) for call in calls]))

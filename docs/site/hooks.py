@@ -64,7 +64,7 @@ def listing(path: Path) -> str:
 
 
 def list_of_examples(paths: list[Path]) -> str:
-    lines = ["# Examples", "", "Programs to read and to run on your own pictures.", ""]
+    lines = ["# Examples", "", "Programs to read and to run on your own images.", ""]
     lines += [f"- [{title(path.stem)}]({path.name}): {first_paragraph(path)}" for path in paths]
     return "\n".join(
         [*lines, "- [C++](cpp): a CMake project that calls kvision, and one that runs saved pipelines.", ""]

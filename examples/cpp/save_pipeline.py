@@ -59,7 +59,7 @@ def save(pipeline: nn.Module, image: Tensor, folder: Path) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--image", type=Path, help="a picture; default: a photograph of scikit-image")
+    parser.add_argument("--image", type=Path, help="an image; default: a photograph of scikit-image")
     parser.add_argument("--device", default="cpu", help="where the pipeline will run: cpu or cuda")
     parser.add_argument("--out", type=Path, default=Path("build/pipeline"), help="folder for the files")
     options = parser.parse_args(arguments)

@@ -1,4 +1,4 @@
-"""Policies: what each sample gets is what its operations give one by one, chosen and drawn as the papers say."""
+"""Policies: each sample equals its operations applied one by one, chosen and drawn as in the papers."""
 
 from __future__ import annotations
 
@@ -294,7 +294,7 @@ def test_gradients_reach_images(make: Any, device: torch.device) -> None:
 
 
 @policies_and_mixtures
-def test_work_does_not_depend_on_the_batch_and_reads_nothing_back(make: Any) -> None:
+def test_operations_do_not_depend_on_the_batch_or_synchronize(make: Any) -> None:
     calls = []
     make()(images(batch=2), seed=1)  # constants are made once in a process
     for batch in (2, 50):
@@ -408,7 +408,7 @@ def test_operations_of_a_mixture() -> None:
     assert bits.tolist() == [0, 1, 2, 3, 4]
 
 
-def test_a_mixture_leaves_labels_where_they_are(device: torch.device) -> None:
+def test_mixtures_keep_positions_of_labels(device: torch.device) -> None:
     augment = A.AugmentationSequential(AugMix(10), data_keys=["input", "mask", "keypoints"])
     x, points = images(device), torch.rand(32, 2, 2, device=device)
     y, mask, moved_points = augment(x, x, points)

@@ -130,7 +130,7 @@ def test_classes_belong_to_the_boxes_before_them() -> None:
     assert container(min_box_visibility=0.4)(IMAGE, BOXES, one_hot)[2][0, 1].tolist() == [-1] * 4
 
 
-def test_replay_and_labels_alone_are_filtered_alike(device: torch.device) -> None:
+def test_replay_and_labels_alone_are_filtered_equally(device: torch.device) -> None:
     children = A.RandomResizedCrop((6, 5), scale=(0.2, 0.5)), A.RandomHorizontalFlip(), A.RandomRotation(30.0)
     augment = container(*children, clip_boxes=True, min_box_visibility=0.3)
     images = torch.rand(8, 3, 20, 24, device=device)

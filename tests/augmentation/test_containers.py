@@ -1,4 +1,4 @@
-"""Containers: what is joined gives what the augmentations give one after the other, and labels stay on their objects."""
+"""Containers: joined augmentations equal separate ones, and labels stay on their objects."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_a_child_that_runs_twice_is_replayed_with_both_draws(device: torch.devic
 
 
 @pytest.mark.parametrize(("name", "warps"), [("flips and a warp", 1), ("a warp and a crop", 1), ("two warps", 0)])
-def test_what_is_joined(name: str, warps: int) -> None:
+def test_joined_operators(name: str, warps: int) -> None:
     container = A.ImageSequential(*CHAINS[name]())
     container(images())
     assert sum(isinstance(stage, Warp) for stage in container._stages) == warps

@@ -1,4 +1,4 @@
-"""What holds for every augmentation: randomness, replay, probabilities, types, layouts, ranks, gradients."""
+"""Tests of every augmentation: randomness, replay, probabilities, types, layouts, ranks, gradients."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def test_labels_of_antialiased_crops(device: torch.device) -> None:
 
 @pytest.mark.parametrize("align_corners", [True, False])
 @pytest.mark.parametrize("resample", ["nearest", "bilinear", "bicubic"])
-def test_resize_by_itself_gives_what_calls_give(resample: str, align_corners: bool) -> None:
+def test_resize_module_equals_the_function(resample: str, align_corners: bool) -> None:
     x = torch.rand(2, 3, 17, 13)
     augment = A.Resize((9, 11), resample=resample, align_corners=align_corners)
     y = augment(x)

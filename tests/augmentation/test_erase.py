@@ -47,7 +47,7 @@ def test_rectangles(device):
     assert torch.equal(erase_rectangles(x, boxes(x)[:1].float().to(device), values[:1])[4].cpu(), expected[0])
 
 
-def test_nan_erases_nothing(device):
+def test_nan_erases_no_pixel(device):
     x = torch.ones(1, 1, 4, 4, device=device)
     for i in range(4):
         box = torch.tensor([[0.0, 0.0, 4.0, 4.0]], device=device)

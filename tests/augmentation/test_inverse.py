@@ -1,4 +1,4 @@
-"""What `inverse` finds in a result: images, labels, and which pixels are known."""
+"""`inverse` of results: images, labels, and masks of known pixels."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_maps_are_undone(name: str, device: torch.device) -> None:
 
 
 @pytest.mark.parametrize("name", MAPS)
-def test_a_map_alone(name: str, device: torch.device) -> None:
+def test_single_map(name: str, device: torch.device) -> None:
     image = smooth(device).expand(3, -1, -1, -1)
     augment = MAPS[name](p=0.5)
     moved = augment(image, seed=4)
@@ -61,7 +61,7 @@ def test_a_map_alone(name: str, device: torch.device) -> None:
 
 
 @pytest.mark.parametrize("name", MAPS)
-def test_boxes_hold_what_was_in_them(name: str, device: torch.device) -> None:
+def test_boxes_bound_what_they_contained(name: str, device: torch.device) -> None:
     """Sides bend: a moved box is around all of its outline, not only around the corners."""
     box = torch.tensor([[[14.0, 10.0, 50.0, 38.0]]], device=device)
     corners = torch.tensor([[[[14.0, 10], [49, 10], [49, 37], [14, 37]]]], device=device)

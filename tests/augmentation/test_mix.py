@@ -117,7 +117,7 @@ def test_mosaic_boxes_are_on_their_objects() -> None:
     assert torch.equal(mosaic(x, whole, seed=2)[1], mosaic(x, whole.float(), seed=2)[1])
 
 
-def test_what_cannot_be_mixed_is_refused() -> None:
+def test_refuses_tensors_that_cannot_be_mixed() -> None:
     x = images()
     with pytest.raises(NotImplementedError, match="boxes cannot be mixed"):
         A.RandomMixUpV2(data_keys=["input", "bbox_xyxy"])(x, torch.zeros(6, 1, 4))

@@ -170,7 +170,7 @@ def test_padding_is_that_of_the_first_that_interpolates(device: torch.device) ->
     torch.testing.assert_close(y.amin((0, 2, 3)).cpu(), torch.tensor([0.1, 0.2, 0.3]))
 
 
-def test_nothing_is_composed_without_need(device: torch.device) -> None:
+def test_composes_only_where_needed(device: torch.device) -> None:
     """What has one interpolation alone is computed as by itself; nothing that is kept grows with the images."""
     x = images(device)
     for children in (
@@ -275,7 +275,7 @@ def test_antialiased_where_it_shrinks(device: torch.device) -> None:
     assert (averaged - expected).square().mean() < 0.1 * (picked - expected).square().mean()
 
 
-def test_antialiasing_changes_nothing_that_grows(device: torch.device) -> None:
+def test_antialiasing_keeps_images_that_grow(device: torch.device) -> None:
     """Also next to an augmentation of another batch's size, and for bytes."""
     x = images(device)
     chain = [A.RandomResizedCrop((20, 26), (0.05, 0.2), (1.2, 1.4), antialias=True), A.RandomRotation(20.0, p=1.0)]

@@ -38,7 +38,7 @@ def test_replay_seeds_and_gradients(name: str, device: torch.device) -> None:
 
 
 @names
-def test_probability_is_that_of_the_choices(name: str) -> None:
+def test_probability_follows_the_choices(name: str) -> None:
     for probability in (0.0, 1.0):
         operation = getattr(O, name)(initial_probability=probability)
         operation(images())

@@ -192,7 +192,7 @@ def test_fill_of_bytes(device: torch.device) -> None:
         torch.testing.assert_close(augment(stored / 255.0, seed=2) * 255, y.float(), atol=0.51, rtol=0)
 
 
-def test_what_is_refused() -> None:
+def test_refusals() -> None:
     jitter = A.ColorJitter(0.2, 0.2, 0.2, 0.1)
     with pytest.raises(ValueError, match=r"ColorJitter: expected images of 3 channels, got \(2, 1, 8, 8\)"):
         A.ImageSequential(A.RandomHorizontalFlip(), jitter)(torch.rand(2, 1, 8, 8))

@@ -1,4 +1,4 @@
-"""Sheets of draws: what is drawn is where the object is."""
+"""Sheets of draws: labels are drawn at their objects."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_sheets(device: torch.device, tmp_path: Path) -> None:
     assert (written - sheet.cpu()).abs().max() < 0.01
 
 
-def test_samples_of_a_batch_take_turns(device: torch.device) -> None:
+def test_samples_of_a_batch_alternate(device: torch.device) -> None:
     images = torch.rand(2, 1, 16, 16, device=device)
     boxes = [torch.tensor([[2.0, 2.0, 9.0, 9.0]], device=device), torch.zeros(0, 4, device=device)]
     cells = draw_samples(nn.Identity(), (images, boxes), ["image", "bbox_xyxy"], count=4, size=16)[1:]

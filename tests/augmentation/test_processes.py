@@ -159,7 +159,7 @@ def test_seeds_of_samples_are_invariant_under_workers(workers: int) -> None:
         torch.testing.assert_close(torch.cat(parts), whole, rtol=0, atol=1e-6)
 
 
-def test_workers_have_their_own_numbers() -> None:
+def test_workers_draw_different_numbers() -> None:
     """Without seeds torch gives each worker a stream, which follows from the generator of the loader."""
 
     def load() -> Tensor:

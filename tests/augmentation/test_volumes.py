@@ -1,4 +1,4 @@
-"""What holds for every augmentation of volumes: that of test_contract.py, geometry by formula, and the results of Kornia."""
+"""Tests of every augmentation of volumes: those of test_contract.py, geometry by formula, and the results of Kornia."""
 
 from __future__ import annotations
 
@@ -385,7 +385,7 @@ def test_parameters_have_the_shapes_of_kornia(case: Case) -> None:
     }
 
 
-def test_crops_of_volumes_change_the_shape_that_later_draws_see() -> None:
+def test_draws_after_a_crop_use_its_shape() -> None:
     volumes = torch.rand(4, 1, 12, 12, 12) + 1
     crops = A.ImageSequential(A.RandomCrop3D((6, 6, 6), p=1.0), A.RandomCrop3D((3, 3, 3), p=1.0))
     assert (crops(volumes, seed=1) > 0).all()  # no voxel from outside of the first crop

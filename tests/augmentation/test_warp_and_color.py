@@ -277,7 +277,7 @@ def test_pipeline_takes_three_launches_at_most(device):
 @pytest.mark.parametrize("memory_format", [None, torch.contiguous_format, torch.channels_last])
 @pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.uint8])
 @pytest.mark.parametrize("stored", [torch.uint8, torch.float32])
-def test_results_have_the_wanted_type_and_layout(stored, dtype, memory_format, device):
+def test_results_have_the_requested_type_and_layout(stored, dtype, memory_format, device):
     x = torch.randint(0, 256, (4, 3, 32, 32), dtype=torch.uint8, device=device)
     x = x if stored == torch.uint8 else x.float() / 255
     augment = pipeline(output_dtype=dtype, memory_format=memory_format)

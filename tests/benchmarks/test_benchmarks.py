@@ -258,7 +258,7 @@ def test_command_line(tmp_path, capsys):
     assert {bar["what"] for bar in report["bars"]} <= {"of opencv's time"}
 
 
-def test_command_line_refuses_what_it_does_not_know(capsys):
+def test_command_line_refuses_unknown_options(capsys):
     assert command.main(["no_such_case"]) == 2
     for wrong in (["--peers", "photoshop"], ["--sizes", "3x4"], ["--dtype", "int8"]):
         with pytest.raises(SystemExit):
@@ -357,7 +357,7 @@ def test_efficiency_is_the_rate_over_that_of_single_ranks():
     assert training.endswith(f"{27 / 9 / (32 / 10):.2%} / 95%  MISSED")
 
 
-def test_differences_between_devices_are_said():
+def test_differences_between_devices_are_reported():
     one = [torch.ones(2)]
     assert scaling.compared(one, lambda: [torch.ones(2)]) == ""
     assert scaling.compared(one, lambda: [torch.tensor([1.0, 1.5])]) == "differs by 0.5"

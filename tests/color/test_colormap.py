@@ -1,4 +1,4 @@
-"""Color maps and what they are applied to."""
+"""Color maps and their application to images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every color conversion must keep: Kornia's values, gradients of any order, leading axes, types, layouts, errors."""
+"""Tests of every color conversion: Kornia's values, gradients of any order, leading axes, types, layouts, errors."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def colors(shape: tuple[int, ...], device: Any, dtype: torch.dtype = torch.float
 # --------------------------------------------------------------------------------------------------------------- values
 
 
-def test_every_function_is_here_or_has_a_file_of_its_own():
+def test_every_function_is_tested_here_or_in_its_own_file():
     elsewhere = {"apply_colormap", "rgb_to_raw", "raw_to_rgb", "raw_to_rgb_2x2_downscaled"}
     elsewhere |= {f"{a}_to_{b}" for a, b in itertools.permutations(("rgb", "yuv420", "yuv422"), 2) if "rgb" in (a, b)}
     functions = {name for name, value in vars(C).items() if hasattr(value, "__annotations__") and name.islower()}
@@ -161,7 +161,7 @@ def test_derivatives(case, convert, device):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16], ids=str)
-def test_gradients_are_finite_on_the_whole_cube(case, convert, dtype, device):
+def test_gradients_are_finite_on_the_rgb_cube(case, convert, dtype, device):
     """Black, white, grays and primaries included."""
     x = case.of_rgb(lattice(9).float()).to(dtype).to(device).requires_grad_()
     y = convert(x)
@@ -222,7 +222,7 @@ def test_layouts(case, convert, layout, device):
 
 @pytest.mark.tracing
 @pytest.mark.parametrize("name", ["rgb_to_hsv", "rgb_to_lab", "rgba_to_rgb"])
-def test_compiles_whole_with_any_batch(case, convert, device):
+def test_compiles_with_dynamic_batch(case, convert, device):
     torch._dynamo.reset()
     compiled = torch.compile(convert, fullgraph=True, backend="aot_eager")
     for batch in (2, 3):

@@ -147,7 +147,7 @@ class TestRgbToGrayscale(ConversionTests):
     ],
     ids=str,
 )
-def test_a_program_that_is_none_is_refused(plan, parameters):
+def test_invalid_program_is_refused(plan, parameters):
     if "cpu" in _backend.unserved:
         pytest.skip("the operators are declared by libkvision.so")
     with pytest.raises(RuntimeError, match="color_program: "):

@@ -1,4 +1,4 @@
-"""Alpha as a number or a picture, and backgrounds of every shape."""
+"""Alpha as a number or an image, and backgrounds of every shape."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def test_numbers_never_change() -> None:
     assert {name: step.number for name, step in STEPS.items()} == NUMBERS
 
 
-def test_table_is_that_of_the_kernels() -> None:
+def test_table_equals_that_of_the_kernels() -> None:
     text = (CSRC / "step_list.h").read_text()
     rows = re.findall(r"X\((\w+), (\d+), (\d+), (\w+), (\w+), (\w+), (\w+)\)", text)
     assert {name: Step(int(number), int(n), *rest) for name, number, n, *rest in rows} == STEPS

@@ -19,7 +19,7 @@ def kornia():
 
 
 def spiral(size: int) -> torch.Tensor:
-    """One region of one pixel's width that winds through the whole picture."""
+    """One region of one pixel's width that winds through the whole image."""
     mask = torch.zeros(size, size)
     y = x = 0
     dy, dx, length = 0, 1, size - 1
@@ -70,7 +70,7 @@ def test_patches(kornia, window, stride, padding, auto, device):
     assert_close(C.combine_tensor_patches(patches, (14, 13), window, stride, auto, padding).cpu(), expected, 1e-6, 1e-6)
 
 
-def test_patches_there_and_back(device):
+def test_patches_round_trip(device):
     for dtype in (torch.uint8, torch.float16, torch.int64):
         x = torch.randint(0, 200, (2, 3, 10, 12), device=device).to(dtype)
         for stride in (4, 3, 1):

@@ -1,4 +1,4 @@
-"""Panoramas, with a matcher that knows the truth."""
+"""Panoramas, with a matcher that returns the true correspondences."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def shift(x, y=0.0):
 
 @pytest.mark.parametrize("estimator, wrong", [("ransac", 20), ("vanilla", 0)])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_cut_images_are_whole_again(estimator, wrong, channels, device):
+def test_crops_are_stitched_into_the_image(estimator, wrong, channels, device):
     wide = torch.rand(2, channels, 30, 90, device=device)
     stitch = K.contrib.ImageStitcher(Matches(shift(30.0), wrong), estimator)
     result = stitch(wide[..., :50], wide[..., 30:])

@@ -1,4 +1,4 @@
-"""Modules that take and give pictures of other kinds."""
+"""Modules that take and return NumPy arrays, PIL images and file names."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_disable_features():
         module.show()
 
 
-def test_pickle_leaves_the_picture_out():
+def test_pickle_omits_the_last_image():
     module = Scale()
     module(TENSOR)
     copy = pickle.loads(pickle.dumps(module))

@@ -37,7 +37,7 @@ def test_export(name: str, device: torch.device) -> None:
     assert_close(list(program(second)), expected, 1e-4, 1e-5)
 
 
-def test_the_guide_says_what_is_left_out() -> None:
+def test_guide_names_omitted_functions() -> None:
     page = (Path(__file__).parents[2] / "docs/deployment.md").read_text()
     (paragraph,) = (
         p for p in page.split("\n\n") if p.startswith("Every public function that computes on tensors exports")

@@ -1,4 +1,4 @@
-"""Adjustments: values one can check by hand, and those of PIL."""
+"""Adjustments: values computed by hand, and those of PIL."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def test_posterize_keeps_the_bytes_of_every_type(device):
             assert torch.equal((255 * y.double()).round().long(), levels >> (8 - bits) << (8 - bits))
 
 
-def test_sharpness_of_images_that_are_all_border(device):
+def test_sharpness_of_images_without_interior(device):
     for size in ((1, 1), (2, 5), (5, 2)):
         x = torch.rand(2, 3, *size, device=device)
         assert torch.equal(E.sharpness(x, 3.0), x)

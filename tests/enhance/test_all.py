@@ -1,4 +1,4 @@
-"""What every function of kvision.enhance must keep, whatever it computes."""
+"""Tests of every function of kvision.enhance."""
 
 from __future__ import annotations
 
@@ -203,7 +203,7 @@ ADJUST = [
 
 
 @pytest.mark.parametrize("function, arguments", ADJUST, ids=[f.__name__ for f, _ in ADJUST])
-def test_refuses_what_is_no_image(function, arguments):
+def test_refuses_other_shapes(function, arguments):
     for wrong in ([1.0], (X * 255).int(), X.cfloat()):
         with pytest.raises(TypeCheckError, match=f"^{function.__name__}: expected (image|input) to be"):
             function(wrong, *arguments)

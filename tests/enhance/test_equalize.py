@@ -137,7 +137,7 @@ def test_equalize_is_pils(size, dtype):
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 300), (16, 16), (40, 50), (120, 160)], ids=str)
-def test_equalize_equals_opencvs_where_asked_to(size, device):
+def test_equalize_equals_opencv_with_opencv_true(size, device):
     """OpenCV leaves the darkest bin out, PIL the brightest: the curves are close, not equal."""
     for seed in range(3):
         levels = photo(*size, seed)
@@ -155,7 +155,7 @@ def test_equalize_equals_opencvs_on_photographs(device):
         assert np.array_equal(actual, cv2.equalizeHist(np.ascontiguousarray(picture)))
 
 
-def test_equalize3d_counts_whole_volumes(device):
+def test_equalize3d_counts_all_voxels(device):
     x = torch.rand(2, 1, 4, 20, 30, device=device)
     flat = E.equalize(x.reshape(2, 1, 80, 30)).reshape(x.shape)
     assert_close(E.equalize3d(x), flat)
@@ -183,7 +183,7 @@ def test_clahe_is_opencvs(size, grid, clip):
 
 @pytest.mark.parametrize("size, grid", [((64, 64), (8, 8)), ((63, 96), (2, 4)), ((61, 45), (3, 2)), ((50, 9), (1, 5))])
 @pytest.mark.parametrize("clip", [0.0, 2.0, 40.0])
-def test_clahe_equals_opencvs_where_asked_to(size, grid, clip, device):
+def test_clahe_equals_opencv_with_opencv_true(size, grid, clip, device):
     for seed in range(3):
         levels = photo(*size, seed)
         expected = cv2.createCLAHE(clip, grid[::-1]).apply(levels)
@@ -252,7 +252,7 @@ def test_clahe_of_the_transposed_image(device):
     assert_close(E.equalize_clahe(x.mT, 3.0, (5, 3)).mT, E.equalize_clahe(x, 3.0, (3, 5)))
 
 
-def test_clahe_has_a_gradient_where_asked_for(device):
+def test_clahe_gradient(device):
     x = torch.rand(1, 1, 16, 16, device=device, requires_grad=True)
     (none,) = torch.autograd.grad(E.equalize_clahe(x, 2.0, (2, 2)).sum(), x)
     assert not none.any()

@@ -1,4 +1,4 @@
-"""Density estimates: what they sum to, where they are, and how much memory they take."""
+"""Density estimates: their sums, their peaks and their memory."""
 
 from __future__ import annotations
 

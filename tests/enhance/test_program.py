@@ -315,7 +315,7 @@ def test_parameters_of_a_call(image, device):
 
 
 @pytest.mark.tracing
-def test_compiles_whole(image, device):
+def test_compiles_without_graph_breaks(image, device):
     torch._dynamo.reset()
     program = E.ColorProgram(*JITTER)
     compiled = torch.compile(program, fullgraph=True, backend="aot_eager")
@@ -335,7 +335,7 @@ def test_any_leading_axes(image):
     assert program(image[:0]).shape == (0, 3, 20, 31)
 
 
-def test_shows_itself():
+def test_repr():
     program = E.ColorProgram(("hue", torch.zeros(2)), ("normalize", MEAN, STD), dtype=torch.float16)
     assert repr(program) == (
         "ColorProgram(hue(Tensor(2,)), normalize((0.4, 0.5, 0.6), (0.2, 0.25, 0.3)), dtype=torch.float16)"

@@ -71,7 +71,7 @@ def test_identical_images(sizes, device):
     assert scores.isfinite().all() and scores.max() <= 1 / 200
 
 
-def test_a_common_rotation_and_scale_change_nothing(device):
+def test_is_invariant_to_a_common_rotation_and_scale(device):
     *inputs, _ = (x.to(device) for x in scene())
     expected = K.feature.match_adalam(*inputs)
     desc1, desc2, lafs1, lafs2 = inputs

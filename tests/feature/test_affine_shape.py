@@ -47,8 +47,8 @@ class TestPatchAffineShapeEstimator(SquarePatchTests):
         ramp = torch.linspace(0, 1, 19, device=device).reshape(1, 1, 1, 19).expand(1, 1, 19, 19).transpose(3, axis)
         assert torch.equal(estimator(ramp.contiguous()), circle)
 
-    def test_contrast_and_brightness_change_nothing(self, variant, device):
-        super().test_contrast_and_brightness_change_nothing(variant, device)
+    def test_is_invariant_to_contrast_and_brightness(self, variant, device):
+        super().test_is_invariant_to_contrast_and_brightness(variant, device)
 
     def test_nan_stays_in_its_window(self, variant, device):
         x, kwargs = self.setup(variant, device, torch.float32)
@@ -100,7 +100,7 @@ class TestLAFAffineShapeEstimator:
             of_image, of_laf = torch.autograd.grad(adapted.nan_to_num().sum(), (image, leaf))
             assert of_image.isfinite().all() and of_laf.isfinite().all()
 
-    def test_flat_images_change_nothing(self, device):
+    def test_flat_images_keep_the_frames(self, device):
         laf, image = self.scene(device)
         adapted = K.feature.LAFAffineShapeEstimator()(laf, torch.full_like(image, 0.5))
         assert_close(adapted, laf, 1e-6, 1e-6)

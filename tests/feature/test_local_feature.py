@@ -125,7 +125,7 @@ def test_runs_give_the_same_bits(detector, device):
 
 
 @pytest.mark.parametrize("detector", ["Hessian with shapes", "SIFTFeature"])
-def test_a_pixel_that_is_not_a_number_leaves_the_other_gradients(detector, device):
+def test_nan_pixel_keeps_the_other_gradients(detector, device):
     image = photo(120, 150).float().to(device)
     image[0, 0, 3, 3] = torch.nan
     image.requires_grad_()

@@ -117,7 +117,7 @@ def test_few_descriptors(mode, sizes, device):
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_nan_matches_nothing(mode, device):
+def test_nan_has_no_match(mode, device):
     x, y = (t.to(device) for t in pair(40, 30))
     wrong_x, wrong_y = x.clone(), y.clone()
     wrong_x[3, 2], wrong_y[4, 1] = torch.nan, torch.nan
@@ -150,7 +150,7 @@ def test_equal_descriptors(device):
     assert K.feature.match_nn(x, twice)[1][:, 1].tolist() == list(range(30))  # the first one
 
 
-def test_fginn_sees_all_candidates():
+def test_fginn_compares_all_candidates():
     """Kornia looks at the ten nearest only: 10 equal neighbors at one position have ratio 0 there."""
     x = torch.zeros(1, 2)
     y = torch.tensor([[1.0, 0]] * 12 + [[0, 2.0]])

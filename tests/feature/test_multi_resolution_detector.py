@@ -104,7 +104,7 @@ def test_positions_have_a_gradient(device):
     assert_close(change.sum() / 2, (grad * step).sum(), 1e-3, 1e-10)
 
 
-def test_nothing_waits_for_the_gpu(device):
+def test_does_not_synchronize_with_the_gpu(device):
     image, mask = photo(64, 70).float().to(device), torch.ones(1, 1, 64, 70, device=device)
     detector = F.MultiResolutionDetector(F.BlobHessian(), 10)
     does_not_wait(device, [lambda: detector(image), lambda: detector(image), lambda: detector(image, mask)])

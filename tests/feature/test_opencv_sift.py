@@ -25,7 +25,7 @@ def picture(name: str, request: pytest.FixtureRequest) -> np.ndarray:
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
-@pytest.mark.native  # the reference takes a minute for a picture
+@pytest.mark.native  # the reference takes a minute for an image
 @pytest.mark.parametrize("name", ["astronaut", "coffee", "camera", *SEQUENCES])
 def test_key_points_and_descriptors_are_those_of_opencv(name, request, device):
     image, count = picture(name, request), 2000

@@ -86,8 +86,8 @@ class TestPatchDominantGradientOrientation(SquarePatchTests):
             of_ours, of_theirs = (torch.autograd.grad(y.sum(), leaf)[0] for y, leaf in zip((ours, theirs), leaves))
             assert_close(of_ours, of_theirs, 1e-2, 1e-3 * float(of_theirs.abs().max()))
 
-    def test_contrast_and_brightness_change_nothing(self, variant, device):
-        super().test_contrast_and_brightness_change_nothing({**variant, "eps": 0.0}, device)
+    def test_is_invariant_to_contrast_and_brightness(self, variant, device):
+        super().test_is_invariant_to_contrast_and_brightness({**variant, "eps": 0.0}, device)
 
 
 class TestLAFOrienter:
@@ -98,7 +98,7 @@ class TestLAFOrienter:
         angle = 360 * torch.rand(b, count, 1, dtype=image.dtype, device=image.device) - 180
         return K.feature.laf_from_center_scale_ori(center, scale, angle)
 
-    def test_the_x_axis_turns_onto_the_gradient(self, device):
+    def test_x_axis_is_rotated_onto_the_gradient(self, device):
         for patch, angle in zip(*ramps(96, 9, device)):
             image = patch[None] / 96
             turned = K.feature.LAFOrienter()(self.frames(image), image)
@@ -115,7 +115,7 @@ class TestLAFOrienter:
         close = (ours - theirs).abs().amax((2, 3)) < 1e-3
         assert close.double().mean() > 0.9  # two peaks may be nearly as large
 
-    def test_a_detector_of_ones_own(self, device):
+    def test_custom_detector(self, device):
         class Quarter(torch.nn.Module):
             def forward(self, patches):
                 return torch.full((len(patches),), math.pi / 2, device=patches.device)

@@ -161,7 +161,7 @@ class TestExtractPatchesFromPyramid(PatchTests):
 
     @pytest.mark.native  # references of half types round each level, or none where one operator has them all
     @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16], ids=str)
-    def test_patches_do_not_depend_on_whether_a_gradient_is_wanted(self, dtype, device):
+    def test_patches_do_not_depend_on_requires_grad(self, dtype, device):
         image = torch.rand(2, 3, 41, 50, device=device).to(dtype)
         laf = frames(image, 20).float().to(device)
         patches = K.feature.extract_patches_from_pyramid(image, laf, 5)

@@ -42,7 +42,7 @@ def test_masks_are_those_of_kornia(binary, device):
     assert ((y < 40) | (y > 59)).all()
 
 
-def test_blobs_are_found_where_they_are(device):
+def test_blobs_are_detected_at_their_centers(device):
     """A blob of sigma s has its Hessian's maximum at scale s; the detector also sees the assumed blur of the image."""
     centers = torch.tensor([[30.25, 40.75], [90.5, 60.0]], dtype=torch.float64)
     detector = F.ScaleSpaceDetector(2, mr_size=1.0, scale_pyr_module=K.ScalePyramid(3, 1.6, 16, double_image=True))
@@ -128,7 +128,7 @@ def test_thresholds(device):
     assert (few > 0).sum() == 2 and torch.equal(few[:, :2], both[1][:, :2])
 
 
-def test_nothing_waits_for_the_gpu(device):
+def test_does_not_synchronize_with_the_gpu(device):
     image, mask = photo(64, 70).float().to(device), torch.ones(1, 1, 64, 70, device=device)
     detector = F.ScaleSpaceDetector(10, minima_are_also_good=True)
     does_not_wait(device, [lambda: detector(image), lambda: detector(image), lambda: detector(image, mask)])

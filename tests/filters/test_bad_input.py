@@ -2,7 +2,7 @@
 
 A call either gives the shapes that its docstring states or raises a BaseError that reads `function: expected ..., got
 ...`. It never reaches an error from inside torch, never crashes, and never takes more time or memory than a small
-picture deserves.
+image deserves.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def tensors(*shape: int) -> Kind:
 
 
 def images(b: int, c: int, *size: int) -> Kind:
-    """Pictures, also none at all, without channels, very small ones; no pictures without pixels."""
+    """Images, also none at all, without channels, very small ones; no images without pixels."""
     without_pixels = (filled(b, c, 0, *size[1:]), filled(b, c, *size[:-1], 0), filled(0, 0, *(0 for _ in size)))
     others = (filled(*bc, *size) for bc in ((0, c), (b, 0), (b, 2), (1, c)))
     return tensors(b, c, *size).but(
@@ -478,7 +478,7 @@ def frugal() -> Iterator[None]:
     """Makes it an error to take more than 2 GB or 20 seconds of CPU time, which other processes do not change."""
 
     def late(*_: Any) -> None:
-        raise TimeoutError("20 s for a small picture")
+        raise TimeoutError("20 s for a small image")
 
     in_use = int(re.search(r"VmSize:\s+(\d+)", Path("/proc/self/status").read_text())[1]) * 1024
     limits = resource.getrlimit(resource.RLIMIT_AS)
@@ -531,7 +531,7 @@ def test_one_bad_argument(name, parameter, device):
 
 
 @pytest.mark.parametrize("name, parameter", [(n, p) for n, p in PARAMETERS if isinstance(working(n)[p], Tensor)])
-def test_what_is_no_tensor_is_a_type_error_and_a_wrong_rank_a_value_error(name, parameter, device):
+def test_type_error_for_other_types_and_value_error_for_wrong_ranks(name, parameter, device):
     for value in (*NO_TENSORS, filled(*(1,) * 6)):
         refusal = call(name, {**working(name), parameter: value}, device)
         assert isinstance(refusal, ValueError if isinstance(value, Tensor) else TypeError), shown(value)

@@ -1,4 +1,4 @@
-"""A NaN or an infinity spoils the windows that hold it and no more, in values and in gradients."""
+"""A NaN or infinite pixel changes only the results of windows that contain it, in values and in gradients."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every filter without kernels of its own inherits from torch and the operators it is made of, and must keep."""
+"""Tests of the filters that are composed of other operators."""
 
 from __future__ import annotations
 

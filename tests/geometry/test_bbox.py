@@ -75,7 +75,7 @@ def test_bbox_functions_are_those_of_kornia(theirs, device):
     )
 
 
-def test_a_turned_box_is_around_its_corners(device):
+def test_rotated_box_bounds_its_corners(device):
     turn = torch.eye(3, dtype=torch.float64)[None]
     turn[:, :2, :2] = G.angle_to_rotation_matrix(torch.tensor([45.0], dtype=torch.float64))
     result = G.transform_bbox(turn.to(device), torch.tensor([[0.0, 0, 1, 1]], dtype=torch.float64, device=device))

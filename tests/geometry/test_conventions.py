@@ -1,4 +1,4 @@
-"""docs/conventions.md says what is so."""
+"""The statements of docs/conventions.md."""
 
 import inspect
 import re

@@ -1,4 +1,4 @@
-"""RANSAC: models of points of which many are wrong, compared with OpenCV and Kornia; its two operators."""
+"""RANSAC: models of correspondences with many outliers, compared with OpenCV and Kornia; its two operators."""
 
 import cv2
 import kornia
@@ -86,7 +86,7 @@ def test_options(options, device):
     assert "homography" in repr(ransac)
 
 
-def test_nothing_to_find(device):
+def test_no_model_to_find(device):
     x, y = rand(30, 2, high=1000, seed=1).to(device), rand(30, 2, high=1000, seed=2).to(device)
     H, inliers = K.geometry.RANSAC("homography", 0.01, seed=0, max_samples=300)(x, y)
     assert not H.any() and not inliers.any()
@@ -301,7 +301,7 @@ def test_operators_refuse_bad_arguments(backend):
 
 
 @pytest.mark.parametrize("pair", ["graf/1/3", "wall/1/3", "boat/1/3", "leuven/1/4", "bikes/1/3", "ubc/1/4"])
-def test_photographs_beside_opencv(pair, data, device):
+def test_photographs_against_opencv(pair, data, device):
     """Key points of both images, by the ratio test: as many agree as with OpenCV's, and the homography is the true one."""
     name, i, k = pair.split("/")
     folder = data / "homography" / name

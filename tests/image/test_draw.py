@@ -22,7 +22,7 @@ def on(device, *tensors):
 
 
 def random_points(generator, *shape):
-    """Points inside the picture: half of them pixel centers, half between, often exactly half-way."""
+    """Points inside the image: half of them pixel centers, half between, often exactly half-way."""
     size = torch.tensor([W, H])
     whole = torch.rand(*shape, 2, generator=generator).mul(size).floor()
     offset = torch.randint(-2, 2, (*shape, 2), generator=generator) / 4
@@ -162,7 +162,7 @@ def test_gradient_passes_where_nothing_is_drawn():
         assert torch.equal(grad == 0, canvas == 1)
 
 
-def test_nothing_to_draw():
+def test_empty_drawings():
     none, image = torch.zeros(0, 2), torch.zeros(3, H, W)
     assert K.image.draw_line(image, none, none, 1).sum() == 0
     assert K.image.draw_point2d(image, none, 1).sum() == 0

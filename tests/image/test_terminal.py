@@ -1,4 +1,4 @@
-"""Pictures as text."""
+"""Images as text."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_codes_are_the_nearest_of_the_palette():
     assert codes == (16 + distance.argmin(1)).tolist()  # of equally near ones, argmin takes the first, too
 
 
-def test_wide_pictures_are_reduced():
+def test_wide_images_are_reduced():
     image = torch.zeros(3, 10, 100)
     image[:, :, 50:] = 1
     lines = K.image.image_to_string(image, max_width=20).splitlines()

@@ -1,4 +1,4 @@
-"""Reading picture files: real ones where the optional data is there, generated ones otherwise."""
+"""Reading image files: real ones where the optional data is there, generated ones otherwise."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_agrees_with_kornia(channels, tmp_path):
     ("suffix", "channels"), [(".jpg", 3), (".jpg", 1), (".png", 3), (".png", 4), (".webp", 4), (".tif", 3)]
 )
 def test_exif_orientation(orientation, suffix, channels, tmp_path):
-    """A picture is stored turned, with the tag that turns it back; every type must show it upright."""
+    """An image is stored turned, with the tag that turns it back; every type must show it upright."""
     if suffix == ".webp" and cv2.__version__.startswith("4.12"):
         pytest.skip("OpenCV 4.12 does not read the EXIF block of WebP")
     upright = np.zeros((16, 32, channels), np.uint8)
@@ -226,7 +226,7 @@ def test_truncated_files(suffix, share, tmp_path, capfd):
 
 
 @given(st.binary(max_size=300), st.sampled_from(["", ".jpg", ".png", ".tif", ".webp"]), st.integers(0, 400))
-def test_any_bytes_give_a_picture_or_an_image_error(tmp_path_factory, junk, suffix, position):
+def test_random_bytes_load_or_raise_image_error(tmp_path_factory, junk, suffix, position):
     """Arbitrary bytes, and good files with some of them written over."""
     content = bytearray(encoded(suffix)[:4000] if suffix else b"")
     content[position : position + len(junk)] = junk
@@ -246,7 +246,7 @@ def test_any_bytes_are_an_orientation(junk):
 
 def test_unreadable_paths(tmp_path):
     (tmp_path / "empty.png").touch()
-    (tmp_path / "text.png").write_text("no picture at all")
+    (tmp_path / "text.png").write_text("no image at all")
     for name, error, text in [
         ("missing.png", FileNotFoundError, "No such file or directory: '.*missing.png'"),
         ("missing/x.png", FileNotFoundError, "missing/x.png"),

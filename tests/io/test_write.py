@@ -1,4 +1,4 @@
-"""Writing picture files."""
+"""Writing image files."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_lossless_round_trip(suffix, dtype, channels, tmp_path, device):
 
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("quality", [0, 50, 80, 100])
-def test_jpeg_is_what_opencv_writes(channels, quality, tmp_path):
+def test_jpeg_equals_opencv(channels, quality, tmp_path):
     image = picture(channels)
     K.io.write_image(tmp_path / "x.jpg", image, quality)
     bgr = image.flip(0).movedim(0, -1).contiguous().numpy()
@@ -94,7 +94,7 @@ def test_shapes_layouts_and_untouched_input(tmp_path):
     K.io.write_image(tmp_path / "x.png", torch.rand(3, 4, 5, requires_grad=True))
 
 
-def test_others_read_it_alike(tmp_path):
+def test_other_libraries_read_the_same_pixels(tmp_path):
     image = picture(3)
     K.io.write_image(tmp_path / "x.png", image)
     assert np.array_equal(np.array(PIL.Image.open(tmp_path / "x.png")), image.movedim(0, -1))

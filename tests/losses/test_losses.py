@@ -1,4 +1,4 @@
-"""What every loss must satisfy, and known values."""
+"""Tests of every loss, and known values."""
 
 from __future__ import annotations
 
@@ -397,7 +397,7 @@ def test_modules(module, function, inputs):
     assert type(module).__name__ in repr(module) and not module.state_dict()
 
 
-def test_nothing_waits_for_the_device(device):
+def test_does_not_synchronize_with_the_device(device):
     x, y = (torch.rand(2, 3, 18, 16, device=device) for _ in range(2))
     v, w = (torch.rand(1, 2, 9, 8, 8, device=device) for _ in range(2))
     labels, masks = (3 * y[:, 0]).long(), x[0, 0] > 0.2

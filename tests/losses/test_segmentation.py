@@ -185,7 +185,7 @@ def test_lovasz_of_many_pixels(dtype, labels, device):
 
 @pytest.mark.parametrize("classes", [1, 2, 21, 100, 1500])
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (70, 131)], ids=str)
-def test_classes_and_pieces(classes, size, device):
+def test_classes_and_chunks(classes, size, device):
     """Any number of classes, and images that one piece does not hold."""
     if classes * size[0] * size[1] > 1e6:
         pytest.skip("large")

@@ -266,7 +266,7 @@ def test_errors(call, error, message):
     assert isinstance(caught.value, K.core.exceptions.BaseError)
 
 
-def test_nothing_waits_for_the_device(device):
+def test_does_not_synchronize_with_the_device(device):
     x, y, v = rand(2, 3, 16, 16).to(device), rand(2, 3, 16, 16).to(device), rand(1, 2, 9, 8, 8).to(device)
     labels, R, t = (4 * y[:, 0]).long(), rotations(3, 0.2).to(device), rand(3, 3).to(device)
     P = torch.cat([R, t[:, :, None]], 2)

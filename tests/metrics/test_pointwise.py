@@ -64,7 +64,7 @@ class TestDecibels(Pointwise):
 
 
 @pytest.mark.parametrize("loss", [K.losses.welsch_loss, lambda x, y, _: K.metrics.psnr(x, y, 1.0)])
-def test_mean_of_nothing(loss, device):
+def test_mean_of_empty_tensors(loss, device):
     x = torch.rand(0, 3, device=device)
     assert loss(x, x, "mean").isnan()
 
@@ -105,7 +105,7 @@ def test_differences_out_of_all_proportion(kind, device):
 
 
 @pytest.mark.parametrize("kind", DIVERGENCES)
-def test_what_is_no_probability(kind, device):
+def test_probabilities_out_of_range(kind, device):
     x = torch.tensor([0.0, 0.0, -1.0, math.nan, 0.5, 0.0], device=device)
     y = torch.tensor([0.0, 0.5, 0.0, 0.0, 0.0, -1.0], device=device)
     result = pointwise.pointwise(kind, x, y, "none")

@@ -191,7 +191,7 @@ def test_a_window_of_hundreds_of_pixels(device):
 
 @pytest.mark.native
 @pytest.mark.large
-def test_the_gradient_of_many_planes_is_that_of_each(device):
+def test_gradient_of_many_planes_equals_that_of_each(device):
     """More of them than a launch takes that keeps to its memory."""
     x = torch.rand(36, 1, 300, 400, device=device, requires_grad=True)
     y = other(x.detach())

@@ -100,7 +100,7 @@ def test_wheel_runs_on_glibc_2_28(wheel: Path, tmp_path: Path) -> None:
     tool("build_wheels").check(release, tmp_path / "checked")
 
 
-def test_says_what_runs(installed: dict[str, str]) -> None:
+def test_reports_the_active_isa(installed: dict[str, str]) -> None:
     """The wheel was compiled for the baseline alone, so that is in use whatever the processor has."""
     program = (
         "from kvision import _C; print(_C.active_isa(), _C.isa_supported('avx2'), _C.set_isa('avx2'), _C.active_isa())"
@@ -153,7 +153,7 @@ def test_cpp_example(cmake: str, installed: dict[str, str], tmp_path: Path) -> N
     assert edges.shape == (512, 512, 3) and edges.max() == 255 and 0 < edges.mean() < 64
 
 
-def test_cmake_install_is_found(cmake: str, wheel: Path, tmp_path: Path) -> None:
+def test_cmake_finds_the_installation(cmake: str, wheel: Path, tmp_path: Path) -> None:
     """The folder the wheel was built in, installed by CMake as a C++ user would."""
     prefix = tmp_path / "prefix"
     run(cmake, "--install", ROOT / "build/wheel", "--prefix", prefix)

@@ -60,7 +60,7 @@ def test_instruction_sets_share_no_symbols() -> None:
 
 
 @built
-def test_the_audit_sees_what_it_is_for(tmp_path: Path) -> None:
+def test_audit_reports_forbidden_symbols(tmp_path: Path) -> None:
     """A library with an unstable symbol is found out."""
     if shutil.which("c++") is None:
         pytest.skip("there is no C++ compiler")

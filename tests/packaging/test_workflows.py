@@ -47,7 +47,7 @@ def test_schema(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=NAMES)
-def test_expressions_name_what_is_there(path: Path) -> None:
+def test_expressions_name_existing_keys(path: Path) -> None:
     workflow = read(path)
     for name, job in workflow["jobs"].items():
         assert set([job["needs"]] if isinstance(job.get("needs"), str) else job.get("needs", ())) <= set(

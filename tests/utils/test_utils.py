@@ -1,4 +1,4 @@
-"""The small helpers, and the names that live elsewhere."""
+"""Helpers of kvision.utils, and the names that it imports from other modules."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_batched_forward(batch, device):
     torch.testing.assert_close(got, model.cpu()(x))
 
 
-def test_batched_forward_gives_pieces_and_arguments():
+def test_batched_forward_passes_batches_and_arguments():
     class Spy(torch.nn.Module):
         sizes: ClassVar[list[int]] = []
 
@@ -99,7 +99,7 @@ def test_dataclass_round_trip():
     assert K.utils.dict_to_dataclass({"first": {"size": 1}, "maybe": None}, Config) == Config(Stage(1))
 
 
-def test_dataclass_to_dict_of_other_things():
+def test_dataclass_to_dict_of_other_types():
     tensor = torch.ones(1, requires_grad=True) * 2
     assert K.utils.dataclass_to_dict(tensor) is tensor
     assert K.utils.dataclass_to_dict(Pair(1, Stage(2))) == Pair(1, {"size": 2, "name": ""})

@@ -121,7 +121,7 @@ def load(paths: Sequence[Path]) -> tuple[list[str], Tensor]:
 
 
 def square(picture: Tensor) -> Tensor:
-    """The middle of a picture (3, H, W) as (3, SIDE, SIDE)."""
+    """The middle of an image (3, H, W) as (3, SIDE, SIDE)."""
     height, width = picture.shape[1:]
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2
@@ -150,13 +150,13 @@ def wheel(photo: Tensor, name: str, width: int) -> gallery.Section:
 
 
 def restoration(restored: Restoration, names: Sequence[str], photos: Tensor, width: int) -> gallery.Section:
-    """The restored photos side by side, and the curve of the loss in the rest of a row of `width` pictures."""
+    """The restored photos side by side, and the curve of the loss in the rest of a row of `width` images."""
     columns, cells = [], []
     for i, name in enumerate(names[: len(restored.restored)]):
         columns += [(name, ""), ("blurred", ""), ("restored", "")]
         cells += [gallery.picture(x[i]) for x in (photos, restored.blurred, restored.restored)]
     left = width - len(cells)
-    columns.append(("loss: squared difference of the blurred pictures", ""))
+    columns.append(("loss: squared difference of the blurred images", ""))
     cells.append(gallery.curve(restored.losses, left * SIDE + (left - 1) * gallery.GAP, SIDE))
     title = f"Restored by gradient descent through gaussian_blur2d: {decibels(restored)}"
     return gallery.Section(title, columns, [("", cells)])

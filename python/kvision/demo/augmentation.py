@@ -19,8 +19,8 @@ TITLE = "Augmentation: eight draws of each, with masks, boxes and key points"
 KEYS = ("image", "mask", "bbox_xyxy", "keypoints")
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
-# Outlines of objects and key points in fractions of the picture. The first sample photograph has a head, a space shuttle and
-# a helmet; on other pictures the object is a disc in the middle.
+# Outlines of objects and key points in fractions of the image. The first sample photograph has a head, a space shuttle and
+# a helmet; on other images the object is a disc in the middle.
 # fmt: off
 HEAD = ((.300, .141), (.325, .100), (.369, .063), (.422, .034), (.469, .031), (.516, .047), (.556, .081), (.584, .131),
         (.588, .181), (.572, .225), (.544, .256), (.519, .266), (.512, .297), (.500, .331), (.494, .363), (.453, .369),
@@ -44,7 +44,7 @@ class Row(NamedTuple):
 
 
 def rows(side: int) -> list[Row]:
-    """The pipelines of the sheet for pictures of a side."""
+    """The pipelines of the sheet for images of a side."""
     crop = side * 7 // 8
     return [
         Row("affine", A.RandomAffine(30.0, (0.1, 0.1), (0.7, 1.1), 10.0, p=1.0)),
@@ -80,7 +80,7 @@ def rows(side: int) -> list[Row]:
 
 
 def elastic(side: int, strength: float) -> A.RandomElasticTransform:
-    """Waves of about a fifth of the picture."""
+    """Waves of about a fifth of the image."""
     sigma = side / 16
     return A.RandomElasticTransform((2 * round(2.5 * sigma) + 1,) * 2, (sigma,) * 2, (strength * sigma / 6,) * 2, p=1.0)
 
@@ -116,7 +116,7 @@ def labels(name: str, side: int) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _middle(cell: Image.Image, side: int) -> Image.Image:
-    """A picture that is smaller than the others in the middle of a square."""
+    """An image that is smaller than the others in the middle of a square."""
     square = Image.new("RGB", (side, side), gallery.PAPER)
     square.paste(cell, ((side - cell.width) // 2, (side - cell.height) // 2))
     return square

@@ -70,7 +70,7 @@ def matches(photos: Tensor) -> Matches:
     return Matches(first, second, pairs, (moved - y).norm(dim=1) <= CLOSE)
 
 
-# --- pictures -------------------------------------------------------------------------------------------------------
+# --- images -------------------------------------------------------------------------------------------------------
 
 
 def enlarged(photo: Tensor) -> Image:
@@ -86,7 +86,7 @@ def reduced(image: Image) -> Tensor:
 
 
 def at(points: Tensor) -> Image:
-    """Pixels of an enlarged picture."""
+    """Pixels of an enlarged image."""
     return (((points.cpu() + 0.5) * LARGER - 0.5).round()).to(torch.int32).numpy()
 
 

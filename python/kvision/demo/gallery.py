@@ -1,4 +1,4 @@
-"""Lays pictures out on a page: titled sections of labeled columns and rows, and a curve."""
+"""Lays images out on a page: titled sections of labeled columns and rows, and a curve."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Section:
 
 
 def picture(tensor: Tensor) -> Image.Image:
-    """(1 or 3, H, W) in [0, 1] as an RGB picture."""
+    """(1 or 3, H, W) in [0, 1] as an RGB image."""
     return Image.fromarray(tensor_to_image(to_uint8(tensor), force_contiguous=True)).convert("RGB")
 
 

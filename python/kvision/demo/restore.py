@@ -15,7 +15,7 @@ from kvision.filters import gaussian_blur2d
 
 @dataclass(frozen=True)
 class Restoration:
-    """Pictures (B, 3, H, W), the loss before each step and at the end, and the signal-to-noise ratios in decibels."""
+    """Images (B, 3, H, W), the loss before each step and at the end, and the signal-to-noise ratios in decibels."""
 
     blurred: Tensor
     restored: Tensor
@@ -29,9 +29,9 @@ def blur(photos: Tensor) -> Tensor:
 
 
 def restore(photos: Tensor, steps: Iterable[int]) -> Restoration:
-    """Blur the photos, then find pictures that, when blurred, look the same: one descent step for each of `steps`.
+    """Blur the photos, then find images that, when blurred, look the same: one descent step for each of `steps`.
 
-    The loss is the squared difference between the two blurred pictures. Its gradient reaches the sharp one through
+    The loss is the squared difference between the two blurred images. Its gradient reaches the sharp one through
     gaussian_blur2d; momentum carries it along the fine structure, where the blur leaves next to no gradient.
     """
     blurred = blur(photos)

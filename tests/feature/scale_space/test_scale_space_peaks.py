@@ -132,7 +132,7 @@ def test_equal_peaks_are_in_the_order_of_their_voxels(device):
         assert voxels.shape == (1, count) and (voxels >= 0).all()
 
 
-def test_a_voxel_beside_nan_is_no_peak(device):
+def test_voxel_adjacent_to_nan_is_no_peak(device):
     near = [(z, y, x) for z in (0, 1, 2) for y in (3, 4, 5) for x in (16, 17, 18) if (z, y, x) != (1, 4, 17)]
     levels = torch.zeros(len(near) + 1, 3, 8, 40, device=device)
     levels[:, 1, 4, 17] = 1
@@ -143,7 +143,7 @@ def test_a_voxel_beside_nan_is_no_peak(device):
         assert (voxels[:-1] < 0).all() and (voxels[-1] >= 0).sum() == 1
 
 
-def test_what_is_not_finite_is_no_peak(device):
+def test_infinity_and_nan_are_no_peaks(device):
     levels = blobs((2, 6, 10, 14)).to(device)
     levels[0, :, :, 5:] = torch.nan
     levels.requires_grad_()

@@ -78,7 +78,7 @@ class TestLaplacian(OpTests):
         ours = K.filters.laplacian(torch.from_numpy(image)[None, None].to(device), 3, normalized=False)[0, 0].cpu()
         assert_close(ours, torch.from_numpy(cv2.filter2D(image, -1, kernel)), 1e-5, 1e-5)
 
-    def test_flat_image_gives_nothing(self, device):
+    def test_flat_image_gives_zero(self, device):
         x = torch.full((1, 2, 12, 13), 0.25, device=device)
         for size in (3, 5, 9, (1, 3)):
             assert torch.equal(K.filters.laplacian(x, size), torch.zeros_like(x))

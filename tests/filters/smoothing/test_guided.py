@@ -1,4 +1,4 @@
-"""Guided blur against Kornia, a solver, and what it is for."""
+"""Guided blur against Kornia and a least-squares solver, on edges and on noise."""
 
 import kornia
 import pytest

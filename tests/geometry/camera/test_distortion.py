@@ -57,7 +57,7 @@ def test_values_are_those_of_kornia(name, args, device):
     assert_close(getattr(C, name)(*(a.to(device) for a in args)).cpu(), expected, 1e-8, 1e-9)
 
 
-def test_fisheye_is_that_of_opencv(device):
+def test_fisheye_equals_opencv(device):
     cv2 = pytest.importorskip("cv2")
     points = 3 * rand(50, 2) - 2
     matrix = torch.eye(3, dtype=torch.float64)

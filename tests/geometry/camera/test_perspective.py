@@ -52,7 +52,7 @@ def cameras(device) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return tuple(x.double().to(device) for x in (intrinsics, extrinsics, *sizes))
 
 
-def test_projection_is_that_of_opencv(device):
+def test_projection_equals_opencv(device):
     cv2 = pytest.importorskip("cv2")
     intrinsics, extrinsics, *_ = cameras("cpu")
     points = rand(2, 50, 3)

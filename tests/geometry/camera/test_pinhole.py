@@ -65,7 +65,7 @@ def test_cameras_are_those_of_kornia(device):
         assert_close(getattr(made, name).cpu(), getattr(expected, name))
 
 
-def test_there_and_back(device):
+def test_round_trip(device):
     points, depth = rand(2, 7, 2).to(device), rand(2, 7, 1).to(device)
     look = G.PinholeCamera(*cameras(device))
     assert_close(look.project(look.unproject(points, depth)), points, 1e-9, 1e-9)

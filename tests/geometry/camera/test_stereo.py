@@ -40,7 +40,7 @@ def cameras(batch: int) -> tuple[Tensor, Tensor]:
 
 
 @pytest.mark.parametrize("batch", [1, 2])
-def test_stereo_is_that_of_kornia(batch, device):
+def test_stereo_equals_kornia(batch, device):
     theirs = pytest.importorskip("kornia").geometry
     ours, his = G.StereoCamera(*(c.to(device) for c in cameras(batch))), theirs.StereoCamera(*cameras(batch))
     for name in ("fx", "fy", "cx_left", "cx_right", "cy", "tx", "Q"):

@@ -107,7 +107,7 @@ def test_values_are_those_of_kornia(device):
         assert_close(results[1], expected[1], 0, 1e-12)
 
 
-def test_rodrigues_is_that_of_opencv():
+def test_rodrigues_equals_opencv():
     cv2 = pytest.importorskip("cv2")
     for v in axes()[::29]:
         matrix, derivative = cv2.Rodrigues(v.numpy())

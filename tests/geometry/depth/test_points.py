@@ -135,7 +135,7 @@ def test_is_kornias(normalize, device):
         assert_close(result, expected, 1e-7, 1e-7)
 
 
-def test_true_depth_and_poses_explain_the_pictures(data: Path, device):
+def test_true_depth_and_poses_align_the_views(data: Path, device):
     """As data/README.md measured it: 2.63 of 255 on average over pairs, 11.06 without a warp."""
     folder = data / "rgbd_livingroom"
     intrinsics = torch.tensor([float(v) for v in (folder / "intrinsics.txt").read_text().split()]).reshape(1, 3, 3)

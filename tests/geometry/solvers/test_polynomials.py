@@ -35,7 +35,7 @@ def test_leading_axes_broadcast(device):
     assert_close(G.multiply_deg_two_one_poly(a, b), expected)
 
 
-def test_determinant_is_that_of_the_matrix_at_a_point(device):
+def test_determinant_polynomial_equals_numpy(device):
     A, z = rand(3, 13, low=-1), 0.7
     entries = A.split([4, 4, 5], -1)
     matrix = np.array([[np.polyval(e[row].numpy(), z) for e in entries] for row in range(3)])

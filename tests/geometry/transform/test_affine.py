@@ -1,4 +1,4 @@
-"""Warps that make their matrices themselves: the operators, and that they give what a matrix and a warp do."""
+"""Warps that compute their matrices: the operators, and their results against a matrix and a warp."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ ROWS = {"affine_matrix2d": (2,), "translation_matrix2d": (2,), "affine_matrix3d"
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.float16, torch.uint8], ids=str)
 @pytest.mark.parametrize("name", CALLS)
-def test_gives_what_a_matrix_and_a_warp_do(name, dtype, device):
+def test_equals_a_warp_by_its_matrix(name, dtype, device):
     """The same bits on the CPU; on CUDA the compiler may round a sum of double numbers otherwise."""
     tensors, plain = CALLS[name]
     wide = torch.float64 if dtype == torch.float64 else torch.float32

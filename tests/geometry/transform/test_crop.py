@@ -1,4 +1,4 @@
-"""Crops: the operator that makes their matrices, and what must be exact."""
+"""Crops: the operator that computes their matrices, and crops that must be exact copies."""
 
 import pytest
 import torch
@@ -61,7 +61,7 @@ def test_few_operators_a_call(call, device, backend):
     assert device.type == "cpu" or names.count("cudaStreamSynchronize") == len(expected) - 1, names
 
 
-def test_whole_boxes_are_slices(device):
+def test_integer_boxes_are_slices(device):
     """Exact: the matrix of a box of whole pixels has whole numbers."""
     x = torch.rand(2, 3, 613, 1021, device=device)
     boxes = torch.tensor([[101, 37, 900, 600], [3, 11, 802, 574]], device=device)

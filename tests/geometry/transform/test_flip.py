@@ -64,7 +64,7 @@ class TestWindow(OpTests):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
-def test_crops_of_whole_pixels_are_slices(dtype, device):
+def test_integer_crops_are_slices(dtype, device):
     x = (torch.rand(2, 3, 40, 56, device=device) * 255).to(dtype)
     for size in ((8, 16), (20, 40), (2, 2), (18, 30), (40, 56)):
         h, w = size

@@ -103,7 +103,7 @@ def test_normal_equations(distance, align_corners, normalized, device, backend):
     assert_close(normal, weighted.mT @ jacobian / inside.sum(1)[:, None, None], 1e-7, 1e-7)
 
 
-def test_normal_equations_of_nothing(device):
+def test_normal_equations_without_overlap(device):
     far = torch.tensor([[[1.0, 0, 9], [0, 1, 0], [0, 0, 1]]], device=device)
     image = torch.ones(1, 1, 4, 4, device=device)
     normal, gradient, loss = G.photometric_normal_equations(image, image, far)

@@ -1,4 +1,4 @@
-"""What all geometric transforms have in common on a GPU."""
+"""Tests of all geometric transforms on a GPU."""
 
 import pytest
 import torch
@@ -13,7 +13,7 @@ G = K.geometry
 QUAD = torch.tensor([[[1.3, 1.1], [5.2, 0.7], [4.9, 3.8], [0.9, 4.2]]])
 
 
-def test_nothing_waits_for_the_device(device):
+def test_does_not_synchronize_with_the_device(device):
     """Small tensors are filled in where they are used, not copied there."""
     if device.type != "cuda":
         pytest.skip("needs --device cuda")

@@ -86,7 +86,7 @@ def lanczos_of_torch():
 
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("name", ["bilinear", "bicubic", "lanczos"])
-def test_antialias_is_that_of_pillow(name, size, device):
+def test_antialias_equals_pillow(name, size, device):
     pillow = pytest.importorskip("PIL.Image")
     x = np.random.default_rng(0).random((33, 40), np.float32)
     filter = getattr(pillow.Resampling, name.upper())
@@ -113,7 +113,7 @@ def test_values_of_opencv(name, flag, tolerance, size, device):
 
 
 @pytest.mark.parametrize("size", [(17, 13), (9, 50), (50, 77), (100, 80)])
-def test_nearest_exact_is_that_of_opencv(size, device):
+def test_nearest_exact_equals_opencv(size, device):
     """But for coordinates between two pixels, which its 16 bits of fraction may round to either."""
     x = np.random.default_rng(0).random((50, 40), np.float32)
     expected = cv2.resize(x, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
@@ -124,7 +124,7 @@ def test_nearest_exact_is_that_of_opencv(size, device):
 
 
 @pytest.mark.parametrize("factor", [2, 3, 5])
-def test_area_of_whole_factors_is_that_of_opencv(factor, device):
+def test_area_of_integer_factors_equals_opencv(factor, device):
     x = np.random.default_rng(0).random((60, 30), np.float32)
     expected = cv2.resize(x, (30 // factor, 60 // factor), interpolation=cv2.INTER_AREA)
     result = G.resize(torch.from_numpy(x).to(device), (60 // factor, 30 // factor), "area")
@@ -297,13 +297,13 @@ def check_like_reference(call, x):
 
 
 @pytest.mark.parametrize("mode", ["bilinear", "bicubic"])
-def test_antialias_is_that_of_torch(mode, device):
+def test_antialias_equals_torch(mode, device):
     x = torch.rand(2, 3, 33, 40, device=device)
     expected = F.interpolate(x, (9, 50), mode=mode, antialias=True)
     assert_close(G.resize(x, (9, 50), mode, antialias=True), expected)
 
 
-def test_gaussian_antialias_is_that_of_kornia(device):
+def test_gaussian_antialias_equals_kornia(device):
     kornia = pytest.importorskip("kornia")
     x = torch.rand(2, 3, 33, 40)
     expected = kornia.geometry.resize(x, (9, 13), antialias=True)

@@ -180,7 +180,7 @@ def test_values_of_opencv(mode, device):
 
 
 def test_values_of_opencv_anywhere(device):
-    """The picture is smooth enough for a rounding of coords to 1/32 pixel not to show."""
+    """The image is smooth enough for a rounding of coords to 1/32 pixel not to show."""
     y, x = np.mgrid[:60, :80].astype(np.float32)
     picture = np.sin(0.02 * x + 0.03 * y)[..., None] * np.float32([1, 0.5, 0.2]) + 1
     h = homography(torch.zeros(1))[0].numpy()
@@ -223,7 +223,7 @@ def to_tensor(picture: np.ndarray, device) -> Tensor:
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
 @pytest.mark.parametrize("mode", MODES)
-def test_whole_shifts_and_quarter_turns_are_exact(mode, dtype, device):
+def test_integer_shifts_and_quarter_turns_are_exact(mode, dtype, device):
     x = (torch.rand(1, 2, 37, 53, device=device) * 255).to(dtype)
 
     def warped(matrix: list[list[float]], size: tuple[int, int]) -> Tensor:
@@ -634,9 +634,7 @@ def test_grids(device):
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.float16, torch.float32, torch.float64], ids=str)
 @pytest.mark.parametrize("layout", ["contiguous", "channels_last", "column_slice"])
 @pytest.mark.parametrize("channels", [1, 3, 5])
-def test_flips_and_shifts_by_whole_pixels_copy(
-    dtype: torch.dtype, channels: int, layout: str, device: torch.device
-) -> None:
+def test_flips_and_integer_shifts_copy(dtype: torch.dtype, channels: int, layout: str, device: torch.device) -> None:
     """Also beyond the image, where the padding counts, in rows longer than a chunk, and with NaN and inf nearby."""
     x = (255 * torch.rand(2, channels, 5, 150, device=device)).to(dtype)
     if dtype.is_floating_point:
@@ -664,7 +662,7 @@ def test_flips_and_shifts_by_whole_pixels_copy(
 @pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.float64], ids=str)
 @pytest.mark.parametrize("layout", ["contiguous", "channels_last"])
 @pytest.mark.parametrize("padding", ["zeros", "border", "reflection"])
-def test_gradients_of_whole_pixels_copy(dtype: torch.dtype, layout: str, padding: str, device: torch.device) -> None:
+def test_gradients_of_integer_shifts_copy(dtype: torch.dtype, layout: str, padding: str, device: torch.device) -> None:
     """To the pixels that the result reads, and 0 to the others; where the padding repeats pixels they add up."""
     x = with_layout(torch.rand(2, 3, 5, 150, dtype=dtype, device=device), layout).requires_grad_()
     matrix = dtype if dtype == torch.float64 else torch.float32

@@ -51,7 +51,7 @@ class Clock:
         self.seconds, self.rounds = seconds, rounds
 
     def race(self, contestants: Sequence[Call | tuple[Call, Callable[[Any], Any]]]) -> list[Timing]:
-        pairs = [c if isinstance(c, tuple) else (_nothing, _ignoring(c)) for c in contestants]
+        pairs = [c if isinstance(c, tuple) else (_no_setup, _ignoring(c)) for c in contestants]
         seconds: list[list[float]] = [[] for _ in pairs]
         gc.collect()
         gc.disable()  # garbage collection inside a timed call would add to its time
@@ -204,7 +204,7 @@ def launches(call: Call) -> int:
     return sum(event.device_type == torch.autograd.DeviceType.CUDA for event in profile.events())
 
 
-def _nothing() -> None:
+def _no_setup() -> None:
     return None
 
 

@@ -29,7 +29,7 @@ def case(name: str, call: Callable[..., Any], bars: Bars, peers: dict[str, Calla
     return Case(name, partial(call, kvision), {"kornia": partial(call, kornia), **peers}, bars, **more)
 
 
-def beside_zero(y: Tensor) -> Tensor:
+def append_zero(y: Tensor) -> Tensor:
     """Append a zero to losses. Results are compared relative to their range, and a single number has none."""
     return torch.cat([y.new_zeros(1), y.flatten()])
 
@@ -84,7 +84,7 @@ def morphology(name: str, height: int, width: int, bars: Bars) -> Case:
     )
 
 
-as_number = {"result": beside_zero, "border": 0}
+as_number = {"result": append_zero, "border": 0}
 segmentations = {"inputs": segmentation, "backward": of_loss, **as_number}
 images = {"inputs": pairs, "backward": of_loss}
 

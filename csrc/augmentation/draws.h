@@ -132,9 +132,9 @@ KV_HD void permute(DrawSource const& source, uint32_t index, int n, T* entries) 
   for (int i = 0; i < n - 1; ++i) {
     if (i % 4 == 0) words = source.words(index, uint32_t(i / 4));
     int const other = i + int(up_to(words.w[i % 4], uint64_t(n - i)));
-    T const mine = entries[i];
+    T const current = entries[i];
     entries[i] = entries[other];
-    entries[other] = mine;
+    entries[other] = current;
   }
 }
 
@@ -142,17 +142,17 @@ KV_HD void permute(DrawSource const& source, uint32_t index, int n, T* entries) 
 
 #if defined(__CUDA_ARCH__)
 KV_HD double logarithm(double x) { return ::log(x); }
-KV_HD double cosine_of_turns(double x) { return ::cospi(2 * x); }
+KV_HD double cos_2pi(double x) { return ::cospi(2 * x); }
 #else
 KV_HD double logarithm(double x) { return __builtin_log(x); }
-KV_HD double cosine_of_turns(double x) { return __builtin_cos(6.283185307179586477 * x); }
+KV_HD double cos_2pi(double x) { return __builtin_cos(6.283185307179586477 * x); }
 #endif
 
 // The number in (0, 1) of a word.
 KV_HD double open_unit(uint32_t word) { return unit(word) + 0x1p-33; }
 
 // A variate of the standard normal distribution, by the transform of Box and Muller.
-KV_HD double normal_of(uint32_t a, uint32_t b) { return sqrt(-2 * logarithm(open_unit(a))) * cosine_of_turns(unit(b)); }
+KV_HD double normal_of(uint32_t a, uint32_t b) { return sqrt(-2 * logarithm(open_unit(a))) * cos_2pi(unit(b)); }
 
 // The logarithm of a variate of the gamma distribution (Marsaglia and Tsang, ACM TOMS 26, 2000). Each try is accepted
 // with a probability above .95.

@@ -66,8 +66,8 @@ KV_HD void normals_of(PhiloxWords const& words, double (&n)[4]) {
     uint32_t const a = words.w[i], b = words.w[i + 1];
     double const u = float(int32_t(a >> 1)) * 0x1p-31f + 0x1p-32f;
     double const radius = sqrt(-2 * logarithm(u)), turns = (b >> 30) * 0.25 + int32_t(b << 2) * 0x1p-34;
-    n[i] = radius * cosine_of_turns(turns);
-    n[i + 1] = radius * cosine_of_turns(turns - 0.25);
+    n[i] = radius * cos_2pi(turns);
+    n[i + 1] = radius * cos_2pi(turns - 0.25);
   }
 }
 

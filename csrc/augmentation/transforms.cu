@@ -27,10 +27,10 @@ __global__ void __launch_bounds__(kTransformThreads)
     differentiate_chains(__grid_constant__ TransformMatrix<T> const p) {
   int64_t const i = blockIdx.x * int64_t(kTransformThreads) + threadIdx.x, b = i / p.columns;
   if (b >= p.batch) return;
-  int const wanted = int(i - b * p.columns);
+  int const seeded = int(i - b * p.columns);
   Dual<double, 1> m[9];
   evaluate_chain(p, m, [&](int column, double number) {
-    return Dual<double, 1>{transform_input(p, b, column, number), {double(column == wanted)}};
+    return Dual<double, 1>{transform_input(p, b, column, number), {double(column == seeded)}};
   });
   double sum = 0;
   for (int k = 0; k < 9; ++k) sum += double(read(p.grad[9 * b + k])) * m[k].d[0];

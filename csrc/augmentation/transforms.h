@@ -33,7 +33,7 @@ struct TransformMatrix {
 KV_KERNEL(transform_matrix, TransformMatrix)
 KV_KERNEL(transform_matrix_backward, TransformMatrix)
 
-// Instead of the side of a single pixel, whose ends are the same, so that the matrix has an inverse.
+// Replaces the side of a single pixel, which is 0, so that the matrix has an inverse.
 constexpr double kMinSide = 0x1p-20;
 
 // Inputs: a box x, y, width, height; columns and rows of the result; 1 if the centers of the outermost pixels

@@ -43,14 +43,14 @@ template <class T>
 void transform_matrix_backward(TransformMatrix<T> const& p, int64_t begin, int64_t end) {
   for (int64_t b = begin; b < end; b += 4) {
     FourSamples<T> const samples{p, b, int(min(end - b, int64_t(4)))};
-    for (int wanted = 0; wanted < p.columns; ++wanted) {
+    for (int seeded = 0; seeded < p.columns; ++seeded) {
       Dual<Double4, 1> m[9];
       evaluate_chain(p, m, [&](int column, double number) KV_INLINE {
-        return Dual<Double4, 1>{samples.input(column, number), {double(column == wanted) + Double4{}}};
+        return Dual<Double4, 1>{samples.input(column, number), {double(column == seeded) + Double4{}}};
       });
       Double4 sum{};
       for (int i = 0; i < 9; ++i) sum += samples.read(p.grad + i, 9) * m[i].d[0];
-      samples.write(p.grad_parameters + wanted, p.columns, sum);
+      samples.write(p.grad_parameters + seeded, p.columns, sum);
     }
   }
 }

@@ -103,7 +103,7 @@ __device__ __forceinline__ void sample_column(geometry::Sample<T> const& p, int6
 // of a column.
 struct OwnPixels {
   bool by_column;
-  int x, y, existing;  // of the first one; as many exist
+  int x, y, existing;  // of the first pixel; the number of pixels within the result
 
   __device__ __forceinline__ OwnPixels(bool by_column, int left, int top, int width, int rows) : by_column(by_column) {
     int const lane = threadIdx.x % 32;

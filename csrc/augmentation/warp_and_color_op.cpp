@@ -52,18 +52,18 @@ struct WarpAndColorArguments {
   Tensor columns;
   std::optional<geometry::Matrix> matrix;  // none: pixels keep their positions
   std::optional<geometry::SamplingOptions> sampling;
-  OptionalTensor given_matrix;
+  OptionalTensor matrix_tensor;
 
   // With the matrices of an earlier call, or with none.
-  WarpAndColorArguments(char const* op, Tensor const& image, OptionalTensor const& given_columns,
+  WarpAndColorArguments(char const* op, Tensor const& image, OptionalTensor const& optional_columns,
                         OptionalTensor const& fill, OptionalTensor const& matrices, std::vector<int64_t> const& size,
                         std::vector<int64_t> const& plan_numbers, Numbers const& numbers)
-      : op(op), plan(op, plan_numbers, numbers), columns(columns_of(op, image, given_columns)) {
+      : op(op), plan(op, plan_numbers, numbers), columns(columns_of(op, image, optional_columns)) {
     if (size.empty()) return;
     geometry::Size const output = geometry::checked_size(op, size), source = geometry::checked_size(op, image);
-    given_matrix = matrices ? *matrices : chain_matrix(op, columns, plan.transforms, plan.transform_numbers);
+    matrix_tensor = matrices ? *matrices : chain_matrix(op, columns, plan.transforms, plan.transform_numbers);
     sampling.emplace(op, plan.interpolation, plan.padding, plan.align_corners, image, fill);
-    matrix.emplace(op, *given_matrix, image, image.size(0), true, false, plan.align_corners, source, output);
+    matrix.emplace(op, *matrix_tensor, image, image.size(0), true, false, plan.align_corners, source, output);
   }
 
   static Tensor columns_of(char const* op, Tensor const& image, OptionalTensor const& columns) {
@@ -219,16 +219,16 @@ PassResults run_pass(Tensor const& image, OptionalTensor const& columns, Optiona
   color::PlanArgument const& program = a.plan.program;
   bool const same = program.dtype < 0 && (program.layout < 0 || program.layout == int64_t(layout_of(image)));
   if (a.matrix && same && !a.plan.has_steps())
-    return {geometry::warped(image, *a.sampling, *a.matrix), a.given_matrix, {}};
+    return {geometry::warped(image, *a.sampling, *a.matrix), a.matrix_tensor, {}};
   auto const arguments = a.program(image, color::result_type(program, image));
   bool const around_mean = arguments.sequence.contrast >= 0;
   if (a.matrix && a.is_joined(image, arguments)) {
     auto const [y, means] = run_joined(a, image, arguments);
-    return {y, a.given_matrix, around_mean ? OptionalTensor(means) : OptionalTensor()};
+    return {y, a.matrix_tensor, around_mean ? OptionalTensor(means) : OptionalTensor()};
   }
   Tensor const x = a.matrix ? geometry::warped(image, *a.sampling, *a.matrix) : image;
   auto const [y, means] = color::run_program(a.op, x, arguments, program, a.plan.numbers);
-  return {y, a.given_matrix, around_mean ? OptionalTensor(means) : OptionalTensor()};
+  return {y, a.matrix_tensor, around_mean ? OptionalTensor(means) : OptionalTensor()};
 }
 
 namespace {
@@ -244,8 +244,8 @@ std::tuple<Tensor, Tensor, Tensor> warp_and_color(Tensor const& image, OptionalT
   return {y, or_none(matrix, {image.size(0), 0, 3}), or_none(means, {image.size(0), 0})};
 }
 
-// The gradients of the image, of the columns that the program reads, and of the matrices. One that is not wanted has no
-// elements.
+// The gradients of the image, of the columns that the program reads, and of the matrices. One that is not required has
+// no elements.
 std::tuple<Tensor, Tensor, Tensor> warp_and_color_backward(Tensor const& grad, Tensor const& image,
                                                            OptionalTensor const& columns, OptionalTensor const& fill,
                                                            Tensor const& matrix, Tensor const& means,
@@ -272,11 +272,11 @@ std::tuple<Tensor, Tensor, Tensor> warp_and_color_backward(Tensor const& grad, T
     KV_CHECK(grad.size(1) == (arguments.sequence.one_channel ? 1 : image.size(1)), op,
              ": grad does not fit the result for this image");
     bool const of_parameters = of_columns && arguments.columns > 0;
-    color::WantedGradients const wanted{through, of_parameters};
+    color::RequiredGradients const required{through, of_parameters};
     Tensor const x = a.matrix ? geometry::warped(image, *a.sampling, *a.matrix) : image;
     auto const around = arguments.sequence.contrast >= 0 ? OptionalTensor(means) : OptionalTensor();
     auto const [of_sampled, of_program] =
-        color::program_gradients(op, grad, x, arguments, a.plan.program, a.plan.numbers, around, wanted);
+        color::program_gradients(op, grad, x, arguments, a.plan.program, a.plan.numbers, around, required);
     sampled_grad = of_sampled;
     if (of_parameters) grad_columns = torch::stable::squeeze(of_program, 1);
   }

@@ -268,17 +268,17 @@ __device__ __forceinline__ void for_each_element(Pixels const& x, int64_t i, int
 // convert waits for them, so that loads of the next pixels overlap with the steps on these.
 template <class F, int C, int P, bool Elements>
 struct PrefetchedPixels {
-  static constexpr bool kOfHalves = sizeof(F) == 4;
+  static constexpr bool kTakesHalf = sizeof(F) == 4;
   template <class T>
-  static constexpr bool kSupported = sizeof(T) == sizeof(F) || kOfHalves;
+  static constexpr bool kSupported = sizeof(T) == sizeof(F) || kTakesHalf;
   static constexpr uint32_t kOrdinaryBits = 0x3f3f3f3f;  // a number between 0 and 2 in every type
   uint32_t words[C][4];                                  // of single elements: one or two for each
 
-  static __device__ __forceinline__ bool are_halves(Pixels const& x) {
-    return kOfHalves && (x.type == DType::float16 || x.type == DType::bfloat16);
+  static __device__ __forceinline__ bool is_half_type(Pixels const& x) {
+    return kTakesHalf && (x.type == DType::float16 || x.type == DType::bfloat16);
   }
   static __device__ __forceinline__ bool supports(Pixels const& x) {
-    bool const is_type = are_halves(x) || x.type == (sizeof(F) == 8 ? DType::float64 : DType::float32);
+    bool const is_type = is_half_type(x) || x.type == (sizeof(F) == 8 ? DType::float64 : DType::float32);
     return x.channels == C && is_type && (Elements || x.step == 1);
   }
   // The words of pixels that do not exist.
@@ -287,13 +287,13 @@ struct PrefetchedPixels {
     for (int i = 0; i < 4 * C; ++i) words[i / 4][i % 4] = word;
   }
   __device__ __forceinline__ void fetch(Pixels const& x, int64_t offset, int64_t i, int64_t pixels) {
-    if (are_halves(x))
+    if (is_half_type(x))
       fetch_as<Half>(x, offset, i, pixels);
     else
       fetch_as<F>(x, offset, i, pixels);
   }
   __device__ __forceinline__ void convert(Pixels const& x, F (&c)[C][P]) const {
-    if (!are_halves(x))
+    if (!is_half_type(x))
       convert_from<F>(x, c);
     else if (x.type == DType::float16)
       convert_from<Half>(x, c);

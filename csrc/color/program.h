@@ -74,7 +74,7 @@ KV_HD int parameters_of(Step step) {
 KV_HD bool takes_tensors(Step step) { return kTensorSteps >> int(step) & 1; }
 // Whether the step computes every value in the same way, whatever its channel.
 KV_HD bool is_per_value(Step step) { return kPerValueSteps >> int(step) & 1; }
-KV_HD bool gives_one_channel(Step step) { return kOneChannelSteps >> int(step) & 1; }
+KV_HD bool outputs_one_channel(Step step) { return kOneChannelSteps >> int(step) & 1; }
 // Whether the step, with these parameters, has the same Jacobian everywhere.
 template <class F>
 KV_HD bool is_affine(Step step, F const* parameters) {

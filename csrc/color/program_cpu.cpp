@@ -548,7 +548,7 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
   Scratch<F> scratch(C * kChunk<F>);
   F* const c = scratch.data;
   // The first step reads the image and the last one writes the result in place, if these are planes of F.
-  bool const one_channel = p.steps > 0 && gives_one_channel(p.step[p.steps - 1]);
+  bool const one_channel = p.steps > 0 && outputs_one_channel(p.step[p.steps - 1]);
   bool const direct = !p.measures_mean && !p.has_order() && p.steps == 1 && (p.y.channels == C || one_channel) &&
                       is_plain_chunk<F>(p.x, p.pixels) && is_plain_chunk<F>(p.y, p.pixels);
   if constexpr (sizeof(F) == 4)
@@ -565,7 +565,7 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
     for (int i = 0; i < s.length; ++i) {
       int const k = s.order[i];
       if (p.measures_mean && p.step[k] == Step::contrast) break;
-      EvaluateStep<F, C> values{{c}, {c}, count, s.p + p.first[k], gives_one_channel(p.step[k])};
+      EvaluateStep<F, C> values{{c}, {c}, count, s.p + p.first[k], outputs_one_channel(p.step[k])};
       if (reads && i == 0) values.c = chunk_at<F const>(p.x, b, first);
       if (writes && i + 1 == s.length) values.result = chunk_at<F>(p.y, b, first);
       run_step_on_chunk(p.step[k], values);

@@ -59,7 +59,7 @@ inline StepSequence check_steps(char const* op, PlanArgument const& plan, size_t
              ": expected one step around a mean at most, or an order that has one");
     if (step == Step::contrast && sequence.contrast < 0) sequence.contrast = int(sequence.steps.size());
     sequence.per_value = sequence.per_value && is_per_value(step);
-    sequence.one_channel = gives_one_channel(step);
+    sequence.one_channel = outputs_one_channel(step);
     sequence.parameters += parameters_of(step);
     sequence.steps.push_back(step);
   }
@@ -310,8 +310,8 @@ struct TransposedProgram {
   }
 };
 
-// Which gradients of a program are wanted.
-struct WantedGradients {
+// Which gradients of a program are required.
+struct RequiredGradients {
   bool image, parameters;
 };
 
@@ -326,13 +326,13 @@ inline bool is_expanded_scalar([[maybe_unused]] Tensor const& grad) {
 #endif
 }
 
-// The gradients of the image and, for each image of the batch, of the parameters. A gradient that is not wanted has no
-// elements. `means` are those of run_program, or nothing for programs without contrast.
+// The gradients of the image and, for each image of the batch, of the parameters. A gradient that is not required has
+// no elements. `means` are those of run_program, or nothing for programs without contrast.
 inline std::tuple<Tensor, Tensor> program_gradients(char const* op, Tensor const& grad, Tensor const& input,
                                                     ProgramArguments const& a, PlanArgument const& parsed,
                                                     std::vector<double> const& numbers, OptionalTensor const& means,
-                                                    WantedGradients wanted) {
-  auto const [of_image, of_parameters] = wanted;
+                                                    RequiredGradients required) {
+  auto const [of_image, of_parameters] = required;
   bool same = grad.dim() == 4 && grad.size(1) == (a.sequence.one_channel ? 1 : input.size(1)) &&
               grad.device() == input.device();
   for (int64_t i : {0, 2, 3}) same = same && grad.size(i) == input.size(i);

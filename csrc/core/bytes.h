@@ -127,8 +127,8 @@ KV_HD Lanes<int16_t, N> rounded_product(Lanes<int16_t, N> a, Lanes<int16_t, N> b
   if constexpr (N == 1) {
     return V((int32_t(a) * b + 0x4000) >> 15);
   } else {
-    using Wide = Lanes<int32_t, N>;
-    Wide const product = __builtin_convertvector(a, Wide) * __builtin_convertvector(b, Wide);
+    using Product = Lanes<int32_t, N>;
+    Product const product = __builtin_convertvector(a, Product) * __builtin_convertvector(b, Product);
     return __builtin_convertvector((product + 0x4000) >> 15, V);
   }
 }

@@ -1,4 +1,4 @@
-// Histogram equalization: schema and operator, for CPU and CUDA.
+// Histogram equalization: schema and entry, for CPU and CUDA.
 #include "equalize.h"
 #include "plane_views.h"
 

@@ -41,13 +41,13 @@ struct Sums : RangeSums<F> {
 
 // Combines the results of all threads of a block in a fixed order.
 template <class S>
-__device__ __forceinline__ S of_block(S mine) {
+__device__ __forceinline__ S of_block(S value) {
   __shared__ S warps[kWarps];
-  mine = warp_reduce(mine, [](S a, S const& b) {
+  value = warp_reduce(value, [](S a, S const& b) {
     a.add(b);
     return a;
   });
-  if (threadIdx.x % 32 == 0) warps[threadIdx.x / 32] = mine;
+  if (threadIdx.x % 32 == 0) warps[threadIdx.x / 32] = value;
   __syncthreads();
   S all = warps[0];
 #pragma unroll
@@ -58,9 +58,9 @@ __device__ __forceinline__ S of_block(S mine) {
 // Combines the results of a plane's chunks in a fixed order.
 template <class S, class F>
 __device__ __forceinline__ S of_plane(F const* partial, int64_t chunks) {
-  S mine = S::none();
-  for (int64_t i = threadIdx.x; i < chunks; i += kThreads) mine.add(reinterpret_cast<S const*>(partial)[i]);
-  return of_block(mine);
+  S value = S::none();
+  for (int64_t i = threadIdx.x; i < chunks; i += kThreads) value.add(reinterpret_cast<S const*>(partial)[i]);
+  return of_block(value);
 }
 
 struct ChunkPosition {

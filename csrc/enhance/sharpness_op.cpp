@@ -1,4 +1,4 @@
-// Sharpness: schemas and operators, for CPU and CUDA.
+// Sharpness: schemas and entries, for CPU and CUDA.
 #include "color/program_glue.h"
 #include "plane_views.h"
 #include "sharpness.h"

@@ -1,4 +1,4 @@
-// Affine shapes: schemas and operators, for CPU and CUDA.
+// Affine shapes: schemas and entries, for CPU and CUDA.
 #include "affine_shape.h"
 #include "patch_glue.h"
 

@@ -31,7 +31,7 @@ struct TileReader {
       T x = T(__builtin_nan(""));
       if (d >= p.width)
         x = 0;
-      else if (p.is_wanted(set, b, i))
+      else if (p.is_valid(set, b, i))
         x = set.values[(b * set.count + i) * p.width + d];
       next[e] = x;
     }

@@ -65,13 +65,13 @@ struct DescriptorSet {
   int count;
   // Results:
   int splits;             // a row of partial results for each part of the other set
-  Neighbors<T>* partial;  // (batch, splits, count); null if the neighbors are not wanted
+  Neighbors<T>* partial;  // (batch, splits, count); null if the neighbors are not requested
   T* distances;           // (batch, count, 2)
   int64_t* indices;       // (batch, count, 2)
   // Working memory of matching_candidates.cu, else null:
   T* half_squares;         // (batch, count)
   BFloat16* split;         // (batch, count, split_width(width))
-  Candidates* candidates;  // (batch, count, tiles of the other set); null if the neighbors are not wanted
+  Candidates* candidates;  // (batch, count, tiles of the other set); null if the neighbors are not requested
 
   KV_HD unsigned tiles() const { return unsigned((count + kMatchingTile<T> - 1) / kMatchingTile<T>); }
 };
@@ -83,7 +83,7 @@ struct TwoNearest {
   int width;
   T radius_squared;  // a pair of which the positions are nearer does not count
 
-  KV_HD bool is_wanted(DescriptorSet<T> const& set, int64_t b, int i) const {
+  KV_HD bool is_valid(DescriptorSet<T> const& set, int64_t b, int i) const {
     return i < set.count && (!set.mask || set.mask[b * set.count + i]);
   }
   KV_HD bool counts(int64_t b, int i, int j) const {
@@ -115,7 +115,7 @@ struct NeighborGradient {
   T const* values;         // (batch, count, width)
   T const* grad;           // (batch, listed, 2), to the distances of the neighbors of this set
   int64_t const* indices;  // (batch, listed, 2)
-  int count, listed;       // listed: count, or 0 if these neighbors were not wanted
+  int count, listed;       // listed: count, or 0 if these neighbors were not requested
   T* grad_values;          // (batch, count, width)
 };
 

@@ -63,11 +63,11 @@ __global__ void __launch_bounds__(kThreads) split_descriptors(__grid_constant__ 
   float sum = 0;
   for (int d = lane; d < p.width; d += 32) sum += x[d] * x[d];
   sum = warp_reduce(sum, Sum());
-  bool const is_wanted = (!set.mask || set.mask[i]) && sum < kInfinity;
-  if (lane == 0) set.half_squares[i] = is_wanted ? sum / 2 : kInfinity;
+  bool const is_valid = (!set.mask || set.mask[i]) && sum < kInfinity;
+  if (lane == 0) set.half_squares[i] = is_valid ? sum / 2 : kInfinity;
   BFloat16* const to = set.split + i * split_width(p.width);
   for (int d = lane; 2 * d < split_width(p.width); d += 32) {
-    float const component = is_wanted && d < p.width ? x[d] : 0.f;
+    float const component = is_valid && d < p.width ? x[d] : 0.f;
     BFloat16 const coarse = round_to_bfloat16(component);
     to[2 * (d - lane) + lane] = coarse;
     to[2 * (d - lane) + 32 + lane] = round_to_bfloat16(component - read(coarse));
@@ -269,10 +269,10 @@ struct Search {
     }
   }
   __device__ __forceinline__ void add_tile(int tile) {
-    constexpr int kTogether = 8;
+    constexpr int kUnroll = 8;
     int const from = tile * kTile, to = min(from + kTile, other->count);
     int j = from;
-    for (; j + kTogether <= to; j += kTogether) add<kTogether>(j);
+    for (; j + kUnroll <= to; j += kUnroll) add<kUnroll>(j);
     for (; j < to; ++j) add<1>(j);
   }
 };

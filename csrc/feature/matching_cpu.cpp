@@ -51,14 +51,14 @@ void two_nearest(TwoNearest<T> const& p, int64_t begin, int64_t end) {
     for (int start = 0; start < second.count; start += kColumns) {
       for (int c = 0; c < kColumns; ++c) {  // NaN where there is no descriptor
         T const* const x =
-            p.is_wanted(second, b, start + c) ? second.values + (b * second.count + start + c) * width : none.data;
+            p.is_valid(second, b, start + c) ? second.values + (b * second.count + start + c) * width : none.data;
         for (int d = 0; d < width; ++d) block.data[d * kColumns + c] = x[d];
       }
       for (int i = from; i < to; i += kRows) {
         T const* rows[kRows];
         for (int r = 0; r < kRows; ++r)
           rows[r] =
-              i + r < to && p.is_wanted(first, b, i + r) ? first.values + (b * first.count + i + r) * width : none.data;
+              i + r < to && p.is_valid(first, b, i + r) ? first.values + (b * first.count + i + r) * width : none.data;
         for (int c = 0; c < kColumns; c += kTile) {
           Lanes<T, N> square[kRows][kVectors];
           distance_tile<T, N>(rows, block.data + c, kColumns, width, square);

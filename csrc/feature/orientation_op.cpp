@@ -1,4 +1,4 @@
-// Dominant orientations: schemas and operators, for CPU and CUDA.
+// Dominant orientations: schemas and entries, for CPU and CUDA.
 #include "orientation.h"
 #include "patch_glue.h"
 

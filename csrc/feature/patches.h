@@ -50,7 +50,7 @@ struct SamplePatches {
   KV_HD int64_t plane_stride(int number) const { return image && number == 0 ? pixels() : shape.size; }
 };
 
-// Gradients of half types are float32, because they are sums over patches. A null pointer: not wanted.
+// Gradients of half types are float32, because they are sums over patches. A null pointer: not requested.
 template <class T>
 struct SamplePatchesBackward {
   T const* grad;

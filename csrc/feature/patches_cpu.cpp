@@ -150,7 +150,7 @@ KV_HD void differentiate_frame(SamplePatchesBackward<T> const& p, PatchCoordinat
 
 }  // namespace
 
-// The planes of the pyramids first, then the frames, where they are wanted.
+// The planes of the pyramids first, then the frames, where they are requested.
 template <class T>
 void sample_patches_backward(SamplePatchesBackward<T> const& p, int64_t begin, int64_t end) {
   int64_t const planes = p.grad_pyramid ? p.batch * p.channels : 0;

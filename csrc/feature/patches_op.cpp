@@ -1,4 +1,4 @@
-// Patches of local affine frames: schemas and operators, for CPU and CUDA.
+// Patches of local affine frames: schemas and entries, for CPU and CUDA.
 #include "geometry/transform/pyramid_glue.h"
 #include "glue/batch.h"
 #include "patches.h"

@@ -1,4 +1,4 @@
-// SIFT descriptors: schemas and operators, for CPU and CUDA.
+// SIFT descriptors: schemas and entries, for CPU and CUDA.
 #include "patch_glue.h"
 #include "sift.h"
 

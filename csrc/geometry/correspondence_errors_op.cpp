@@ -1,4 +1,4 @@
-// Errors of correspondences: schemas and entries for CPU and CUDA.
+// Errors of correspondences: schemas and entries, for CPU and CUDA.
 #include "geometry/correspondence_errors.h"
 #include "geometry/reals_glue.h"
 

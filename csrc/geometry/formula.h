@@ -139,8 +139,8 @@ KV_HD void formula_vjp(FormulaParams<F> const& p, Row const& row) {
   } else {
 #pragma unroll 1
     for (int first = 0; first < F::kInputSize; first += directions) {
-      unsigned const wanted = unsigned(p.present >> first) & ((1u << directions) - 1);
-      if (!wanted) continue;
+      unsigned const active = unsigned(p.present >> first) & ((1u << directions) - 1);
+      if (!active) continue;
       Dual<V, directions> duals[F::kInputSize], y[F::kOutputSize];
 #pragma unroll
       for (int i = 0; i < F::kInputSize; ++i) {
@@ -151,7 +151,7 @@ KV_HD void formula_vjp(FormulaParams<F> const& p, Row const& row) {
       F::evaluate(duals, y, p.options);
 #pragma unroll
       for (int k = 0; k < directions; ++k) {
-        if (!(wanted >> k & 1)) continue;
+        if (!(active >> k & 1)) continue;
         V sum = {};
 #pragma unroll
         for (int i = 0; i < F::kOutputSize; ++i) sum = sum + g[i] * y[i].d[k];

@@ -1,4 +1,4 @@
-// Formulas: schemas and entries for CPU and CUDA.
+// Formulas: schemas and entries, for CPU and CUDA.
 #include "geometry/formula_glue.h"
 
 namespace kv::geometry {

@@ -1,4 +1,4 @@
-// RANSAC's scores of models: schemas and entries for CPU and CUDA.
+// RANSAC's scores of models: schemas and entries, for CPU and CUDA.
 #include "geometry/ransac.h"
 #include "geometry/reals_glue.h"
 

@@ -66,8 +66,8 @@ __global__ void add_parts(F const* partial, int64_t parts, int entries, F* sums)
 
 template <class T>
 int transform_points_backward(TransformPointsBackward<T> const& p, CUstream_st* stream) {
-  int64_t const parts = p.parts(), wanted = ceil_div(ceil_div(min(p.part, p.count), kRun), 32) * 32;
-  unsigned const threads = unsigned(min(wanted, int64_t(kThreads))), blocks = unsigned(p.matrices_count * parts);
+  int64_t const parts = p.parts(), target = ceil_div(ceil_div(min(p.part, p.count), kRun), 32) * 32;
+  unsigned const threads = unsigned(min(target, int64_t(kThreads))), blocks = unsigned(p.matrices_count * parts);
   bool const vectorized = is_vectorizable_by_4(p.count, p.points, p.depth, p.grad) &&
                           is_vectorizable_by_4<T>(p.count, p.grad_points, p.grad_depth, nullptr);
   with_map(p.map, [&](auto map) {

@@ -1,4 +1,4 @@
-// Binary focal loss: schemas and operators, for CPU and CUDA.
+// Binary focal loss: schemas and entries, for CPU and CUDA.
 #include "binary_focal.h"
 #include "glue/glue.h"
 

@@ -248,12 +248,12 @@ __global__ void __launch_bounds__(kThreads) compute_gradients(Ranked<F> const* r
   int64_t const start = int64_t(chunk) * kRankedChunk<F>;
   ranked += segment * pixels, gradients += segment * pixels, counts += segment * chunks;
 
-  unsigned mine = 0, before = 0;  // the totals of all chunks, and of the preceding ones
+  unsigned total = 0, before = 0;  // the totals of all chunks, and of the preceding ones
   for (unsigned i = threadIdx.x; i < chunks; i += kThreads) {
     unsigned const count = counts[i];
-    mine += count, before += i < chunk ? count : 0;
+    total += count, before += i < chunk ? count : 0;
   }
-  mine = warp_reduce(mine, Sum()), before = warp_reduce(before, Sum());
+  total = warp_reduce(total, Sum()), before = warp_reduce(before, Sum());
   Ranked<F> element[kRows];
   unsigned inside[kRows], of_warp = 0;
 #pragma unroll
@@ -263,7 +263,7 @@ __global__ void __launch_bounds__(kThreads) compute_gradients(Ranked<F> const* r
     inside[row] = __ballot_sync(0xffffffffu, element[row].inside());
     of_warp += __popc(inside[row]);
   }
-  if (lane == 0) sums[0][warp] = mine, sums[1][warp] = before, warp_sums[warp] = of_warp;
+  if (lane == 0) sums[0][warp] = total, sums[1][warp] = before, warp_sums[warp] = of_warp;
   __syncthreads();
   unsigned all = 0, result = 0;
   for (unsigned w = 0; w < kWarps; ++w) {

@@ -1,4 +1,4 @@
-// Intersection over union of boxes: schemas and operators, for CPU and CUDA.
+// Intersection over union of boxes: schemas and entries, for CPU and CUDA.
 #include "boxes.h"
 #include "glue/batch.h"
 

@@ -1,4 +1,4 @@
-// Confusion matrices: schema and operator, for CPU and CUDA.
+// Confusion matrices: schema and entry, for CPU and CUDA.
 #include "confusion_matrix.h"
 #include "glue/glue.h"
 

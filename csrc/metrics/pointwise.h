@@ -91,7 +91,7 @@ KV_HD V log_one_plus(V t) {
 
 // The contribution of a true probability of 0: zero, or NaN if the predicted probability is invalid.
 template <class F, class V>
-KV_HD V of_nothing(V x) {
+KV_HD V zero_if_valid(V x) {
   V const zero = V{}, nan = zero + F(__builtin_nan(""));
   return x >= zero ? zero : nan;
 }
@@ -115,7 +115,7 @@ KV_HD V point_loss(PointLoss kind, V x, V y) {
     case PointLoss::square:
       return d * d;
     case PointLoss::kl:
-      return y == zero ? of_nothing<F>(x) : V(y * (Math::log(y) - Math::log(x)));
+      return y == zero ? zero_if_valid<F>(x) : V(y * (Math::log(y) - Math::log(x)));
     default: {
       V const log_m = Math::log(V(half * (x + y)));
       V const of_x = x == zero ? zero : V(x * (Math::log(x) - log_m));
@@ -146,7 +146,7 @@ KV_HD V point_derivative(PointLoss kind, bool by_y, V x, V y) {
       return F(2) * d;
     case PointLoss::kl:
       if (by_y) return y == zero ? zero : V(Math::log(y) - Math::log(x) + one);
-      return y == zero ? of_nothing<F>(x) : V(-y / x);
+      return y == zero ? zero_if_valid<F>(x) : V(-y / x);
     default: {
       V const a = by_y ? y : x, b = by_y ? x : y, sum = a + b;
       V const own = a == zero ? zero : V(Math::log(a) - Math::log(V(half * sum)) + one - a / sum);

@@ -1,4 +1,4 @@
-// Elementwise losses: schemas and operators, for CPU and CUDA.
+// Elementwise losses: schemas and entries, for CPU and CUDA.
 #include "glue/glue.h"
 #include "pointwise.h"
 

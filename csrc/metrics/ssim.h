@@ -242,7 +242,7 @@ struct SsimBlocks {
 
 // CUDA: the maximum size of `partial` per plane of an image, or per volume.
 template <class T>
-int64_t most_ssim_pieces(SsimImages<T> const& p) {
+int64_t max_ssim_chunks(SsimImages<T> const& p) {
   if (has_ssim_strips(p, 0)) return (p.x.width / 240 + 1) * 8 * (p.x.height / 8 + 1);
   if (has_ssim_tiles(p)) return SsimTiles(p.x.height, p.x.width, p.size).chunks();
   if (has_ssim_volume_tiles(p)) return SsimVolumeTiles(p.depth, p.x.height, p.x.width, p.size, 0).chunks();

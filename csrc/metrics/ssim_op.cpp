@@ -1,4 +1,4 @@
-// Structural similarity: schemas and operators, for CPU and CUDA.
+// Structural similarity: schemas and entries, for CPU and CUDA.
 #include <limits>
 
 #include "core/row_sums.h"
@@ -147,7 +147,7 @@ Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double 
                    nullptr,
                    data_ptr<F>(sums)};
 #if defined(KV_CUDA)
-    int64_t const chunks = channels * most_ssim_pieces(params.images);
+    int64_t const chunks = channels * max_ssim_chunks(params.images);
 #else
     int64_t const chunks = channels * params.images.slices() * nothing.height;
 #endif

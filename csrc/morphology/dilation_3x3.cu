@@ -245,7 +245,7 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
   F own[2][P];                            // x itself
   auto ahead = rows.next();
   auto grad_ahead = grads.next();
-  auto const next_x = [&](int y, F(&m)[P + 2], F(&t)[P + 2], F(&mine)[P]) {
+  auto const next_x = [&](int y, F(&m)[P + 2], F(&t)[P + 2], F(&center)[P]) {
     F v[P + 4];
     rows.spread(ahead, y, v);
     ahead = rows.next();
@@ -256,7 +256,7 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
       t[i] = (v[i] == m[i] ? one : none) + (v[i + 1] == m[i] ? one : none) + (v[i + 2] == m[i] ? one : none);
     }
 #pragma unroll
-    for (int i = 0; i < P; ++i) mine[i] = v[i + 2];
+    for (int i = 0; i < P; ++i) center[i] = v[i + 2];
   };
   next_x(y0 - 2, most[0], ties[0], own[0]);
   next_x(y0 - 1, most[1], ties[1], own[1]);

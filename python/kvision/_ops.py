@@ -41,8 +41,8 @@ from kvision._torch_compat import (
 )
 
 FLOATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16)
-_HALVES = (torch.float16, torch.bfloat16)
-_PROMOTED = (*_HALVES, torch.float64, torch.uint8)  # before a reference computes; labels and masks stay as they are
+_HALF_TYPES = (torch.float16, torch.bfloat16)
+_PROMOTED = (*_HALF_TYPES, torch.float64, torch.uint8)  # before a reference computes; labels and masks stay as they are
 
 # --- operators ------------------------------------------------------------------------------------------------------
 
@@ -558,7 +558,7 @@ def with_kernel_casts(
         dtype = x.dtype
         if dtype == torch.uint8:
             return _map(lambda y: match_layout(y, args[layout_of]), of_bytes(*args))
-        if not (native_half and dtype in _HALVES):
+        if not (native_half and dtype in _HALF_TYPES):
             args = _promoted(args, dtype)
         output, like = reference(*args), args[layout_of]
         if isinstance(output, (tuple, list)):

@@ -162,13 +162,13 @@ def accepted_keywords(value: Any) -> set[str]:
     try:
         parameters = inspect.signature(value).parameters.values()
     except (TypeError, ValueError):
-        return _Everything()
+        return _AnyName()
     if any(p.kind is p.VAR_KEYWORD for p in parameters):
-        return _Everything()
+        return _AnyName()
     return {p.name for p in parameters if p.kind is not p.POSITIONAL_ONLY}
 
 
-class _Everything(set[str]):
+class _AnyName(set[str]):
     """A set that holds every string."""
 
     def __rsub__(self, other: Any) -> set[str]:

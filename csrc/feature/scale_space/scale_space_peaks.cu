@@ -192,12 +192,12 @@ struct RankPrefix {
   }
 };
 
-// Finds the prefix that `wanted` of n ranks reach, fewer than n. Called by all threads of a block.
+// Finds the prefix that `num_chosen` of n ranks reach, fewer than n. Called by all threads of a block.
 template <class F>
-__device__ void choose(PeakRank<F> const* ranks, int64_t n, int wanted, RankPrefix& prefix) {
+__device__ void choose(PeakRank<F> const* ranks, int64_t n, int num_chosen, RankPrefix& prefix) {
   __shared__ int counts[256], missing;
   __shared__ bool done;
-  if (threadIdx.x == 0) prefix.length = 0, missing = wanted, done = false;
+  if (threadIdx.x == 0) prefix.length = 0, missing = num_chosen, done = false;
   __syncthreads();
   for (int d = 0; d < int(sizeof(F)) + 4 && !done; ++d) {
     for (int i = threadIdx.x; i < 256; i += kChooseThreads) counts[i] = 0;

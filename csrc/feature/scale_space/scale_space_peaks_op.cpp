@@ -1,4 +1,4 @@
-// Peaks of scale spaces: schemas and operators, for CPU and CUDA.
+// Peaks of scale spaces: schemas and entries, for CPU and CUDA.
 #include "feature/scale_space/scale_space_peaks_glue.h"
 #include "glue/batch.h"
 

@@ -277,8 +277,8 @@ int launch(Box<T> const& p, bool transposed, CUstream_st* stream) {
   tiles.width = int(ceil_div(p.x.width, tiles.across));
   // Enough tiles for all multiprocessors, but not so low that most of their rows are those above, which are summed
   // again.
-  int64_t const wanted = ceil_div(3 * 132, planes * tiles.across), most = ceil_div(p.x.height, max(p.ky, int64_t(32)));
-  tiles.height = int(ceil_div(p.x.height, clamp(wanted, int64_t(1), most)));
+  int64_t const target = ceil_div(3 * 132, planes * tiles.across), most = ceil_div(p.x.height, max(p.ky, int64_t(32)));
+  tiles.height = int(ceil_div(p.x.height, clamp(target, int64_t(1), most)));
   tiles.down = int(ceil_div(p.x.height, tiles.height));
   int64_t const bytes = tiles.bytes<F>();
   if (int const error = cudaFuncSetAttribute(box_tile<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))

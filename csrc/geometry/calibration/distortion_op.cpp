@@ -1,4 +1,4 @@
-// Lens distortion: schemas and entry points of the operators, for CPU and CUDA.
+// Lens distortion: schemas and entries, for CPU and CUDA.
 #include "geometry/calibration/distortion.h"
 #include "geometry/reals_glue.h"
 #include "geometry/transform/sampling_glue.h"

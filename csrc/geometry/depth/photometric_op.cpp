@@ -1,4 +1,4 @@
-// The photometric distance of views by depth: schema and entry for CPU and CUDA.
+// The photometric distance of views by depth: schema and entry, for CPU and CUDA.
 #include "geometry/depth/photometric.h"
 #include "geometry/depth/warp_glue.h"
 #include "geometry/photometric_glue.h"

@@ -171,16 +171,16 @@ template <class T, int Tall>
 __global__ void __launch_bounds__(kThreads)
     normals_backward(__grid_constant__ DepthNormalsBackward<T> const p, unsigned across, unsigned down) {
   using F = Compute<T>;
-  constexpr int kWide = kAcross + 2, kHigh = Tall + 2, kRows = Tall / 8;
-  __shared__ F gradients[6][kHigh][kWide];
+  constexpr int kTileWidth = kAcross + 2, kTileHeight = Tall + 2, kRows = Tall / 8;
+  __shared__ F gradients[6][kTileHeight][kTileWidth];
   unsigned const line = blockIdx.x / across;
   int64_t const b = line / down;
   int const x0 = int(blockIdx.x - line * across) * kAcross, y0 = int(line - unsigned(b) * down) * Tall;
   int const width = int(p.depth.width), height = int(p.depth.height);
   Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
 #pragma unroll 1
-  for (int n = threadIdx.x; n < kHigh * kWide; n += kThreads) {
-    int const row = n / kWide, column = n - row * kWide, x = x0 - 1 + column, y = y0 - 1 + row;
+  for (int n = threadIdx.x; n < kTileHeight * kTileWidth; n += kThreads) {
+    int const row = n / kTileWidth, column = n - row * kTileWidth, x = x0 - 1 + column, y = y0 - 1 + row;
     F grad_x[3] = {}, grad_y[3] = {};
     if (x >= 0 && x < width && y >= 0 && y < height) {
       F along_x[3], along_y[3], grad[3];

@@ -1,4 +1,4 @@
-// Points and normals of depth images: schemas and entries for CPU and CUDA.
+// Points and normals of depth images: schemas and entries, for CPU and CUDA.
 #include "geometry/depth/points.h"
 #include "geometry/transform/sampling_glue.h"
 

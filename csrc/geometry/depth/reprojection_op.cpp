@@ -1,4 +1,4 @@
-// Projections between cameras: schemas and entries for CPU and CUDA.
+// Projections between cameras: schemas and entries, for CPU and CUDA.
 #include "geometry/depth/reprojection.h"
 #include "geometry/reals_glue.h"
 

@@ -1,4 +1,4 @@
-// Warps by depth: schemas and entries for CPU and CUDA.
+// Warps by depth: schemas and entries, for CPU and CUDA.
 #include "geometry/depth/warp_glue.h"
 
 namespace kv::geometry {

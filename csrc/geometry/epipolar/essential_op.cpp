@@ -1,4 +1,4 @@
-// Essential matrices: schemas and entries for CPU and CUDA.
+// Essential matrices: schemas and entries, for CPU and CUDA.
 #include "geometry/epipolar/essential.h"
 #include "geometry/reals_glue.h"
 

@@ -1,4 +1,4 @@
-// Triangulation: schemas and entries for CPU and CUDA.
+// Triangulation: schemas and entries, for CPU and CUDA.
 #include "geometry/epipolar/triangulation.h"
 #include "geometry/reals_glue.h"
 

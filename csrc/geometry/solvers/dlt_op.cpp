@@ -1,4 +1,4 @@
-// Direct linear transformation: schemas and entries for CPU and CUDA.
+// Direct linear transformation: schemas and entries, for CPU and CUDA.
 #include "geometry/reals_glue.h"
 #include "geometry/solvers/dlt.h"
 

@@ -1,4 +1,4 @@
-// Minimal solvers: schema and entry for CPU and CUDA.
+// Minimal solvers: schema and entry, for CPU and CUDA.
 #include "geometry/reals_glue.h"
 #include "geometry/solvers/minimal.h"
 

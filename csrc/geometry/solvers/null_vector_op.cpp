@@ -1,4 +1,4 @@
-// Null vectors: schemas and entries for CPU and CUDA.
+// Null vectors: schemas and entries, for CPU and CUDA.
 #include "geometry/reals_glue.h"
 #include "geometry/solvers/null_vector.h"
 

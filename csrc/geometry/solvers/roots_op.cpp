@@ -1,4 +1,4 @@
-// Real roots: schema and entry for CPU and CUDA.
+// Real roots: schema and entry, for CPU and CUDA.
 #include "geometry/reals_glue.h"
 #include "geometry/solvers/roots.h"
 

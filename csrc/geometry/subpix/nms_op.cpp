@@ -1,4 +1,4 @@
-// Local maxima: schemas and entries for CPU and CUDA. The planes of a volume become the channels of a planar image.
+// Local maxima: schemas and entries, for CPU and CUDA. The planes of a volume become the channels of a planar image.
 #include "geometry/subpix/nms.h"
 #include "glue/batch.h"
 

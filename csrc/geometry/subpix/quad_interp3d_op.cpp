@@ -1,4 +1,4 @@
-// Subvoxel peaks: schemas and entries for CPU and CUDA. Volumes (B, C, D, H, W) are read contiguous.
+// Subvoxel peaks: schemas and entries, for CPU and CUDA. Volumes (B, C, D, H, W) are read contiguous.
 #include "geometry/subpix/quad_interp3d.h"
 #include "glue/batch.h"
 

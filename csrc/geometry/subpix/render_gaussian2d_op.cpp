@@ -1,4 +1,4 @@
-// Heat maps of Gaussians: schemas and entries for CPU and CUDA.
+// Heat maps of Gaussians: schemas and entries, for CPU and CUDA.
 #include "geometry/subpix/render_gaussian2d.h"
 #include "glue/glue.h"
 

@@ -1,4 +1,4 @@
-// The soft argmax of windows: schemas and entries for CPU and CUDA. Volumes are read contiguous.
+// The soft argmax of windows: schemas and entries, for CPU and CUDA. Volumes are read contiguous.
 #include "geometry/subpix/soft_argmax.h"
 #include "glue/batch.h"
 

@@ -1,4 +1,4 @@
-// Mean coordinates: schemas and entries for CPU and CUDA.
+// Mean coordinates: schemas and entries, for CPU and CUDA.
 #include <math.h>
 
 #include "geometry/subpix/spatial_expectation.h"

@@ -1,4 +1,4 @@
-// Flips and crops of images: schemas and entry points of the operators, for CPU and CUDA.
+// Flips and crops of images: schemas and entries, for CPU and CUDA.
 #include "geometry/transform/flip.h"
 #include "glue/glue.h"
 

@@ -1,4 +1,4 @@
-// The photometric error: schemas and entry points of the operators, for CPU and CUDA.
+// The photometric error: schemas and entries, for CPU and CUDA.
 #include "geometry/photometric_glue.h"
 #include "geometry/transform/photometric.h"
 

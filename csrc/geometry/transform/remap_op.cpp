@@ -1,4 +1,4 @@
-// Sampling at the coordinates of a map: schemas and entry points of the operators, for CPU and CUDA.
+// Sampling at the coordinates of a map: schemas and entries, for CPU and CUDA.
 #include "geometry/transform/sampling_glue.h"
 
 namespace kv::geometry {

@@ -41,9 +41,9 @@ struct Tile {
   // The block's tile of that number.
   __device__ __forceinline__ void locate(TileGrid const& tiles, int number) {
     unsigned const row = blockIdx.x / tiles.across, sample = row / tiles.down;
-    int const column = int(blockIdx.x - row * tiles.across), in_turn = int(tiles.per_block);
-    b = image = tiles.of_samples ? int(sample) * in_turn + number : int(sample);
-    x = (tiles.of_samples ? column : column * in_turn + number) * kTile;
+    int const column = int(blockIdx.x - row * tiles.across), per_block = int(tiles.per_block);
+    b = image = tiles.of_samples ? int(sample) * per_block + number : int(sample);
+    x = (tiles.of_samples ? column : column * per_block + number) * kTile;
     y = int(row - sample * tiles.down) * kTile;
     u = v = 0;
   }

@@ -1,4 +1,4 @@
-// Thin-plate splines: schemas and entry points of the operators, for CPU and CUDA.
+// Thin-plate splines: schemas and entries, for CPU and CUDA.
 #include "geometry/reals_glue.h"
 #include "geometry/transform/sampling_glue.h"
 #include "geometry/transform/thin_plate.h"

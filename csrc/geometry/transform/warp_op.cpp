@@ -1,4 +1,4 @@
-// Warps by a matrix: schemas and entry points of the operators, for CPU and CUDA.
+// Warps by a matrix: schemas and entries, for CPU and CUDA.
 #include "geometry/transform/warp_glue.h"
 
 namespace kv::geometry {

@@ -14,9 +14,9 @@ namespace {
 // Flips and shifts by whole pixels, from pixels of the result to those of the image. All weights are 1 and 0.
 KV_HD bool moves_whole_pixels(Homography<double> const& map) {
   auto const is_one = [](double x) { return x == 1 || x == -1; };
-  auto const is_whole = [](double x) { return x > -(1 << 30) && x < 1 << 30 && x == double(int64_t(x)); };
-  return map.affine && is_one(map.m[0]) && is_one(map.m[4]) && map.m[1] == 0 && map.m[3] == 0 && is_whole(map.m[2]) &&
-         is_whole(map.m[5]);
+  auto const is_integer = [](double x) { return x > -(1 << 30) && x < 1 << 30 && x == double(int64_t(x)); };
+  return map.affine && is_one(map.m[0]) && is_one(map.m[4]) && map.m[1] == 0 && map.m[3] == 0 && is_integer(map.m[2]) &&
+         is_integer(map.m[5]);
 }
 
 // Copies `count` pixels of C channels, 0 for any number, side by side; those of the image in either direction.

@@ -82,11 +82,12 @@ inline constexpr char const* kLinks[] = {"a", "b", "c", "d", "e", "f", "g", "h"}
 
 // The gradients to the links of a chain, arguments `first` and on, from those of the coordinates that they compose to.
 inline variable_list link_gradients(Backward const& b, Tensor const& grad, size_t first) {
-  Ints wanted;
-  for (size_t i = 0; i < std::size(kLinks); ++i) wanted.push_back(b.tensor(first + i).defined() && b.needs(first + i));
-  variable_list gradients = b.call("composed_coords_backward", {{"grad", grad}, {"wanted", wanted}});
+  Ints needs_grad;
   for (size_t i = 0; i < std::size(kLinks); ++i)
-    gradients[i] = wanted[i] ? at::sum_to(gradients[i], b.tensor(first + i).sizes()) : Tensor();
+    needs_grad.push_back(b.tensor(first + i).defined() && b.needs(first + i));
+  variable_list gradients = b.call("composed_coords_backward", {{"grad", grad}, {"needs_grad", needs_grad}});
+  for (size_t i = 0; i < std::size(kLinks); ++i)
+    gradients[i] = needs_grad[i] ? at::sum_to(gradients[i], b.tensor(first + i).sizes()) : Tensor();
   return gradients;
 }
 

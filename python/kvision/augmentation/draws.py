@@ -234,9 +234,9 @@ def _permutation(words: _Words, numbers: Sequence[float]) -> _Columns:
     entries = torch.arange(n, device=words()[0].device).expand(len(words()[0]), n).clone()
     for i in range(n - 1):
         other = (i + _up_to(words(i // 4)[i % 4], n - i))[:, None]
-        mine, theirs = entries[:, i : i + 1].clone(), entries.gather(1, other)
-        entries = entries.scatter(1, other, mine)
-        entries[:, i : i + 1] = theirs
+        current, partner = entries[:, i : i + 1].clone(), entries.gather(1, other)
+        entries = entries.scatter(1, other, current)
+        entries[:, i : i + 1] = partner
     return [(entries[:, i].double(), first + step * i) for i in range(n)]
 
 

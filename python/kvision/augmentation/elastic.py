@@ -96,24 +96,24 @@ class MapAugmentation(AugmentationBase2D):
         x, execution = self._call_to_invert(output, params, flags)
         if not execution.applied or 0 in x.shape:
             return output
-        back, is_found = self._inverse_map(x, execution, flags)
-        y = torch.where(is_found, maps.read(x, back, self.resampling(flags).for_inverse()), 0).to(x.dtype)
+        back, converged = self._inverse_map(x, execution, flags)
+        y = torch.where(converged, maps.read(x, back, self.resampling(flags).for_inverse()), 0).to(x.dtype)
         return self._restored(where_chosen(execution.chosen, y, x), output)
 
     def inverse_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or 0 in masks.shape:
             return masks
-        back, is_found = self._inverse_map(masks, execution, flags)
+        back, converged = self._inverse_map(masks, execution, flags)
         read = maps.read_labels(masks, back, self.resampling(flags).for_inverse("nearest"))
-        return where_chosen(execution.chosen, torch.where(is_found, read, 0).to(masks.dtype), masks)
+        return where_chosen(execution.chosen, torch.where(converged, read, 0).to(masks.dtype), masks)
 
     def _inverse_map(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> tuple[Tensor, Tensor]:
         """Where the pixels of the image are in the result, (B, H, W, 2), and whether they are there, (B, 1, H, W)."""
         moved = self.displacements_of(execution, flags, x)
         h, w = moved.shape[-2:]
         pixels = maps.pixel_positions(h, w, moved).unflatten(1, (h, w)).expand(len(moved), -1, -1, -1)
-        back, is_found = maps.find_everywhere(moved, pixels)
-        return back, is_found[:, None]
+        back, converged = maps.find_everywhere(moved, pixels)
+        return back, converged[:, None]
 
     def inverse_points(self, points: Tensor, execution: Execution) -> Tensor:
         if not execution.applied or 0 in points.shape:

@@ -1,4 +1,4 @@
-"""Where the 64-bit keys of random parameters come from."""
+"""The 64-bit keys of random parameters, from seeds and generators."""
 
 from __future__ import annotations
 

@@ -138,12 +138,12 @@ def _quadrangles_around(outline: Tensor) -> Tensor:
     # A unit vector to the outside of each side: to the left of it, where the corners go clockwise on the screen.
     normal = torch.stack([along[..., 1], -along[..., 0]], -1) * torch.where(area < 0, -1.0, 1.0)[..., None]
     normal = normal / along.norm(dim=-1, keepdim=True).clamp(min=1e-6)
-    beyond = ((outline - corners[..., None, :]) * normal[..., None, :]).sum(-1).amax(-1).clamp(min=0)
+    excess = ((outline - corners[..., None, :]) * normal[..., None, :]).sum(-1).amax(-1).clamp(min=0)
     # A corner moves to where the lines of its two sides meet.
-    before, distance = normal.roll(1, -2), beyond.roll(1, -1)
+    before, distance = normal.roll(1, -2), excess.roll(1, -1)
     determinant = before[..., 0] * normal[..., 1] - before[..., 1] * normal[..., 0]
-    x = distance * normal[..., 1] - beyond * before[..., 1]
-    y = beyond * before[..., 0] - distance * normal[..., 0]
+    x = distance * normal[..., 1] - excess * before[..., 1]
+    y = excess * before[..., 0] - distance * normal[..., 0]
     is_flat = determinant.abs() < 1e-3
     step = torch.stack([x, y], -1) / torch.where(is_flat, 1.0, determinant)[..., None]
     return corners + torch.where(is_flat[..., None], 0.0, step)
@@ -231,8 +231,8 @@ def _upright(vertices: Tensor) -> Tensor:
     """The corners of boxes that a flip has mirrored, beginning top left again and going clockwise."""
     first, second, _, last = vertices.unbind(-2)
     along, down = second - first, last - first
-    turned_over = along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0] < 0
-    vertices = torch.where(turned_over[..., None, None], vertices.flip(-2), vertices)
+    is_mirrored = along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0] < 0
+    vertices = torch.where(is_mirrored[..., None, None], vertices.flip(-2), vertices)
     start = vertices.sum(-1).argmin(-1)
     index = (start[..., None] + torch.arange(4, device=vertices.device)) % 4
     return vertices.gather(-2, index[..., None].expand(*index.shape, 2))

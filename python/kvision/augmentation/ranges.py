@@ -100,7 +100,7 @@ def parse(
     return Range(low, high)
 
 
-def both_ends(value: Any) -> Any:
+def as_pair(value: Any) -> Any:
     """A number, or the only entry of a sequence, as the pair of it and itself; anything else as it is."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return (value, value)

@@ -1,4 +1,4 @@
-"""Images times a factor plus a shift, clamped to [0, 1] where it is asked for: a step of color programs."""
+"""Images times a factor plus a shift, clamped to [0, 1] on request: a step of color programs."""
 
 from __future__ import annotations
 

@@ -157,7 +157,7 @@ def rgb_to_yuv420(image: Tensor) -> tuple[Tensor, Tensor]:
         (torch.Size([2, 1, 4, 6]), torch.Size([2, 2, 2, 3]))
     """
     _check.channels("rgb_to_yuv420", "image", image, 3)
-    _whole_cells("rgb_to_yuv420", "image", image, 2, 2)
+    _check_even("rgb_to_yuv420", "image", image, 2, 2)
     return apply_on_batch(_subsampled, floats(image), 2)
 
 
@@ -183,7 +183,7 @@ def rgb_to_yuv422(image: Tensor) -> tuple[Tensor, Tensor]:
         (torch.Size([2, 1, 4, 6]), torch.Size([2, 2, 4, 3]))
     """
     _check.channels("rgb_to_yuv422", "image", image, 3)
-    _whole_cells("rgb_to_yuv422", "image", image, 1, 2)
+    _check_even("rgb_to_yuv422", "image", image, 1, 2)
     return apply_on_batch(_subsampled, floats(image), 1)
 
 
@@ -240,7 +240,7 @@ def yuv422_to_rgb(imagey: Tensor, imageuv: Tensor) -> Tensor:
 def _joined(op: str, luma: Tensor, chroma: Tensor, rows: int, columns: int) -> Tensor:
     _check.channels(op, "imagey", luma, 1)
     _check.channels(op, "imageuv", chroma, 2)
-    _whole_cells(op, "imagey", luma, rows, columns)
+    _check_even(op, "imagey", luma, rows, columns)
     *leading, _, h, w = luma.shape
     expected = (*leading, 2, h // rows, w // columns)
     if chroma.shape != expected:
@@ -252,7 +252,7 @@ def _joined(op: str, luma: Tensor, chroma: Tensor, rows: int, columns: int) -> T
     return apply_on_batch(_upsampled, floats(luma), flatten_batch(chroma), rows)
 
 
-def _whole_cells(op: str, name: str, x: Tensor, rows: int, columns: int) -> None:
+def _check_even(op: str, name: str, x: Tensor, rows: int, columns: int) -> None:
     if x.shape[-2] % rows or x.shape[-1] % columns:
         even = "H and W" if rows == 2 else "W"
         raise ShapeError(f"{op}: expected {name} with even {even}, got {tuple(x.shape)}")

@@ -1,4 +1,4 @@
-"""Modules that also take and give NumPy arrays, PIL images and file names, and remember their last image."""
+"""Modules that also take and return NumPy arrays, PIL images and file names, and remember their last image."""
 
 from __future__ import annotations
 

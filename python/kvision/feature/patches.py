@@ -64,7 +64,7 @@ def levels_of_frames(laf: Tensor, levels: int, window: float) -> Tensor:
 def _reference_backward(grad: Tensor, pyramid: Tensor, laf: Tensor, *args: Any) -> tuple[Tensor, Tensor]:
     """The gradients to the pyramid and to the frames, in the type that computes.
 
-    One that is not wanted has no channels or frames.
+    One that is not requested has no channels or frames.
     """
     *options, wants_pyramid, wants_laf = args
     dtype, batch = compute_dtype(pyramid), grad.shape[0]

@@ -13,7 +13,7 @@ from kvision.geometry.linalg import root
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_HALVES = (torch.float16, torch.bfloat16)
+_HALF_TYPES = (torch.float16, torch.bfloat16)
 
 
 def in_full_precision(function: F) -> F:
@@ -30,7 +30,7 @@ def in_full_precision(function: F) -> F:
             if isinstance(a, Tensor):
                 if first is None:
                     first = a
-                    computed = torch.float32 if a.dtype in _HALVES else a.dtype
+                    computed = torch.float32 if a.dtype in _HALF_TYPES else a.dtype
                 fits = fits and (a.dtype is computed or not a.is_floating_point())
         if first is None:
             return function(*args, **kwargs)  # raises the error for a missing tensor

@@ -124,9 +124,9 @@ def _fit_plane(points: Tensor) -> tuple[Tensor, Tensor]:
 
 def scatter_of(offsets: Tensor, weights: Tensor | None = None) -> Tensor:
     """Sums (*, D, D) of products of offsets (*, N, D) from their mean, up to a factor."""
-    is_wide = offsets.dtype == torch.float64
+    is_float64 = offsets.dtype == torch.float64
     offsets = promoted(offsets)
-    if is_wide or offsets.dtype != torch.float64:  # products of narrower types are within the range of float64
+    if is_float64 or offsets.dtype != torch.float64:  # products of narrower types are within the range of float64
         scale = offsets.detach().abs().amax((-2, -1), keepdim=True)
         offsets = offsets / scale.clamp(min=torch.finfo(scale.dtype).tiny)
     heavy = offsets if weights is None else offsets * promoted(weights)[..., None]

@@ -141,12 +141,12 @@ def _decode(path: Path) -> np.ndarray[Any, Any]:
         raise ImageError(f"load_image: cannot decode '{path}': {reason}")
     metadata = dict(zip(np.ravel(kinds).tolist(), blocks, strict=True))
     exif = bytes(np.ravel(metadata.get(cv2.IMAGE_METADATA_EXIF, np.empty(0, np.uint8))))
-    planes = cv2.split(_turn_upright(pixels, _orientation(exif)))
+    planes = cv2.split(_apply_orientation(pixels, _orientation(exif)))
     rgb = {3: (2, 1, 0), 4: (2, 1, 0, 3)}.get(len(planes), range(len(planes)))
     return np.stack([planes[c] for c in rgb])
 
 
-def _turn_upright(pixels: np.ndarray[Any, Any], orientation: int) -> np.ndarray[Any, Any]:
+def _apply_orientation(pixels: np.ndarray[Any, Any], orientation: int) -> np.ndarray[Any, Any]:
     """A stored image (H, W) or (H, W, C) as it is meant to be seen.
 
     EXIF says which sides of the image the first row and the first column are:

@@ -181,10 +181,10 @@ def _right(detected: Tensor, true: Tensor, possible: Tensor, threshold: float) -
     return (matches & (first[box] == rank)).to(detected.dtype)
 
 
-def _average(right: Tensor, mine: Tensor, count: Tensor) -> Tensor:
+def _average(right: Tensor, is_class: Tensor, count: Tensor) -> Tensor:
     """The mean over eleven recalls of the best precision with at least that recall; -1 without a true box."""
-    hits = (right * mine).cumsum(0)
-    precision = torch.where(mine, hits / mine.cumsum(0).clamp_min(1), 0)
+    hits = (right * is_class).cumsum(0)
+    precision = torch.where(is_class, hits / is_class.cumsum(0).clamp_min(1), 0)
     recalls = torch.arange(11, device=right.device, dtype=right.dtype)[:, None] / 10
     reached = torch.where(hits / count.clamp_min(1) >= recalls, precision, 0)
     best = reached.amax(1) if len(right) else recalls[:, 0] * 0

@@ -44,8 +44,8 @@ struct ComposedCoords {
 };
 
 // The gradients of the links from those of the coordinates. `grads` has those of each sample, null where they are not
-// wanted; those of displacements are accumulated. On CUDA each block of threads stores nine sums for every link, and a
-// second kernel adds them up.
+// requested; those of displacements are accumulated. On CUDA each block of threads stores nine sums for every link, and
+// a second kernel adds them up.
 template <class T>
 struct ComposedCoordsBackward {
   Chain<T> chain;

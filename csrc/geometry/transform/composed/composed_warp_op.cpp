@@ -73,21 +73,21 @@ Tensor composed_coords(KV_LINK_ARGUMENTS, std::vector<int64_t> size) {
   return Links(op, a, {&b, &c, &d, &e, &f, &g, &h}).coords(map_size(op, size));
 }
 
-// The gradients of the links, in the order of the arguments. Those of None and those that are not wanted are empty.
+// The gradients of the links, in the order of the arguments. Those of None and those that are not needs_grad are empty.
 using Gradients = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
 
-Gradients composed_coords_backward(Tensor const& grad, KV_LINK_ARGUMENTS, std::vector<int64_t> wanted) {
+Gradients composed_coords_backward(Tensor const& grad, KV_LINK_ARGUMENTS, std::vector<int64_t> needs_grad) {
   constexpr char const* op = "composed_coords_backward";
   Links const links(op, a, {&b, &c, &d, &e, &f, &g, &h});
   int64_t const batch = links.batch, count = int64_t(links.links.size());
   KV_CHECK(grad.dim() == 4 && grad.size(0) == batch && grad.size(1) == 2 &&
                grad.scalar_type() == links.links[0].scalar_type() && grad.device() == links.links[0].device(),
            op, ": expected grad of shape (B, 2, h, w), of the type and device of the links");
-  KV_CHECK(int64_t(wanted.size()) == kMaxLinks, op, ": expected ", kMaxLinks, " flags");
+  KV_CHECK(int64_t(needs_grad.size()) == kMaxLinks, op, ": expected ", kMaxLinks, " flags");
   Size const size = map_size(op, {grad.size(2), grad.size(3)});
   Tensor grads[kMaxLinks];
   for (int i = 0; i < kMaxLinks; ++i) {
-    if (i >= count || !wanted[size_t(i)]) {
+    if (i >= count || !needs_grad[size_t(i)]) {
       grads[i] = empty({batch, 0}, grad);
       continue;
     }
@@ -102,7 +102,7 @@ Gradients composed_coords_backward(Tensor const& grad, KV_LINK_ARGUMENTS, std::v
     ComposedCoordsBackward<F> params{links.chain<F>(), images<F const>(grad, batch), {}, nullptr, 1};
     for (int64_t k = 0; k < count; ++k) {
       int64_t const i = count - 1 - k;
-      params.grads[k] = wanted[size_t(i)] ? data_ptr<F>(grads[i]) : nullptr;
+      params.grads[k] = needs_grad[size_t(i)] ? data_ptr<F>(grads[i]) : nullptr;
     }
 #if defined(KV_CUDA)
     KV_CHECK(batch <= 65535, op, ": expected at most 65535 samples");
@@ -157,7 +157,7 @@ Tensor composed_warp(Tensor const& image, KV_LINK_ARGUMENTS, OptionalTensor cons
 KV_OPERATOR(composed_coords, "(" KV_LINKS "SymInt[] size) -> Tensor")
 KV_OPERATOR(composed_coords_backward,
             "(Tensor grad, " KV_LINKS
-            "int[] wanted) -> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor)")
+            "int[] needs_grad) -> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor)")
 KV_OPERATOR(composed_warp, "(Tensor image, " KV_LINKS
                            "Tensor? fill, SymInt[] size, int interpolation, int padding, bool align_corners) -> Tensor")
 

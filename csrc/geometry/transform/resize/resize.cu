@@ -32,12 +32,12 @@ __device__ __noinline__ F find_weight(ResizeAxis const& axis, Contributors<F> co
 
 // K: no band has more pixels, 0 for any number. Few weights stay in registers, and more elements take turns in a lane.
 template <int K>
-constexpr int kTurns = K ? 4 : 1;
+constexpr int kPixelsPerThread = K ? 4 : 1;
 
 template <class T, int K>
 __global__ void __launch_bounds__(kThreads, K > 4 ? 3 : 4)
     resize_tiles(__grid_constant__ Resize<T> const p, ResizeTiles tiles) {
-  constexpr int P = kTurns<K>, W = 32 * P;
+  constexpr int P = kPixelsPerThread<K>, W = 32 * P;
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32, step = int(p.x.step), size = int(p.y.row_size());
   unsigned const q = blockIdx.x / tiles.across, group = q / tiles.down;
   int const e0 = int(blockIdx.x - q * tiles.across) * W, y0 = int(q - group * tiles.down) * tiles.rows;
@@ -168,7 +168,7 @@ int64_t span_of(Resize<T> const& p, int64_t elements) {
 
 template <int K, class T>
 bool launch_tiles(Resize<T> const& p, CUstream_st* stream) {
-  constexpr int W = 32 * kTurns<K>;
+  constexpr int W = 32 * kPixelsPerThread<K>;
   ResizeTiles tiles;
   tiles.across = unsigned(ceil_div(p.y.row_size(), W));
   // Tables serve more rows and planes where there are enough blocks to fill the device.

@@ -113,13 +113,13 @@ __global__ void __launch_bounds__(32 * kWarps)
   bool moves, has_upper, has_lower;
   float weight;  // of the lower one
   auto const ask = [&](int r) {
-    int const wanted = __shfl_sync(0xffffffffu, of_lane.a, r);
+    int const target = __shfl_sync(0xffffffffu, of_lane.a, r);
     weight = __shfl_sync(0xffffffffu, t_of_lane, r);
-    moves = wanted != a && wanted == b;
-    has_upper = wanted != a && wanted != b;
-    has_lower = weight != 0 && wanted + 1 != b;
-    a = wanted;
-    if (has_lower) b = wanted + 1;
+    moves = target != a && target == b;
+    has_upper = target != a && target != b;
+    has_lower = weight != 0 && target + 1 != b;
+    a = target;
+    if (has_lower) b = target + 1;
     if (has_upper) next_upper = fetch(a);
     if (has_lower) next_lower = fetch(b);
   };

@@ -1,4 +1,4 @@
-// Resizing: schemas and entry points of the operators, for CPU and CUDA.
+// Resizing: schemas and entries, for CPU and CUDA.
 #include "geometry/transform/resize/resize.h"
 #include "glue/batch.h"
 #include "glue/glue.h"

@@ -161,13 +161,13 @@ class PolicyAugmentBase(ImageSequential):
     @property
     def _params(self) -> list[ParamItem]:
         """What each step of the last call did: numbers of operations, -1 for none, and their magnitudes, on the CPU."""
-        if self._given_params is None:
-            self._given_params = [] if self._drawn is None else self._items(self._drawn)
-        return self._given_params
+        if self._param_items is None:
+            self._param_items = [] if self._drawn is None else self._items(self._drawn)
+        return self._param_items
 
     @_params.setter
     def _params(self, params: list[ParamItem]) -> None:
-        self._given_params = params
+        self._param_items = params
 
     def _items(self, drawn: Drawn) -> list[ParamItem]:
         """What was drawn, by steps and names."""
@@ -181,7 +181,7 @@ class PolicyAugmentBase(ImageSequential):
     def forward_parameters(self, batch_shape: Sequence[int]) -> list[ParamItem]:
         """Draw the parameters of a call on images of a shape, without executing it."""
         drawn = self._draw(torch.empty(batch_shape[0]), self._source(None, None))
-        self._drawn, self._shape, self._given_params = drawn, tuple(batch_shape), None
+        self._drawn, self._shape, self._param_items = drawn, tuple(batch_shape), None
         self._stages = []
         return self._params
 
@@ -189,7 +189,7 @@ class PolicyAugmentBase(ImageSequential):
 
     def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> Tensor:
         drawn = self._draw(x, source) if params is None else self._redrawn(params, x)
-        self._shape, self._drawn, self._given_params = tuple(x.shape), drawn, None
+        self._shape, self._drawn, self._param_items = tuple(x.shape), drawn, None
         x, self._stages = self._run(x, drawn)
         return x
 

@@ -1,4 +1,4 @@
-"""What one call of an augmentation drew and did: kept for `_params`, matrices, labels, the inverse and replay."""
+"""The parameters and results of one call of an augmentation: kept for `_params`, matrices, labels, the inverse and replay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Samples that are chosen, axes that were added, and pixels that are known."""
+"""Helpers for chosen samples, added axes and masks of known pixels."""
 
 from __future__ import annotations
 

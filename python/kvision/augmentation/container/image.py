@@ -36,7 +36,7 @@ torch.serialization.add_safe_globals([ParamItem])  # torch.load reads `_params`
 
 # What a call leaves behind.
 _STATE = frozenset(
-    "_stages _shape _executed _given_params _result_size _kept_boxes _points _videos _restore "
+    "_stages _shape _executed _param_items _result_size _kept_boxes _points _videos _restore "
     "_drawn _executed_cells".split()
 )
 
@@ -62,7 +62,7 @@ class ImageSequentialBase(nn.Sequential):
     _stages: Sequence[Stage] = ()
     _shape: tuple[int, ...] | None = None
     _executed: Sequence[Child] = ()
-    _given_params: list[Any] | None = None  # ParamItems
+    _param_items: list[Any] | None = None  # ParamItems
 
     def __init__(self, *args: nn.Module, same_on_batch: bool | None = None, keepdim: bool | None = None) -> None:
         op = type(self).__name__
@@ -303,7 +303,7 @@ class ImageSequential(ImageSequentialBase):
         y, stages = execute(x, children, source)
         # Module.__setattr__ is slow, because it looks for parameters. torch 2.11 cannot compile __dict__.update.
         self.__dict__["_shape"], self.__dict__["_stages"] = tuple(x.shape), stages
-        self.__dict__["_executed"], self.__dict__["_given_params"] = children, None
+        self.__dict__["_executed"], self.__dict__["_param_items"] = children, None
         return y
 
     def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:
@@ -319,13 +319,13 @@ class ImageSequential(ImageSequentialBase):
     @property
     def _params(self) -> list[ParamItem]:
         """The names and parameters of the children of the last call, in its order."""
-        if self._given_params is None:
-            self._given_params = [ParamItem(child.name, child.read_params()) for child in self._executed]
-        return self._given_params
+        if self._param_items is None:
+            self._param_items = [ParamItem(child.name, child.read_params()) for child in self._executed]
+        return self._param_items
 
     @_params.setter
     def _params(self, params: list[ParamItem]) -> None:
-        self._given_params, self._executed = params, []
+        self._param_items, self._executed = params, []
 
     def forward(
         self,

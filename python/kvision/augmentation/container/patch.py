@@ -177,13 +177,13 @@ class PatchSequential(ImageSequential):
         if params is None:
             chains = self._chains(len(cells), source)
         else:
-            chains = self._given_chains(len(cells), params)
+            chains = self._replayed_chains(len(cells), params)
         self._executed_cells, position = [], source.position
         for numbers in _groups(chains):
             children = [replace(child) for child in chains[numbers[0]]]
             self._run_cells(cells, numbers, children, source, position)
             position += len(children)
-        self._shape, self._given_params = tuple(x.shape), None if params is None else list(params)
+        self._shape, self._param_items = tuple(x.shape), None if params is None else list(params)
         is_cropped = any(pad) and self.padding == "valid"
         moves = is_cropped or any(_moves(child.module) for chain in chains for child in chain)
         self._stages = [Cells()] if moves else []
@@ -213,7 +213,7 @@ class PatchSequential(ImageSequential):
             chains.append([Child(name, module) for name, module in chosen])
         return chains
 
-    def _given_chains(self, count: int, params: Sequence[PatchParamItem]) -> list[list[Child]]:
+    def _replayed_chains(self, count: int, params: Sequence[PatchParamItem]) -> list[list[Child]]:
         modules = dict(self.named_children())
         chains: list[list[Child]] = [[] for _ in range(count)]
         for indices, item in params:
@@ -262,16 +262,16 @@ class PatchSequential(ImageSequential):
     @property
     def _params(self) -> list[Any]:
         """The parameters of the last call, in the order of execution."""
-        if self._given_params is None and self._shape is not None:
-            self._given_params = [
+        if self._param_items is None and self._shape is not None:
+            self._param_items = [
                 PatchParamItem(indices, ParamItem(child.name, child.read_params()))
                 for indices, child in self._executed_cells
             ]
-        return self._given_params or []
+        return self._param_items or []
 
     @_params.setter
     def _params(self, params: list[Any]) -> None:
-        self._given_params = params
+        self._param_items = params
 
 
 def _groups(chains: Sequence[Sequence[Child]]) -> list[list[int]]:

@@ -1,4 +1,4 @@
-"""How containers execute: neighbors are joined into few passes over the images.
+"""Execution of containers: adjacent children are joined into few passes over the images.
 
 A run of augmentations draws all its parameters in one launch. Then
 

@@ -183,27 +183,27 @@ class Composed:
         return maps.read_labels_composed(masks, self.tensors(masks), self.size, resampling)
 
     def move_masks_back(self, masks: Tensor) -> Tensor:
-        back, is_found = self._inverse(masks)
+        back, converged = self._inverse(masks)
         moved = maps.read_labels(masks, back, self.resampling.for_inverse("nearest"))
-        return torch.where(is_found, moved, 0).to(masks.dtype)
+        return torch.where(converged, moved, 0).to(masks.dtype)
 
     def move_images_back(self, x: Tensor) -> Tensor:
-        back, is_found = self._inverse(x)
-        return torch.where(is_found, maps.read(x, back, self.resampling.for_inverse()), 0).to(x.dtype)
+        back, converged = self._inverse(x)
+        return torch.where(converged, maps.read(x, back, self.resampling.for_inverse()), 0).to(x.dtype)
 
     def _inverse(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Where the pixels of the image are in the result, (B, H, W, 2), and whether they are there, (B, 1, H, W)."""
         like = x.new_empty(0, dtype=compute_dtype(x) if x.is_floating_point() else torch.float32)
         height, width = self.source
         points = maps.pixel_positions(height, width, like).expand(x.shape[0], -1, 2)
-        is_found = torch.ones((x.shape[0], height, width), dtype=torch.bool, device=x.device)
+        converged = torch.ones((x.shape[0], height, width), dtype=torch.bool, device=x.device)
         for link in self.links:
             if isinstance(link, MapLink):
                 back, found = maps.find_everywhere(link.displacements(like), points.unflatten(1, (height, width)))
-                points, is_found = back.flatten(1, 2), is_found & found
+                points, converged = back.flatten(1, 2), converged & found
             else:
                 points = transform_points(link.to(like), points)
-        return points.unflatten(1, (height, width)), is_found[:, None]
+        return points.unflatten(1, (height, width)), converged[:, None]
 
     def product(self, matrix: Tensor) -> Tensor:
         for link in self.links:

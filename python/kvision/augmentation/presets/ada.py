@@ -155,7 +155,7 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
             )
             chosen = columns.values[:, 0] < self.p
             outputs = super().forward(*inputs, data_keys=data_keys, seed=seed, generator=generator)
-            self._given_params = [*self._params, ParamItem("share", {"batch_prob": chosen.float()})]
+            self._param_items = [*self._params, ParamItem("share", {"batch_prob": chosen.float()})]
         after = list(outputs.values()) if named is not None else outputs if isinstance(outputs, list) else [outputs]
         mixed = [_where(chosen, new, old) for new, old in zip(after, values)]
         if named is not None:

@@ -46,7 +46,7 @@ class GaussianIlluminationGenerator(RandomGeneratorBase):
         super().__init__()
         op = "RandomGaussianIllumination"
         self._gain, self._center, self._sigma, self._sign = (
-            ranges.parse(op, name, ranges.both_ends(value), bounds=bounds)
+            ranges.parse(op, name, ranges.as_pair(value), bounds=bounds)
             for name, value, bounds in (
                 ("gain", gain, (0.0, 1.0)),
                 ("center", center, (0.0, 1.0)),
@@ -89,8 +89,8 @@ class LinearIlluminationGenerator(RandomGeneratorBase):
 
     def __init__(self, gain: Any, sign: Any) -> None:
         super().__init__()
-        self._gain = ranges.parse(self._op, "gain", ranges.both_ends(gain), bounds=(0.0, 1.0))
-        self._sign = ranges.parse(self._op, "sign", ranges.both_ends(sign), bounds=(-1.0, 1.0))
+        self._gain = ranges.parse(self._op, "gain", ranges.as_pair(gain), bounds=(0.0, 1.0))
+        self._sign = ranges.parse(self._op, "sign", ranges.as_pair(sign), bounds=(-1.0, 1.0))
 
     def draws(self, shape: Shape) -> Sequence[Any]:
         return [self._gain.uniform(), self._sign.uniform(), integer(0, 3)]

@@ -80,7 +80,7 @@ class SaltAndPepperGenerator(RandomGeneratorBase):
     def __init__(self, amount: Any, salt_and_pepper: Any) -> None:
         super().__init__()
         self._ranges = [
-            ranges.parse("RandomSaltAndPepperNoise", name, ranges.both_ends(value), bounds=(0.0, 1.0))
+            ranges.parse("RandomSaltAndPepperNoise", name, ranges.as_pair(value), bounds=(0.0, 1.0))
             for name, value in (("amount", amount), ("salt_vs_pepper", salt_and_pepper))
         ]
 

@@ -51,7 +51,7 @@ def _weights(
 
 
 def _reference_backward(grad: Tensor, x: Tensor, guidance: Tensor | None, *args: Any) -> tuple[Tensor, Tensor]:
-    """The gradients to image and guidance; one that is not wanted has no channels."""
+    """The gradients to image and guidance; one that is not requested has no channels."""
     *rest, wants_x, wants_guidance = args
     nothing = grad.new_empty(grad.shape[0], 0, *grad.shape[2:])
     if guidance is None:

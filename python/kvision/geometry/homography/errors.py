@@ -174,10 +174,10 @@ def sample_is_valid_for_homography(points1: Tensor, points2: Tensor) -> Tensor:
     _check.same_device(op, points1=points1, points2=points2)
     if points1.shape[1] < 4:
         raise ShapeError(f"{op}: expected points1 of at least four points, got {tuple(points1.shape)}")
-    return (_turns(points1) == _turns(points2)).all(-1)
+    return (_orientations(points1) == _orientations(points2)).all(-1)
 
 
-def _turns(points: Tensor) -> Tensor:
+def _orientations(points: Tensor) -> Tensor:
     """The orientation, -1, 0 or 1, of the four triangles of points (B, 4, 2): (B, 4)."""
     a, b, c, d = points[:, :4].unbind(1)
     p, q, r = torch.stack((a, a, a, b), 1), torch.stack((b, b, c, c), 1), torch.stack((c, d, d, d), 1)

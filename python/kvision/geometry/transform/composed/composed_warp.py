@@ -76,10 +76,10 @@ def _coords_backward(needs: Sequence[bool], grad: Tensor, *args: Any) -> list[Te
 
 
 def _coords_backward_reference(grad: Tensor, *args: Any) -> tuple[Tensor, ...]:
-    """The gradients of each sample, (B, 0) for those that are not wanted."""
-    *links, wanted = args
+    """The gradients of each sample, (B, 0) where none is needed."""
+    *links, needs_grad = args
     batch, size = grad.shape[0], grad.shape[2:]
-    indices = [i for i, is_wanted in enumerate(wanted) if is_wanted and links[i] is not None]
+    indices = [i for i, needed in enumerate(needs_grad) if needed and links[i] is not None]
 
     def coords(*values: Tensor) -> Tensor:
         full = list(links)
@@ -99,14 +99,14 @@ def _fake_coords(*args: Any) -> Tensor:
 
 
 def _fake_coords_backward(grad: Tensor, *args: Any) -> list[Tensor]:
-    *links, wanted = args
-    shapes = [link.shape[1:] if need and link is not None else (0,) for link, need in zip(links, wanted)]
+    *links, needs_grad = args
+    shapes = [link.shape[1:] if need and link is not None else (0,) for link, need in zip(links, needs_grad)]
     return [grad.new_empty(grad.shape[0], *shape) for shape in shapes]
 
 
 def _adds_by_atomics(grad: Tensor, *args: Any) -> bool:
-    *links, wanted = args
-    return grad.is_cuda and any(need and link is not None and link.dim() == 4 for link, need in zip(links, wanted))
+    *links, needs_grad = args
+    return grad.is_cuda and any(need and link is not None and link.dim() == 4 for link, need in zip(links, needs_grad))
 
 
 composed_coords = register(

@@ -106,9 +106,9 @@ KV_HD DrawnBox resized_crop(DrawSource const& source, uint32_t index, double con
       return {{offset_of(words.w[2], width, w), offset_of(words.w[3], height, h), w, h}};
   }
   double const min_ratio = exponential(n[2]), max_ratio = exponential(n[3]);
-  bool const narrow = width / height<min_ratio, wide = width / height> max_ratio;
-  double const w = wide ? max(nearest(height * max_ratio), 1.) : width,
-               h = narrow ? max(nearest(width / min_ratio), 1.) : height;
+  bool const too_narrow = width / height<min_ratio, too_wide = width / height> max_ratio;
+  double const w = too_wide ? max(nearest(height * max_ratio), 1.) : width,
+               h = too_narrow ? max(nearest(width / min_ratio), 1.) : height;
   return {{double(int64_t(width - w) / 2), double(int64_t(height - h) / 2), w, h}};
 }
 

@@ -200,7 +200,7 @@ class RandomTranslate(GeometricAugmentationBase2D):
         return [transforms.affine(transforms.center_of(shape), translation=(0, 1))]
 
 
-class _TurnGenerator(RandomGeneratorBase):
+class _Rotation90Generator(RandomGeneratorBase):
     """Draws a number of quarter turns."""
 
     fields = (("times", 0),)
@@ -261,7 +261,7 @@ class RandomRotation90(GeometricAugmentationBase2D):
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
-        self._param_generator = _TurnGenerator(times)
+        self._param_generator = _Rotation90Generator(times)
         self.flags = {"resample": Resample.get(resample), "align_corners": align_corners}
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:

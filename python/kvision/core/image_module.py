@@ -138,7 +138,7 @@ class ImageModuleMixIn:
             ShapeError: the result is no image.
         """
         _check.choice("show", "backend", backend, ("pil",))
-        picture = self.to_pil(self._last_picture("show", n_row))
+        picture = self.to_pil(self._last_image("show", n_row))
         return picture.show() if display else picture
 
     def save(self, name: str | os.PathLike[str] | None = None, n_row: int | None = None) -> None:
@@ -150,9 +150,9 @@ class ImageModuleMixIn:
         """
         from kvision.io import write_image
 
-        write_image("kvision.jpg" if name is None else name, to_uint8(self._last_picture("save", n_row)))
+        write_image("kvision.jpg" if name is None else name, to_uint8(self._last_image("save", n_row)))
 
-    def _last_picture(self, op: str, n_row: int | None) -> Tensor:
+    def _last_image(self, op: str, n_row: int | None) -> Tensor:
         from kvision.image import make_grid
 
         output = self._output_image
@@ -178,8 +178,8 @@ class ImageModuleMixIn:
 
     def _admit(self, arg: Any, first: bool) -> Any:
         """`arg` as a tensor if it looks like an image; only the first argument may be the name of a file."""
-        is_picture = isinstance(arg, np.ndarray) or _is_pil(arg) or (first and isinstance(arg, (str, os.PathLike)))
-        return self.to_tensor(arg) if is_picture else arg
+        is_image = isinstance(arg, np.ndarray) or _is_pil(arg) or (first and isinstance(arg, (str, os.PathLike)))
+        return self.to_tensor(arg) if is_image else arg
 
     def _release(self, output: Any, output_type: str, cache_output: bool) -> Any:
         if cache_output:
@@ -189,7 +189,7 @@ class ImageModuleMixIn:
         return _map_tensors(self.to_numpy if output_type == "numpy" else self.to_pil, output)
 
 
-class _PictureCalls(ImageModuleMixIn):
+class _ImageCalls(ImageModuleMixIn):
     """The call of `ImageModule` and `ImageSequential`, which stands in front of the one of their torch class."""
 
     _disable_features = False
@@ -224,7 +224,7 @@ class _PictureCalls(ImageModuleMixIn):
         return {k: v for k, v in self.__dict__.items() if k != "_output_image"}
 
 
-class ImageModule(_PictureCalls, nn.Module):
+class ImageModule(_ImageCalls, nn.Module):
     """An `nn.Module` from image to image that also takes arrays, PIL images and file names.
 
     A call takes two more keywords: `output_type`, "pt", "numpy" or "pil", and `input_names_to_handle`, the parameters
@@ -240,7 +240,7 @@ class ImageModule(_PictureCalls, nn.Module):
     """
 
 
-class ImageSequential(_PictureCalls, nn.Sequential):
+class ImageSequential(_ImageCalls, nn.Sequential):
     """An `nn.Sequential` from image to image, with the conveniences of `ImageModule`.
 
     Example:

@@ -56,7 +56,7 @@ def _opencv_table(counts: Tensor) -> tuple[Tensor, Tensor]:
     return (up_to * scale).round(), counted > 0
 
 
-def _pulled_back(grad: Tensor, output: Tensor, changed: Tensor | None) -> Tensor:
+def _equalize_vjp(grad: Tensor, output: Tensor, changed: Tensor | None) -> Tensor:
     """Levels have zero gradient; pixels that are returned unchanged pass theirs."""
     equalized = ~output.isnan()
     if changed is not None:
@@ -64,7 +64,7 @@ def _pulled_back(grad: Tensor, output: Tensor, changed: Tensor | None) -> Tensor
     return grad.masked_fill(equalized, 0)
 
 
-equalize_backward = register("equalize_backward", _pulled_back, native_half=True, layout_of=1)
+equalize_backward = register("equalize_backward", _equalize_vjp, native_half=True, layout_of=1)
 
 
 def _backward(needs, grad, _, output, changed, *args):

@@ -13,7 +13,7 @@ from kvision.color.hue import hue, lack
 from kvision.color.program import step
 from kvision.enhance.batch import as_batch, colors, per_pixel, shaped
 
-_TURN = 2 * math.pi
+_TWO_PI = 2 * math.pi
 
 
 def _reference(x: Tensor, angle: float | Tensor) -> Tensor:
@@ -25,9 +25,9 @@ def _reference(x: Tensor, angle: float | Tensor) -> Tensor:
 
 def _in_hsv(x: Tensor, angle: float | Tensor) -> Tensor:
     h, s, v = x.split(1, 1)
-    rotated = torch.remainder(h + angle, _TURN)
+    rotated = torch.remainder(h + angle, _TWO_PI)
     # A tiny negative hue is rounded up to a full turn.
-    rotated = torch.where(rotated < _TURN, rotated, rotated - _TURN)
+    rotated = torch.where(rotated < _TWO_PI, rotated, rotated - _TWO_PI)
     return torch.cat([rotated, s, v], 1)
 
 

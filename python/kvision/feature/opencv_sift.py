@@ -219,16 +219,16 @@ def _described(points: _KeyPoints, gradients: _Gradients, largest: int) -> tuple
     votes = torch.where(inside, weight * magnitude, 0)
     turned = (angle - angles[..., None]) * (_ANGLES / (2 * math.pi)) % _ANGLES
     middle = (_CELLS - 1) / 2
-    of_row, of_column = _shares(down, _CELLS, middle) * votes[..., None, :], _shares(across, _CELLS, middle)
+    of_row, of_column = _bin_weights(down, _CELLS, middle) * votes[..., None, :], _bin_weights(across, _CELLS, middle)
     of_cell = (of_row[..., None, :] * of_column[..., None, :, :]).flatten(2, 3)  # (B, N, 16, S)
-    histograms = of_cell @ _shares(turned, _ANGLES + 1, 0.0).mT
+    histograms = of_cell @ _bin_weights(turned, _ANGLES + 1, 0.0).mT
     # The angle after the last is the first.
     first, rest = histograms[..., :1] + histograms[..., _ANGLES:], histograms[..., 1:_ANGLES]
     return (torch.cat([first, rest], -1).flatten(2),)
 
 
-def _shares(position: Tensor, bins: int, zero: float) -> Tensor:
-    """The shares (B, N, bins, S) of bins in votes at positions (B, N, S), of which 0 is in the middle of bin `zero`."""
+def _bin_weights(position: Tensor, bins: int, zero: float) -> Tensor:
+    """The weights (B, N, bins, S) of bins in votes at positions (B, N, S), of which 0 is in the middle of bin `zero`."""
     centers = torch.arange(bins, dtype=position.dtype, device=position.device) - zero
     return (1 - (position[..., None, :] - centers[:, None]).abs()).relu()
 
@@ -243,10 +243,10 @@ def _quantized(histograms: Tensor) -> Tensor:
 
 
 def root_sift(descriptors: Tensor) -> Tensor:
-    """The roots of the shares of the sum, of descriptors (B, N, D) that are not negative; 0 for those of 0."""
+    """The roots of the fractions of the sum, of descriptors (B, N, D) that are not negative; 0 for those of 0."""
     total = descriptors.sum(2, keepdim=True)
-    shares = descriptors / torch.where(total > 0, total, 1)
-    return torch.where(total > 0, (shares + 1e-10).sqrt(), 0)
+    fractions = descriptors / torch.where(total > 0, total, 1)
+    return torch.where(total > 0, (fractions + 1e-10).sqrt(), 0)
 
 
 class OpenCVSIFT(nn.Module):

@@ -119,7 +119,7 @@ class SIFTDescriptor(nn.Module):
 
     Central differences vote, bilinearly, for two of the angular bins and for the spatial bins around the pixel, with a
     Gaussian window of sigma patch_size / sqrt 2. The descriptor is normalized, clipped and normalized again; RootSIFT is
-    the square root of its shares of the sum. It does not change with brightness and contrast.
+    the square root of its fractions of the sum. It does not change with brightness and contrast.
 
     Entry (a * S + y) * S + x counts gradients of angle 2 pi a / A, from x to y, in spatial bin (y, x): the layout of
     Kornia. `convert_sift_descriptor_layout` reorders it as OpenCV's. A flat patch gives zeros, with RootSIFT 1e-5. A
@@ -418,8 +418,8 @@ class SIFTDescriptorFromPyramid(nn.Module):
         angles = torch.arange(bins, dtype=frames.dtype, device=frames.device) * (2 * math.pi / bins)
         local = (frames[..., :2] * scale).mT @ torch.stack([angles.cos(), angles.sin()])
         magnitude, angle = to_polar(local[:, :, 0].flatten(0, 1), local[:, :, 1].flatten(0, 1), 0.0)
-        shares = angular_votes(magnitude, angle, self.num_ang_bins)
-        h = (shares @ votes.flatten(0, 1)).flatten(1)
+        bin_votes = angular_votes(magnitude, angle, self.num_ang_bins)
+        h = (bin_votes @ votes.flatten(0, 1)).flatten(1)
         return _normalized(h, float(self.clipval), self.rootsift).reshape(batch, count, h.shape[1])
 
     def _pooled_at_pixels(self, votes: Tensor) -> Tensor:

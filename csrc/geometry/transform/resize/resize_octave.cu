@@ -202,8 +202,8 @@ __global__ void __launch_bounds__(32 * kWarps)
 // Whether an axis is halved or doubled by windows with a border that is narrow enough.
 inline bool is_octave(ResizeAxis const& a) {
   bool const twice = a.source == 2 * a.result || 2 * a.source == a.result,
-             wide_border = a.filter == ResizeFilter::bicubic && a.antialias && a.backward;
-  return twice && a.num == 2 * a.source && a.filter >= ResizeFilter::bilinear && !wide_border &&
+             antialiased_backward = a.filter == ResizeFilter::bicubic && a.antialias && a.backward;
+  return twice && a.num == 2 * a.source && a.filter >= ResizeFilter::bilinear && !antialiased_backward &&
          min(a.source, a.result) >= kMinSize;
 }
 

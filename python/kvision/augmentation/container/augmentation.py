@@ -385,9 +385,9 @@ class AugmentationSequential(ImageSequential):
     def _mask_flags(self) -> tuple[str | None, Any]:
         """How masks are read, None for as the images, and the value of pixels that enter."""
         flags: dict[str, Any] = {}
-        for key, given in self.extra_args.items():
+        for key, options in self.extra_args.items():
             if DataKey.get(key) == DataKey.MASK:
-                flags = {**given, **flags}
+                flags = {**options, **flags}
         mode = flags.get("resample")
         return None if mode is None else Resample.get(mode).name.lower(), flags.get("fill_value")
 

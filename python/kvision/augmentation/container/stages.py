@@ -199,8 +199,8 @@ class Composed:
         converged = torch.ones((x.shape[0], height, width), dtype=torch.bool, device=x.device)
         for link in self.links:
             if isinstance(link, MapLink):
-                back, found = maps.find_everywhere(link.displacements(like), points.unflatten(1, (height, width)))
-                points, converged = back.flatten(1, 2), converged & found
+                back, inside = maps.find_everywhere(link.displacements(like), points.unflatten(1, (height, width)))
+                points, converged = back.flatten(1, 2), converged & inside
             else:
                 points = transform_points(link.to(like), points)
         return points.unflatten(1, (height, width)), converged[:, None]

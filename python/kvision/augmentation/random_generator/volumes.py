@@ -24,7 +24,7 @@ __all__ = [
     "center_crop_generator3d",
 ]
 
-_TURN = (-360.0, 360.0)
+_FULL_ROTATION = (-360.0, 360.0)
 _SHEARS = ("sxy", "sxz", "syx", "syz", "szx", "szy")
 
 
@@ -57,7 +57,7 @@ class AffineGenerator3D(RandomGeneratorBase):
         op = "RandomAffine3D"
         ranges.keep_parameters(self, degrees=degrees, translate=translate, scale=scale, shears=shears)
         zero, one = ranges.Range(0.0, 0.0), ranges.Range(1.0, 1.0)
-        self._angles = ranges.parse_each(op, "degrees", degrees, 3, center=0.0, bounds=_TURN)
+        self._angles = ranges.parse_each(op, "degrees", degrees, 3, center=0.0, bounds=_FULL_ROTATION)
         self._translate = [zero] * 3
         if translate is not None:
             if not hasattr(translate, "__len__") or len(translate) != 3:
@@ -69,7 +69,7 @@ class AffineGenerator3D(RandomGeneratorBase):
         self._one_scale = self._scale[0] is self._scale[1]
         self._shears = [zero] * 6
         if shears is not None:
-            self._shears = ranges.parse_each(op, "shears", shears, 6, center=0.0, bounds=_TURN)
+            self._shears = ranges.parse_each(op, "shears", shears, 6, center=0.0, bounds=_FULL_ROTATION)
 
     def draws(self, shape: Shape) -> Sequence[Any]:
         return [
@@ -109,7 +109,7 @@ class RotationGenerator3D(RandomGeneratorBase):
     def __init__(self, degrees: Any) -> None:
         super().__init__()
         ranges.keep_parameters(self, degrees=degrees)
-        self._angles = ranges.parse_each("RandomRotation3D", "degrees", degrees, 3, center=0.0, bounds=_TURN)
+        self._angles = ranges.parse_each("RandomRotation3D", "degrees", degrees, 3, center=0.0, bounds=_FULL_ROTATION)
 
     def draws(self, shape: Shape) -> Sequence[Any]:
         return [r.uniform() for r in self._angles]
@@ -306,7 +306,7 @@ class MotionBlurGenerator3D(MotionBlurGenerator):
     def __init__(self, kernel_size: int | tuple[int, int], angle: Any, direction: Any) -> None:
         super().__init__(kernel_size, 0.0, direction)
         ranges.keep_parameters(self, angle=angle)
-        self._angles = ranges.parse_each(self.op, "angle", angle, 3, center=0.0, bounds=_TURN)
+        self._angles = ranges.parse_each(self.op, "angle", angle, 3, center=0.0, bounds=_FULL_ROTATION)
 
     def draws(self, shape: Shape) -> Sequence[Any]:
         size, _, direction = super().draws(shape)

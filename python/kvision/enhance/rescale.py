@@ -10,7 +10,7 @@ from kvision.core.exceptions import TypeCheckError
 
 
 class Rescale(FunctionModule):
-    """Multiply by a factor. Sizes are rescaled elsewhere.
+    """Multiply images by a factor, as a module.
 
     Args:
         factor: a number, or a tensor without axes; an nn.Parameter is learned.

@@ -6,7 +6,7 @@ from torch import Tensor
 
 
 class AverageMeter:
-    """Keeps the last value, the sum, the count and the average of what it is given.
+    """Keeps the last value, the sum, the count and the average of a series of values.
 
     Tensors stay on their device: only reading `avg` waits for it.
 

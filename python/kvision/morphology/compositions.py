@@ -29,7 +29,7 @@ def opening(
     max_val: float = 1e4,
     engine: str = "auto",
 ) -> Tensor:
-    """Erode, then dilate: what is smaller than the structuring element goes, the rest keeps its size.
+    """Erode, then dilate: remove bright details that are smaller than the structuring element.
 
     Args:
         tensor: images (B, C, H, W). uint8 gives uint8 (saturated), other integers give float32.
@@ -69,7 +69,7 @@ def closing(
     max_val: float = 1e4,
     engine: str = "auto",
 ) -> Tensor:
-    """Dilate, then erode: gaps that are smaller than the structuring element are filled.
+    """Dilate, then erode: fill dark details that are smaller than the structuring element.
 
     Args:
         tensor: images (B, C, H, W). uint8 gives uint8 (saturated), other integers give float32.
@@ -149,7 +149,7 @@ def top_hat(
     max_val: float = 1e4,
     engine: str = "auto",
 ) -> Tensor:
-    """Subtract the opening from the image: what is bright and smaller than the structuring element.
+    """Subtract the opening from the image: the bright details that are smaller than the structuring element.
 
     Args:
         tensor: images (B, C, H, W). uint8 gives uint8 (saturated), other integers give float32.
@@ -189,7 +189,7 @@ def bottom_hat(
     max_val: float = 1e4,
     engine: str = "auto",
 ) -> Tensor:
-    """Subtract the image from the closing: what is dark and smaller than the structuring element.
+    """Subtract the image from the closing: the dark details that are smaller than the structuring element.
 
     Args:
         tensor: images (B, C, H, W). uint8 gives uint8 (saturated), other integers give float32.

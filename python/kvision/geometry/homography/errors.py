@@ -25,7 +25,7 @@ def oneway_transfer_error(pts1: Tensor, pts2: Tensor, H: Tensor, squared: bool =
 
     Args:
         pts1: (B, N, 2) as (x, y), or (B, N, 3) homogeneous, floating point.
-        pts2: where they should go, likewise.
+        pts2: their correspondences in the second image, likewise.
         H: (B, 3, 3), from the first image to the second, of any scale. B of 1 serves all.
         squared: the squared distance instead of the distance.
         eps: of no effect, since nothing has to be kept from 0.
@@ -51,11 +51,11 @@ def oneway_transfer_error(pts1: Tensor, pts2: Tensor, H: Tensor, squared: bool =
 
 @in_full_precision
 def symmetric_transfer_error(pts1: Tensor, pts2: Tensor, H: Tensor, squared: bool = True, eps: float = 1e-8) -> Tensor:
-    """Compute how far a homography takes points from where they should go, and its inverse the others back.
+    """Compute the symmetric transfer error of homographies: of points mapped forward and of correspondences mapped back.
 
     Args:
         pts1: (B, N, 2) as (x, y), or (B, N, 3) homogeneous, floating point.
-        pts2: where they should go, likewise.
+        pts2: their correspondences in the second image, likewise.
         H: (B, 3, 3), from the first image to the second, of any scale. B of 1 serves all.
         squared: the sum of both squared distances instead of its root.
         eps: of no effect, since nothing has to be kept from 0.
@@ -86,7 +86,7 @@ def sampson_homography_distance(pts1: Tensor, pts2: Tensor, H: Tensor, squared: 
 
     Args:
         pts1: (x, y), (B, N, 2), or (B, N, 3) homogeneous, floating point.
-        pts2: (u, v), where they should go, likewise.
+        pts2: (u, v), their correspondences in the second image, likewise.
         H: (B, 3, 3), from the first image to the second, of any scale. B of 1 serves all.
         squared: the squared distance instead of the distance.
 
@@ -116,7 +116,7 @@ def line_segment_transfer_error_one_way(ls1: Tensor, ls2: Tensor, H: Tensor, squ
 
     Args:
         ls1: segments (B, N, 2, 2), two ends as (x, y), floating point.
-        ls2: the segments on whose lines they should be, likewise.
+        ls2: their correspondences in the second image, likewise.
         H: (B, 3, 3), from the first image to the second, of any scale. B of 1 serves all.
         squared: the square of the error.
 
@@ -143,11 +143,11 @@ def line_segment_transfer_error_one_way(ls1: Tensor, ls2: Tensor, H: Tensor, squ
 
 
 def sample_is_valid_for_homography(points1: Tensor, points2: Tensor) -> Tensor:
-    """Tell whether a homography that has no line at infinity between four points can take them to four others.
+    """Tell whether every three of four points have the same orientation in both images, as homographies of real views keep it.
 
     Args:
         points1: (B, 4, 2) as (x, y), floating point; of more points the first four count.
-        points2: where they go, in the same shape.
+        points2: their correspondences in the second image, in the same shape.
 
     Returns:
         (B,) bool: every three of them have the same orientation in both images.

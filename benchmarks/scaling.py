@@ -221,9 +221,9 @@ def on_devices(devices: Sequence[torch.device], threads: int) -> Devices:
     inputs = {name: case.inputs(SMALL, torch.float32, torch.device("cpu")) for name, case in ALL.items()}
 
     def run(name: str, device: torch.device) -> list[Tensor]:
-        there = [x.to(device) if isinstance(x, Tensor) else x for x in inputs[name]]
+        arguments = [x.to(device) if isinstance(x, Tensor) else x for x in inputs[name]]
         torch.manual_seed(0)
-        outputs = tensors_of(ALL[name].call(*there))
+        outputs = tensors_of(ALL[name].call(*arguments))
         if any(x.device != device for x in outputs):
             raise AssertionError(f"a result is on {outputs[0].device} instead of {device}")
         return [x.cpu() for x in outputs]
@@ -395,10 +395,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse.parse_args(arguments)
     if options.device == "cuda" and not on_gpu:
         parse.error("--device cuda: torch finds no CUDA device")
-    there = torch.cuda.device_count() if options.device == "cuda" else os.cpu_count() or 1
-    numbers = options.ranks or [n for n in (1, 2, 4, 8) if n <= there]
-    if options.device == "cuda" and numbers[-1] > there:
-        parse.error(f"--ranks {numbers[-1]}: expected at most {there}, the number of GPUs")
+    available = torch.cuda.device_count() if options.device == "cuda" else os.cpu_count() or 1
+    numbers = options.ranks or [n for n in (1, 2, 4, 8) if n <= available]
+    if options.device == "cuda" and numbers[-1] > available:
+        parse.error(f"--ranks {numbers[-1]}: expected at most {available}, the number of GPUs")
     has_torchvision = importlib.util.find_spec("torchvision") is not None
     model = options.model or ("resnet50" if options.device == "cuda" and has_torchvision else "small")
 
@@ -413,7 +413,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     judged = bars(rows) if options.device == "cuda" and model == "resnet50" and options.batch == 128 else []
     lines = [table(rows), "", *judged, *agreement(rows)]
     print("\n".join(lines), flush=True)
-    devices = [torch.device("cuda", i) for i in range(there)] if options.device == "cuda" else [torch.device("cpu")]
+    devices = [torch.device("cuda", i) for i in range(available)] if options.device == "cuda" else [torch.device("cpu")]
     checked = on_devices(devices, max(options.threads, len(devices)))
     print("\n".join(said(checked)), flush=True)
 

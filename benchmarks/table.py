@@ -91,13 +91,13 @@ def summary(checked: Sequence[CheckedBar], lost: Sequence[Loss]) -> str:
     """Bars, a line for each case and size, missed ones in capitals. Then every peer that is faster than kvision."""
     lines = [f"bars: {sum(v.met for v in checked)} met, {sum(not v.met for v in checked)} missed (measured/bar)"]
     for cell in dict.fromkeys((v.case, v.size, v.dtype) for v in checked):
-        here = (v for v in checked if (v.case, v.size, v.dtype) == cell)
-        lines.append(f"  {cell[0]:17}{cell[1]:18}{cell[2]:9}" + "  ".join(map(_bar, here)))
+        of_cell = (v for v in checked if (v.case, v.size, v.dtype) == cell)
+        lines.append(f"  {cell[0]:17}{cell[1]:18}{cell[2]:9}" + "  ".join(map(_bar, of_cell)))
     lines.append("kvision is slower than" if lost else "kvision is nowhere slower than a peer")
     for cell in dict.fromkeys((loss.case, loss.stage, loss.size, loss.dtype) for loss in lost):
-        here = [loss for loss in lost if (loss.case, loss.stage, loss.size, loss.dtype) == cell]
+        of_cell = [loss for loss in lost if (loss.case, loss.stage, loss.size, loss.dtype) == cell]
         faster = ", ".join(
-            f"{loss.peer}{f' [{loss.agreement}]' if loss.agreement else ''} {loss.factor:.2f}x" for loss in here
+            f"{loss.peer}{f' [{loss.agreement}]' if loss.agreement else ''} {loss.factor:.2f}x" for loss in of_cell
         )
         lines.append("  {:17}{:17}{:18}{:9}".format(*cell) + faster)
     return "\n".join(lines)

@@ -196,10 +196,10 @@ def windows_of(frames: Tensor, shapes: list[torch.Size], size: tuple[int, int]) 
     near, adjacent = (torch.arange(-r, r + 1, device=frames.device) for r in (WINDOW, 1))
     windows = []
     for i, (_, h, w) in enumerate(shapes):
-        here = octave == i
-        column = (x[here] * (w - 1) / (size[1] - 1)).round().long().clamp(WINDOW, w - 1 - WINDOW)
-        row = (y[here] * (h - 1) / (size[0] - 1)).round().long().clamp(WINDOW, h - 1 - WINDOW)
-        planes = (level[here][:, None] + adjacent)[:, :, None, None] * h
+        in_octave = octave == i
+        column = (x[in_octave] * (w - 1) / (size[1] - 1)).round().long().clamp(WINDOW, w - 1 - WINDOW)
+        row = (y[in_octave] * (h - 1) / (size[0] - 1)).round().long().clamp(WINDOW, h - 1 - WINDOW)
+        planes = (level[in_octave][:, None] + adjacent)[:, :, None, None] * h
         rows = (planes + (row[:, None] + near)[:, None, :, None]) * w
         windows.append((rows + (column[:, None] + near)[:, None, None, :]).flatten(1))
     return windows
@@ -228,9 +228,9 @@ def descriptor_loss(
         own = torch.cdist(a, b)
         own.fill_diagonal_(math.inf)
         nearest = torch.minimum(own.amin(0), own.amin(1))
-        for mine, there, features in ((a, targets[1], others[1]), (b, targets[0], others[0])):
-            wrong = torch.cdist(mine, features.descriptors)
-            near = torch.cdist(there.frames[0, :, :, 2], features.points) < SCALE
+        for rows, target, features in ((a, targets[1], others[1]), (b, targets[0], others[0])):
+            wrong = torch.cdist(rows, features.descriptors)
+            near = torch.cdist(target.frames[0, :, :, 2], features.points) < SCALE
             nearest = torch.minimum(nearest, wrong.masked_fill(near, math.inf).amin(1))
     return F.relu(apart / nearest - 0.5).mean()
 

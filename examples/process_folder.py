@@ -527,8 +527,8 @@ def main(arguments: list[str] | None = None) -> int:
         left.unlink(missing_ok=True)
     everything = tasks_of(options.source, options.out.resolve(), options.format)
     report = Report(options.out, options.retry)
-    there = {task.path for task in everything if os.path.exists(task.target)}
-    tasks = [task for task in everything if task.path not in there | report.known]
+    existing = {task.path for task in everything if os.path.exists(task.target)}
+    tasks = [task for task in everything if task.path not in existing | report.known]
     begin = time.perf_counter()
     with tqdm(total=len(everything), initial=len(everything) - len(tasks), unit="picture", leave=False) as bar:
         if options.engine == "ray":

@@ -108,8 +108,8 @@ class Textures:
 
     def batches(self, order: Order, device: torch.device, workers: int) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         for indices in map(torch.tensor, order):
-            there = indices.to(device, non_blocking=True)
-            yield self.pixels[there].permute(0, 3, 1, 2), self.labels[there], there
+            on_device = indices.to(device, non_blocking=True)
+            yield self.pixels[on_device].permute(0, 3, 1, 2), self.labels[on_device], on_device
 
 
 class Folder(Dataset[tuple[Tensor, int, int]]):

@@ -100,11 +100,11 @@ def test_joined_operators(name: str, warps: int) -> None:
 
 def test_one_resampling() -> None:
     """The product of the matrices, read once: a shift of a quarter pixel and back leaves no blur."""
-    there = A.RandomTranslate((0.0125, 0.0125), p=1.0)
+    shift = A.RandomTranslate((0.0125, 0.0125), p=1.0)
     back = A.RandomTranslate((-0.0125, -0.0125), p=1.0)
     x = images()
-    torch.testing.assert_close(A.ImageSequential(there, back, resample="once")(x), x)
-    assert (A.ImageSequential(there, back)(x) - x).abs().max() > 0.01
+    torch.testing.assert_close(A.ImageSequential(shift, back, resample="once")(x), x)
+    assert (A.ImageSequential(shift, back)(x) - x).abs().max() > 0.01
 
 
 def blob(x: float, y: float, h: int = 48, w: int = 64) -> Tensor:

@@ -122,11 +122,11 @@ def test_seeds_of_samples_are_independent_of_the_batch(case: Case, device: torch
 @pytest.mark.interface
 @random_names
 def test_parameters_are_those_of_the_cpu(case: Case, device: torch.device) -> None:
-    there, here = case.make(p=0.7), case.make(p=0.7)
-    there(images(device), seed=3), here(images(), seed=3)
-    for name, value in here._params.items():
-        assert there._params[name].device.type == "cpu"
-        assert torch.equal(there._params[name], value), name
+    on_device, on_cpu = case.make(p=0.7), case.make(p=0.7)
+    on_device(images(device), seed=3), on_cpu(images(), seed=3)
+    for name, value in on_cpu._params.items():
+        assert on_device._params[name].device.type == "cpu"
+        assert torch.equal(on_device._params[name], value), name
 
 
 @names

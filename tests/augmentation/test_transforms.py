@@ -160,8 +160,8 @@ def test_an_empty_chain_is_the_identity(device):
 
 def test_float32_columns_are_computed_in_double(device):
     """A rotation and its inverse about a far center leave nothing of float32's rounding."""
-    there, back = affine((1e5, 1e5), angle=0), affine((1e5, 1e5), angle=1)
-    result = matrices([[33.0, -33.0]], there, back, device=device)
+    far, back = affine((1e5, 1e5), angle=0), affine((1e5, 1e5), angle=1)
+    result = matrices([[33.0, -33.0]], far, back, device=device)
     assert (result - torch.eye(3, device=device)).abs().max() < 1e-6
 
 

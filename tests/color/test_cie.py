@@ -45,27 +45,27 @@ def array() -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "there, back, code, inverse, error",
+    "convert, back, code, inverse, error",
     [
         (C.rgb_to_xyz, C.xyz_to_rgb, cv2.COLOR_RGB2XYZ, cv2.COLOR_XYZ2RGB, 1e-5),
         (C.rgb_to_lab, C.lab_to_rgb, cv2.COLOR_RGB2LAB, cv2.COLOR_LAB2RGB, 0.6),  # OpenCV interpolates in a table
         (C.rgb_to_luv, C.luv_to_rgb, cv2.COLOR_RGB2LUV, cv2.COLOR_LUV2RGB, 0.6),
     ],
 )
-def test_opencv(there, back, code, inverse, error, array, device):
+def test_opencv(convert, back, code, inverse, error, array, device):
     theirs = cv2.cvtColor(array, code)
-    ours = there(K.image_to_tensor(array).to(device))
+    ours = convert(K.image_to_tensor(array).to(device))
     np.testing.assert_allclose(K.tensor_to_image(ours), theirs, atol=error)
     rgb = back(K.image_to_tensor(theirs).to(device))
     np.testing.assert_allclose(K.tensor_to_image(rgb), cv2.cvtColor(theirs, inverse), atol=2e-2)
 
 
 @pytest.mark.parametrize(
-    "there, expected, error",
+    "convert, expected, error",
     [(C.rgb_to_lab, skimage.color.rgb2lab, 0.02), (C.rgb_to_luv, skimage.color.rgb2luv, 0.02)],
 )
-def test_scikit_image(there, expected, error, array, device):
-    ours = there(K.image_to_tensor(array.astype(np.float64)).to(device))
+def test_scikit_image(convert, expected, error, array, device):
+    ours = convert(K.image_to_tensor(array.astype(np.float64)).to(device))
     np.testing.assert_allclose(K.tensor_to_image(ours), expected(array.astype(np.float64)), atol=error)
 
 

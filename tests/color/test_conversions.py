@@ -142,11 +142,11 @@ ROUND_TRIPS = [
 ]
 
 
-@pytest.mark.parametrize("there, back, wide, narrow", ROUND_TRIPS)
-def test_round_trips(there, back, wide, narrow, device):
+@pytest.mark.parametrize("forward, inverse, wide, narrow", ROUND_TRIPS)
+def test_round_trips(forward, inverse, wide, narrow, device):
     for dtype, limit in ((torch.float64, wide), (torch.float32, narrow)):
         x = lattice().to(dtype).to(device)
-        error = (getattr(C, back)(getattr(C, there)(x)) - x).abs().max()
+        error = (getattr(C, inverse)(getattr(C, forward)(x)) - x).abs().max()
         assert error <= limit
 
 

@@ -58,17 +58,17 @@ def test_colors_are_those_of_the_standard_library(device):
 
 
 @pytest.mark.parametrize(
-    "there, back, code, inverse",
+    "convert, back, code, inverse",
     [
         (C.rgb_to_hsv, C.hsv_to_rgb, cv2.COLOR_RGB2HSV, cv2.COLOR_HSV2RGB),
         (C.rgb_to_hls, C.hls_to_rgb, cv2.COLOR_RGB2HLS, cv2.COLOR_HLS2RGB),
     ],
 )
-def test_opencv_in_degrees(there, back, code, inverse, device):
+def test_opencv_in_degrees(convert, back, code, inverse, device):
     array = np.random.default_rng(0).random((30, 40, 3), np.float32)
     theirs = cv2.cvtColor(array, code)
     scale = torch.tensor([360 / TURN, 1, 1], device=device)[:, None, None]
-    ours = there(K.image_to_tensor(array).to(device)) * scale
+    ours = convert(K.image_to_tensor(array).to(device)) * scale
     np.testing.assert_allclose(K.tensor_to_image(ours), theirs, rtol=1e-4, atol=1e-3)
     rgb = back(K.image_to_tensor(theirs).to(device) / scale)
     np.testing.assert_allclose(K.tensor_to_image(rgb), cv2.cvtColor(theirs, inverse), atol=1e-5)
@@ -129,8 +129,8 @@ def test_every_color_of_bytes_survives(device):
     for red in range(256):
         g, b = torch.meshgrid(levels, levels, indexing="ij")
         x = torch.stack([torch.full_like(g, red), g, b]).float() / 255
-        for there, back in ((C.rgb_to_hsv, C.hsv_to_rgb), (C.rgb_to_hls, C.hls_to_rgb)):
-            assert torch.equal((back(there(x)) * 255).round(), (x * 255).round())
+        for convert, back in ((C.rgb_to_hsv, C.hsv_to_rgb), (C.rgb_to_hls, C.hls_to_rgb)):
+            assert torch.equal((back(convert(x)) * 255).round(), (x * 255).round())
 
 
 def check_bytes(first: int, device) -> None:

@@ -56,23 +56,23 @@ def every_form(boxes: Tensor, pads: Tensor, M: Tensor) -> list[Tensor]:
     for mode in MODES:
         results.append(G.Boxes.from_tensor(G.Boxes(boxes).to_tensor(mode), mode, validate_boxes=False).to_tensor(mode))
         results.append(G.VideoBoxes.from_tensor(boxes[:, None], False).to_tensor(mode))
-    there = G.Boxes(boxes).transform_boxes(M).pad(pads).unpad(pads).translate(pads[:, :2])
-    kept = there.clamp(pads[:, :2], (9, 9)).merge(there).filter_boxes_by_area(1.0, 9.0).trim(True)
-    there[:1] = there[1:]
-    for some in (there, kept, kept.clone()[0], there.to(dtype=torch.float32)):
+    moved = G.Boxes(boxes).transform_boxes(M).pad(pads).unpad(pads).translate(pads[:, :2])
+    kept = moved.clamp(pads[:, :2], (9, 9)).merge(moved).filter_boxes_by_area(1.0, 9.0).trim(True)
+    moved[:1] = moved[1:]
+    for some in (moved, kept, kept.clone()[0], moved.to(dtype=torch.float32)):
         results += [some.data, some.compute_area(), *some.get_boxes_shape()]
-    return [*results, there.to_mask(7, 8)]
+    return [*results, moved.to_mask(7, 8)]
 
 
 def every_form3d(boxes: Tensor, points: Tensor, M: Tensor) -> list[Tensor]:
     """Of Boxes3D and Keypoints."""
     results = []
     for mode in MODES3D:
-        there = G.Boxes3D.from_tensor(G.Boxes3D(boxes).to_tensor(mode), mode, validate_boxes=False).transform_boxes(M)
-        results += [there.to_tensor(mode), *there.get_boxes_shape()]
+        moved = G.Boxes3D.from_tensor(G.Boxes3D(boxes).to_tensor(mode), mode, validate_boxes=False).transform_boxes(M)
+        results += [moved.to_tensor(mode), *moved.get_boxes_shape()]
     for kind, pads, matrix in ((G.Keypoints, M[:, 0], M[:, 1:, 1:]), (G.Keypoints3D, M.flatten(1)[:, :6], None)):
-        there = kind.from_tensor(points[..., : pads.shape[1] // 2]).pad(pads).unpad(pads)
-        results += [there[0].data, (there if matrix is None else there.transform_keypoints(matrix)).to_tensor()]
+        moved = kind.from_tensor(points[..., : pads.shape[1] // 2]).pad(pads).unpad(pads)
+        results += [moved[0].data, (moved if matrix is None else moved.transform_keypoints(matrix)).to_tensor()]
     return [*results, G.Boxes3D(boxes).to_mask(3, 4, 5)]
 
 

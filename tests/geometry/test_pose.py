@@ -20,8 +20,8 @@ class TestPose(CompositionTests):
 
 
 def pose(R: Tensor, t: Tensor) -> G.NamedPose:
-    there = G.NamedPose.from_rt(R, t, "a", "b")
-    return G.NamedPose.from_rt(R, t, "b", "c") * there
+    named_pose = G.NamedPose.from_rt(R, t, "a", "b")
+    return G.NamedPose.from_rt(R, t, "b", "c") * named_pose
 
 
 def rand(*shape: int, seed: int = 5) -> Tensor:
@@ -68,16 +68,18 @@ def test_poses_of_lie_groups(group, device):
     n = 2 if group is G.liegroup.Se2 else 3
     first, second = (group.exp(rand(4, 3 * n - 3, seed=seed).to(device)) for seed in (1, 2))
     p = rand(4, 5, n, seed=3).to(device)
-    there = G.NamedPose(first, "robot", "map") * G.NamedPose(second, "camera", "robot")
+    named_pose = G.NamedPose(first, "robot", "map") * G.NamedPose(second, "camera", "robot")
     matrices = G.NamedPose(first.matrix(), "robot", "map") * G.NamedPose(second.matrix(), "camera", "robot")
-    assert isinstance(there.pose, group) and (there.frame_src, there.frame_dst) == ("camera", "map")
-    assert_close((there.matrix(), there.transform_points(p)), (matrices.pose, matrices.transform_points(p)), 0, 1e-12)
-    assert isinstance(there.inverse().pose, group) and type(there.rotation) is type(first.rotation)
-    assert_close(there.inverse().matrix(), matrices.inverse().pose, 0, 1e-12)
-    assert_close(there.translation, matrices.translation, 0, 1e-12)
+    assert isinstance(named_pose.pose, group) and (named_pose.frame_src, named_pose.frame_dst) == ("camera", "map")
+    assert_close(
+        (named_pose.matrix(), named_pose.transform_points(p)), (matrices.pose, matrices.transform_points(p)), 0, 1e-12
+    )
+    assert isinstance(named_pose.inverse().pose, group) and type(named_pose.rotation) is type(first.rotation)
+    assert_close(named_pose.inverse().matrix(), matrices.inverse().pose, 0, 1e-12)
+    assert_close(named_pose.translation, matrices.translation, 0, 1e-12)
     mixed = G.NamedPose(first, "robot", "map") * G.NamedPose(second.matrix(), "camera", "robot")
     assert_close(mixed.pose, matrices.pose, 0, 1e-12)
     made = G.NamedPose.from_rt(first.rotation, first.translation)
     assert isinstance(made.pose, group)
-    (grad,) = torch.autograd.grad(there.transform_points(p).sum(), [first.t])
+    (grad,) = torch.autograd.grad(named_pose.transform_points(p).sum(), [first.t])
     assert grad.isfinite().all() and grad.abs().sum() > 0

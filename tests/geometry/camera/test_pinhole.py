@@ -77,8 +77,8 @@ def test_round_trip(device):
         x = rand(4, len(sizes)).to(device)
         assert_close(getattr(G, f"denormalize_{name}")(getattr(G, f"normalize_{name}")(x, *sizes), *sizes), x)
     H = rand(2, 3, 3).to(device)
-    there = G.normalize_homography(H, (5, 1), (3, 4), False)
-    assert_close(G.denormalize_homography(there, (5, 1), (3, 4), False), H, 1e-9, 1e-9)
+    normalized = G.normalize_homography(H, (5, 1), (3, 4), False)
+    assert_close(G.denormalize_homography(normalized, (5, 1), (3, 4), False), H, 1e-9, 1e-9)
 
 
 def test_cameras_own_their_tensors(device):

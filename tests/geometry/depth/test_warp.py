@@ -53,9 +53,9 @@ class TestDepthWarper(CompositionTests):
         def call(image: Tensor, depth: Tensor, pose: Tensor) -> Tensor:
             size = torch.ones_like(pose[:, 0, 0])
             identity = torch.eye(4, dtype=pose.dtype, device=pose.device).expand_as(pose)
-            there, here = (G.PinholeCamera(identity, e, size, size) for e in (identity + 0.1 * pose, identity))
-            warper = K.DepthWarper(there, 7, 9, mode, padding, align_corners=False)
-            return warper.compute_projection_matrix(here)(depth + 1, image)
+            destination, source = (G.PinholeCamera(identity, e, size, size) for e in (identity + 0.1 * pose, identity))
+            warper = K.DepthWarper(destination, 7, 9, mode, padding, align_corners=False)
+            return warper.compute_projection_matrix(source)(depth + 1, image)
 
         return call
 
@@ -91,16 +91,16 @@ def test_singular_cameras_are_harmless(device):
 
 
 def test_warper_wants_its_cameras_and_sizes(device):
-    there, here = (cameras(1, focal, device) for focal in (20.0, 21.0))
-    warper = K.DepthWarper(there, 15, 19)
+    destination, source = (cameras(1, focal, device) for focal in (20.0, 21.0))
+    warper = K.DepthWarper(destination, 15, 19)
     image, d = torch.rand(1, 3, 15, 19, device=device).double(), torch.ones(1, 1, 15, 19, device=device).double()
     with pytest.raises(ValueError, match="DepthWarper: call compute_projection_matrix"):
         warper(d, image)
     with pytest.raises(TypeError, match="DepthWarper: expected pinhole_dst to be a PinholeCamera"):
         K.DepthWarper(torch.eye(4), 15, 19)
     with pytest.raises(ValueError, match="mode must be one of bilinear, nearest"):
-        K.DepthWarper(there, 15, 19, mode="bicubic")
-    assert warper.compute_projection_matrix(here) is warper
+        K.DepthWarper(destination, 15, 19, mode="bicubic")
+    assert warper.compute_projection_matrix(source) is warper
     with pytest.raises(ValueError, match=r"expected depth_src of shape \(B, 1, 15, 19\)"):
         warper(d[..., :4], image)
     assert "height=15, width=19" in repr(warper)
@@ -109,8 +109,8 @@ def test_warper_wants_its_cameras_and_sizes(device):
 
 
 def test_subpixel_step_moves_the_middle_by_half_a_pixel(device):
-    there, here = (cameras(1, focal, device) for focal in (20.0, 21.0))
-    warper = K.DepthWarper(there, 15, 19).compute_projection_matrix(here)
+    destination, source = (cameras(1, focal, device) for focal in (20.0, 21.0))
+    warper = K.DepthWarper(destination, 15, 19).compute_projection_matrix(source)
     step = float(warper.compute_subpixel_step())
 
     def position(inverse_depth: float) -> Tensor:

@@ -81,8 +81,8 @@ def test_opencv_homography():
     x, y, _ = on_planes(3, 30, noise=0.5)
     for a, b, result in zip(x, y, G.find_homography_dlt(x, y)):
         expected = torch.from_numpy(cv2.findHomography(a.numpy(), b.numpy(), 0)[0])
-        there, them = (G.oneway_transfer_error(a[None], b[None], h[None]).mean() for h in (result, expected))
-        assert there < 1.05 * them  # which is the least there is: OpenCV goes on from the same by Levenberg-Marquardt
+        error, opencv_error = (G.oneway_transfer_error(a[None], b[None], h[None]).mean() for h in (result, expected))
+        assert error < 1.05 * opencv_error  # OpenCV refines the same estimate by Levenberg-Marquardt
 
 
 P, Q, M = torch.rand(2, 8, 2), torch.rand(2, 8, 2), torch.rand(2, 3, 3)

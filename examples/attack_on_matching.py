@@ -35,7 +35,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 import kvision as K
-from kvision.demo.arguments import device_of, images_of, require
+from kvision.demo.arguments import device_of, images_of, make_folder, require
 
 PATCH = 32
 SCALE = 6.0  # of a frame, over the blur of its level
@@ -351,7 +351,7 @@ def main(arguments: list[str] | None = None) -> int:
     require(parser, "matplotlib", *(() if own else ("skimage",)))
     originals = pictures(own, options.height, device)
     extractor = Extractor(options.features).to(device)
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(parser, options.out)
     outcomes = []
     for seed in range(options.seeds):
         homography = wanted_homography(seed, originals[0])

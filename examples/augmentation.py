@@ -24,7 +24,7 @@ from torch.utils.data import DataLoader, Dataset
 
 import kvision as K
 import kvision.augmentation as A
-from kvision.demo.arguments import device_of, images_of, require
+from kvision.demo.arguments import device_of, images_of, make_folder, require
 
 WINDOW, CROP = 224, 160
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -195,7 +195,7 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     options.device = device_of(parser, options.device)
     photographs = photographs_of(parser, options.image)
     require(parser, "tqdm")
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(parser, options.out)
 
     torch.manual_seed(0)
     images = torch.stack([unit(Windows(photographs, 4)[i][0]) for i in range(4)]).to(options.device)

@@ -24,7 +24,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 import kvision as K
-from kvision.demo.arguments import device_of, images_of, require
+from kvision.demo.arguments import device_of, images_of, make_folder, require
 
 SIZE, LATENT, HELD_OUT = 64, 100, 0.3
 WIDTHS = (32, 64, 128, 256)  # channels of the encoder
@@ -195,7 +195,7 @@ def main(arguments: list[str] | None = None) -> int:
     folder = options.data or default_folder()
     require(parser, "matplotlib", "tqdm", *(() if folder else ("skimage",)))
     images = faces(folder).to(device)
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(parser, options.out)
     missed = 0
     for seed in range(options.seeds):
         begin = time.perf_counter()

@@ -28,7 +28,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
-from kvision.demo.arguments import device_of, images_of, require
+from kvision.demo.arguments import device_of, images_of, make_folder, require
 
 LEVELS, ITERATIONS = 5, 120
 RATE, MOMENTUM = 0.001, 0.9
@@ -305,7 +305,7 @@ def main(arguments: list[str] | None = None) -> int:
             f"--image: expected two images of one size, got {tuple(own[0].shape[2:])} and {tuple(own[1].shape[2:])}"
         )
     require(parser, "matplotlib", "tqdm", *(() if own else ("skimage",)), *(("kornia",) if options.kornia else ()))
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(parser, options.out)
     if own:
         scenes = [stereo(*own, options.focal, options.baseline, device, options.width)]
     else:
@@ -314,6 +314,9 @@ def main(arguments: list[str] | None = None) -> int:
         scenes.append(livingroom(options.data / "rgbd_livingroom", device, options.width))
     chosen = {name: value for name in ("near", "far") if (value := getattr(options, name)) is not None}
     scenes = [replace(scene, **chosen) for scene in scenes]
+    for scene in scenes:
+        if not 0 < scene.near < scene.far:
+            parser.error(f"--near, --far: expected 0 < near < far, got {scene.near:.3g} and {scene.far:.3g}")
     libraries = [K]
     if options.kornia:
         import kornia

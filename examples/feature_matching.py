@@ -22,7 +22,7 @@ import torch
 from torch import Tensor, nn
 
 import kvision as K
-from kvision.demo.arguments import device_of, images_of, require
+from kvision.demo.arguments import device_of, images_of, make_folder, require
 
 # Real pairs: folder, number of the second image.
 REAL = (("graf", 3), ("boat", 3), ("leuven", 4), ("bikes", 3))
@@ -212,7 +212,7 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"--weights {options.weights}: there is no such file")
     own = images_of(parser, options.image or [])
     require(parser, "matplotlib", *(() if own else ("skimage",)))
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(parser, options.out)
     matcher = Matcher(Features(options.features, options.weights)).to(device).eval()
     if options.image:
         images = [picture.to(device) for picture in own]

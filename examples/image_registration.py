@@ -24,7 +24,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 import kvision as K
-from kvision.demo.arguments import device_of, images_of, require
+from kvision.demo.arguments import device_of, images_of, make_folder, require
 
 LEVELS = 4
 CONVERGED = 0.7  # least correlation of local contrasts: 0.9 where the homography is right, below 0.1 in other minima
@@ -217,7 +217,7 @@ def main(arguments: list[str] | None = None) -> int:
     own = [(path.stem, picture) for path, picture in zip(options.image, images_of(parser, options.image))]
     require(parser, "matplotlib", *(() if own else ("skimage",)))
     iterations = options.iterations or SOLVERS[options.solver][1]
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(parser, options.out)
     missed = 0
     pairs = [*synthetic(device, own or None), *(real(options.data, device) if options.data else ())]
     for i, pair in enumerate(pairs):

@@ -44,7 +44,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
 import kvision as K
-from kvision.demo.arguments import device_of, require
+from kvision.demo.arguments import device_of, make_folder, require
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 BLUR = "K.filters.GaussianBlur2d(5, (1.5, 1.5))"
@@ -522,7 +522,7 @@ def main(arguments: list[str] | None = None) -> int:
     require(parser, "tqdm")
     from tqdm import tqdm
 
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(parser, options.out)
     for left in options.out.rglob(f".*.{PARTIAL}.*"):  # of a killed run
         left.unlink(missing_ok=True)
     everything = tasks_of(options.source, options.out.resolve(), options.format)

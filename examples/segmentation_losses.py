@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 import kvision as K
-from kvision.demo.arguments import device_of, images_of, require
+from kvision.demo.arguments import device_of, images_of, make_folder, require
 
 SIZE, CLASSES, BATCH = 32, 3, 8
 
@@ -146,7 +146,7 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     device = device_of(parser, auto if options.device == "auto" else options.device)
     pictures = images_of(parser, options.image)
     require(parser, "PIL", "tqdm")
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(parser, options.out)
     curves = {}
     for name, loss in LOSSES.items():
         curves[name], model = train(name, loss, options.steps, device)

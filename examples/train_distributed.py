@@ -39,7 +39,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 
 import kvision as K
 import kvision.augmentation as A
-from kvision.demo.arguments import device_of, require
+from kvision.demo.arguments import device_of, make_folder, require
 
 MEAN, STD = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
 TEXTURES = ("stripes", "checks", "rings", "dots")
@@ -392,7 +392,6 @@ def pictures_of(parser: argparse.ArgumentParser, options: argparse.Namespace, de
 
 
 def write_losses(losses: list[float], path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
     with path.with_suffix(".tmp").open("w", newline="") as file:
         csv.writer(file).writerows([("step", "loss"), *enumerate(losses, 1)])
     os.replace(path.with_suffix(".tmp"), path)
@@ -456,6 +455,7 @@ def main(arguments: list[str] | None = None) -> int:
     device = device_of(parser, options.device, int(os.environ.get("LOCAL_RANK", 0)))
     if options.model == "resnet50":
         require(parser, "torchvision")
+    make_folder(parser, options.out)
     if options.deterministic:
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True)

@@ -248,6 +248,27 @@ def test_a_wrong_folder_is_an_error(name: str, tmp_path: Path, capsys: pytest.Ca
     assert f"error: --data {tmp_path / 'wrong'}: expected a folder with " in capsys.readouterr().err.splitlines()[-1]
 
 
+@pytest.mark.parametrize("name", (*NAMES, *WITHOUT_IMAGE, "process_folder"))
+def test_a_file_in_place_of_the_folder_of_results_is_said(name: str, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    out.touch()
+    given = [str(tmp_path), str(out)] if name == "process_folder" else ["--out", str(out)]
+    with pytest.raises(SystemExit) as stopped:
+        example(name).main([*given, "--device", "cpu"])
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.endswith(f"error: results cannot go to {out}: File exists\n")
+
+
+def test_a_range_of_depth_that_is_none_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left, right = photographs(tmp_path, 8)
+    with pytest.raises(SystemExit) as stopped:
+        example("depth_estimation").main(
+            ["--image", str(left), str(right), "--near", "5", "--far", "2", "--out", str(tmp_path), "--device", "cpu"]
+        )
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.endswith("error: --near, --far: expected 0 < near < far, got 5 and 2\n")
+
+
 @pytest.mark.parametrize("name", NAMES + WITHOUT_IMAGE)
 def test_unknown_device_is_reported(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:

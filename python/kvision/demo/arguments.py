@@ -39,6 +39,14 @@ def require(parser: argparse.ArgumentParser, *modules: str) -> None:
             parser.error(f"needs {name}: pip install " + ('"kvision[examples]"' if name in EXTRA else name))
 
 
+def make_folder(parser: argparse.ArgumentParser, path: Path) -> None:
+    """Make the folder of the results; called before a program starts to compute."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        parser.error(f"results cannot go to {path}: {error.strerror}")
+
+
 def images_of(parser: argparse.ArgumentParser, paths: Sequence[Path]) -> list[Tensor]:
     """The files of `--image` as (1, 3, H, W), float32 in [0, 1]."""
     images = []

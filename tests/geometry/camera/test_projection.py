@@ -48,9 +48,21 @@ def test_values_are_those_of_kornia(name, args, device):
     assert_close(getattr(C, name)(*(a.to(device) for a in args)).cpu(), expected, 1e-8, 1e-9)
 
 
+@pytest.mark.parametrize("points, depths", [((3, 1, 2), (1, 4, 1)), ((1, 4, 2), (3, 4)), ((2,), ())])
+def test_depths_broadcast(points: tuple[int, ...], depths: tuple[int, ...], device):
+    x, z = rand(*points).to(device), rand(*depths).to(device)
+    column = z if z.dim() == x.dim() else z[..., None]
+    for unproject in (C.unproject_points_z1, C.unproject_points_orthographic):
+        X = unproject(x, z)
+        projected = X[..., :2] / X[..., 2:] if unproject is C.unproject_points_z1 else X[..., :2]
+        assert_close(projected, x.expand_as(projected), 1e-12, 0)
+        assert torch.equal(X[..., 2:], column.expand_as(X[..., 2:]))
+
+
 BAD = [
     (lambda: C.project_points_z1([1.0]), TypeError, "project_points_z1: expected points_in_camera to be a Tensor"),
     (lambda: C.unproject_points_z1(rand(2, 2), rand(2, 2)), ValueError, "unproject_points_z1: expected extension of shape"),
+    (lambda: C.unproject_points_z1(rand(5, 2), rand()), ValueError, r"expected extension of shape .*, got \(\)"),
 ]  # fmt: skip
 
 

@@ -66,9 +66,8 @@ def unproject_points_z1(points_in_cam_canonical: Tensor, extension: Tensor | Non
     points = floats(points_in_cam_canonical)
     if extension is None:
         return torch.cat([points, torch.ones_like(points[..., :1])], -1)
-    depth = _depth(op, points, extension)
-    moved = points * depth
-    return torch.cat([moved, depth.expand_as(moved[..., :1])], -1)
+    points, depth = _with_depths(op, points, extension)
+    return torch.cat([points * depth, depth], -1)
 
 
 def dx_project_points_z1(points_in_camera: Tensor) -> Tensor:
@@ -141,12 +140,8 @@ def unproject_points_orthographic(points_in_camera: Tensor, extension: Tensor) -
     """
     op = "unproject_points_orthographic"
     _check.trailing_shape(op, "points_in_camera", points_in_camera, 2)
-    depth = _depth(op, points_in_camera, extension)
-    points, depth = points_in_camera, as_dtype(depth, points_in_camera.dtype)
-    if points.shape[:-1] != depth.shape[:-1]:
-        points, depth = torch.broadcast_tensors(points, depth)
-        depth = depth[..., :1]
-    return torch.cat([points, depth], -1)
+    points, depth = _with_depths(op, points_in_camera, extension)
+    return torch.cat([points, as_dtype(depth, points.dtype)], -1)
 
 
 def dx_project_points_orthographic(points_in_camera: Tensor) -> Tensor:
@@ -171,13 +166,16 @@ def dx_project_points_orthographic(points_in_camera: Tensor) -> Tensor:
     return torch.ones_like(points_in_camera[..., :1])
 
 
-def _depth(op: str, points: Tensor, extension: Tensor) -> Tensor:
-    """Depths of shape (*) or (*, 1) as (*, 1)."""
+def _with_depths(op: str, points: Tensor, extension: Tensor) -> tuple[Tensor, Tensor]:
+    """Points (*, 2) and depths (*, 1) with the same leading axes, from depths of shape (*) or (*, 1)."""
     _check.numbers(op, "extension", extension)
     _check.same_device(op, points=points, extension=extension)
-    if extension.dim() == points.dim() - 1:
-        extension = extension[..., None]
-    if extension.shape[-1] != 1:
+    depth = extension.unsqueeze(-1) if extension.dim() == points.dim() - 1 else extension
+    if depth.dim() == 0 or depth.shape[-1] != 1:
         raise ShapeError(f"{op}: expected extension of shape (*) or (*, 1), got {tuple(extension.shape)}")
-    _check.broadcastable(op, points=points.shape[:-1], extension=extension.shape[:-1])
-    return extension
+    leading, other = points.shape[:-1], depth.shape[:-1]
+    if leading != other:
+        _check.broadcastable(op, points=leading, extension=other)
+        leading = torch.broadcast_shapes(leading, other)
+        points, depth = points.expand(*leading, 2), depth.expand(*leading, 1)
+    return points, depth

@@ -61,6 +61,12 @@ def test_inverse_rotations_are_views(device):
         assert invert(R, t)[0].data_ptr() == R.data_ptr()
 
 
+def test_inverses_of_whole_numbers(device):
+    R, t = torch.eye(3, device=device).repeat(2, 1, 1), torch.tensor([1, 2, 3], device=device).repeat(2, 1)[..., None]
+    assert torch.equal(G.camtoworld_to_worldtocam_Rt(0.5 * R, t)[1], -0.5 * t)
+    assert torch.equal(G.camtoworld_to_worldtocam_Rt(R.long(), t)[1], -t)
+
+
 def test_rotation_check():
     R, t = torch.eye(3)[None], torch.ones(1, 3, 1)
     G.camtoworld_to_worldtocam_Rt(R, t, check_rotation=True)

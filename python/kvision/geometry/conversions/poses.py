@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import as_dtype
 from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry.conversions.homogeneous import homogeneous
@@ -127,11 +128,13 @@ def _inverse(op: str, R: Tensor, t: Tensor, check_rotation: bool) -> tuple[Tenso
     _check_pose(op, R, t)
     if check_rotation:
         check_is_rotation(op, "R", R)
-    return R.mT, _rotate_back(t, R)
+    return R.mT, _rotate_back(t if t.is_floating_point() else as_dtype(t, R.dtype), R)
 
 
 @with_kernel_casts
 def _rotate_back(t: Tensor, R: Tensor) -> Tensor:
+    if t.dim() == 3 and t.is_floating_point() and t.dtype == R.dtype:
+        return torch.baddbmm(t.detach(), R.mT, t, beta=0, alpha=-1)  # in one launch; beta leaves the first argument out
     return (R * t).sum(-2, keepdim=True).mT.neg()
 
 

@@ -44,8 +44,10 @@ CALLS: dict[str, tuple[Callable[[], object], int]] = {
     "normals_to_rgb255": (lambda: K.color.normals_to_rgb255(torch.rand(1, 3, 4, 5)), 2),
     "worldtocam_to_camtoworld_Rt": (
         lambda: K.geometry.worldtocam_to_camtoworld_Rt(torch.rand(2, 3, 3), torch.rand(2, 3, 1)),
-        3,
+        1,
     ),
+    "normalize_transformation": (lambda: K.geometry.normalize_transformation(torch.rand(2, 3, 3)), 5),
+    "accuracy": (lambda: K.metrics.accuracy(torch.rand(4, 3), torch.ones(4).long()), 6),
     "angle_error_vec": (lambda: K.metrics.angle_error_vec(torch.rand(4, 3), torch.rand(4, 3)), 12),
     "draw_point2d": (lambda: K.image.draw_point2d(torch.zeros(3, 4, 5), torch.ones(2, 2).long(), torch.ones(3)), 3),
     "match_fginn": (lambda: K.feature.match_fginn(*descriptors()), 16),

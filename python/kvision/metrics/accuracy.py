@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import torch
 from torch import Tensor
 
 from kvision import _check
@@ -43,4 +44,4 @@ def accuracy(pred: Tensor, target: Tensor, topk: Sequence[int] = (1,)) -> list[T
     ks = [_check.ints("accuracy", "topk", k, 1)[0] for k in topk]
     best = pred.topk(min(max(ks), pred.shape[1]), 1).indices
     hits = best == target.reshape(-1, 1)
-    return [hits[:, :k].sum().float() * 100 / pred.shape[0] for k in ks]
+    return [hits[:, :k].sum(dtype=torch.float32) * 100 / pred.shape[0] for k in ks]

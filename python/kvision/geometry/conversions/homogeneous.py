@@ -129,5 +129,5 @@ def convert_affinematrix_to_homography3d(A: Tensor) -> Tensor:
 def homogeneous(matrix: Tensor) -> Tensor:
     """Append the row 0 ... 0 1 to matrices (*, n, n + 1)."""
     last = matrix.new_zeros(*matrix.shape[:-2], 1, matrix.shape[-1])
-    last[..., -1] = 1
+    last.select(-1, -1).fill_(1)
     return torch.cat([matrix, last], -2)

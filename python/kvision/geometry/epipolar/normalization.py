@@ -13,6 +13,7 @@ from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._normalization import normalized
 from kvision.geometry._precision import in_full_precision
+from kvision.geometry.conversions.homogeneous import divisor
 
 __all__ = ["normalize_points", "normalize_transformation"]
 
@@ -113,6 +114,4 @@ def normalize_transformation(M: Tensor, eps: float = 1e-8) -> Tensor:
         raise ShapeError(
             f"normalize_transformation: expected M of at least 2 x 2, got {tuple(M.shape)}", actual_shape=M.shape
         )
-    last = M[..., -1:, -1:]
-    large = last.abs() > eps
-    return torch.where(large, M / torch.where(large, last, 1), M)
+    return M / divisor(M[..., -1:, -1:], eps)

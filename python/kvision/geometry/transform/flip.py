@@ -47,7 +47,7 @@ def hflip(input: Tensor) -> Tensor:
         tensor([[2, 1],
                 [4, 3]])
     """
-    return _flip("hflip", input, True, False)
+    return _flip("hflip", input, (-1,))
 
 
 def vflip(input: Tensor) -> Tensor:
@@ -69,7 +69,7 @@ def vflip(input: Tensor) -> Tensor:
         tensor([[3, 4],
                 [1, 2]])
     """
-    return _flip("vflip", input, False, True)
+    return _flip("vflip", input, (-2,))
 
 
 def rot180(input: Tensor) -> Tensor:
@@ -91,17 +91,18 @@ def rot180(input: Tensor) -> Tensor:
         tensor([[4, 3],
                 [2, 1]])
     """
-    return _flip("rot180", input, True, True)
+    return _flip("rot180", input, (-2, -1))
 
 
-def _flip(op: str, input: Tensor, columns: bool, rows: bool) -> Tensor:
+def _flip(op: str, input: Tensor, axes: tuple[int, ...]) -> Tensor:
     _check.is_tensor(op, "input", input)
     if input.dim() == 1:
-        return _flip(op, input[None], columns, rows)[0]
+        return _flip(op, input[None], axes)[0]
     if input.dim() == 0:
         raise ShapeError(f"{op}: expected input of shape (*, H, W), got {tuple(input.shape)}", actual_shape=input.shape)
     if _torch_is_fast(input) or input.dtype not in flipped.dtypes or 0 in input.shape[-2:]:
-        return input.flip([axis for axis, flips in ((-2, rows), (-1, columns)) if flips])
+        return input.flip(axes)
+    columns, rows = -1 in axes, -2 in axes
     if input.dim() == 4:
         return flipped(input, columns, rows)
     images = input.reshape(-1, *input.shape[-3:]) if input.dim() > 2 else input[None, None]

@@ -46,6 +46,7 @@ CALLS: dict[str, tuple[Callable[[], object], int]] = {
         lambda: K.geometry.worldtocam_to_camtoworld_Rt(torch.rand(2, 3, 3), torch.rand(2, 3, 1)),
         1,
     ),
+    "project_points_orthographic": (lambda: K.geometry.project_points_orthographic(torch.rand(4, 3)), 0),
     "normalize_transformation": (lambda: K.geometry.normalize_transformation(torch.rand(2, 3, 3)), 5),
     "accuracy": (lambda: K.metrics.accuracy(torch.rand(4, 3), torch.ones(4).long()), 6),
     "angle_error_vec": (lambda: K.metrics.angle_error_vec(torch.rand(4, 3), torch.rand(4, 3)), 12),

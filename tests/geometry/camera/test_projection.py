@@ -18,7 +18,7 @@ class TestProjection(CompositionTests):
         "project_points_z1": Case(C.project_points_z1, (P3,)),
         "unproject_points_z1": Case(C.unproject_points_z1, (P2, (2, 5))),
         "dx_project_points_z1": Case(C.dx_project_points_z1, (P3,)),
-        "project_points_orthographic": Case(C.project_points_orthographic, (P3,)),
+        "project_points_orthographic": Case(lambda x: C.project_points_orthographic(x).clone(), (P3,)),  # it is a view
         "unproject_points_orthographic": Case(C.unproject_points_orthographic, (P2, (2, 5, 1))),
         "dx_project_points_orthographic": Case(C.dx_project_points_orthographic, (P3,), differentiable=False),
     }
@@ -46,6 +46,11 @@ def test_values_are_those_of_kornia(name, args, device):
     theirs = pytest.importorskip("kornia").geometry.camera
     expected = getattr(theirs, name)(*args)
     assert_close(getattr(C, name)(*(a.to(device) for a in args)).cpu(), expected, 1e-8, 1e-9)
+
+
+def test_an_orthographic_projection_is_a_view():
+    points = rand(2, 5, 3)
+    assert C.project_points_orthographic(points).data_ptr() == points.data_ptr()
 
 
 @pytest.mark.parametrize("points, depths", [((3, 1, 2), (1, 4, 1)), ((1, 4, 2), (3, 4)), ((2,), ())])

@@ -104,7 +104,7 @@ def project_points_orthographic(points_in_camera: Tensor) -> Tensor:
         points_in_camera: points (x, y, z) in the camera's frame, of shape (*, 3).
 
     Returns:
-        Points (x, y) of shape (*, 2), of the type of `points_in_camera`.
+        Points (x, y) of shape (*, 2), a view of `points_in_camera`.
 
     Raises:
         TypeError: `points_in_camera` is not a tensor of real numbers.
@@ -116,7 +116,7 @@ def project_points_orthographic(points_in_camera: Tensor) -> Tensor:
         tensor([2., 4.])
     """
     _check.trailing_shape("project_points_orthographic", "points_in_camera", points_in_camera, 3)
-    return points_in_camera[..., :2].clone()
+    return points_in_camera[..., :2]
 
 
 def unproject_points_orthographic(points_in_camera: Tensor, extension: Tensor) -> Tensor:

@@ -22,11 +22,10 @@ BORDERS = ("constant", "reflect", "replicate", "circular")
 LARGEST_INT = 2**31 - 1
 LARGEST_WINDOW = 2**15 - 1  # so that its area is an int, too; kLargestWindow in csrc/glue/glue.h
 LARGEST_FLOAT = torch.finfo(torch.float32).max
-COMPUTED = frozenset(
-    (
-        *(torch.float16, torch.bfloat16, torch.float32, torch.float64, torch.bool),
-        *(torch.uint8, torch.uint16, torch.uint32, torch.uint64, torch.int8, torch.int16, torch.int32, torch.int64),
-    )
+FLOATING = frozenset((torch.float16, torch.bfloat16, torch.float32, torch.float64))
+COMPUTED = FLOATING.union(
+    (torch.bool, torch.uint8, torch.uint16, torch.uint32, torch.uint64),
+    (torch.int8, torch.int16, torch.int32, torch.int64),
 )
 
 
@@ -82,6 +81,12 @@ def _fits(sizes: Sequence[int], expected: Sequence[str | int], first: int) -> bo
 
 def broadcastable(op: str, **shapes: Sequence[int]) -> None:
     """Raise ShapeError unless the named leading shapes can be broadcast together."""
+    first, *others = shapes.values()
+    for sizes in others:
+        if sizes != first:
+            break
+    else:
+        return
     common: list[int] = []  # of the shapes so far, the last axis first
     for sizes in shapes.values():
         for axis, n in enumerate(reversed(sizes)):
@@ -163,6 +168,9 @@ def floating_or_bytes(op: str, name: str, x: Tensor) -> None:
 
 def floating_trailing_shape(op: str, name: str, x: Any, *expected: str | int) -> None:
     """Raise unless `x` is a floating-point tensor that ends in the axes `expected`."""
+    if isinstance(x, Tensor) and x.dtype in FLOATING and x.layout is torch.strided:
+        if _fits(x.shape, expected, x.dim() - len(expected)):
+            return
     trailing_shape(op, name, x, *expected)
     floating(op, name, x)
 

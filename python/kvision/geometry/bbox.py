@@ -113,7 +113,7 @@ def _generated(op: str, **tensors: Tensor) -> Tensor:
         raise TypeCheckError(f"{op}: expected tensors of one type, got {dtypes}")
     _check.same_device(op, **tensors)
     _check.broadcastable(op, **{name: x.shape for name, x in tensors.items()})
-    values = [x.reshape(-1) for x in tensors.values()]
+    values = [x if x.dim() == 1 else x.reshape(1) for x in tensors.values()]
     if any(x.shape != values[0].shape for x in values):
         values = torch.broadcast_tensors(*values)
     axes = len(values) // 2

@@ -110,7 +110,7 @@ def normalize_transformation(M: Tensor, eps: float = 1e-8) -> Tensor:
                 [0., 0., 1.]])
     """
     _check.floating_trailing_shape("normalize_transformation", "M", M, "m", "n")
-    if min(M.shape[-2:]) < 2:
+    if M.shape[-2] < 2 or M.shape[-1] < 2:
         raise ShapeError(
             f"normalize_transformation: expected M of at least 2 x 2, got {tuple(M.shape)}", actual_shape=M.shape
         )

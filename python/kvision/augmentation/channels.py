@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision.augmentation.base import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.planckian_data import BLACKBODY, CIED
@@ -145,6 +146,7 @@ class RandomPlanckianJitter(IntensityAugmentationBase2D):
         if mode not in tables:
             raise _UnknownModeError(f"RandomPlanckianJitter: expected mode to be 'blackbody' or 'CIED', got {mode!r}")
         table = tables[mode]
+        select_from = _check.scalars("RandomPlanckianJitter", "select_from", select_from)
         rows = (
             range(len(table)) if select_from is None else [select_from] if isinstance(select_from, int) else select_from
         )

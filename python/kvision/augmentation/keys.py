@@ -8,6 +8,7 @@ import torch
 from torch import Generator, Tensor
 from torch.compiler import is_compiling
 
+from kvision import _check
 from kvision._ops import register_random
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
@@ -124,6 +125,7 @@ def _from_seed(op: str, seed: int | Tensor) -> Keys:
         if seed.dim() != 1:
             raise ShapeError(f"{op}: expected seed of shape (B,), got {tuple(seed.shape)}")
         return Keys(torch.zeros(1, dtype=torch.int64), seed, True)
+    seed = _check.scalar(op, "seed", seed)
     if not isinstance(seed, int) or isinstance(seed, bool):
         raise TypeCheckError(f"{op}: expected seed to be an int or an int64 tensor, got {type(seed).__name__}")
     seed &= 2**64 - 1

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from kvision import _check
 from kvision.augmentation.draws import Draw, uniform
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
@@ -102,6 +103,8 @@ def parse(
 
 def as_pair(value: Any) -> Any:
     """A number, or the only entry of a sequence, as the pair of it and itself; anything else as it is."""
+    if not isinstance(value, Tensor) or not value.requires_grad:
+        value = _check.scalar("both_ends", "value", value)
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return (value, value)
     return (value[0], value[0]) if isinstance(value, (tuple, list)) and len(value) == 1 else value

@@ -11,6 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from kvision import _check
 from kvision.augmentation.container import AugmentationSequential, ImageSequentialBase
 from kvision.augmentation.labels import BOX_FORMATS, box_corners
 from kvision.augmentation.normalize import Denormalize, Normalize
@@ -67,6 +68,9 @@ def preview(
         >>> K.augmentation.preview(augment, torch.rand(3, 12, 16), box, data_keys=["image", "bbox_xyxy"], size=64).shape
         torch.Size([3, 160, 208])
     """
+    count = _check.scalar("preview", "count", count)
+    columns = _check.scalar("preview", "columns", columns)
+    size = _check.scalar("preview", "size", size)
     for name, value in (("count", count), ("columns", columns), ("size", size)):
         if not isinstance(value, int) or value < 1:
             raise ValueCheckError(f"preview: expected {name} to be a positive int, got {value!r}")

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import torch
 from torch import Generator, Tensor
 
+from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision.augmentation.auto.policy_base import Drawn, PolicyAugmentBase
 from kvision.augmentation.base import per_sample
@@ -79,6 +80,9 @@ class AugMix(PolicyAugmentBase):
         same_on_batch: bool | None = None,
         generator: Generator | None = None,
     ) -> None:
+        severity = _check.scalar("AugMix", "severity", severity)
+        mixture_width = _check.scalar("AugMix", "mixture_width", mixture_width)
+        chain_depth = _check.scalar("AugMix", "chain_depth", chain_depth)
         for name, number in (("severity", severity), ("mixture_width", mixture_width), ("chain_depth", chain_depth)):
             if not isinstance(number, int) or isinstance(number, bool):
                 raise TypeCheckError(f"AugMix: expected {name} to be an int, got {number!r}")

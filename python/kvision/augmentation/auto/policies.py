@@ -7,6 +7,7 @@ from typing import Any
 
 from torch import Generator
 
+from kvision import _check
 from kvision._check import UnknownChoiceError
 from kvision.augmentation.auto.policy_base import LEVELS, PolicyAugmentBase
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
@@ -221,6 +222,7 @@ class RandAugment(PolicyAugmentBase):
         same_on_batch: bool | None = None,
         generator: Generator | None = None,
     ) -> None:
+        n = _check.scalar("RandAugment", "n", n)
         if not isinstance(n, int) or isinstance(n, bool):
             raise TypeCheckError(f"RandAugment: expected n to be an int, got {n!r}")
         if n < 1:

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
@@ -124,6 +125,7 @@ class ChannelDropoutGenerator(RandomGeneratorBase):
 
     def __init__(self, num_drop_channels: int) -> None:
         super().__init__()
+        num_drop_channels = _check.scalar("RandomChannelDropout", "num_drop_channels", num_drop_channels)
         if type(num_drop_channels) is not int:
             raise TypeCheckError(
                 f"RandomChannelDropout: expected num_drop_channels to be an int, got {num_drop_channels!r}"

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
@@ -25,8 +26,7 @@ __all__ = [
 
 def parse_size(op: str, size: Any) -> tuple[int, int]:
     """Height and width of a crop: two ints, or one for both."""
-    if isinstance(size, Tensor):
-        size = size.tolist()
+    size = _check.scalars(op, "size", size.tolist() if isinstance(size, Tensor) else size)
     sides = (size, size) if isinstance(size, int) else size
     if not isinstance(sides, (tuple, list)) or len(sides) != 2 or any(type(n) is not int for n in sides):
         raise TypeCheckError(f"{op}: expected size to be an int or (height, width), got {size!r}")

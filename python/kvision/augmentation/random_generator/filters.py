@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
@@ -91,6 +92,7 @@ class MotionBlurGenerator(RandomGeneratorBase):
         super().__init__()
         op = self.op
         ranges.keep_parameters(self, angle=angle, direction=direction)
+        kernel_size = _check.scalars(op, "kernel_size", kernel_size)
         sizes = (kernel_size, kernel_size) if isinstance(kernel_size, int) else tuple(kernel_size)
         if len(sizes) != 2 or any(type(n) is not int for n in sizes):
             raise TypeCheckError(f"{op}: expected kernel_size to be an int or a pair of ints, got {kernel_size!r}")

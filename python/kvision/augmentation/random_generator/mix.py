@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw, uniform
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
@@ -81,6 +82,7 @@ class CutmixGenerator(RandomGeneratorBase):
     def __init__(self, cut_size: Any = None, beta: Any = None, num_mix: int = 1, p: float = 1.0) -> None:
         super().__init__()
         op = "RandomCutMixV2"
+        num_mix = _check.scalar(op, "num_mix", num_mix)
         if type(num_mix) is not int or num_mix < 1:
             raise ValueCheckError(f"{op}: expected num_mix to be an int of at least 1, got {num_mix!r}")
         self._cut = ranges.parse(op, "cut_size", (0.0, 1.0) if cut_size is None else cut_size, bounds=(0.0, 1.0))

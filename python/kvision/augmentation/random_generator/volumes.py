@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw, uniform
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
@@ -166,8 +167,7 @@ def corners(shape: Shape) -> Tensor:
 
 def parse_size3d(op: str, size: Any) -> tuple[int, int, int]:
     """Depth, height and width of a crop: three ints, or one for all."""
-    if isinstance(size, Tensor):
-        size = size.tolist()
+    size = _check.scalars(op, "size", size.tolist() if isinstance(size, Tensor) else size)
     sides = (size,) * 3 if isinstance(size, int) else size
     if not isinstance(sides, (tuple, list)) or len(sides) != 3 or any(type(n) is not int for n in sides):
         raise TypeCheckError(f"{op}: expected size to be an int or (depth, height, width), got {size!r}")

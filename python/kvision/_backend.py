@@ -6,6 +6,7 @@ The only module that loads kvision's libraries. `_ops.Operator` asks it what ser
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import threading
 import warnings
@@ -28,6 +29,8 @@ LIBRARY_FOLDER = Path(__file__).parent / "lib"
 
 # device type -> why its kernels are not there; a device missing here is served.
 unserved: dict[str, str] = {}
+# What is slower than it need be, and why: the warning of the import.
+slower: dict[str, str] = {}
 
 
 def _load() -> None:
@@ -44,6 +47,22 @@ def _load() -> None:
                 torch.ops.load_library(path)
             except OSError as error:
                 unserved[device] = f"{name} does not load: {error}"
+            else:
+                if device == "cuda" and (reason := _old_driver(path)):
+                    unserved[device] = slower["images on the GPU"] = reason
+
+
+def _old_driver(library: Path) -> str:
+    """Why the driver cannot run the CUDA library, which brings its own runtime. Empty if it can, or if there is no driver."""
+    driver = ctypes.c_int()
+    try:
+        ctypes.CDLL("libcuda.so.1").cuDriverGetVersion(ctypes.byref(driver))
+    except OSError:
+        return ""
+    latest, needed = driver.value // 1000, ctypes.CDLL(str(library)).kvision_cuda_runtime() // 1000
+    if not 0 < latest < needed:  # a driver runs all minor versions of its CUDA
+        return ""
+    return f"the driver runs CUDA {latest} at most, {library.name} was built with CUDA {needed}"
 
 
 def _compiler(device: str) -> str:
@@ -51,6 +70,8 @@ def _compiler(device: str) -> str:
 
 
 _load()
+if "cpu" in unserved:
+    slower["everything"] = unserved["cpu"]
 
 # torch finds the compiled graphs that it keeps on disk by the names of the operators in them. Those of another kvision may
 # have other arguments and other gradients.
@@ -97,9 +118,9 @@ def current_backend() -> str:
     return default_backend if name is None else name
 
 
-if "cpu" in unserved and default_backend == "auto":
+for _what, _why in slower.items() if default_backend == "auto" else ():
     warnings.warn(
-        f"kvision computes everything in plain torch, which is slower: {unserved['cpu']}. `python -m kvision.info` says "
+        f"kvision computes {_what} in plain torch, which is slower: {_why}. `python -m kvision.info` says "
         "what to do; KVISION_BACKEND=reference in the environment accepts it.",
         RuntimeWarning,
         stacklevel=2,

@@ -202,6 +202,8 @@ def _next_steps() -> Iterator[str]:
             steps.append("there is no NVIDIA driver here, so nothing is lost without CUDA.")
         elif not torch.backends.cuda.is_built():
             steps.append("to use the GPU, install a torch with CUDA: https://pytorch.org/get-started")
+        elif "images on the GPU" in _backend.slower:
+            steps.append("to use the GPU, update its driver, or install kvision again with the nvcc of an older CUDA.")
         else:
             steps.append("to use the GPU, put nvcc (CUDA >= 12) on the PATH and install kvision again.")
     elif any("NO KERNELS" in line for line in _gpus()):

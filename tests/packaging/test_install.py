@@ -138,6 +138,30 @@ def test_without_the_module_of_this_python(installed: dict[str, str]) -> None:
             module.rename(module.with_suffix(".so"))
 
 
+def test_a_driver_older_than_the_cuda_library(cmake: str, installed: dict[str, str], tmp_path: Path) -> None:
+    """The reference serves images on the GPU, says one line of warning; kvision.info() says what to do. All of CUDA is made up."""
+    stand_ins = {
+        tmp_path / "libcuda.so.1": "int cuDriverGetVersion(int* version) { *version = 12080; return 0; }",
+        Path(installed["PYTHONPATH"], "kvision/lib/libkvision_cuda.so"): "int kvision_cuda_runtime() { return 13000; }",
+    }
+    for library, source in stand_ins.items():
+        (tmp_path / "source.cpp").write_text(f'extern "C" {source}\n')
+        run(os.environ.get("CXX", "c++"), "-shared", "-fPIC", "-o", library, tmp_path / "source.cpp")
+    (tmp_path / "nvidia-smi").write_text("#!/bin/sh\n")
+    (tmp_path / "nvidia-smi").chmod(0o755)
+    environment = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "LD_LIBRARY_PATH": str(tmp_path), **installed}
+    program = "import torch; torch.backends.cuda.is_built = lambda: True; import kvision; kvision.info()"
+    try:
+        output = run(sys.executable, "-c", program, KVISION_BACKEND="auto", **environment)
+    finally:
+        library.unlink()
+    (warning,) = (line for line in output.splitlines() if "RuntimeWarning" in line)
+    reason = "the driver runs CUDA 12 at most, libkvision_cuda.so was built with CUDA 13"
+    assert f"kvision computes images on the GPU in plain torch, which is slower: {reason}." in warning
+    report = " ".join(output.split())
+    assert f"cuda {reason}" in report and "cuda kernels serve 0 of" in report and "update its driver" in report
+
+
 def test_cpp_example(cmake: str, installed: dict[str, str], tmp_path: Path) -> None:
     """examples/cpp links the installed wheel, filters a photograph and checks its gradient."""
     cv2, data = pytest.importorskip("cv2"), pytest.importorskip("skimage.data")

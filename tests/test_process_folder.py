@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import glob
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -33,8 +36,13 @@ BROKEN = {
     "small.png": "pipeline: ",
 }
 BLUR = "K.filters.GaussianBlur2d(5, (1.5, 1.5))"
-# A step that takes its time, so that there is a middle in which something can be killed.
-WAIT = "type('Wait', (nn.Module,), {'forward': lambda self, x: (__import__('time').sleep(0.03), x)[1]})()"
+
+
+def slow_step(most: int, out: Path) -> str:
+    """A step that takes its time and stops at so many results, so that there is a middle in which to kill something."""
+    enough = f"lambda: len([*__import__('pathlib').Path({str(out)!r}).rglob('[!.]*.png')]) >= {most}"
+    wait = f"[__import__('time').sleep(0.03), *(__import__('time').sleep(0.01) for _ in iter({enough}, False))]"
+    return f"type('Wait', (nn.Module,), {{'forward': lambda self, x: ({wait}, x)[1]}})()"
 
 
 @pytest.fixture(scope="module")
@@ -87,26 +95,57 @@ def results(out: Path) -> dict[str, int]:
     return {str(path.relative_to(out)): path.stat().st_mtime_ns for path in out.rglob("[!.]*.png")}
 
 
-def wait_for(count: int, out: Path, job: subprocess.Popen[str]) -> None:
-    while len(results(out)) < count:
+def wait_until(happened: Callable[[], object], job: subprocess.Popen[str]) -> None:
+    deadline = time.monotonic() + 300
+    while not happened():
         assert job.poll() is None, job.stdout.read()
+        assert time.monotonic() < deadline
         time.sleep(0.01)
+
+
+# Processes and threads end while these look at them: Ray starts and ends its own as it likes.
 
 
 def below(process: int) -> list[int]:
     """The children of a process and theirs."""
-    tasks = Path(f"/proc/{process}/task")
-    children = [int(child) for task in tasks.iterdir() for child in (task / "children").read_text().split()]
+    children: list[int] = []
+    for path in glob.glob(f"/proc/{process}/task/*/children"):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+            children += map(int, Path(path).read_text().split())
     return children + [grandchild for child in children for grandchild in below(child)]
 
 
-def workers_of(process: int, engine: str) -> list[int]:
-    """Processes that decode: children of multiprocessing's server, or Ray's tasks."""
+def command_of(process: int) -> bytes:
+    try:
+        return Path(f"/proc/{process}/cmdline").read_bytes()
+    except (FileNotFoundError, ProcessLookupError):
+        return b""
+
+
+def kill(process: int) -> bool:
+    """Whether it was still there."""
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(process, signal.SIGKILL)
+        return True
+    return False
+
+
+def kill_all(job: subprocess.Popen[str]) -> None:
+    """The job and all processes below it, some of which end with those above them."""
+    if job.poll() is None:
+        for process in [job.pid, *below(job.pid)]:
+            kill(process)
+        job.wait()
+
+
+def kill_worker(job: subprocess.Popen[str], engine: str) -> bool:
+    """Kill a process that decodes: a child of multiprocessing's server, or of Ray's. Whether there was one."""
+    names = {child: command_of(child) for child in below(job.pid)}
     if engine == "ray":
-        names = {child: Path(f"/proc/{child}/cmdline").read_bytes() for child in below(process)}
-        return [child for child, name in names.items() if b"ray::" in name and b"MapBatches" in name]
-    inner = {child for child in below(process) if b"forkserver" in Path(f"/proc/{child}/cmdline").read_bytes()}
-    return [child for child in inner if not below(child)]
+        workers = [child for child, name in names.items() if b"ray::" in name and b"MapBatches" in name]
+    else:
+        workers = [child for child, name in names.items() if b"forkserver" in name and not below(child)]
+    return bool(workers) and kill(workers[0])
 
 
 def check(pictures: Path, out: Path) -> None:
@@ -133,26 +172,23 @@ def check(pictures: Path, out: Path) -> None:
 def test_each_image_is_processed_once(engine: str, pictures: Path, tmp_path: Path) -> None:
     """A worker is killed in the middle, later the whole job, which is then started again."""
     out = tmp_path / "out"
-    options = ("--engine", engine, "--workers", "2", "--compare", "0", "--pipeline", BLUR, WAIT)
-    job = start(pictures, out, *options)
+    options = ("--engine", engine, "--workers", "2", "--actors", "2", "--compare", "0", "--pipeline", BLUR)
+    job = start(pictures, out, *options, slow_step(400, out))
     try:
-        wait_for(40, out, job)
-        os.kill(workers_of(job.pid, engine)[0], signal.SIGKILL)
-        wait_for(300, out, job)
-        processes = [job.pid, *below(job.pid)]
-        for process in processes:
-            os.kill(process, signal.SIGKILL)
-        job.wait()
+        wait_until(lambda: len(results(out)) >= 40, job)
+        wait_until(lambda: kill_worker(job, engine), job)
+        wait_until(lambda: len(results(out)) >= 300, job)
+        kill_all(job)
         first = results(out)
         assert 300 <= len(first) < COUNT - len(BROKEN)
         job = start(pictures, out, *options)
         output, _ = job.communicate(timeout=300)
     finally:
-        job.kill()
+        kill_all(job)
     assert job.returncode == 0, output
     check(pictures, out)
     assert results(out).items() >= first.items(), "results of the first start were written again"
-    assert f"{COUNT} images, " in output and output.endswith(f"results and broken.csv are in {out}\n")
+    assert f"{COUNT} images, " in output and f"results and broken.csv are in {out}" in output.splitlines()
 
 
 def run(*options: object) -> int:

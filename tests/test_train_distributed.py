@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import os
 import signal
@@ -16,6 +17,7 @@ import torch
 import kvision as K
 from kvision import _backend
 from test_examples import EXAMPLES, example
+from test_process_folder import below
 
 pytestmark = pytest.mark.programs
 
@@ -63,10 +65,10 @@ def losses(folder: Path) -> list[str]:
 
 def rank_of(launcher: subprocess.Popen[str], rank: int) -> int:
     """The process of that rank."""
-    for task in Path(f"/proc/{launcher.pid}/task").iterdir():
-        for child in (task / "children").read_text().split():
+    for child in below(launcher.pid):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # it has ended
             if f"RANK={rank}".encode() in Path(f"/proc/{child}/environ").read_bytes().split(b"\0"):
-                return int(child)
+                return child
     raise AssertionError(f"rank {rank} does not run")
 
 

@@ -7,13 +7,17 @@
 
 namespace kv::enhance {
 
+// x, clamped to [0, 1]; 0 for NaN.
+__device__ __forceinline__ float saturated(float x) { return __saturatef(x); }
+__device__ __forceinline__ double saturated(double x) { return fmin(fmax(x, 0.0), 1.0); }
+
 template <class T>
 __device__ __forceinline__ int level_of(T stored) {
   using F = Compute<T>;
   F const pixel = read(stored);
-  F x = (pixel > 0 ? pixel : 0) * 255;
+  F x = saturated(pixel) * 255;
   if constexpr (sizeof(T) == 2) x = read(round_to<T>(x));
-  int const level = int(x < 255 ? x : F(255));
+  int const level = int(x);
   return pixel == pixel ? level : kNanLevel;
 }
 
@@ -44,23 +48,31 @@ __device__ __forceinline__ void for_each_vector(T const* x, int64_t step, int be
   }
 }
 
-// Level counts in shared memory, with `Copies` counters per level. Neighboring pixels often have the same level, and
-// atomic additions to the same counter are serialized. The copies of a level are adjacent, so they are in different
-// banks.
+// Level counts in shared memory, aligned to 16 bytes, with `Copies` counters per level. Neighboring pixels often have
+// the same level, and atomic additions to the same counter are serialized. The copies of a level are adjacent, so they
+// are in different banks.
 template <int Copies>
 struct LevelCounter {
-  static constexpr int kSize = kLevels * Copies;
+  static constexpr int kSize = (kNanLevel + 1) * Copies;  // NaN is counted without use: leaving it out takes a branch
   int32_t* counts;
+  template <int Threads>
   __device__ __forceinline__ void clear() const {
-    for (int i = threadIdx.x; i < kSize; i += blockDim.x) counts[i] = 0;
+    constexpr int kVectors = kLevels * Copies / 4;
+#pragma unroll
+    for (int first = 0; first < kVectors; first += Threads) {
+      int const i = first + int(threadIdx.x);
+      if (kVectors % Threads == 0 || i < kVectors) reinterpret_cast<int4*>(counts)[i] = int4{};
+    }
   }
-  __device__ __forceinline__ void add(int level) const {
-    if (level < kLevels) atomicAdd(counts + level * Copies + threadIdx.x % Copies, 1);
-  }
+  __device__ __forceinline__ void add(int level) const { atomicAdd(counts + level * Copies + threadIdx.x % Copies, 1); }
   __device__ __forceinline__ int operator[](int level) const {
+    constexpr int kEach = Copies < 4 ? Copies : 4, kVectors = Copies / kEach;
+    auto const* const vectors = reinterpret_cast<Vector<int32_t, kEach> const*>(counts) + level * kVectors;
+    int const first = level * Copies / 32;  // threads with adjacent levels read different banks at a time
     int sum = 0;
 #pragma unroll
-    for (int i = 0; i < Copies; ++i) sum += counts[level * Copies + i];
+    for (int i = 0; i < kVectors; ++i)
+      for (int32_t const count : vectors[(first + i) & (kVectors - 1)].v) sum += count;
     return sum;
   }
 };

@@ -41,12 +41,12 @@ __global__ void __launch_bounds__(Threads) make_tables(Clahe<T> p, bool aligned)
   using F = Compute<T>;
   using Counter = LevelCounter<Threads / 32>;
   constexpr int kEach = Threads < kLevels ? kLevels / Threads : 1;  // levels per thread
-  __shared__ int32_t counts[Counter::kSize];
+  __shared__ __align__(16) int32_t counts[Counter::kSize];
   Counter const counter{counts};
   unsigned const tiles = unsigned(p.down.count * p.across.count), plane = blockIdx.x / tiles;
   int const tile = int(blockIdx.x - plane * tiles), ty = tile / p.across.count, tx = tile - ty * p.across.count;
   T const* const image = p.x.plane(plane);
-  counter.clear();
+  counter.template clear<Threads>();
   __syncthreads();
   int const x0 = tx * p.across.size, y0 = ty * p.down.size, x1 = x0 + p.across.size, y1 = y0 + p.down.size;
   auto const add = [&](auto&& load) {

@@ -40,9 +40,14 @@ __device__ __forceinline__ bool make_table(int count, bool opencv, void* memory,
   Curve const curve{opencv, total, darkest, brightest};
   if (level < kLevels && curve.changes()) {
     F const value = F(curve(up_to, count)) / 255;
-    F* const values = static_cast<F*>(memory) + level * Table<F>::kTables;
+    constexpr int kEach = 16 / sizeof(F), kVectors = Table<F>::kTables / kEach;
+    Vector<F, kEach> copies;
 #pragma unroll
-    for (int i = 0; i < Table<F>::kTables; ++i) values[i] = value;
+    for (F& copy : copies.v) copy = value;
+    auto* const vectors = static_cast<Vector<F, kEach>*>(memory) + level * kVectors;
+    int const first = level * kVectors / 8;  // threads with adjacent levels write to different banks at a time
+#pragma unroll
+    for (int i = 0; i < kVectors; ++i) vectors[(first + i) & (kVectors - 1)] = copies;
   }
   __syncthreads();
   return curve.changes();
@@ -83,7 +88,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_parts(Equalize<
   AlignedBody<P, int> const body(x, begin, end);
   unsigned char* const levels = memory + kCountBytes + P - body.begin;  // of pixel 0; vectors of levels are aligned
 
-  counter.clear();
+  counter.clear<kThreads>();
   __syncthreads();
   bool has_nan = false;
   for_each_vector<kThreads, P>(x, p.x.step, begin, end, [&](auto const& vector, int i) {
@@ -135,12 +140,12 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_parts(Equalize<
 // Chunks of planes, `each` pixels per block.
 template <class T, int P>
 __global__ void __launch_bounds__(kThreads, kBlocks<T>) count_levels(Equalize<T> p, unsigned chunks, int each) {
-  __shared__ int32_t counts[Counter::kSize];
+  __shared__ __align__(16) int32_t counts[Counter::kSize];
   Counter const counter{counts};
   unsigned const plane = blockIdx.x / chunks;
   int64_t const begin = int64_t(blockIdx.x % chunks) * each;
   int const end = int(min(begin + each, p.x.width));
-  counter.clear();
+  counter.clear<kThreads>();
   __syncthreads();
   for_each_vector<kThreads, P>(p.x.plane(plane), p.x.step, int(begin), end, [&](auto const& vector, int) {
 #pragma unroll

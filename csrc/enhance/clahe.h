@@ -83,18 +83,28 @@ struct Clahe {
 KV_KERNEL(clahe, Clahe)
 KV_KERNEL(clahe_tables, Clahe)  // CPU
 
+// n / d for 0 <= n < 2^20 and d > 0. On CUDA without integer division: (n + 1/2) / d is at least 1 / (2 d) away from an
+// integer, farther than its rounding error.
+KV_HD int32_t small_quotient(int32_t n, int32_t d) {
+#if defined(__CUDA_ARCH__)
+  return int32_t(__fdividef(float(n) + 0.5f, float(d)));
+#else
+  return n / d;
+#endif
+}
+
 // Redistribution of the counts above the clip limit: an equal amount for every level. OpenCV adds the remainder one by
 // one to levels at equal distances.
 struct Excess {
   int32_t each, rest, distance, inverse;
   KV_HD explicit Excess(int32_t excess)
-      : each(excess / kLevels),
-        rest(excess % kLevels),
-        distance(rest ? kLevels / rest : kLevels),
-        inverse((1 << 16) / distance + 1) {}
+      : each(int32_t(uint32_t(excess) / kLevels)),
+        rest(int32_t(uint32_t(excess) % kLevels)),
+        distance(rest ? small_quotient(kLevels, rest) : kLevels),
+        inverse(small_quotient(1 << 16, distance) + 1) {}
   KV_HD int32_t of(int level) const {
     int const position = level * inverse >> 16;  // level / distance: both are at most 256
-    return each + (position * distance == level && position < rest);
+    return each + int32_t((position * distance == level) & (position < rest));
   }
 };
 

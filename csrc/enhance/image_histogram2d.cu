@@ -28,8 +28,8 @@ __device__ __forceinline__ void bin_of(ImageHistogram2d<T> const& p, T x, int& b
   bin = whole >= 0 && whole <= T(p.bins + 1) ? int(whole) - 1 : -2;  // NaN is in no bin
 }
 
-// Counts in shared memory, in several copies where they fit: neighboring threads often have equal samples, and add to
-// different copies.
+// Counts in shared memory, in several copies where they fit, a power of two: neighboring threads often have equal
+// samples, and add to different copies.
 template <class T>
 __global__ void __launch_bounds__(kThreads) count_chunk(ImageHistogram2d<T> p, int part, int copies) {
   using Sum = typename Fixed<T>::type;
@@ -40,13 +40,14 @@ __global__ void __launch_bounds__(kThreads) count_chunk(ImageHistogram2d<T> p, i
   int const samples = int(min(p.chunk, p.samples - chunk * p.chunk)), bins = int(p.bins);
   for (int first = 0; first < bins; first += part) {
     __syncthreads();
-    for (int i = threadIdx.x; i < part * copies; i += kThreads) counts[i] = 0;
+    int const vectors = (part * copies * int(sizeof(Sum)) + 15) / 16;
+    for (int i = threadIdx.x; i < vectors; i += kThreads) reinterpret_cast<uint4*>(memory)[i] = uint4{};
     __syncthreads();
     auto const add = [&](int bin, T weight) {
       if (bin < first || bin >= min(first + part, bins)) return;
       Sum const fixed = sizeof(T) == 4 ? Sum(__float2uint_rn(float(weight * Fixed<T>::kScale)))
                                        : Sum(weight * Fixed<T>::kScale + T(0.5));
-      atomicAdd(counts + (bin - first) * copies + threadIdx.x % copies, fixed);
+      atomicAdd(counts + (bin - first) * copies + (threadIdx.x & (copies - 1)), fixed);
     };
     constexpr int kAtOnce = 4;
     for (int i = threadIdx.x; i < samples; i += kThreads * kAtOnce) {
@@ -70,7 +71,8 @@ __global__ void __launch_bounds__(kThreads) count_chunk(ImageHistogram2d<T> p, i
     __syncthreads();
     for (int k = threadIdx.x; k < min(part, bins - first); k += kThreads) {
       Sum sum = 0;
-      for (int i = 0; i < copies; ++i) sum += counts[k * copies + i];
+      int const start = k * copies / 32;  // threads with adjacent bins read different banks at a time
+      for (int i = 0; i < copies; ++i) sum += counts[k * copies + ((start + i) & (copies - 1))];
       p.partial[int64_t(blockIdx.x) * p.bins + first + k] = T(sum) * (1 / Fixed<T>::kScale);
     }
   }
@@ -101,7 +103,7 @@ template <class T>
 int image_histogram2d(ImageHistogram2d<T> const& p, CUstream_st* stream) {
   int const fit = kBytes / int(sizeof(typename Fixed<T>::type)), part = int(min(p.bins, int64_t(fit)));
   int copies = 1;
-  while (copies < 16 && 2 * copies * part <= fit) copies *= 2;
+  while (copies < 32 && 2 * copies * part <= fit) copies *= 2;
   count_chunk<<<unsigned(p.rows * p.chunks), kThreads, 0, stream>>>(p, part, copies);
   if (p.chunks > 1)
     add_chunks<<<unsigned(ceil_div(p.rows * p.bins, 256)), 256, 0, stream>>>(p.partial, p.rows, p.chunks, p.bins,

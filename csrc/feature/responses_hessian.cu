@@ -43,15 +43,19 @@ struct PixelRows {
   __device__ __forceinline__ void read(int y, F (&row)[P]) const {
     columns.read(clamp(y, 0, int(columns.work.x.height) - 1), row);
   }
-  // Writes the derivatives along y of row y to `lines`. Calls are in the order of rows.
-  __device__ __forceinline__ void advance(int y, ColumnPosition const& position, Lines<F, 3>& lines) {
+  // Moves on to row y and, if `more`, reads a row ahead. Calls are in the order of rows. A thread waits for all of its
+  // loads at once, so it takes `next` before it starts to read another row.
+  __device__ __forceinline__ void advance(int y, bool more) {
 #pragma unroll
     for (int i = 0; i < 2 * reach; ++i)
 #pragma unroll
       for (int j = 0; j < P; ++j) rows[i][j] = rows[i + 1][j];
 #pragma unroll
     for (int j = 0; j < P; ++j) rows[2 * reach][j] = next[j];
-    read(y + 1 + reach, next);
+    if (more) read(y + 1 + reach, next);
+  }
+  // Writes the derivatives along y of the row to `lines`.
+  __device__ __forceinline__ void write_derivatives(ColumnPosition const& position, Lines<F, 3>& lines) const {
     filters::for_each_channel<Kernel>([&](auto c) {
       F values[P];
 #pragma unroll
@@ -86,9 +90,12 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks) hessian_forward(__
   F const scale = work.arguments.scale_of(position.plane);
   bool const writes = position.owns_some();
   int now = 0;
-#pragma unroll 1
+#pragma unroll(2 * Kernel::reach + 1)  // so that registers of rows are renamed, not moved
   for (int y = position.y0; y <= position.y1; ++y, now ^= 1) {
-    if (y < position.y1 && position.x < position.width) pixels.advance(y, position, lines[now]);
+    // Only loads and stores are conditional: where rows were, branches would move their registers.
+    bool const has_pixels = y < position.y1 && position.x < position.width;
+    pixels.advance(y, has_pixels);
+    if (has_pixels) pixels.write_derivatives(position, lines[now]);
     if (y > position.y0 && writes) {
       SymmetricMatrix<F> hessian[P];
       hessians<Kernel>(position.at, lines[now ^ 1], hessian);
@@ -116,15 +123,19 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocksOfGradients)
     gradients[0].values[0][i] = 0;  // gradients out of bounds stay 0
   __syncthreads();
   F sums[2 * reach][P] = {}, before_first[P] = {};  // of incomplete rows; of rows above the image
+  F next_grad[P] = {};                              // a row that was read ahead
   int now = 0;
 #pragma unroll 1
   for (int y = y0 - reach; y < y1 + reach + 2; ++y, now ^= 1) {
+    pixels.advance(y, true);
+    F grad[P];
+#pragma unroll
+    for (int j = 0; j < P; ++j) grad[j] = next_grad[j];
+    grads.read(clamp(y, 0, height - 1), next_grad);
     if (has_columns) {
-      F grad[P] = {};
       int const row = y - 1;
       bool const in_bounds = row >= 0 && row < height;
-      if (in_bounds) grads.read(row, grad);
-      pixels.advance(y, position, lines[now]);
+      pixels.write_derivatives(position, lines[now]);
       SymmetricMatrix<F> hessian[P];
       hessians<Kernel>(position.at, lines[now ^ 1], hessian);
       F result[3][P];

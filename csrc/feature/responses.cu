@@ -73,13 +73,13 @@ struct Derivatives {
   __device__ __forceinline__ int height() const { return int(columns.work.x.height); }
   __device__ __forceinline__ int row(int y) const { return y >= 0 && y < height() ? y : reflected(y, height()); }
 
-  // The derivatives of row y. Calls are in the order of rows.
-  __device__ __forceinline__ void advance(int y, F (&dx)[P], F (&dy)[P]) {
+  // The derivatives of row y. Calls are in the order of rows. Reads a row ahead if `more`.
+  __device__ __forceinline__ void advance(int y, bool more, F (&dx)[P], F (&dy)[P]) {
     bool const sobel = columns.work.arguments.sobel;
     F below[P + 2];
 #pragma unroll
     for (int i = 0; i < P + 2; ++i) below[i] = next[i];
-    columns.read(row(y + 2), next);
+    if (more) columns.read(row(y + 2), next);
     auto const differentiate = [&](F const(&a)[P + 2], F const(&b)[P + 2], F const(&c)[P + 2]) {
       GradientColumn<F> column_sums[P + 2];
 #pragma unroll
@@ -102,19 +102,19 @@ struct Derivatives {
   }
 };
 
-// Adds the products of derivatives to the running sums, and writes the row of sums that they complete.
+// Adds the products of derivatives to the running sums, and writes the row of sums that they complete if `writes`.
 template <class F, bool Vectors>
-__device__ __forceinline__ void add_products(ColumnPosition const& position, F const (&dx)[P], F const (&dy)[P],
-                                             RunningSums<F>& down, Lines<F, 3>& lines) {
-  F products[3][P], complete[P];
+__device__ __forceinline__ void add_products(ColumnPosition const& position, bool writes, F const (&dx)[P],
+                                             F const (&dy)[P], RunningSums<F>& down, Lines<F, 3>& lines) {
+  F products[3][P], complete[3][P];
 #pragma unroll
   for (int j = 0; j < P; ++j)
     products[0][j] = dx[j] * dx[j], products[1][j] = dy[j] * dy[j], products[2][j] = dx[j] * dy[j];
 #pragma unroll
-  for (int m = 0; m < 3; ++m) {
-    down.add(m, products[m], complete);
-    write_reflected<R, Vectors>(position, lines.values[m], complete);
-  }
+  for (int m = 0; m < 3; ++m) down.add(m, products[m], complete[m]);
+  if (!writes) return;
+#pragma unroll
+  for (int m = 0; m < 3; ++m) write_reflected<R, Vectors>(position, lines.values[m], complete[m]);
 }
 
 // The factor by which unscaled derivatives change the response.
@@ -137,11 +137,11 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks) corner_forward(__g
   int now = 0;
 #pragma unroll kUnroll
   for (int y = position.y0 - R; y < position.y1 + kDelay; ++y, now ^= 1) {
-    if (y < position.y1 + R && position.x < position.width) {
-      F dx[P], dy[P];
-      derivatives.advance(y, dx, dy);
-      add_products<F, Vectors>(position, dx, dy, down, lines[now]);
-    }
+    // Only loads and stores are conditional: where rows and sums were, branches would move their registers.
+    bool const has_pixels = y < position.y1 + R && position.x < position.width;
+    F dx[P], dy[P];
+    derivatives.advance(y, has_pixels, dx, dy);
+    add_products<F, Vectors>(position, has_pixels, dx, dy, down, lines[now]);
     int const row = y - kDelay;
     if (row >= position.y0 && writes) {
       F sums[3][P], result[P];
@@ -185,8 +185,8 @@ __global__ void __launch_bounds__(2 * kColumnThreads<F>, kBlocksOfGradients)
         F grad[P];
         grads.read(row, grad);
         F dx[P], dy[P];
-        derivatives.advance(y, dx, dy);
-        add_products<F, Vectors>(position, dx, dy, down, products[now]);
+        derivatives.advance(y, true, dx, dy);
+        add_products<F, Vectors>(position, true, dx, dy, down, products[now]);
         write_vector(kept[slot].values[0], position.at, dx);
         write_vector(kept[slot].values[1], position.at, dy);
         F sums[3][P], result[3][P];

@@ -67,7 +67,7 @@ KV_HD bool make_tables(Clahe<T> const& p, int ty, LevelsAt levels_at, uint8_t* t
       for (int x = inside; x < x1; ++x) ++counts.of[0][row[p.across.reflected(x)]];
     }
     for (int k = 0; k < 4; ++k) nan += counts.of[k][kNanLevel];
-    make_table(counts, p.limit, scale, tables + (ty * p.across.count + tx) * kLevels);
+    make_table(counts, p.limit, scale, tables + (int64_t(ty) * p.across.count + tx) * kLevels);
   }
   return nan > 0;
 }
@@ -86,7 +86,7 @@ KV_HD Lanes<F, N> byte_of(uint32_t const* four, int position) {
 // The four tables of a cell, interleaved.
 template <class T>
 KV_HD void make_cell(Clahe<T> const& p, int cy, int cx, uint8_t const* tables, uint32_t* cell) {
-  auto const table = [&](int ty, int tx) { return tables + (ty * p.across.count + tx) * kLevels; };
+  auto const table = [&](int ty, int tx) { return tables + (int64_t(ty) * p.across.count + tx) * kLevels; };
   uint8_t const *const a = table(p.down.before(cy), p.across.before(cx)),
                        *const b = table(p.down.before(cy), p.across.after(cx)),
                        *const c = table(p.down.after(cy), p.across.before(cx)),

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._constants import constant
 from kvision.augmentation.base import Params, Shape
 from kvision.augmentation.intensity_base import ColorStep, ColorSteps, IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.color import PosterizeGenerator, ScaledGenerator
@@ -411,5 +412,5 @@ class RandomGrayscale(IntensityAugmentationBase2D):
             return input.mean(1, keepdim=True).expand_as(input)
         if len(self._weights) != channels:
             raise ShapeError(f"RandomGrayscale: expected {len(self._weights)} channels, got {tuple(input.shape)}")
-        weights = torch.tensor(self._weights, dtype=input.dtype, device=input.device)
+        weights = constant(tuple(self._weights), input)
         return (input * weights[:, None, None]).sum(1, keepdim=True).expand_as(input)

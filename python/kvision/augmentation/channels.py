@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._constants import constant
 from kvision.augmentation.base import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.planckian_data import BLACKBODY, CIED
@@ -155,7 +156,7 @@ class RandomPlanckianJitter(IntensityAugmentationBase2D):
                 f"RandomPlanckianJitter: expected select_from within 0 and {len(table) - 1}, got {select_from!r}"
             )
         self.mode = mode
-        self.register_buffer("pl", torch.tensor([table[row] for row in rows]), persistent=False)
+        self._gains = tuple((red, 1.0, blue) for red, blue in (table[row] for row in rows))
         self._param_generator = PlanckianJitterGenerator((0, len(rows)))
 
     def apply_transform(
@@ -163,7 +164,5 @@ class RandomPlanckianJitter(IntensityAugmentationBase2D):
     ) -> Tensor:
         if input.shape[1] != 3:
             raise ShapeError(f"RandomPlanckianJitter: expected images with 3 channels, got {tuple(input.shape)}")
-        table: Tensor = self.pl  # type: ignore[assignment]  # a buffer
-        red, blue = table.to(input.device)[params["idx"]].to(input.dtype).unbind(1)
-        gains = torch.stack([red, torch.ones_like(red), blue], 1)
+        gains = constant(self._gains, input, torch.float32)[params["idx"]].to(input.dtype)
         return (input * gains[..., None, None]).clamp(0, 1)

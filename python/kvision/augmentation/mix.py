@@ -9,6 +9,7 @@ import torch
 from torch import Generator, Tensor
 
 from kvision import geometry
+from kvision._constants import constant
 from kvision._dtype import compute_dtype, floats
 from kvision._modes import INTERPOLATION, PADDING
 from kvision.augmentation.base import AugmentationBase2D, Execution, Params, where_chosen
@@ -500,7 +501,7 @@ class RandomJigsaw(MixAugmentationBaseV2):
         if chosen is not None:
             order = torch.where(chosen[:, None], order, grid)
         height, width = (int(n) for n in params["forward_input_shape"][-2:])
-        size = torch.tensor([width // self.grid[1], height // self.grid[0]], device=input.device)
+        size = constant((width // self.grid[1], height // self.grid[0]), input, torch.int64)
         corners = torch.stack([grid % self.grid[1], grid // self.grid[1]], -1) * size
         first = corners[order][:, :, None].to(input)  # where each cell of the result was
         parts = torch.cat([input[:, None, :, :2].maximum(first), input[:, None, :, 2:].minimum(first + size)], -1)
@@ -632,7 +633,7 @@ class RandomMosaic(MixAugmentationBaseV2):
         corner = torch.stack([cell % columns * width, cell // columns * height], -1)[None, :, None]
         corner = (corner - params["src"][:, None, None, 0]).to(input.dtype)
         boxes = input[params["permutation"]] + torch.cat([corner, corner], -1)
-        limit = torch.tensor([w, h, w, h], dtype=input.dtype, device=input.device)
+        limit = constant((w, h, w, h), input)
         inside = torch.minimum(boxes.clamp(min=0), limit).reshape(b, -1, 4)
         boxes = boxes.reshape(b, -1, 4)
         visible = _area(inside) / _area(boxes).clamp(min=torch.finfo(input.dtype).tiny)
@@ -640,7 +641,7 @@ class RandomMosaic(MixAugmentationBaseV2):
         chosen = flags.get("chosen")
         if chosen is None:
             return inside
-        scale = torch.tensor([w / width, h / height] * 2, dtype=input.dtype, device=input.device)
+        scale = constant((w / width, h / height) * 2, input)
         alone = torch.cat([input * scale, input.new_zeros(b, inside.shape[1] - n, 4)], 1)
         return torch.where(chosen[:, None, None], inside, alone)
 

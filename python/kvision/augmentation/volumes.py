@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from kvision import enhance, filters
+from kvision._constants import constant
 from kvision.augmentation.base import Params, Shape
 from kvision.augmentation.crop import padding_resampling
 from kvision.augmentation.filters import OneKernelSize, border_name
@@ -205,10 +206,10 @@ class _RandomFlip3D(GeometricAugmentationBase3D):
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
-        matrix = torch.eye(4)
+        matrix = torch.eye(4, device=input.device)
         matrix[self.axis, self.axis] = -1
         matrix[self.axis, 3] = input.shape[-1 - self.axis] - 1
-        return matrix.to(input.device, non_blocking=True).expand(input.shape[0], 4, 4)
+        return matrix.expand(input.shape[0], 4, 4)
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
@@ -362,8 +363,8 @@ class RandomCrop3D(GeometricAugmentationBase3D):
         return padding_resampling("RandomCrop3D", flags["padding_mode"], flags["fill"]).for_labels()
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
-        before = torch.tensor([float(n) for n in self.compute_padding(tuple(input.shape))[::2]])
-        return _translation(before.to(input.device, non_blocking=True) - params["src"][:, 0])
+        before = constant(self.compute_padding(tuple(input.shape))[::2], input, torch.float32)
+        return _translation(before - params["src"][:, 0])
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
@@ -372,9 +373,9 @@ class RandomCrop3D(GeometricAugmentationBase3D):
             transform = self.compute_transformation(input, params, flags)
         if flags["padding_mode"] == "constant" and flags["fill"] != 0:
             padding = self.compute_padding(tuple(input.shape))
-            before = torch.tensor([-float(n) for n in padding[::2]])[None].to(input.device, non_blocking=True)
+            before = constant(tuple(padding[::2]), input, torch.float32)[None]
             input = nn.functional.pad(input, padding, value=flags["fill"])
-            transform = transform @ _translation(before).to(transform)
+            transform = transform @ _translation(-before).to(transform)
         return super().apply_transform(input, params, flags, transform)
 
 
@@ -436,8 +437,8 @@ class CenterCrop3D(GeometricAugmentationBase3D):
         return self.size
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
-        first = torch.tensor([-float(n) for n in center_corner(tuple(input.shape), self.size)])
-        return _translation(first.to(input.device, non_blocking=True).expand(input.shape[0], 3))
+        first = constant(tuple(center_corner(tuple(input.shape), self.size)), input, torch.float32)
+        return _translation(-first.expand(input.shape[0], 3))
 
 
 def _translation(shift: Tensor) -> Tensor:

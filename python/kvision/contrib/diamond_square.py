@@ -59,7 +59,7 @@ def diamond_square(
     if len(output_size) != 4 or min(output_size) < 1:
         raise ValueCheckError(f"{op}: expected output_size of four ints of at least 1, got {output_size!r}")
     b, c, h, w = output_size
-    random_fn = random_fn or torch.rand
+    random_fn = torch.rand if random_fn is None else random_fn
     planes = b * c
     grow, weight = (
         _per_plane(op, name, value, b, c, device, dtype)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 
 import torch
@@ -10,10 +9,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
+from kvision._constants import constant
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
 from kvision._ops import match_layout, register
-from kvision._torch_compat import in_function_transform
 from kvision.color import rgb_to_ycbcr, ycbcr_to_rgb
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.enhance.batch import as_batch, colors
@@ -84,16 +83,7 @@ def _table(standard: tuple[tuple[int, ...], ...], table: Tensor | None, x: Tenso
     """A table (B, 8, 8), or the standard one (1, 8, 8)."""
     if table is not None:
         return table
-    if type(x) is Tensor and not torch.compiler.is_compiling() and not in_function_transform():
-        return _kept_table(standard, x.device, x.dtype)
-    return torch.tensor(standard, device=x.device, dtype=x.dtype)[None]  # a tracer stores it as a constant
-
-
-@functools.cache
-def _kept_table(standard: tuple[tuple[int, ...], ...], device: torch.device, dtype: torch.dtype) -> Tensor:
-    """The standard table, cached per device: a copy waits for the device, and a CUDA graph cannot capture it."""
-    with torch.inference_mode(False):
-        return torch.tensor(standard, device=device, dtype=dtype)[None]
+    return constant(standard, x)[None]
 
 
 def _percent(quality: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
+from kvision._constants import constant
 from kvision._ops import match_layout
 from kvision.augmentation.base.declaration import Declaration
 from kvision.augmentation.base.execution import Execution, Params, Shape
@@ -200,7 +201,7 @@ class Engine(Declaration):
             values = values.float()
         parts = [values, *self._further_columns(shape, values, chosen)]
         if chosen is not None and not self.whole_batch:
-            identity = torch.tensor(identity_values(draws), dtype=values.dtype).to(device, non_blocking=True)
+            identity = constant(tuple(identity_values(draws)), values)
             parts[0] = torch.where(chosen[:, None], values, identity)
             parts.insert(0, chosen[:, None].to(values.dtype))
         drawn = torch.cat(parts, 1) if len(parts) > 1 else values

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import torch
 from torch import Tensor
 
+from kvision._constants import constant
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import uniform
 from kvision.augmentation.noise import PixelNoise
@@ -44,7 +44,7 @@ class ThinPlateSplineGenerator(RandomGeneratorBase):
         return [uniform(x - self.scale, x + self.scale, x) for point in self.points for x in point]
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
-        source = torch.tensor(self.points, dtype=columns.dtype, device=columns.device)
+        source = constant(self.points, columns)
         return {"src": source.expand(columns.shape[0], 5, 2), "dst": columns.reshape(-1, 5, 2)}
 
     def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:

@@ -1,0 +1,45 @@
+"""Numbers that are known before a call, as tensors that are copied to a device once."""
+
+from __future__ import annotations
+
+import torch
+from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
+
+from kvision._constants import constant
+
+ROWS = ((1.0, 2.0), (3.0, 4.0))
+
+
+def test_is_copied_once_per_device_and_type(device: torch.device) -> None:
+    x = torch.rand(2, device=device)
+    kept = constant(ROWS, x)
+    assert kept.device == x.device and kept.tolist() == [[1, 2], [3, 4]]
+    assert constant(ROWS, x) is kept
+    assert constant(ROWS, x.double()).dtype == torch.float64
+    assert constant((1, 2), x, torch.int64).dtype == torch.int64
+
+
+def test_what_a_mode_makes_is_not_kept(device: torch.device) -> None:
+    values = (0.25, 0.125)
+    with FakeTensorMode():
+        assert isinstance(constant(values, torch.rand(2, device=device)), FakeTensor)
+    x = torch.rand(2, device=device)
+    torch.func.vmap(lambda x: x * constant(values, x))(x[:, None])
+    with torch.inference_mode():
+        kept = constant(values, torch.rand(2, device=device))
+    x.requires_grad_()
+    (x * constant(values, x)).sum().backward()
+    assert not kept.is_inference() and x.grad is not None and x.grad.tolist() == list(values)
+
+
+def test_a_graph_reads_it_at_every_replay(device: torch.device) -> None:
+    if device.type != "cuda":
+        return
+    x = torch.rand(3, device=device)
+    constant((5.0, 6.0, 7.0), x)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        y = x + constant((5.0, 6.0, 7.0), x)
+    x.zero_()
+    graph.replay()
+    assert y.tolist() == [5, 6, 7]

@@ -1,5 +1,5 @@
-// How planes are split into blocks of threads that traverse columns downwards. Adjacent blocks overlap by the reach of
-// their windows. Included by feature/responses.cuh and metrics/ssim.cu.
+// How planes are split into blocks of threads that traverse columns downwards, and which part of a plane a block has.
+// Adjacent blocks overlap by the reach of their windows. Included by feature/responses.cuh and metrics/ssim.cu.
 #pragma once
 
 #include "core/launch.cuh"
@@ -34,6 +34,43 @@ struct ColumnGrid {
     }
     down = unsigned(ceil_div(height, rows));
     blocks = unsigned(planes * across * down);
+  }
+};
+
+// The part of a plane that a block of a ColumnGrid has.
+struct ColumnBlock {
+  int64_t plane;
+  int left, y0, y1, width, height;  // its first column and its rows; the sizes of the plane
+  int first, last;                  // it writes columns from `first` to before `last`
+
+  // `work` has images x and the sizes of the grid. `reach`: columns on either side of the block whose results are
+  // incomplete; a multiple of the columns of a thread.
+  template <class Work>
+  __device__ __forceinline__ ColumnBlock(Work const& work, int columns, int reach)
+      : width(int(work.x.width)), height(int(work.x.height)) {
+    unsigned const line = blockIdx.x / work.across, block = blockIdx.x - line * work.across;
+    plane = line / work.down;
+    left = int(block) * (columns - 2 * reach);
+    first = block == 0 ? 0 : left + reach;
+    last = block + 1 == work.across ? width : left + columns - reach;
+    y0 = int(line - unsigned(plane) * work.down) * work.rows;
+    y1 = min(y0 + work.rows, height);
+  }
+  __device__ __forceinline__ bool owns(int c) const { return c >= first && c < last; }
+};
+
+// The position of a thread that has the column `column` along y. Along x it has Rows columns, from `x` on, of row `r`
+// of the Rows rows that are processed together.
+template <int Rows>
+struct RowGroupPosition : ColumnBlock {
+  int column, r, x;
+
+  template <class Work>
+  __device__ __forceinline__ RowGroupPosition(Work const& work, int reach) : ColumnBlock(work, int(blockDim.x), reach) {
+    int const columns = int(blockDim.x);
+    column = left + int(threadIdx.x);
+    r = int(threadIdx.x) / (columns / Rows);
+    x = left + Rows * (int(threadIdx.x) - r * (columns / Rows));
   }
 };
 

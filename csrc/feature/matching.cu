@@ -1,7 +1,7 @@
 // The two nearest descriptors on CUDA: a block of threads computes tiles of distances of some descriptors of the first
 // set and, one tile after the other, a part of the second set. A thread has 8 x 8 distances in registers (4 x 4 of
 // float64), in groups of 4 adjacent ones; 16 components of the tile's descriptors are in shared memory at a time.
-#include "core/launch.cuh"
+#include "core/block_reduce.cuh"
 #include "feature/matching.h"
 
 namespace kv::feature::cuda {
@@ -226,16 +226,12 @@ __global__ void __launch_bounds__(kSelectThreads) select(__grid_constant__ Selec
     __syncthreads();
     if (warp == 0) {  // eight counts for each lane
       int* const own = &before[0][0] + lane * kRounds;
-      int inclusive = 0;
+      int of_lane = 0;
 #pragma unroll
-      for (int k = 0; k < kRounds; ++k) inclusive += own[k];
-      int sum = inclusive;
-      for (int step = 1; step < 32; step *= 2) {
-        int const others = __shfl_up_sync(kAllLanes, inclusive, step);
-        if (lane >= step) inclusive += others;
-      }
-      if (lane == 31) total = inclusive;
-      sum = inclusive - sum;
+      for (int k = 0; k < kRounds; ++k) of_lane += own[k];
+      int sum = warp_prefix_sum(of_lane);
+      if (lane == 31) total = sum;
+      sum -= of_lane;
 #pragma unroll
       for (int k = 0; k < kRounds; ++k) {
         int const count = own[k];

@@ -43,7 +43,8 @@ __device__ __forceinline__ void merge_halves(Candidates (&lists)[N], Candidates 
 #pragma unroll
     for (int k = 0; k < 3; ++k) {
       own.v[k] = is_upper ? lists[i + N / 2].v[k] : lists[i].v[k];
-      others.v[k] = __shfl_xor_sync(kAllLanes, is_upper ? lists[i].v[k] : lists[i + N / 2].v[k], Lane);
+      int const sent = is_upper ? lists[i].v[k] : lists[i + N / 2].v[k];
+      others.v[k] = shuffle_xor(sent, Lane);
     }
     kept[i] = merged(own, others);
   }
@@ -226,14 +227,6 @@ __device__ __forceinline__ unsigned long long ranked(int candidate, int tile) {
          unsigned(tile * kTile + (candidate & int(kColumnBits)));
 }
 
-__device__ __forceinline__ unsigned long long smallest_of_warp(unsigned long long x) {
-  for (int lanes = 16; lanes > 0; lanes /= 2) {
-    unsigned long long const other = __shfl_xor_sync(kAllLanes, x, lanes);
-    x = other < x ? other : x;
-  }
-  return x;
-}
-
 // The search of a warp for the neighbors of one descriptor.
 struct Search {
   DescriptorSet<float> const *own, *other;
@@ -298,8 +291,8 @@ __global__ void __launch_bounds__(kThreads)
         first = first < x ? first : x, second = second < later ? second : later;
       }
     }
-    unsigned long long const nearest = smallest_of_warp(first);
-    unsigned long long const next = smallest_of_warp(first == nearest ? second : first);
+    unsigned long long const nearest = warp_reduce(first, Min());
+    unsigned long long const next = warp_reduce(first == nearest ? second : first, Min());
     auto const add = [&](unsigned long long x) {
       if (__uint_as_float(unsigned(x >> 32)) < kInfinity) search.add<1>(int(unsigned(x)));
     };

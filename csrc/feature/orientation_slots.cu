@@ -1,5 +1,5 @@
 // Slots of orientations on CUDA: one block per sample traverses its frames in order, by prefix sums.
-#include "core/launch.cuh"
+#include "core/block_reduce.cuh"
 #include "orientation_slots.h"
 
 namespace kv::feature::cuda {
@@ -17,11 +17,7 @@ __global__ void __launch_bounds__(kThreads) fill_slots(__grid_constant__ Orienta
     int const at = start + int(threadIdx.x);
     int64_t const i = sample * p.count + at;
     int const own = at < p.count ? p.count_orientations(i) : 0;
-    int inclusive = own;
-    for (int step = 1; step < 32; step *= 2) {
-      int const before = __shfl_up_sync(0xffffffffu, inclusive, step);
-      if (lane >= step) inclusive += before;
-    }
+    int const inclusive = warp_prefix_sum(own);
     if (lane == 31) of_warps[warp] = inclusive;
     __syncthreads();
     int before = filled + inclusive - own, all = 0;

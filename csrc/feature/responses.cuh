@@ -93,25 +93,13 @@ struct Lines {
   alignas(16) F values[M][kBlockColumns<F> + 2 * kPad];  // column `left` of the block is at kPad
 };
 
-// The position of a block, and of its thread `t` of `threads`, whose columns begin `at` columns from the block's first.
-// Adjacent blocks overlap by the reach of their windows, a multiple of kColumns.
-struct ColumnPosition {
-  int64_t plane;
-  int at, columns, left, x, y0, y1, width, height, first, last;  // the block writes columns from `first` to `last`
+// The position of thread `t` of the `threads` of a block, whose columns begin `at` columns from the block's first.
+struct ColumnPosition : ColumnBlock {
+  int at, columns, x;
 
   template <class F>
   __device__ __forceinline__ ColumnPosition(Work<F> const& work, int reach, int threads, int t)
-      : at(kColumns * t), columns(threads * kColumns), width(int(work.x.width)), height(int(work.x.height)) {
-    unsigned const line = blockIdx.x / work.across, block = blockIdx.x - line * work.across;
-    plane = line / work.down;
-    left = int(block) * (columns - 2 * reach);
-    x = left + at;
-    first = block == 0 ? 0 : left + reach;
-    last = block + 1 == work.across ? width : left + columns - reach;
-    y0 = int(line - unsigned(plane) * work.down) * work.rows;
-    y1 = min(y0 + work.rows, height);
-  }
-  __device__ __forceinline__ bool owns(int c) const { return c >= first && c < last; }
+      : ColumnBlock(work, threads * kColumns, reach), at(kColumns * t), columns(threads * kColumns), x(left + at) {}
   __device__ __forceinline__ bool owns_some() const { return x + kColumns > first && x < last; }
 };
 

@@ -18,29 +18,9 @@ struct RowGroup {
   alignas(16) F values[kRows][M][kBlockColumns<F> + 2 * kCoarsePad];  // column `left` of the block is at kCoarsePad
 };
 
-// The position of a block and its threads. Along y each thread has the column `column`; along x it has the columns from
-// `x` on of row `r` of the rows that are processed together. Adjacent blocks overlap by the reach of their windows.
-struct BlockPosition {
-  int64_t plane;
-  int left, column, r, x, y0, y1, width, height, first, last;  // the block writes columns from `first` to before `last`
-
-  // `reach`: columns on either side of the block whose results are incomplete; a multiple of kRows.
-  template <class F>
-  __device__ __forceinline__ BlockPosition(Work<F> const& work, int reach)
-      : width(int(work.x.width)), height(int(work.x.height)) {
-    unsigned const line = blockIdx.x / work.across, block = blockIdx.x - line * work.across;
-    plane = line / work.down;
-    int const columns = int(blockDim.x);
-    left = int(block) * (columns - 2 * reach);
-    column = left + int(threadIdx.x);
-    r = int(threadIdx.x) / (columns / kRows);
-    x = left + kRows * (int(threadIdx.x) - r * (columns / kRows));
-    first = block == 0 ? 0 : left + reach;
-    last = block + 1 == work.across ? width : left + columns - reach;
-    y0 = int(line - unsigned(plane) * work.down) * work.rows;
-    y1 = min(y0 + work.rows, height);
-  }
-  __device__ __forceinline__ bool owns(int c) const { return c >= first && c < last; }
+// The position of a thread, and the columns near the ends of the rows.
+struct BlockPosition : RowGroupPosition<kRows> {
+  using RowGroupPosition<kRows>::RowGroupPosition;
   // Whether the thread writes some of its columns along x.
   __device__ __forceinline__ bool owns_some() const { return x + kRows > first && x < last; }
   // Calls f(index in the block's row) for every position out of bounds within `Reach` that reads column `c`.

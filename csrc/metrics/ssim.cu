@@ -38,28 +38,11 @@ struct Work {
   float weights[K];       // kernel arguments are constants, which cost no registers
 };
 
-// The position of a block and its threads. Along y each thread has the column `column`; along x it has the columns from
-// `x` on of row `r` of the rows that are processed together. Adjacent blocks overlap by the reach of their windows.
+// The position of a thread, and the columns near the ends of the rows.
 template <int K>
-struct BlockPosition {
-  int64_t plane;
-  int left, column, r, x, y0, y1, width, height, first, last;  // the block writes columns from `first` to before `last`
+struct BlockPosition : RowGroupPosition<kRows> {
+  using RowGroupPosition<kRows>::RowGroupPosition;
 
-  // `reach`: columns on either side of the block whose results are incomplete; a multiple of kRows.
-  __device__ __forceinline__ BlockPosition(Work<K> const& work, int reach)
-      : width(int(work.x.width)), height(int(work.x.height)) {
-    unsigned const line = blockIdx.x / work.across, block = blockIdx.x - line * work.across;
-    plane = line / work.down;
-    int const columns = int(blockDim.x);
-    left = int(block) * (columns - 2 * reach);
-    column = left + int(threadIdx.x);
-    r = int(threadIdx.x) / (columns / kRows);
-    x = left + kRows * (int(threadIdx.x) - r * (columns / kRows));
-    first = block == 0 ? 0 : left + reach;
-    last = block + 1 == work.across ? width : left + columns - reach;
-    y0 = int(line - unsigned(plane) * work.down) * work.rows;
-    y1 = min(y0 + work.rows, height);
-  }
   __device__ __forceinline__ bool owns(int c, int offset = 0) const {
     return c >= max(first, offset) && c < min(last, width - offset);
   }

@@ -1,7 +1,7 @@
 // Peaks of scale spaces on CUDA. Threads search the voxels of all levels and list the ranks of those that are peaks,
 // in any order. Then a block for each sample selects the strongest digit by digit, sorts them, and refines them again:
 // the same peaks in the same order every run.
-#include "core/launch.cuh"
+#include "core/block_reduce.cuh"
 #include "feature/scale_space/scale_space_peaks.h"
 
 namespace kv::feature::cuda {
@@ -209,11 +209,7 @@ __device__ void choose(PeakRank<F> const* ranks, int64_t n, int num_chosen, Rank
       int const largest = 255 - 8 * int(threadIdx.x), goal = missing;
       int own = 0;
       for (int i = 0; i < 8; ++i) own += counts[largest - i];
-      int through = own;
-      for (int step = 1; step < 32; step *= 2) {
-        int const before = __shfl_up_sync(0xffffffffu, through, step);
-        if (int(threadIdx.x) >= step) through += before;
-      }
+      int const through = warp_prefix_sum(own);
       int above = through - own;
       __syncwarp();  // before `missing` changes
       if (above < goal && goal <= through) {

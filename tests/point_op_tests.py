@@ -105,14 +105,18 @@ class PointOpTests:
         return [x for x in args if x is not None and x.is_floating_point()]
 
     def with_gradients(self, name: str, call: Call, args: list[Tensor | None]) -> list[Tensor]:
-        """The results and the gradients of a weighted sum of them."""
+        """The results without and with a graph, and the gradients of a weighted sum of them.
+
+        With a graph the reference may serve instead of the kernel (`supports`)."""
         leaves = [x.detach().requires_grad_(call.differentiable) for x in self.floats(args)]
-        results = self.of_tensors(name, call, args)(*leaves)
-        detached = [y.detach() for y in results]
+        f = self.of_tensors(name, call, args)
+        with torch.no_grad():
+            values = list(f(*leaves))
         if not call.differentiable:
-            return detached
+            return values
+        results = f(*leaves)
         total = sum((y * self.weights_like(y)).sum() for y in results if y.requires_grad)
-        return [*detached, *torch.autograd.grad(total, leaves)]
+        return [*values, *(y.detach() for y in results), *torch.autograd.grad(total, leaves)]
 
     def weights_like(self, y: Tensor) -> Tensor:
         steps = torch.linspace(-1, 1, y.numel(), dtype=torch.float64, device=y.device)

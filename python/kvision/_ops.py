@@ -415,6 +415,12 @@ def has_pixels(x: Tensor, *_: Any) -> str | None:
     return None if 0 not in x.shape[2:] else f"there is no kernel for images without pixels, here {tuple(x.shape)}"
 
 
+def no_derivative(*args: Any) -> str | None:
+    """No derivative is needed: the backward pass differentiates the reference, which would be computed twice."""
+    wanted = wants_derivative(*(a for a in args if isinstance(a, Tensor)))
+    return "its derivatives are those of the reference" if wanted else None
+
+
 def on_cuda(x: Tensor, *_: Any) -> bool:
     """The `nondeterministic` of operators whose CUDA kernels add by atomics."""
     return x.is_cuda
@@ -444,7 +450,7 @@ def vjp(reference: Callable[..., Tensor]) -> Callable[..., Tensor]:
 
 
 def _recorded(argument: Any) -> Any:
-    """A list of sizes as numbers, which torch.jit.trace records them as; it hands them out as tensors."""
+    """A list of sizes as numbers, as torch.jit.trace records them; it represents sizes by tensors."""
     if isinstance(argument, (list, tuple)):
         return [n.item() if isinstance(n, Tensor) else n for n in argument]
     return argument
@@ -464,10 +470,10 @@ def _empty(x: Tensor, sizes: Sequence[int] | Tensor) -> Tensor:
 
 
 def match_layout(y: Tensor, x: Tensor) -> Tensor:
-    """`y` as the kernels write it: dense, channels-last where `x` is an image that is, as glue.h's layout_of has it."""
+    """`y` in the layout that the kernels write: dense, and channels-last if the image `x` is (layout_of in glue.h)."""
     c = x.shape[1] if x.dim() == y.dim() == 4 else 0
     if c > 1 and (x.stride(1), x.stride(3), x.stride(2)) == (1, c, c * x.shape[3]):
-        return y.movedim(1, -1).contiguous().movedim(-1, 1)  # vmap knows no memory formats
+        return y.movedim(1, -1).contiguous().movedim(-1, 1)  # vmap does not support memory formats
     return y.contiguous()
 
 

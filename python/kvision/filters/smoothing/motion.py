@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
-from kvision._ops import register, wants_derivative
+from kvision._ops import no_derivative, register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.filter2d import filter_images
 from kvision.filters.filter3d import filter_volumes
@@ -177,9 +177,7 @@ def _motion_kernel(
     _check.choice(op, "mode", mode, ("nearest", "bilinear", "bicubic") if axes == 2 else ("nearest", "bilinear"))
     angle, direction, dtype = _parameters(op, angle, direction, axes, image)
     angle = angle.detach() if mode == "nearest" else angle
-    # For a gradient the reference is called at once: the backward pass of the operator would compute it again.
-    kernels = _motion_kernels.reference if wants_derivative(angle, direction) else _motion_kernels
-    kernel: Tensor = kernels(angle, direction, size, _MODES.index(mode))
+    kernel: Tensor = _motion_kernels(angle, direction, size, _MODES.index(mode))
     return as_dtype(kernel, dtype)
 
 
@@ -208,7 +206,7 @@ def _sizes(angle: Tensor, direction: Tensor, size: int, _: int) -> tuple[int, ..
     return (direction if angle.shape[0] == 1 else angle).shape[0], *(size,) * (2 if angle.shape[1] == 1 else 3)
 
 
-_motion_kernels = register("motion_kernel", _reference, fake=_sizes)
+_motion_kernels = register("motion_kernel", _reference, fake=_sizes, supports=no_derivative)
 
 
 def _parameters(

@@ -22,7 +22,7 @@ from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, pixels
 from kvision._leading import broadcast_shapes
 from kvision._modes import INTERPOLATION, PADDING
-from kvision._ops import Operator, register, wants_derivative
+from kvision._ops import Operator, no_derivative, register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._formula import batch_of
 from kvision.geometry._precision import in_full_precision
@@ -104,8 +104,6 @@ def distort_points(points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None
     _check_lens("distort_points", points, K, dist, new_K)
     new_K = K if new_K is None else new_K
     tilt = tilt_projection(dist[..., 12:13], dist[..., 13:]) if dist.shape[-1] == 14 else None
-    if wants_derivative(points, K, new_K, dist) or torch.compiler.is_compiling():
-        return _distorted(points, new_K, K, dist, tilt)
     return _through_lens(_distort, points, new_K, K, dist, tilt)
 
 
@@ -191,8 +189,6 @@ def undistort_points(
     tilt = None
     if dist.shape[-1] == 14:
         tilt = tilt_projection(dist[..., 12:13], dist[..., 13:], True)
-    if wants_derivative(points, K, new_K, dist) or torch.compiler.is_compiling():
-        return _undistorted(points, K, new_K, dist, tilt, num_iters)
     return _through_lens(_undistort, points, K, new_K, dist, tilt, num_iters)
 
 
@@ -271,8 +267,8 @@ def _map_gradient_reference(grad: Tensor, *lens: Tensor | None) -> tuple[Tensor,
     return grads if len(grads) == 3 else (*grads, grad.new_empty(grad.shape[0], 0, 3))
 
 
-_undistort = register("undistort_points", _undistorted)
-_distort = register("distort_points", _distorted)
+_undistort = register("undistort_points", _undistorted, supports=no_derivative)
+_distort = register("distort_points", _distorted, supports=no_derivative)
 # The distorted coordinates x and y of all pixels of an image: (B, 2, H, W).
 _map = register(
     "undistort_map",

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision._modes import MODEL, MODEL_NAMES
-from kvision._ops import register, wants_derivative
+from kvision._ops import no_derivative, register
 from kvision.geometry._normalization import normalized, to_unit_last
 from kvision.geometry._precision import promoted
 from kvision.geometry.homography.dlt import of_lines
@@ -77,12 +77,11 @@ def _sizes(points1: Tensor, points2: Tensor, draws: Tensor | None, model: int) -
     return (points1 if draws is None else draws).shape[0], SIZES[MODEL_NAMES[model]][1], 3, 3
 
 
-_minimal_solver = register("minimal_solver", _reference, fake=_sizes)
+_minimal_solver = register("minimal_solver", _reference, fake=_sizes, supports=no_derivative)
 
 
 def minimal_solver(points1: Tensor, points2: Tensor, draws: Tensor | None, model: str) -> Tensor:
-    call = _reference if wants_derivative(points1, points2) else _minimal_solver
-    return call(points1, points2, draws, MODEL[model])
+    return _minimal_solver(points1, points2, draws, MODEL[model])
 
 
 def _four_points(points1: Tensor, points2: Tensor) -> Tensor:

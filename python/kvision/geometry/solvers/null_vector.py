@@ -111,12 +111,18 @@ def _backward(
     return grad_rows, None if weights is None else grad_weights
 
 
+def _supports(*_: Tensor | None) -> str | None:
+    """Forward mode is off: the kernel may choose another of several equally good vectors than the reference."""
+    return "forward mode differentiates the reference, which may choose another vector" if in_forward_ad() else None
+
+
 _null_vector = register(
     "null_vector",
     _reference,
     fake=lambda rows, weights: (rows.shape[0], rows.shape[2]),
     backward=_backward,
     saves_results=True,
+    supports=_supports,
 )
 _null_vector_backward = register(
     "null_vector_backward",
@@ -130,13 +136,11 @@ def null_vector(rows: Tensor, weights: Tensor | None = None) -> Tensor:
 
     n is 3, 4, 9 or 12. Where several are as good, one of them; NaN where rows or weights are not finite.
     """
-    # Forward mode calls the reference, because the kernel may choose another of several equally good vectors.
-    call = _reference if in_forward_ad() else _null_vector
     leading = rows.shape[:-2]
     if len(leading) == 1:
-        return call(rows, weights)
+        return _null_vector(rows, weights)
     flat = None if weights is None else weights.reshape(-1, weights.shape[-1])
-    return call(rows.reshape(-1, *rows.shape[-2:]), flat).reshape(*leading, rows.shape[-1])
+    return _null_vector(rows.reshape(-1, *rows.shape[-2:]), flat).reshape(*leading, rows.shape[-1])
 
 
 def null_vector_3x3(matrix: Tensor) -> Tensor:

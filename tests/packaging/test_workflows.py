@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 WORKFLOWS = sorted(ROOT.glob(".github/workflows/*.yml"))
 NAMES = [path.name for path in WORKFLOWS]
 # What a runner has besides the shell's own: pip's programs are installed by a step.
-PROGRAMS = {"make", "python", "dnf", "echo"}
+PROGRAMS = {"make", "python", "dnf", "echo", "sudo"}
 
 pytestmark = pytest.mark.skipif(not WORKFLOWS, reason="the workflows are not here, this is an installed package")
 
@@ -95,4 +95,11 @@ def test_shellcheck(path: Path) -> None:
 @pytest.mark.parametrize("path", WORKFLOWS, ids=NAMES)
 def test_actionlint(path: Path) -> None:
     result = subprocess.run([program("actionlint"), "-no-color", path], capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout
+
+
+def test_zizmor() -> None:
+    """Credentials stay out of the working tree, and actions of others are pinned."""
+    command = (program("zizmor"), "--offline", "--config", ROOT / ".github/zizmor.yml", *WORKFLOWS)
+    result = subprocess.run(command, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout

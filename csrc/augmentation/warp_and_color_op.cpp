@@ -1,5 +1,5 @@
 // Warps with a program of color steps: schemas and entries, for CPU and CUDA. A warp without steps, or steps
-// without a warp, run as such; so do both one after the other where no kernel joins them.
+// without a warp, run as such. Where no kernel joins both, they run one after the other.
 #include "augmentation/broadcast_scalar.h"
 #include "augmentation/plan_reader.h"
 #include "augmentation/warp_and_color.h"

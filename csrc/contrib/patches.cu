@@ -8,7 +8,7 @@ namespace {
 
 constexpr int kThreads = 256;
 
-// Division of 32-bit numbers by a number that the host knows, as a product with an error below 1 / divisor.
+// Division of 32-bit numbers by a number that is known on the host, as a product with an error below 1 / divisor.
 struct Divisor {
   uint64_t inverse;  // 2^64 / divisor, rounded up
   explicit Divisor(int64_t divisor) : inverse(divisor > 1 ? ~uint64_t(0) / uint64_t(divisor) + 1 : 0) {}

@@ -5,7 +5,7 @@
 //   along x          ...<------------ window of thread 1 ------------>...
 //
 // Small kernels are limited by the instructions that a warp spends on a row besides the arithmetic. The loop over rows
-// therefore evaluates no border rule: each thread knows the source row of one of 32 positions, and which pixel out of
+// therefore evaluates no border rule: each thread holds the source row of one of 32 positions, and which pixel out of
 // bounds it fills in. Included by *.cu files of filters and of resizing.
 #pragma once
 
@@ -181,7 +181,7 @@ struct RowPrefetcher {
     for (int i = 0; i < Rows - 1; ++i) fetch();
   }
 
-  // Starts the copy of one more row. Each thread knows the source row of one of the next 32 positions, -1 for the
+  // Starts the copy of one more row. Each thread holds the source row of one of the next 32 positions, -1 for the
   // constant.
   __device__ __forceinline__ void fetch() {
     if (next % 32 == 0) source_row = border_index(down, first + next + lane, in_height);

@@ -25,7 +25,7 @@ constexpr int64_t kLargeResult = 1 << 16;  // bytes
 #endif
 constexpr int64_t kManyPages = 1 << 22;  // bytes
 
-// Memory of a large result on the CPU. Not from torch's allocator, because that asks glibc for an address of a certain
+// Memory of a large result on the CPU. Not from torch's allocator, because that requests an address of a certain
 // alignment, and glibc before 2.38 may never use such a block again: small blocks that it cuts off at both ends stay in
 // use, and the process grows by a result a call; or it gives the block back to the system, and the next result faults
 // at each of its pages. An ordinary block is used again by the next result of its size.

@@ -1,4 +1,4 @@
-// The only door between torch and the kernels. Included by *_op.cpp files and by nothing else; speaks torch's stable
+// The only interface between torch and the kernels. Included by *_op.cpp files and by nothing else; uses torch's stable
 // ABI only, so one build serves every torch from 2.11 on.
 //
 // Each *_op.cpp is compiled twice, into libkvision.so and (with KV_CUDA) into libkvision_cuda.so. The entry it defines
@@ -30,7 +30,7 @@ struct MessagePart {
   MessagePart(double number);
 };
 
-// Throws what Python sees as a RuntimeError.
+// Throws an exception that is a RuntimeError in Python.
 [[noreturn]] void fail(std::initializer_list<MessagePart> message);
 
 // Not STD_TORCH_CHECK, whose messages begin with the path of this file instead of the operator.
@@ -64,7 +64,7 @@ enum class Layout { planar, channels_last };
 
 Layout layout_of(Tensor const& x);
 
-// `x` itself where it is contiguous, else a copy. torch::stable::contiguous asks the dispatcher in any case.
+// `x` itself where it is contiguous, else a copy. torch::stable::contiguous calls the dispatcher in any case.
 Tensor dense(Tensor const& x);
 
 // `x` itself where a kernel can read it in `layout`, else a copy that it can.

@@ -1,6 +1,6 @@
 """The backend: which libraries of kernels are loaded, and whether the process or a block chose kernels or references.
 
-The only module that loads kvision's libraries. `_ops.Operator` asks it what serves a call.
+The only module that loads kvision's libraries. `_ops.Operator` calls it to find what serves a call.
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ def test_module():
     [
         (lambda: K.image.image_to_tensor([[0.0]]), TypeCheckError, "image_to_tensor: expected image to be a numpy.nda"),
         (lambda: K.image.image_to_tensor(torch.zeros(2, 2)), TypeCheckError, "got Tensor"),
-        (lambda: K.image.image_to_tensor(np.array([["a"]])), TypeCheckError, "of a number type torch knows, got <U1"),
+        (lambda: K.image.image_to_tensor(np.array([["a"]])), TypeCheckError, "of a number type torch has, got <U1"),
         (lambda: K.image.image_to_tensor(np.zeros(3)), ShapeError, r"or \(B, H, W, C\), got \(3,\)"),
         (lambda: K.image.image_to_tensor(np.zeros((1,) * 5)), ShapeError, r"got \(1, 1, 1, 1, 1\)"),
         (lambda: K.image.tensor_to_image(np.zeros((2, 2))), TypeCheckError, "expected tensor to be a Tensor, got nda"),

@@ -253,7 +253,7 @@ def test_unreadable_paths(tmp_path):
         (".", IsADirectoryError, f"Is a directory: '{tmp_path}'"),
         ("text.png/x.png", NotADirectoryError, "text.png/x.png"),
         ("empty.png", ImageError, "load_image: cannot decode '.*empty.png': the file is empty"),
-        ("text.png", ImageError, "load_image: cannot decode '.*text.png': it is in no format OpenCV knows"),
+        ("text.png", ImageError, "load_image: cannot decode '.*text.png': it is in no format that OpenCV reads"),
     ]:
         with pytest.raises(error, match=text):
             K.io.load_image(tmp_path / name)

@@ -251,7 +251,7 @@ class RandomInvert(IntensityAugmentationBase2D):
 
 
 class RandomSolarize(IntensityAugmentationBase2D):
-    """Add a random number to images, and invert what reaches a random threshold.
+    """Add a random number to images, and invert the values from a random threshold on.
 
     Args:
         thresholds: a number t for 0.5 - t to 0.5 + t within 0 and 1, or a pair.

@@ -85,7 +85,7 @@ HEADER = 5  # key, position in the chain, same_on_batch, index of the first draw
 
 
 class Request(NamedTuple):
-    """What one augmentation asks for: its draws and the probabilities that it is applied."""
+    """What one augmentation needs: its draws and the probabilities that it is applied."""
 
     draws: Sequence[Any]  # Draws, or what ranges.py has with the same attributes
     p: float = 1.0

@@ -261,7 +261,7 @@ class RandomThinPlateSpline(MapAugmentation):
 
 
 class RandomFisheye(MapAugmentation):
-    """Deform images as a fisheye lens does: pixels read further outward, the more the further they are from a center.
+    """Deform images as a fisheye lens does: pixels read the image farther from a center, more so at larger distances.
 
     The pixel at g, in coordinates from -1 to 1, reads the image at g (1 + |g - center| ** gamma).
 

@@ -50,7 +50,7 @@ def move_points(points: Any, move: Mover, numbers: int = 2) -> Any:
 
 
 def visible_points(before: Any, after: Any, back: Mover, size: tuple[int, ...]) -> Any:
-    """Which moved points are inside images of a size (H, W) or (D, H, W), and come from where they were.
+    """Which moved points are inside images of a size (H, W) or (D, H, W), as they were before the move.
 
     bool (B, N), or a list of (N,). A map that folds may show what was at a point nowhere; the point found for it is moved
     back to another position.

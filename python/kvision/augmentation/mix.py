@@ -383,7 +383,7 @@ class RandomCutMixV2(MixAugmentationBaseV2):
 
 
 class PatchMix(MixAugmentationBaseV2):
-    """Paste a square window of another image of the batch into each image, of the same size in all.
+    """Paste a square window of another image of the batch into each image; all windows have the same size.
 
     Labels become (B, 3): the label, that of the partner, and the fraction of the image that is kept. Masks are pasted as
     images. Boxes (B, N, 4) and their labels (B, N) are followed by those of the partners, clipped to the window.

@@ -90,7 +90,7 @@ class Resize(GeometricAugmentationBase2D):
 
 
 class LongestMaxSize(Resize):
-    """Resize images so that their longer side has a length.
+    """Resize images so that their longer side has a given length.
 
     Args:
         max_size: length of the longer side.
@@ -119,7 +119,7 @@ class LongestMaxSize(Resize):
 
 
 class SmallestMaxSize(Resize):
-    """Resize images so that their shorter side has a length.
+    """Resize images so that their shorter side has a given length.
 
     Args:
         max_size: length of the shorter side.

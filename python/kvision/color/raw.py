@@ -109,7 +109,7 @@ _raw_to_rgb_2x2_downscaled = with_kernel_casts(_binned)
 
 
 def rgb_to_raw(image: Tensor, cfa: CFA) -> Tensor:
-    """Make Bayer mosaics of RGB images: keep the one color of every pixel that the sensor's filter lets through.
+    """Make Bayer mosaics of RGB images: keep the one color of every pixel that passes the sensor's filter.
 
     Args:
         image: RGB images (*, 3, H, W) of any type.

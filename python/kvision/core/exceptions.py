@@ -61,7 +61,7 @@ class ValueCheckError(BaseError, ValueError):
 
 
 class DeviceError(BaseError, ValueError):
-    """Tensors that must live together are on different devices.
+    """Tensors that must be on one device are on different ones.
 
     Example:
         >>> DeviceError("filter2d: kernel is elsewhere", actual_devices=["cpu", "cuda:0"]).actual_devices

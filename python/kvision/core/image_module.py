@@ -23,7 +23,7 @@ _OUTPUT_TYPES = ("pt", "numpy", "pil")
 
 
 class ImageModuleMixIn:
-    """Conversions between tensors, arrays, PIL images and files, and a look at the last result.
+    """Conversions between tensors, arrays, PIL images and files, and the display of the last result.
 
     Arrays and PIL images are (H, W), (H, W, C) or (B, H, W, C); integers among them become floating point in [0, 1].
     In a module with parameters or buffers the tensors made of them go to their device and dtype.
@@ -241,7 +241,7 @@ class ImageModule(_ImageCalls, nn.Module):
 
 
 class ImageSequential(_ImageCalls, nn.Sequential):
-    """An `nn.Sequential` from image to image, with the conveniences of `ImageModule`.
+    """An `nn.Sequential` from image to image, with the conversions of `ImageModule`.
 
     Example:
         >>> import torch, kvision as K

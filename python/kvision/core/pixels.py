@@ -1,4 +1,4 @@
-"""Pixel values: integer levels to [0, 1] and back. Used where files and screens meet tensors."""
+"""Pixel values: integer levels to [0, 1] and back. Used to read, write and show images."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def _unwrap(value: Any) -> Any:
 
 
 def _forward(name: str) -> Callable[..., Any]:
-    """The special method `name`, which Python looks up on the class and so never asks `__getattr__` for."""
+    """The special method `name`, which Python looks up on the class without calling `__getattr__`."""
 
     def method(self: TensorWrapper, *args: Any, **kwargs: Any) -> Any:
         return self._wrap(getattr(self._data, name)(*_unwrap(args), **_unwrap(kwargs)))

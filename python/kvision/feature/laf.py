@@ -521,7 +521,7 @@ def _outline_by_matmul(laf: Tensor, angles: Tensor) -> Tensor:
 
 
 def get_laf_pts_to_draw(LAF: Tensor, img_idx: int = 0) -> tuple[list[list[float]], list[list[float]]]:
-    """Get the outlines of an image's frames for a call of plot. Waits for the GPU.
+    """Get the outlines of an image's frames for matplotlib's plot. Waits for the GPU.
 
     Args:
         LAF: (B, N, 2, 3).

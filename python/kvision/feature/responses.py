@@ -1,4 +1,4 @@
-"""Responses of corners and blobs: how much each pixel of an image looks like one."""
+"""Responses of corners and blobs: a score of each pixel of an image, high at corners or blobs."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from kvision.feature.hardnet import L2NET, PATCH_SIZE, check_patches, convolutio
 
 
 def unit_length(dimensions: int) -> nn.LocalResponseNorm:
-    """Divides (B, dimensions, 1, 1) by their lengths: a window twice as wide as there are channels sees all of them."""
+    """Divides (B, dimensions, 1, 1) by their lengths: a window twice as wide as the number of channels contains all of them."""
     return nn.LocalResponseNorm(2 * dimensions, alpha=2 * dimensions, beta=0.5, k=0)
 
 

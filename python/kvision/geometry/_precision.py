@@ -17,7 +17,7 @@ _HALF_TYPES = (torch.float16, torch.bfloat16)
 
 
 def in_full_precision(function: F) -> F:
-    """`function` of tensors that computes half types in float32 and is left alone by autocast.
+    """`function` of tensors that computes half types in float32 and ignores autocast.
 
     The first tensor sets the type: the others are converted to the one it is computed in, results are stored in its own.
     """

@@ -30,7 +30,7 @@ def image_to_tensor(image: np.ndarray[Any, Any], keepdim: bool = True) -> Tensor
         (B, C, H, W) for (B, H, W, C).
 
     Raises:
-        TypeCheckError: `image` is no NumPy array, or its elements are not numbers torch knows.
+        TypeCheckError: `image` is no NumPy array, or its elements are of a type that torch does not have.
         ShapeError: `image` has less than two or more than four axes.
 
     Example:
@@ -68,7 +68,7 @@ def view_array(op: str, name: str, array: Any) -> Tensor:
         return torch.from_numpy(array)
     except TypeError as error:
         raise TypeCheckError(
-            f"{op}: expected {name} of a number type torch knows, got {array.dtype}", actual_type=array.dtype
+            f"{op}: expected {name} of a number type torch has, got {array.dtype}", actual_type=array.dtype
         ) from error
 
 

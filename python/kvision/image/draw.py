@@ -88,7 +88,7 @@ def draw_line(image: Tensor, p1: Tensor, p2: Tensor, color: Any) -> Tensor:
         )
     delta = end - start
     steps = delta.abs().amax(1)
-    # Shorter lines repeat their end. In a graph, which knows no values, all are as long as the longest possible one.
+    # Shorter lines repeat their end. In a graph, which has no values, all are as long as the longest possible one.
     is_readable = _check.values_are_readable(steps)
     count = int(steps.amax()) + 1 if is_readable and len(steps) else torch.sym_max(*image.shape[1:])
     t = torch.minimum(torch.arange(count), steps[:, None])[..., None]

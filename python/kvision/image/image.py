@@ -109,7 +109,7 @@ _CHANNELS = {ColorSpace.GRAY: 1, ColorSpace.RGB: 3, ColorSpace.BGR: 3}
 
 
 class Image:
-    """One image, never a batch, as a tensor that knows its pixel format and layout. No method changes it in place.
+    """One image, never a batch, as a tensor with its pixel format and layout. No method changes it in place.
 
     Args:
         data: (C, H, W) or (H, W, C), as `layout.channels_order` says.

@@ -52,7 +52,7 @@ def load_image(
     desired_type: ImageLoadType = ImageLoadType.RGB32,
     device: str | torch.device | None = "cpu",
 ) -> Tensor:
-    """Read an image file of any format OpenCV knows, upright (EXIF orientation) and in RGB order.
+    """Read an image file of any format that OpenCV reads, upright (EXIF orientation) and in RGB order.
 
     The content decides the format, not the name. GRAY8, RGB8 and RGBA8 give uint8; GRAY32 and RGB32 give float32 in
     [0, 1]. 16-bit files are scaled to the asked range, not cut; files of floating point are taken to be in [0, 1] and
@@ -72,7 +72,7 @@ def load_image(
     Raises:
         TypeCheckError: `path_file` is not a path, or `desired_type` no ImageLoadType.
         FileNotFoundError, IsADirectoryError, PermissionError, OSError: the file cannot be read.
-        ImageError (a ValueError): the file is empty, damaged, cut short, or no image OpenCV knows, or its numbers
+        ImageError (a ValueError): the file is empty, damaged, cut short, or of no format that OpenCV reads, or its numbers
             cannot be converted to `desired_type`. Like the OSErrors, it names the file.
 
     Example:
@@ -107,7 +107,7 @@ def load_image(
 
 
 def convert(pixels: Tensor, desired_type: ImageLoadType) -> Tensor:
-    """Pixels of a file, (C, H, W) with 1, 3 or 4 channels, as `desired_type` (not UNCHANGED) asks."""
+    """Pixels of a file, (C, H, W) with 1, 3 or 4 channels, as `desired_type` (not UNCHANGED) says."""
     channels, floating = _CHANNELS[desired_type], desired_type in _FLOATING
     if floating or pixels.dtype != torch.uint8 or len(pixels) == 4 != channels:
         pixels = to_unit(pixels).float()
@@ -137,7 +137,7 @@ def _decode(path: Path) -> np.ndarray[Any, Any]:
         raise ImageError(f"load_image: cannot decode '{path}': {error.err}") from error
     if pixels is None:
         known = cv2.haveImageReader(str(path))
-        reason = "the file is damaged or cut short" if known else "it is in no format OpenCV knows"
+        reason = "the file is damaged or cut short" if known else "it is in no format that OpenCV reads"
         raise ImageError(f"load_image: cannot decode '{path}': {reason}")
     metadata = dict(zip(np.ravel(kinds).tolist(), blocks, strict=True))
     exif = bytes(np.ravel(metadata.get(cv2.IMAGE_METADATA_EXIF, np.empty(0, np.uint8))))

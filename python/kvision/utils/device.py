@@ -89,7 +89,7 @@ def is_autocast_enabled(both: bool = True) -> bool:
     """Tell whether autocast is on.
 
     Args:
-        both: ask for every kind of device; False asks for CUDA alone.
+        both: query every kind of device; False queries CUDA alone.
 
     Returns:
         True inside of an autocast block for such a device.

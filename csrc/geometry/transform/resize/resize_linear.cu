@@ -54,7 +54,7 @@ __global__ void __launch_bounds__(32 * kWarps)
   }
   int const height = int(p.y.height), rows = min(int(strips.rows), height - top);
   LinearTaps<float> const of_lane =
-      linear_taps_of(p.rows, min(top + lane, height - 1));  // each thread knows those of one row
+      linear_taps_of(p.rows, min(top + lane, height - 1));  // each thread holds those of one row
   float const t_of_lane = of_lane.a < of_lane.b ? of_lane.t : 0;
 
   uintptr_t const in = reinterpret_cast<uintptr_t>(p.x.plane(plane));

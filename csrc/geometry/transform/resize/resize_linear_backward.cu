@@ -168,7 +168,7 @@ __global__ void __launch_bounds__(32 * kWarps)
     ++y;
   };
 
-  LinearTaps<float> of_lane;  // each thread knows those of one of 32 rows
+  LinearTaps<float> of_lane;  // each thread holds those of one of 32 rows
 #pragma unroll 1
   for (int r = 0; r <= rows; ++r) {
     if (r % 32 == 0) of_lane = linear_taps_of(p.rows, min(of_top.first + r + lane, int(p.x.height) - 1));

@@ -6,7 +6,7 @@
 //   doubling    pixels 2 i and 2 i + 1 are each made of M of the pixels around i, the odd one's window being the even
 //               one's mirror image: 2 bilinear, 4 of pyrup, 1 and 3 of the gradients of bilinear and of pyrdown
 //
-// The compiler knows the offsets of the windows, and weights are equal everywhere but at the border. A warp traverses a
+// The offsets of the windows are constants, and weights are equal everywhere but at the border. A warp traverses a
 // strip of 32 vectors of the larger image downwards; each row is weighted along x once, and along y from registers.
 #include "core/row_prefetcher.cuh"
 #include "geometry/transform/resize/resize.h"

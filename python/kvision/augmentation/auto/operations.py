@@ -194,7 +194,7 @@ class OperationBase(nn.Module):
             params = self.forward_parameters(tuple(x.shape), seed=seed, generator=generator)
         self._params = params
         chosen = params["batch_prob"].to(x.device)[:, None, None, None]
-        # To all samples, since the gradient to the probability asks what those not chosen would be.
+        # Applied to all samples: the gradient to the probability needs the results of samples that are not chosen, too.
         augmented: Tensor = self.op(x, params={**params, "batch_prob": torch.ones(x.shape[0])})
         y = torch.where(chosen.detach() > 0.5, augmented, x)
         if not chosen.requires_grad:
@@ -716,7 +716,7 @@ class Solarize(OperationBase):
 
 
 class SolarizeAdd(OperationBase):
-    """Add a number to images, and invert what reaches 0.5.
+    """Add a number to images, and invert the values from 0.5 on.
 
     Args:
         initial_magnitude: its first value; None for the middle of the range.

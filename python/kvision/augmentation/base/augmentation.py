@@ -162,7 +162,7 @@ class AugmentationBase(OnePass):
             **kwargs: flags, such as `resample`.
 
         Returns:
-            Images of the size that the input had; 0 where the result knows nothing of them.
+            Images of the size that the input had; 0 where the result has no data of them.
         """
         return output
 
@@ -185,7 +185,7 @@ class AugmentationBase(OnePass):
         return is_known(self.inverse(moved, params).reshape(ones.shape))
 
     def _restored(self, y: Tensor, input: Tensor) -> Tensor:
-        """A result with as many axes as the input, where `keepdim` asks for it."""
+        """A result with as many axes as the input if `keepdim` is True."""
         return without_added_axes(y, input) if self.keepdim else y
 
     def _call_to_invert(self, output: Tensor, params: Params | None, flags: dict[str, Any]) -> tuple[Tensor, Execution]:

@@ -26,7 +26,7 @@ _OVERRIDABLE = ("compute_transformation", "apply_transform")
 
 
 class _KeepsArguments(nn.Module):
-    """A module that knows what its constructor was given, for `repr`."""
+    """A module that keeps the arguments of its constructor for `repr`."""
 
     _arguments: Any = ((), {})  # or their text by name
 

@@ -27,7 +27,7 @@ class Engine(Declaration):
     # --- drawing ---
 
     def _applies(self, keys: Keys | None, index: int) -> bool:
-        """Whether the batch is augmented at all, as far as the host knows."""
+        """Whether the batch may be augmented: False only if that is known on the host."""
         if self.p == 0 or self.p_batch == 0:
             return False
         if not self.whole_batch or self.p_batch == 1 or keys is None:

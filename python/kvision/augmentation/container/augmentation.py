@@ -280,13 +280,13 @@ class AugmentationSequential(ImageSequential):
 
     @property
     def kept_boxes(self) -> list[Any]:
-        """Which boxes of the last call stayed: for each input of boxes bool (B, N), or a list of (N,); empty without a filter."""
+        """Which boxes of the last call passed the filter: bool (B, N), or a list of (N,), for each input; empty without one."""
         kept, videos = list(self._kept_boxes), self._videos
         return kept if videos is None else [videos.labels_of_videos(of_frames) for of_frames in kept]
 
     @property
     def visible_points(self) -> list[Any]:
-        """Which points of the last call its results show: for each input of key points bool (B, N), or a list of (N,).
+        """Which points of the last call are visible in its results: for each input of key points bool (B, N), or a list of (N,).
 
         Points outside of the result are not visible, nor are those that a map has folded away.
         """

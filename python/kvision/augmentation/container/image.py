@@ -398,7 +398,7 @@ class ImageSequential(ImageSequentialBase):
             extra_args: accepted for code written for Kornia.
 
         Returns:
-            Images of the size that the input had; 0 where the result knows nothing of them.
+            Images of the size that the input had; 0 where the result has no data of them.
         """
         x = self.transform_tensor(input)
         stages = self._stages if params is None else self._stages_of(x, params)

@@ -169,7 +169,7 @@ class VideoSequential(ImageSequential):
             extra_args: accepted for code written for Kornia.
 
         Returns:
-            Videos of the size that the input had; 0 where the result knows nothing of them.
+            Videos of the size that the input had; 0 where the result has no data of them.
         """
         layout = self._layout(input)
         frames = layout.frames(input)

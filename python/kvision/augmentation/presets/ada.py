@@ -1,4 +1,4 @@
-"""Augmentation of the images that a discriminator sees, with a probability that follows its accuracy."""
+"""Augmentation of the inputs of a discriminator, with a probability that follows its accuracy."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["AdaptiveDiscriminatorAugmentation"]
 
 
 class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
-    """Augment a fraction of the images that a discriminator sees; the fraction grows while it is too sure of real images.
+    """Augment a fraction of the inputs of a discriminator; the fraction grows while its accuracy on real images is above a target.
 
     Source: Karras, Aittala, Hellsten, Laine, Lehtinen and Aila, Training generative adversarial networks with limited data,
     NeurIPS 2020.

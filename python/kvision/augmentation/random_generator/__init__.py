@@ -1,4 +1,4 @@
-"""Generators of random parameters: each knows the ranges of one augmentation and draws its parameters for a batch."""
+"""Generators of random parameters: each has the ranges of one augmentation and draws its parameters for a batch."""
 
 from kvision.augmentation.random_generator.affine import AffineGenerator, ShearGenerator, TranslateGenerator
 from kvision.augmentation.random_generator.base import RandomGeneratorBase

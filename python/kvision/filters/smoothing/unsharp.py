@@ -40,7 +40,7 @@ def unsharp_mask(
     sigma: tuple[float, float] | Tensor | float,
     border_type: str = "reflect",
 ) -> Tensor:
-    """Sharpen an image by adding what a Gaussian blur takes away: 2 * input - gaussian_blur2d(input).
+    """Sharpen an image by adding its difference from a Gaussian blur: 2 * input - gaussian_blur2d(input).
 
     Args:
         input: image (B, C, H, W). uint8 gives uint8 (rounded half to even, saturated), other integers give float32.

@@ -30,7 +30,7 @@ __all__ = [
 
 
 def rays(camera: Tensor, height: int, width: int, distance: bool) -> Tensor:
-    """What the pixels of cameras (*, 3, 3) see at depth 1, (*, 3, H, W): at z = 1, or at a distance of 1."""
+    """The points at depth 1 of the pixels of cameras (*, 3, 3), (*, 3, H, W): at z = 1, or at a distance of 1."""
     like: dict[str, Any] = {"dtype": camera.dtype, "device": camera.device}
     x, y = torch.arange(width, **like), torch.arange(height, **like)[:, None]
     fx, fy, cx, cy = (camera[..., i, j, None, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
@@ -360,7 +360,7 @@ def _of_samples(op: str, name: str, value: Any, x: Tensor) -> float | Tensor:
 def depth_from_plane_equation(
     plane_normals: Tensor, plane_offsets: Tensor, points_uv: Tensor, camera_matrix: Tensor, eps: float = 1e-8
 ) -> Tensor:
-    """Depth z of planes n . X = d of the camera's frame where pixels see them.
+    """Depth z of planes n . X = d of the camera's frame along the rays of pixels.
 
     A ray whose product with the normal is between -eps and eps takes eps with its sign for that, so that depth stays
     finite.

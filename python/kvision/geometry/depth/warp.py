@@ -299,7 +299,7 @@ class DepthWarper(nn.Module):
         )
 
     def compute_projection_matrix(self, pinhole_src: PinholeCamera) -> DepthWarper:
-        """Take the source's camera, and the way from its pixels to the destination's; returns the warper itself."""
+        """Set the source's camera, and compute the map from its pixels to the destination's; returns the warper itself."""
         _check_camera(type(self).__name__, "pinhole_src", pinhole_src)
         there, here = self._pinhole_dst, pinhole_src
         cameras = there.intrinsics[:, :3, :3], there.extrinsics, here.intrinsics[:, :3, :3], here.extrinsics

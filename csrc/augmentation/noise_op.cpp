@@ -50,43 +50,37 @@ struct NoiseArguments {
   }
 };
 
+// Adds noise to the images: `run` calls the kernel.
+template <class Run>
+Tensor run_noise(NoiseArguments const& arguments, double salt, Run const& run) {
+  arguments.check();
+  Layout const layout = layout_of(arguments.images);
+  Tensor const x = dense_images(arguments.images, layout), p = dense(arguments.parameters), y = empty_like(x, layout);
+  dispatch_floating_and_uint8(arguments.op, x,
+                              [&]<class T>(Type<T>) { run(x, arguments.params<T>(x, y, p, layout, salt)); });
+  return y;
+}
+
 Tensor gaussian_noise(Tensor const& images, Tensor const& parameters, Tensor const& keys, OptionalTensor const& seeds,
                       OptionalTensor const& chosen, std::vector<int64_t> const& plan) {
-  constexpr char const* op = "gaussian_noise";
-  NoiseArguments const arguments{op, images, parameters, keys, seeds, chosen, plan};
-  arguments.check();
-  Layout const layout = layout_of(images);
-  Tensor const x = dense_images(images, layout), p = dense(parameters), y = empty_like(x, layout);
-  dispatch_floating_and_uint8(op, x, [&]<class T>(Type<T>) {
-    auto const params = arguments.params<T>(x, y, p, layout, 0);
-    KV_RUN(gaussian_noise, x, params, noise_units(x), 4 * kNoiseChunk * x.size(1));
-  });
-  return y;
+  return run_noise({"gaussian_noise", images, parameters, keys, seeds, chosen, plan}, 0,
+                   [](Tensor const& x, auto const& params) {
+                     KV_RUN(gaussian_noise, x, params, noise_units(x), 4 * kNoiseChunk * x.size(1));
+                   });
 }
 
 Tensor uniform_noise(Tensor const& images, Tensor const& parameters, Tensor const& keys, OptionalTensor const& seeds,
                      OptionalTensor const& chosen, std::vector<int64_t> const& plan) {
-  constexpr char const* op = "uniform_noise";
-  NoiseArguments const arguments{op, images, parameters, keys, seeds, chosen, plan};
-  arguments.check();
-  Layout const layout = layout_of(images);
-  Tensor const x = dense_images(images, layout), p = dense(parameters), y = empty_like(x, layout);
-  dispatch_floating_and_uint8(op, x, [&]<class T>(Type<T>) {
-    auto const params = arguments.params<T>(x, y, p, layout, 0);
-    KV_RUN(uniform_noise, x, params, noise_units(x), 4 * kNoiseChunk * x.size(1));
-  });
-  return y;
+  return run_noise({"uniform_noise", images, parameters, keys, seeds, chosen, plan}, 0,
+                   [](Tensor const& x, auto const& params) {
+                     KV_RUN(uniform_noise, x, params, noise_units(x), 4 * kNoiseChunk * x.size(1));
+                   });
 }
 
 Tensor run_salt_and_pepper(NoiseArguments const& arguments, double salt) {
-  arguments.check();
-  Layout const layout = layout_of(arguments.images);
-  Tensor const x = dense_images(arguments.images, layout), p = dense(arguments.parameters), y = empty_like(x, layout);
-  dispatch_floating_and_uint8(arguments.op, x, [&]<class T>(Type<T>) {
-    auto const params = arguments.params<T>(x, y, p, layout, salt);
+  return run_noise(arguments, salt, [](Tensor const& x, auto const& params) {
     KV_RUN(salt_and_pepper, x, params, noise_units(x), 2 * kNoiseChunk * x.size(1));
   });
-  return y;
 }
 
 Tensor salt_and_pepper(Tensor const& images, Tensor const& parameters, Tensor const& keys, OptionalTensor const& seeds,

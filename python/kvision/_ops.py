@@ -421,6 +421,11 @@ def no_derivative(*args: Any) -> str | None:
     return "its derivatives are those of the reference" if wanted else None
 
 
+def behind_grad(supports: Callable[..., str | None]) -> Callable[..., str | None]:
+    """The `supports` of a backward operator that takes its gradient before the arguments of the operator."""
+    return functools.wraps(supports)(lambda grad, *args: supports(*args))
+
+
 def on_cuda(x: Tensor, *_: Any) -> bool:
     """The `nondeterministic` of operators whose CUDA kernels add by atomics."""
     return x.is_cuda

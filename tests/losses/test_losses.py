@@ -109,7 +109,7 @@ def test_gamma_between_0_and_1_has_finite_gradients():
 
 @pytest.mark.parametrize("loss", [L.focal_loss, L.dice_loss, L.tversky_loss])
 def test_labels(loss, device):
-    """What is ignored does not matter at all, and a label that is none spoils the loss."""
+    """Ignored pixels do not change the loss, and a label that is no class makes it NaN."""
     pred, target = torch.rand(LOGITS, device=device), LABELS.to(device).clone()
     target[:, 0] = -100
     other = pred.clone()

@@ -216,7 +216,7 @@ def filter_labels(classes: Any, kept: Any) -> Any:
         return classes
     if classes.dtype in (torch.uint8, torch.uint16, torch.uint32, torch.uint64, torch.bool):
         raise TypeCheckError(
-            f"AugmentationSequential: expected class of a type with -1, which marks boxes that are gone, got {classes.dtype}"
+            f"AugmentationSequential: expected class of a signed type, as -1 marks removed boxes, got {classes.dtype}"
         )
     axes = (..., *[None] * (classes.dim() - kept.dim()))
     return torch.where(kept[axes].to(classes.device), classes, -1).to(classes.dtype)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
-from kvision._ops import register, vjp
+from kvision._ops import behind_grad, register, vjp
 from kvision.feature._patch_gradient import centered_gaussian, check_patches, patch_gradients, too_large
 from kvision.feature.laf import (
     ellipse_to_laf,
@@ -43,11 +43,6 @@ def _supports(patches: Tensor, *_: Any) -> str | None:
     return too_large(patches)
 
 
-def _supports_backward(grad: Tensor, patches: Tensor, *_: Any) -> str | None:
-    """Patches have at most 88 pixels a side on CUDA."""
-    return too_large(patches)
-
-
 def _backward(needs, grad, patches, eps):
     return [_affine_shape_backward(grad, patches, eps)]
 
@@ -64,7 +59,7 @@ _affine_shape_backward = register(
     vjp(_reference),
     fake=lambda grad, patches, eps: patches.shape,
     layout_of=1,
-    supports=_supports_backward,
+    supports=behind_grad(_supports),
 )
 
 # --- modules --------------------------------------------------------------------------------------------------------

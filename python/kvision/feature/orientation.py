@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import as_dtype
-from kvision._ops import no_derivative, register, vjp
+from kvision._ops import behind_grad, no_derivative, register, vjp
 from kvision.feature._patch_gradient import (
     angular_votes,
     centered_gaussian,
@@ -73,11 +73,6 @@ def _supports(patches: Tensor, bins: int, *_: Any) -> str | None:
     return f"no kernel has {bins} bins" if bins > _MAX_BINS else too_large(patches)
 
 
-def _supports_backward(grad: Tensor, *args: Any) -> str | None:
-    """Patches have at most 88 pixels a side on CUDA, histograms at most 64 bins."""
-    return _supports(*args)
-
-
 def _backward(needs, grad, *args):
     return [_orientation_backward(grad, *args)]
 
@@ -94,7 +89,7 @@ _orientation_backward = register(
     vjp(_reference),
     fake=lambda grad, patches, *_: patches.shape,
     layout_of=1,
-    supports=_supports_backward,
+    supports=behind_grad(_supports),
 )
 
 

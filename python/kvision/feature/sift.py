@@ -14,7 +14,7 @@ from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
-from kvision._ops import register, vjp
+from kvision._ops import behind_grad, register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.feature._patch_gradient import (
     angular_votes,
@@ -80,11 +80,6 @@ def _supports(patches: Tensor, bins: int, cells: int, *_: Any) -> str | None:
     return too_large(patches)
 
 
-def _supports_backward(grad: Tensor, *args: Any) -> str | None:
-    """Patches have at most 88 pixels a side on CUDA, descriptors at most 1024 numbers."""
-    return _supports(*args)
-
-
 def _backward(needs, grad, *args):
     return [_sift_backward(grad, *args)]
 
@@ -101,7 +96,7 @@ _sift_backward = register(
     vjp(_reference),
     fake=lambda grad, patches, *_: patches.shape,
     layout_of=1,
-    supports=_supports_backward,
+    supports=behind_grad(_supports),
 )
 
 # --- descriptors of patches -----------------------------------------------------------------------------------------

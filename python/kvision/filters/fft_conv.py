@@ -51,7 +51,7 @@ def fft_conv(
     """Filter every channel of an image with one kernel, through the Fourier transform.
 
     The result of :func:`filter2d` up to rounding, at a cost that does not depend on the kernel's size. One NaN or
-    infinity spoils its whole channel.
+    infinity makes its whole channel NaN.
 
     Args:
         input: image (B, C, H, W). uint8 gives uint8 (rounded half to even, saturated), other integers give float32.

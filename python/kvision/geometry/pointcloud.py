@@ -204,7 +204,7 @@ class _Element(NamedTuple):
         """Bytes of a row."""
         if self.lists:
             raise ValueCheckError(
-                f"{op}: expected no lists before the vertices' end, got {self.name} with {self.lists}"
+                f"{op}: expected no list properties up to the vertices, got {self.name} with {self.lists}"
             )
         return sum(t.itemsize for t in self.types)
 
@@ -213,7 +213,7 @@ def _read_header(op: str, file: BinaryIO, formats: tuple[str, ...]) -> tuple[str
     """Read the format, the elements before the vertices, and the vertex element."""
     kind, elements = "", []
     if file.readline().strip() != b"ply":
-        raise ValueCheckError(f"{op}: expected a PLY file, {file.name!r} is none")
+        raise ValueCheckError(f"{op}: expected a PLY file, got {file.name!r}, which does not begin with 'ply'")
     while True:
         line = file.readline()
         match line.decode("ascii", "replace").split():
@@ -232,7 +232,7 @@ def _read_header(op: str, file: BinaryIO, formats: tuple[str, ...]) -> tuple[str
                 pass
             case []:
                 if not line:
-                    raise ValueCheckError(f"{op}: expected a header that ends, {file.name!r} does before")
+                    raise ValueCheckError(f"{op}: expected a header up to end_header, got {file.name!r}")
             case _:
                 raise ValueCheckError(f"{op}: expected a line of a PLY header, got {line!r} in {file.name!r}")
     if kind not in formats:

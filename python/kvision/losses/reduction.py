@@ -52,7 +52,7 @@ def checked_weight(op: str, name: str, weight: Tensor | None, pred: Tensor) -> T
 def selected(target: Tensor, classes: int, ignore_index: int | None, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     """The labels as indices of `classes`, and the count of each pixel: 1, 0 if ignored, NaN if not a class.
 
-    A label that is none spoils the loss instead of raising: a look at the labels would wait for their device.
+    A label that is no class makes the loss NaN instead of raising an error: reading the labels would wait for their device.
     """
     index = target.clamp(0, classes - 1)
     counts = torch.where(index == target, 1.0, torch.nan).to(dtype)

@@ -411,7 +411,7 @@ def motion_from_essential_choose_solution(
     _check.same_device(op, E_mat=E_mat, K1=K1, K2=K2, x1=x1, x2=x2)
     if E_mat.dim() not in (2, 3) or x1.dim() != E_mat.dim() or not K1.dim() == K2.dim() == E_mat.dim():
         got = ", ".join(str(tuple(x.shape)) for x in (E_mat, K1, K2, x1))
-        raise ShapeError(f"{op}: expected E_mat, K1, K2 and x1 with a batch or all without, got {got}")
+        raise ShapeError(f"{op}: expected E_mat, K1, K2 and x1 all with a batch or all without, got {got}")
     if mask is not None:
         _check.shape(op, "mask", mask, *x1.shape[:-1])
     single = E_mat.dim() == 2

@@ -355,7 +355,7 @@ def crop_by_indices(
     sizes = {tuple(crop.shape[2:]) for crop in crops}
     if size is None:
         if len(sizes) != 1:
-            raise ValueCheckError(f"{op}: expected boxes of one size where none is given, got {sorted(sizes)}")
+            raise ValueCheckError(f"{op}: expected boxes of one size, as no size is given, got {sorted(sizes)}")
         (target,) = sizes
     else:
         target = _check.ints(op, "size", size, 2)

@@ -180,7 +180,7 @@ class ImageRegistrator(nn.Module):
             _check.choice("ImageRegistrator", "model_type", model_type.lower(), tuple(_MODELS))
             model_type = _MODELS[model_type.lower()]()
         elif warper is None:
-            raise ValueCheckError("ImageRegistrator: expected a warper with a model of one's own, got None")
+            raise ValueCheckError("ImageRegistrator: expected a warper for a model class of the caller, got None")
         self.model = model_type
         self.warper: Callable[[int, int], Any] = warper or HomographyWarper
         self._distance = _FUSED.get(loss_fn) if self.warper is HomographyWarper else None

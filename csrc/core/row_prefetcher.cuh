@@ -12,6 +12,7 @@
 #include <cuda_pipeline.h>
 
 #include "launch.cuh"
+#include "with_constant.cuh"
 
 namespace kv {
 namespace {
@@ -247,17 +248,6 @@ struct RowPrefetcher {
     return row;
   }
 };
-
-// Calls f with i, which is the same in all threads of a warp and in [0, N), as a constant.
-template <int N, int Begin = 0, class F>
-__device__ __forceinline__ void with_constant(int i, F f) {
-  if constexpr (N == 1)
-    f(std::integral_constant<int, Begin>{});
-  else if (i < Begin + N / 2)
-    with_constant<N / 2, Begin>(i, f);
-  else
-    with_constant<N - N / 2, Begin + N / 2>(i, f);
-}
 
 // Reads the windows of K pixels around a thread's P pixels from a row. The thread's first pixel is v[kBefore].
 template <int K, int P>

@@ -125,34 +125,47 @@ struct Columns {
   // replicate border.
   template <int N>
   __device__ __forceinline__ void read(int y, F (&values)[N]) const {
-    constexpr int kBefore = (N - kColumns) / 2;
-    uint8_t const* const at = first + y * planes.row_stride;
+    read_rows<1>([&](int) { return row(y); }, [&](int) -> F(&)[N] { return values; });
+  }
+  // The thread's first pixel of row `y`.
+  __device__ __forceinline__ uint8_t* row(int y) const { return first + y * planes.row_stride; }
+  // Reads `Rows` rows at once: row i starts at address_of(i), and its pixels go to values_of(i).
+  template <int Rows, class AddressOf, class ValuesOf>
+  __device__ __forceinline__ void read_rows(AddressOf address_of, ValuesOf values_of) const {
     dispatch_floating_dtype<F>(work.stored, [&](auto type) {
-      using T = decltype(type);
-      if constexpr (Vectors) {
-        auto const vector = *reinterpret_cast<Vector<T, kColumns> const*>(at);
 #pragma unroll
-        for (int j = 0; j < kColumns; ++j) values[kBefore + j] = kv::read(vector.v[j]);
-        if constexpr (kBefore == 1) {
-          T const* const pixels = reinterpret_cast<T const*>(at);
-          values[0] = kv::read(pixels[x > 0 ? -1 : 0]);
-          values[N - 1] = kv::read(pixels[x + kColumns < width() ? kColumns : kColumns - 1]);
-        }
-      } else if (is_inside()) {  // adjacent pixels at any address
-        T const* const pixels = reinterpret_cast<T const*>(at);
-#pragma unroll
-        for (int i = 0; i < N; ++i) values[i] = kv::read(pixels[i - kBefore]);
-      } else {
-#pragma unroll
-        for (int i = 0; i < N; ++i)
-          values[i] =
-              kv::read(*reinterpret_cast<T const*>(at + (clamp(x + i - kBefore, 0, width() - 1) - x) * planes.step));
-      }
+      for (int i = 0; i < Rows; ++i) read_at<decltype(type)>(address_of(i), values_of(i));
     });
+  }
+  template <class T, int N>
+  __device__ __forceinline__ void read_at(uint8_t const* at, F (&values)[N]) const {
+    constexpr int kBefore = (N - kColumns) / 2;
+    if constexpr (Vectors) {
+      auto const vector = *reinterpret_cast<Vector<T, kColumns> const*>(at);
+#pragma unroll
+      for (int j = 0; j < kColumns; ++j) values[kBefore + j] = kv::read(vector.v[j]);
+      if constexpr (kBefore == 1) {
+        T const* const pixels = reinterpret_cast<T const*>(at);
+        values[0] = kv::read(pixels[x > 0 ? -1 : 0]);
+        values[N - 1] = kv::read(pixels[x + kColumns < width() ? kColumns : kColumns - 1]);
+      }
+    } else if (is_inside()) {  // adjacent pixels at any address
+      T const* const pixels = reinterpret_cast<T const*>(at);
+#pragma unroll
+      for (int i = 0; i < N; ++i) values[i] = kv::read(pixels[i - kBefore]);
+    } else {
+#pragma unroll
+      for (int i = 0; i < N; ++i)
+        values[i] =
+            kv::read(*reinterpret_cast<T const*>(at + (clamp(x + i - kBefore, 0, width() - 1) - x) * planes.step));
+    }
   }
   // Writes the columns that the block owns.
   __device__ __forceinline__ void write(ColumnPosition const& position, int y, F const (&values)[kColumns]) const {
-    uint8_t* const at = first + y * planes.row_stride;
+    write_at(position, row(y), values);
+  }
+  __device__ __forceinline__ void write_at(ColumnPosition const& position, uint8_t* at,
+                                           F const (&values)[kColumns]) const {
     dispatch_floating_dtype<F>(work.stored, [&](auto type) {
       using T = decltype(type);
       if constexpr (Vectors) {
@@ -234,14 +247,14 @@ template <class F>
 constexpr bool kHasVectors = sizeof(F) == 4;  // float64 has one kernel for aligned and unaligned rows
 
 // Launches `vectors` if rows are made of vectors, otherwise `any`, with `roles` threads for every four columns.
-template <class F>
-int run(void (*any)(Work<F>), void (*vectors)(Work<F>), Work<F> work, int roles, int reach, int more, int resident,
-        CUstream_st* stream) {
+template <class F, class... Arguments>
+int run(void (*any)(Work<F>, Arguments...), void (*vectors)(Work<F>, Arguments...), Work<F> work, int roles, int reach,
+        int more, int resident, CUstream_st* stream, Arguments... arguments) {
   ColumnGrid const grid(work.x.count(), work.x.height, work.x.width, kBlockColumns<F>, reach, more, resident, 0,
                         32 * kColumns);
   work.across = grid.across, work.down = grid.down, work.rows = grid.rows;
   auto* const kernel = work.vectors ? vectors : any;
-  kernel<<<grid.blocks, unsigned(roles * grid.columns / kColumns), 0, stream>>>(work);
+  kernel<<<grid.blocks, unsigned(roles * grid.columns / kColumns), 0, stream>>>(work, arguments...);
   return cudaGetLastError();
 }
 

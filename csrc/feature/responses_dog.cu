@@ -1,145 +1,194 @@
 // Differences of two Gaussian blurs on CUDA.
 //
-// A block traverses its columns downwards, four rows at a time. Along y each thread has one column and adds each new
-// row to the running sums of both windows. Along x it has four columns of one of the four rows, so that it loads
-// vectors and its four windows read them from registers. It sums both blurs along x and subtracts them.
+// A block goes down its columns, four rows at a time. A thread has four columns, and the rows of their windows along y
+// in registers. Both blurs weight the same sums of two pixels at equal distances. Their rows go to shared memory, from
+// where the windows along x read the columns of adjacent threads.
+#include "core/with_constant.cuh"
 #include "responses.cuh"
 
 namespace kv::feature::cuda {
 namespace {
 
-constexpr int R = kCoarseReach, kCoarsePad = 8, kReach = 8, kMoreRows = 2 * R + 2;
-constexpr int kBlocks = 3;  // of a multiprocessor
-constexpr int kRows = 4;    // processed together; also the columns of a thread along x
+constexpr int R = kCoarseReach, P = kColumns;
+constexpr int kRows = 4;                // completed together
+constexpr int kWindow = 2 * R + kRows;  // rows that they read
+constexpr int kReach = 8;               // columns of a block that are incomplete on either side
+constexpr int kBlocks = 8;              // of a multiprocessor
 
-// Four rows in shared memory: M values for each column.
-template <class F, int M>
-struct RowGroup {
-  alignas(16) F values[kRows][M][kBlockColumns<F> + 2 * kCoarsePad];  // column `left` of the block is at kCoarsePad
-};
+template <int N>
+using Int = std::integral_constant<int, N>;
 
-// The position of a thread, and the columns near the ends of the rows.
-struct BlockPosition : RowGroupPosition<kRows> {
-  using RowGroupPosition<kRows>::RowGroupPosition;
-  // Whether the thread writes some of its columns along x.
-  __device__ __forceinline__ bool owns_some() const { return x + kRows > first && x < last; }
-  // Calls f(index in the block's row) for every position out of bounds within `Reach` that reads column `c`.
-  template <int Reach, class F>
-  __device__ __forceinline__ void for_each_reader_out_of_bounds(Border border, int c, F f) const {
-    for_each_reader(border, c, width, left == 0 ? Reach : 0, Reach, [&](int i) {
-      if (i != c && i - left < int(blockDim.x) + kCoarsePad) f(kCoarsePad + i - left);
-    });
-  }
-  template <int Reach>
-  __device__ __forceinline__ bool is_near_end(int c, int count) const {
-    return c < width && (c <= Reach || c + count + Reach >= width);
-  }
-};
-
-// Writes those of a thread's columns along x that the block owns.
+// The weights at distances along an axis. In the transpose the first and the last pixel of an axis are multiplied by
+// `end_in` before the windows and by `end_out` after them.
 template <class F>
-__device__ __forceinline__ void write_row(Work<F> const& work, BlockPosition const& position, int y,
-                                          F const (&values)[kRows]) {
-  uint8_t* const row = work.result.row(position.plane, y) + position.x * work.result.step;
-  dispatch_floating_dtype<F>(work.stored, [&](auto type) {
-    using T = decltype(type);
-    if (work.vectors && position.x >= position.first && position.x + kRows <= position.last) {
-      store_vector(reinterpret_cast<T*>(row), values);
+struct Blurs {
+  F fine[kFineReach + 1], coarse[kCoarseReach + 1];
+  bool transposed;
+  static constexpr F end_in = 2, end_out = F(0.5);
+};
+
+// Rows of both blurs in shared memory. Column `left` of the block is at kReach.
+template <class F>
+struct RowGroup {
+  alignas(16) F fine[kRows][kBlockColumns<F> + 2 * kReach], coarse[kRows][kBlockColumns<F> + 2 * kReach];
+};
+
+// The sums of two pixels at distances up to `Reach` from a pixel, itself at distance 0; at(i) is the pixel i further.
+template <int Reach, class F, class At>
+__device__ __forceinline__ void pairs_around(At at, F (&pairs)[Reach + 1]) {
+  pairs[0] = at(0);
+#pragma unroll
+  for (int d = 1; d <= Reach; ++d) pairs[d] = at(-d) + at(d);
+}
+template <int N, int M, class F>
+__device__ __forceinline__ F weighted_sum(F const (&weights)[N], F const (&pairs)[M]) {
+  F sum = weights[0] * pairs[0];
+#pragma unroll
+  for (int d = 1; d < N; ++d) sum += weights[d] * pairs[d];
+  return sum;
+}
+
+__device__ __forceinline__ bool is_end(int i, int n) { return i == 0 || i == n - 1; }
+
+// The columns of a thread in a row of shared memory, and the columns out of bounds that reflect them.
+template <bool Vectors>
+struct ReflectedColumns {
+  int const x, width, at, left, right;  // column x + j is reflected to left - j and to right - j
+  bool const near_left, near_right;     // some are reflected
+
+  __device__ __forceinline__ explicit ReflectedColumns(ColumnPosition const& p)
+      : x(p.x),
+        width(p.width),
+        at(kReach + p.at),
+        left(kReach - p.x),
+        right(kReach + 2 * (p.width - 1) - p.x - p.left),
+        near_left(p.x <= R),
+        near_right(p.x < p.width && p.x + P + R >= p.width && p.width - p.left <= p.columns) {}
+
+  template <class F>
+  __device__ __forceinline__ void write(F* row, F const (&v)[P]) const {
+    if constexpr (Vectors) {
+      if (x < width) *reinterpret_cast<Vector<F, P>*>(row + at) = {v[0], v[1], v[2], v[3]};
+    } else {
+#pragma unroll
+      for (int j = 0; j < P; ++j)
+        if (x + j < width) row[at + j] = v[j];
+    }
+  }
+  // Writes reflected columns from `to` on down. The first and the last column reflect to themselves.
+  template <class F>
+  __device__ __forceinline__ void write_reflected(F* row, int to, F const (&v)[P]) const {
+#pragma unroll
+    for (int j = 0; j < P; ++j)
+      if (Vectors || x + j < width) row[to - j] = v[j];
+  }
+};
+
+// The rows that the windows along y read, in a ring: new rows take the registers of the oldest ones, and no register
+// moves. `Turn` is the number of groups of rows that were read before, modulo the number of groups in the ring.
+template <class F>
+struct RowRing {
+  static constexpr int kTurns = kWindow / kRows;
+  static_assert(kWindow % kRows == 0);
+  F rows[kWindow][P];
+
+  // Row i of the windows.
+  template <int Turn>
+  __device__ __forceinline__ F (&at(int i))[P] {
+    return rows[(i + kRows * Turn) % kWindow];
+  }
+};
+
+template <class F, bool Vectors>
+__global__ void __launch_bounds__(kColumnThreads<F>, kBlocks)
+    difference(__grid_constant__ Work<F> const work, __grid_constant__ Blurs<F> const blurs) {
+  __shared__ RowGroup<F> groups[2];
+  ColumnPosition const position(work, kReach, int(blockDim.x), int(threadIdx.x));
+  int const height = position.height, width = position.width, x = position.x, y1 = position.y1;
+  Columns<F, Vectors> const columns(work, work.x, position), results(work, work.result, position);
+  ReflectedColumns<Vectors> const reflected(position);
+  bool const writes = position.owns_some(), transposed = blurs.transposed;
+
+  RowRing<F> ring;
+  // Reads N rows of the reflected image from `y` on, of which row i goes to values_of(i).
+  auto const read = [&](auto n, int y, auto values_of) {
+    constexpr int N = decltype(n)::value;
+    if (y > 0 && y + N < height) {
+      uint8_t const* const at = columns.row(y);
+      columns.template read_rows<N>([&](int i) { return at + i * work.x.row_stride; }, values_of);
       return;
     }
+    auto const row_of = [&](int i) { return border_index(Border::reflect, y + i, height); };
+    columns.template read_rows<N>([&](int i) { return columns.row(row_of(i)); }, values_of);
+    if (transposed)
 #pragma unroll
-    for (int j = 0; j < kRows; ++j)
-      if (position.owns(position.x + j)) *reinterpret_cast<T*>(row + j * work.result.step) = round_to<T>(values[j]);
-  });
-}
-
-template <class F>
-struct BlurWeights {
-  F fine[kFineReach + 1], coarse[kCoarseReach + 1];
-};
-
-// The sums of a blur along x for kRows elements of `v` from `First` on.
-template <int Reach, int First, class F, int N>
-__device__ __forceinline__ void blur(F const (&v)[N], F const (&weights)[Reach + 1], F (&sums)[kRows]) {
+      for (int i = 0; i < N; ++i)
+        if (is_end(row_of(i), height))
 #pragma unroll
-  for (int j = 0; j < kRows; ++j) {
-    sums[j] = weights[0] * v[First + j];
-#pragma unroll
-    for (int d = 1; d <= Reach; ++d) sums[j] += weights[d] * (v[First + j - d] + v[First + j + d]);
-  }
-}
+          for (int j = 0; j < P; ++j) values_of(i)[j] *= blurs.end_in;
+  };
+  read(Int<kWindow>{}, position.y0 - R, [&](int i) -> F(&)[P] { return ring.template at<0>(i); });
 
-// The running sums along y of one blur, for the rows that are incomplete; a new row completes the first.
-template <int Reach, class F>
-struct RunningBlur {
-  F sums[2 * R] = {};
-
-  __device__ __forceinline__ F add(F x, F const (&weights)[Reach + 1]) {
-    auto const plus = [&](F sum, int t) {
-      int const d = t < R ? R - t : t - R;
-      return d <= Reach ? sum + weights[min(d, Reach)] * x : sum;
-    };
-    F const complete = plus(sums[0], 0);
+  uint8_t* out = results.row(position.y0);
+  int now = 0, turn = 0;
+#pragma unroll 1
+  for (int y = position.y0; y < y1; y += kRows, now ^= 1) {
+    F fine[kRows][P], coarse[kRows][P];
+    with_constant<RowRing<F>::kTurns>(turn, [&](auto turn) {
+      constexpr int Turn = decltype(turn)::value;
 #pragma unroll
-    for (int t = 1; t <= 2 * R; ++t) sums[t - 1] = plus(t < 2 * R ? sums[min(t, 2 * R - 1)] : F(0), t);
-    return complete;
-  }
-};
-
-template <class F>
-__global__ void __launch_bounds__(kBlockColumns<F>, kBlocks)
-    difference(__grid_constant__ Work<F> const work, __grid_constant__ BlurWeights<F> const weights, F end_in,
-               F end_out) {
-  __shared__ RowGroup<F, 2> groups[2];
-  BlockPosition const position(work, kReach);
-  int const height = position.height, width = position.width, column = position.column;
-  uint8_t const* const pixels = work.x.plane(position.plane) + min(column, width - 1) * work.x.step;
-  F const end_in_x = end_factor(column, width, end_in);
-  RunningBlur<kFineReach, F> fine;
-  RunningBlur<kCoarseReach, F> coarse;
-  int group = 0;
-  for (int y = position.y0 - R; y - R < position.y1; y += kRows, group ^= 1) {
-    if (column < width) {
-      F row[kRows];
-      dispatch_floating_dtype<F>(work.stored, [&](auto type) {
-        using T = decltype(type);
+      for (int r = 0; r < kRows; ++r)
 #pragma unroll
-        for (int r = 0; r < kRows; ++r) {
-          int const at = border_index(Border::reflect, y + r, height);
-          row[r] = read(*reinterpret_cast<T const*>(pixels + at * work.x.row_stride)) *
-                   (end_in_x * end_factor(at, height, end_in));
+        for (int j = 0; j < P; ++j) {
+          F pairs[R + 1];
+          pairs_around<R>([&](int i) { return ring.template at<Turn>(r + R + i)[j]; }, pairs);
+          fine[r][j] = weighted_sum(blurs.fine, pairs);
+          coarse[r][j] = weighted_sum(blurs.coarse, pairs);
         }
+      if (y + kRows < y1)
+        read(Int<kRows>{}, y + kRows + R, [&](int i) -> F(&)[P] { return ring.template at<Turn>(i); });
+    });
+    turn = turn + 1 == RowRing<F>::kTurns ? 0 : turn + 1;
+
+    auto const for_each_line = [&](auto f) {
+#pragma unroll
+      for (int r = 0; r < kRows; ++r) f(groups[now].fine[r], fine[r]), f(groups[now].coarse[r], coarse[r]);
+    };
+    if (transposed && (reflected.near_left || reflected.near_right))
+      for_each_line([&](F*, F(&v)[P]) {
+#pragma unroll
+        for (int j = 0; j < P; ++j) v[j] *= is_end(x + j, width) ? blurs.end_in : F(1);
       });
-      int const at = int(threadIdx.x) + kCoarsePad;
-      F values[kRows][2];
+    for_each_line([&](F* row, F const(&v)[P]) { reflected.write(row, v); });
+    if (reflected.near_left)
+      for_each_line([&](F* row, F const(&v)[P]) { reflected.write_reflected(row, reflected.left, v); });
+    if (reflected.near_right)
+      for_each_line([&](F* row, F const(&v)[P]) { reflected.write_reflected(row, reflected.right, v); });
+    __syncthreads();
+
+    if (writes) {
 #pragma unroll
       for (int r = 0; r < kRows; ++r) {
-        values[r][0] = fine.add(row[r], weights.fine), values[r][1] = coarse.add(row[r], weights.coarse);
+        F along_fine[P + 2 * 4], along_coarse[P + 2 * kReach], result[P];
+        read_window(groups[now].coarse[r], position.at, along_coarse);
+        read_window(groups[now].fine[r], position.at + kReach - 4, along_fine);
 #pragma unroll
-        for (int m = 0; m < 2; ++m) groups[group].values[r][m][at] = values[r][m];
+        for (int j = 0; j < P; ++j) {
+          F coarse_pairs[kCoarseReach + 1], fine_pairs[kFineReach + 1];
+          pairs_around<kCoarseReach>([&](int i) { return along_coarse[kReach + j + i]; }, coarse_pairs);
+          pairs_around<kFineReach>([&](int i) { return along_fine[4 + j + i]; }, fine_pairs);
+          result[j] = weighted_sum(blurs.coarse, coarse_pairs);
+#pragma unroll
+          for (int d = 0; d <= kFineReach; ++d) result[j] -= blurs.fine[d] * fine_pairs[d];
+        }
+        if (transposed)
+#pragma unroll
+          for (int j = 0; j < P; ++j)
+            result[j] *= (is_end(y + r, height) ? blurs.end_out : F(1)) * (is_end(x + j, width) ? blurs.end_out : F(1));
+        if (y + r < y1) results.write_at(position, out, result);
+        out += work.result.row_stride;
       }
-      if (position.is_near_end<R>(column, 1))
-        position.for_each_reader_out_of_bounds<R>(Border::reflect, column, [&](int to) {
-#pragma unroll
-          for (int r = 0; r < kRows; ++r)
-#pragma unroll
-            for (int m = 0; m < 2; ++m) groups[group].values[r][m][to] = values[r][m];
-        });
     }
-    __syncthreads();
-    int const row = y - R + position.r, first = position.x - position.left;
-    if (row < position.y0 || row >= position.y1 || !position.owns_some()) continue;
-    F const(&lines)[2][kBlockColumns<F> + 2 * kCoarsePad] = groups[group].values[position.r];
-    F fine_window[12], coarse_window[20], result[kRows], sums[kRows];
-    read_window(lines[1], first, coarse_window);
-    blur<kCoarseReach, 8>(coarse_window, weights.coarse, result);
-    read_window(lines[0], first + 4, fine_window);
-    blur<kFineReach, 4>(fine_window, weights.fine, sums);
-    F const end_out_y = end_factor(row, height, end_out);
-#pragma unroll
-    for (int j = 0; j < kRows; ++j)
-      result[j] = (result[j] - sums[j]) * (end_out_y * end_factor(position.x + j, width, end_out));
-    write_row(work, position, row, result);
   }
 }
 
@@ -148,15 +197,10 @@ __global__ void __launch_bounds__(kBlockColumns<F>, kBlocks)
 template <class T>
 int difference_of_gaussians(DifferenceOfGaussians<T> const& p, CUstream_st* stream) {
   using F = Compute<T>;
-  Work<F> work = work_of(p);
-  BlurWeights<F> weights;
-  for (int d = 0; d <= kFineReach; ++d) weights.fine[d] = p.fine[d];
-  for (int d = 0; d <= kCoarseReach; ++d) weights.coarse[d] = p.coarse[d];
-  ColumnGrid const grid(work.x.count(), work.x.height, work.x.width, kBlockColumns<F>, kReach, kMoreRows, kBlocks, 0);
-  work.across = grid.across, work.down = grid.down, work.rows = grid.rows;
-  difference<F><<<grid.blocks, grid.columns, 0, stream>>>(work, weights, p.transposed ? F(2) : F(1),
-                                                          p.transposed ? F(0.5) : F(1));
-  return cudaGetLastError();
+  Blurs<F> blurs{{}, {}, p.transposed};
+  for (int d = 0; d <= kFineReach; ++d) blurs.fine[d] = p.fine[d];
+  for (int d = 0; d <= kCoarseReach; ++d) blurs.coarse[d] = p.coarse[d];
+  return run(difference<F, false>, difference<F, kHasVectors<F>>, work_of(p), 1, kReach, R, kBlocks, stream, blurs);
 }
 
 KV_INSTANTIATE(difference_of_gaussians, DifferenceOfGaussians)

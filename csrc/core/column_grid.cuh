@@ -12,10 +12,11 @@ struct ColumnGrid {
   int rows, columns;              // per block
 
   // A block is no wider than its plane needs; the number of its columns is a multiple of `multiple`. It reads `more`
-  // rows than it completes, and the number of rows per block minimizes the work of each multiprocessor. That holds
-  // `resident` blocks of the most columns, and no more blocks than fit its shared memory, where each has `bytes`.
+  // rows than it completes, `group` at a time, and the number of rows per block minimizes the work of each
+  // multiprocessor. That holds `resident` blocks of the most columns, and no more blocks than fit its shared memory,
+  // where each has `bytes`.
   ColumnGrid(int64_t planes, int64_t height, int64_t width, int most_columns, int reach, int more, int resident,
-             int64_t bytes, int multiple = 32)
+             int64_t bytes, int multiple = 32, int group = 1)
       : across(0), rows(1), columns(0) {
     int64_t const fewest = 1 + ceil_div(max(width - most_columns, int64_t(0)), most_columns - 2 * reach);
     for (int64_t parts = fewest; parts <= fewest + 2; ++parts) {
@@ -27,7 +28,7 @@ struct ColumnGrid {
     int64_t const fitting = max((int64_t(227) << 10) / (bytes + 1024), int64_t(1));
     int64_t const held = min(int64_t(resident) * most_columns / columns, fitting);
     for (int64_t parts = 1; parts <= height / 8 + 1; ++parts) {
-      int64_t const each = ceil_div(height, parts);
+      int64_t const each = ceil_div(ceil_div(height, parts), group) * group;
       int64_t const count = ceil_div(planes * across * ceil_div(height, each), machine);
       double const work = double(ceil_div(count, held) * held) * double(each + more);
       if (work < min_work) min_work = work, rows = int(each);

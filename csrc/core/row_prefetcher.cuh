@@ -205,15 +205,22 @@ struct RowPrefetcher {
         copy_async_if<kBytes>(column_to + to, vector, copies, zero);
         copy_async_if<kBytes>(halo_to + to, vector + (halo - column), copies_halo, zero);
       }
-    } else if (aligned) {
-      copy_async_if<kBytes>(column_to + to, from, more && column < in_width, zero);
-      copy_async_if<kBytes>(halo_to + to, from_halo, more && has_halo, zero);
-    } else if constexpr (sizeof(T) == 4) {
+    } else {
+      bool const by_vectors = kBytes <= 16 && aligned;  // float64 has no aligned form
+      if constexpr (kBytes <= 16)
+        if (by_vectors) {
+          copy_async_if<kBytes>(column_to + to, from, more && column < in_width, zero);
+          copy_async_if<kBytes>(halo_to + to, from_halo, more && has_halo, zero);
+        }
+      if constexpr (sizeof(T) >= 4)
+        if (!by_vectors) {
+          constexpr int kElement = sizeof(T);
 #pragma unroll
-      for (int i = 0; i < P; ++i)
-        copy_async_if<4>(column_to + to + 128 * i, from + 32 * i,
-                         more && column + 32 * i >= 0 && column + 32 * i < in_width, zero);
-      copy_async_if<4>(halo_to + to, from_halo, more && has_halo, zero);
+          for (int i = 0; i < P; ++i)
+            copy_async_if<kElement>(column_to + to + 32 * kElement * i, from + 32 * i,
+                                    more && column + 32 * i >= 0 && column + 32 * i < in_width, zero);
+          copy_async_if<kElement>(halo_to + to, from_halo, more && has_halo, zero);
+        }
     }
     __pipeline_commit();
   }
@@ -253,7 +260,7 @@ struct RowPrefetcher {
 template <int K, int P>
 constexpr int kBefore = (K / 2 + P - 1) / P * P;
 template <int K, int P, class T, class Aligned = std::true_type>
-__device__ __forceinline__ void read_windows(T const* row, float (&v)[P + 2 * kBefore<K, P>], Aligned = {}) {
+__device__ __forceinline__ void read_windows(T const* row, Compute<T> (&v)[P + 2 * kBefore<K, P>], Aligned = {}) {
   constexpr int N = P + 2 * kBefore<K, P>, R = K / 2, kSkip = kBefore<K, P> - R, kWindows = P + 2 * R;
   T const* const pixels = row + kHalo + P * (threadIdx.x % 32);
   if constexpr (!kMayPrecede<T, Aligned>) {
@@ -295,7 +302,7 @@ __device__ __forceinline__ void read_windows(T const* row, float (&v)[P + 2 * kB
 // Stores a thread's P pixels, those at x ... of a row of `width`, to `to`. `aligned`: as in RowPrefetcher. Called by
 // all 32 threads.
 template <class T, int P, class Aligned>
-__device__ __forceinline__ void store_pixels(T* to, float const (&v)[P], int x, int width, Aligned aligned) {
+__device__ __forceinline__ void store_pixels(T* to, Compute<T> const (&v)[P], int x, int width, Aligned aligned) {
   if (aligned) {
     if (x < width) store_vector(to, v);
   } else {

@@ -225,16 +225,25 @@ __device__ __forceinline__ void write_reflected(ColumnPosition const& position, 
 // Writes a thread's columns to a line, and the first and the last one of the image to the columns out of bounds too.
 template <int Reach, bool Vectors, class F>
 __device__ __forceinline__ void write_replicated(ColumnPosition const& position, F* line, F const (&v)[kColumns]) {
-  static_assert(Reach <= kPad);
+  static_assert(Reach == 1 || Reach == 2);  // vectors
   int const x = position.x, last = position.width - 1;
   F* const own = line + kPad + position.at;
   write_line<Vectors>(position, line, v);
+  auto const fill = [](F* to, F value) {
+    Vector<F, Reach> vector;
 #pragma unroll
-  for (int i = 1; i <= Reach; ++i) {
-    if (x == 0) own[-i] = v[0];
+    for (int i = 0; i < Reach; ++i) vector.v[i] = value;
+    *reinterpret_cast<Vector<F, Reach>*>(to) = vector;
+  };
+  if (x == 0) fill(own - Reach, v[0]);
+  if constexpr (Vectors) {
+    if (x + kColumns - 1 == last) fill(own + kColumns, v[kColumns - 1]);
+  } else {
 #pragma unroll
-    for (int j = Vectors ? kColumns - 1 : 0; j < kColumns; ++j)
-      if (x + j == last && position.at + j + i < position.columns + kPad) own[j + i] = v[j];
+    for (int i = 1; i <= Reach; ++i)
+#pragma unroll
+      for (int j = 0; j < kColumns; ++j)
+        if (x + j == last && position.at + j + i < position.columns + kPad) own[j + i] = v[j];
   }
 }
 
@@ -246,12 +255,13 @@ __device__ __forceinline__ void synchronize_block() {
 template <class F>
 constexpr bool kHasVectors = sizeof(F) == 4;  // float64 has one kernel for aligned and unaligned rows
 
-// Launches `vectors` if rows are made of vectors, otherwise `any`, with `roles` threads for every four columns.
+// Launches `vectors` if rows are made of vectors, otherwise `any`, with `roles` threads for every four columns. A block
+// completes `group` rows at a time.
 template <class F, class... Arguments>
 int run(void (*any)(Work<F>, Arguments...), void (*vectors)(Work<F>, Arguments...), Work<F> work, int roles, int reach,
-        int more, int resident, CUstream_st* stream, Arguments... arguments) {
+        int more, int resident, int group, CUstream_st* stream, Arguments... arguments) {
   ColumnGrid const grid(work.x.count(), work.x.height, work.x.width, kBlockColumns<F>, reach, more, resident, 0,
-                        32 * kColumns);
+                        32 * kColumns, group);
   work.across = grid.across, work.down = grid.down, work.rows = grid.rows;
   auto* const kernel = work.vectors ? vectors : any;
   kernel<<<grid.blocks, unsigned(roles * grid.columns / kColumns), 0, stream>>>(work, arguments...);

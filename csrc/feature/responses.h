@@ -199,4 +199,23 @@ KV_HD auto dispatch_second_derivatives(bool sobel, F f) {
     f(filters::Diff2{});
 }
 
+// Derivatives that are not divided by their units. The units of xx, yy and xy are powers of two, so that a factor of
+// the determinant gives the same bits as three of its derivatives.
+template <class Kernel, class F>
+struct SecondDerivatives {
+  F const unit_xx = filters::Channel<Kernel, 0>::template scale<F>(true),
+          unit_xy = filters::Channel<Kernel, 1>::template scale<F>(true);
+  F const factor = unit_xx * unit_xx, relative_xy = unit_xy / unit_xx;
+
+  template <class V>
+  KV_HD SymmetricMatrix<V> hessian(V xx, V xy, V yy) const {
+    return {xx, yy, xy * relative_xy};
+  }
+  // The gradient of the derivatives.
+  template <class V>
+  KV_HD SymmetricMatrix<V> hessian_vjp(SymmetricMatrix<V> grad) const {
+    return {grad.xx, grad.yy, grad.xy * relative_xy};
+  }
+};
+
 }  // namespace kv::feature

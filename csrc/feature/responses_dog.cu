@@ -10,13 +10,9 @@ namespace kv::feature::cuda {
 namespace {
 
 constexpr int R = kCoarseReach, P = kColumns;
-constexpr int kRows = 4;                // completed together
-constexpr int kWindow = 2 * R + kRows;  // rows that they read
-constexpr int kReach = 8;               // columns of a block that are incomplete on either side
-constexpr int kBlocks = 8;              // of a multiprocessor
-
-template <int N>
-using Int = std::integral_constant<int, N>;
+constexpr int kRows = 4;    // completed together
+constexpr int kReach = 8;   // columns of a block that are incomplete on either side
+constexpr int kBlocks = 8;  // of a multiprocessor
 
 // The weights at distances along an axis. In the transpose the first and the last pixel of an axis are multiplied by
 // `end_in` before the windows and by `end_out` after them.
@@ -84,18 +80,53 @@ struct ReflectedColumns {
   }
 };
 
-// The rows that the windows along y read, in a ring: new rows take the registers of the oldest ones, and no register
-// moves. `Turn` is the number of groups of rows that were read before, modulo the number of groups in the ring.
-template <class F>
+// The rows of a thread's columns that windows along y read, for groups of `Rows` rows that are completed together. New
+// rows take the registers of the oldest ones, so that no register moves.
+template <class F, bool Vectors, int Reach, int Rows>
 struct RowRing {
-  static constexpr int kTurns = kWindow / kRows;
-  static_assert(kWindow % kRows == 0);
-  F rows[kWindow][P];
+  static constexpr int kWindow = Rows + 2 * Reach, kTurns = (kWindow + Rows - 1) / Rows, kSize = kTurns * Rows;
+  Columns<F, Vectors> const columns;
+  Border const border;
+  F const end;  // factor of the first and the last row of the image
+  int next, turn = 0;
+  F rows[kSize][kColumns];
 
-  // Row i of the windows.
-  template <int Turn>
-  __device__ __forceinline__ F (&at(int i))[P] {
-    return rows[(i + kRows * Turn) % kWindow];
+  // The first group begins with row `y`.
+  __device__ __forceinline__ RowRing(Work<F> const& work, ColumnPosition const& position, Border border, F end)
+      : columns(work, work.x, position), border(border), end(end), next(position.y0 + Reach + Rows) {
+    read<kWindow, 0>(position.y0 - Reach);
+  }
+  // Calls use(row) for a group, where row(i) is row i of its windows. Reads the rows of the next group if `more`.
+  template <class Use>
+  __device__ __forceinline__ void advance(bool more, Use use) {
+    with_constant<kTurns>(turn, [&](auto turn) {
+      constexpr int kFirst = Rows * decltype(turn)::value;
+      use([&](int i) -> F(&)[kColumns] { return rows[(kFirst + i) % kSize]; });
+      if (more) read<Rows, kFirst + kWindow>(next);
+    });
+    next += Rows;
+    turn = turn + 1 == kTurns ? 0 : turn + 1;
+  }
+
+ private:
+  // Reads N rows from `y` on, whose places begin at `First`.
+  template <int N, int First>
+  __device__ __forceinline__ void read(int y) {
+    int const height = int(columns.work.x.height);
+    auto const values_of = [&](int i) -> F(&)[kColumns] { return rows[(First + i) % kSize]; };
+    if (y > 0 && y + N < height) {
+      uint8_t const* const at = columns.row(y);
+      columns.template read_rows<N>([&](int i) { return at + i * columns.planes.row_stride; }, values_of);
+      return;
+    }
+    auto const row_of = [&](int i) { return border_index(border, y + i, height); };
+    columns.template read_rows<N>([&](int i) { return columns.row(row_of(i)); }, values_of);
+    if (end != 1)
+#pragma unroll
+      for (int i = 0; i < N; ++i)
+        if (is_end(row_of(i), height))
+#pragma unroll
+          for (int j = 0; j < kColumns; ++j) values_of(i)[j] *= end;
   }
 };
 
@@ -105,50 +136,27 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks)
   __shared__ RowGroup<F> groups[2];
   ColumnPosition const position(work, kReach, int(blockDim.x), int(threadIdx.x));
   int const height = position.height, width = position.width, x = position.x, y1 = position.y1;
-  Columns<F, Vectors> const columns(work, work.x, position), results(work, work.result, position);
+  Columns<F, Vectors> const results(work, work.result, position);
   ReflectedColumns<Vectors> const reflected(position);
   bool const writes = position.owns_some(), transposed = blurs.transposed;
 
-  RowRing<F> ring;
-  // Reads N rows of the reflected image from `y` on, of which row i goes to values_of(i).
-  auto const read = [&](auto n, int y, auto values_of) {
-    constexpr int N = decltype(n)::value;
-    if (y > 0 && y + N < height) {
-      uint8_t const* const at = columns.row(y);
-      columns.template read_rows<N>([&](int i) { return at + i * work.x.row_stride; }, values_of);
-      return;
-    }
-    auto const row_of = [&](int i) { return border_index(Border::reflect, y + i, height); };
-    columns.template read_rows<N>([&](int i) { return columns.row(row_of(i)); }, values_of);
-    if (transposed)
-#pragma unroll
-      for (int i = 0; i < N; ++i)
-        if (is_end(row_of(i), height))
-#pragma unroll
-          for (int j = 0; j < P; ++j) values_of(i)[j] *= blurs.end_in;
-  };
-  read(Int<kWindow>{}, position.y0 - R, [&](int i) -> F(&)[P] { return ring.template at<0>(i); });
-
+  RowRing<F, Vectors, R, kRows> ring(work, position, Border::reflect, transposed ? blurs.end_in : F(1));
   uint8_t* out = results.row(position.y0);
-  int now = 0, turn = 0;
+  int now = 0;
 #pragma unroll 1
   for (int y = position.y0; y < y1; y += kRows, now ^= 1) {
     F fine[kRows][P], coarse[kRows][P];
-    with_constant<RowRing<F>::kTurns>(turn, [&](auto turn) {
-      constexpr int Turn = decltype(turn)::value;
+    ring.advance(y + kRows < y1, [&](auto row) {
 #pragma unroll
       for (int r = 0; r < kRows; ++r)
 #pragma unroll
         for (int j = 0; j < P; ++j) {
           F pairs[R + 1];
-          pairs_around<R>([&](int i) { return ring.template at<Turn>(r + R + i)[j]; }, pairs);
+          pairs_around<R>([&](int i) { return row(r + R + i)[j]; }, pairs);
           fine[r][j] = weighted_sum(blurs.fine, pairs);
           coarse[r][j] = weighted_sum(blurs.coarse, pairs);
         }
-      if (y + kRows < y1)
-        read(Int<kRows>{}, y + kRows + R, [&](int i) -> F(&)[P] { return ring.template at<Turn>(i); });
     });
-    turn = turn + 1 == RowRing<F>::kTurns ? 0 : turn + 1;
 
     auto const for_each_line = [&](auto f) {
 #pragma unroll
@@ -200,7 +208,8 @@ int difference_of_gaussians(DifferenceOfGaussians<T> const& p, CUstream_st* stre
   Blurs<F> blurs{{}, {}, p.transposed};
   for (int d = 0; d <= kFineReach; ++d) blurs.fine[d] = p.fine[d];
   for (int d = 0; d <= kCoarseReach; ++d) blurs.coarse[d] = p.coarse[d];
-  return run(difference<F, false>, difference<F, kHasVectors<F>>, work_of(p), 1, kReach, R, kBlocks, stream, blurs);
+  return run(difference<F, false>, difference<F, kHasVectors<F>>, work_of(p), 1, kReach, R, kBlocks, kRows, stream,
+             blurs);
 }
 
 KV_INSTANTIATE(difference_of_gaussians, DifferenceOfGaussians)

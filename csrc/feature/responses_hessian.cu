@@ -1,4 +1,4 @@
-// Determinants of the Hessian on CUDA.
+// Determinants of the Hessian on CUDA. Those of planar images are in scale_space/hessian.cu.
 //
 // A block traverses its columns downwards, row by row; a thread has four columns. The steps of an iteration are
 // independent: each reads what the one before it wrote to shared memory in the iteration before.
@@ -7,6 +7,7 @@
 //   row y - 1  second derivatives along x; gradient of the determinant
 //   row y - 2  transposed derivatives along x and, by running sums, along y
 #include "responses.cuh"
+#include "scale_space/hessian.h"
 
 namespace kv::feature::cuda {
 namespace {
@@ -74,20 +75,20 @@ __device__ __forceinline__ void hessians(int at, Lines<F, 3> const& lines, Symme
     read_window(lines.values[c.value], at, v);
 #pragma unroll
     for (int j = 0; j < P; ++j)
-      derivatives[c.value][j] =
-          c.along().dot([&](int i) { return v[kPad - Kernel::reach + j + i]; }) * c.template scale<F>(true);
+      derivatives[c.value][j] = c.along().dot([&](int i) { return v[kPad - Kernel::reach + j + i]; });
   });
 #pragma unroll
-  for (int j = 0; j < P; ++j) result[j] = {derivatives[0][j], derivatives[2][j], derivatives[1][j]};
+  for (int j = 0; j < P; ++j)
+    result[j] = SecondDerivatives<Kernel, F>().hessian(derivatives[0][j], derivatives[1][j], derivatives[2][j]);
 }
 
-template <class Kernel, class F, bool Vectors>
+template <class Kernel, class F>
 __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks) hessian_forward(__grid_constant__ Work<F> const work) {
   __shared__ Lines<F, 3> lines[2];
   ColumnPosition const position(work, kReach, int(blockDim.x), int(threadIdx.x));
-  PixelRows<Kernel, F, Vectors> pixels(work, position, position.y0);
-  Columns<F, Vectors> const results(work, work.result, position);
-  F const scale = work.arguments.scale_of(position.plane);
+  PixelRows<Kernel, F, false> pixels(work, position, position.y0);
+  Columns<F, false> const results(work, work.result, position);
+  F const scale = work.arguments.scale_of(position.plane) * SecondDerivatives<Kernel, F>().factor;
   bool const writes = position.owns_some();
   int now = 0;
 #pragma unroll(2 * Kernel::reach + 1)  // so that registers of rows are renamed, not moved
@@ -117,7 +118,7 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocksOfGradients)
   int const height = position.height, width = position.width, x = position.x, y0 = position.y0, y1 = position.y1;
   PixelRows<Kernel, F, Vectors> pixels(work, position, y0 - reach);
   Columns<F, Vectors> const grads(work, work.grad, position), results(work, work.result, position);
-  F const scale = work.arguments.scale_of(position.plane);
+  F const scale = work.arguments.scale_of(position.plane) * SecondDerivatives<Kernel, F>().factor;
   bool const has_columns = x < width;
   for (int i = int(threadIdx.x); i < int(sizeof(gradients) / sizeof(F)); i += int(blockDim.x))
     gradients[0].values[0][i] = 0;  // gradients out of bounds stay 0
@@ -141,7 +142,8 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocksOfGradients)
       F result[3][P];
 #pragma unroll
       for (int j = 0; j < P; ++j) {
-        SymmetricMatrix<F> const d = determinant_vjp(hessian[j], grad[j] * scale);
+        SymmetricMatrix<F> const d =
+            SecondDerivatives<Kernel, F>().hessian_vjp(determinant_vjp(hessian[j], grad[j] * scale));
         bool const is_pixel = in_bounds && row >= y0 - reach && (Vectors || x + j < width);
         result[0][j] = is_pixel ? d.xx : F(0), result[1][j] = is_pixel ? d.xy : F(0);
         result[2][j] = is_pixel ? d.yy : F(0);
@@ -157,8 +159,7 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocksOfGradients)
         for (int j = 0; j < P; ++j) {
           bool const may_be_last = !Vectors || j == P - 1;
           back[c.value][j] = c.along().dot_vjp([&](int i) { return v[kPad - reach + j + i]; }, j == 0 && x == 0,
-                                               may_be_last && x + j == width - 1) *
-                             c.template scale<F>(true);
+                                               may_be_last && x + j == width - 1);
         }
       });
 #pragma unroll
@@ -198,11 +199,13 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocksOfGradients)
 template <class T>
 int hessian_response(Response<T> const& p, CUstream_st* stream) {
   using F = Compute<T>;
+  if (p.x.step == 1 && p.y.step == 1 && p.x.row_stride <= INT32_MAX / int64_t(sizeof(T)))
+    return level_hessian<T>({p.x, p.y, p.arguments.sobel, {}, 0, p.arguments}, stream);
   int error = 0;
   dispatch_second_derivatives(p.arguments.sobel, [&](auto kernel) {
     using Kernel = decltype(kernel);
-    error = run(hessian_forward<Kernel, F, false>, hessian_forward<Kernel, F, kHasVectors<F>>, work_of(p), 1, kReach,
-                2 * Kernel::reach + 1, kBlocks, stream);
+    error = run(hessian_forward<Kernel, F>, hessian_forward<Kernel, F>, work_of(p), 1, kReach, 2 * Kernel::reach + 1,
+                kBlocks, 1, stream);
   });
   return error;
 }
@@ -214,7 +217,7 @@ int hessian_response_backward(ResponseBackward<T> const& p, CUstream_st* stream)
   dispatch_second_derivatives(p.arguments.sobel, [&](auto kernel) {
     using Kernel = decltype(kernel);
     error = run(hessian_backward<Kernel, F, false>, hessian_backward<Kernel, F, kHasVectors<F>>, work_of(p), 1, kReach,
-                4 * Kernel::reach + 2, kBlocksOfGradients, stream);
+                4 * Kernel::reach + 2, kBlocksOfGradients, 1, stream);
   });
   return error;
 }

@@ -1,5 +1,5 @@
-// The Hessian response of the levels of an octave on CUDA: that of feature/responses.h, whose sigmas are the blurs of
-// the levels, as kernel arguments. On the CPU hessian_response itself serves. Included by hessian.cu and
+// The Hessian response of planar images on CUDA: that of feature/responses.h, or that of the levels of an octave, whose
+// sigmas are the blurs of the levels, as kernel arguments. Included by hessian.cu, responses_hessian.cu and
 // scale_space_features_op.cpp.
 #pragma once
 
@@ -11,13 +11,16 @@ constexpr int kMaxScales = 32;
 
 template <class T>
 struct LevelHessian {
-  Planes<T const> x;  // plane p is level p % scale_count
+  Planes<T const> x;
   Planes<T> y;
   bool sobel;                      // else central differences
-  Compute<T> factors[kMaxScales];  // the fourth powers of the blurs
-  int scale_count;
+  Compute<T> factors[kMaxScales];  // the fourth powers of the blurs; plane p is level p % scale_count
+  int scale_count;                 // 0: the factors are those of `arguments`
+  ResponseArguments<Compute<T>> arguments;
 
-  KV_HD Compute<T> factor(int64_t plane) const { return factors[plane % scale_count]; }
+  KV_HD Compute<T> factor(int64_t plane) const {
+    return scale_count > 0 ? factors[plane % scale_count] : arguments.scale_of(plane);
+  }
 };
 
 KV_KERNEL(level_hessian, LevelHessian)  // CUDA

@@ -69,8 +69,12 @@ __device__ __forceinline__ void store_vector(T* to, F const (&v)[P]) {
   Vector<T, P> vector;
 #pragma unroll
   for (int i = 0; i < P; ++i) vector.v[i] = round_to<T>(v[i]);
-  if constexpr (sizeof(vector) == 16)  // streaming: results are not read again soon and must not evict inputs from L2
+  // Streaming: results are not read again soon and must not evict inputs from L2. nvcc may split other stores of 16-bit
+  // elements into single ones.
+  if constexpr (sizeof(vector) == 16)
     __stcs(reinterpret_cast<uint4*>(to), *reinterpret_cast<uint4 const*>(&vector));
+  else if constexpr (sizeof(vector) == 8)
+    __stcs(reinterpret_cast<uint2*>(to), *reinterpret_cast<uint2 const*>(&vector));
   else
     *reinterpret_cast<Vector<T, P>*>(to) = vector;
 }

@@ -9,19 +9,36 @@ namespace kv::geometry::cuda {
 
 constexpr int kRun = 4;
 
-// Whether the points of every matrix can be read in vectors of four.
+// Adjacent points of a thread. Runs begin at every fourth of all points, so that they are vectors whatever the number
+// of points of a matrix is: the first and the last run of a matrix may contain points of others.
+struct Run {
+  int64_t first;   // among all points
+  int begin, end;  // those of the matrix
+  bool is_vector;
+
+  // The run that contains point `at` of a matrix whose points begin at `start`, or would if it had as many. Points from
+  // `limit` on are left out.
+  __device__ __forceinline__ Run(int64_t start, int64_t at, int64_t limit, bool vectorized)
+      : first(start + at), begin(at < 0 ? int(-at) : 0), end(int(min(limit - at, int64_t(kRun)))) {
+    is_vector = vectorized && begin == 0 && end == kRun;
+  }
+  __device__ __forceinline__ bool has(int i) const { return i >= begin && i < end; }
+  // Points of other matrices in the first run of the matrix whose points begin at `start`.
+  static __device__ __forceinline__ int before(int64_t start) { return int(start) & (kRun - 1); }
+};
+
+// Whether runs can be read in vectors.
 template <class T>
-bool is_vectorizable_by_4(int64_t count, T const* a, T const* b, T const* c) {
+bool is_vectorizable(T const* a, T const* b, T const* c) {
   uintptr_t const at = reinterpret_cast<uintptr_t>(a) | reinterpret_cast<uintptr_t>(b) | reinterpret_cast<uintptr_t>(c);
-  return count % kRun == 0 && at % alignof(Vector<T, kRun>) == 0;
+  return at % alignof(Vector<T, kRun>) == 0;
 }
 
-// Reads K coordinates of each point from point `first` on, n points at most, into the columns from `column` on.
+// Reads K coordinates of each point of a run into the columns from `column` on.
 template <int K, class T, class F, int W>
-__device__ __forceinline__ void load_points(T const* from, int64_t first, int n, bool vectorized, F (&p)[kRun][W],
-                                            int column = 0) {
-  from += first * K;
-  if (vectorized) {
+__device__ __forceinline__ void load_points(T const* from, Run const& run, F (&p)[kRun][W], int column = 0) {
+  from += run.first * K;
+  if (run.is_vector) {
 #pragma unroll
     for (int k = 0; k < K; ++k) {
       Vector<T, kRun> const vector = reinterpret_cast<Vector<T, kRun> const*>(from)[k];
@@ -32,14 +49,13 @@ __device__ __forceinline__ void load_points(T const* from, int64_t first, int n,
 #pragma unroll
     for (int i = 0; i < kRun; ++i)
 #pragma unroll
-      for (int k = 0; k < K; ++k) p[i][column + k] = i < n ? F(read(from[i * K + k])) : F(0);
+      for (int k = 0; k < K; ++k) p[i][column + k] = run.has(i) ? F(read(from[i * K + k])) : F(0);
   }
 }
 template <int K, class T, class F, int W>
-__device__ __forceinline__ void store_points(T* to, int64_t first, int n, bool vectorized, F const (&p)[kRun][W],
-                                             int column = 0) {
-  to += first * K;
-  if (vectorized) {
+__device__ __forceinline__ void store_points(T* to, Run const& run, F const (&p)[kRun][W], int column = 0) {
+  to += run.first * K;
+  if (run.is_vector) {
 #pragma unroll
     for (int k = 0; k < K; ++k) {
       F vector[kRun];
@@ -52,18 +68,17 @@ __device__ __forceinline__ void store_points(T* to, int64_t first, int n, bool v
     for (int i = 0; i < kRun; ++i)
 #pragma unroll
       for (int k = 0; k < K; ++k)
-        if (i < n) to[i * K + k] = round_to<T>(p[i][column + k]);
+        if (run.has(i)) to[i * K + k] = round_to<T>(p[i][column + k]);
   }
 }
 // The arguments of a map: the points, and for unproject their depths.
 template <class Map, class T, class F>
-__device__ __forceinline__ void load_arguments(T const* points, T const* depth, int64_t first, int n, bool vectorized,
-                                               F (&p)[kRun][Map::in]) {
+__device__ __forceinline__ void load_arguments(T const* points, T const* depth, Run const& run, F (&p)[kRun][Map::in]) {
   if constexpr (__is_same(Map, Unproject)) {
-    load_points<2>(points, first, n, vectorized, p);
-    load_points<1>(depth, first, n, vectorized, p, 2);
+    load_points<2>(points, run, p);
+    load_points<1>(depth, run, p, 2);
   } else {
-    load_points<Map::in>(points, first, n, vectorized, p);
+    load_points<Map::in>(points, run, p);
   }
 }
 

@@ -11,31 +11,30 @@ __global__ void __launch_bounds__(kThreads)
     gradients_of(__grid_constant__ TransformPointsBackward<T> const p, int64_t parts, bool vectorized) {
   using F = Compute<T>;
   __shared__ F shared[Map::entries][kThreads / 32];
-  int64_t const matrix = blockIdx.x / parts, begin = (blockIdx.x - matrix * parts) * p.part;
-  int64_t const end = min(begin + p.part, p.count);
+  int64_t const matrix = blockIdx.x / parts, part = blockIdx.x - matrix * parts, start = matrix * p.count;
+  int64_t const begin = part * p.part - Run::before(start), end = part + 1 < parts ? begin + p.part : p.count;
   F const* const from = p.matrices + matrix * p.matrix_stride;
   F m[Map::entries], sums[Map::entries] = {};
 #pragma unroll
   for (int i = 0; i < Map::entries; ++i) m[i] = __ldg(from + i);
   for (int64_t at = begin + threadIdx.x * kRun; at < end; at += blockDim.x * kRun) {
-    int64_t const first = matrix * p.count + at;
-    int const n = int(min(end - at, int64_t(kRun)));
+    Run const run(start, at, end, vectorized);
     F points[kRun][Map::in], grad[kRun][Map::out], grad_points[kRun][Map::in];
-    load_arguments<Map>(p.points, p.depth, first, n, vectorized, points);
-    load_points<Map::out>(p.grad, first, n, vectorized, grad);
+    load_arguments<Map>(p.points, p.depth, run, points);
+    load_points<Map::out>(p.grad, run, grad);
 #pragma unroll
     for (int i = 0; i < kRun; ++i) {
       F grad_m[Map::entries];
       Map::vjp(m, p.distance, points[i], grad[i], grad_points[i], grad_m);
 #pragma unroll
       for (int e = 0; e < Map::entries; ++e)
-        if (i < n && p.partial) sums[e] += grad_m[e];
+        if (run.has(i) && p.partial) sums[e] += grad_m[e];
     }
     if constexpr (__is_same(Map, Unproject)) {
-      store_points<2>(p.grad_points, first, n, vectorized, grad_points);
-      store_points<1>(p.grad_depth, first, n, vectorized, grad_points, 2);
+      store_points<2>(p.grad_points, run, grad_points);
+      store_points<1>(p.grad_depth, run, grad_points, 2);
     } else {
-      store_points<Map::in>(p.grad_points, first, n, vectorized, grad_points);
+      store_points<Map::in>(p.grad_points, run, grad_points);
     }
   }
   if (!p.partial) return;
@@ -68,8 +67,8 @@ template <class T>
 int transform_points_backward(TransformPointsBackward<T> const& p, CUstream_st* stream) {
   int64_t const parts = p.parts(), target = ceil_div(ceil_div(min(p.part, p.count), kRun), 32) * 32;
   unsigned const threads = unsigned(min(target, int64_t(kThreads))), blocks = unsigned(p.matrices_count * parts);
-  bool const vectorized = is_vectorizable_by_4(p.count, p.points, p.depth, p.grad) &&
-                          is_vectorizable_by_4<T>(p.count, p.grad_points, p.grad_depth, nullptr);
+  bool const vectorized =
+      is_vectorizable<T>(p.points, p.depth, p.grad) && is_vectorizable<T>(p.grad_points, p.grad_depth, nullptr);
   with_map(p.map, [&](auto map) {
     using Map = decltype(map);
     gradients_of<Map><<<blocks, threads, 0, stream>>>(p, parts, vectorized);

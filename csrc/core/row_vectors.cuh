@@ -46,6 +46,56 @@ struct AlignedBody {
   }
 };
 
+// The P elements from `from` on, wherever they begin: 16 bytes of the two aligned vectors that contain them. Of vectors
+// that reach behind `end`, where the memory may end, elements are read one by one.
+template <int P, class T>
+__device__ __forceinline__ Vector<T, P> load_unaligned(T const* from, T const* end) {
+  static_assert(P * sizeof(T) == 16);
+  unsigned const bytes = unsigned(reinterpret_cast<uintptr_t>(from) % 16);
+  auto const* const around = reinterpret_cast<uint4 const*>(reinterpret_cast<uintptr_t>(from) - bytes);
+  Vector<T, P> vector;
+  if (reinterpret_cast<T const*>(around + 2) > end) {
+#pragma unroll
+    for (int i = 0; i < P; ++i) vector.v[i] = from + i < end ? from[i] : T{};
+    return vector;
+  }
+  uint4 const low = around[0], high = around[1];
+  uint32_t words[] = {low.x, low.y, low.z, low.w, high.x, high.y, high.z, high.w};
+  bool const by_two = bytes & 8, by_one = bytes & 4;
+#pragma unroll
+  for (int i = 0; i < 6; ++i) words[i] = by_two ? words[i + 2] : words[i];
+#pragma unroll
+  for (int i = 0; i < 5; ++i) words[i] = by_one ? words[i + 1] : words[i];
+  if constexpr (sizeof(T) < 4)
+#pragma unroll
+    for (int i = 0; i < 4; ++i) words[i] = __funnelshift_r(words[i], words[i + 1], 8 * (bytes & 3));
+  __builtin_memcpy(&vector, words, 16);
+  return vector;
+}
+
+// Stores the first `count` elements of each thread of a warp, which follow those of the previous thread, to any
+// address. Called by all 32 threads, of which those behind the last element have a count of 0. As in store_striped,
+// adjacent threads store adjacent elements; 32 words are followed by an unused one, so that threads write to different
+// banks.
+template <int Warps, int P, class T>
+__device__ __forceinline__ void store_adjacent(T* to, Compute<T> const (&v)[P], int count) {
+  constexpr unsigned kRow = 32 * kPerWord<T>;
+  auto const place = [](unsigned i) { return i + i / kRow * kPerWord<T>; };
+  T* const memory = warp_memory<T, 32 * P + 32 * P / kRow * kPerWord<T>, Warps>();
+  int const lane = threadIdx.x % 32;
+  auto* const first = reinterpret_cast<T*>(__shfl_sync(0xffffffffu, reinterpret_cast<uintptr_t>(to), 0));
+  int const at = count > 0 ? int(to - first) : 0, last = 31 - __clz(int(__ballot_sync(0xffffffffu, count > 0)));
+  int const all = __shfl_sync(0xffffffffu, at + count, last & 31);
+  __syncwarp();
+#pragma unroll
+  for (int i = 0; i < P; ++i)
+    if (i < count) memory[place(at + i)] = round_to<T>(v[i]);
+  __syncwarp();
+#pragma unroll
+  for (int i = 0; i < P; ++i)
+    if (32 * i + lane < all) first[32 * i + lane] = memory[place(32 * i + lane)];
+}
+
 // Calls f with the number of elements of a thread's vectors as a constant: P, or 1 unless all rows have the same
 // alignment.
 template <int P, class F>

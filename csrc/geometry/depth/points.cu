@@ -1,7 +1,9 @@
-// Points and normals of depth images on CUDA: a thread takes four adjacent pixels, in accesses of 16 bytes where
-// possible. Points (H, W, 3), whose coordinates are adjacent in memory, go through shared memory.
+// Points and normals of depth images on CUDA. A thread takes four adjacent pixels, in accesses of 16 bytes. Where rows
+// are no such vectors, adjacent threads access adjacent elements: those of points take every 32nd pixel, those of
+// normals, who share neighbors, exchange results in shared memory. So do points (H, W, 3), whose coordinates are
+// adjacent in memory.
 #include "core/block_reduce.cuh"
-#include "core/launch.cuh"
+#include "core/row_vectors.cuh"
 #include "geometry/depth/points.h"
 
 namespace kv::geometry::cuda {
@@ -9,22 +11,27 @@ namespace {
 
 constexpr int kThreads = 256, kRun = 4;  // pixels of a thread
 
-// Groups of kRun adjacent pixels of a batch of images, in row-major order.
+// Groups of kRun adjacent pixels of a batch of images, in row-major order. A block takes groups of one image.
 struct Runs {
-  unsigned across;
-  int64_t count;
+  unsigned across, of_image, blocks_of_image, blocks;
   Runs(int64_t batch, int64_t height, int64_t width)
-      : across(unsigned(ceil_div(width, kRun))), count(batch * height * across) {}
-  unsigned blocks() const { return unsigned(ceil_div(count, kThreads)); }
-  // Sets the thread's sample, row and first column.
-  __device__ __forceinline__ bool locate(int64_t height, int64_t& b, int& y, int& x) const {
-    int64_t const i = blockIdx.x * int64_t(kThreads) + threadIdx.x;
-    if (i >= count) return false;
-    int64_t const row = i / across;
-    b = row / height;
-    y = int(row - b * height);
-    x = int(i - row * across) * kRun;
-    return true;
+      : across(unsigned(ceil_div(width, kRun))),
+        of_image(unsigned(height) * across),
+        blocks_of_image(unsigned(ceil_div(of_image, kThreads))),
+        blocks(unsigned(batch) * blocks_of_image) {}
+  // Sets the thread's sample and its group within it.
+  __device__ __forceinline__ void locate(int64_t& b, unsigned& run) const {
+    unsigned const sample = blockIdx.x / blocks_of_image;
+    b = sample;
+    run = (blockIdx.x - sample * blocks_of_image) * kThreads + threadIdx.x;
+  }
+  // Sets the sample, the row and the first column. False for threads without pixels.
+  __device__ __forceinline__ bool locate(int64_t& b, int& y, int& x) const {
+    unsigned run;
+    locate(b, run);
+    unsigned const row = run / across;
+    y = int(row), x = int(run - row * across) * kRun;
+    return run < of_image;
   }
 };
 
@@ -48,35 +55,83 @@ __device__ __forceinline__ void load_run(T const* row, int64_t step, int x, int 
 #pragma unroll
   for (int i = 0; i < kRun; ++i) v[i] = read(vector.v[i]);
 }
-template <class T, class F>
-__device__ __forceinline__ void store_run(T* row, int64_t step, int x, int width, bool vectorized, F const (&v)[kRun]) {
-  if (vectorized)
-    store_vector(row + x, v);
-  else
-    for (int i = 0; i < kRun; ++i)
-      if (x + i < width) row[(x + i) * step] = round_to<T>(v[i]);
-}
 
-template <class T>
-__global__ void __launch_bounds__(kThreads)
-    points_of(__grid_constant__ DepthPoints<T> const p, Runs runs, bool read_fours, bool write_fours) {
-  using F = Compute<T>;
+// The pixels of a thread: those of a group as a vector, or, of those of the groups of its warp, every 32nd.
+template <bool Vectors>
+struct ThreadPixels {
+  static constexpr int apart = Vectors ? 1 : 32;
   int64_t b;
-  int y, x;
-  if (!runs.locate(p.y.height, b, y, x)) return;
-  int const width = int(p.y.width);
-  Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
-  F d[kRun], points[3][kRun];
-  load_run(p.depth.row(b, 0, y), p.depth.step, x, width, read_fours, d);
+  int x[kRun], y[kRun], width, count;
+  unsigned first;  // of the image's pixels
+
+  __device__ __forceinline__ ThreadPixels(Runs const& runs, int height, int width) : width(width) {
+    if constexpr (Vectors) {
+      count = runs.locate(b, y[0], x[0]) ? kRun : 0;
+      first = unsigned(y[0]) * width + x[0];
+    } else {
+      unsigned run;
+      runs.locate(b, run);
+      unsigned const lane = threadIdx.x % 32, pixels = unsigned(height) * width;
+      first = (run - lane) * kRun + lane;
+      count = first < pixels ? int(min((pixels - first + 31) / 32, unsigned(kRun))) : 0;
+      y[0] = int(first / width), x[0] = int(first - unsigned(y[0]) * width);
+    }
+#pragma unroll
+    for (int i = 1; i < kRun; ++i) {
+      y[i] = y[i - 1], x[i] = x[i - 1] + apart;
+      if constexpr (!Vectors)
+        for (; x[i] >= width; x[i] -= width) ++y[i];
+    }
+  }
+  template <class T, class F, int C>
+  __device__ __forceinline__ void load(Images<T> const& image, F (&v)[C][kRun]) const {
+    bool const is_dense = image.row_stride == width && image.step == 1;
+#pragma unroll
+    for (int k = 0; k < C; ++k) {
+      if constexpr (Vectors) {
+        load_run(image.row(b, k, y[0]), 1, x[0], 0, true, v[k]);
+      } else if (is_dense) {
+#pragma unroll
+        for (int i = 0; i < kRun; ++i) v[k][i] = i < count ? read(image.row(b, k, 0)[first + i * apart]) : F(0);
+      } else {
+#pragma unroll
+        for (int i = 0; i < kRun; ++i) v[k][i] = i < count ? read(image.row(b, k, y[i])[x[i] * image.step]) : F(0);
+      }
+    }
+  }
+  // Of results, whose planes are dense.
+  template <class T, class F, int C>
+  __device__ __forceinline__ void store(Images<T> const& image, F const (&v)[C][kRun]) const {
+#pragma unroll
+    for (int k = 0; k < C; ++k) {
+      T* const to = image.row(b, k, 0) + first;
+      if constexpr (Vectors) {
+        store_vector(to, v[k]);
+      } else {
+#pragma unroll
+        for (int i = 0; i < kRun; ++i)
+          if (i < count) to[i * apart] = round_to<T>(v[k][i]);
+      }
+    }
+  }
+};
+
+template <class T, bool Vectors>
+__global__ void __launch_bounds__(kThreads) points_of(__grid_constant__ DepthPoints<T> const p, Runs const runs) {
+  using F = Compute<T>;
+  ThreadPixels<Vectors> const own(runs, int(p.y.height), int(p.y.width));
+  if (own.count == 0) return;
+  Rays<F> const rays(p.cameras + own.b * p.camera_stride, p.distance);
+  F d[1][kRun], points[3][kRun];
+  own.load(p.depth, d);
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
     F ray[3];
-    rays.at(F(x + i), F(y), ray);
+    rays.at(F(own.x[i]), F(own.y[i]), ray);
 #pragma unroll
-    for (int k = 0; k < 3; ++k) points[k][i] = ray[k] * d[i];
+    for (int k = 0; k < 3; ++k) points[k][i] = ray[k] * d[0][i];
   }
-#pragma unroll
-  for (int k = 0; k < 3; ++k) store_run(p.y.row(b, k, y), p.y.step, x, width, write_fours, points[k]);
+  own.store(p.y, points);
 }
 
 // Points (H, W, 3): one thread for each pixel. The block's coordinates go to shared memory first, so that adjacent
@@ -104,35 +159,34 @@ __global__ void __launch_bounds__(kThreads)
     if (i < count) out[i] = coordinates[i];
 }
 
-template <class T>
+template <class T, bool Vectors>
 __global__ void __launch_bounds__(kThreads)
-    points_backward(__grid_constant__ DepthPointsBackward<T> const p, Runs runs, bool read_fours, bool write_fours) {
+    points_backward(__grid_constant__ DepthPointsBackward<T> const p, Runs const runs) {
   using F = Compute<T>;
-  int64_t b;
-  int y, x;
-  if (!runs.locate(p.grad.height, b, y, x)) return;
-  int const width = int(p.grad.width);
-  Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
-  F grad[3][kRun], sums[kRun];
-#pragma unroll
-  for (int k = 0; k < 3; ++k) load_run(p.grad.row(b, k, y), p.grad.step, x, width, read_fours, grad[k]);
+  ThreadPixels<Vectors> const own(runs, int(p.grad.height), int(p.grad.width));
+  if (own.count == 0) return;
+  Rays<F> const rays(p.cameras + own.b * p.camera_stride, p.distance);
+  F grad[3][kRun], sums[1][kRun];
+  own.load(p.grad, grad);
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
     F ray[3];
-    rays.at(F(x + i), F(y), ray);
-    sums[i] = ray[0] * grad[0][i] + ray[1] * grad[1][i] + ray[2] * grad[2][i];
+    rays.at(F(own.x[i]), F(own.y[i]), ray);
+    sums[0][i] = ray[0] * grad[0][i] + ray[1] * grad[1][i] + ray[2] * grad[2][i];
   }
-  store_run(p.grad_depth.row(b, 0, y), p.grad_depth.step, x, width, write_fours, sums);
+  own.store(p.grad_depth, sums);
 }
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    normals_of(__grid_constant__ DepthPoints<T> const p, Runs runs, bool read_fours, bool write_fours) {
+    normals_of(__grid_constant__ DepthPoints<T> const p, Runs const runs, bool read_fours, bool write_fours) {
   using F = Compute<T>;
   int64_t b;
   int y, x;
-  if (!runs.locate(p.y.height, b, y, x)) return;
+  bool const is_in = runs.locate(b, y, x);
+  if (write_fours && !is_in) return;
   int const width = int(p.y.width), height = int(p.y.height);
+  if (!is_in) y = height - 1, x = width - 1;
   Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
   int const rows[] = {max(y - 1, 0), y, min(y + 1, height - 1)};
   auto const across = [&](int i) { return rays.across(F(clamp(x + i - 1, 0, width - 1))); };
@@ -159,8 +213,15 @@ __global__ void __launch_bounds__(kThreads)
 #pragma unroll
     for (int k = 0; k < 3; ++k) normals[k][i] = normal[k];
   }
+  int const count = is_in ? min(width - x, kRun) : 0;
 #pragma unroll
-  for (int k = 0; k < 3; ++k) store_run(p.y.row(b, k, y), p.y.step, x, width, write_fours, normals[k]);
+  for (int k = 0; k < 3; ++k) {
+    T* const to = p.y.row(b, k, y) + x;
+    if (write_fours)
+      store_vector(to, normals[k]);
+    else
+      store_adjacent<kThreads / 32>(to, normals[k], count);
+  }
 }
 
 // A block takes a tile of kAcross x Tall pixels. First it computes the gradients to the derivatives in the tile and its
@@ -290,35 +351,44 @@ __global__ void __launch_bounds__(128) finish_cameras(__grid_constant__ DepthPoi
     Rays<Compute<T>>(p.cameras + b * p.camera_stride, p.distance).store_gradients(sums, p.grad_camera + 9 * b);
 }
 
+// Launches f with what tells the pixels of its threads.
+template <class T, class F>
+int with_pixels(Images<T const> const& from, Images<T> const& to, F f) {
+  if (to.height * to.width > INT32_MAX || to.row_stride != to.width || to.step != 1) return cudaErrorInvalidValue;
+  if (is_vectorizable_by_4(from) && is_vectorizable_by_4(to))
+    f(std::true_type{}, Runs(to.batch, to.height, to.width));
+  else
+    f(std::false_type{}, Runs(to.batch, 1, to.height * to.width));
+  return cudaGetLastError();
+}
+
 }  // namespace
 
 template <class T>
 int depth_points(DepthPoints<T> const& p, CUstream_st* stream) {
-  Runs const runs(p.y.batch, p.y.height, p.y.width);
   int64_t const pixels = p.y.height * p.y.width;
   if (p.y.step == 3 && p.y.channel_stride == 1 && p.y.row_stride == 3 * p.y.width && pixels <= INT32_MAX) {
     unsigned const blocks_per_image = unsigned(ceil_div(pixels, kThreads));
     adjacent_points_of<<<unsigned(p.y.batch) * blocks_per_image, kThreads, 0, stream>>>(p, blocks_per_image);
     return cudaGetLastError();
   }
-  points_of<T>
-      <<<runs.blocks(), kThreads, 0, stream>>>(p, runs, is_vectorizable_by_4(p.depth), is_vectorizable_by_4(p.y));
-  return cudaGetLastError();
+  return with_pixels(p.depth, p.y, [&](auto vectors, Runs const& runs) {
+    points_of<T, vectors.value><<<runs.blocks, kThreads, 0, stream>>>(p, runs);
+  });
 }
 
 template <class T>
 int depth_points_backward(DepthPointsBackward<T> const& p, CUstream_st* stream) {
-  Runs const runs(p.grad.batch, p.grad.height, p.grad.width);
-  points_backward<T><<<runs.blocks(), kThreads, 0, stream>>>(p, runs, is_vectorizable_by_4(p.grad),
-                                                             is_vectorizable_by_4(p.grad_depth));
-  return cudaGetLastError();
+  return with_pixels(p.grad, p.grad_depth, [&](auto vectors, Runs const& runs) {
+    points_backward<T, vectors.value><<<runs.blocks, kThreads, 0, stream>>>(p, runs);
+  });
 }
 
 template <class T>
 int depth_normals(DepthPoints<T> const& p, CUstream_st* stream) {
   Runs const runs(p.y.batch, p.y.height, p.y.width);
   normals_of<T>
-      <<<runs.blocks(), kThreads, 0, stream>>>(p, runs, is_vectorizable_by_4(p.depth), is_vectorizable_by_4(p.y));
+      <<<runs.blocks, kThreads, 0, stream>>>(p, runs, is_vectorizable_by_4(p.depth), is_vectorizable_by_4(p.y));
   return cudaGetLastError();
 }
 

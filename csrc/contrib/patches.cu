@@ -1,6 +1,7 @@
-// Patches on CUDA: a thread copies a vector of a row of a patch, or sums a vector of a row of the image. Rows are
-// numbered within the group of a block, a row of patches or a plane, so that 32 bits suffice.
-#include "core/launch.cuh"
+// Patches on CUDA: a thread copies a vector of a row of a patch, or sums a vector of a row of the image. Those of
+// patches are aligned, those of images need not be. Rows are numbered within the group of a block, a row of patches or
+// a plane, so that 32 bits suffice.
+#include "core/row_vectors.cuh"
 #include "patches.h"
 
 namespace kv::contrib::cuda {
@@ -35,10 +36,11 @@ struct Blocks {
     row = (blockIdx.x - group * blocks_per_group) * (kThreads >> shift) + (threadIdx.x >> shift);
     return row < rows;
   }
-  template <class Call>
+  // Calls f(i) for the thread's vectors of a row; with WholeWarps in all threads of a warp, also behind the row.
+  template <bool WholeWarps = false, class Call>
   __device__ __forceinline__ void for_each_vector(Call f) const {
 #pragma unroll 1
-    for (int i = threadIdx.x & ((1 << shift) - 1); i < vectors; i += 1 << shift) f(i);
+    for (int i = threadIdx.x & ((1 << shift) - 1); (WholeWarps ? i & ~31 : i) < vectors; i += 1 << shift) f(i);
   }
 };
 
@@ -49,10 +51,10 @@ struct Divisors {
 };
 
 // A group is a row of patches, which has (across, C, height) rows of pixels.
-template <class T, int P>
+template <class T, int P, bool Aligned>
 __global__ void __launch_bounds__(kThreads)
     extract(__grid_constant__ Extract<T> const p, __grid_constant__ Blocks const blocks,
-            __grid_constant__ Divisors const by) {
+            __grid_constant__ Divisors const by, T const* image_end) {
   PatchGrid const& grid = p.grid;
   unsigned patch_row, row;
   if (!blocks.locate(patch_row, row)) return;
@@ -64,9 +66,18 @@ __global__ void __launch_bounds__(kThreads)
   T* const to = p.patches + (int64_t(patch_row) * blocks.rows + row) * grid.width;
   blocks.for_each_vector([&](int k) {
     Vector<T, P> vector{};
-    int const column = left + k * P;
-    if (in_bounds && column >= 0 && column < p.image.width)
-      vector = *reinterpret_cast<Vector<T, P> const*>(from + k * P);
+    int const column = left + k * P, width = int(p.image.width);
+    if constexpr (Aligned) {
+      if (in_bounds && column >= 0 && column < width) vector = *reinterpret_cast<Vector<T, P> const*>(from + k * P);
+    } else if (in_bounds) {
+      if (column >= 0 && column + P <= width) {
+        vector = load_unaligned<P>(from + k * P, image_end);
+      } else {
+#pragma unroll
+        for (int e = 0; e < P; ++e)
+          if (column + e >= 0 && column + e < width) vector.v[e] = from[k * P + e];
+      }
+    }
     *reinterpret_cast<Vector<T, P>*>(to + k * P) = vector;
   });
 }
@@ -80,7 +91,7 @@ __device__ __forceinline__ int last_patch(int x, Divisor const& step, int count)
 }
 
 // A group is a plane of the image.
-template <class T, int P>
+template <class T, int P, bool Aligned>
 __global__ void __launch_bounds__(kThreads)
     combine(__grid_constant__ Combine<T> const p, __grid_constant__ Blocks const blocks,
             __grid_constant__ Divisors const by) {
@@ -93,11 +104,11 @@ __global__ void __launch_bounds__(kThreads)
   unsigned const sample = by.channels(plane);
   int64_t const channel = plane - sample * unsigned(grid.channels);
   T* const to = p.image.row(plane, y);
-  blocks.for_each_vector([&](int k) {
+  blocks.for_each_vector<!Aligned>([&](int k) {
     int const right = k * P + grid.left;
     int const first_j = first_patch(right, grid.width, by.step_x), last_j = last_patch(right, by.step_x, grid.across);
     F sums[P] = {};
-    for (int i = first_i; i <= last_i; ++i)
+    for (int i = k < blocks.vectors ? first_i : last_i + 1; i <= last_i; ++i)
       for (int j = first_j; j <= last_j; ++j) {
         int64_t const patch = (int64_t(sample) * grid.down + i) * grid.across + j;
         int64_t const row = (patch * grid.channels + channel) * grid.height + (below - i * grid.step_y);
@@ -106,21 +117,31 @@ __global__ void __launch_bounds__(kThreads)
 #pragma unroll
         for (int e = 0; e < P; ++e) sums[e] += read(vector.v[e]);
       }
-    store_vector(to + k * P, sums);
+    if constexpr (Aligned)
+      store_vector(to + k * P, sums);
+    else
+      store_striped<P, kThreads / 32>(to + k * P, sums, k * P, int(p.image.width));
   });
 }
 
-// Calls f with the pixels of a vector: 16 bytes of them where all pixels of each vector are in the same patches, else
-// one.
+// Whether the P pixels of each vector of the image are in the same patches.
+template <int P>
+bool is_in_step(PatchGrid const& grid) {
+  return grid.width % P == 0 && grid.step_x % P == 0 && grid.left % P == 0;
+}
+
+// Calls f with the pixels of a vector, and with whether those of the image are aligned: 16 bytes where they are so in
+// the patches and `unaligned` in the image, else one.
 template <class T, class F>
-void with_vectors(Planes<T> const& image, void const* patches, PatchGrid const& grid, F f) {
+void with_vectors(Planes<T> const& image, void const* patches, PatchGrid const& grid, bool unaligned, F f) {
   constexpr int P = 16 / int(sizeof(T));
-  bool const vectorized = is_vectorizable<P>(image) && reinterpret_cast<uintptr_t>(patches) % 16 == 0 &&
-                          grid.width % P == 0 && grid.step_x % P == 0 && grid.left % P == 0;
-  if (vectorized)
-    f(std::integral_constant<int, P>{});
+  bool const whole = reinterpret_cast<uintptr_t>(patches) % 16 == 0 && grid.width % P == 0;
+  if (whole && is_vectorizable<P>(image) && is_in_step<P>(grid))
+    f(std::integral_constant<int, P>{}, std::true_type{});
+  else if (whole && unaligned)
+    f(std::integral_constant<int, P>{}, std::false_type{});
   else
-    f(std::integral_constant<int, 1>{});
+    f(std::integral_constant<int, 1>{}, std::true_type{});
 }
 
 }  // namespace
@@ -130,20 +151,24 @@ int extract_patches(Extract<T> const& p, CUstream_st* stream) {
   int64_t const rows = int64_t(p.grid.across) * p.grid.channels * p.grid.height;
   int64_t const patch_rows = p.image.count() / p.grid.channels * p.grid.down;
   if (rows > UINT32_MAX / 2) return cudaErrorInvalidValue;
-  with_vectors(p.image, p.patches, p.grid, [&](auto pixels) {
+  T const* const image_end = p.image.row(p.image.count() - 1, p.image.height - 1) + p.image.width;
+  with_vectors(p.image, p.patches, p.grid, true, [&](auto pixels, auto aligned) {
     constexpr int P = decltype(pixels)::value;
     Blocks const blocks(p.grid.width / P, rows);
-    extract<T, P><<<unsigned(patch_rows * blocks.blocks_per_group), kThreads, 0, stream>>>(p, blocks, Divisors(p.grid));
+    extract<T, P, aligned.value><<<unsigned(patch_rows * blocks.blocks_per_group), kThreads, 0, stream>>>(
+        p, blocks, Divisors(p.grid), image_end);
   });
   return cudaGetLastError();
 }
 
 template <class T>
 int combine_patches(Combine<T> const& p, CUstream_st* stream) {
-  with_vectors(p.image, p.patches, p.grid, [&](auto pixels) {
+  constexpr int kVector = 16 / int(sizeof(T));
+  bool const has_warps = p.image.width > 16 * kVector;  // each row
+  with_vectors(p.image, p.patches, p.grid, has_warps && is_in_step<kVector>(p.grid), [&](auto pixels, auto aligned) {
     constexpr int P = decltype(pixels)::value;
-    Blocks const blocks(p.image.width / P, p.image.height);
-    combine<T, P>
+    Blocks const blocks(ceil_div(p.image.width, P), p.image.height);
+    combine<T, P, aligned.value>
         <<<unsigned(p.image.count() * blocks.blocks_per_group), kThreads, 0, stream>>>(p, blocks, Divisors(p.grid));
   });
   return cudaGetLastError();

@@ -180,9 +180,12 @@ struct ProgramArguments {
 
   Samples samples(Tensor const& x, bool same_layout) const {
     int64_t const b = x.size(0), c = x.size(1), n = x.size(2) * x.size(3);
-    // A thread takes three times as many values if it takes pixels. Planes of a size that is no multiple of 16 do not
-    // start at multiples of a vector.
+#if defined(KV_CUDA)
+    bool const pixels = c == 3 && !by_channel;  // a thread takes three times as many values
+#else
+    // Planes of a size that is no multiple of 16 do not start at multiples of a vector.
     bool const pixels = c == 3 && !by_channel && (!same_layout || n % 16 == 0);
+#endif
     if (!per_value || pixels) return {b, 1, n, false, false};
     if (by_channel || !same_layout) return {b * c, c, n, true, true};
     bool const by_image = sequence.contrast >= 0 || !tensors.empty() || is_ordered();

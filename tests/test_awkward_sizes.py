@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 import kvision
-from kvision import color, enhance, losses, metrics
+from kvision import color, contrib, enhance, geometry, losses, metrics
 from kvision.geometry import transform
 
 pytestmark = [pytest.mark.native, pytest.mark.large]
@@ -28,6 +28,10 @@ def weights(x: Tensor) -> Tensor:
     return torch.linspace(0.5, 1.5, len(x), device=x.device)
 
 
+def camera(x: Tensor) -> Tensor:
+    return torch.tensor([[[400.0, 0, 250], [0, 410, 160], [0, 0, 1]]], device=x.device).expand(len(x), 3, 3)
+
+
 POINTWISE: dict[str, Callable[[Tensor], Tensor]] = {
     "rgb_to_hsv": color.rgb_to_hsv,
     "rgb_to_lab": color.rgb_to_lab,
@@ -39,6 +43,8 @@ POINTWISE: dict[str, Callable[[Tensor], Tensor]] = {
     "adjust_gamma": lambda x: enhance.adjust_gamma(x, 1.5),
     "normalize": lambda x: enhance.normalize(x, x.new_tensor([0.4, 0.5, 0.6]), x.new_tensor([0.2, 0.3, 0.4])),
     "add_weighted": lambda x: enhance.add_weighted(x, weights(x).view(-1, 1, 1, 1), 1 - x.detach(), 0.25, 0.125),
+    "depth_to_3d": lambda x: geometry.depth_to_3d(x[:, :1], camera(x)),
+    "depth_to_3d, normalized": lambda x: geometry.depth_to_3d(x[:, 1:2], camera(x), True),
 }
 
 
@@ -146,3 +152,75 @@ def test_reductions_agree_with_the_reference(shape, dtype, layout, device):
             scale = float(expected.float().abs().max()) + 1e-9
             error = float((ours.float() - expected.float()).abs().max()) / scale
             assert error <= tolerance, (name, error)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("dtype", DTYPES, ids=str)
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_normals_have_the_bits_of_aligned_images(shape, dtype, layout, device):
+    height, width = shape[-2:]
+    x = pixels((shape[0], 1, height, -(-width // 16) * 16), dtype, device) + 1
+    expected = geometry.depth_to_normals(x, camera(x))[..., : width - 1]
+    y = geometry.depth_to_normals(LAYOUTS[layout](x[..., :width]), camera(x))
+    with kvision.backend("reference"):
+        reference = geometry.depth_to_normals(x[..., :width].float(), camera(x))
+    if device.type == "cuda":
+        assert torch.equal(y[..., : width - 1], expected)
+    tolerance = {torch.float32: 1e-4, torch.float16: 2e-3, torch.bfloat16: 1.6e-2}[dtype]
+    torch.testing.assert_close(y.float(), reference, rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize("dtype", DTYPES, ids=str)
+@pytest.mark.parametrize("count", [8193, 171855, 8194, 5], ids=str)
+def test_points_of_a_batch_have_the_bits_of_single_samples(count, dtype, device):
+    """The points of every sample but the first begin at any address."""
+    random = torch.Generator().manual_seed(count)
+    points, depth, weights = ((torch.rand(5, count, n, generator=random) + 0.5).to(dtype).to(device) for n in (3, 1, 3))
+    matrix = (torch.eye(4) + 0.1 * torch.rand(5, 4, 4, generator=random)).to(device)
+    calls = {
+        "transform": lambda p, d, m: geometry.transform_points(m, p),
+        "transform, plane": lambda p, d, m: geometry.transform_points(m[:, :3, :3], p[..., :2]),
+        "project": lambda p, d, m: geometry.project_points(p, m[:, :3, :3]),
+        "unproject": lambda p, d, m: geometry.unproject_points(p[..., :2], d, m[:, :3, :3]),
+    }
+    for name, call in calls.items():
+
+        def both(part: slice, call=call) -> tuple[Tensor, ...]:
+            leaves = [x[part].clone().requires_grad_() for x in (points, depth, matrix)]
+            y = call(*leaves)
+            grads = torch.autograd.grad(y, leaves, weights[part, :, : y.shape[-1]], allow_unused=True)
+            return (y, *(g for g in grads if g is not None))
+
+        together, single = both(slice(None)), [both(slice(i, i + 1)) for i in range(5)]
+        for i in range(len(together)):
+            expected = torch.cat([results[i] for results in single])
+            if together[i].shape == matrix.shape:  # sums over points, of which others are added to each other
+                torch.testing.assert_close(together[i], expected, rtol=1e-4, atol=1e-4 * float(expected.abs().max()))
+            else:
+                assert torch.equal(together[i], expected), (name, i)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("dtype", [*DTYPES, torch.uint8], ids=str)
+@pytest.mark.parametrize("window, stride, padding", [(32, 32, 0), (16, 8, 3), (48, 16, 16), (30, 7, 0)], ids=str)
+def test_patches_are_copies(window, stride, padding, dtype, layout, device):
+    for shape in SHAPES:
+        x = LAYOUTS[layout](torch.randint(0, 256, shape).to(device=device, dtype=dtype))
+        patches = contrib.extract_tensor_patches(x, window, stride, padding)
+        padded = torch.nn.functional.pad(x, [padding] * 4)
+        expected = padded.unfold(2, window, stride).unfold(3, window, stride)  # (B, C, down, across, window, window)
+        assert torch.equal(patches, expected.permute(0, 2, 3, 1, 4, 5).flatten(1, 2)), shape
+
+
+@pytest.mark.parametrize("dtype", DTYPES, ids=str)
+@pytest.mark.parametrize("window, stride, padding", [(32, 32, 0), (16, 8, 0), (48, 16, 16), (30, 7, 0)], ids=str)
+def test_gradients_of_patches_are_sums(window, stride, padding, dtype, device):
+    for shape in SHAPES:
+        x = pixels(shape, dtype, device).requires_grad_()
+        patches = contrib.extract_tensor_patches(x, window, stride, padding)
+        weights = torch.randint(0, 8, patches.shape).to(patches)  # whose sums are exact in every type
+        results = [torch.autograd.grad(patches, x, weights)[0]]
+        with kvision.backend("reference"):
+            again = contrib.extract_tensor_patches(x, window, stride, padding)
+            results.append(torch.autograd.grad(again.float(), x, weights.float())[0])
+        assert torch.equal(*results), shape

@@ -1,6 +1,12 @@
-// Losses of segmentations on CUDA. A thread processes adjacent pixels. It reads their logits once, class by class, into
+// Losses of segmentations on CUDA. A thread processes several pixels. It reads their logits once, class by class, into
 // a column of shared memory that only this thread accesses. There the logits become exponentials, from which it
 // computes sums or gradients.
+//
+// Where planes of a whole number of vectors begin at aligned addresses, a thread has adjacent pixels, which are read as
+// one vector. Elsewhere it has every 32nd pixel, so that the pixels of a warp are adjacent wherever a plane begins:
+//
+//   aligned      0 0 0 0 1 1 1 1 2 2 2 2 ...                          threads of the pixels
+//   elsewhere    0 1 2 3 ... 31 0 1 2 3 ... 31 0 1 2 3 ... 31 0 1 2 3 ... 31
 #include "core/launch.cuh"
 #include "core/row_sums.cuh"
 #include "segmentation.h"
@@ -25,12 +31,14 @@ __device__ __forceinline__ float largest(float a, float b) { return fmaxf(a, b);
 __device__ __forceinline__ double largest(double a, double b) { return fmax(a, b); }
 
 // The P pixels of a thread in a sample: their labels, their counts (1, 0 or NaN), and their column of shared memory.
-template <class T, int P>
+template <class T, int P, bool Adjacent>
 struct Pixels {
   using F = Compute<T>;
+  static constexpr int kApart = Adjacent ? 1 : 32;  // from one pixel of the thread to the next
   Logits<T> const& logits;
   F* const column;
   int const stride;
+  int inside = P;  // pixels of the thread that are in the chunk; the others are ignored
   int label[P];
   F counts[P], maximum[P], sum[P];
 
@@ -46,10 +54,35 @@ struct Pixels {
   // The value of pixel i in class c, as a scalar.
   __device__ __forceinline__ F& at(int c, int i) const { return column[c * stride + i]; }
 
-  // Loads the logits of the pixels from `pixel` on into the column; 0 where the label is ignored.
-  __device__ __forceinline__ void read_logits(int64_t sample, int64_t pixel) {
+  // The elements of the pixels, of which the first one is at `from`.
+  template <class S>
+  __device__ __forceinline__ Vector<S, P> load(S const* from) const {
+    if constexpr (Adjacent) {
+      return *reinterpret_cast<Vector<S, P> const*>(from);
+    } else {
+      Vector<S, P> vector;
+#pragma unroll
+      for (int i = 0; i < P; ++i) vector.v[i] = i < inside ? from[kApart * i] : S{};
+      return vector;
+    }
+  }
+  template <class S>
+  __device__ __forceinline__ void store(S* to, F const (&v)[P]) const {
+    if constexpr (Adjacent) {
+      store_vector(to, v);
+    } else {
+#pragma unroll
+      for (int i = 0; i < P; ++i)
+        if (i < inside) to[kApart * i] = round_to<S>(v[i]);
+    }
+  }
+
+  // Loads the logits of the pixels from `pixel` on, of those before `end`, into the column; 0 where the label is
+  // ignored.
+  __device__ __forceinline__ void read_logits(int64_t sample, int64_t pixel, int64_t end) {
+    if constexpr (!Adjacent) inside = int(min(ceil_div(end - pixel, kApart), int64_t(P)));
     int const classes = int(logits.classes);
-    auto const labels = *reinterpret_cast<Vector<int64_t, P> const*>(logits.labels(sample) + pixel);
+    auto const labels = load(logits.labels(sample) + pixel);
     T const* from = logits.sample(sample) + pixel;
 #pragma unroll
     for (int i = 0; i < P; ++i) maximum[i] = -F(INFINITY);
@@ -57,8 +90,7 @@ struct Pixels {
     for (int c = 0; c < classes; c += kAtOnce, from += kAtOnce * logits.pixels) {
       Vector<T, P> vectors[kAtOnce];
 #pragma unroll
-      for (int k = 0; k < kAtOnce; ++k)
-        vectors[k] = *reinterpret_cast<Vector<T, P> const*>(from + min(k, classes - 1 - c) * logits.pixels);
+      for (int k = 0; k < kAtOnce; ++k) vectors[k] = load(from + min(k, classes - 1 - c) * logits.pixels);
 #pragma unroll
       for (int k = 0; k < kAtOnce; ++k) {
         Vector<F, P> x;
@@ -69,7 +101,8 @@ struct Pixels {
     }
 #pragma unroll
     for (int i = 0; i < P; ++i) {
-      label[i] = logits.class_of(labels.v[i]), counts[i] = logits.counts(labels.v[i]);
+      label[i] = logits.class_of(labels.v[i]);
+      counts[i] = Adjacent || i < inside ? logits.counts(labels.v[i]) : F(0);
       if (counts[i] == 0) {
         maximum[i] = 0;
 #pragma unroll 1
@@ -113,31 +146,33 @@ struct Pixels {
   }
 };
 
-// Calls f(sample, first pixel) for the vectors of chunk `chunk` that the thread processes.
-template <int P, class T, class Call>
-__device__ __forceinline__ void for_each_vector(Logits<T> const& logits, int64_t sample, int64_t chunk, Call f) {
+// Calls f(sample, first pixel, end of the chunk) for the pixels of chunk `chunk` that the thread processes, P at a
+// time.
+template <int P, bool Adjacent, class T, class Call>
+__device__ __forceinline__ void for_each_run(Logits<T> const& logits, int64_t sample, int64_t chunk, Call f) {
+  int const t = int(threadIdx.x), first = Adjacent ? P * t : t / 32 * 32 * P + t % 32;
   int64_t const end = min((chunk + 1) * logits.chunk, logits.pixels);
 #pragma unroll 1
-  for (int64_t pixel = chunk * logits.chunk + P * int64_t(threadIdx.x); pixel < end; pixel += P * int64_t(blockDim.x))
-    f(sample, pixel);
+  for (int64_t pixel = chunk * logits.chunk + first; pixel < end; pixel += P * int64_t(blockDim.x))
+    f(sample, pixel, end);
 }
 
 // --- overlap of regions ----------------------------------------------------------------------------------------------
 
 // Every thread has its own sums, so that the order of additions does not depend on the labels.
-template <class T, int P>
+template <class T, int P, bool Adjacent>
 __global__ void __launch_bounds__(kThreads) sum_classes(__grid_constant__ Overlap<T> const p) {
   using F = Compute<T>;
   extern __shared__ __align__(16) unsigned char shared[];
   int const classes = int(p.logits.classes), threads = int(blockDim.x), lane = threadIdx.x % 32;
   int64_t const sample = blockIdx.x / p.logits.chunks, chunk = blockIdx.x - sample * p.logits.chunks;
-  Pixels<T, P> pixels(p.logits, shared);
+  Pixels<T, P, Adjacent> pixels(p.logits, shared);
   F* const sums = reinterpret_cast<F*>(shared) + classes * pixels.stride;  // (3, classes, threads)
 #pragma unroll 1
   for (int i = 0; i < 3 * classes; ++i) sums[i * threads + threadIdx.x] = 0;
 
-  for_each_vector<P>(p.logits, sample, chunk, [&](int64_t sample, int64_t pixel) {
-    pixels.read_logits(sample, pixel);
+  for_each_run<P, Adjacent>(p.logits, sample, chunk, [&](int64_t sample, int64_t pixel, int64_t end) {
+    pixels.read_logits(sample, pixel, end);
     pixels.exponentiate([](int, Vector<F, P> const&) {});
     F scale[P];
 #pragma unroll
@@ -208,13 +243,13 @@ __global__ void __launch_bounds__(kFinalizeThreads)
   loss[blockIdx.x] = sum / F(batch);
 }
 
-template <class T, int P>
+template <class T, int P, bool Adjacent>
 __global__ void __launch_bounds__(kThreads) find_overlap_backward(__grid_constant__ OverlapBackward<T> const p) {
   using F = Compute<T>;
   extern __shared__ __align__(16) unsigned char shared[];
   int const classes = int(p.logits.classes);
   int64_t const sample = blockIdx.x / p.logits.chunks, loss = sample / p.logits.batch;
-  Pixels<T, P> pixels(p.logits, shared);
+  Pixels<T, P, Adjacent> pixels(p.logits, shared);
   F* const of_both = reinterpret_cast<F*>(shared) + classes * pixels.stride;
   F* const of_all = of_both + classes;
   F const* const sums = p.sums + sample * 3 * classes;
@@ -226,43 +261,44 @@ __global__ void __launch_bounds__(kThreads) find_overlap_backward(__grid_constan
   }
   __syncthreads();
 
-  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.chunks, [&](int64_t sample, int64_t pixel) {
-    pixels.read_logits(sample, pixel);
-    F dot[P] = {}, scale[P];
-    pixels.exponentiate([&](int c, Vector<F, P> const& e) {
+  for_each_run<P, Adjacent>(
+      p.logits, sample, blockIdx.x - sample * p.logits.chunks, [&](int64_t sample, int64_t pixel, int64_t end) {
+        pixels.read_logits(sample, pixel, end);
+        F dot[P] = {}, scale[P];
+        pixels.exponentiate([&](int c, Vector<F, P> const& e) {
 #pragma unroll
-      for (int i = 0; i < P; ++i) dot[i] += e.v[i] * of_all[c];
-    });
+          for (int i = 0; i < P; ++i) dot[i] += e.v[i] * of_all[c];
+        });
 #pragma unroll
-    for (int i = 0; i < P; ++i) {
-      dot[i] = (dot[i] + pixels.at(pixels.label[i], i) * of_both[pixels.label[i]]) / pixels.sum[i];
-      scale[i] = pixels.counts[i] / pixels.sum[i];
-    }
-    T* to = p.grad_logits + sample * classes * p.logits.pixels + pixel;
+        for (int i = 0; i < P; ++i) {
+          dot[i] = (dot[i] + pixels.at(pixels.label[i], i) * of_both[pixels.label[i]]) / pixels.sum[i];
+          scale[i] = pixels.counts[i] / pixels.sum[i];
+        }
+        T* to = p.grad_logits + sample * classes * p.logits.pixels + pixel;
 #pragma unroll 4
-    for (int c = 0; c < classes; ++c, to += p.logits.pixels) {
-      Vector<F, P> const e = pixels.get(c);
-      F const all = of_all[c], own = all + of_both[c];
-      F d[P];
+        for (int c = 0; c < classes; ++c, to += p.logits.pixels) {
+          Vector<F, P> const e = pixels.get(c);
+          F const all = of_all[c], own = all + of_both[c];
+          F d[P];
 #pragma unroll
-      for (int i = 0; i < P; ++i) {
-        F const derivative = e.v[i] * scale[i] * ((c == pixels.label[i] ? own : all) - dot[i]);
-        d[i] = pixels.counts[i] == 0 ? F(0) : derivative;
-      }
-      store_vector(to, d);
-    }
-  });
+          for (int i = 0; i < P; ++i) {
+            F const derivative = e.v[i] * scale[i] * ((c == pixels.label[i] ? own : all) - dot[i]);
+            d[i] = pixels.counts[i] == 0 ? F(0) : derivative;
+          }
+          pixels.store(to, d);
+        }
+      });
 }
 
 // --- the focal loss --------------------------------------------------------------------------------------------------
 
 // For the pixels from `pixel` on: their losses, the gradients by log p, and the reciprocal sums of exponentials.
-template <class T, int P>
-__device__ __forceinline__ void evaluate(Pixels<T, P>& pixels, FocalTerms<Compute<T>> const& terms, int64_t sample,
-                                         int64_t pixel, Compute<T> (&loss)[P], Compute<T> (&derivative)[P],
-                                         Compute<T> (&scale)[P]) {
+template <class T, int P, bool Adjacent>
+__device__ __forceinline__ void evaluate(Pixels<T, P, Adjacent>& pixels, FocalTerms<Compute<T>> const& terms,
+                                         int64_t sample, int64_t pixel, int64_t end, Compute<T> (&loss)[P],
+                                         Compute<T> (&derivative)[P], Compute<T> (&scale)[P]) {
   using F = Compute<T>;
-  pixels.read_logits(sample, pixel);
+  pixels.read_logits(sample, pixel, end);
   F label[P], rest[P] = {};  // rest: the sum over the other classes
 #pragma unroll
   for (int i = 0; i < P; ++i) label[i] = pixels.at(pixels.label[i], i);
@@ -279,64 +315,69 @@ __device__ __forceinline__ void evaluate(Pixels<T, P>& pixels, FocalTerms<Comput
   }
 }
 
-template <class T, int P>
+template <class T, int P, bool Adjacent>
 __global__ void __launch_bounds__(kThreads) find_focal(__grid_constant__ Focal<T> const p) {
   using F = Compute<T>;
   extern __shared__ __align__(16) unsigned char shared[];
   int64_t const sample = blockIdx.x / p.logits.chunks;
-  Pixels<T, P> pixels(p.logits, shared);
+  Pixels<T, P, Adjacent> pixels(p.logits, shared);
   F sum = 0;
-  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.chunks, [&](int64_t sample, int64_t pixel) {
-    F loss[P], derivative[P], scale[P];
-    evaluate(pixels, p.terms, sample, pixel, loss, derivative, scale);
-    if (p.map) store_vector(p.map + sample * p.logits.pixels + pixel, loss);
+  for_each_run<P, Adjacent>(p.logits, sample, blockIdx.x - sample * p.logits.chunks,
+                            [&](int64_t sample, int64_t pixel, int64_t end) {
+                              F loss[P], derivative[P], scale[P];
+                              evaluate(pixels, p.terms, sample, pixel, end, loss, derivative, scale);
+                              if (p.map) pixels.store(p.map + sample * p.logits.pixels + pixel, loss);
 #pragma unroll
-    for (int i = 0; i < P; ++i) sum += loss[i];
-  });
+                              for (int i = 0; i < P; ++i) sum += loss[i];
+                            });
   if (p.map) return;
   sum = block_sum<kThreads>(sum, int(blockDim.x) / 32);
   if (threadIdx.x == 0) p.partial[blockIdx.x] = sum;
 }
 
-template <class T, int P>
+template <class T, int P, bool Adjacent>
 __global__ void __launch_bounds__(kThreads) find_focal_backward(__grid_constant__ FocalBackward<T> const p) {
   using F = Compute<T>;
   extern __shared__ __align__(16) unsigned char shared[];
   int const classes = int(p.logits.classes);
   int64_t const sample = blockIdx.x / p.logits.chunks;
   F const of_sum = p.of_sums ? p.grad[sample / p.logits.batch] : F(0);
-  Pixels<T, P> pixels(p.logits, shared);
-  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.chunks, [&](int64_t sample, int64_t pixel) {
-    F loss[P], derivative[P], scale[P];
-    evaluate(pixels, p.terms, sample, pixel, loss, derivative, scale);
-    F const* const grad = p.grad + sample * p.logits.pixels + pixel;
+  Pixels<T, P, Adjacent> pixels(p.logits, shared);
+  for_each_run<P, Adjacent>(
+      p.logits, sample, blockIdx.x - sample * p.logits.chunks, [&](int64_t sample, int64_t pixel, int64_t end) {
+        F loss[P], derivative[P], scale[P];
+        evaluate(pixels, p.terms, sample, pixel, end, loss, derivative, scale);
+        F const* const grad = p.grad + sample * p.logits.pixels + pixel;
 #pragma unroll
-    for (int i = 0; i < P; ++i) {
-      derivative[i] = pixels.counts[i] == 0 ? F(0) : derivative[i] * (p.of_sums ? of_sum : grad[i]);
-      scale[i] *= derivative[i];
-    }
-    T* to = p.grad_logits + sample * classes * p.logits.pixels + pixel;
+        for (int i = 0; i < P; ++i) {
+          derivative[i] = pixels.counts[i] == 0 ? F(0) : derivative[i] * (p.of_sums ? of_sum : grad[pixels.kApart * i]);
+          scale[i] *= derivative[i];
+        }
+        T* to = p.grad_logits + sample * classes * p.logits.pixels + pixel;
 #pragma unroll 4
-    for (int c = 0; c < classes; ++c, to += p.logits.pixels) {
-      Vector<F, P> const e = pixels.get(c);
-      F d[P];
+        for (int c = 0; c < classes; ++c, to += p.logits.pixels) {
+          Vector<F, P> const e = pixels.get(c);
+          F d[P];
 #pragma unroll
-      for (int i = 0; i < P; ++i) d[i] = (c == pixels.label[i] ? derivative[i] : F(0)) - e.v[i] * scale[i];
-      store_vector(to, d);
-    }
-  });
+          for (int i = 0; i < P; ++i) d[i] = (c == pixels.label[i] ? derivative[i] : F(0)) - e.v[i] * scale[i];
+          pixels.store(to, d);
+        }
+      });
 }
 
 // --- launching -------------------------------------------------------------------------------------------------------
 
-// Calls f with the number of pixels per thread: four if the alignment of `other` and of the logits allows it.
+// Calls f with the number of pixels per thread, and whether they are adjacent: if the alignment of `other` and of the
+// logits allows it.
 template <class T, class Call>
-int with_vectors(Logits<T> const& logits, void const* other, Call f) {
+int with_pixels(Logits<T> const& logits, void const* other, Call f) {
   auto const aligned = [](void const* at) { return reinterpret_cast<uintptr_t>(at) % 16 == 0; };
-  if constexpr (sizeof(T) < 8)
-    if (logits.pixels % 4 == 0 && aligned(logits.data) && aligned(logits.target) && aligned(other))
-      return f(std::integral_constant<int, 4>{});
-  return f(std::integral_constant<int, 1>{});
+  if constexpr (sizeof(T) == 8)
+    return f(std::integral_constant<int, 1>{}, std::true_type{});
+  else if (logits.pixels % 4 == 0 && aligned(logits.data) && aligned(logits.target) && aligned(other))
+    return f(std::integral_constant<int, 4>{}, std::true_type{});
+  else
+    return f(std::integral_constant<int, 4>{}, std::false_type{});
 }
 
 // A kernel whose threads each need `numbers` values of shared memory per class, and whose block needs `more` values per
@@ -357,9 +398,9 @@ int launch(void (*kernel)(Params), Params const& p, int numbers, int more, CUstr
 
 template <class T>
 int overlap(Overlap<T> const& p, CUstream_st* stream) {
-  int const error = with_vectors(p.logits, nullptr, [&](auto pixels) {
+  int const error = with_pixels(p.logits, nullptr, [&](auto pixels, auto adjacent) {
     constexpr int P = decltype(pixels)::value;
-    return launch<Compute<T>>(sum_classes<T, P>, p, P + 3, 0, stream);
+    return launch<Compute<T>>(sum_classes<T, P, adjacent.value>, p, P + 3, 0, stream);
   });
   if (error) return error;
   finalize_overlap<<<unsigned(p.logits.losses), kFinalizeThreads, 0, stream>>>(
@@ -369,17 +410,17 @@ int overlap(Overlap<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int overlap_backward(OverlapBackward<T> const& p, CUstream_st* stream) {
-  return with_vectors(p.logits, p.grad_logits, [&](auto pixels) {
+  return with_pixels(p.logits, p.grad_logits, [&](auto pixels, auto adjacent) {
     constexpr int P = decltype(pixels)::value;
-    return launch<Compute<T>>(find_overlap_backward<T, P>, p, P, 2, stream);
+    return launch<Compute<T>>(find_overlap_backward<T, P, adjacent.value>, p, P, 2, stream);
   });
 }
 
 template <class T>
 int focal(Focal<T> const& p, CUstream_st* stream) {
-  int const error = with_vectors(p.logits, p.map, [&](auto pixels) {
+  int const error = with_pixels(p.logits, p.map, [&](auto pixels, auto adjacent) {
     constexpr int P = decltype(pixels)::value;
-    return launch<Compute<T>>(find_focal<T, P>, p, P, 0, stream);
+    return launch<Compute<T>>(find_focal<T, P, adjacent.value>, p, P, 0, stream);
   });
   if (error || p.map) return error;
   return sum_chunks(p.partial, p.logits.losses, p.logits.batch * p.logits.chunks, p.sums, stream);
@@ -387,9 +428,9 @@ int focal(Focal<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int focal_backward(FocalBackward<T> const& p, CUstream_st* stream) {
-  return with_vectors(p.logits, p.grad_logits, [&](auto pixels) {
+  return with_pixels(p.logits, p.grad_logits, [&](auto pixels, auto adjacent) {
     constexpr int P = decltype(pixels)::value;
-    return launch<Compute<T>>(find_focal_backward<T, P>, p, P, 0, stream);
+    return launch<Compute<T>>(find_focal_backward<T, P, adjacent.value>, p, P, 0, stream);
   });
 }
 

@@ -200,3 +200,38 @@ def test_classes_and_chunks(classes, size, device):
                 results.append((y.detach(), torch.autograd.grad(y, leaf)[0]))
         for actual, expected in zip(*results):
             assert_close(actual, expected.float(), 2e-5, 1e-6 * float(expected.abs().max()) + 1e-8)
+
+
+@pytest.mark.native
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16], ids=str)
+@pytest.mark.parametrize("size", [(67, 299), (64, 126), (33, 257)], ids=str)
+def test_planes_that_begin_anywhere(size, dtype, device):
+    """Focal losses of pixels have the same bits at any address; losses that are sums agree with the reference."""
+    storage = (8 * torch.rand(2 * 5 * size[0] * size[1] + 1, dtype=torch.float64) - 4).to(device=device, dtype=dtype)
+    x = storage[1:].view(2, 5, *size)
+    target = torch.randint(-1, 5, (2, *size), device=device)
+    weight = torch.linspace(0.5, 2, 5, device=device)
+    calls = {
+        "dice": lambda x: L.dice_loss(x, target, ignore_index=-1),
+        "tversky": lambda x: L.tversky_loss(x, target, 0.3, 0.6, ignore_index=-1),
+        "focal": lambda x: L.focal_loss(x, target, 0.5, reduction="mean", ignore_index=-1, weight=weight),
+        "focal of pixels": lambda x: L.focal_loss(x, target, 0.5, ignore_index=-1, weight=weight),
+    }
+    for name, call in calls.items():
+        results = []
+        for backend, value in (("auto", x), ("reference", x.double())):
+            leaf = value.detach().requires_grad_()
+            with K.backend(backend):
+                y = call(leaf)
+                # The gradients of means are too small for float16.
+                results.append((y.detach(), torch.autograd.grad(1000 * y.sum(), leaf)[0]))
+        (y, gradient), (expected, expected_gradient) = results
+        rtol = {torch.float32: 2e-5, torch.float16: 2e-3, torch.bfloat16: 1e-2}[dtype]
+        torch.testing.assert_close(y.double(), expected, rtol=rtol, atol=1e-6, msg=name)
+        scale = float(expected_gradient.abs().max())
+        torch.testing.assert_close(gradient.double() / scale, expected_gradient / scale, rtol=rtol, atol=1e-4, msg=name)
+    if device.type == "cuda" and size[0] * size[1] % 4 == 0:
+        leaf, aligned = x.detach().requires_grad_(), x.detach().clone().requires_grad_()
+        y, of_aligned = calls["focal of pixels"](leaf), calls["focal of pixels"](aligned)
+        assert torch.equal(y, of_aligned)
+        assert torch.equal(torch.autograd.grad(y.sum(), leaf)[0], torch.autograd.grad(of_aligned.sum(), aligned)[0])

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import kvision as kv
-from kvision import filters, losses, metrics, morphology
+from kvision import feature, filters, geometry, losses, metrics, morphology
 
 pytestmark = [pytest.mark.native, pytest.mark.large]
 
@@ -37,6 +37,12 @@ STENCILS = {
     "dilation 3, not flat": (lambda x: morphology.dilation(x, torch.ones(3, 3).to(x), KERNEL.to(x)), 1),
     "dilation 7": (lambda x: morphology.dilation(x, torch.ones(7, 7).to(x)), 3),
     "ssim 7": (lambda x: metrics.ssim(x, x.flip(-2), 7), 3),
+    "nms2d 3": (lambda x: geometry.nms2d(x, (3, 3)), 1),
+    "nms2d 5": (lambda x: geometry.nms2d(x, (5, 5)), 2),
+    "nms3d": (lambda x: geometry.nms3d(x[None], (3, 3, 3))[0], 1),
+    "harris_response": (feature.harris_response, 4),
+    "gftt_response": (feature.gftt_response, 4),
+    "hessian_response": (feature.hessian_response, 2),
 }
 HALVES = (torch.float16, torch.bfloat16)
 

@@ -81,9 +81,13 @@ struct Climb {
   __device__ __forceinline__ bool is_summit(int n) const { return candidates[0][n] > above[n]; }
 };
 
+// How a strip of rows is accessed: rows of vectors, or rows that begin anywhere.
+template <int R, bool Aligned, int P>
+using RowStrip = Strip<R, Aligned, P, kStripThreads / 32>;
+
 // P elements of a row, and R elements on either side, which the ends of a warp read themselves. Out-of-bounds elements
 // are NaN, and nothing is above NaN.
-template <class T, int R, int P>
+template <class T, int R, int P, bool Aligned>
 struct Row {
   Vector<T, P> own;
   Vector<T, R> left, right;
@@ -93,15 +97,16 @@ struct Row {
     for (int i = 0; i < R; ++i) left.v[i] = right.v[i] = none();
   }
   __device__ __forceinline__ static T none() { return round_to<T>(__uint_as_float(0x7fc00000)); }
-  __device__ __forceinline__ void fetch(T const* at, bool in_bounds, int x, int width) {
+  __device__ __forceinline__ void fetch(RowStrip<R, true, P> const& strip, T const* row, bool in_bounds) {
+    T const* const at = row + strip.x;
 #pragma unroll
     for (int i = 0; i < P; ++i) own.v[i] = none();
     if (!in_bounds) return;
-    if (x < width) own = *reinterpret_cast<Vector<T, P> const*>(at);
-    if (threadIdx.x % 32 == 0 && x > 0) left = *reinterpret_cast<Vector<T, R> const*>(at - R);
-    if (threadIdx.x % 32 == 31 && x + P < width) right = *reinterpret_cast<Vector<T, R> const*>(at + P);
+    if (strip.inside) own = *reinterpret_cast<Vector<T, P> const*>(at);
+    if (threadIdx.x % 32 == 0 && strip.x > 0) left = *reinterpret_cast<Vector<T, R> const*>(at - R);
+    if (threadIdx.x % 32 == 31 && strip.x + P < strip.width) right = *reinterpret_cast<Vector<T, R> const*>(at + P);
   }
-  __device__ __forceinline__ void spread(float (&v)[P + 2 * R]) const {
+  __device__ __forceinline__ void spread(RowStrip<R, true, P> const&, float (&v)[P + 2 * R]) const {
 #pragma unroll
     for (int i = 0; i < P; ++i) v[R + i] = read(own.v[i]);
 #pragma unroll
@@ -113,7 +118,20 @@ struct Row {
   }
 };
 
-template <class T, int R, int D, bool Minima>
+// Rows that begin anywhere. Out-of-bounds elements are any numbers: windows that have some are discarded.
+template <class T, int R, int P>
+struct Row<T, R, P, false> {
+  typename RowStrip<R, false, P>::template FetchedRow<T> fetched{};
+
+  __device__ __forceinline__ void fetch(RowStrip<R, false, P> const& strip, T const* row, bool in_bounds) {
+    if (in_bounds) fetched = strip.fetch(row);
+  }
+  __device__ __forceinline__ void spread(RowStrip<R, false, P> const& strip, float (&v)[P + 2 * R]) const {
+    strip.spread(fetched, v);
+  }
+};
+
+template <class T, int R, int D, bool Minima, bool Aligned>
 __global__ void __launch_bounds__(kStripThreads)
     strips_down(__grid_constant__ Nms<T> const p, Strips<kPixels<T>> const strips) {
   constexpr int P = kPixels<T>, kPlanes = 2 * D + 1;
@@ -121,18 +139,30 @@ __global__ void __launch_bounds__(kStripThreads)
   int x, y0;
   if (!strips.locate(plane, x, y0)) return;
   int const width = int(p.x.width), height = int(p.x.height), z = D > 0 ? int(plane % p.depth) : 0;
-  T const* next = p.x.row(plane, 0) + (y0 - R) * p.x.row_stride + x;
-  T* values = p.y.row(plane, y0) + x;
-  uint8_t *maxima = p.maxima.row(plane, y0) + x, *minima = p.minima.row(plane, y0) + x;
-  Row<T, R, P> ahead[kPlanes];
+  RowStrip<R, Aligned, P> const strip(x, width, Border::constant);
+  T const* next = p.x.row(plane, 0) + (y0 - R) * p.x.row_stride;
+  T* values = p.y.row(plane, y0);
+  uint8_t *maxima = p.maxima.row(plane, y0), *minima = p.minima.row(plane, y0);
+  Row<T, R, P, Aligned> ahead[kPlanes];
   auto const fetch = [&](int y) {
 #pragma unroll
     for (int k = 0; k < kPlanes; ++k) {
       bool const between = k == D || (z + k >= D && z + k < D + int(p.depth));
-      ahead[k].fetch(next + (k - D) * p.x.outer_stride, y >= 0 && y < height && between, x, width);
+      ahead[k].fetch(strip, next + (k - D) * p.x.outer_stride, y >= 0 && y < height && between);
     }
     next += p.x.row_stride;
   };
+  auto const store_flags = [&](uint8_t* row, Vector<uint8_t, P> const& flags) {
+    if constexpr (!Aligned)
+      store_words(row + x, flags, x, width);
+    else if (strip.inside)
+      *reinterpret_cast<Vector<uint8_t, P>*>(row + x) = flags;
+  };
+  // Of unaligned rows: the columns, one a bit, and the rows whose windows are inside.
+  unsigned columns = 0;
+#pragma unroll
+  for (int n = 0; n < P; ++n) columns |= unsigned(x + n >= R && x + n < width - R) << n;
+  int const first_row = z >= D && z < int(p.depth) - D ? R : height, last_row = height - R;
   fetch(y0 - R);
   Climb<R, D, P> high{}, low{};
 #pragma unroll(R + 1)
@@ -140,24 +170,25 @@ __global__ void __launch_bounds__(kStripThreads)
     if (y0 + i >= height) break;
     float v[kPlanes][P + 2 * R];
 #pragma unroll
-    for (int k = 0; k < kPlanes; ++k) ahead[k].spread(v[k]);
+    for (int k = 0; k < kPlanes; ++k) ahead[k].spread(strip, v[k]);
     fetch(y0 + R + i + 1);
     high.next(v, 1);
     if constexpr (Minima) low.next(v, -1);
     if (i < 0) continue;
-    Vector<T, P> shown;
+    unsigned const inside = y0 + i >= first_row && y0 + i < last_row ? columns : 0;
+    auto const counts = [&](int n) { return Aligned || (inside >> n & 1); };
+    float shown[P];
     Vector<uint8_t, P> is_maximum, is_minimum;
 #pragma unroll
     for (int n = 0; n < P; ++n) {
-      is_maximum.v[n] = high.is_summit(n);
-      shown.v[n] = high.is_summit(n) ? round_to<T>(high.middle(n)) : T{};
-      if constexpr (Minima) is_minimum.v[n] = low.is_summit(n);
+      bool const is_summit = high.is_summit(n) && counts(n);
+      is_maximum.v[n] = is_summit;
+      shown[n] = is_summit ? high.middle(n) : 0.f;
+      if constexpr (Minima) is_minimum.v[n] = low.is_summit(n) && counts(n);
     }
-    if (x < width) {
-      if (p.y.data) *reinterpret_cast<Vector<T, P>*>(values) = shown;
-      if (p.maxima.data) *reinterpret_cast<Vector<uint8_t, P>*>(maxima) = is_maximum;
-      if constexpr (Minima) *reinterpret_cast<Vector<uint8_t, P>*>(minima) = is_minimum;
-    }
+    if (p.y.data) strip.store_in_stripes(values, shown);
+    if (p.maxima.data) store_flags(maxima, is_maximum);
+    if constexpr (Minima) store_flags(minima, is_minimum);
     values += p.y.row_stride;
     maxima += p.maxima.row_stride;
     if constexpr (Minima) minima += p.minima.row_stride;
@@ -199,15 +230,21 @@ int nms(Nms<T> const& p, CUstream_st* stream) {
            p.after[2] == r;
   };
   if constexpr (sizeof(T) < 8)
-    if (is_vectorizable<P>(p.x) && (!p.y.data || is_vectorizable<P>(p.y))) {
+    if (p.x.step == 1) {
       Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
-      auto const run = [&](auto kernel) {
+      auto const run = [&](auto reach, auto depth, auto minima) {
+        auto* kernel = strips_down<T, reach.value, depth.value, minima.value, false>;
+        if (is_vectorizable<P>(p.x) && (!p.y.data || is_vectorizable<P>(p.y)))
+          kernel = strips_down<T, reach.value, depth.value, minima.value, true>;
         kernel<<<strips.blocks(kStripThreads / 32), kStripThreads, 0, stream>>>(p, strips);
         return cudaGetLastError();
       };
-      if (reaches(0, 1) && !p.minima.data) return run(strips_down<T, 1, 0, false>);
-      if (reaches(0, 2) && !p.minima.data) return run(strips_down<T, 2, 0, false>);
-      if (reaches(1, 1)) return p.minima.data ? run(strips_down<T, 1, 1, true>) : run(strips_down<T, 1, 1, false>);
+      std::integral_constant<int, 0> const flat;
+      std::integral_constant<int, 1> const one;
+      std::integral_constant<int, 2> const two;
+      if (reaches(0, 1) && !p.minima.data) return run(one, flat, std::false_type{});
+      if (reaches(0, 2) && !p.minima.data) return run(two, flat, std::false_type{});
+      if (reaches(1, 1)) return p.minima.data ? run(one, one, std::true_type{}) : run(one, one, std::false_type{});
     }
   unsigned const across = unsigned(ceil_div(p.x.row_size(), 32)), down = unsigned(ceil_div(p.x.height, 8));
   any_window<T><<<unsigned(p.x.count() * across * down), kThreads, 0, stream>>>(p, across, down);

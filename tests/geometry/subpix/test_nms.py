@@ -76,6 +76,25 @@ def test_equal_neighbors_and_nan_are_no_maxima(device):
     assert not G.nms2d(x, (3, 3)).any()
 
 
+@pytest.mark.native
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16], ids=str)
+@pytest.mark.parametrize("width", [3, 129, 254, 257, 513])
+def test_masks_of_rows_that_begin_anywhere(width, dtype, device):
+    x = torch.rand(2, 3, 4, 33, width, device=device).to(dtype)
+    x[0, 1, 2, 7, width // 2] = float("nan")
+    calls = [
+        lambda x: G.nms2d(x[:, 0], (3, 3), mask_only=True),
+        lambda x: G.nms2d(x[:, 0], (5, 5), mask_only=True),
+        lambda x: G.nms3d(x, (3, 3, 3), mask_only=True),
+        lambda x: torch.stack(G.nms3d_minmax(x)),
+    ]
+    for call in calls:
+        with K.backend("reference"):
+            expected = call(x)
+        assert torch.equal(call(x), expected)
+        assert width == 3 or expected.any()
+
+
 class TestNmsOperators(PointOpTests):
     calls = {
         name: [

@@ -1,5 +1,5 @@
-// Runs a pass over images: a warp and a program of color steps. Included by warp_and_color_op.cpp and
-// draw_warp_and_color_op.cpp.
+// Runs a pass over images: a warp and a program of color steps. Included by warp_and_color_op.cpp,
+// draw_warp_and_color_op.cpp and operations_op.cpp.
 #pragma once
 
 #include "glue/glue.h"
@@ -9,6 +9,23 @@ namespace kv::augmentation {
 // The integers of a plan before its transforms: the dtype and the layout of the result; interpolation, padding and
 // align_corners.
 constexpr size_t kPassOptions = 5;
+
+// Calls run(Type<T>{}) with the storage type of images that are computed in float.
+template <class Run>
+void dispatch_joined(char const* op, Tensor const& x, Run run) {
+  switch (x.scalar_type()) {
+    case ScalarType::Byte:
+      return run(Type<uint8_t>{});
+    case ScalarType::Float:
+      return run(Type<float>{});
+    case ScalarType::Half:
+      return run(Type<Half>{});
+    case ScalarType::BFloat16:
+      return run(Type<BFloat16>{});
+    default:
+      KV_CHECK(false, op, ": no kernel for this dtype");
+  }
+}
 
 // The result; the matrices of the warp (B, 3, 3), if there is one; the means of contrast (B, 1), if there is contrast.
 struct PassResults {

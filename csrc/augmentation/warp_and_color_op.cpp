@@ -157,22 +157,6 @@ Tensor materialized([[maybe_unused]] char const* op, Tensor const& grad) {
   return result;
 }
 
-template <class Run>
-void dispatch_joined(char const* op, Tensor const& x, Run run) {
-  switch (x.scalar_type()) {
-    case ScalarType::Byte:
-      return run(Type<uint8_t>{});
-    case ScalarType::Float:
-      return run(Type<float>{});
-    case ScalarType::Half:
-      return run(Type<Half>{});
-    case ScalarType::BFloat16:
-      return run(Type<BFloat16>{});
-    default:
-      KV_CHECK(false, op, ": no kernel for this dtype");
-  }
-}
-
 // The result and the means of contrast.
 std::tuple<Tensor, Tensor> run_joined(WarpAndColorArguments const& a, Tensor const& image,
                                       color::ProgramArguments const& arguments) {

@@ -1,6 +1,7 @@
 """The operations of policies, by name: what they do with a sample's value, for a whole batch at once.
 
-An operation is a number of the sample, and so is its value. What a step of a policy executes on a batch:
+An operation is a number of the sample, and so is its value. One kernel runs a step on a batch, each sample's operation
+alone. Where a gradient is wanted, a graph is traced or a type has no kernel, a step executes on the whole batch:
 
     all operations that move pixels       one matrix a sample (the identity for other operations) and one warp
     all operations on single pixels       one color program, whose order has the step of each sample's operation alone
@@ -17,8 +18,10 @@ import torch
 from torch import Tensor
 
 from kvision import enhance
+from kvision._ops import FastPath
 from kvision.augmentation import transforms
 from kvision.augmentation.container.stages import Stage, Warp
+from kvision.augmentation.drawn_pass import COMPUTED_IN_FLOAT32
 from kvision.augmentation.geometric_base import warp
 from kvision.augmentation.transforms import transform_matrix
 from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Pass, Resampling, make_pass
@@ -73,6 +76,43 @@ _COLOR = {  # all take the value from column 0
 }
 _BILINEAR = Resampling("bilinear", "zeros")
 
+_apply_operations = FastPath("apply_operations", COMPUTED_IN_FLOAT32)
+
+
+def execute_steps(
+    x: Tensor, names: Sequence[Sequence[str]], operation: Tensor, value: Tensor
+) -> tuple[Tensor, list[Stage]]:
+    """Run operations on each image, one after the other.
+
+    Args:
+        x: images (B, C, H, W).
+        names: the operations that may occur, of each step.
+        operation: numbers (B, steps) of the operations, -1 for none.
+        value: (B, steps), the values of the operations.
+
+    Returns:
+        The images, and what labels have to follow.
+    """
+    if _has_kernel(x, operation, value):
+        x, matrices = _apply_operations.kernel(x, operation, value)
+        size = (x.shape[-2], x.shape[-1])
+        moves = [_moves_pixels(of_step) for of_step in names]
+        return x, [Warp(matrix, size, size, _BILINEAR) for matrix, move in zip(matrices.unbind(), moves) if move]
+    stages: list[Stage] = []
+    for of_step, numbers, values in zip(names, operation.unbind(1), value.unbind(1)):
+        x, more = execute_step(x, of_step, numbers, values)
+        stages += more
+    return x, stages
+
+
+def _has_kernel(x: Tensor, operation: Tensor, value: Tensor) -> bool:
+    is_usual = x.shape[1] == 3 and operation.dtype == torch.int64 and value.dtype == torch.float32
+    return is_usual and not value.requires_grad and _apply_operations.serves(x)
+
+
+def _moves_pixels(names: Sequence[str]) -> bool:
+    return any(name in names for name in _GEOMETRIC)
+
 
 def execute_step(x: Tensor, names: Sequence[str], operation: Tensor, value: Tensor) -> tuple[Tensor, list[Stage]]:
     """Run one operation on each image.
@@ -88,7 +128,7 @@ def execute_step(x: Tensor, names: Sequence[str], operation: Tensor, value: Tens
     """
     stages: list[Stage] = []
     size = (x.shape[-2], x.shape[-1])
-    if any(name in names for name in _GEOMETRIC):
+    if _moves_pixels(names):
         matrix = _matrix(operation, value, *size)
         x = warp(x, matrix, size, _BILINEAR)
         stages.append(Warp(matrix, size, size, _BILINEAR))

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator, Tensor
 
-from kvision.augmentation.auto.operation_table import OPERATIONS, execute_step
+from kvision._ops import FastPath
+from kvision.augmentation.auto.operation_table import OPERATIONS, execute_steps
 from kvision.augmentation.columns import DrawPlan, fits_one_launch, plan_draws
 from kvision.augmentation.container.image import ImageSequential, ParamItem, identity_of
 from kvision.augmentation.container.runs import Randomness
@@ -21,6 +22,8 @@ __all__ = ["PolicyAugmentBase"]
 
 LEVELS = 30  # the highest level of magnitude; the lowest is 0
 _MODES = ("silent", "silence", "rigid", "skip")
+
+_choose_operations = FastPath("choose_operations", (torch.float32,))
 
 
 class Entry(NamedTuple):
@@ -43,9 +46,9 @@ class Drawn(NamedTuple):
 class PolicyAugmentBase(ImageSequential):
     """Base of the policies: each sample gets one of some sub-policies, whose operations run one after the other.
 
-    One launch draws the choices and the values of all samples. An operation runs on the whole batch, on that of samples
-    with another operation without effect, so that nothing waits for the device. Operations that move pixels share a warp,
-    those of single pixels a color program.
+    The choices and the values of all samples are drawn at once, and one kernel runs a step on the batch, each sample's
+    operation alone, so that nothing waits for the device. For images with a gradient, of float64 or of other than three
+    channels, an operation runs on the whole batch, without effect on samples with another one.
 
     Values in which an operation has a direction (rotate, shear, translate) or a neutral factor (color, contrast,
     brightness, sharpness) are mirrored about the value that changes nothing for a random half of the samples.
@@ -124,10 +127,13 @@ class PolicyAugmentBase(ImageSequential):
 
     def _of_columns(self, columns: Tensor) -> Drawn:
         """What the columns (B, P) of the request say."""
+        top = float(max(self._top_level, 1))
+        if _choose_operations.serves(columns):
+            return Drawn(*_choose_operations.kernel(columns, self._table, self.count, top))
         columns = columns.unflatten(1, (self.count, 1 + 3 * self._length))
         number, probability, low, high, neutral = self._table[columns[..., 0].long()].unbind(-1)
         chance, level, mirrored = columns[..., 1:].unflatten(-1, (self._length, 3)).unbind(-1)
-        value = low + (high - low) * level / max(self._top_level, 1)
+        value = low + (high - low) * level / top
         value = torch.where((mirrored > 0.5) & ~neutral.isnan(), 2 * neutral - value, value)
         operation = torch.where(chance < probability, number, -1.0).long()
         return Drawn(operation.flatten(1), value.flatten(1))
@@ -195,11 +201,9 @@ class PolicyAugmentBase(ImageSequential):
 
     def _run(self, x: Tensor, drawn: Drawn) -> tuple[Tensor, list[Stage]]:
         """Execute what was drawn; gives the images, and what labels have to follow."""
-        stages: list[Stage] = []
-        for i, (operation, value) in enumerate(zip(drawn.operation.unbind(1), drawn.value.unbind(1))):
-            x, more = execute_step(x, self._names[i % self._length], operation, value)
-            stages += more
-        return x, stages
+        steps = drawn.operation.shape[1]
+        names = [self._names[i % self._length] for i in range(steps)]
+        return execute_steps(x, names, drawn.operation, drawn.value)
 
     def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:
         return self._execute(x, params, source), Applied(self, None, {}, self._stages)

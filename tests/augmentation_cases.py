@@ -19,7 +19,6 @@ class Case(NamedTuple):
     gradient: bool = True  # differentiable at random images, with respect to them
     one_kernel: bool = False  # a parameter is shared by the samples of a batch
     all_or_none: bool = False  # p is that of a batch
-    loops: bool = False  # over the samples, whose parameters the host reads
 
     def make(self, **kwargs: Any) -> Any:
         if self.name == "PadTo":
@@ -60,7 +59,7 @@ INTENSITY = [
     Case("RandomBrightness", ((0.5, 1.5),)),
     Case("RandomChannelDropout"),
     Case("RandomChannelShuffle"),
-    Case("RandomClahe", ((1.0, 4.0), (2, 2)), gradient=False, loops=True),
+    Case("RandomClahe", ((1.0, 4.0), (2, 2)), gradient=False),
     Case("RandomContrast", ((0.5, 1.5),)),
     Case("RandomEqualize", fixed=True, gradient=False),
     Case("RandomGamma", ((0.5, 1.5), (0.8, 1.0))),

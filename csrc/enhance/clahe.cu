@@ -77,11 +77,12 @@ __global__ void __launch_bounds__(Threads)
 
   int const first = int(threadIdx.x) * kEach;
   bool const has_levels = Threads * kEach == kLevels || first < kLevels;
+  int32_t const limit = p.limit_of(plane);
   int count[kEach], above = 0;
 #pragma unroll
   for (int i = 0; i < kEach; ++i) {
     int const all = has_levels ? counter[first + i] : 0;
-    count[i] = min(all, p.limit);
+    count[i] = min(all, limit);
     above += all - count[i];
   }
   Excess const spread(block_sum_to_all(above, sums));

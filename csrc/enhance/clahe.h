@@ -11,6 +11,7 @@
 
 #include "byte_histogram.h"
 #include "core/isa.h"
+#include "plane_parameter.h"
 
 namespace kv::enhance {
 
@@ -63,12 +64,19 @@ struct TileAxis {
   }
 };
 
+// The limit of the counts of a tile, from that of the contrast; without one, more than any count.
+KV_HD int32_t limit_of_counts(double clip_limit, int64_t tile_pixels) {
+  double const most = clip_limit * double(tile_pixels) / kLevels;
+  return clip_limit > 0 && most < INT32_MAX ? max(int32_t(most), 1) : INT32_MAX;
+}
+
 template <class T>
 struct Clahe {
   Planes<T const> x;  // one plane per channel
   Planes<T> y;
   TileAxis down, across;
-  int32_t limit;    // the clip limit of a tile's counts
+  int32_t limit;  // of a tile's counts, where `clip_limits` is no tensor
+  PlaneParameter<Compute<T>> clip_limits;
   bool to_levels;   // the result is rounded to levels
   uint8_t* tables;  // kLevels for every tile of every plane; null on the CPU if the work is divided by planes
   // CPU, with tables: whether a row of tiles has a NaN.
@@ -76,6 +84,9 @@ struct Clahe {
 
   KV_HD uint8_t* tables_of(int64_t plane) const { return tables + plane * down.count * across.count * kLevels; }
   KV_HD bool by_cells() const { return tables != nullptr; }
+  KV_HD int32_t limit_of(int64_t plane) const {
+    return clip_limits.data ? limit_of_counts(double(clip_limits.of(plane)), int64_t(down.size) * across.size) : limit;
+  }
 };
 
 // On the CPU the work is divided by planes. If there are few planes, it is divided by rows of cells, after a first pass

@@ -50,13 +50,14 @@ KV_HD void quantize_row(Clahe<T> const& p, int64_t plane, int64_t y, uint16_t* l
   }
 }
 
-// Computes the tables of a row of tiles; returns whether a pixel is NaN. Row y of the image has its levels at
-// levels_at(y).
+// Computes the tables of a row of tiles of a plane; returns whether a pixel is NaN. Row y of the image has its levels
+// at levels_at(y).
 template <class T, class LevelsAt>
-KV_HD bool make_tables(Clahe<T> const& p, int ty, LevelsAt levels_at, uint8_t* tables) {
+KV_HD bool make_tables(Clahe<T> const& p, int64_t plane, int ty, LevelsAt levels_at, uint8_t* tables) {
   using F = Compute<T>;
   F const scale = F(255) / F(int64_t(p.down.size) * p.across.size);
   int const y0 = ty * p.down.size, y1 = y0 + p.down.size;
+  int32_t const limit = p.limit_of(plane);
   int32_t nan = 0;
   for (int tx = 0; tx < p.across.count; ++tx) {
     int const x0 = tx * p.across.size, x1 = x0 + p.across.size, inside = clamp(p.across.pixels, x0, x1);
@@ -67,7 +68,7 @@ KV_HD bool make_tables(Clahe<T> const& p, int ty, LevelsAt levels_at, uint8_t* t
       for (int x = inside; x < x1; ++x) ++counts.of[0][row[p.across.reflected(x)]];
     }
     for (int k = 0; k < 4; ++k) nan += counts.of[k][kNanLevel];
-    make_table(counts, p.limit, scale, tables + (int64_t(ty) * p.across.count + tx) * kLevels);
+    make_table(counts, limit, scale, tables + (int64_t(ty) * p.across.count + tx) * kLevels);
   }
   return nan > 0;
 }
@@ -154,12 +155,12 @@ void clahe_tables(Clahe<T> const& p, int64_t begin, int64_t end) {
     if constexpr (__is_same(T, uint8_t))
       if (p.x.step == 1) {
         auto const row = [&](int y) { return p.x.row(plane, p.down.reflected(y)); };
-        p.has_nan[r] = make_tables(p, ty, row, p.tables_of(plane));
+        p.has_nan[r] = make_tables(p, plane, ty, row, p.tables_of(plane));
         continue;
       }
     auto const levels_at = [&](int y) { return levels.data + (y - y0) * width; };
     for (int y = y0; y < y0 + p.down.size; ++y) quantize_row(p, plane, p.down.reflected(y), levels_at(y));
-    p.has_nan[r] = make_tables(p, ty, levels_at, p.tables_of(plane));
+    p.has_nan[r] = make_tables(p, plane, ty, levels_at, p.tables_of(plane));
   }
 }
 
@@ -200,7 +201,7 @@ void clahe(Clahe<T> const& p, int64_t begin, int64_t end) {
     if constexpr (__is_same(T, uint8_t))
       if (p.x.step == 1) {
         auto const row = [&](int y) { return p.x.row(r, p.down.reflected(y)); };
-        for (int ty = 0; ty < p.down.count; ++ty) make_tables(p, ty, row, own_tables.data);
+        for (int ty = 0; ty < p.down.count; ++ty) make_tables(p, r, ty, row, own_tables.data);
         for (int cy = 0; cy < cells_down; ++cy) map_cells(r, cy, own_tables.data, false, row);
         continue;
       }
@@ -209,7 +210,7 @@ void clahe(Clahe<T> const& p, int64_t begin, int64_t end) {
     for (int ty = 0; ty < p.down.count; ++ty) {
       for (int y = ty * p.down.size; y < min((ty + 1) * p.down.size, p.down.pixels); ++y)
         quantize_row(p, r, y, levels.data + y * width);
-      nan |= make_tables(p, ty, levels_at, own_tables.data);
+      nan |= make_tables(p, r, ty, levels_at, own_tables.data);
     }
     for (int cy = 0; cy < cells_down; ++cy) map_cells(r, cy, own_tables.data, nan, levels_at);
   }

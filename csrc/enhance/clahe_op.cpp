@@ -13,7 +13,9 @@ TileAxis axis_of(int64_t pixels, int64_t tiles, bool fits, bool opencv) {
   return {int(tiles), int(size), int(pixels), !opencv};
 }
 
-Tensor equalize_clahe(Tensor const& input, double clip_limit, int64_t rows, int64_t columns, bool opencv) {
+// `clip_limits`, if it has data, has the limits of the images or channels.
+Tensor equalize_clahe(Tensor const& input, std::optional<Tensor> const& clip_limits, double clip_limit, int64_t rows,
+                      int64_t columns, bool opencv) {
   constexpr char const* op = "equalize_clahe";
   check_planes(op, input);
   int64_t const h = input.size(2), w = input.size(3);
@@ -23,8 +25,6 @@ Tensor equalize_clahe(Tensor const& input, double clip_limit, int64_t rows, int6
   TileAxis const down = axis_of(h, rows, fits, opencv), across = axis_of(w, columns, fits, opencv);
   int64_t const pixels = int64_t(down.size) * across.size;
   KV_CHECK(pixels <= INT32_MAX, op, ": expected tiles of fewer than 2^31 pixels");
-  double const most = clip_limit * double(pixels) / kLevels;
-  int32_t const limit = clip_limit > 0 && most < INT32_MAX ? max(int32_t(most), 1) : INT32_MAX;
 
   Layout const layout = layout_of(input);
   Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
@@ -40,8 +40,15 @@ Tensor equalize_clahe(Tensor const& input, double clip_limit, int64_t rows, int6
                  *const has_nan = by_cells ? tables + planes * rows * columns * kLevels : nullptr;
   dispatch_floating_and_cpu_uint8(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    Clahe<T> const params{
-        channel_planes<T const>(x, layout), channel_planes<T>(y, layout), down, across, limit, opencv, tables, has_nan};
+    Clahe<T> const params{channel_planes<T const>(x, layout),
+                          channel_planes<T>(y, layout),
+                          down,
+                          across,
+                          limit_of_counts(clip_limit, pixels),
+                          plane_parameter<Compute<T>>(op, "clip_limits", x, clip_limits, 0),
+                          opencv,
+                          tables,
+                          has_nan};
 #if !defined(KV_CUDA)
     if (by_cells) KV_RUN(clahe_tables, x, params, planes * rows, 2 * h * w / rows);
 #endif
@@ -52,6 +59,7 @@ Tensor equalize_clahe(Tensor const& input, double clip_limit, int64_t rows, int6
 
 }  // namespace
 
-KV_OPERATOR(equalize_clahe, "(Tensor input, float clip_limit, int rows, int columns, bool opencv) -> Tensor")
+KV_OPERATOR(equalize_clahe,
+            "(Tensor input, Tensor? clip_limits, float clip_limit, int rows, int columns, bool opencv) -> Tensor")
 
 }  // namespace kv::enhance

@@ -3,6 +3,7 @@
 #pragma once
 
 #include "glue/glue.h"
+#include "plane_parameter.h"
 
 namespace kv::enhance {
 
@@ -33,6 +34,20 @@ Planes<T> flat_planes(Tensor const& x, Layout layout) {
   p.height = 1;
   p.row_stride = p.row_size();
   return p;
+}
+
+// A number, or a tensor with one for each image or channel of x.
+template <class F>
+PlaneParameter<F> plane_parameter(char const* op, char const* name, Tensor const& x,
+                                  std::optional<Tensor> const& tensor, double number) {
+  if (!tensor) return {nullptr, 0, 0, 1, F(number)};
+  Tensor const& t = *tensor;
+  KV_CHECK(t.dim() == 3 && (t.size(0) == 1 || t.size(0) == x.size(0)) && (t.size(1) == 1 || t.size(1) == x.size(1)) &&
+               t.size(2) == 1,
+           op, ": expected ", name, " of shape (B, C, 1) or with axes of size 1");
+  KV_CHECK(t.scalar_type() == (sizeof(F) == 8 ? ScalarType::Double : ScalarType::Float) && t.device() == x.device(), op,
+           ": expected ", name, " of the type that is computed in, on the device of input");
+  return {data_ptr<F const>(t), t.size(0) > 1 ? t.stride(0) : 0, t.size(1) > 1 ? t.stride(1) : 0, x.size(1), 0};
 }
 
 // Kernels count the pixels of a plane in int.

@@ -10,36 +10,24 @@
 #include "core/ceil_div.h"
 #include "core/isa.h"
 #include "core/view.h"
+#include "plane_parameter.h"
 #if defined(__CUDACC__)
 #include "core/nan_min_max.cuh"
 #endif
 
 namespace kv::enhance {
 
-// A scalar if there is no tensor.
-template <class F>
-struct Factor {
-  F const* data;
-  int64_t of_image, of_channel;  // strides
-  int64_t channels;
-  F number;
-
-  KV_HD F of(int64_t plane) const {
-    return data ? data[plane / channels * of_image + plane % channels * of_channel] : number;
-  }
-};
-
 template <class T>
 struct Sharpness {
   Planes<T const> x;  // one plane per channel
   Planes<T> y;
-  Factor<Compute<T>> factor;
+  PlaneParameter<Compute<T>> factor;
 };
 template <class T>
 struct SharpnessBackward {
   Planes<T const> grad, x;
   Planes<T> grad_x;
-  Factor<Compute<T>> factor;
+  PlaneParameter<Compute<T>> factor;
   Compute<T>* gradients;  // of the factor: (planes, chunks); null: not needed
   int64_t chunks;
 };

@@ -8,19 +8,6 @@ namespace {
 
 using OptionalTensor = std::optional<Tensor>;
 
-template <class F>
-Factor<F> factor_of(char const* op, Tensor const& x, OptionalTensor const& factor, double number) {
-  if (!factor) return {nullptr, 0, 0, 1, F(number)};
-  Tensor const& f = *factor;
-  KV_CHECK(f.dim() == 3 && (f.size(0) == 1 || f.size(0) == x.size(0)) && (f.size(1) == 1 || f.size(1) == x.size(1)) &&
-               f.size(2) == 1,
-           op, ": expected factor of shape (B, C, 1) or with axes of size 1");
-  KV_CHECK(f.scalar_type() == (sizeof(F) == 8 ? ScalarType::Double : ScalarType::Float) && f.device() == x.device(), op,
-           ": expected factor of the type that is computed in, on the device of input");
-  return {static_cast<F const*>(f.const_data_ptr()), f.size(0) > 1 ? f.stride(0) : 0, f.size(1) > 1 ? f.stride(1) : 0,
-          x.size(1), 0};
-}
-
 Tensor sharpness(Tensor const& input, OptionalTensor const& factor, double number) {
   check_planes("sharpness", input);
   Layout const layout = layout_of(input);
@@ -28,7 +15,7 @@ Tensor sharpness(Tensor const& input, OptionalTensor const& factor, double numbe
   dispatch_floating_and_cpu_uint8("sharpness", x, [&](auto type) {
     using T = typename decltype(type)::type;
     Sharpness<T> const p{channel_planes<T const>(x, layout), channel_planes<T>(y, layout),
-                         factor_of<Compute<T>>("sharpness", x, factor, number)};
+                         plane_parameter<Compute<T>>("sharpness", "factor", x, factor, number)};
     KV_RUN(sharpness, x, p, p.x.rows(), 3 * p.x.width);
   });
   return y;
@@ -59,7 +46,7 @@ std::tuple<Tensor, Tensor> sharpness_backward(Tensor const& grad, Tensor const& 
     SharpnessBackward<T> const p{channel_planes<T const>(g, layout),
                                  of_x,
                                  of_image ? channel_planes<T>(grad_x, layout) : Planes<T>{},
-                                 factor_of<F>(op, x, factor, number),
+                                 plane_parameter<F>(op, "factor", x, factor, number),
                                  of_factor ? static_cast<F*>(gradients.mutable_data_ptr()) : nullptr,
                                  chunks};
     KV_RUN(sharpness_backward, x, p, p.x.rows(), 6 * p.x.width);

@@ -7,12 +7,26 @@
 
 namespace kvision {
 
+namespace detail {
+
+// A number for each sample (B,) or channel (B, C) as (B or 1, C or 1, 1).
+inline std::optional<Tensor> factors(Parameter const& x, Tensor const& image) {
+  if (!x.tensor) return {};
+  Tensor const t = computed(*x.tensor, image);
+  return t.dim() == 2 ? t.unsqueeze(2) : t.reshape({-1, 1, 1});
+}
+
+}  // namespace detail
+
 inline Tensor equalize(Tensor const& input, bool opencv = false) {
   return std::get<0>(ops::equalize(detail::images("equalize", "input", input), opencv));
 }
-inline Tensor equalize_clahe(Tensor const& input, double clip_limit = 40, Size2d grid_size = 8, bool opencv = false) {
-  return ops::equalize_clahe(detail::images("equalize_clahe", "input", input), clip_limit, grid_size->at(0),
-                             grid_size->at(1), opencv);
+// clip_limit: a number, or a tensor (B or 1,) or (B or 1, C or 1).
+inline Tensor equalize_clahe(Tensor const& input, Parameter const& clip_limit = 40, Size2d grid_size = 8,
+                             bool opencv = false) {
+  Tensor const x = detail::images("equalize_clahe", "input", input);
+  return ops::equalize_clahe(x, detail::factors(clip_limit, x), clip_limit.number, grid_size->at(0), grid_size->at(1),
+                             opencv);
 }
 
 inline Tensor normalize_min_max(Tensor const& input, double min_val = 0, double max_val = 1, double eps = 1e-6) {
@@ -41,17 +55,6 @@ inline Tensor image_histogram2d(Tensor const& image, double min = 0, double max 
   return ops::image_histogram2d(x, min, (max - min) / n_bins, n_bins, number)
       .view({image.size(0), image.size(1), n_bins});
 }
-
-namespace detail {
-
-// A number for each sample (B,) or channel (B, C) as (B or 1, C or 1, 1).
-inline std::optional<Tensor> factors(Parameter const& x, Tensor const& image) {
-  if (!x.tensor) return {};
-  Tensor const t = computed(*x.tensor, image);
-  return t.dim() == 2 ? t.unsqueeze(2) : t.reshape({-1, 1, 1});
-}
-
-}  // namespace detail
 
 // src1 alpha + src2 beta + gamma, by numbers or tensors (B or 1,) or (B or 1, C or 1).
 inline Tensor add_weighted(Tensor const& src1, Parameter const& alpha, Tensor const& src2, Parameter const& beta,

@@ -284,8 +284,8 @@ def test_return_transform(case: Case) -> None:
 @names
 def test_compiles(case: Case) -> None:
     """With a seed, and with torch's generator, from which compiled calls draw what eager calls draw."""
-    if case.loops or case.one_kernel:
-        pytest.skip("the host reads limits, or the size of a kernel, where these have a range")
+    if case.one_kernel:
+        pytest.skip("the host reads the size of a kernel, where this has a range")
     torch.compiler.reset()  # one function is compiled for all classes
     x, augment = images(), case.make(**({} if case.changes_size else {"p": 0.7}))
     compiled = torch.compile(lambda x, seed: augment(x, seed=seed), fullgraph=True, backend="aot_eager")
@@ -297,11 +297,8 @@ def test_compiles(case: Case) -> None:
 
 
 @pytest.mark.tracing
-@pytest.mark.parametrize(
-    "make", [lambda: A.RandomClahe((2.0, 2.0), (2, 2), p=1.0), lambda: A.RandomMotionBlur(3, 35.0, 0.5, p=1.0)]
-)
-def test_compiles_without_decisions_of_the_host(make: Any) -> None:
-    x, augment = images(), make()
+def test_compiles_without_decisions_of_the_host() -> None:
+    x, augment = images(), A.RandomMotionBlur(3, 35.0, 0.5, p=1.0)
     compiled = torch.compile(lambda x: augment(x, seed=4), fullgraph=True, backend="aot_eager")
     torch.testing.assert_close(compiled(x), augment(x, seed=4))
 
@@ -321,8 +318,6 @@ def test_the_host_draws_the_size_of_a_kernel_again(p: float, seed: Any) -> None:
 
 @names
 def test_no_call_waits_for_the_device(case: Case, device: torch.device) -> None:
-    if case.loops:
-        pytest.skip("reads the limits of its samples, which it treats one by one")
     x, augment = images(device), case.make(**({} if case.changes_size else {"p": 0.7}))
     does_not_wait(device, [lambda: augment(x), lambda: augment(x, seed=1)])
 
@@ -331,8 +326,6 @@ def test_no_call_waits_for_the_device(case: Case, device: torch.device) -> None:
 def test_a_graph_draws_anew(case: Case, device: torch.device) -> None:
     if device.type != "cuda":
         pytest.skip("CUDA graphs are CUDA's")
-    if case.loops:
-        pytest.skip("reads the limits of its samples, which it treats one by one")
     x, augment = images(device), case.make(p=1.0)
     x = torch.cat([x] * 4)
     for _ in range(2):

@@ -103,9 +103,13 @@ class TestClahe(LevelTests):
         {"clip_limit": 0.0, "grid_size": (1, 1)},
         {"clip_limit": 3.5, "grid_size": (5, 9)},
         {"clip_limit": 3.5, "grid_size": (5, 9), "opencv": True},
+        # Integers, since limits get no gradient; 0 for none.
+        {"clip_limit": lambda x: torch.arange(x.shape[0]), "grid_size": (3, 2)},
+        {"clip_limit": lambda x: 1 + torch.arange(x.shape[0] * x.shape[1]).reshape(x.shape[:2]), "grid_size": (2, 2)},
     ]
     errors = [
         ({"clip_limit": -1.0}, ValueError, "clip_limit"),
+        ({"clip_limit": torch.ones(7)}, ValueError, "clip_limit with the first axes of the images"),
         ({"grid_size": (0, 2)}, ValueError, "grid_size"),
         ({"opencv": 1}, TypeError, "opencv to be a bool"),
         ({"opencv": True, "slow_and_differentiable": True}, ValueError, "opencv without"),
@@ -250,6 +254,23 @@ def test_clahe_by_hand(size, grid):
 def test_clahe_of_the_transposed_image(device):
     x = torch.rand(2, 3, 40, 60, device=device)
     assert_close(E.equalize_clahe(x.mT, 3.0, (5, 3)).mT, E.equalize_clahe(x, 3.0, (3, 5)))
+
+
+def test_clahe_limits_of_samples_and_channels(device, backend):
+    x = torch.rand(3, 2, 40, 50, device=device) ** 3
+    limits = torch.tensor([[1.3, 0.0], [2.75, 400.0], [torch.inf, 0.2]])
+    for options in ({"grid_size": (3, 4)}, {"grid_size": (1, 2), "opencv": True}):
+        y = E.equalize_clahe(x, limits, **options)
+        for i, row in enumerate(limits.tolist()):
+            for k, limit in enumerate(row):
+                limit = 0.0 if limit == torch.inf else limit
+                assert torch.equal(y[i, k], E.equalize_clahe(x[i, k], limit, **options))
+        assert torch.equal(E.equalize_clahe(x, limits[:, 0], **options)[:, 0], y[:, 0])
+    smooth = {"grid_size": (2, 1), "slow_and_differentiable": True}
+    y = E.equalize_clahe(x, limits[:, :1], **smooth)
+    assert_close(y[1], E.equalize_clahe(x[1], 2.75, **smooth))
+    with pytest.raises(ValueError, match="one clip_limit for all pixels"):
+        E.equalize_clahe(x, torch.ones_like(x))
 
 
 def test_clahe_gradient(device):

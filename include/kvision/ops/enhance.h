@@ -18,8 +18,8 @@ inline constexpr Rule unchanged_planes{
 
 inline constexpr Operator<"equalize", Two(Tensor input, bool opencv)> equalize{
     [](Backward const& b) { return b.call("equalize_backward", {}, detail::unchanged_planes); }, 2, false};
-inline constexpr Operator<"equalize_clahe",
-                          Tensor(Tensor input, double clip_limit, int64_t rows, int64_t columns, bool opencv)>
+inline constexpr Operator<"equalize_clahe", Tensor(Tensor input, OptionalTensor clip_limits, double clip_limit,
+                                                   int64_t rows, int64_t columns, bool opencv)>
     equalize_clahe{[](Backward const& b) -> variable_list {
                      return b.call("equalize_backward", {{"output", b.results[0]}, {"changed", {}}},
                                    detail::unchanged_planes);

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from kvision import enhance, filters
@@ -364,7 +363,6 @@ class RandomClahe(IntensityAugmentationBase2D):
         self._param_generator = PlainUniformGenerator(
             (clip_limit, "clip_limit_factor", None, (0.0, float("inf"))), op="RandomClahe"
         )
-        self._limit = clip_limit
         self.flags = {"grid_size": grid_size, "slow_and_differentiable": slow_and_differentiable}
 
     accepts_bytes = False
@@ -372,17 +370,8 @@ class RandomClahe(IntensityAugmentationBase2D):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        options = flags["grid_size"], flags["slow_and_differentiable"]
-        limits = self._limits(params)
-        if len(set(limits)) <= 1:
-            return enhance.equalize_clahe(input, limits[0] if limits else 40.0, *options)
-        return torch.cat([enhance.equalize_clahe(x[None], limit, *options) for x, limit in zip(input, limits)])
-
-    def _limits(self, params: Params) -> list[float]:
-        """The limits of the samples on the host; a fixed one without waiting for the device."""
-        low, high = (float(x) for x in self._limit) if isinstance(self._limit, (tuple, list)) else (0.0, 1.0)
-        factors = params["clip_limit_factor"]
-        return [low] * len(factors) if low == high else [float(x) for x in factors.tolist()]
+        limits = params["clip_limit_factor"]
+        return enhance.equalize_clahe(input, limits, flags["grid_size"], flags["slow_and_differentiable"])
 
 
 class RandomJPEG(IntensityAugmentationBase2D):

@@ -8,24 +8,27 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision._ops import register, with_kernel_casts
-from kvision.core.exceptions import TypeCheckError, ValueCheckError
-from kvision.enhance.batch import as_batch, images, shaped
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.enhance.batch import as_batch, images, parameter, shaped
 from kvision.enhance.equalize import LEVELS, equalize_backward, level_counts, levels
 from kvision.enhance.histogram import kernel_counts
 
 _BANDWIDTH = 0.001  # of the smooth histogram; neighboring levels are 0.0039 apart
 
 
-def _reference(x: Tensor, clip_limit: float, rows: int, columns: int, opencv: bool) -> Tensor:
-    """Equalize every plane of (B, C, H, W) separately."""
+def _reference(
+    x: Tensor, clip_limits: Tensor | None, clip_limit: float, rows: int, columns: int, opencv: bool
+) -> Tensor:
+    """Equalize every plane of (B, C, H, W) separately, with limits (B or 1, C or 1, 1), or one if these are None."""
     tile = _tile(x, rows, columns, opencv)
     tiles = _split(x.flatten(0, 1), rows, columns, tile)
     counts = level_counts(levels(tiles), ~tiles.isnan()).to(compute_dtype(x))
-    return _mapped(x, _tables(counts, clip_limit, tile[0] * tile[1]).round(), rows, columns, tile, opencv)
+    limit = _limit_of_counts(x, clip_limits, clip_limit, rows * columns, tile[0] * tile[1])
+    return _mapped(x, _tables(counts, limit, tile[0] * tile[1]).round(), rows, columns, tile, opencv)
 
 
 def _backward(needs, grad, output, *_):
-    return [equalize_backward(grad, output, None)]
+    return [equalize_backward(grad, output, None) if needs[0] else None, None]
 
 
 _equalize_clahe = register(
@@ -39,11 +42,12 @@ _equalize_clahe = register(
 )
 
 
-def _reference_smooth(x: Tensor, clip_limit: float, rows: int, columns: int) -> Tensor:
+def _reference_smooth(x: Tensor, clip_limits: Tensor | None, clip_limit: float, rows: int, columns: int) -> Tensor:
     """Equalize from smooth histograms with tables that are not rounded, so that there is a gradient."""
     tile = _tile(x, rows, columns, False)
     counts = _smooth_counts(_split(x.flatten(0, 1), rows, columns, tile))
-    return _mapped(x, _tables(counts, clip_limit, tile[0] * tile[1]), rows, columns, tile, False)
+    limit = _limit_of_counts(x, clip_limits, clip_limit, rows * columns, tile[0] * tile[1])
+    return _mapped(x, _tables(counts, limit, tile[0] * tile[1]), rows, columns, tile, False)
 
 
 _equalize_clahe_smooth = with_kernel_casts(_reference_smooth, native_half=True, levels=255)
@@ -101,10 +105,20 @@ def _neighbors(size: int, count: int, tile: int, pixel_center: float, like: Tens
     return first, second, center - before
 
 
-def _tables(counts: Tensor, clip_limit: float, pixels: int) -> Tensor:
+def _limit_of_counts(
+    x: Tensor, clip_limits: Tensor | None, clip_limit: float, tiles: int, pixels: int
+) -> float | Tensor | None:
+    """The limit of the counts of tiles of so many pixels: a number, None for none, or (T, 1) with infinity for none."""
+    if clip_limits is None:
+        return max(clip_limit * pixels // LEVELS, 1) if clip_limit > 0 else None
+    clip = clip_limits.detach().double().expand(*x.shape[:2], 1).reshape(-1, 1)
+    limit = torch.where(clip > 0, (clip * pixels / LEVELS).floor().clamp(min=1), torch.inf)
+    return limit.repeat_interleave(tiles, 0).to(compute_dtype(x))
+
+
+def _tables(counts: Tensor, limit: float | Tensor | None, pixels: int) -> Tensor:
     """Tables from level to level: counts (T, 256) above the limit are redistributed, then accumulated."""
-    if clip_limit > 0:
-        limit = max(clip_limit * pixels // LEVELS, 1)
+    if limit is not None:
         excess = (counts - limit).relu().sum(1, keepdim=True)
         rest = excess % LEVELS
         # OpenCV adds an equal amount to every level, and the remainder one by one to levels at equal distances.
@@ -125,7 +139,7 @@ def _smooth_counts(tiles: Tensor) -> Tensor:
 
 def equalize_clahe(
     input: Tensor,
-    clip_limit: float = 40.0,
+    clip_limit: float | Tensor = 40.0,
     grid_size: tuple[int, int] = (8, 8),
     slow_and_differentiable: bool = False,
     opencv: bool = False,
@@ -138,7 +152,8 @@ def equalize_clahe(
     Args:
         input: (*, C, H, W), floating point, in [0, 1], or uint8. A value x has the level floor(255 x); values outside
             count as 0 or 1, and NaN does not count.
-        clip_limit: maximum count of a level in a tile, as a multiple of the mean count; 0 for no limit.
+        clip_limit: maximum count of a level in a tile, as a multiple of the mean count; 0 for no limit. A number, or a
+            tensor with the first axes of the image, (B,) or (B, C), which gets no gradient.
         grid_size: tiles along (y, x). Any grid fits any image.
         slow_and_differentiable: count with a smooth kernel, so that the tables have a gradient.
         opencv: return the result of `cv2.createCLAHE` for the bytes 255 x, divided by 255: the centers of tiles are
@@ -149,9 +164,11 @@ def equalize_clahe(
         The equalized image, in [0, 1]; in [0, 255], rounded half to even, of uint8.
 
     Raises:
-        TypeCheckError: input is not a tensor of floats or uint8; clip_limit not a number; grid_size is not of ints.
-        ShapeError: input is not (*, C, H, W), or has no pixels.
-        ValueCheckError: clip_limit below 0; grid_size below 1; opencv with slow_and_differentiable.
+        TypeCheckError: input is not a tensor of floats or uint8; clip_limit neither number nor tensor; grid_size is not of
+            ints.
+        ShapeError: input is not (*, C, H, W), or has no pixels; clip_limit has axes that the image has not, or one a pixel.
+        ValueCheckError: a number clip_limit below 0; grid_size below 1; opencv with slow_and_differentiable.
+        DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
 
     Source: K. Zuiderveld, "Contrast limited adaptive histogram equalization" (1994).
 
@@ -161,15 +178,21 @@ def equalize_clahe(
         torch.Size([2, 3, 40, 60])
     """
     images("equalize_clahe", "input", input)
-    limit = _check.number("equalize_clahe", "clip_limit", clip_limit, minimum=0)
+    limit = parameter("equalize_clahe", "clip_limit", clip_limit, input, minimum=0)
+    if isinstance(limit, Tensor) and limit.dim() != 3:
+        raise ShapeError(
+            f"equalize_clahe: expected one clip_limit for all pixels of a channel, got {tuple(limit.shape)}",
+            actual_shape=limit.shape,
+        )
     if not isinstance(grid_size, (tuple, list)):
         raise TypeCheckError(f"equalize_clahe: expected grid_size to be (y, x), got {grid_size!r}")
     rows, columns = _check.pair("equalize_clahe", "grid_size", tuple(grid_size), maximum=_check.LARGEST_INT)
     _check.flag("equalize_clahe", "slow_and_differentiable", slow_and_differentiable)
     _check.flag("equalize_clahe", "opencv", opencv)
     x = as_batch(input)
+    limits = (limit.to(compute_dtype(x)), 0.0) if isinstance(limit, Tensor) else (None, limit)
     if not slow_and_differentiable:
-        return shaped(_equalize_clahe(x, limit, rows, columns, opencv), input)
+        return shaped(_equalize_clahe(x, *limits, rows, columns, opencv), input)
     if opencv:
         raise ValueCheckError("equalize_clahe: expected opencv without slow_and_differentiable, got both")
-    return shaped(_equalize_clahe_smooth(x, limit, rows, columns), input)
+    return shaped(_equalize_clahe_smooth(x, *limits, rows, columns), input)

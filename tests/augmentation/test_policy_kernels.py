@@ -29,7 +29,7 @@ VALUES = {
     "translate_x_pixels": 3.4,
     "translate_y_pixels": -7.0,
 }
-NAMES = list(OPERATIONS)
+NAMES = tuple(OPERATIONS)
 LAYOUTS = {
     "contiguous": lambda x: x,
     "channels_last": lambda x: x.contiguous(memory_format=torch.channels_last),
@@ -100,7 +100,7 @@ def test_steps_follow_each_other(steps, device, kernel_calls):
     order = torch.stack([torch.randperm(len(operation)) for _ in range(steps)], 1).to(device)
     operation, value = operation[order, 0], value[order, 0]
     x = random_images((len(operation), 3, 40, 56), device, torch.float32)
-    names = [NAMES if i % 2 == 0 else [*VALUES] for i in range(steps)]
+    names = [NAMES if i % 2 == 0 else tuple(VALUES) for i in range(steps)]
     operation[:, 1::2] = torch.where(value[:, 1::2] == 0, -1, operation[:, 1::2])
     (y, stages), (fused, fused_stages) = both_ways(x, names, operation, value, serves)
     assert (((fused - y).abs() <= 1e-4).float().mean()) > 0.99
@@ -114,7 +114,7 @@ def test_stages_are_those_that_move_pixels(device, kernel_calls):
     x = random_images((3, 3, 8, 9), device, torch.float32)
     operation = torch.tensor([[OPERATIONS["invert"].number, OPERATIONS["rotate"].number]], device=device).expand(3, 2)
     for _, stages in both_ways(
-        x, [["invert"], ["rotate", "invert"]], operation, torch.full_like(x[:, :2, 0, 0], 9.0), serves
+        x, [("invert",), ("rotate", "invert")], operation, torch.full_like(x[:, :2, 0, 0], 9.0), serves
     ):
         assert len(stages) == 1 and not torch.equal(stages[0].matrix.cpu(), torch.eye(3).expand(3, 3, 3))
 
@@ -141,7 +141,7 @@ def test_flat_channels_stay_as_they_are(name, dtype, device):
     x = torch.full((2, 3, 20, 24), 77 if dtype == torch.uint8 else 0.3, dtype=dtype, device=device)
     x[1] = random_images((3, 20, 24), device, dtype)
     operation = torch.full((2, 1), OPERATIONS[name].number, device=device)
-    y, _ = execute_steps(x, [[name]], operation, torch.zeros(2, 1, device=device))
+    y, _ = execute_steps(x, [(name,)], operation, torch.zeros(2, 1, device=device))
     assert torch.equal(y[0], x[0]) and not torch.equal(y[1], x[1])
 
 

@@ -80,7 +80,7 @@ _apply_operations = FastPath("apply_operations", COMPUTED_IN_FLOAT32)
 
 
 def execute_steps(
-    x: Tensor, names: Sequence[Sequence[str]], operation: Tensor, value: Tensor
+    x: Tensor, names: Sequence[tuple[str, ...]], operation: Tensor, value: Tensor
 ) -> tuple[Tensor, list[Stage]]:
     """Run operations on each image, one after the other.
 
@@ -110,11 +110,12 @@ def _has_kernel(x: Tensor, operation: Tensor, value: Tensor) -> bool:
     return is_usual and not value.requires_grad and _apply_operations.serves(x)
 
 
-def _moves_pixels(names: Sequence[str]) -> bool:
+@functools.lru_cache
+def _moves_pixels(names: tuple[str, ...]) -> bool:
     return any(name in names for name in _GEOMETRIC)
 
 
-def execute_step(x: Tensor, names: Sequence[str], operation: Tensor, value: Tensor) -> tuple[Tensor, list[Stage]]:
+def execute_step(x: Tensor, names: tuple[str, ...], operation: Tensor, value: Tensor) -> tuple[Tensor, list[Stage]]:
     """Run one operation on each image.
 
     Args:

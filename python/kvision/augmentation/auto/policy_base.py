@@ -100,7 +100,8 @@ class PolicyAugmentBase(ImageSequential):
         # By sub-policy and step: number of the operation, probability, lowest and highest value, neutral value.
         rows = [[_row(part[i] if i < len(part) else None) for i in range(self._length)] for part in self.policy]
         self._table = torch.tensor(rows)
-        self._names = [sorted({part[i].name for part in self.policy if i < len(part)}) for i in range(self._length)]
+        names = [{part[i].name for part in self.policy if i < len(part)} for i in range(self._length)]
+        self._names = [tuple(sorted(of_step)) for of_step in names] * count
 
     def extra_repr(self) -> str:
         return f"{len(self.policy)} sub-policies, count={self.count}"
@@ -201,9 +202,7 @@ class PolicyAugmentBase(ImageSequential):
 
     def _run(self, x: Tensor, drawn: Drawn) -> tuple[Tensor, list[Stage]]:
         """Execute what was drawn; gives the images, and what labels have to follow."""
-        steps = drawn.operation.shape[1]
-        names = [self._names[i % self._length] for i in range(steps)]
-        return execute_steps(x, names, drawn.operation, drawn.value)
+        return execute_steps(x, self._names[: drawn.operation.shape[1]], drawn.operation, drawn.value)
 
     def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:
         return self._execute(x, params, source), Applied(self, None, {}, self._stages)

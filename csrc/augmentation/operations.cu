@@ -103,8 +103,8 @@ __global__ void __launch_bounds__(kThreads)
   }
   if (!measures_planes(operation)) return;  // as all blocks of the plane
 
-  int const pixels = int(x.height * x.width), begin = int(part) * each, end = min(begin + each, pixels);
-  measure_part<P>(operation, x.row(b, channel, 0), x.step, min(begin, pixels), end, results);
+  int64_t const pixels = x.height * x.width, begin = min(int64_t(part) * each, pixels);
+  measure_part<P>(operation, x.row(b, channel, 0), x.step, int(begin), int(min(begin + each, pixels)), results);
   __syncthreads();
   if (parts > 1) {
     cluster_arrive();

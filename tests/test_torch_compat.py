@@ -111,3 +111,11 @@ def test_forward_ad_and_transforms_are_seen():
     seen = []
     torch.func.vmap(lambda x: (seen.append(_torch_compat.in_function_transform()), x)[1])(torch.ones(2))
     assert seen == [True] and not _torch_compat.in_function_transform()
+
+
+def test_autocast_of_any_device_is_seen():
+    assert not _torch_compat.is_any_autocast_enabled()
+    with torch.autocast("cpu"):
+        assert _torch_compat.is_any_autocast_enabled()
+        with torch.autocast("cpu", enabled=False):
+            assert not _torch_compat.is_any_autocast_enabled()

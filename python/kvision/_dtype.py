@@ -21,6 +21,12 @@ def compute_dtype(x: Tensor) -> torch.dtype:
     return torch.float64 if x.dtype == torch.float64 else torch.float32
 
 
+def is_autocast_on(x: Tensor) -> bool:
+    """Whether autocast is on for the device of `x`."""
+    device = x.device.type
+    return device != "meta" and torch.is_autocast_enabled(device)  # torch has no answer for meta
+
+
 def as_dtype(x: Tensor, dtype: torch.dtype) -> Tensor:
     """`x.to(dtype)`, without a call of torch where `x` has this type."""
     return x if x.dtype == dtype else x.to(dtype)

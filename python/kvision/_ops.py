@@ -26,6 +26,7 @@ from torch.compiler import is_compiling
 
 from kvision import _backend
 from kvision._backend import backend, current_backend, unserved_devices
+from kvision._dtype import is_autocast_on
 from kvision._torch_compat import (
     before_first_lookup,
     below_autograd,
@@ -34,6 +35,7 @@ from kvision._torch_compat import (
     in_forward_ad,
     in_function_transform,
     in_onnx_export,
+    is_any_autocast_enabled,
     is_tracing,
     kernel_caller,
     schema_of,
@@ -516,11 +518,10 @@ def without_autocast_and_tf32(reference: Callable[..., Any]) -> Callable[..., An
 
     @functools.wraps(reference)
     def wrapped(*args: Any) -> Any:
-        device = args[0].device.type
-        if device != "meta" and torch.is_autocast_enabled(device):  # torch has no answer for meta
-            with torch.autocast(device, enabled=False):
+        if is_any_autocast_enabled() and is_autocast_on(args[0]):
+            with torch.autocast(args[0].device.type, enabled=False):
                 return wrapped(*args)
-        if device == "cuda" and not is_compiling() and _cudnn_conv.fp32_precision != "ieee":
+        if args[0].is_cuda and not is_compiling() and _cudnn_conv.fp32_precision != "ieee":
             with _without_tf32():
                 return wrapped(*args)
         return reference(*args)

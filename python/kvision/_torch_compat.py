@@ -32,6 +32,7 @@ __all__ = [
     "in_forward_ad",
     "in_function_transform",
     "in_onnx_export",
+    "is_any_autocast_enabled",
     "is_tracing",
     "kernel_caller",
     "refuse_script",
@@ -46,6 +47,10 @@ in_function_transform = _are_functorch_transforms_active
 # Whether torch.jit.trace records. torch.jit.is_tracing is public, but has two Python frames around this, which is asked on
 # every call; unlike it, this one waits for torch.compile to know it.
 is_tracing = torch._C._is_tracing
+
+# Whether a device's autocast is on. torch.is_autocast_enabled is public, but asks for one device by its name, which takes longer
+# to find than this answer, nearly always no. Waits for a public one.
+is_any_autocast_enabled = torch._C._is_any_autocast_enabled
 
 # Calls inside skip autograd's dispatch key and reach the kernel. Python's counterpart of the public C++ class
 # at::AutoDispatchBelowAutograd; waits for a public one, such as a context manager in torch.library.

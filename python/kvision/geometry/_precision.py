@@ -9,6 +9,8 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
+from kvision._dtype import is_autocast_on
+from kvision._torch_compat import is_any_autocast_enabled
 from kvision.geometry.linalg import root
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -24,21 +26,22 @@ def in_full_precision(function: F) -> F:
 
     @functools.wraps(function)
     def wrapped(*args: Any, **kwargs: Any) -> Any:
-        first = None
-        fits = True
-        for a in (*args, *kwargs.values()) if kwargs else args:
-            if isinstance(a, Tensor):
-                if first is None:
-                    first = a
-                    computed = torch.float32 if a.dtype in _HALF_TYPES else a.dtype
-                fits = fits and (a.dtype is computed or not a.is_floating_point())
-        if first is None:
-            return function(*args, **kwargs)  # raises the error for a missing tensor
-        device = first.device.type
-        if device != "meta" and torch.is_autocast_enabled(device):
-            with torch.autocast(device, enabled=False):
+        values = (*args, *kwargs.values()) if kwargs else args
+        if not is_any_autocast_enabled():
+            for a in values:
+                if isinstance(a, Tensor) and a.dtype is not torch.float32:
+                    break
+            else:
+                return function(*args, **kwargs)  # which also raises the error for a missing tensor
+        tensors = [a for a in values if isinstance(a, Tensor)]
+        if not tensors:
+            return function(*args, **kwargs)
+        first = tensors[0]
+        if is_autocast_on(first):
+            with torch.autocast(first.device.type, enabled=False):
                 return wrapped(*args, **kwargs)
-        if fits or not first.is_floating_point():
+        computed = torch.float32 if first.dtype in _HALF_TYPES else first.dtype
+        if not first.is_floating_point() or all(a.dtype is computed or not a.is_floating_point() for a in tensors):
             return function(*args, **kwargs)
         output = function(*_map(lambda x: x.to(computed), args), **_map(lambda x: x.to(computed), kwargs))
         return _map(lambda y: y.to(first.dtype), output)

@@ -15,7 +15,6 @@ from kvision.geometry.conversions.series import (
     angle_per_tangent_with_derivatives,
     cos,
     sinc,
-    squared,
 )
 
 __all__ = [
@@ -144,21 +143,29 @@ def distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor, p
 
 @with_kernel_casts
 def _distort_fisheye(points: Tensor, params: Tensor) -> Tensor:
-    return _to_pixels(points * _radial_scale(squared(points), params), params)
-
-
-def _radial_scale(square: Tensor, params: Tensor) -> Tensor:
-    """The distorted over the undistorted radius, as a function of the squared distance from the optical axis."""
+    square = _squared_radius(points)
+    # The distorted over the undistorted radius.
     per_radius = angle_per_tangent(square)
-    return per_radius * _polynomial(per_radius.square() * square, params[..., 4:].split(1, -1))
+    scale = per_radius * _polynomial(per_radius.square() * square, _coefficients(params))
+    return _to_pixels(points * scale.unsqueeze(-1), params)
 
 
-def _polynomial(square: Tensor, k: Sequence[Tensor]) -> Tensor:
-    """1 + k0 s + k1 s^2 + k2 s^3 + k3 s^4, of s = `square`."""
-    total = torch.addcmul(k[2], k[3], square)
-    total = torch.addcmul(k[1], total, square)
-    total = torch.addcmul(k[0], total, square)
-    return 1 + total * square
+def _squared_radius(points: Tensor) -> Tensor:
+    """(*), one number a point: torch's loops are then as long as the points are many."""
+    x, y = points.unbind(-1)
+    return torch.addcmul(x * x, y, y)
+
+
+def _coefficients(params: Tensor) -> list[Tensor]:
+    """Those of the distorted angle over the angle, a polynomial in the squared angle: 1, k0, k1, k2, k3."""
+    return [params.new_ones(()), *params[..., 4:].unbind(-1)]
+
+
+def _polynomial(x: Tensor, coefficients: Sequence[Tensor]) -> Tensor:
+    *others, total = coefficients
+    for c in reversed(others):
+        total = torch.addcmul(c, total, x)
+    return total
 
 
 def undistort_points_kannala_brandt(distorted_points_in_camera: Tensor, params: Tensor) -> Tensor:
@@ -190,23 +197,24 @@ def undistort_points_kannala_brandt(distorted_points_in_camera: Tensor, params: 
 @with_kernel_casts
 def _undistort_fisheye(pixels: Tensor, params: Tensor) -> Tensor:
     points = _from_pixels(pixels, params)
-    square = squared(points)
+    square = _squared_radius(points)
+    k = _coefficients(params)
+    derivative = [c * n for c, n in zip(k, (1, 3, 5, 7, 9))]  # of the distorted angle by the angle
+    fixed = square.detach(), [c.detach() for c in k], [c.detach() for c in derivative]
     # The angle is `ratio` times the distorted radius: ratio * polynomial(angle^2) = 1.
     ratio = torch.ones_like(square)
-    # Side by side the polynomial in the angle, and the derivative of the angle times the polynomial.
-    both = [torch.cat([k, weight * k], -1) for k, weight in zip(params[..., 4:].split(1, -1), (3, 5, 7, 9))]
-    fixed = [k.detach() for k in both]
     for _ in range(10):
-        ratio = _newton(ratio, square.detach(), fixed)
+        ratio = _newton(ratio, *fixed)
     for _ in range(2):
-        ratio = _newton(ratio, square, both)
-    angle = ratio.square() * square
-    return points * ratio * sinc(angle) / cos(angle)
+        ratio = _newton(ratio, square, k, derivative)
+    angle = ratio * ratio * square
+    return points * (ratio * sinc(angle) / cos(angle)).unsqueeze(-1)
 
 
-def _newton(ratio: Tensor, square: Tensor, both: Sequence[Tensor]) -> Tensor:
-    value, derivative = _polynomial(ratio.square() * square, both).split(1, -1)
-    return ratio - (ratio * value - 1) / derivative
+def _newton(ratio: Tensor, square: Tensor, k: Sequence[Tensor], derivative: Sequence[Tensor]) -> Tensor:
+    angle = ratio * ratio * square
+    residual = torch.addcmul(-k[0], ratio, _polynomial(angle, k))  # ratio * polynomial - 1
+    return torch.addcdiv(ratio, residual, _polynomial(angle, derivative), value=-1)
 
 
 def dx_distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor, params: Tensor) -> Tensor:
@@ -237,12 +245,13 @@ def dx_distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor
 @with_kernel_casts
 def _fisheye_jacobian(points: Tensor, params: Tensor) -> Tensor:
     x, y = points.unbind(-1)
-    fx, fy, _, _, *k = params.unbind(-1)
-    square = torch.addcmul(x * x, y, y)
-    # As in _radial_scale. The derivatives are with respect to the squared distance.
+    fx, fy = params[..., 0], params[..., 1]
+    one, *k = _coefficients(params)
+    square = _squared_radius(points)
+    # As in _distort_fisheye. The derivatives are with respect to the squared distance.
     per_radius, grad_per_radius, grad_angle = angle_per_tangent_with_derivatives(square)
     angle = per_radius * per_radius * square
-    polynomial = _polynomial(angle, k)
+    polynomial = _polynomial(angle, (one, *k))
     grad_polynomial = torch.addcmul(k[0], angle, 2 * k[1] + angle * torch.addcmul(3 * k[2], angle, k[3], value=4))
     scale = per_radius * polynomial
     twice = 2 * torch.addcmul(grad_per_radius * polynomial, per_radius * per_radius * grad_angle, grad_polynomial)

@@ -325,13 +325,14 @@ def ints(op: str, name: str, value: Any, count: int, minimum: int = 1, maximum: 
     The maximum is LARGEST_WINDOW for the windows of filters. Scalars of NumPy and torch become ints. A symbolic size of
     torch.export and torch.compile stays symbolic; the kernels check its maximum when the graph runs.
     """
-    values = (value,) * count if type(value) is int else value
-    if isinstance(values, (tuple, list)) and len(values) == count:
-        for n in values:
+    if type(value) is int and minimum <= value <= maximum:
+        return (value,) * count
+    if isinstance(value, (tuple, list)) and len(value) == count:
+        for n in value:
             if type(n) is not int or n < minimum or n > maximum:
                 break
         else:
-            return tuple(values)
+            return tuple(value)
     values = scalars(op, name, value)
     if is_int(values):
         values = (values,) * count

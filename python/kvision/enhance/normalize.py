@@ -12,10 +12,14 @@ from torch.compiler import is_compiling
 from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
+from kvision._torch_compat import is_tracing
 from kvision.color.program import step
 from kvision.color.scale_shift import scale_shift, scale_shift_rgb
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.enhance.batch import shaped
+
+
+_FEW = 1 << 12  # pixels
 
 
 def _to_unit(x: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor:
@@ -81,9 +85,8 @@ def denormalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tens
         tensor([[0.5000, 1.0000]])
     """
     x, m, s = _arguments("denormalize", data, mean, std)
-    if x.is_cpu and x.dtype in (torch.float32, torch.float64) and _are_learned(m, s) and not is_compiling():
-        # Their gradients are sums over the image, which torch computes faster there than the program of a step.
-        return shaped(x * _per_plane(s, x) + _per_plane(m, x), data)
+    if _torch_is_fast(x, m, s):
+        return shaped(torch.addcmul(_per_plane(m, x), x, _per_plane(s, x)), data)
     if _is_rgb(x, m, s):
         return shaped(scale_shift_rgb(x, *_columns(s), *_columns(m), False), data)
     return shaped(scale_shift(x, _rows(s), _rows(m), False), data)
@@ -108,9 +111,15 @@ def _is_rgb(x: Tensor, *parameters: float | Tensor) -> bool:
     return True
 
 
-def _are_learned(*parameters: float | Tensor) -> bool:
-    """Whether any of them is to get a gradient."""
-    return torch.is_grad_enabled() and any(isinstance(p, Tensor) and p.requires_grad for p in parameters)
+def _torch_is_fast(x: Tensor, *parameters: float | Tensor) -> bool:
+    """Whether torch's addcmul takes less time than the program of a step, as of few pixels and statistics on the CPU.
+
+    It does for a gradient of statistics as well, which are sums over the image.
+    """
+    tensors = [p for p in parameters if isinstance(p, Tensor)]
+    if not tensors or not x.is_cpu or x.dtype not in (torch.float32, torch.float64) or is_compiling() or is_tracing():
+        return False
+    return x.numel() < _FEW or (torch.is_grad_enabled() and any(p.requires_grad for p in tensors))
 
 
 def _per_plane(p: float | Tensor, x: Tensor) -> Tensor:

@@ -460,10 +460,8 @@ def _ones_around(op: str, sizes: tuple[int, ...], device: torch.device | None, d
     dtype = dtype or torch.get_default_dtype()
     if not dtype.is_floating_point and (dtype == torch.bool or torch.iinfo(dtype).min > center):
         raise ValueCheckError(f"{op}: expected a dtype that holds {center}, got {dtype}", actual_value=dtype)
-    kernel = middle = torch.ones(sizes, device=device, dtype=dtype)
-    for size in sizes:
-        middle = middle.select(0, size // 2)
-    middle.fill_(center)
+    kernel = torch.ones(sizes, device=device, dtype=dtype)
+    kernel[tuple([n // 2 for n in sizes])] = center
     return kernel
 
 

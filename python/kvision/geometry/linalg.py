@@ -280,16 +280,15 @@ def point_line_distance(point: Tensor, line: Tensor, eps: float = 1e-9) -> Tenso
 
 @with_kernel_casts
 def _point_line_distance(point: Tensor, line: Tensor) -> Tensor:
-    direction, offset = line[..., :2], line[..., 2]
-    above = (point[..., :2] * direction).sum(-1)
-    squared = direction.square().sum(-1)
-    if point.shape[-1] == 3:
-        w = point[..., 2]
-        above, squared = above + offset * w, squared * w * w
-    else:
-        above = above + offset
+    a, b, offset = line.unbind(-1)
+    x, y, *w = point.unbind(-1)
+    squared = torch.addcmul(a * a, b, b)
+    if w:
+        offset, squared = offset * w[0], squared * w[0] * w[0]
+    above = torch.addcmul(torch.addcmul(offset, a, x), b, y)
     degenerate = squared == 0
-    return torch.where(degenerate, torch.inf, above.abs() / torch.where(degenerate, 1, squared).sqrt())
+    distance = above.abs() / squared.masked_fill(degenerate, 1).sqrt()
+    return distance.masked_fill(degenerate, torch.inf)
 
 
 def batched_dot_product(x: Tensor, y: Tensor, keepdim: bool = False) -> Tensor:

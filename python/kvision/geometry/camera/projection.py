@@ -169,13 +169,15 @@ def dx_project_points_orthographic(points_in_camera: Tensor) -> Tensor:
 def _with_depths(op: str, points: Tensor, extension: Tensor) -> tuple[Tensor, Tensor]:
     """Points (*, 2) and depths (*, 1) with the same leading axes, from depths of shape (*) or (*, 1)."""
     _check.numbers(op, "extension", extension)
-    _check.same_device(op, points=points, extension=extension)
+    if extension.device != points.device:
+        _check.same_device(op, points=points, extension=extension)
     depth = extension.unsqueeze(-1) if extension.dim() == points.dim() - 1 else extension
+    leading = points.shape[:-1]
+    if depth.shape == (*leading, 1):
+        return points, depth
     if depth.dim() == 0 or depth.shape[-1] != 1:
         raise ShapeError(f"{op}: expected extension of shape (*) or (*, 1), got {tuple(extension.shape)}")
-    leading, other = points.shape[:-1], depth.shape[:-1]
-    if leading != other:
-        _check.broadcastable(op, points=leading, extension=other)
-        leading = torch.broadcast_shapes(leading, other)
-        points, depth = points.expand(*leading, 2), depth.expand(*leading, 1)
-    return points, depth
+    other = depth.shape[:-1]
+    _check.broadcastable(op, points=leading, extension=other)
+    leading = torch.broadcast_shapes(leading, other)
+    return points.expand(*leading, 2), depth.expand(*leading, 1)

@@ -200,8 +200,9 @@ def lines(points: Tensor, F: Tensor) -> Tensor:
 
 
 def scaled_lines(line: Tensor) -> Tensor:
-    square = line[..., :2].square().sum(-1, keepdim=True)
-    return line / torch.where(square > 0, square, 1).sqrt() + 0  # no negative zeros
+    a, b, _ = line.unbind(-1)
+    square = torch.addcmul(a * a, b, b)
+    return line / square.masked_fill(square == 0, 1).sqrt().unsqueeze(-1)
 
 
 def check_points(op: str, name: str, x: Tensor) -> None:

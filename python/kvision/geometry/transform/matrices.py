@@ -582,12 +582,11 @@ def projection_from_Rt(rmat: Tensor, tvec: Tensor) -> Tensor:
         >>> K.geometry.projection_from_Rt(torch.eye(3), torch.ones(3, 1))[0]
         tensor([1., 0., 0., 1.])
     """
-    for name, x, width in (("rmat", rmat, 3), ("tvec", tvec, 1)):
-        _check.numbers("projection_from_Rt", name, x)
-        if x.shape[-2:] != (3, width):
-            raise ShapeError(f"projection_from_Rt: expected {name} of shape (*, 3, {width}), got {tuple(x.shape)}")
-    if rmat.shape[:-2] != tvec.shape[:-2]:
-        raise ShapeError(
-            f"projection_from_Rt: expected tvec of shape {(*rmat.shape[:-2], 3, 1)}, got {tuple(tvec.shape)}"
-        )
+    _check.numbers("projection_from_Rt", "rmat", rmat)
+    _check.numbers("projection_from_Rt", "tvec", tvec)
+    r, t = rmat.shape, tvec.shape
+    if r[-2:] != (3, 3):
+        raise ShapeError(f"projection_from_Rt: expected rmat of shape (*, 3, 3), got {tuple(r)}")
+    if t != (*r[:-1], 1):
+        raise ShapeError(f"projection_from_Rt: expected tvec of shape {(*r[:-1], 1)}, got {tuple(t)}")
     return torch.cat([rmat, tvec], -1)

@@ -63,7 +63,7 @@ void hessian_responses(Tensor const& octave, Tensor const& response, int64_t bat
   Planes<T const> const x = adjacent_planes(data_ptr<T const>(octave), planes, h, w);
   Planes<T> const y = adjacent_planes(data_ptr<T>(response), planes, h, w);
 #if defined(KV_CUDA)
-  LevelHessian<T> params{x, y, sobel, {}, int(levels)};
+  LevelHessian<T> params{x, y, sobel, {}, int(levels), {}};
   for (int64_t l = 0; l < levels; ++l) {
     F const square = F(blurs[size_t(l)]) * F(blurs[size_t(l)]);
     params.factors[l] = square * square;

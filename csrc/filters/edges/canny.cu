@@ -7,34 +7,10 @@ namespace {
 
 constexpr int kSuppressing = 128;  // threads of a block
 
-// Square roots of four numbers from `least` on, the same bits as those of sqrt, which has a branch for each number.
-// Newton's step rounds correctly unless the number is near 0, infinite or NaN.
-__device__ __forceinline__ float normal_square_root(float x) {
-  float const inverse = fast_rsqrt(x), root = x * inverse;
-  return fmaf(fmaf(-root, root, x), inverse * 0.5f, root);
-}
-__device__ __forceinline__ void square_roots(float const (&x)[4], float least, float (&roots)[4]) {
-#pragma unroll
-  for (int i = 0; i < 4; ++i) roots[i] = normal_square_root(x[i]);
-  bool const all_normal = least >= 0x1p-100f && x[0] + x[1] + x[2] + x[3] < INFINITY;
-  if (!all_normal)
-#pragma unroll
-    for (int i = 0; i < 4; ++i) {
-      bool const small = x[i] < 0x1p-100f;
-      float const root = normal_square_root(x[i] * (small ? 0x1p96f : 1.f)) * (small ? 0x1p-48f : 1.f);
-      roots[i] = x[i] == 0 || x[i] == INFINITY ? x[i] : root;
-    }
-}
-__device__ __forceinline__ void square_roots(double const (&x)[4], double, double (&roots)[4]) {
-#pragma unroll
-  for (int i = 0; i < 4; ++i) roots[i] = sqrt(x[i]);
-}
-
 // Non-maximum suppression. Each warp goes down a strip with three rows of the image and three rows of squared
 // magnitudes in registers, and the next row on its way.
 template <class T, bool Aligned>
-__global__ void __launch_bounds__(kSuppressing, sizeof(T) == 8 ? 1 : 4)
-    suppress_strip(CannySuppress<T> p, Strips<> strips) {
+__global__ void __launch_bounds__(kSuppressing) suppress_strip(CannySuppress<T> p, Strips<> strips) {
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
@@ -66,8 +42,7 @@ __global__ void __launch_bounds__(kSuppressing, sizeof(T) == 8 ? 1 : 4)
     for (int i = 0; i < 6; ++i) {
       F u, v;
       sobel_gradients(columns[i], columns[i + 1], columns[i + 2], F(1), u, v);
-      bool const is_own = Aligned && i > 0 && i < 5;  // then it is in bounds, unless nothing of the thread is
-      bool const in_bounds = row_in_bounds && (is_own || (x + i - 1 >= 0 && x + i - 1 < width));
+      bool const in_bounds = row_in_bounds && x + i - 1 >= 0 && x + i - 1 < width;
       below[i] = in_bounds ? u * u + v * v + p.eps : p.eps;
       if (i > 0 && i < 5) next_gx[i - 1] = u, next_gy[i - 1] = v;
     }
@@ -83,18 +58,15 @@ __global__ void __launch_bounds__(kSuppressing, sizeof(T) == 8 ? 1 : 4)
   fetched = strip.fetch(rows.next());
   advance(y0 - 1);
   advance(y0);
-#pragma unroll 3  // so that registers of rows are renamed, not moved
   for (int y = y0; y < y1; ++y) {
     advance(y + 1);
-    F const squares[] = {middle[1], middle[2], middle[3], middle[4]};
     F magnitude[4], edge[4];
-    square_roots(squares, p.eps, magnitude);
 #pragma unroll
     for (int i = 0; i < 4; ++i) {
-      bool const ridge = is_ridge<F>(gx[i], gy[i], above[i], above[i + 1], above[i + 2], middle[i], middle[i + 1],
-                                     middle[i + 2], below[i], below[i + 1], below[i + 2]);
-      magnitude[i] = ridge ? magnitude[i] : F(0);
-      edge[i] = magnitude[i] > p.high ? F(1) : magnitude[i] > p.low ? F(0.5) : F(0);
+      bool const ridge = is_ridge(gx[i], gy[i], above[i], above[i + 1], above[i + 2], middle[i], middle[i + 1],
+                                  middle[i + 2], below[i], below[i + 1], below[i + 2], p.eps);
+      magnitude[i] = ridge ? sqrt(middle[i + 1]) : F(0);
+      edge[i] = (magnitude[i] > p.low ? F(0.5) : F(0)) + (magnitude[i] > p.high ? F(0.5) : F(0));
     }
     strip.store(magnitudes, magnitude);
     strip.store(edges, edge);
@@ -248,8 +220,8 @@ __global__ void __launch_bounds__(256) keep_strong(T* results, int const* labels
 
 template <class T>
 int canny_suppress(CannySuppress<T> const& p, CUstream_st* stream) {
-  // 16 strips fit on a multiprocessor at a time. A strip reads 4 rows more than it completes, and starts slowly.
-  int64_t const columns = p.x.count() * ceil_div(p.x.width, 128), resident = 16 * multiprocessors();
+  // 20 strips fit on a multiprocessor at a time. A strip reads 4 rows more than it completes, and starts slowly.
+  int64_t const columns = p.x.count() * ceil_div(p.x.width, 128), resident = 20 * multiprocessors();
   int const rows = strip_height(columns, p.x.height, 7, resident, resident);
   Strips<> const strips(p.x.count(), p.x.height, p.x.width, rows);
   with_alignment<T>(

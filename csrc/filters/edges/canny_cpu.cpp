@@ -52,8 +52,8 @@ void canny_suppress(CannySuppress<T> const& p, int64_t begin, int64_t end) {
       using V = Lanes<F, N>;
       V const q = load<N>(b + e), gx = load<N>(gradient(y, 0) + e), gy = load<N>(gradient(y, 1) + e);
       auto const ridge =
-          is_ridge<F>(gx, gy, load<N>(a + e - step), load<N>(a + e), load<N>(a + e + step), load<N>(b + e - step), q,
-                      load<N>(b + e + step), load<N>(c + e - step), load<N>(c + e), load<N>(c + e + step));
+          is_ridge(gx, gy, load<N>(a + e - step), load<N>(a + e), load<N>(a + e + step), load<N>(b + e - step), q,
+                   load<N>(b + e + step), load<N>(c + e - step), load<N>(c + e), load<N>(c + e + step), eps);
       V const magnitude = ridge ? V(vsqrt(q)) : V{};
       V const half = broadcast<N>(F(0.5));
       store<N>(magnitudes + e, magnitude);

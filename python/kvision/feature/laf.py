@@ -264,7 +264,7 @@ def scale_laf(laf: Tensor, scale_coef: float | Tensor) -> Tensor:
         scale_coef = _check.scalar("scale_laf", "scale_coef", scale_coef)
         if isinstance(scale_coef, bool) or not isinstance(scale_coef, (int, float)):
             raise TypeCheckError(f"scale_laf: expected scale_coef to be a number or a Tensor, got {scale_coef!r}")
-        return of_rows(_scale_parts, laf, 2, float(scale_coef), 1.0, 1.0)
+        return scale_laf_parts(laf, float(scale_coef), 1.0, 1.0)
     _check.numbers("scale_laf", "scale_coef", scale_coef)
     _check.same_device("scale_laf", laf=laf, scale_coef=scale_coef)
     sizes = scale_coef.shape
@@ -515,9 +515,9 @@ def laf_to_boundary_points(LAF: Tensor, n_pts: int = 50) -> Tensor:
 
 @without_autocast_and_tf32
 def _outline_by_matmul(laf: Tensor, angles: Tensor) -> Tensor:
-    circle = torch.stack([angles.sin(), angles.cos(), torch.ones_like(angles)], -1)
-    points = torch.cat([circle.new_tensor([[0.0, 0.0, 1.0]]), circle])
-    return points @ laf.mT
+    circle = torch.stack([angles.sin(), angles.cos(), torch.ones_like(angles)])
+    points = torch.cat([circle.new_tensor([[0.0], [0.0], [1.0]]), circle], 1)
+    return (laf @ points).mT.contiguous()  # one product for all frames
 
 
 def get_laf_pts_to_draw(LAF: Tensor, img_idx: int = 0) -> tuple[list[list[float]], list[list[float]]]:

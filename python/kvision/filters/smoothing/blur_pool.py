@@ -134,8 +134,8 @@ def edge_aware_blur_pool2d(
     epsilon = _check.number("edge_aware_blur_pool2d", "epsilon", epsilon, minimum=0)
     if not edge_threshold > 1:
         raise ValueCheckError(f"edge_aware_blur_pool2d: expected edge_threshold above 1, got {edge_threshold!r}")
-    advice = "pad the image or use a smaller kernel_size"
-    _check.reflectable("edge_aware_blur_pool2d", x, (max(2, ky // 2), max(2, kx // 2)), "reflect", advice)
+    _check.reflectable("edge_aware_blur_pool2d", x, (2, 2), "reflect", "pad to 3 x 3 pixels")
+    _check.reflectable("edge_aware_blur_pool2d", x, (ky // 2, kx // 2), "reflect", "use a smaller kernel_size")
     return _edge_aware_blur(x, ky, kx, math.log2(edge_threshold), dilation, epsilon)
 
 

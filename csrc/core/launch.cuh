@@ -202,16 +202,21 @@ __device__ __forceinline__ int preceding_elements(T const* at) {
   return kPerWord<T> == 1 ? 0 : int(reinterpret_cast<uintptr_t>(at) % 4 / sizeof(T));
 }
 
+template <class T, int P>
+__device__ __forceinline__ Vector<T, P> rounded(Compute<T> const (&v)[P]) {
+  Vector<T, P> vector;
+#pragma unroll
+  for (int i = 0; i < P; ++i) vector.v[i] = round_to<T>(v[i]);
+  return vector;
+}
+
 // Stores the P elements of each thread of a warp, from its address `to` on, to any address. Called by all 32 threads,
 // which exchange them in shared memory: adjacent threads store adjacent elements, those for which stores(distance from
 // `to`) holds.
 template <int P, int Warps, class T, class Stores>
-__device__ __forceinline__ void store_striped_if(T* to, Compute<T> const (&v)[P], Stores stores) {
+__device__ __forceinline__ void store_striped_if(T* to, Vector<T, P> const& vector, Stores stores) {
   T* const memory = warp_memory<T, 32 * P, Warps>();
   int const lane = threadIdx.x % 32, ahead = lane - P * lane;
-  Vector<T, P> vector;
-#pragma unroll
-  for (int i = 0; i < P; ++i) vector.v[i] = round_to<T>(v[i]);
   __syncwarp();
   *reinterpret_cast<Vector<T, P>*>(memory + P * lane) = vector;
   __syncwarp();
@@ -221,20 +226,25 @@ __device__ __forceinline__ void store_striped_if(T* to, Compute<T> const (&v)[P]
 }
 // Those at x ... of a row of `width`.
 template <int P, int Warps, class T>
+__device__ __forceinline__ void store_striped(T* to, Vector<T, P> const& vector, int x, int width) {
+  store_striped_if<P, Warps>(to, vector, [&](int ahead) { return x + ahead < width; });
+}
+template <int P, int Warps, class T>
 __device__ __forceinline__ void store_striped(T* to, Compute<T> const (&v)[P], int x, int width) {
-  store_striped_if<P, Warps>(to, v, [&](int ahead) { return x + ahead < width; });
+  store_striped<P, Warps>(to, rounded<T>(v), x, width);
 }
 
 // Stores the P elements of each thread of a warp, those at x ... of a row of `width`, to any address. Called by all 32
 // threads: a word with elements of two threads is stored by the second one.
 template <class T, int P>
-__device__ __forceinline__ void store_words(T* to, Vector<T, P> const& vector, int x, int width) {
+__device__ __forceinline__ void store_words(T* to, Compute<T> const (&v)[P], int x, int width) {
   if constexpr (kPerWord<T> == 1 || P % kPerWord<T> != 0) {
 #pragma unroll
     for (int i = 0; i < P; ++i)
-      if (x + i < width) to[i] = vector.v[i];
+      if (x + i < width) to[i] = round_to<T>(v[i]);
   } else {
     constexpr int W = kPerWord<T>, N = P / W;
+    Vector<T, P> const vector = rounded<T>(v);
     uint32_t own[N], words[N];
     __builtin_memcpy(own, &vector, sizeof(own));
     int const lane = threadIdx.x % 32, preceding = preceding_elements(to), begin = lane == 0 ? preceding : 0;
@@ -265,13 +275,6 @@ __device__ __forceinline__ void store_words(T* to, Vector<T, P> const& vector, i
         if (i >= begin && i < count) *element_at(i) = shifted.v[i];
     }
   }
-}
-template <class T, int P>
-__device__ __forceinline__ void store_words(T* to, Compute<T> const (&v)[P], int x, int width) {
-  Vector<T, P> vector;
-#pragma unroll
-  for (int i = 0; i < P; ++i) vector.v[i] = round_to<T>(v[i]);
-  store_words(to, vector, x, width);
 }
 
 // Any address and width. Of the words of a row each thread reads every 32nd, so that those of a warp are adjacent. The

@@ -85,22 +85,24 @@ struct Climb {
 template <int R, bool Aligned, int P>
 using RowStrip = Strip<R, Aligned, P, kStripThreads / 32>;
 
-// P elements of a row, and R elements on either side, which the ends of a warp read themselves. Out-of-bounds elements
-// are NaN, and nothing is above NaN.
+// P elements of a row, and R elements on either side. Out-of-bounds elements are NaN, and nothing is above NaN.
+template <class T>
+__device__ __forceinline__ T none() {
+  return round_to<T>(__uint_as_float(0x7fc00000));
+}
+
 template <class T, int R, int P, bool Aligned>
 struct Row {
   Vector<T, P> own;
-  Vector<T, R> left, right;
+  Vector<T, R> left, right;  // the ends of a warp read them themselves
 
   __device__ __forceinline__ Row() {
 #pragma unroll
-    for (int i = 0; i < R; ++i) left.v[i] = right.v[i] = none();
+    for (int i = 0; i < R; ++i) left.v[i] = right.v[i] = none<T>();
   }
-  __device__ __forceinline__ static T none() { return round_to<T>(__uint_as_float(0x7fc00000)); }
-  __device__ __forceinline__ void fetch(RowStrip<R, true, P> const& strip, T const* row, bool in_bounds) {
-    T const* const at = row + strip.x;
+  __device__ __forceinline__ void fetch(RowStrip<R, true, P> const& strip, T const* at, bool in_bounds) {
 #pragma unroll
-    for (int i = 0; i < P; ++i) own.v[i] = none();
+    for (int i = 0; i < P; ++i) own.v[i] = none<T>();
     if (!in_bounds) return;
     if (strip.inside) own = *reinterpret_cast<Vector<T, P> const*>(at);
     if (threadIdx.x % 32 == 0 && strip.x > 0) left = *reinterpret_cast<Vector<T, R> const*>(at - R);
@@ -118,13 +120,21 @@ struct Row {
   }
 };
 
-// Rows that begin anywhere. Out-of-bounds elements are any numbers: windows that have some are discarded.
+// Rows that begin anywhere.
 template <class T, int R, int P>
 struct Row<T, R, P, false> {
   typename RowStrip<R, false, P>::template FetchedRow<T> fetched{};
 
-  __device__ __forceinline__ void fetch(RowStrip<R, false, P> const& strip, T const* row, bool in_bounds) {
-    if (in_bounds) fetched = strip.fetch(row);
+  __device__ __forceinline__ void fetch(RowStrip<R, false, P> const& strip, T const* at, bool in_bounds) {
+    if (in_bounds) {
+      fetched = strip.fetch(at - strip.x);
+      if (strip.halo_source < 0) fetched.halo = none<T>();
+    } else {
+      T nones[sizeof(fetched.words) / sizeof(T)];
+      for (T& x : nones) x = none<T>();
+      __builtin_memcpy(fetched.words, nones, sizeof(nones));
+      fetched.halo = none<T>();
+    }
   }
   __device__ __forceinline__ void spread(RowStrip<R, false, P> const& strip, float (&v)[P + 2 * R]) const {
     strip.spread(fetched, v);
@@ -140,9 +150,9 @@ __global__ void __launch_bounds__(kStripThreads)
   if (!strips.locate(plane, x, y0)) return;
   int const width = int(p.x.width), height = int(p.x.height), z = D > 0 ? int(plane % p.depth) : 0;
   RowStrip<R, Aligned, P> const strip(x, width, Border::constant);
-  T const* next = p.x.row(plane, 0) + (y0 - R) * p.x.row_stride;
-  T* values = p.y.row(plane, y0);
-  uint8_t *maxima = p.maxima.row(plane, y0), *minima = p.minima.row(plane, y0);
+  T const* next = p.x.row(plane, 0) + (y0 - R) * p.x.row_stride + x;
+  T* values = p.y.row(plane, y0) + x;
+  uint8_t *maxima = p.maxima.row(plane, y0) + x, *minima = p.minima.row(plane, y0) + x;
   Row<T, R, P, Aligned> ahead[kPlanes];
   auto const fetch = [&](int y) {
 #pragma unroll
@@ -152,17 +162,12 @@ __global__ void __launch_bounds__(kStripThreads)
     }
     next += p.x.row_stride;
   };
-  auto const store_flags = [&](uint8_t* row, Vector<uint8_t, P> const& flags) {
-    if constexpr (!Aligned)
-      store_words(row + x, flags, x, width);
-    else if (strip.inside)
-      *reinterpret_cast<Vector<uint8_t, P>*>(row + x) = flags;
+  auto const store_flags = [&](uint8_t* to, Vector<uint8_t, P> const& flags) {
+    if constexpr (Aligned)
+      *reinterpret_cast<Vector<uint8_t, P>*>(to) = flags;
+    else
+      store_striped<P, kStripThreads / 32>(to, flags, x, width);
   };
-  // Of unaligned rows: the columns, one a bit, and the rows whose windows are inside.
-  unsigned columns = 0;
-#pragma unroll
-  for (int n = 0; n < P; ++n) columns |= unsigned(x + n >= R && x + n < width - R) << n;
-  int const first_row = z >= D && z < int(p.depth) - D ? R : height, last_row = height - R;
   fetch(y0 - R);
   Climb<R, D, P> high{}, low{};
 #pragma unroll(R + 1)
@@ -175,20 +180,19 @@ __global__ void __launch_bounds__(kStripThreads)
     high.next(v, 1);
     if constexpr (Minima) low.next(v, -1);
     if (i < 0) continue;
-    unsigned const inside = y0 + i >= first_row && y0 + i < last_row ? columns : 0;
-    auto const counts = [&](int n) { return Aligned || (inside >> n & 1); };
     float shown[P];
     Vector<uint8_t, P> is_maximum, is_minimum;
 #pragma unroll
     for (int n = 0; n < P; ++n) {
-      bool const is_summit = high.is_summit(n) && counts(n);
-      is_maximum.v[n] = is_summit;
-      shown[n] = is_summit ? high.middle(n) : 0.f;
-      if constexpr (Minima) is_minimum.v[n] = low.is_summit(n) && counts(n);
+      is_maximum.v[n] = high.is_summit(n);
+      shown[n] = high.is_summit(n) ? high.middle(n) : 0.f;
+      if constexpr (Minima) is_minimum.v[n] = low.is_summit(n);
     }
-    if (p.y.data) strip.store_in_stripes(values, shown);
-    if (p.maxima.data) store_flags(maxima, is_maximum);
-    if constexpr (Minima) store_flags(minima, is_minimum);
+    if (!Aligned || strip.inside) {
+      if (p.y.data) strip.store_in_stripes(values - x, shown);
+      if (p.maxima.data) store_flags(maxima, is_maximum);
+      if constexpr (Minima) store_flags(minima, is_minimum);
+    }
     values += p.y.row_stride;
     maxima += p.maxima.row_stride;
     if constexpr (Minima) minima += p.minima.row_stride;

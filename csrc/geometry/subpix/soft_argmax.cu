@@ -1,6 +1,6 @@
 // The soft argmax of windows on CUDA: one thread for each window, one for each voxel in the backward pass. Windows of
-// 3 x 3 and 5 x 5 around every pixel of float images share their exponentials; threads traverse the rows from above and
-// keep the state in registers.
+// 3 x 3 and 5 x 5 around every pixel of images share their exponentials; threads traverse the rows from above and keep
+// the state in registers.
 #include "core/launch.cuh"
 #include "geometry/subpix/soft_argmax.h"
 
@@ -102,13 +102,15 @@ struct Across {
 
 // A warp's columns and rows of an image. A thread takes kRun columns. The outermost `Help` threads on either side only
 // provide columns to their neighbors. All windows of a strip share exponentials, relative to its largest number.
-template <int Help>
+// Aligned: rows are vectors of kRun columns. Otherwise threads read columns one by one, and exchange those that they
+// write in shared memory.
+template <int Help, class T, bool Aligned>
 struct ImageStrip {
-  int height, width, x, y0, y1;
+  int height, width, x, y0, y1, count;  // count: how many of the thread's columns are in the image
   unsigned plane;
-  bool in_bounds, writes;  // whether the thread's columns are in the image, and whether it writes them
+  bool writes;  // whether the thread writes its columns
   int64_t size;
-  float const* image;
+  T const* image;
   float sharpness, from;
 
   static constexpr int kColumns = (32 - 2 * Help) * kRun;
@@ -117,7 +119,7 @@ struct ImageStrip {
     return dim3(unsigned(ceil_div(strips, kStripThreads / 32)));
   }
   // False after the last strip.
-  __device__ __forceinline__ bool locate(Windows const& w, float const* data, float temperature) {
+  __device__ __forceinline__ bool locate(Windows const& w, T const* data, float temperature) {
     height = w.size[1], width = w.size[2];
     unsigned const warp = blockIdx.x * (kStripThreads / 32) + threadIdx.x / 32, lane = threadIdx.x % 32;
     unsigned const across = unsigned(width + kColumns - 1) / kColumns, down = unsigned(height + kRows - 1) / kRows;
@@ -127,73 +129,98 @@ struct ImageStrip {
     x = int(warp - line * across) * kColumns + (int(lane) - Help) * kRun;
     y0 = int(line - plane * down) * kRows;
     y1 = min(y0 + kRows, height);
-    in_bounds = x >= 0 && x < width;
-    writes = in_bounds && lane >= Help && lane < 32 - Help;
+    count = x >= 0 ? clamp(width - x, 0, kRun) : 0;
+    writes = count > 0 && lane >= Help && lane < 32 - Help;
     size = int64_t(height) * width;
     image = data + plane * size + x;
     sharpness = float(kLog2E) / temperature;
     return true;
   }
+  // Whether column n of the thread is in the image.
+  __device__ __forceinline__ bool has_column(int n) const { return Aligned ? count > 0 : n < count; }
   // Finds the largest number of the strip and of `reach` rows above and below. False if the range is too large for
   // shared exponentials, or if numbers are so large that rounding their exponents loses precision.
   __device__ __forceinline__ bool find_largest(int reach) {
     float maximum = -INFINITY, minimum = INFINITY;
 #pragma unroll 4
     for (int y = max(y0 - reach, 0); y < min(y1 + reach, height); ++y) {
-      if (!in_bounds) break;
-      Vector<float, kRun> const v = load(image, y);
+      if (count == 0) break;
+      Vector<T, kRun> const v = load(image, y);
 #pragma unroll
       for (int i = 0; i < kRun; ++i)
-        maximum = ::fmax(maximum, v.v[i]), minimum = ::fmin(minimum, v.v[i]);  // fmax and fmin ignore NaN
+        if (has_column(i))  // fmax and fmin ignore NaN
+          maximum = ::fmax(maximum, read(v.v[i])), minimum = ::fmin(minimum, read(v.v[i]));
     }
     maximum = warp_reduce(maximum, [](float a, float b) { return ::fmax(a, b); });
     minimum = warp_reduce(minimum, [](float a, float b) { return ::fmin(a, b); });
     from = maximum * sharpness;
     return (maximum - minimum) * sharpness <= kMaxExponent && ::fabs(from) <= 0x1p24f;
   }
-  __device__ __forceinline__ Vector<float, kRun> load(float const* plane, int y) const {
-    return *reinterpret_cast<Vector<float, kRun> const*>(plane + int64_t(y) * width);
+  __device__ __forceinline__ Vector<T, kRun> load(T const* plane, int y) const {
+    T const* const at = plane + int64_t(y) * width;
+    if constexpr (Aligned) {
+      return *reinterpret_cast<Vector<T, kRun> const*>(at);
+    } else {
+      Vector<T, kRun> vector{};
+#pragma unroll
+      for (int i = 0; i < kRun; ++i)
+        if (has_column(i)) vector.v[i] = at[i];
+      return vector;
+    }
   }
-  __device__ __forceinline__ bool has(int y) const { return in_bounds && y >= 0 && y < height; }
-  __device__ __forceinline__ Vector<float, kRun> row(int y) const {
-    return has(y) ? load(image, y) : Vector<float, kRun>{};
+  // Stores the thread's columns to `to`, which all threads of the warp call.
+  __device__ __forceinline__ void store(T* to, float const (&v)[kRun]) const {
+    if constexpr (Aligned) {
+      if (writes) store_vector(to, v);
+    } else {
+      int const first = x - kRun * int(threadIdx.x % 32) + Help * kRun;
+      unsigned const written = unsigned(min(width - first, kColumns));
+      store_striped_if<kRun, kStripThreads / 32>(to, rounded<T>(v),
+                                                 [&](int ahead) { return unsigned(x + ahead - first) < written; });
+    }
+  }
+  __device__ __forceinline__ bool has_row(int y) const { return y >= 0 && y < height; }
+  // Row y of a plane, 0 outside of the image.
+  __device__ __forceinline__ Vector<T, kRun> row(T const* plane, int y) const {
+    return count > 0 && has_row(y) ? load(plane, y) : Vector<T, kRun>{};
   }
   // The exponentials of row y, whose numbers are v, and their products with v; 0 outside of the image.
   template <bool Products>
-  __device__ __forceinline__ void weights_of(Vector<float, kRun> const& v, int y, float (&weight)[kRun],
+  __device__ __forceinline__ void weights_of(Vector<T, kRun> const& v, int y, float (&weight)[kRun],
                                              float (&product)[kRun]) const {
-    bool const inside = has(y);
+    bool const has = has_row(y);
 #pragma unroll
     for (int i = 0; i < kRun; ++i) {
-      weight[i] = inside ? fast_exp2(v.v[i] * sharpness - from) : 0.f;
-      if constexpr (Products) product[i] = inside ? weight[i] * v.v[i] : 0.f;
+      bool const inside = has && has_column(i);
+      weight[i] = inside ? fast_exp2(read(v.v[i]) * sharpness - from) : 0.f;
+      if constexpr (Products) product[i] = inside ? weight[i] * read(v.v[i]) : 0.f;
     }
   }
 };
 
 // Sums weights down columns first, then along rows. Strips that cannot share exponentials compute each window by
 // itself.
-template <int R, bool Values>
-__global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ SoftArgmax<float> const p) {
+template <class T, int R, bool Values, bool Aligned>
+__global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ SoftArgmax<T> const p) {
   constexpr int K = 2 * R + 1;
-  ImageStrip<1> strip;
+  ImageStrip<1, T, Aligned> strip;
   if (!strip.locate(p.windows, p.x, p.temperature)) return;
   int const x = strip.x, y0 = strip.y0, width = strip.width;
   int64_t const size = strip.size;
   if (!strip.find_largest(R)) {
     for (int y = y0; y < strip.y1 && strip.writes; ++y)
-      for (int n = 0; n < kRun; ++n) one_window(p, strip.plane, 0, y, x + n);
+      for (int n = 0; n < strip.count; ++n) one_window(p, strip.plane, 0, y, x + n);
     return;
   }
   float weights[K][kRun], products[K][kRun];  // of the rows of a window; products: weights times x
 #pragma unroll
   for (int j = 0; j < K - 1; ++j) {
     int const y = y0 - R + j;
-    strip.weights_of<Values>(strip.row(y), y, weights[j + 1], products[j + 1]);
+    strip.template weights_of<Values>(strip.row(strip.image, y), y, weights[j + 1], products[j + 1]);
   }
-  Vector<float, kRun> ahead = strip.row(y0 + R);
-  float* to_x = p.coords + 2 * strip.plane * size + int64_t(y0) * width + x;
-  float* to_value = Values ? p.values + strip.plane * size + int64_t(y0) * width + x : nullptr;
+  Vector<T, kRun> ahead = strip.row(strip.image, y0 + R);
+  T* to_x = p.coords + 2 * strip.plane * size + int64_t(y0) * width + x;
+  T* to_value = Values ? p.values + strip.plane * size + int64_t(y0) * width + x : nullptr;
 #pragma unroll(K)
   for (int i = 0; i < kRows; ++i) {
     int const y = y0 + i;
@@ -207,8 +234,8 @@ __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ S
         if constexpr (Values) products[j][n] = products[j + 1][n];
       }
     }
-    strip.weights_of<Values>(ahead, y + R, weights[K - 1], products[K - 1]);
-    ahead = strip.row(y + R + 1);
+    strip.template weights_of<Values>(ahead, y + R, weights[K - 1], products[K - 1]);
+    ahead = strip.row(strip.image, y + R + 1);
 #pragma unroll
     for (int n = 0; n < kRun; ++n) {
       totals[n] = weights[0][n] + weights[1][n];
@@ -222,24 +249,21 @@ __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ S
       }
     }
     Across<R> const total(totals), moment(moments);
-    Vector<float, kRun> coords_x, coords_y, means;
-    float scales[kRun];
+    float coords_x[kRun], coords_y[kRun], means[kRun], scales[kRun];
 #pragma unroll
     for (int n = 0; n < kRun; ++n) {
       scales[n] = __fdividef(1.f, total.sum(n));
-      coords_x.v[n] = (float(x + n - R) + total.moment(n) * scales[n]) * p.scale[2] + p.offset[2];
-      coords_y.v[n] = (float(y - R) + moment.sum(n) * scales[n]) * p.scale[1] + p.offset[1];
+      coords_x[n] = (float(x + n - R) + total.moment(n) * scales[n]) * p.scale[2] + p.offset[2];
+      coords_y[n] = (float(y - R) + moment.sum(n) * scales[n]) * p.scale[1] + p.offset[1];
     }
     if constexpr (Values) {
       Across<R> const value(values);
 #pragma unroll
-      for (int n = 0; n < kRun; ++n) means.v[n] = value.sum(n) * scales[n];
+      for (int n = 0; n < kRun; ++n) means[n] = value.sum(n) * scales[n];
     }
-    if (strip.writes) {
-      *reinterpret_cast<Vector<float, kRun>*>(to_x) = coords_x;
-      *reinterpret_cast<Vector<float, kRun>*>(to_x + size) = coords_y;
-      if constexpr (Values) *reinterpret_cast<Vector<float, kRun>*>(to_value) = means;
-    }
+    strip.store(to_x, coords_x);
+    strip.store(to_x + size, coords_y);
+    if constexpr (Values) strip.store(to_value, means);
     to_x += width;
     if constexpr (Values) to_value += width;
   }
@@ -295,16 +319,17 @@ __global__ void __launch_bounds__(kThreads) voxels_of(__grid_constant__ SoftArgm
 }
 
 // The gradient of one voxel, from all windows that contain it.
-__device__ __forceinline__ float one_pixel(SoftArgmaxBackward<float> const& p, int64_t plane, int vy, int vx) {
+template <class T>
+__device__ __forceinline__ float one_pixel(SoftArgmaxBackward<T> const& p, int64_t plane, int vy, int vx) {
   Windows const& w = p.windows;
-  float const* const image = p.x + plane * w.voxels();
-  float const v = image[int64_t(vy) * w.size[2] + vx], sharpness = float(kLog2E) / p.temperature;
+  T const* const image = p.x + plane * w.voxels();
+  float const v = read(image[int64_t(vy) * w.size[2] + vx]), sharpness = float(kLog2E) / p.temperature;
   Readers const ys(vy, 1, w.before[1], w.window[1], w.out[1]), xs(vx, 1, w.before[2], w.window[2], w.out[2]);
   float sum = 0;
   for (int y = ys.first; y < ys.last; ++y)
     for (int x = xs.first; x < xs.last; ++x) {
-      float const* const grads = p.grad_coords + 2 * plane * w.coords() + int64_t(y) * w.out[2] + x;
-      float const grad[] = {0, grads[w.coords()] * p.scale[1], grads[0] * p.scale[2]};
+      T const* const grads = p.grad_coords + 2 * plane * w.coords() + int64_t(y) * w.out[2] + x;
+      float const grad[] = {0, read(grads[w.coords()]) * p.scale[1], read(grads[0]) * p.scale[2]};
       auto const record = record_of<float, float>(sums_at(w, image, p.temperature, 0, y, x), grad, 0.f);
       sum += contribution_of<float, float>(record, v, fast_exp2((v - record.maximum) * sharpness), 0,
                                            float(vy + w.before[1] - y), float(vx + w.before[2] - x), 1 / p.temperature);
@@ -315,31 +340,28 @@ __device__ __forceinline__ float one_pixel(SoftArgmaxBackward<float> const& p, i
 // A window has the sum of weights S and the moments X and Y. From the gradients gx and gy to its coordinates each pixel
 // (j, i) of it gets exp (a i + b j + c) for a = gx / S, b = gy / S, c = -(gx X + gy Y) / S^2. These are summed over the
 // windows that contain a pixel: down columns first, then along rows.
-template <int R>
-__global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ SoftArgmaxBackward<float> const p) {
+template <class T, int R, bool Aligned>
+__global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ SoftArgmaxBackward<T> const p) {
   constexpr int K = 2 * R + 1;
-  ImageStrip<2> strip;
+  ImageStrip<2, T, Aligned> strip;
   if (!strip.locate(p.windows, p.x, p.temperature)) return;
   int const x = strip.x, y0 = strip.y0, width = strip.width;
   int64_t const size = strip.size;
-  float* to = p.grad_x + strip.plane * size + int64_t(y0) * width + x;
+  T* to = p.grad_x + strip.plane * size + int64_t(y0) * width + x;
   if (!strip.find_largest(2 * R)) {
     for (int y = y0; y < strip.y1 && strip.writes; ++y)
-      for (int n = 0; n < kRun; ++n)
-        p.grad_x[strip.plane * size + int64_t(y) * width + x + n] = one_pixel(p, strip.plane, y, x + n);
+      for (int n = 0; n < strip.count; ++n)
+        p.grad_x[strip.plane * size + int64_t(y) * width + x + n] = round_to<T>(one_pixel(p, strip.plane, y, x + n));
     return;
   }
-  float const* const grad_x = p.grad_coords + 2 * strip.plane * size + x;
-  float const* const grad_y = grad_x + size;
+  T const* const grad_x = p.grad_coords + 2 * strip.plane * size + x;
+  T const* const grad_y = grad_x + size;
   float weights[K][kRun] = {}, none[kRun];
   float constants[K][kRun] = {}, linear[K][kRun] = {};  // b j + c, and a, summed for pixels that still miss windows
   float const per_temperature = 1 / p.temperature;
   // The next rows, read ahead: of the image, and of the gradients to windows.
-  auto const grad_row = [&](float const* plane, int y) {
-    return strip.has(y) ? strip.load(plane, y) : Vector<float, kRun>{};
-  };
-  Vector<float, kRun> ahead = strip.row(y0 - 2 * R);
-  Vector<float, kRun> ahead_x = grad_row(grad_x, y0 - R), ahead_y = grad_row(grad_y, y0 - R);
+  Vector<T, kRun> ahead = strip.row(strip.image, y0 - 2 * R);
+  Vector<T, kRun> ahead_x = strip.row(grad_x, y0 - R), ahead_y = strip.row(grad_y, y0 - R);
 #pragma unroll(K)
   for (int i = -4 * R; i < kRows; ++i) {
     // Weights of row y + 2R, then windows around row y + R, then the gradient of row y.
@@ -349,8 +371,8 @@ __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ S
     for (int j = 0; j < K - 1; ++j)
 #pragma unroll
       for (int n = 0; n < kRun; ++n) weights[j][n] = weights[j + 1][n];
-    strip.weights_of<false>(ahead, y + 2 * R, weights[K - 1], none);
-    ahead = strip.row(y + 2 * R + 1);
+    strip.template weights_of<false>(ahead, y + 2 * R, weights[K - 1], none);
+    ahead = strip.row(strip.image, y + 2 * R + 1);
     if (i < -2 * R) continue;
     float totals[kRun], moments[kRun];
 #pragma unroll
@@ -365,13 +387,14 @@ __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ S
     }
     Across<R> const total(totals), moment(moments);
     int const middle = y + R;
-    Vector<float, kRun> const gx = ahead_x, gy = ahead_y;
-    ahead_x = grad_row(grad_x, middle + 1), ahead_y = grad_row(grad_y, middle + 1);
-    if (strip.has(middle)) {
+    Vector<T, kRun> const gx = ahead_x, gy = ahead_y;
+    ahead_x = strip.row(grad_x, middle + 1), ahead_y = strip.row(grad_y, middle + 1);
+    if (strip.has_row(middle)) {
 #pragma unroll
       for (int n = 0; n < kRun; ++n) {
+        if (!strip.has_column(n)) continue;
         float const scale = __fdividef(1.f, total.sum(n));
-        float const a = gx.v[n] * p.scale[2] * scale, b = gy.v[n] * p.scale[1] * scale;
+        float const a = read(gx.v[n]) * p.scale[2] * scale, b = read(gy.v[n]) * p.scale[1] * scale;
         float const c = -(a * (total.moment(n) * scale) + b * (moment.sum(n) * scale));
 #pragma unroll
         for (int j = 0; j < K; ++j) {
@@ -381,15 +404,15 @@ __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ S
       }
     }
     Across<R> const constant(constants[0]), weight_grad(linear[0]);
-    if (i >= 0 && strip.writes) {
-      Vector<float, kRun> result;
+    if (i >= 0) {
+      float result[kRun];
 #pragma unroll
       for (int n = 0; n < kRun; ++n)
-        result.v[n] = weights[0][n] * per_temperature *
-                      (constant.sum(n) + (float(2 * R) * weight_grad.sum(n) - weight_grad.moment(n)));
-      *reinterpret_cast<Vector<float, kRun>*>(to) = result;
+        result[n] = weights[0][n] * per_temperature *
+                    (constant.sum(n) + (float(2 * R) * weight_grad.sum(n) - weight_grad.moment(n)));
+      strip.store(to, result);
+      to += width;
     }
-    if (i >= 0) to += width;
 #pragma unroll
     for (int n = 0; n < kRun; ++n) {
 #pragma unroll
@@ -401,16 +424,27 @@ __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ S
 
 }  // namespace
 
+// Whether planes of these windows' images at the addresses are read in vectors.
+template <class T, class... Data>
+bool is_aligned(Windows const& w, Data const*... data) {
+  return w.size[2] % kRun == 0 && ((reinterpret_cast<uintptr_t>(data) % alignof(Vector<T, kRun>) == 0) && ...);
+}
+
 template <class T>
 int soft_argmax(SoftArgmax<T> const& p, CUstream_st* stream) {
-  if constexpr (__is_same(T, float)) {
-    auto const run = [&](auto kernel) {
-      kernel<<<ImageStrip<1>::grid(p.windows), kStripThreads, 0, stream>>>(p);
+  if constexpr (sizeof(T) < 8) {
+    bool const aligned = is_aligned<T>(p.windows, p.x, p.coords, p.values);
+    auto const run = [&](auto radius, auto values) {
+      auto* const kernel = aligned ? strips_down<T, radius.value, values.value, true>
+                                   : strips_down<T, radius.value, values.value, false>;
+      kernel<<<ImageStrip<1, T, true>::grid(p.windows), kStripThreads, 0, stream>>>(p);
       return cudaGetLastError();
     };
-    int const reach = reach_of(p.windows, p.x, p.coords, p.coords + p.windows.coords(), p.values);
-    if (reach == 1) return p.values ? run(strips_down<1, true>) : run(strips_down<1, false>);
-    if (reach == 2) return p.values ? run(strips_down<2, true>) : run(strips_down<2, false>);
+    std::integral_constant<int, 1> const one;
+    std::integral_constant<int, 2> const two;
+    int const radius = radius_of(p.windows);
+    if (radius == 1) return p.values ? run(one, std::true_type{}) : run(one, std::false_type{});
+    if (radius == 2) return p.values ? run(two, std::true_type{}) : run(two, std::false_type{});
   }
   Tiles const tiles(p.windows.volumes, p.windows.out);
   windows_of<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
@@ -426,10 +460,13 @@ int soft_argmax_records(SoftArgmaxBackward<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int soft_argmax_backward(SoftArgmaxBackward<T> const& p, CUstream_st* stream) {
-  if constexpr (__is_same(T, float))
+  if constexpr (sizeof(T) < 8)
     if (!p.records) {
-      auto const kernel = p.windows.before[1] == 1 ? strips_back<1> : strips_back<2>;
-      kernel<<<ImageStrip<2>::grid(p.windows), kStripThreads, 0, stream>>>(p);
+      bool const aligned = is_aligned<T>(p.windows, p.x, p.grad_coords, p.grad_x), narrow = p.windows.before[1] == 1;
+      auto* const kernel = narrow    ? aligned ? strips_back<T, 1, true> : strips_back<T, 1, false>
+                              : aligned ? strips_back<T, 2, true>
+                                     : strips_back<T, 2, false>;
+      kernel<<<ImageStrip<2, T, true>::grid(p.windows), kStripThreads, 0, stream>>>(p);
       return cudaGetLastError();
     }
   Tiles const tiles(p.windows.volumes, p.windows.size);

@@ -10,8 +10,8 @@
 //   dx(v) = sum of w(v) (g_value + (g_coords . (v - start) + g_value x(v) + rest) / temperature)
 //           rest = -(g_coords . (coords - start) + g_value value)
 //
-// A backward pass computes the records first, then gathers. On CUDA, windows around every pixel of float images share
-// their exponentials, and both steps are one pass. Included by soft_argmax_cpu.cpp, soft_argmax.cu and
+// A backward pass computes the records first, then gathers. On CUDA, windows around every pixel of images share their
+// exponentials, and both steps are one pass. Included by soft_argmax_cpu.cpp, soft_argmax.cu and
 // soft_argmax_op.cpp.
 #pragma once
 
@@ -61,14 +61,13 @@ KV_KERNEL(soft_argmax, SoftArgmax)
 KV_KERNEL(soft_argmax_records, SoftArgmaxBackward)
 KV_KERNEL(soft_argmax_backward, SoftArgmaxBackward)
 
-// The radius of windows of 3 x 3 or 5 x 5 around every pixel of images that can be read in vectors of four, else 0.
-template <class... Data>
-int reach_of(Windows const& w, Data const*... data) {
+// The radius of windows of 3 x 3 or 5 x 5 around every pixel of images, else 0.
+inline int radius_of(Windows const& w) {
   int const r = w.before[1];
-  bool fits = w.axes == 2 && w.size[0] == 1 && w.window[0] == 1 && w.size[2] % 4 == 0 && r <= 2;
+  bool fits = w.axes == 2 && w.size[0] == 1 && w.window[0] == 1 && r <= 2;
   for (int axis = 1; axis < 3; ++axis)
     fits = fits && w.stride[axis] == 1 && w.before[axis] == r && w.window[axis] == 2 * r + 1;
-  return fits && ((reinterpret_cast<uintptr_t>(data) % 16 == 0) && ...) ? r : 0;
+  return fits ? r : 0;
 }
 
 // Of the window of output `out`: its start, and the indices [first, last) in the window that are inside an axis of n.

@@ -75,9 +75,7 @@ Tensor soft_argmax_backward(Tensor const& grad_coords, Tensor const& grad_values
   Tensor const x = expand_batch(input, b), g = expand_batch(grad_coords, b), v = expand_batch(grad_values, b);
   Tensor const grad_x = empty({b, c, w.size[0], w.size[1], w.size[2]}, x);
 #if defined(KV_CUDA)
-  bool const one_pass =
-      x.scalar_type() == ScalarType::Float && !with_values &&
-      reach_of(w, data_ptr<float>(x), data_ptr<float>(g), data_ptr<float>(grad_x), data_ptr<float>(g) + w.coords()) > 0;
+  bool const one_pass = x.scalar_type() != ScalarType::Double && !with_values && radius_of(w) > 0;
 #else
   bool const one_pass = false;
 #endif

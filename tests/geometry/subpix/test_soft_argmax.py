@@ -69,3 +69,33 @@ def test_soft_argmax_is_kornias(normalized, device):
     volume = torch.randn(1, 2, 4, 7, 8, dtype=torch.float64, device=device)
     options = {"stride": (1, 2, 1), "normalized_coordinates": normalized}
     assert_close(G.conv_soft_argmax3d(volume, **options), kornia.geometry.conv_soft_argmax3d(volume, **options))
+
+
+@pytest.mark.native
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16], ids=str)
+@pytest.mark.parametrize("width", [3, 113, 120, 243, 257])
+@pytest.mark.parametrize(
+    "radius, temperature, output_value", [(1, 1.0, False), (2, 0.7, False), (2, 1.0, True), (1, 0.01, True)]
+)
+def test_rows_that_begin_anywhere(radius, temperature, output_value, width, dtype, device):
+    """Windows around every pixel, which share their exponentials unless numbers differ too much."""
+    x = torch.randn(2, 2, 37, width, device=device).to(dtype)
+    window, padding = (2 * radius + 1,) * 2, (radius,) * 2
+
+    def call(x):
+        result = G.conv_soft_argmax2d(x, window, (1, 1), padding, temperature, True, output_value=output_value)
+        return result if output_value else (result,)
+
+    leaf = x.detach().requires_grad_()
+    results = call(leaf)
+    upstream = [torch.rand_like(y) for y in results]
+    gradient = torch.autograd.grad(results, leaf, upstream)[0]
+    with K.backend("reference"):
+        exact = x.double().requires_grad_()
+        expected = call(exact)
+        expected_gradient = torch.autograd.grad(expected, exact, [g.double() for g in upstream])[0]
+    tolerance = {torch.float32: 2e-5, torch.float16: 2e-3, torch.bfloat16: 1.6e-2}[dtype]
+    for result, of_reference in zip(results, expected):
+        torch.testing.assert_close(result.double(), of_reference, rtol=tolerance, atol=tolerance)
+    scale = float(expected_gradient.abs().max())
+    torch.testing.assert_close(gradient.double() / scale, expected_gradient / scale, rtol=tolerance, atol=tolerance)

@@ -108,7 +108,7 @@ template <int Help, class T, bool Aligned>
 struct ImageStrip {
   int height, width, x, y0, y1, count;  // count: how many of the thread's columns are in the image
   unsigned plane;
-  bool writes;  // whether the thread writes its columns
+  bool in_bounds, writes;  // whether the thread has columns in the image, and whether it writes them
   int64_t size;
   T const* image;
   float sharpness, from;
@@ -130,21 +130,22 @@ struct ImageStrip {
     y0 = int(line - plane * down) * kRows;
     y1 = min(y0 + kRows, height);
     count = x >= 0 ? clamp(width - x, 0, kRun) : 0;
-    writes = count > 0 && lane >= Help && lane < 32 - Help;
+    in_bounds = count > 0;
+    writes = in_bounds && lane >= Help && lane < 32 - Help;
     size = int64_t(height) * width;
     image = data + plane * size + x;
     sharpness = float(kLog2E) / temperature;
     return true;
   }
-  // Whether column n of the thread is in the image.
-  __device__ __forceinline__ bool has_column(int n) const { return Aligned ? count > 0 : n < count; }
+  // Whether column n of a thread that is in bounds is in the image.
+  __device__ __forceinline__ bool has_column(int n) const { return Aligned || n < count; }
   // Finds the largest number of the strip and of `reach` rows above and below. False if the range is too large for
   // shared exponentials, or if numbers are so large that rounding their exponents loses precision.
   __device__ __forceinline__ bool find_largest(int reach) {
     float maximum = -INFINITY, minimum = INFINITY;
 #pragma unroll 4
     for (int y = max(y0 - reach, 0); y < min(y1 + reach, height); ++y) {
-      if (count == 0) break;
+      if (!in_bounds) break;
       Vector<T, kRun> const v = load(image, y);
 #pragma unroll
       for (int i = 0; i < kRun; ++i)
@@ -168,10 +169,10 @@ struct ImageStrip {
       return vector;
     }
   }
-  // Stores the thread's columns to `to`, which all threads of the warp call.
+  // Stores the thread's columns. All threads of the warp call it, those that do not write only at unaligned rows.
   __device__ __forceinline__ void store(T* to, float const (&v)[kRun]) const {
     if constexpr (Aligned) {
-      if (writes) store_vector(to, v);
+      store_vector(to, v);
     } else {
       int const first = x - kRun * int(threadIdx.x % 32) + Help * kRun;
       unsigned const written = unsigned(min(width - first, kColumns));
@@ -179,19 +180,19 @@ struct ImageStrip {
                                                  [&](int ahead) { return unsigned(x + ahead - first) < written; });
     }
   }
-  __device__ __forceinline__ bool has_row(int y) const { return y >= 0 && y < height; }
+  __device__ __forceinline__ bool has(int y) const { return in_bounds && y >= 0 && y < height; }
   // Row y of a plane, 0 outside of the image.
   __device__ __forceinline__ Vector<T, kRun> row(T const* plane, int y) const {
-    return count > 0 && has_row(y) ? load(plane, y) : Vector<T, kRun>{};
+    return has(y) ? load(plane, y) : Vector<T, kRun>{};
   }
   // The exponentials of row y, whose numbers are v, and their products with v; 0 outside of the image.
   template <bool Products>
   __device__ __forceinline__ void weights_of(Vector<T, kRun> const& v, int y, float (&weight)[kRun],
                                              float (&product)[kRun]) const {
-    bool const has = has_row(y);
+    bool const has_row = has(y);
 #pragma unroll
     for (int i = 0; i < kRun; ++i) {
-      bool const inside = has && has_column(i);
+      bool const inside = has_row && has_column(i);
       weight[i] = inside ? fast_exp2(read(v.v[i]) * sharpness - from) : 0.f;
       if constexpr (Products) product[i] = inside ? weight[i] * read(v.v[i]) : 0.f;
     }
@@ -261,9 +262,11 @@ __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ S
 #pragma unroll
       for (int n = 0; n < kRun; ++n) means[n] = value.sum(n) * scales[n];
     }
-    strip.store(to_x, coords_x);
-    strip.store(to_x + size, coords_y);
-    if constexpr (Values) strip.store(to_value, means);
+    if (!Aligned || strip.writes) {
+      strip.store(to_x, coords_x);
+      strip.store(to_x + size, coords_y);
+      if constexpr (Values) strip.store(to_value, means);
+    }
     to_x += width;
     if constexpr (Values) to_value += width;
   }
@@ -389,11 +392,10 @@ __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ S
     int const middle = y + R;
     Vector<T, kRun> const gx = ahead_x, gy = ahead_y;
     ahead_x = strip.row(grad_x, middle + 1), ahead_y = strip.row(grad_y, middle + 1);
-    if (strip.has_row(middle)) {
+    if (strip.has(middle)) {
 #pragma unroll
       for (int n = 0; n < kRun; ++n) {
-        if (!strip.has_column(n)) continue;
-        float const scale = __fdividef(1.f, total.sum(n));
+        float const scale = strip.has_column(n) ? __fdividef(1.f, total.sum(n)) : 0.f;
         float const a = read(gx.v[n]) * p.scale[2] * scale, b = read(gy.v[n]) * p.scale[1] * scale;
         float const c = -(a * (total.moment(n) * scale) + b * (moment.sum(n) * scale));
 #pragma unroll
@@ -404,15 +406,15 @@ __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ S
       }
     }
     Across<R> const constant(constants[0]), weight_grad(linear[0]);
-    if (i >= 0) {
+    if (i >= 0 && (!Aligned || strip.writes)) {
       float result[kRun];
 #pragma unroll
       for (int n = 0; n < kRun; ++n)
         result[n] = weights[0][n] * per_temperature *
                     (constant.sum(n) + (float(2 * R) * weight_grad.sum(n) - weight_grad.moment(n)));
       strip.store(to, result);
-      to += width;
     }
+    if (i >= 0) to += width;
 #pragma unroll
     for (int n = 0; n < kRun; ++n) {
 #pragma unroll

@@ -440,7 +440,7 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t offset, in
           Vector<T, P> vector;
 #pragma unroll
           for (int j = 0; j < P; ++j) vector.v[j] = rounded(c[k][j]);
-          *reinterpret_cast<Vector<T, P>*>(to + k * y.channel_stride) = vector;
+          store_vector(to + k * y.channel_stride, vector);
         }
       } else {
         Vector<T, P> vector[C];
@@ -449,7 +449,7 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t offset, in
 #pragma unroll
           for (int j = 0; j < P; ++j) vector[(C * j + k) / P].v[(C * j + k) % P] = rounded(c[k][j]);
 #pragma unroll
-        for (int k = 0; k < C; ++k) *reinterpret_cast<Vector<T, P>*>(to + k * P) = vector[k];
+        for (int k = 0; k < C; ++k) store_vector(to + k * P, vector[k]);
       }
     }
   });

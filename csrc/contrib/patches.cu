@@ -78,7 +78,7 @@ __global__ void __launch_bounds__(kThreads)
           if (column + e >= 0 && column + e < width) vector.v[e] = from[k * P + e];
       }
     }
-    *reinterpret_cast<Vector<T, P>*>(to + k * P) = vector;
+    store_vector(to + k * P, vector);
   });
 }
 

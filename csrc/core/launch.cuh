@@ -63,20 +63,27 @@ struct alignas(P * sizeof(T) > 16 ? 16 : P * sizeof(T)) Vector {
   T v[P];
 };
 
-// Rounds P elements and stores them. The address is a multiple of their size.
+// Stores P elements. The address is a multiple of their size. Vectors of 8 and 16 bytes are streamed: results are not
+// read again soon and must not evict inputs from L2. Vectors of bytes and of half types are stored as words: nvcc may
+// split them into elements where another path of the kernel stores elements.
+template <class T, int P>
+__device__ __forceinline__ void store_vector(T* to, Vector<T, P> const& vector) {
+  if constexpr (sizeof(vector) == 16)
+    __stcs(reinterpret_cast<uint4*>(to), *reinterpret_cast<uint4 const*>(&vector));
+  else if constexpr (sizeof(vector) == 8)
+    __stcs(reinterpret_cast<uint2*>(to), *reinterpret_cast<uint2 const*>(&vector));
+  else if constexpr (sizeof(vector) == 4 && P > 1)
+    *reinterpret_cast<uint32_t*>(to) = *reinterpret_cast<uint32_t const*>(&vector);
+  else
+    *reinterpret_cast<Vector<T, P>*>(to) = vector;
+}
+// The same of P numbers, which are rounded first.
 template <class T, int P, class F>
 __device__ __forceinline__ void store_vector(T* to, F const (&v)[P]) {
   Vector<T, P> vector;
 #pragma unroll
   for (int i = 0; i < P; ++i) vector.v[i] = round_to<T>(v[i]);
-  // Streaming: results are not read again soon and must not evict inputs from L2. nvcc may split other stores of 16-bit
-  // elements into single ones.
-  if constexpr (sizeof(vector) == 16)
-    __stcs(reinterpret_cast<uint4*>(to), *reinterpret_cast<uint4 const*>(&vector));
-  else if constexpr (sizeof(vector) == 8)
-    __stcs(reinterpret_cast<uint2*>(to), *reinterpret_cast<uint2 const*>(&vector));
-  else
-    *reinterpret_cast<Vector<T, P>*>(to) = vector;
+  store_vector(to, vector);
 }
 
 // Pixels per thread: 16 bytes of types with 2 or 4 bytes.

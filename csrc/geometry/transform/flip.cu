@@ -15,7 +15,7 @@ __device__ __forceinline__ void store_reversed_if(T* to, Vector<T, P> const& fro
   if (reversed)
 #pragma unroll
     for (int l = 0; l < P; ++l) vector.v[l] = from.v[P - 1 - l];
-  __stcs(reinterpret_cast<uint4*>(to), *reinterpret_cast<uint4 const*>(&vector));  // streaming, as store_vector
+  store_vector(to, vector);
 }
 
 // Blocks of rows of a plane are `across` vectors wide; there are `down` in a plane.

@@ -24,7 +24,7 @@ __global__ void __launch_bounds__(kEraseThreads)
     for (int k = 0; k < P; ++k)
       if (columns.contains(first + k)) v.v[k] = value;
   }
-  *reinterpret_cast<Vector<T, P>*>(p.y.row(plane, y) + first) = v;
+  store_vector(p.y.row(plane, y) + first, v);
 }
 
 template <class T, int P>

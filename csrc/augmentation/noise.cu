@@ -31,7 +31,7 @@ struct FourPixels {
   }
   __device__ __forceinline__ void store() const {
     if constexpr (Vectorized) {
-      *reinterpret_cast<Vector<T, 4>*>(y) = v;
+      store_vector(y, v);
     } else {
 #pragma unroll
       for (int i = 0; i < 4; ++i)

@@ -216,10 +216,13 @@ inline constexpr Operator<"warp3d_by_formula",
 
 namespace detail {
 
+// Of an operator and of its backward operator, which are linear.
 inline constexpr Rule resized{[](Backward const& b) {
-                                bool const back = name_of(b.op) == "resize_backward";
-                                return b.call(back ? "resize" : "resize_backward",
-                                              {{back ? "input" : "grad", b.grad()}, {"size", b.image_size()}}, resized);
+                                std::string name = name_of(b.op);
+                                bool const back = name.ends_with("_backward");
+                                name = back ? name.substr(0, name.size() - 9) : name + "_backward";
+                                return b.call(name, {{back ? "input" : "grad", b.grad()}, {"size", b.image_size()}},
+                                              resized);
                               },
                               0, false};
 
@@ -228,6 +231,10 @@ inline constexpr Rule resized{[](Backward const& b) {
 inline constexpr Operator<"resize", Tensor(Tensor input, Ints size, int64_t filter, bool align_corners, bool antialias,
                                            int64_t border)>
     resize{detail::resized};
+// `matrix` (B, 3, 3), without rotation and shear, maps pixels of the images to those of the results.
+inline constexpr Operator<"resize_windows",
+                          Tensor(Tensor input, Tensor matrix, Ints size, int64_t filter, bool align_corners)>
+    resize_windows{detail::resized};
 inline constexpr Operator<"pyramid_detail", Tensor(Tensor smaller, Tensor image, bool align_corners, int64_t border)>
     pyramid_detail{
         [](Backward const& b) -> variable_list {

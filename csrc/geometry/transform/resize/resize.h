@@ -40,8 +40,8 @@ struct ResizeAxis {
   int max_taps;              // the most pixels that a pixel of the output reads: of a band, or backward its holders
   int max_readers;           // the most pixels of the output that read one pixel
 
-  ResizeAxis(ResizeFilter filter, int64_t source, int64_t result, bool align_corners, bool antialias, bool backward,
-             Border border = Border::replicate);
+  KV_HD ResizeAxis(ResizeFilter filter, int64_t source, int64_t result, bool align_corners, bool antialias,
+                   bool backward, Border border = Border::replicate);
   KV_HD int64_t center(int i) const { return origin + i * num; }
   // n / den and n / num rounded down.
   KV_HD int64_t floor_div(int64_t n) const { return rounded_down(n, den, per_den); }
@@ -91,8 +91,8 @@ KV_HD int filter_radius(ResizeFilter filter) {
   return filter == ResizeFilter::bilinear ? 1 : filter == ResizeFilter::bicubic ? 2 : 3;
 }
 
-inline ResizeAxis::ResizeAxis(ResizeFilter filter, int64_t source, int64_t result, bool align_corners, bool antialias,
-                              bool backward, Border border)
+KV_HD ResizeAxis::ResizeAxis(ResizeFilter filter, int64_t source, int64_t result, bool align_corners, bool antialias,
+                             bool backward, Border border)
     : filter(filter),
       border(border),
       antialias(antialias),

@@ -24,6 +24,8 @@ _SIDES = ("short", "long", "vert", "horz")
 
 # --- the definition: csrc/geometry/transform/resize/resize.h has it in a table ----------------------------------------
 
+SUPPORT = {"bilinear": 1, "bicubic": 2, "lanczos": 3}  # half of a window's width
+
 # Indices (n, k) and weights (n, k) of the k source pixels of each pixel of the result.
 Taps = tuple[Tensor, Tensor]
 
@@ -69,10 +71,10 @@ def _taps(window: str, source: int, result: int, align_corners: bool, antialias:
         origin, num, den = 0, *((source - 1, result - 1) if result > 1 else (0, 1))
     coord = origin + num * i
     unit = max(num, den) if antialias else den
-    support = {"bilinear": 1, "bicubic": 2, "lanczos": 3}[window]
+    support = SUPPORT[window]
     first = (coord - support * unit) // den + 1
     index = first + torch.arange(-(-2 * support * unit // den), device=like.device)
-    weight = _window(window, (index * den - coord).to(like.dtype) / unit, antialias)
+    weight = window_weight(window, (index * den - coord).to(like.dtype) / unit, antialias)
     inside = index.clamp(0, source - 1)
     if antialias or window == "lanczos":  # taps out of bounds have weight 0
         weight = torch.where(index == inside, weight, 0.0)
@@ -80,7 +82,8 @@ def _taps(window: str, source: int, result: int, align_corners: bool, antialias:
     return inside, weight
 
 
-def _window(window: str, x: Tensor, antialias: bool) -> Tensor:
+def window_weight(window: str, x: Tensor, antialias: bool) -> Tensor:
+    """The window at a distance x from its center."""
     x = x.abs()
     if window == "bilinear":
         return (1 - x).clamp(min=0)

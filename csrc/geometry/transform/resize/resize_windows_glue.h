@@ -1,0 +1,44 @@
+// Antialiased resizing of windows and its gradient, for the entries of operators. Included by resize_windows_op.cpp and
+// augmentation/warp_and_color_op.cpp.
+#pragma once
+
+#include "geometry/transform/resize/resize_windows.h"
+#include "geometry/transform/sampling_glue.h"
+
+namespace kv::geometry {
+
+// From images to results of `size`, or from the gradient of results to that of images of `size`.
+inline Tensor windows_resized(char const* op, Tensor const& input, Tensor const& matrix,
+                              std::vector<int64_t> const& sides, int64_t filter, bool align_corners, bool backward) {
+  check_images(op, backward ? "grad" : "input", input);
+  Size const size = checked_size(op, sides);
+  checked_size(op, input);
+  KV_CHECK(filter >= int64_t(ResizeFilter::bilinear) && filter <= int64_t(ResizeFilter::lanczos), op,
+           ": filter must be 3 (bilinear), 4 (bicubic) or 5 (lanczos), got ", filter);
+  KV_CHECK(matches_image(matrix, input, 3) && matrix.size(1) == 3 && matrix.size(2) == 3, op,
+           ": matrix does not fit what is resized");
+  Tensor const matrices = dense(matrix);
+  Layout const layout = layout_of(input);
+  Tensor const x = as_layout(input, layout);
+  Tensor const y = empty({x.size(0), x.size(1), size.height, size.width}, x, layout);
+  auto const run = [&](auto type) {
+    using T = typename decltype(type)::type;
+    ResizeWindows<T> const params{planes<T const>(x, layout),
+                                  planes<T>(y, layout),
+                                  layout == Layout::channels_last ? 1 : x.size(1),
+                                  ResizeFilter(filter),
+                                  align_corners,
+                                  backward,
+                                  data_ptr<Compute<T> const>(matrices),
+                                  matrices.size(0) > 1 ? 9 : 0};
+    int64_t const work = params.y.row_size() == 0 ? 0 : backward ? params.y.count() : params.y.rows();
+    KV_RUN(resize_windows, x, params, work, 4 * params.y.row_size() * (backward ? size.height : 1));
+  };
+  if (backward)
+    dispatch_floating(op, x, run);
+  else
+    dispatch_floating_and_uint8(op, x, run);
+  return y;
+}
+
+}  // namespace kv::geometry

@@ -6,9 +6,9 @@
 
 namespace kv::augmentation {
 
-// The integers of a plan before its transforms: the dtype and the layout of the result; interpolation, padding and
-// align_corners.
-constexpr size_t kPassOptions = 5;
+// The integers of a plan before its transforms: the dtype and the layout of the result; interpolation, padding,
+// align_corners and antialias.
+constexpr size_t kPassOptions = 6;
 
 // Calls run(Type<T>{}) with the storage type of images that are computed in float.
 template <class Run>

@@ -6,6 +6,7 @@
 #include "augmentation/warp_and_color_glue.h"
 #include "augmentation/warp_rows_backward.h"
 #include "color/program_glue.h"
+#include "geometry/transform/resize/resize_windows_glue.h"
 #include "geometry/transform/warp_glue.h"
 
 namespace kv::augmentation {
@@ -19,7 +20,7 @@ using Numbers = std::vector<double>;
 // these; and the order of the steps. `numbers` are those of the transforms, then those of the steps.
 struct WarpAndColorPlan {
   int64_t interpolation, padding;
-  bool align_corners;
+  bool align_corners, antialias;  // the latter of matrices that keep rows: windows are resized instead of warped
   std::span<int64_t const> transforms, order;
   color::PlanArgument program;
   std::span<double const> transform_numbers;
@@ -33,6 +34,7 @@ struct WarpAndColorPlan {
     interpolation = head[2];
     padding = head[3];
     align_corners = head[4] != 0;
+    antialias = head[5] != 0;
     auto const chain = rest.next_chain();
     transforms = chain.plan, transform_numbers = chain.numbers;
     auto const steps = rest.next_list();
@@ -87,7 +89,7 @@ struct WarpAndColorArguments {
   // Whether the kernel that joins warp and program serves images.
   bool is_joined(Tensor const& image, color::ProgramArguments const& a) const {
     int64_t const channels = image.size(1);
-    if (a.in_double || !(channels == 3 || (channels == 1 && a.per_value))) return false;
+    if (a.in_double || plan.antialias || !(channels == 3 || (channels == 1 && a.per_value))) return false;
 #if defined(KV_CUDA)
     geometry::Size const size = matrix->use.output;
     return sampling->interpolation == geometry::Interpolation::bilinear &&
@@ -100,7 +102,7 @@ struct WarpAndColorArguments {
   // Whether the gradient of the image has a kernel for warps that map rows to rows.
   bool has_row_gradient([[maybe_unused]] Tensor const& image) const {
 #if defined(KV_CUDA)
-    return sampling->interpolation == geometry::Interpolation::bilinear &&
+    return !plan.antialias && sampling->interpolation == geometry::Interpolation::bilinear &&
            sampling->padding != geometry::Padding::reflection && image.scalar_type() != ScalarType::Double &&
            keeps_rows(plan.transforms, plan.transform_numbers) &&
            cuda::fits_block(matrix->use.source, matrix->use.output);
@@ -108,9 +110,19 @@ struct WarpAndColorArguments {
     return false;
 #endif
   }
+  // What the warp samples.
+  Tensor sampled(Tensor const& image) const {
+    geometry::Size const output = matrix->use.output;
+    if (!plan.antialias) return geometry::warped(image, *sampling, *matrix);
+    return geometry::windows_resized(op, image, *matrix_tensor, {output.height, output.width}, plan.interpolation,
+                                     plan.align_corners, false);
+  }
   // The gradient of the image from that of what is sampled.
   Tensor image_gradient(Tensor const& grad, Tensor const& image) const {
     geometry::Size const source = matrix->use.source;
+    if (plan.antialias)
+      return geometry::windows_resized(op, dense(grad), *matrix_tensor, {source.height, source.width},
+                                       plan.interpolation, plan.align_corners, true);
 #if defined(KV_CUDA)
     if (has_row_gradient(image)) {
       int64_t const batch = image.size(0);
@@ -202,15 +214,14 @@ PassResults run_pass(Tensor const& image, OptionalTensor const& columns, Optiona
   WarpAndColorArguments const a("warp_and_color", image, columns, fill, matrices, size, plan, numbers);
   color::PlanArgument const& program = a.plan.program;
   bool const same = program.dtype < 0 && (program.layout < 0 || program.layout == int64_t(layout_of(image)));
-  if (a.matrix && same && !a.plan.has_steps())
-    return {geometry::warped(image, *a.sampling, *a.matrix), a.matrix_tensor, {}};
+  if (a.matrix && same && !a.plan.has_steps()) return {a.sampled(image), a.matrix_tensor, {}};
   auto const arguments = a.program(image, color::result_type(program, image));
   bool const around_mean = arguments.sequence.contrast >= 0;
   if (a.matrix && a.is_joined(image, arguments)) {
     auto const [y, means] = run_joined(a, image, arguments);
     return {y, a.matrix_tensor, around_mean ? OptionalTensor(means) : OptionalTensor()};
   }
-  Tensor const x = a.matrix ? geometry::warped(image, *a.sampling, *a.matrix) : image;
+  Tensor const x = a.matrix ? a.sampled(image) : image;
   auto const [y, means] = color::run_program(a.op, x, arguments, program, a.plan.numbers);
   return {y, a.matrix_tensor, around_mean ? OptionalTensor(means) : OptionalTensor()};
 }
@@ -257,7 +268,7 @@ std::tuple<Tensor, Tensor, Tensor> warp_and_color_backward(Tensor const& grad, T
              ": grad does not fit the result for this image");
     bool const of_parameters = of_columns && arguments.columns > 0;
     color::RequiredGradients const required{through, of_parameters};
-    Tensor const x = a.matrix ? geometry::warped(image, *a.sampling, *a.matrix) : image;
+    Tensor const x = a.matrix ? a.sampled(image) : image;
     auto const around = arguments.sequence.contrast >= 0 ? OptionalTensor(means) : OptionalTensor();
     auto const [of_sampled, of_program] =
         color::program_gradients(op, grad, x, arguments, a.plan.program, a.plan.numbers, around, required);
@@ -270,7 +281,12 @@ std::tuple<Tensor, Tensor, Tensor> warp_and_color_backward(Tensor const& grad, T
   } else {
     if (of_matrix || !a.has_row_gradient(image)) sampled_grad = materialized(op, sampled_grad);
     if (of_image) grad_image = a.image_gradient(sampled_grad, image);
-    if (of_matrix) grad_matrix = geometry::warp_matrix_gradient(sampled_grad, image, *a.sampling, *a.matrix);
+    if (of_matrix && a.plan.antialias) {  // windows are whole pixels
+      grad_matrix = empty({image.size(0), 3, 3}, a.columns);
+      torch::stable::zero_(grad_matrix);
+    } else if (of_matrix) {
+      grad_matrix = geometry::warp_matrix_gradient(sampled_grad, image, *a.sampling, *a.matrix);
+    }
   }
   return {grad_image, grad_columns, grad_matrix};
 }

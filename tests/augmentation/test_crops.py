@@ -16,9 +16,9 @@ import kvision.augmentation as A
 @pytest.mark.parametrize("size", [(12, 15), (45, 20), (1, 7)], ids=str)
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.uint8], ids=str)
 def test_antialiased_crops(
-    mode: str, align_corners: bool, size: tuple[int, int], dtype: torch.dtype, device: torch.device, monkeypatch: Any
+    mode: str, align_corners: bool, size: tuple[int, int], dtype: torch.dtype, device: torch.device
 ) -> None:
-    """As antialiased resizing of each window; by matrices, as CUDA and compiled calls have it, and window by window."""
+    """They are antialiased resizing of each window."""
     x = torch.rand(4, 3, 40, 50, generator=torch.Generator().manual_seed(1)).to(device)
     x = (255 * x).to(dtype) if dtype == torch.uint8 else x.to(dtype)
     crop = A.RandomResizedCrop(size, resample=mode, align_corners=align_corners, antialias=True)
@@ -29,8 +29,77 @@ def test_antialiased_crops(
         expected = K.geometry.resize(window, size, mode, align_corners=align_corners, antialias=True)[0]
         torch.testing.assert_close(result, expected, rtol=0, atol=1 if dtype == torch.uint8 else 1e-5)
     assert torch.equal(crop(x, params=crop._params), y)
-    monkeypatch.setattr("kvision.augmentation.crop.is_compiling", lambda: True)
-    torch.testing.assert_close(crop(x, seed=4), y, rtol=0, atol=1 if dtype == torch.uint8 else 1e-5)
+    matrix = crop.transform_matrix
+    assert torch.equal(crop.apply_transform(x, crop._params, crop.flags, matrix), y)
+
+
+@pytest.mark.parametrize("resample", ["each", "once"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.uint8], ids=str)
+def test_flips_around_antialiased_crops(dtype: torch.dtype, resample: str, device: torch.device) -> None:
+    """Flips mirror the windows; the result is that of the separate calls, and so is its gradient."""
+    x = torch.rand(9, 3, 40, 52, generator=torch.Generator().manual_seed(2)).to(device)
+    x = (255 * x).to(dtype) if dtype == torch.uint8 else x.to(dtype)
+    x.requires_grad_(x.is_floating_point())
+    children = [
+        A.RandomHorizontalFlip(),
+        A.RandomVerticalFlip(),
+        A.RandomResizedCrop((24, 31), antialias=True, align_corners=False),
+        A.RandomVerticalFlip(),
+        A.RandomHorizontalFlip(),
+    ]
+    augment = A.ImageSequential(*children, resample=resample)
+    torch.manual_seed(5)
+    y = augment(x)
+    torch.manual_seed(5)
+    expected = x
+    for child in children:
+        expected = child(expected)
+    torch.testing.assert_close(y, expected, rtol=0, atol=1 if dtype == torch.uint8 else 1e-5)
+    if x.requires_grad:
+        weights = torch.rand(y.shape, generator=torch.Generator().manual_seed(3)).to(y)
+        (grad,) = torch.autograd.grad((y * weights).sum(), x)
+        (expected_grad,) = torch.autograd.grad((expected * weights).sum(), x)
+        torch.testing.assert_close(grad, expected_grad, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("resample", ["each", "once"])
+def test_what_is_no_flip_is_not_joined(resample: str, device: torch.device) -> None:
+    """A crop of an antialiased crop reads pixels beside its own window."""
+    x = torch.rand(4, 3, 40, 52, device=device)
+    children = [A.RandomResizedCrop((20, 20), antialias=True), A.CenterCrop((8, 10)), A.RandomInvert(p=1.0)]
+    y = A.ImageSequential(*children, resample=resample)(x, seed=7)
+    torch.testing.assert_close(y, 1 - children[0](x, seed=7)[:, :, 6:14, 5:15], rtol=0, atol=1e-6)
+
+
+def test_pipeline_of_an_antialiased_crop(device: torch.device) -> None:
+    """One pass crops, flips, colors, normalizes and converts; its gradient is that of the separate calls."""
+
+    def pipeline(**options: Any) -> A.ImageSequential:
+        return A.ImageSequential(
+            A.RandomResizedCrop((24, 32), antialias=True),
+            A.RandomHorizontalFlip(),
+            A.ColorJitter(0.2, 0.2, 0.2, 0.1),
+            A.Normalize((0.485, 0.456, 0.406), (0.229, 0.224, 0.225)),
+            **options,
+        )
+
+    x = torch.rand(7, 3, 40, 52, generator=torch.Generator().manual_seed(2)).to(device).requires_grad_()
+    augment = pipeline()
+    for y in (augment(x, seed=3), augment(x.detach(), seed=3)):
+        expected = x
+        for child in augment.children():
+            expected = child(expected, params=child._params)
+        torch.testing.assert_close(y, expected, rtol=0, atol=2e-5)
+    weights = torch.rand(expected.shape, generator=torch.Generator().manual_seed(3)).to(device)
+    for layout in (torch.contiguous_format, torch.channels_last):
+        (grad,) = torch.autograd.grad((augment(x, seed=3)), x, weights.contiguous(memory_format=layout))
+        (expected_grad,) = torch.autograd.grad(expected, x, weights, retain_graph=True)
+        torch.testing.assert_close(grad, expected_grad, rtol=1e-4, atol=1e-4)
+    stored = (255 * x.detach()).to(torch.uint8)
+    options: dict[str, Any] = {"output_dtype": torch.float16, "memory_format": torch.channels_last}
+    half = pipeline(**options)(stored, seed=3)
+    assert half.dtype == torch.float16 and half.is_contiguous(memory_format=torch.channels_last)
+    torch.testing.assert_close(half, pipeline(output_dtype=torch.float32)(stored, seed=3).half(), rtol=0, atol=4e-3)
 
 
 def test_labels_of_antialiased_crops(device: torch.device) -> None:

@@ -34,10 +34,18 @@ def columns(x):
     return torch.cat([drawn, orders[torch.arange(batch) % 3]], 1)
 
 
+def columns_of_windows(x):
+    """The same, with boxes that are not halfway between pixels in any type."""
+    drawn = columns(x)
+    drawn[:, 3:7] = drawn[:, 3:7].floor() + 0.25
+    return drawn
+
+
 TURN = [affine((8.0, 6.0), angle=0, translation=(1, 2))]
 CROP = [Transform("crop", (0, 0, 0, 0, 9, 7, 0), (3, 4, 5, 6, -1, -1, -1)), affine((4.0, 3.0), scale=(-1, -1))]
 LINEAR, NEAREST = Resampling("bilinear", "border", False), Resampling("nearest", "zeros")
 FILLED = Resampling("bilinear", "fill", True, 0.3)
+WINDOWS, CUBIC_WINDOWS = (Resampling(mode, "border", False, antialias=True) for mode in ("bilinear", "bicubic"))
 JITTER = ColorPart(
     [
         ColorStep("scale_shift", (0.0, 0.0, 1.0), (7,)),
@@ -68,6 +76,8 @@ class TestWarpAndColor(OpTests):
         {"columns": columns, "chain": TURN, "size": (11, 6), "resampling": FILLED},
         {"columns": columns, "parts": (JITTER, NORMALIZE)},
         {"columns": columns, "chain": CROP, "size": (7, 9), "resampling": NEAREST, "parts": (PLAIN,)},
+        {"columns": columns_of_windows, "chain": CROP, "size": (7, 9), "resampling": WINDOWS, "parts": (JITTER,)},
+        {"columns": columns_of_windows, "chain": CROP, "size": (4, 19), "resampling": CUBIC_WINDOWS, "parts": (PLAIN,)},
         {"columns": columns, "chain": CROP, "size": (7, 9), "resampling": LINEAR, "parts": (JITTER, NORMALIZE)},
     ]
     # Between the warp and the program, what is sampled is rounded to the type of the images.

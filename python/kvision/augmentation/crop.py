@@ -7,18 +7,15 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.compiler import is_compiling
 
-from kvision._dtype import compute_dtype
 from kvision.augmentation import transforms
-from kvision.augmentation.base import Params, Shape
+from kvision.augmentation.base import Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Resampling
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.crop import CropGenerator, ResizedCropGenerator, box_params, parse_size
 from kvision.augmentation.transforms import Transform
 from kvision.constants import Resample
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
-from kvision.geometry import resize
 
 __all__ = ["CenterCrop", "RandomCrop", "RandomResizedCrop"]
 
@@ -140,7 +137,7 @@ class RandomResizedCrop(GeometricAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
         cropping_mode: accepted for code written for Kornia; both modes read the image between the same positions.
         antialias: blur windows that become smaller, so that no pixel is skipped, as `Resize` does and torchvision and Pillow
-            do; for 'bilinear' and 'bicubic'.
+            do; for 'bilinear' and 'bicubic'. No pixel next to a window is read; windows are rounded to whole pixels.
 
     Raises:
         TypeError: `size` is not one or two ints.
@@ -189,63 +186,13 @@ class RandomResizedCrop(GeometricAugmentationBase2D):
     def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:
         return self.size
 
-    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform] | None:
-        return None if flags["antialias"] else self.matrix_transforms(shape, flags)
-
-    def matrix_transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
         h, w = self.size
         corners = float(flags["align_corners"] is not False)
         return [Transform("crop", (0, 0, 0, 0, float(w), float(h), corners), (0, 1, 2, 3, -1, -1, -1))]
 
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        if not flags["antialias"]:
-            return super().apply_transform(input, params, flags, transform)
-        corners = params["src"]
-        start, last = corners[:, 0].to(input.device), corners[:, 2].to(input.device)
-        mode, align_corners = Resample.get(flags["resample"]).name.lower(), flags["align_corners"] is not False
-        if not input.is_cuda and not is_compiling() and len(input) > 0:
-            # One window after the other reads few pixels of few rows; matrices have mostly zeros.
-            boxes = torch.cat([start, last + 1], 1).long().tolist()
-            windows = [image[None, :, y:bottom, x:right] for image, (x, y, right, bottom) in zip(input.unbind(), boxes)]
-            return torch.cat([resize(w, self.size, mode, align_corners=align_corners, antialias=True) for w in windows])
-        cubic = mode == "bicubic"
-        # Rows and columns of all windows are weighted means, as two products of matrices.
-        across, down = (
-            _window_weights(start[:, i], last[:, i] - start[:, i] + 1, n, size, align_corners, cubic)
-            for i, (n, size) in enumerate(zip(reversed(input.shape[-2:]), reversed(self.size)))
-        )
-        x = input.to(compute_dtype(input))
-        y = down.to(x)[:, None] @ x @ across.to(x).mT[:, None]
-        if input.dtype == torch.uint8:
-            return y.round_().clamp_(0, 255).to(torch.uint8)
-        channels_last = input.is_contiguous(memory_format=torch.channels_last) and not input.is_contiguous()
-        return y.to(input.dtype, memory_format=torch.channels_last) if channels_last else y.to(input.dtype)
-
-
-def _window_weights(start: Tensor, length: Tensor, size: int, result: int, align_corners: bool, cubic: bool) -> Tensor:
-    """The weights (B, result, size) of antialiased resizing along one axis, of windows [start, start + length) of pixels.
-
-    The triangle, or Keys' cubic with a = -1/2, is stretched where the window shrinks, and cut off at its ends; as in Pillow.
-    """
-    start, length = start.double()[:, None, None], length.double()[:, None, None]
-    index = torch.arange(result, device=start.device, dtype=torch.float64)[:, None]
-    if align_corners:
-        scale = (length - 1) / max(result - 1, 1) if result > 1 else torch.zeros_like(length)
-        center = start + index * scale
-    else:
-        scale = length / result
-        center = start + (index + 0.5) * scale - 0.5
-    pixel = torch.arange(size, device=start.device, dtype=torch.float64)
-    x = ((pixel - center) / scale.clamp(min=1)).abs()
-    if cubic:
-        inner, outer = (1.5 * x - 2.5) * x * x + 1, ((2.5 - 0.5 * x) * x - 4) * x + 2
-        weight = torch.where(x < 1, inner, torch.where(x < 2, outer, 0))
-    else:
-        weight = (1 - x).clamp(min=0)
-    weight = torch.where((pixel >= start) & (pixel < start + length), weight, 0)
-    return weight / weight.sum(-1, keepdim=True)
+    def resampling(self, flags: dict[str, Any]) -> Resampling:
+        return super().resampling(flags)._replace(antialias=bool(flags["antialias"]))
 
 
 class _CenterGenerator(RandomGeneratorBase):

@@ -71,7 +71,7 @@ class GeometricAugmentationBase3D(GeometricAugmentation, RigidAffineAugmentation
         self, x: Tensor, matrix: Tensor, size: tuple[int, ...], resampling: Resampling, inverse: bool = True
     ) -> Tensor:
         """Resample volumes of any type: float64 holds all integers up to 2^53."""
-        mode, padding, align_corners, _ = resampling
+        mode, padding, align_corners, *_ = resampling
         small = (torch.bool, torch.uint8, torch.int8, torch.int16)
         exact = x if x.is_floating_point() else x.to(torch.float32 if x.dtype in small else torch.float64)
         op = type(self).__name__

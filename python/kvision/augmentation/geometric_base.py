@@ -18,6 +18,7 @@ from kvision.augmentation.warp_and_color import Pass, Resampling, fill_of_images
 from kvision.constants import Resample, SamplePadding
 from kvision.geometry.linalg import transform_points
 from kvision.geometry.transform import sampling
+from kvision.geometry.transform.resize_windows import resized_windows
 
 __all__ = ["GeometricAugmentationBase2D"]
 
@@ -227,8 +228,11 @@ def _warp(
     fill: Tensor | None,
     inverse: bool,
 ) -> Tensor:
-    mode, _, align_corners, _ = resampling
+    mode, _, align_corners, *_ = resampling
     matrix = matrix.to(compute_dtype(x))
+    if resampling.antialias:
+        resized: Tensor = resized_windows(x, matrix, list(size), INTERPOLATION[mode], align_corners)
+        return resized
     options = (INTERPOLATION[mode], padding, align_corners, inverse, False)
     y: Tensor = sampling.warp(x, matrix, fill, None, list(size), *options)
     return y

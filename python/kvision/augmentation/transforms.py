@@ -36,6 +36,16 @@ class Transform(NamedTuple):
         return self._replace(columns=[c + first if c >= 0 else c for c in self.columns])
 
 
+# The inputs that have to be 0 so that rows are mapped to rows: the angle and the shears, and the entries of a matrix that are
+# neither scales nor translations.
+_ZEROS = {"affine": (0, 5, 6), "crop": (), "matrix": (1, 3, 6, 7)}
+
+
+def keeps_rows(chain: Sequence[Transform]) -> bool:
+    """Whether the matrices of a chain map rows to rows, whatever the columns are."""
+    return all(t.kind in _ZEROS and all(t.columns[i] < 0 and t.inputs[i] == 0 for i in _ZEROS[t.kind]) for t in chain)
+
+
 def center_of(shape: Sequence[int]) -> tuple[float, float]:
     """The center x, y of images of a shape (..., H, W): integer coordinates are the centers of pixels."""
     return (shape[-1] - 1) / 2, (shape[-2] - 1) / 2

@@ -23,20 +23,22 @@ from kvision.color.program import MAX_TENSORS
 from kvision.color.steps import CONTRAST, STEPS
 from kvision.enhance.posterize import SPLIT
 from kvision.geometry.transform import sampling
+from kvision.geometry.transform.resize_windows import resized_windows
 
 # Arguments of the operator: images (B, C, H, W); columns (B, P) in the type that computes, or None; the fill as warps take it, or
 # None; the size of the result, empty without a warp; the plan; and numbers. The plan has the dtype and the layout of the result,
-# as in color programs; interpolation, padding and align_corners; and lists, of which all but the last begin with their length:
-# the plan of the transforms (transforms.make_plan); the steps; the column of each of their parameters, or -1 for a number; and the
-# order of the steps, a pair for each position: a step, after the column of a number that is added to it, or -1. Where the number
-# is negative there is no step. Without an order all steps follow each other. The numbers are those of the transforms, then those
-# of the steps.
+# as in color programs; interpolation, padding, align_corners and antialias; and lists, of which all but the last begin with their
+# length: the plan of the transforms (transforms.make_plan); the steps; the column of each of their parameters, or -1 for a number;
+# and the order of the steps, a pair for each position: a step, after the column of a number that is added to it, or -1. Where the
+# number is negative there is no step. Without an order all steps follow each other. The numbers are those of the transforms, then
+# those of the steps.
 
 
 class _Plan(NamedTuple):
     dtype: int
     layout: int
     sampling: tuple[int, int, bool]
+    antialias: bool
     transforms: Sequence[int]
     steps: Sequence[int]
     columns: Sequence[int]
@@ -51,7 +53,7 @@ class _Plan(NamedTuple):
 
 
 def _parse(plan: Sequence[int], numbers: Sequence[float]) -> _Plan:
-    dtype, layout, interpolation, padding, align_corners, *rest = plan
+    dtype, layout, interpolation, padding, align_corners, antialias, *rest = plan
     lists = []
     for _ in range(3):
         count = rest[0]
@@ -64,7 +66,9 @@ def _parse(plan: Sequence[int], numbers: Sequence[float]) -> _Plan:
         count += counts[chain[at]]
         at += 1 + counts[chain[at]]
     sampling = (interpolation, padding, bool(align_corners))
-    return _Plan(dtype, layout, sampling, chain, steps, columns, rest, numbers[:count], numbers[count:])
+    return _Plan(
+        dtype, layout, sampling, bool(antialias), chain, steps, columns, rest, numbers[:count], numbers[count:]
+    )
 
 
 # --- the reference --------------------------------------------------------------------------------------------------
@@ -96,7 +100,10 @@ def _apply(
 ) -> tuple[Tensor, Tensor]:
     """The result by given matrices, and the means of contrast."""
     x = image
-    if size:
+    if size and parts.antialias:
+        interpolation, _, align_corners = parts.sampling
+        x = resized_windows.reference(image, matrix, size, interpolation, align_corners)
+    elif size:
         x = sampling.warp.reference(image, matrix, fill, None, size, *parts.sampling, True, False)
     mean = columns.new_empty(columns.shape[0], 0)
     if parts.steps or not size or parts.dtype >= 0 or parts.layout >= 0:
@@ -233,7 +240,7 @@ def _adds_by_atomics(grad: Tensor, image: Tensor, *rest: Any) -> bool:
     where the kernel finds that the rows of a block fit its shared memory.
     """
     size, plan, of_image = rest[4], rest[5], rest[7]
-    return grad.is_cuda and bool(size) and bool(of_image) and plan[3] != PADDING["fill"]
+    return grad.is_cuda and bool(size) and bool(of_image) and plan[3] != PADDING["fill"] and not plan[5]
 
 
 warp_and_color = register(
@@ -260,12 +267,17 @@ _warp_and_color_backward = register(
 
 
 class Resampling(NamedTuple):
-    """How a warp reads an image: names as the warps of kvision.geometry take them, and the fill value."""
+    """How a warp reads an image: names as the warps of kvision.geometry take them, and the fill value.
+
+    With `antialias` the window that a matrix maps to the result is resized as `resize` does, and nothing around it is read. Only
+    matrices that map rows to rows have windows.
+    """
 
     mode: str = "bilinear"
     padding: str = "zeros"
     align_corners: bool = True
     fill: Any = None
+    antialias: bool = False
 
     def for_labels(self, mode: str | None = None, fill: Any = None) -> Resampling:
         """How masks are read: pixels from outside are `fill`, or else 0, where those of images are 0 or the fill value."""
@@ -276,7 +288,7 @@ class Resampling(NamedTuple):
 
     def for_inverse(self, mode: str | None = None) -> Resampling:
         """How results are read to undo a call, which know nothing of the pixels that left them."""
-        return self._replace(mode=mode or self.mode, padding="zeros", fill=None)
+        return self._replace(mode=mode or self.mode, padding="zeros", fill=None, antialias=False)
 
 
 def fill_of_images(x: Tensor, fill: Any) -> Any:
@@ -360,14 +372,19 @@ def make_pass(
     output: Output = SAME,
 ) -> Pass:
     """The pass of a chain of transforms, None for no warp, and then of the steps of several augmentations."""
-    sampling = [0, 0, 0]
+    sampling = [0, 0, 0, 0]
     transform_plan: list[int] = []
     numbers: list[float] = []
     before: Sequence[Transform] = ()
     if chain is not None:
         assert resampling is not None
         padding = PADDING.get(resampling.padding, PADDING["fill"])
-        sampling = [INTERPOLATION[resampling.mode], padding, int(resampling.align_corners)]
+        sampling = [
+            INTERPOLATION[resampling.mode],
+            padding,
+            int(resampling.align_corners),
+            int(resampling.antialias),
+        ]
         if len(chain) > MAX_TRANSFORMS:
             assert not parts  # whose columns would be others
             before, chain = chain, [Transform("matrix", [0.0] * 9, range(9))]

@@ -35,7 +35,7 @@ from kvision.augmentation.elastic import MapAugmentation
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, color_part
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys, frame_seeds
-from kvision.augmentation.transforms import MAX_TRANSFORMS, MatrixPlan, Transform, transform_matrix
+from kvision.augmentation.transforms import MAX_TRANSFORMS, MatrixPlan, Transform, keeps_rows, transform_matrix
 from kvision.augmentation.warp_and_color import (
     SAME,
     ColorPart,
@@ -466,6 +466,7 @@ class _Geometric(NamedTuple):
     module: GeometricAugmentationBase2D | MapAugmentation
     execution: Execution
     chain: Sequence[Transform] | None  # of its matrix; None for a map
+    antialiased: bool = False
     shrinks: int = 1  # how many pixels along an axis are blurred to one at most
 
     @property
@@ -502,25 +503,31 @@ class _Pending:
                 return
         if not customized and isinstance(module, GeometricAugmentationBase2D):
             chain = module.transforms(execution.shape, module.flags)
-            shrinks = 1
-            if chain is None and self.once:  # antialiased
+            antialiased = chain is None or module.resampling(module.flags).antialias
+            if chain is None and self.once:
                 chain = module.matrix_transforms(execution.shape, module.flags)
-                size = module.output_size(execution.shape, module.flags)
-                shrinks = max(-(-n // m) for n, m in zip(execution.shape[-2:], size))
             if chain is not None:
-                if self.parts or (self.geometric and not self._joins(module)):
-                    self._flush()
                 first = 0 if span is None else span.first_value
                 moved = [t.moved(first) for t in chain]
-                self.geometric.append(_Geometric(number, module, execution, moved, shrinks))
+                shrinks = 1
+                if antialiased:
+                    size = module.output_size(execution.shape, module.flags)
+                    shrinks = max(-(-n // m) for n, m in zip(execution.shape[-2:], size))
+                geometric = _Geometric(number, module, execution, moved, antialiased, shrinks)
+                if self.parts or (self.geometric and not self._joins(geometric)):
+                    self._flush()
+                self.geometric.append(geometric)
                 return
         self._flush()
         self.steps.append(number)
 
-    def _joins(self, module: GeometricAugmentationBase2D) -> bool:
-        """Whether one warp gives what the pending ones and then `module` give."""
+    def _joins(self, geometric: _Geometric) -> bool:
+        """Whether one warp gives what the pending ones and then `geometric` give."""
         if self.once:
             return True
+        together, module = [*self.geometric, geometric], geometric.module
+        if any(g.antialiased for g in together):
+            return _is_window(together)
         if all(g.module.permutes_pixels for g in self.geometric):
             return True
         return module.moves_whole_pixels and module.stays_inside
@@ -528,8 +535,8 @@ class _Pending:
     def _flush(self, output: Output = SAME) -> None:
         geometric, parts = self.geometric, self.parts
         self.geometric, self.parts = [], []
-        alone = [at for at, g in enumerate(geometric) if g.chain is None or _is_antialiased(g)]
-        if not alone:
+        alone = [at for at, g in enumerate(geometric) if g.chain is None or g.antialiased]
+        if not alone or _is_window(geometric):
             self._join(geometric, parts, output)
         elif sum(g.interpolates for g in geometric) == 1:  # which nothing else has to be composed with
             (at,) = alone
@@ -570,10 +577,13 @@ class _Pending:
         return self.steps
 
 
-def _is_antialiased(g: _Geometric) -> bool:
-    if isinstance(g.module, MapAugmentation):
+def _is_window(geometric: Sequence[_Geometric]) -> bool:
+    """Whether neighbors are a window that is resized with antialiasing, before or after flips, which mirror it."""
+    own = [g.module for g in geometric if g.antialiased]
+    if len(own) != 1 or isinstance(own[0], MapAugmentation) or not own[0].resampling(own[0].flags).antialias:
         return False
-    return g.module.transforms(g.execution.shape, g.module.flags) is None
+    others_flip = all(g.antialiased or g.module.permutes_pixels for g in geometric)
+    return others_flip and keeps_rows(_chain(geometric))
 
 
 def _chain(geometric: Sequence[_Geometric]) -> list[Transform]:

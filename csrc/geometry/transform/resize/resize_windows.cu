@@ -276,7 +276,8 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
       bool const backwards = down.window.mirrored;
       // The output from the line of row `top` on.
       int const y = backwards ? rows.end - 1 - top : rows.begin + top;
-      int64_t const to_stride = (backwards ? -out_groups : out_groups) * p.y.row_stride;
+      int64_t const row_bytes = (backwards ? -p.y.row_stride : p.y.row_stride) * int64_t(sizeof(T));
+      int64_t const to_stride = out_groups * row_bytes;
       int const line_stride = out_groups * tiles.span;
       for (int e = int(threadIdx.x) - out_group * out_width; e < elements; e += out_width) {
         int const pixel = step == 1 ? e : e / step, channel = e - pixel * step;
@@ -290,15 +291,15 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
 #pragma unroll 1
         for (int k = 0; k < planes; ++k) {
           float const* line = lines + (k * tiles.lines + out_group) * tiles.span + offset + first;
-          T* to = p.y.row(plane0 + k, y) + (backwards ? -out_group : out_group) * p.y.row_stride +
-                  int64_t(tile_x) * step + e;
+          auto* to = reinterpret_cast<unsigned char*>(p.y.row(plane0 + k, y) + int64_t(tile_x) * step + e) +
+                     out_group * row_bytes;
           int r = out_group;
           auto const write = [&](auto together) {
             constexpr int J = decltype(together)::value;
             float sums[J]{};
+            float const* own = line;
 #pragma unroll
-            for (int j = 0; j < J; ++j) {
-              float const* const own = line + j * line_stride;
+            for (int j = 0; j < J; ++j, own += line_stride) {
               if constexpr (K > 0) {
 #pragma unroll
                 for (int n = 0; n < K; ++n) sums[j] += weights[n] * own[n * step];
@@ -323,10 +324,9 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
               }
             }
 #pragma unroll
-            for (int j = 0; j < J; ++j) to[j * to_stride] = round_to<T>(sums[j]);
+            for (int j = 0; j < J; ++j, to += to_stride) *reinterpret_cast<T*>(to) = round_to<T>(sums[j]);
             r += J * out_groups;
-            to += J * to_stride;
-            line += J * line_stride;
+            line = own;
           };
           while (r + 3 * out_groups < count) write(std::integral_constant<int, 4>{});
           while (r < count) write(std::integral_constant<int, 1>{});

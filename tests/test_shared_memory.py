@@ -42,6 +42,7 @@ def calls(x, y, double):
     yield K.enhance.equalize_clahe(x, grid_size=(2, 100))
     yield K.enhance.histogram(x.flatten(1), torch.linspace(0, 1, 256, device=x.device), torch.tensor(0.001, device=x.device))
     yield K.geometry.resize(x, (40, 900), antialias=True)
+    yield K.augmentation.RandomResizedCrop((120, 700), antialias=True)(x, seed=1)
     yield K.feature.SIFTDescriptor(80).to(x)(x[:, :1, :80, :80])
     yield K.feature.SIFTDescriptor(64).to(double)(double[:, :1, :64, :64])
     yield K.losses.focal_loss(x.reshape(2, 200, -1, 1), y.reshape(2, 200, -1, 1)[:, 0].mul(199).long(), 0.5, reduction="mean")

@@ -31,6 +31,8 @@ def test_antialiased_crops(
     assert torch.equal(crop(x, params=crop._params), y)
     matrix = crop.transform_matrix
     assert torch.equal(crop.apply_transform(x, crop._params, crop.flags, matrix), y)
+    nearest = A.RandomResizedCrop(size, resample="nearest", align_corners=align_corners)(x, seed=4)
+    assert torch.equal(crop(x, seed=4, resample="nearest"), nearest)
 
 
 @pytest.mark.parametrize("resample", ["each", "once"])

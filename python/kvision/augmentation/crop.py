@@ -192,7 +192,8 @@ class RandomResizedCrop(GeometricAugmentationBase2D):
         return [Transform("crop", (0, 0, 0, 0, float(w), float(h), corners), (0, 1, 2, 3, -1, -1, -1))]
 
     def resampling(self, flags: dict[str, Any]) -> Resampling:
-        return super().resampling(flags)._replace(antialias=bool(flags["antialias"]))
+        resampling = super().resampling(flags)
+        return resampling._replace(antialias=bool(flags["antialias"]) and resampling.mode != "nearest")
 
 
 class _CenterGenerator(RandomGeneratorBase):

@@ -3,6 +3,7 @@
 A run of augmentations draws all its parameters in one launch. Then
 
     flips, quarter turns and whole-pixel crops, with at most one resampling that interpolates,  become one warp
+    a crop with antialiasing, and the flips next to it,   become one resizing of a window
     neighboring color steps                               become one color program
     a warp and the color program behind it                become one pass, which writes the type and layout that are wanted
     everything else                                       runs by itself
@@ -530,6 +531,7 @@ class _Pending:
             return _is_window(together)
         if all(g.module.permutes_pixels for g in self.geometric):
             return True
+        assert isinstance(module, GeometricAugmentationBase2D)
         return module.moves_whole_pixels and module.stays_inside
 
     def _flush(self, output: Output = SAME) -> None:

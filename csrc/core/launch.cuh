@@ -217,28 +217,6 @@ __device__ __forceinline__ Vector<T, P> rounded(Compute<T> const (&v)[P]) {
   return vector;
 }
 
-// The P elements of a thread as words of 2 or 4 elements, and the words at the thread's place in memory: shifted by the
-// `preceding` elements of the first one, which are the last ones of the previous thread. Made by all 32 threads.
-template <class T, int P>
-struct ShiftedWords {
-  static constexpr int kPer = kPerWord<T>, N = P / kPer;
-  int preceding;
-  Vector<T, P> elements;
-  uint32_t own[N], words[N];
-
-  __device__ __forceinline__ ShiftedWords(T const* to, Vector<T, P> const& vector)
-      : preceding(preceding_elements(to)), elements(vector) {
-    __builtin_memcpy(own, &elements, sizeof(own));
-    uint32_t const previous = __shfl_up_sync(0xffffffffu, own[N - 1], 1);
-#pragma unroll
-    for (int k = 0; k < N; ++k) words[k] = joined(k > 0 ? own[max(k - 1, 0)] : previous, own[k]);
-  }
-  // The word with the last elements of `low` and the first ones of `high`.
-  __device__ __forceinline__ uint32_t joined(uint32_t low, uint32_t high) const {
-    return __funnelshift_rc(low, high, 32 - 8 * int(sizeof(T)) * preceding);
-  }
-};
-
 // Stores the P elements of each thread of a warp, from its address `to` on, to any address. Called by all 32 threads,
 // which exchange them in shared memory: adjacent threads store adjacent elements, those for which stores(distance from
 // `to`) holds.
@@ -253,36 +231,10 @@ __device__ __forceinline__ void store_striped_if(T* to, Vector<T, P> const& vect
   for (int i = 0; i < P; ++i)
     if (stores(ahead + 32 * i)) to[ahead + 32 * i] = memory[32 * i + lane];
 }
-// Those at x ... of a row of `width`; of small types adjacent threads store adjacent words.
+// Those at x ... of a row of `width`.
 template <int P, int Warps, class T>
 __device__ __forceinline__ void store_striped(T* to, Vector<T, P> const& vector, int x, int width) {
-  if constexpr (kPerWord<T> == 1 || P % kPerWord<T> != 0) {
-    store_striped_if<P, Warps>(to, vector, [&](int ahead) { return x + ahead < width; });
-  } else {
-    constexpr int W = kPerWord<T>, N = P / W;
-    int const lane = threadIdx.x % 32;
-    ShiftedWords<T, P> const thread(to, vector);
-    uint32_t* const memory = warp_memory<uint32_t, 32 * N + 4, Warps>();
-    Vector<uint32_t, N> words;
-#pragma unroll
-    for (int k = 0; k < N; ++k) words.v[k] = thread.words[k];
-    __syncwarp();
-    *reinterpret_cast<Vector<uint32_t, N>*>(memory + N * lane) = words;
-    if (lane == 31) memory[32 * N] = thread.joined(thread.own[N - 1], 0);
-    __syncwarp();
-    int const preceding = thread.preceding, count = min(width - x + P * lane, 32 * P);  // elements of the warp
-    T* const first = to - P * lane;
-    auto* const first_word = reinterpret_cast<uint32_t*>(reinterpret_cast<char*>(first) - preceding * int(sizeof(T)));
-#pragma unroll
-    for (int k = 0; k < N; ++k)
-      if (W * (32 * k + lane + 1) <= count + preceding && (k > 0 || lane > 0 || preceding == 0))
-        first_word[32 * k + lane] = memory[32 * k + lane];
-    // Elements of words at the ends, of which others are not the warp's.
-    T const* const elements = reinterpret_cast<T const*>(memory) + preceding;
-    int const begin = preceding > 0 ? W - preceding : 0, end = (count + preceding) % W;
-    if (lane < min(begin, count)) first[lane] = elements[lane];
-    if (lane < min(end, count)) first[count - 1 - lane] = elements[count - 1 - lane];
-  }
+  store_striped_if<P, Warps>(to, vector, [&](int ahead) { return x + ahead < width; });
 }
 template <int P, int Warps, class T>
 __device__ __forceinline__ void store_striped(T* to, Compute<T> const (&v)[P], int x, int width) {
@@ -299,25 +251,31 @@ __device__ __forceinline__ void store_words(T* to, Compute<T> const (&v)[P], int
       if (x + i < width) to[i] = round_to<T>(v[i]);
   } else {
     constexpr int W = kPerWord<T>, N = P / W;
-    ShiftedWords<T, P> const thread(to, rounded<T>(v));
-    int const lane = threadIdx.x % 32, preceding = thread.preceding, begin = lane == 0 ? preceding : 0;
+    Vector<T, P> const vector = rounded<T>(v);
+    uint32_t own[N], words[N];
+    __builtin_memcpy(own, &vector, sizeof(own));
+    int const lane = threadIdx.x % 32, preceding = preceding_elements(to), begin = lane == 0 ? preceding : 0;
+    uint32_t const previous = __shfl_up_sync(0xffffffffu, own[N - 1], 1);
+#pragma unroll
+    for (int k = 0; k < N; ++k)
+      words[k] = __funnelshift_rc(k > 0 ? own[max(k - 1, 0)] : previous, own[k], 32 - 8 * int(sizeof(T)) * preceding);
     Vector<T, P> shifted;
-    __builtin_memcpy(&shifted, thread.words, sizeof(shifted));
+    __builtin_memcpy(&shifted, words, sizeof(words));
     char* const first = reinterpret_cast<char*>(to) - preceding * int(sizeof(T));
     auto const word_at = [&](int k) { return reinterpret_cast<uint32_t*>(first + 4 * k); };
     auto const element_at = [&](int i) { return reinterpret_cast<T*>(first + i * int(sizeof(T))); };
     int const count = width - x + preceding;  // elements from the first word to the end of the row
     if (count >= P) {
-      if (begin == 0) *word_at(0) = thread.words[0];
+      if (begin == 0) *word_at(0) = words[0];
 #pragma unroll
-      for (int k = 1; k < N; ++k) *word_at(k) = thread.words[k];
+      for (int k = 1; k < N; ++k) *word_at(k) = words[k];
 #pragma unroll
       for (int i = 1; i < W; ++i)
         if (begin > 0 && i >= begin) *element_at(i) = shifted.v[i];
       // The last elements of the last thread.
 #pragma unroll
       for (int i = 1; i < W; ++i)
-        if (lane == 31 && i <= preceding && x + P - i < width) to[P - i] = thread.elements.v[P - i];
+        if (lane == 31 && i <= preceding && x + P - i < width) to[P - i] = vector.v[P - i];
     } else if (count > 0) {
 #pragma unroll
       for (int i = 0; i < P; ++i)

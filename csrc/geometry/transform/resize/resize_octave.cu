@@ -58,7 +58,7 @@ using Ring = T[4][kRingPitch<T, P, Aligned>];  // three rows are in flight
 // Stores a thread's P pixels, those at x ... of a row of `width`, to `to`. Called by all 32 threads.
 template <class T, int P, class Aligned>
 __device__ __forceinline__ void store_row_part(T* to, float const (&v)[P], int x, int width, Aligned aligned) {
-  if constexpr (!Aligned::value)
+  if constexpr (!Aligned::value && sizeof(T) == 4)
     store_striped<P, kWarps>(to, v, x, width);
   else
     store_pixels(to, v, x, width, aligned);

@@ -73,28 +73,39 @@ __device__ __forceinline__ Vector<T, P> load_unaligned(T const* from, T const* e
   return vector;
 }
 
-// Stores the first `count` elements of each thread of a warp, which follow those of the previous thread, to any
-// address. Called by all 32 threads, of which those behind the last element have a count of 0. As in store_striped,
-// adjacent threads store adjacent elements; 32 words are followed by an unused one, so that threads write to different
-// banks.
-template <int Warps, int P, class T>
-__device__ __forceinline__ void store_adjacent(T* to, Compute<T> const (&v)[P], int count) {
-  constexpr unsigned kRow = 32 * kPerWord<T>;
-  auto const place = [](unsigned i) { return i + i / kRow * kPerWord<T>; };
-  T* const memory = warp_memory<T, 32 * P + 32 * P / kRow * kPerWord<T>, Warps>();
-  int const lane = threadIdx.x % 32;
-  auto* const first = reinterpret_cast<T*>(__shfl_sync(0xffffffffu, reinterpret_cast<uintptr_t>(to), 0));
-  int const at = count > 0 ? int(to - first) : 0, last = 31 - __clz(int(__ballot_sync(0xffffffffu, count > 0)));
-  int const all = __shfl_sync(0xffffffffu, at + count, last & 31);
-  __syncwarp();
+// Elements of a warp, of which those of each thread follow those of the previous one: the thread has `count` of them, P
+// at most, from element `offset` on. All 32 threads make it and store; those behind the last element have a count of 0.
+// As in store_striped, adjacent threads store adjacent elements, to any address.
+template <int P, int Warps>
+struct AdjacentElements {
+  int64_t first;       // of the warp
+  int at, count, all;  // the thread's first element and the number of all, from there on
+
+  __device__ __forceinline__ AdjacentElements(int64_t offset, int count)
+      : first(__shfl_sync(0xffffffffu, offset, 0)), at(count > 0 ? int(offset - first) : 0), count(count) {
+    int const last = 31 - __clz(int(__ballot_sync(0xffffffffu, count > 0)));
+    all = __shfl_sync(0xffffffffu, at + count, last & 31);
+  }
+  // Of 33 words of shared memory the last one is unused, so that threads write to different banks.
+  template <class T>
+  static __device__ __forceinline__ unsigned place(unsigned i) {
+    return i + i / (32 * kPerWord<T>)*kPerWord<T>;
+  }
+  template <class T>
+  __device__ __forceinline__ void store(T* to, Compute<T> const (&v)[P]) const {
+    T* const memory = warp_memory<T, 33 * P, Warps>();
+    unsigned const lane = threadIdx.x % 32;
+    to += first;
+    __syncwarp();
 #pragma unroll
-  for (int i = 0; i < P; ++i)
-    if (i < count) memory[place(at + i)] = round_to<T>(v[i]);
-  __syncwarp();
+    for (int i = 0; i < P; ++i)
+      if (i < count) memory[place<T>(at + i)] = round_to<T>(v[i]);
+    __syncwarp();
 #pragma unroll
-  for (int i = 0; i < P; ++i)
-    if (32 * i + lane < all) first[32 * i + lane] = memory[place(32 * i + lane)];
-}
+    for (int i = 0; i < P; ++i)
+      if (int(32 * i + lane) < all) to[32 * i + lane] = memory[place<T>(32 * i + lane)];
+  }
+};
 
 // Calls f with the number of elements of a thread's vectors as a constant: P, or 1 unless all rows have the same
 // alignment.

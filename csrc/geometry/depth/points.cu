@@ -190,20 +190,42 @@ __global__ void __launch_bounds__(kThreads)
   Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
   int const rows[] = {max(y - 1, 0), y, min(y + 1, height - 1)};
   auto const across = [&](int i) { return rays.across(F(clamp(x + i - 1, 0, width - 1))); };
-  F z[kRun + 2][3], down[3], normals[3][kRun];  // z of the pixels and of their neighbors
+  // The pixels and their neighbors. All are requested before the first is used.
+  T const* from[3];
+  T depth[3][kRun + 2];
+  int64_t const step = p.depth.step;
 #pragma unroll
   for (int j = 0; j < 3; ++j) {
-    T const* const row = p.depth.row(b, 0, rows[j]);
-    F own[kRun], d[kRun + 2];
-    load_run(row, p.depth.step, x, width, read_fours, own);
-    d[0] = read(row[max(x - 1, 0) * p.depth.step]);
-    d[kRun + 1] = read(row[min(x + kRun, width - 1) * p.depth.step]);
-#pragma unroll
-    for (int i = 0; i < kRun; ++i) d[i + 1] = own[i];
-    down[j] = rays.down(F(rows[j]));
-#pragma unroll
-    for (int i = 0; i < kRun + 2; ++i) z[i][j] = rays.z_of(across(i), down[j], d[i]);
+    from[j] = p.depth.row(b, 0, rows[j]);
+    depth[j][0] = from[j][max(x - 1, 0) * step];
+    depth[j][kRun + 1] = from[j][min(x + kRun, width - 1) * step];
   }
+  if (read_fours) {
+    Vector<T, kRun> own[3];
+#pragma unroll
+    for (int j = 0; j < 3; ++j) own[j] = *reinterpret_cast<Vector<T, kRun> const*>(from[j] + x);
+#pragma unroll
+    for (int n = 0; n < 3 * kRun; ++n) depth[n / kRun][n % kRun + 1] = own[n / kRun].v[n % kRun];
+  } else if (step == 1 && x + kRun <= width) {  // addresses differ by constants
+#pragma unroll
+    for (int n = 0; n < 3 * kRun; ++n) depth[n / kRun][n % kRun + 1] = from[n / kRun][x + n % kRun];
+  } else {
+#pragma unroll
+    for (int n = 0; n < 3 * kRun; ++n)
+      depth[n / kRun][n % kRun + 1] = from[n / kRun][min(x + n % kRun, width - 1) * step];
+  }
+  F z[kRun + 2][3], down[3], normals[3][kRun];
+  auto const set_z = [&](auto unit) {
+    Rays<F> known = rays;
+    known.unit = unit;  // one branch for all pixels
+#pragma unroll
+    for (int j = 0; j < 3; ++j) {
+      down[j] = known.down(F(rows[j]));
+#pragma unroll
+      for (int i = 0; i < kRun + 2; ++i) z[i][j] = known.z_of(across(i), down[j], F(read(depth[j][i])));
+    }
+  };
+  p.distance ? set_z(std::true_type{}) : set_z(std::false_type{});
   auto const column = [&](int i) { return PointColumn<F>(across(i), down, z[i]); };
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
@@ -213,14 +235,13 @@ __global__ void __launch_bounds__(kThreads)
 #pragma unroll
     for (int k = 0; k < 3; ++k) normals[k][i] = normal[k];
   }
-  int const count = is_in ? min(width - x, kRun) : 0;
+  if (write_fours) {
 #pragma unroll
-  for (int k = 0; k < 3; ++k) {
-    T* const to = p.y.row(b, k, y) + x;
-    if (write_fours)
-      store_vector(to, normals[k]);
-    else
-      store_adjacent<kThreads / 32>(to, normals[k], count);
+    for (int k = 0; k < 3; ++k) store_vector(p.y.row(b, k, y) + x, normals[k]);
+  } else {
+    AdjacentElements<kRun, kThreads / 32> const place(y * p.y.row_stride + x, is_in ? min(width - x, kRun) : 0);
+#pragma unroll
+    for (int k = 0; k < 3; ++k) place.store(p.y.row(b, k, 0), normals[k]);
   }
 }
 

@@ -209,7 +209,7 @@ __global__ void __launch_bounds__(kThreads) keep(ApplyNmsMask<T> const p, bool v
     auto const flags = *reinterpret_cast<Vector<uint8_t, P> const*>(p.flags + first);
 #pragma unroll
     for (int i = 0; i < P; ++i) x.v[i] = flags.v[i] ? x.v[i] : T{};
-    *reinterpret_cast<Vector<T, P>*>(p.result + first) = x;
+    store_vector(p.result + first, x);
   } else {
     for (int64_t i = first; i < min(first + P, p.count); ++i) p.result[i] = p.flags[i] ? p.x[i] : T{};
   }

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import sysconfig
+from collections.abc import Iterator
 from pathlib import Path
 
 # Tests run in parallel, each with one thread: more threads would spend half of the time in waits for one another. Tests
@@ -23,7 +25,8 @@ from kvision import _backend
 from op_tests import OpTests
 
 hypothesis.settings.register_profile("quick", max_examples=30, deadline=None, derandomize=True)
-hypothesis.settings.register_profile("ci", max_examples=300, deadline=None, derandomize=True)
+# CI draws other cases in every run, and prints how to repeat one that fails.
+hypothesis.settings.register_profile("ci", max_examples=100, deadline=None, print_blob=True, database=None)
 hypothesis.settings.register_profile("thorough", max_examples=5000, deadline=None, print_blob=True)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
@@ -82,6 +85,17 @@ OPERATORS = (
 )
 # A test that compares with one of them names it.
 PEERS = ("kornia", "opencv", "torchvision", "pil", "scipy", "scikit", "skimage")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Collect no garbage among the tests, neither while they are created, of which it takes a third, nor later."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -33,9 +33,18 @@ def printed(program: str, **environment: str) -> str:
 
 def test_import_adds_little_to_that_of_torch() -> None:
     """The limit promised to users is 150 ms. The test measures CPU time, because tests run in parallel."""
-    program = "import time, torch; begin = time.process_time(); import kvision; print(time.process_time() - begin)"
-    seconds = [float(printed(program)) for _ in range(3)]
-    assert statistics.median(seconds) < 0.15
+    program = """
+import os, time, torch
+for _ in range(3):
+    if not os.fork():
+        begin = time.process_time()
+        import kvision
+        print(time.process_time() - begin, flush=True)
+        os._exit(0)
+    os.wait()
+"""
+    seconds = [float(line) for line in printed(program).splitlines()]
+    assert len(seconds) == 3 and statistics.median(seconds) < 0.15
 
 
 def test_import_loads_only_what_all_calls_need() -> None:

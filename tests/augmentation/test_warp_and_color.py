@@ -235,6 +235,8 @@ def test_gradients_of_warps_that_keep_rows(padding, size, device):
 @pytest.mark.parametrize("size", [(2, 2), (20, 36), (64, 64), (224, 224), (15, 17), (300, 300)], ids=str)
 def test_contrast_of_many_samples(size, device):
     """Results and gradients of jitter equal those of the reference; samples that are not chosen stay as they are."""
+    if device.type == "cpu" and max(size) > 100:
+        pytest.skip("the CPU has no shared memory to exceed")
     augment = A.ColorJitter(0.2, 0.2, 0.2, 0.1, p=0.7)
     torch.manual_seed(3)
     x = (0.3 + 0.4 * torch.rand(9, 3, *size, device=device)).requires_grad_()

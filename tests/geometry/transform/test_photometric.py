@@ -88,7 +88,7 @@ def test_normal_equations(distance, align_corners, normalized, device, backend):
     normal, gradient, same = G.photometric_normal_equations(x, y, M, distance, 0.01, *options)
     assert_close(same, loss.detach())
     assert_close(gradient, torch.autograd.grad(loss.sum(), M)[0].flatten(1)[:, :8], 1e-7, 1e-7)
-    jacobian = torch.autograd.functional.jacobian(lambda m: residuals(m).sum(0), M.detach(), vectorize=True)
+    jacobian = torch.func.jacfwd(lambda m: residuals(m).sum(0))(M.detach())
     jacobian = jacobian.flatten(2)[..., :8].movedim(1, 0)
     ones = torch.ones_like(x)
     seen = G.photometric_homography_loss(ones, torch.zeros_like(y), M.detach(), "l2", 0.01, *options)

@@ -387,6 +387,7 @@ def test_bits_do_not_depend_on_where_rows_begin(mode, padding, dtype, device):
         assert torch.equal(G.remap(inner, map_x, map_y, mode, padding), mapped)
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("padding", PADDINGS)
 @pytest.mark.parametrize("mode", MODES)
 def test_large_images_of_odd_rows(mode, padding, device):
@@ -405,6 +406,7 @@ def test_large_images_of_odd_rows(mode, padding, device):
     assert differs.double().mean() < (1e-2 if mode == "nearest" else 1e-9)
 
 
+@pytest.mark.large
 def test_one_map_serves_a_batch(device):
     """On CUDA a block takes a tile of several images in turn where they have the same map."""
     x = torch.rand(70, 3, 256, 250, device=device, requires_grad=True)
@@ -417,7 +419,10 @@ def test_one_map_serves_a_batch(device):
 
 # --- more samples than images ---------------------------------------------------------------------------------------
 
-SAMPLES = 300  # more than a block of the CUDA kernel looks at together
+
+def samples_on(device: torch.device) -> int:
+    """On CUDA more than a block of the kernel looks at together."""
+    return 300 if device.type == "cuda" else 40
 
 
 def patches(count: int, h: int, w: int) -> Tensor:
@@ -451,9 +456,10 @@ def many(kind: str, x: Tensor, index: Tensor | None, count: int, mode: str, padd
 def test_many_samples_of_few_images(images, kind, mode, padding, dtype, device):
     """Values and gradients are those of as many images."""
     x = torch.rand(images, 4, 70, 93, dtype=torch.float64, device=device).to(dtype)
-    index = torch.randint(0, images, (SAMPLES,), device=device) if images > 1 else None
-    call, where = many(kind, x, index, SAMPLES, mode, padding)
-    every = x.index_select(0, index) if images > 1 else x.expand(SAMPLES, -1, -1, -1)
+    samples = samples_on(device)
+    index = torch.randint(0, images, (samples,), device=device) if images > 1 else None
+    call, where = many(kind, x, index, samples, mode, padding)
+    every = x.index_select(0, index) if images > 1 else x.expand(samples, -1, -1, -1)
     ours, theirs = call(x, *where, index), call(every, *where, None)
     assert torch.equal(ours, theirs)
     weight = torch.rand(ours.shape, dtype=torch.float64, device=device).to(dtype)
@@ -466,7 +472,7 @@ def test_many_samples_of_few_images(images, kind, mode, padding, dtype, device):
     for a, b in zip(ours[1:], theirs[1:]):
         assert torch.equal(a, b)
     added = torch.zeros(x.shape, dtype=torch.float64, device=device)
-    which = torch.zeros(SAMPLES, dtype=torch.int64, device=device) if index is None else index
+    which = torch.zeros(samples, dtype=torch.int64, device=device) if index is None else index
     added.index_add_(0, which, theirs[0].double())
     assert_close(ours[0], added.to(dtype), *((None, None) if dtype != torch.float16 else (4e-3, 4e-3)))
     with K.backend("reference"):
@@ -479,8 +485,8 @@ def test_many_samples_of_few_images(images, kind, mode, padding, dtype, device):
 @pytest.mark.parametrize("layout", ["contiguous", "channels_last"])
 def test_gradients_of_many_samples_are_the_same_every_run(layout, channels, device):
     x = torch.rand(2, channels, 70, 93, device=device).requires_grad_()
-    index = torch.arange(SAMPLES, device=device) % 2
-    call, where = many("warp", x, index, SAMPLES, "bilinear", "fill")
+    index = torch.arange(samples_on(device), device=device) % 2
+    call, where = many("warp", x, index, len(index), "bilinear", "fill")
     y = call(x, *where, index)
     weight = with_layout(torch.rand_like(y), layout)
     first, *others = (torch.autograd.grad(y, x, weight, retain_graph=True)[0] for _ in range(3))

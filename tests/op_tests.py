@@ -298,6 +298,8 @@ class OpTests:
 
     # --- kernels ---
 
+    @pytest.mark.native
+    @pytest.mark.instruction_sets
     @pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
     def test_instruction_sets(self, variant, isa, device, backend):
         self.needs_native(backend)
@@ -311,6 +313,7 @@ class OpTests:
                 x, kwargs = self.setup(variant, device, torch.float32)
                 self.check_gradients(x, kwargs)
 
+    @pytest.mark.native
     def test_threads_and_runs_give_the_same_bits(self, variant, device, backend):
         self.needs_native(backend)  # torch's convolutions do not
         x, kwargs = self.setup(variant, device, torch.float32, (2, self.channels or 3, *self.shape[2:-2], 61, 67))
@@ -407,6 +410,7 @@ class OpTests:
         if not self.differentiable:
             pytest.skip("not differentiable")
 
+    @pytest.mark.native
     @pytest.mark.parametrize("layout", ["contiguous", "channels_last", "row_slice"])
     def test_gradient_against_reference(self, variant, layout, device):
         self.needs_gradient()

@@ -125,7 +125,7 @@ def counts_and_gradient(x: Tensor, centers: Tensor, width: float, weights: Tenso
 @pytest.mark.native
 @pytest.mark.parametrize("centers", CENTERS)
 @pytest.mark.parametrize("width", [1e-5, 0.0007, 0.004, 0.02, 0.3, 20.0])
-@pytest.mark.parametrize("samples", [1, 100, 1000, 70_000])
+@pytest.mark.parametrize("samples", [1, 100, 1000, pytest.param(70_000, marks=pytest.mark.large)])
 def test_counts_against_the_reference(samples, width, centers, device):
     """Few samples and many, in one block and in several; kernels that no grid fits, and those it takes in parts."""
     centers = CENTERS[centers].to(device)

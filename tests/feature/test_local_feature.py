@@ -52,6 +52,7 @@ def test_descriptors_run_in_evaluation_mode():
     assert F.get_laf_descriptors(image.double(), LAFS, network, 8).dtype == torch.float64
 
 
+@pytest.mark.programs
 @pytest.mark.parametrize("backend", ["patch", "pyramid"])
 @pytest.mark.parametrize("name", ["SIFTFeature", "SIFTFeatureScaleSpace"])
 def test_sift_features(name, backend, device):
@@ -188,6 +189,7 @@ def test_sift_features_match_as_well_as_those_of_opencv(device):
     assert right[0] >= right[1] > 30 and accuracy[0] >= accuracy[1] - 0.01
 
 
+@pytest.mark.programs
 @pytest.mark.parametrize("config", [None, F.get_default_detector_config()], ids=["scale space", "copies"])
 def test_score_thresholds_of_sift_features(config, device):
     image = photo().float().to(device)
@@ -210,6 +212,7 @@ def test_small_and_constant_images_give_empty_slots(name, device):
     "name",
     ["GFTTAffNetHardNet", "HesAffNetHardNet", "DoGHardNet", "DoGAffNetHardNet", "KeyNetHardNet", "KeyNetAffNetHardNet"],
 )
+@pytest.mark.programs
 @pytest.mark.parametrize("upright", [False, True])
 def test_combinations_of_networks(name, upright, without_weights, device):
     torch.manual_seed(0)

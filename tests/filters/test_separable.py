@@ -61,6 +61,7 @@ class TestFilter2dSeparable(OpTests):
             st.sampled_from(("same", "valid")),
         )
 
+    @pytest.mark.native
     @pytest.mark.parametrize("border", BORDERS)
     @pytest.mark.parametrize("size", [*range(3, 35, 2), 51])
     def test_every_size(self, size, border, device):

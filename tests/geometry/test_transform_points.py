@@ -97,6 +97,7 @@ KINDS = [
 ]
 
 
+@pytest.mark.native
 @pytest.mark.parametrize("kind, axes, sizes", KINDS, ids=[f"{k}-{a}-{s}" for k, a, s in KINDS])
 @pytest.mark.parametrize("count", [1, 3, 4, 1024, 9001])
 def test_numbers_of_points(kind, axes, sizes, count, device):

@@ -272,6 +272,7 @@ class TestMutualInformation(OpTests):
 
 
 # On CUDA in shared memory, and beyond it.
+@pytest.mark.native
 @pytest.mark.parametrize("kernel, bins", [*((kernel, 64) for kernel in L.MIKernel), (L.MIKernel.xu, 90)])
 def test_mutual_information_of_many_bins(kernel, bins, device):
     """And of flat images, which have no gradient, and equal extrema, which share theirs."""

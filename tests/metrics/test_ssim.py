@@ -91,6 +91,7 @@ class TestScales(TestSSIM):
             assert self.function(x, x).isnan()
 
 
+@pytest.mark.native
 @pytest.mark.parametrize("sigmas", [(0.5, 1.0, 2.0, 4.0, 8.0), (5.0,), (20.0, 3.0, 6.5), (1.0,) * 17], ids=len)
 @pytest.mark.parametrize("size", [(1, 2), (40, 67), (19, 330)], ids=str)
 def test_scales_of_large_images(sigmas, size, device):
@@ -110,8 +111,13 @@ def test_scales_of_large_images(sigmas, size, device):
             assert_close(actual, expected.float(), 1e-3, 1e-4 * float(expected.abs().max()))
 
 
+@pytest.mark.native
 @pytest.mark.parametrize("window", [3, 5, 7, 9, 11, 13, 31])
-@pytest.mark.parametrize("size", [(11, 12), (40, 67), (33, 300), (90, 530)], ids=str)
+@pytest.mark.parametrize(
+    "size",
+    [(11, 12), (40, 67), *(pytest.param(size, marks=pytest.mark.large) for size in ((33, 300), (90, 530)))],
+    ids=str,
+)
 @pytest.mark.parametrize("padding", ["same", "valid"])
 @pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=["planar", "last"])
 def test_blocks_and_strips(window, size, padding, layout, device):
@@ -136,6 +142,7 @@ def test_blocks_and_strips(window, size, padding, layout, device):
         assert_close(actual, expected.float(), 1e-3, 2e-4 * float(expected.abs().max()))
 
 
+@pytest.mark.native
 @pytest.mark.parametrize("window", [1, 3, 7, 11, 23])
 @pytest.mark.parametrize("size", [(7, 8, 9), (12, 20, 40), (25, 12, 33)], ids=str)
 @pytest.mark.parametrize("padding", ["same", "valid"])

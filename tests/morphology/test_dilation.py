@@ -51,6 +51,7 @@ class TestErosion(Morphology):
     variants = [{"kernel": ones(3, 3)}, {"kernel": ones(1, 7), "origin": (0, 6)}, {"kernel": few}]
 
 
+@pytest.mark.native
 @pytest.mark.parametrize("size", [(3, 3), (15, 15), (8, 7), (1, 9), (7, 1), (31, 2), (9, 70)], ids=str)
 @pytest.mark.parametrize("flat", [True, False], ids=["flat", "few"])
 @pytest.mark.parametrize("function", [K.morphology.dilation, K.morphology.erosion])

@@ -80,7 +80,7 @@ struct LevelCounter {
 // An inclusive prefix sum of `count` over the threads of the block, and the total.
 template <int Threads>
 __device__ __forceinline__ int block_inclusive_scan(int count, int& total) {
-  __shared__ int sums[Threads / 32];
+  __shared__ __align__(16) int sums[Threads / 32];  // so that no vector of them has another variable
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
   int sum = warp_prefix_sum(count);
   __syncthreads();  // an earlier sum may still use the memory

@@ -18,7 +18,6 @@ from kvision.color.scale_shift import scale_shift, scale_shift_rgb
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.enhance.batch import shaped
 
-
 _FEW = 1 << 12  # pixels
 
 

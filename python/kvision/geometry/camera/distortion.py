@@ -245,13 +245,12 @@ def dx_distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor
 @with_kernel_casts
 def _fisheye_jacobian(points: Tensor, params: Tensor) -> Tensor:
     x, y = points.unbind(-1)
-    fx, fy = params[..., 0], params[..., 1]
-    one, *k = _coefficients(params)
-    square = _squared_radius(points)
+    fx, fy, _, _, *k = params.unbind(-1)
+    square = torch.addcmul(x * x, y, y)
     # As in _distort_fisheye. The derivatives are with respect to the squared distance.
     per_radius, grad_per_radius, grad_angle = angle_per_tangent_with_derivatives(square)
     angle = per_radius * per_radius * square
-    polynomial = _polynomial(angle, (one, *k))
+    polynomial = 1 + angle * _polynomial(angle, k)
     grad_polynomial = torch.addcmul(k[0], angle, 2 * k[1] + angle * torch.addcmul(3 * k[2], angle, k[3], value=4))
     scale = per_radius * polynomial
     twice = 2 * torch.addcmul(grad_per_radius * polynomial, per_radius * per_radius * grad_angle, grad_polynomial)

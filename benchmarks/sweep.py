@@ -128,7 +128,7 @@ def print_heading(machines: Sequence[dict[str, Any]]) -> None:
     )
     print(*(f"$ {machine['command']}" for machine in machines), sep="\n")
     print("ms of the fastest call (GPU: of the median one); x: Kornia's time over kvision's\n")
-    print(f"{'function':45}{'size':15}{'stage':10}{'kvision':>10}{'kornia':>10}{'x':>8}")
+    print(f"{'function':48}{'size':15}{'stage':10}{'kvision':>10}{'kornia':>10}{'x':>8}")
 
 
 def summarize(rows: Sequence[Row], refused: Sequence[str]) -> int:
@@ -206,7 +206,7 @@ def wall(call: Callable[[], Any]) -> float:
 
 def line(row: Row) -> str:
     times = "".join(f"{1e3 * seconds:10.4g}" for seconds in (row.kvision, row.kornia))
-    return f"{row.name:45}{row.size:15}{row.stage:10}{times}{row.ratio:8.2f}{'  slower' if row.slower else ''}"
+    return f"{row.name:48}{row.size:15}{row.stage:10}{times}{row.ratio:8.2f}{'  slower' if row.slower else ''}"
 
 
 if __name__ == "__main__":

@@ -276,14 +276,14 @@ template <class T>
 int corner_response(Response<T> const& p, CUstream_st* stream) {
   using F = Compute<T>;
   return run(corner_forward<F, false>, corner_forward<F, kHasVectors<F>>, work_of(p), 1, kReach, R + kDelay, kBlocks, 1,
-             stream);
+             0, stream);
 }
 
 template <class T>
 int corner_response_backward(ResponseBackward<T> const& p, CUstream_st* stream) {
   using F = Compute<T>;
   return run(corner_backward<F, false>, corner_backward<F, kHasVectors<F>>, work_of(p), 2, kReachOfGradients,
-             kCornerGradientReach + kDelayOfGradients, kBlocksOfGradients, 1, stream);
+             kCornerGradientReach + kDelayOfGradients, kBlocksOfGradients, 1, 0, stream);
 }
 
 KV_INSTANTIATE(corner_response, Response)

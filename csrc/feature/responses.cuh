@@ -256,15 +256,17 @@ template <class F>
 constexpr bool kHasVectors = sizeof(F) == 4;  // float64 has one kernel for aligned and unaligned rows
 
 // Launches `vectors` if rows are made of vectors, otherwise `any`, with `roles` threads for every four columns. A block
-// completes `group` rows at a time.
+// completes `group` rows at a time, and has `column_bytes` of dynamic shared memory for each of its columns and those
+// that it reads on either side.
 template <class F, class... Arguments>
 int run(void (*any)(Work<F>, Arguments...), void (*vectors)(Work<F>, Arguments...), Work<F> work, int roles, int reach,
-        int more, int resident, int group, CUstream_st* stream, Arguments... arguments) {
+        int more, int resident, int group, int64_t column_bytes, CUstream_st* stream, Arguments... arguments) {
   ColumnGrid const grid(work.x.count(), work.x.height, work.x.width, kBlockColumns<F>, reach, more, resident, 0,
                         32 * kColumns, group);
   work.across = grid.across, work.down = grid.down, work.rows = grid.rows;
   auto* const kernel = work.vectors ? vectors : any;
-  kernel<<<grid.blocks, unsigned(roles * grid.columns / kColumns), 0, stream>>>(work, arguments...);
+  kernel<<<grid.blocks, unsigned(roles * grid.columns / kColumns), column_bytes*(grid.columns + 2 * reach), stream>>>(
+      work, arguments...);
   return cudaGetLastError();
 }
 

@@ -205,7 +205,7 @@ int hessian_response(Response<T> const& p, CUstream_st* stream) {
   dispatch_second_derivatives(p.arguments.sobel, [&](auto kernel) {
     using Kernel = decltype(kernel);
     error = run(hessian_forward<Kernel, F>, hessian_forward<Kernel, F>, work_of(p), 1, kReach, 2 * Kernel::reach + 1,
-                kBlocks, 1, stream);
+                kBlocks, 1, 0, stream);
   });
   return error;
 }
@@ -217,7 +217,7 @@ int hessian_response_backward(ResponseBackward<T> const& p, CUstream_st* stream)
   dispatch_second_derivatives(p.arguments.sobel, [&](auto kernel) {
     using Kernel = decltype(kernel);
     error = run(hessian_backward<Kernel, F, false>, hessian_backward<Kernel, F, kHasVectors<F>>, work_of(p), 1, kReach,
-                4 * Kernel::reach + 2, kBlocksOfGradients, 1, stream);
+                4 * Kernel::reach + 2, kBlocksOfGradients, 1, 0, stream);
   });
   return error;
 }

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import kvision as K
-from op_tests import OpTests, assert_close
+from op_tests import LAYOUTS, OpTests, assert_close, with_layout
 
 F = K.feature
 SMALL = torch.rand(2, 2, 9, 11, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
@@ -102,6 +102,32 @@ def test_differences_of_gaussians(device):
     assert F.dog_response_single(x[..., :3, :1].to(device)).isfinite().all()
     levels = x.unflatten(1, (1, 3))
     assert_close(F.dog_response(levels.to(device)).cpu(), theirs.dog_response(levels), 0, 0)
+
+
+def dog_and_gradient(x, weights):
+    x = x.detach().requires_grad_()
+    y = F.dog_response_single(x)
+    return y, *torch.autograd.grad(y, x, weights)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.float64], ids=str)
+@pytest.mark.parametrize("width", [129, 132, 251, 257, 513])
+def test_differences_of_gaussians_of_wide_rows(width, dtype, device):
+    """Rows of several warps and blocks, which begin anywhere."""
+    x, weights = (torch.rand(1, 2, 37, width, dtype=torch.float64).to(device, dtype) for _ in range(2))
+    with K.backend("reference"):
+        expected = [value.to(dtype) for value in dog_and_gradient(x.double(), weights.double())]
+    for layout in LAYOUTS:
+        assert_close(dog_and_gradient(with_layout(x, layout), with_layout(weights, layout)), expected)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16], ids=str)
+def test_differences_of_gaussians_do_not_depend_on_alignment(dtype, device):
+    x, weights = (torch.rand(3, 2, 70, 264, device=device).to(dtype) for _ in range(2))
+    expected = dog_and_gradient(x, weights)
+    unaligned = [torch.nn.functional.pad(value, (1, 0))[..., 1:] for value in (x, weights)]
+    exact = (0, 0) if device.type == "cuda" else (None, None)
+    assert_close(dog_and_gradient(*unaligned), expected, *exact)
 
 
 @pytest.mark.parametrize("name", OF_IMAGES)

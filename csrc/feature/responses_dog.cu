@@ -35,24 +35,23 @@ struct RowGroup {
   static constexpr int kFine = 0, kCoarse = kRows, kResult = 2 * kRows, kLines = kResult + 1;  // their first lines
   F* const memory;
 
-  __device__ __forceinline__ F* at(int line, int column) const {
-    return memory + (unsigned(column) / P * kLines + line) * P + unsigned(column) % P;
-  }
   // Elements to the same line `columns` further, a multiple of four.
   static constexpr __host__ __device__ int distance(int columns) { return columns * kLines; }
-
-  // N columns from `column` on, multiples of four.
+  __device__ __forceinline__ F* at(int line, int column, int further = 0) const {
+    return memory + (unsigned(column) / P * kLines * P + unsigned(column) % P) + (line * P + distance(further));
+  }
+  // N columns from `further` after `column` on, multiples of four.
   template <int N>
-  __device__ __forceinline__ void read_window(int line, int column, F (&v)[N]) const {
+  __device__ __forceinline__ void read_window(int line, int column, int further, F (&v)[N]) const {
 #pragma unroll
     for (int i = 0; i < N; i += P) {
-      auto const vector = *reinterpret_cast<Vector<F, P> const*>(at(line, column) + distance(i));
+      auto const vector = *reinterpret_cast<Vector<F, P> const*>(at(line, column, further + i));
 #pragma unroll
       for (int e = 0; e < P; ++e) v[i + e] = vector.v[e];
     }
   }
   __device__ __forceinline__ void write_vector(int line, int column, F const (&v)[P]) const {
-    *reinterpret_cast<Vector<F, P>*>(at(line, column)) = {v[0], v[1], v[2], v[3]};
+    *reinterpret_cast<Vector<F, P>*>(at(line, column, kReach)) = {v[0], v[1], v[2], v[3]};
   }
 };
 
@@ -86,17 +85,17 @@ struct ColumnsDown {
   template <class F>
   __device__ __forceinline__ void write(RowGroup<F> rows, int line, F const (&v)[P]) const {
     if constexpr (Vectors) {
-      rows.write_vector(line, kReach + at, v);
+      rows.write_vector(line, at, v);
     } else {
 #pragma unroll
       for (int j = 0; j < P; ++j)
-        if (x + kApart * j < width) rows.at(line, kReach + at)[rows.distance(kApart * j)] = v[j];
+        if (x + kApart * j < width) *rows.at(line, at, kReach + kApart * j) = v[j];
     }
   }
   template <class F>
   __device__ __forceinline__ void read(RowGroup<F> rows, int line, F (&v)[P]) const {
 #pragma unroll
-    for (int j = 0; j < P; ++j) v[j] = rows.at(line, kReach + at)[rows.distance(kApart * j)];
+    for (int j = 0; j < P; ++j) v[j] = *rows.at(line, at, kReach + kApart * j);
   }
 };
 
@@ -344,8 +343,8 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks)
 #pragma unroll
       for (int r = 0; r < kRows; ++r) {
         F along_fine[P + 2 * 4], along_coarse[P + 2 * kReach], result[P];
-        rows.read_window(rows.kCoarse + r, position.at, along_coarse);
-        rows.read_window(rows.kFine + r, position.at + kReach - 4, along_fine);
+        rows.read_window(rows.kCoarse + r, position.at, 0, along_coarse);
+        rows.read_window(rows.kFine + r, position.at, kReach - 4, along_fine);
 #pragma unroll
         for (int j = 0; j < P; ++j) {
           F coarse_pairs[kCoarseReach + 1], fine_pairs[kFineReach + 1];
@@ -363,7 +362,7 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks)
         if constexpr (!Vectors) {
           // Two lines take turns: a warp that writes to one has read the other.
           RowGroup<F> const lines = group(r % 2);
-          lines.write_vector(lines.kResult, kReach + position.at, result);
+          lines.write_vector(lines.kResult, position.at, result);
           __syncwarp();
           columns.read(lines, lines.kResult, result);
         }

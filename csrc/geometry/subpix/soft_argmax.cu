@@ -199,10 +199,17 @@ struct ImageStrip {
   }
 };
 
+// Blocks of a multiprocessor for which the compiler saves registers at unaligned rows, where it spends them freely.
+template <bool Values, bool Aligned>
+constexpr int kResident = Aligned  ? 0
+                          : Values ? 5
+                                   : 6;
+
 // Sums weights down columns first, then along rows. Strips that cannot share exponentials compute each window by
 // itself.
 template <class T, int R, bool Values, bool Aligned>
-__global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ SoftArgmax<T> const p) {
+__global__ void __launch_bounds__(kStripThreads, kResident<Values, Aligned>)
+    strips_down(__grid_constant__ SoftArgmax<T> const p) {
   constexpr int K = 2 * R + 1;
   ImageStrip<1, T, Aligned> strip;
   if (!strip.locate(p.windows, p.x, p.temperature)) return;

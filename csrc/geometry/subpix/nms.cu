@@ -104,9 +104,10 @@ struct Row {
 #pragma unroll
     for (int i = 0; i < P; ++i) own.v[i] = none<T>();
     if (!in_bounds) return;
-    if (strip.inside) own = *reinterpret_cast<Vector<T, P> const*>(at);
-    if (threadIdx.x % 32 == 0 && strip.x > 0) left = *reinterpret_cast<Vector<T, R> const*>(at - R);
-    if (threadIdx.x % 32 == 31 && strip.x + P < strip.width) right = *reinterpret_cast<Vector<T, R> const*>(at + P);
+    int const x = strip.x, width = strip.width;
+    if (x < width) own = *reinterpret_cast<Vector<T, P> const*>(at);
+    if (threadIdx.x % 32 == 0 && x > 0) left = *reinterpret_cast<Vector<T, R> const*>(at - R);
+    if (threadIdx.x % 32 == 31 && x + P < width) right = *reinterpret_cast<Vector<T, R> const*>(at + P);
   }
   __device__ __forceinline__ void spread(RowStrip<R, true, P> const&, float (&v)[P + 2 * R]) const {
 #pragma unroll
@@ -188,8 +189,13 @@ __global__ void __launch_bounds__(kStripThreads)
       shown[n] = high.is_summit(n) ? high.middle(n) : 0.f;
       if constexpr (Minima) is_minimum.v[n] = low.is_summit(n);
     }
-    if (!Aligned || strip.inside) {
-      if (p.y.data) strip.store_in_stripes(values - x, shown);
+    if (!Aligned || x < width) {
+      if (p.y.data) {
+        if constexpr (Aligned)
+          store_vector(values, shown);
+        else
+          store_striped<P, kStripThreads / 32>(values, shown, x, width);
+      }
       if (p.maxima.data) store_flags(maxima, is_maximum);
       if constexpr (Minima) store_flags(minima, is_minimum);
     }

@@ -59,7 +59,7 @@ INTENSITY = [
     Case("RandomBrightness", ((0.5, 1.5),)),
     Case("RandomChannelDropout"),
     Case("RandomChannelShuffle"),
-    Case("RandomClahe", ((1.0, 4.0), (2, 2)), gradient=False),
+    Case("RandomClahe", ((1.0, 40.0), (2, 2)), gradient=False),
     Case("RandomContrast", ((0.5, 1.5),)),
     Case("RandomEqualize", fixed=True, gradient=False),
     Case("RandomGamma", ((0.5, 1.5), (0.8, 1.0))),

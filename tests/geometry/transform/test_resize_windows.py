@@ -7,6 +7,7 @@ import torch
 import torch.nn.functional as F
 
 import kvision as K
+from kvision._constants import constant
 from kvision._dtype import compute_dtype, pixels
 from kvision._modes import INTERPOLATION
 from kvision.core.exceptions import ShapeError, TypeCheckError
@@ -17,14 +18,14 @@ from op_tests import OpTests, assert_close
 def matrices(boxes, flips, size, align_corners, dtype=torch.float32):
     """From pixels of the images to those of the results, for boxes x, y, width, height and flips (x, y) of each sample."""
     boxes, signs = torch.as_tensor(boxes).double(), 1.0 - 2 * torch.as_tensor(flips).double()
-    first, extent, result = boxes[:, :2], boxes[:, 2:], torch.tensor([size[1], size[0]], device=boxes.device).double()
+    first, extent, result = boxes[:, :2], boxes[:, 2:], constant((size[1], size[0]), boxes)
     if align_corners:
         half, scale = 0.0, (result - 1).clamp(min=2**-20) / (extent - 1).clamp(min=2**-20)
     else:
         half, scale = 0.5, result / extent
     offset = (half - first) * scale - half
     offset = torch.where(signs < 0, result - 1 - offset, offset)
-    last_row = torch.tensor([[[0.0, 0, 1]]], dtype=torch.float64, device=boxes.device).expand(len(boxes), 1, 3)
+    last_row = constant(((0.0, 0.0, 1.0),), boxes).expand(len(boxes), 1, 3)
     matrix = torch.cat([torch.diag_embed(signs * scale), offset[..., None]], 2)
     return torch.cat([matrix, last_row], 1).to(dtype)
 

@@ -131,8 +131,7 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks) corner_forward(__g
   Columns<F, Vectors> const columns(work, work.result, position);
   Derivatives<F, Vectors> derivatives(work, position, position.y0 - R);
   RunningSums<F> down;
-  bool const is_harris = work.arguments.kind == CornerKind::harris,
-             writes = Vectors ? position.owns_some() : position.warp_owns_some();
+  bool const is_harris = work.arguments.kind == CornerKind::harris, writes = position.owns_some();
   F const k = work.arguments.k_of(position.plane);
   F const scale = work.arguments.scale_of(position.plane) * derivative_factor<F>(work.arguments.sobel, is_harris);
   int now = 0;
@@ -153,7 +152,7 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks) corner_forward(__g
         SymmetricMatrix<F> const tensor{sums[0][j], sums[1][j], sums[2][j]};
         result[j] = scale * (is_harris ? harris(tensor, k) : gftt(tensor, fast_sqrt(gftt_discriminant(tensor))));
       }
-      columns.write_together(position, row, result);
+      columns.write(position, row, result);
     }
     __syncthreads();
   }
@@ -217,13 +216,12 @@ __global__ void __launch_bounds__(2 * kColumnThreads<F>, kBlocksOfGradients)
   }
 
   Columns<F, Vectors> const columns(work, work.result, position);
-  bool const is_active = Vectors ? has_columns : position.warp_has_columns();
   RunningSums<F> down;
   GradientRow<F> above[P] = {}, middle[P] = {};
   F u[P] = {}, v[P] = {};
 #pragma unroll kUnroll
   for (int y = first; y < end; ++y, now ^= 1, slot = slot + 1 == kKept ? 0 : slot + 1) {
-    if (is_active && y - kDelay - 1 >= position.y0 - kDelay) {
+    if (has_columns && y - kDelay - 1 >= position.y0 - kDelay) {
       // The gradient of the derivatives of the previous row. u and v of adjacent threads are in shared memory.
       F const *const u_line = back[now ^ 1].values[0] + kPad + position.at, *const v_line = back[now ^ 1].values[1] +
                                                                                             kPad + position.at;
@@ -244,7 +242,7 @@ __global__ void __launch_bounds__(2 * kColumnThreads<F>, kBlocksOfGradients)
                                  row == height - 1 ? row_out_of_bounds(middle[j]) : below, sobel, F(1));
         above[j] = middle[j], middle[j] = below;
       }
-      if (row >= position.y0 && row < position.y1) columns.write_together(position, row, result);
+      if (row >= position.y0 && row < position.y1) columns.write(position, row, result);
 
       F grad_products[3][P];
 #pragma unroll

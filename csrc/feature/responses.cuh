@@ -101,9 +101,6 @@ struct ColumnPosition : ColumnBlock {
   __device__ __forceinline__ ColumnPosition(Work<F> const& work, int reach, int threads, int t)
       : ColumnBlock(work, threads * kColumns, reach), at(kColumns * t), columns(threads * kColumns), x(left + at) {}
   __device__ __forceinline__ bool owns_some() const { return x + kColumns > first && x < last; }
-  // The same for all threads of a warp.
-  __device__ __forceinline__ bool warp_owns_some() const { return __any_sync(0xffffffffu, owns_some()); }
-  __device__ __forceinline__ bool warp_has_columns() const { return x - kColumns * int(threadIdx.x % 32) < width; }
 };
 
 // The columns of a thread in one plane. Vectors: rows are vectors of kColumns pixels, see `run`. It refers to the
@@ -183,28 +180,6 @@ struct Columns {
           if (position.owns(x + j)) *reinterpret_cast<T*>(at + j * planes.step) = round_to<T>(values[j]);
       }
     });
-  }
-  // As `write`, called by all threads of a warp: they exchange columns that are no vectors in shared memory, so that
-  // adjacent threads write adjacent pixels wherever rows begin.
-  __device__ __forceinline__ void write_together(ColumnPosition const& position, int y,
-                                                 F const (&values)[kColumns]) const {
-    if constexpr (Vectors) {
-      if (position.owns_some()) write(position, y, values);
-    } else {
-      __shared__ alignas(16) F line[kBlockColumns<F>];
-      int const lane = threadIdx.x % 32, at = position.at - kColumns * lane + lane, column = position.left + at;
-      __syncwarp();
-      *reinterpret_cast<Vector<F, kColumns>*>(line + position.at) = {values[0], values[1], values[2], values[3]};
-      __syncwarp();
-      uint8_t* const to = row(y) + (column - x) * planes.step;
-      dispatch_floating_dtype<F>(work.stored, [&](auto type) {
-        using T = decltype(type);
-#pragma unroll
-        for (int i = 0; i < kColumns; ++i)
-          if (position.owns(column + 32 * i))
-            *reinterpret_cast<T*>(to + 32 * i * planes.step) = round_to<T>(line[at + 32 * i]);
-      });
-    }
   }
 };
 

@@ -89,7 +89,7 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks) hessian_forward(__
   PixelRows<Kernel, F, false> pixels(work, position, position.y0);
   Columns<F, false> const results(work, work.result, position);
   F const scale = work.arguments.scale_of(position.plane) * SecondDerivatives<Kernel, F>().factor;
-  bool const writes = position.warp_owns_some();
+  bool const writes = position.owns_some();
   int now = 0;
 #pragma unroll(2 * Kernel::reach + 1)  // so that registers of rows are renamed, not moved
   for (int y = position.y0; y <= position.y1; ++y, now ^= 1) {
@@ -103,7 +103,7 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks) hessian_forward(__
       F result[P];
 #pragma unroll
       for (int j = 0; j < P; ++j) result[j] = scale * determinant(hessian[j]);
-      results.write_together(position, y - 1, result);
+      results.write(position, y - 1, result);
     }
     __syncthreads();
   }
@@ -119,7 +119,7 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocksOfGradients)
   PixelRows<Kernel, F, Vectors> pixels(work, position, y0 - reach);
   Columns<F, Vectors> const grads(work, work.grad, position), results(work, work.result, position);
   F const scale = work.arguments.scale_of(position.plane) * SecondDerivatives<Kernel, F>().factor;
-  bool const has_columns = Vectors ? x < width : position.warp_has_columns();
+  bool const has_columns = x < width;
   for (int i = int(threadIdx.x); i < int(sizeof(gradients) / sizeof(F)); i += int(blockDim.x))
     gradients[0].values[0][i] = 0;  // gradients out of bounds stay 0
   __syncthreads();
@@ -188,7 +188,7 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocksOfGradients)
 #pragma unroll
           for (int t = 0; t < reach; ++t) complete[j] += sums[t][j];
       }
-      if (completed >= y0 && completed < y1) results.write_together(position, completed, complete);
+      if (completed >= y0 && completed < y1) results.write(position, completed, complete);
     }
     __syncthreads();
   }

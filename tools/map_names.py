@@ -4,7 +4,7 @@
     python tools/map_names.py sobel    # where everything about an operator or a public function is
 
 An operator is registered by one Python file (register("name"), python/kvision/F/S.py) and declared by one C++ file
-(KV_OPERATOR(name), csrc/F/T_op.cpp, or csrc/F/T/T_op.cpp where T has many files). Folder F is the same;
+(KV_OPERATOR(name), csrc/F/T_op.cpp, or csrc/F/T/T*_op.cpp where T has many files). Folder F is the same;
 tests/F/test_S.py tests it, and docs/reference has a page of F.
 """
 
@@ -102,10 +102,10 @@ def problems() -> list[str]:
     messages, references, kernels = [], registered(), declared()
     for name, kernel in kernels.items():
         reference = owner(name, references)
-        folder = kernel.parent.parent if kernel.parent.name == kernel.name else kernel.parent
+        folders = [kernel.parent, *([kernel.parent.parent] if kernel.name.startswith(kernel.parent.name) else [])]
         if reference is None:
             messages.append(f"{name}: declared by csrc/{kernel}_op.cpp, registered by no Python file")
-        elif reference.parent != folder and "formula" not in kernel.name:  # one table serves several folders
+        elif reference.parent not in folders and "formula" not in kernel.name:  # one table serves several folders
             messages.append(f"{name}: kernel in csrc/{kernel.parent}, reference in python/kvision/{reference.parent}")
     for name in sorted(set(references) - set(kernels)):
         if not name.startswith("_"):

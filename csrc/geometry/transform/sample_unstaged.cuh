@@ -1,5 +1,5 @@
 // Sampling at a coordinate by the taps in global memory, on CUDA. Included by sampling.cu and
-// augmentation/operations.cu.
+// augmentation/auto/operations.cu.
 #pragma once
 
 #include "geometry/transform/sampling.cuh"

@@ -1,5 +1,5 @@
 // The operations of policies: schemas and entries, for CPU and CUDA.
-#include "augmentation/operations.h"
+#include "augmentation/auto/operations.h"
 #include "augmentation/warp_and_color_glue.h"
 #include "enhance/plane_views.h"
 #include "geometry/transform/sampling_glue.h"

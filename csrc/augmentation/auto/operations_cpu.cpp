@@ -3,7 +3,7 @@
 #include "core/lanes.h"
 #include "core/scratch.h"
 // Included after core/lanes.h, whose vectors they use.
-#include "augmentation/operations.h"
+#include "augmentation/auto/operations.h"
 #include "enhance/equalize.h"
 #include "enhance/sharpness.h"
 

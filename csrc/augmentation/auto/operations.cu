@@ -1,6 +1,6 @@
 // The operations of policies on CUDA. The blocks of a plane, a cluster where the GPU has clusters, measure what its
 // operation needs; most of them have nothing to do. Then a block takes a tile of a sample. All its threads do the same.
-#include "augmentation/operations.h"
+#include "augmentation/auto/operations.h"
 #include "color/program.cuh"
 #include "core/cluster.cuh"
 #include "enhance/byte_histogram.cuh"

@@ -40,8 +40,9 @@ inline Tensor warp_and_color(Tensor const& image, Tensor const& M, Size2d dsize,
   auto fill = detail::computed(options.fill_value(), image);
   if (fill && fill->dim() < 2) fill = fill->reshape({1, -1});
   ops::Ints plan = detail::program_head(program);
+  constexpr int64_t antialias = 0;
   plan.insert(plan.end(), {int64_t(options.mode()), detail::padding_number(options.padding_mode()),
-                           int64_t(options.align_corners())});
+                           int64_t(options.align_corners()), antialias});
   constexpr int64_t matrix_kind = 3;  // transforms.py of kvision.augmentation
   plan.insert(plan.end(), {10, matrix_kind, 0, 1, 2, 3, 4, 5, 6, 7, 8, steps});
   plan.insert(plan.end(), program.steps.begin(), program.steps.end());

@@ -44,7 +44,9 @@ inline constexpr auto warp_and_color_gradients = [](Backward const& b) -> variab
   if (!b.arguments[3].toIntVector().empty()) {
     Ints const plan = b.arguments[4].toIntVector();
     Floats const numbers = b.arguments[5].toDoubleVector();
-    Ints const chain(plan.begin() + 6, plan.begin() + 6 + plan[5]);
+    constexpr size_t options = 6;  // of the pass, before the length of the chain and the chain
+    auto const first = plan.begin() + options + 1;
+    Ints const chain(first, first + plan[options]);
     constexpr int64_t inputs[] = {9, 16, 7, 9};  // of the kinds of transforms
     int64_t count = 0;
     for (size_t at = 0; at < chain.size(); at += size_t(1 + inputs[chain[at]])) count += inputs[chain[at]];

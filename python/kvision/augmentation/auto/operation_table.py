@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from kvision import enhance
+from kvision._constants import constant
 from kvision._ops import FastPath
 from kvision.augmentation import transforms
 from kvision.augmentation.container.stages import Stage, Warp
@@ -136,7 +137,7 @@ def execute_step(x: Tensor, names: tuple[str, ...], operation: Tensor, value: Te
     color = tuple(name for name in _COLOR if name in names)
     if color:
         values = torch.where(operation == OPERATIONS["posterize"].number, value.round(), value)
-        columns = torch.cat([values[:, None], _orders(color, value.device, value.dtype)[operation]], 1)
+        columns = torch.cat([values[:, None], constant(_orders(color), value)[operation]], 1)
         x, _ = _color_pass(color).run(x, columns)
     for name, function in _ALONE.items():
         if name in names:
@@ -155,35 +156,35 @@ def is_one(operation: Tensor, name: str) -> Tensor:
 
 def _matrix(operation: Tensor, value: Tensor, height: int, width: int) -> Tensor:
     """The matrices (B, 3, 3) of the samples' operations, about the centers of images."""
-    columns = value[:, None] * _factors(height, width, value.device, value.dtype)[operation]
+    columns = value[:, None] * constant(_factors(height, width), value)[operation]
     columns = torch.cat([columns[:, :3], columns[:, 3:].atan().rad2deg()], 1)
     chain = transforms.affine(transforms.center_of((height, width)), angle=0, translation=(1, 2), shear=(3, 4))
     return transform_matrix(columns, [chain])
 
 
-# Tables by the number of an operation, which -1 for none reads from the end. They are made once for a device.
+# Tables by the number of an operation, which -1 for none reads from the end.
 
 
-@functools.lru_cache(maxsize=32)
-def _factors(height: int, width: int, device: torch.device, dtype: torch.dtype) -> Tensor:
+def _factors(height: int, width: int) -> tuple[tuple[float, ...], ...]:
     """What a value is multiplied by: angle, translation along x and y, shear along x and y."""
     rows = {
-        "rotate": [1.0, 0, 0, 0, 0],
-        "translate_x": [0.0, width, 0, 0, 0],
-        "translate_x_pixels": [0.0, 1, 0, 0, 0],
-        "translate_y": [0.0, 0, height, 0, 0],
-        "translate_y_pixels": [0.0, 0, 1, 0, 0],
-        "shear_x": [0.0, 0, 0, 1, 0],
-        "shear_y": [0.0, 0, 0, 0, 1],
+        "rotate": (1.0, 0, 0, 0, 0),
+        "translate_x": (0.0, width, 0, 0, 0),
+        "translate_x_pixels": (0.0, 1, 0, 0, 0),
+        "translate_y": (0.0, 0, height, 0, 0),
+        "translate_y_pixels": (0.0, 0, 1, 0, 0),
+        "shear_x": (0.0, 0, 0, 1, 0),
+        "shear_y": (0.0, 0, 0, 0, 1),
     }
-    return torch.tensor([rows.get(name, [0.0] * 5) for name in (*OPERATIONS, "none")], dtype=dtype).to(device)
+    return tuple(rows.get(name, (0.0,) * 5) for name in (*OPERATIONS, "none"))
 
 
-@functools.lru_cache(maxsize=32)
-def _orders(color: tuple[str, ...], device: torch.device, dtype: torch.dtype) -> Tensor:
+@functools.lru_cache
+def _orders(color: tuple[str, ...]) -> tuple[tuple[float, ...], ...]:
     """The order of the steps of a color program: the one of the operation alone."""
-    rows = [[float(i) if name == own else -1.0 for i, own in enumerate(color)] for name in (*OPERATIONS, "none")]
-    return torch.tensor(rows, dtype=dtype).to(device)
+    return tuple(
+        tuple(float(i) if name == own else -1.0 for i, own in enumerate(color)) for name in (*OPERATIONS, "none")
+    )
 
 
 @functools.lru_cache(maxsize=32)

@@ -5,16 +5,6 @@
 #include "core/scratch.h"
 
 namespace kv::augmentation::KV_ISA {
-namespace {
-
-template <class T>
-constexpr DType kTypeOf = sizeof(T) == 4             ? DType::float32
-                          : sizeof(T) == 1           ? DType::uint8
-                          : __is_same(T, ::kv::Half) ? DType::float16
-                                                     : DType::bfloat16;
-
-}  // namespace
-
 template <class T>
 void warp_and_color(WarpAndColor<T> const& p, int64_t begin, int64_t end) {
   Images<T> const& y = p.warp.y;
@@ -28,7 +18,7 @@ void warp_and_color(WarpAndColor<T> const& p, int64_t begin, int64_t end) {
 
     // The band as a sample of its own, but for the pixels of the mean.
     color::Program<float> program = p.program;
-    program.x = {band.data, kTypeOf<T>, y.channels, 1, 0, 0, rows * width, 1};
+    program.x = {band.data, kDType<T>, y.channels, 1, 0, 0, rows * width, 1};
     program.pixels = count * width;
     float mean;
     if (first > 0) program.means = &mean - b;  // stored once, with the first band

@@ -7,12 +7,6 @@
 
 namespace kv {
 
-template <class T>
-constexpr DType kDType = sizeof(T) == 8       ? DType::float64
-                         : sizeof(T) == 4     ? DType::float32
-                         : __is_same(T, Half) ? DType::float16
-                                              : DType::bfloat16;
-
 // Calls f with a value of the storage type. F is the compute type: double is stored as double alone.
 template <class F = float, class Call>
 __device__ __forceinline__ void dispatch_floating_dtype(DType dtype, Call f) {

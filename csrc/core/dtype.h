@@ -8,6 +8,13 @@ namespace kv {
 // The numbers are stable: color programs in exported graphs contain them.
 enum class DType : int { uint8, float16, bfloat16, float32, float64 };
 
+template <class T>
+constexpr DType kDType = sizeof(T) == 8       ? DType::float64
+                         : sizeof(T) == 4     ? DType::float32
+                         : sizeof(T) == 1     ? DType::uint8
+                         : __is_same(T, Half) ? DType::float16
+                                              : DType::bfloat16;
+
 // The size of an element in bytes.
 KV_HD int size_of(DType dtype) {
   return dtype == DType::uint8 ? 1 : dtype == DType::float64 ? 8 : dtype == DType::float32 ? 4 : 2;

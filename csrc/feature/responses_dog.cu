@@ -273,7 +273,7 @@ struct RowRing {
   __device__ __forceinline__ int height() const { return int(columns.work.x.height); }
   __device__ __forceinline__ int source(int y) const { return border_index(Border::reflect, y, height()); }
 
-  // N rows from `y` on, whose places begin at `First`.
+  // N rows from `y` on, from index `First` of the ring on.
   template <int N, int First>
   __device__ __forceinline__ void fetch(int y) {
     auto const values_of = [&](int i) -> F(&)[P] { return rows[(First + i) % kSize]; };

@@ -10,12 +10,6 @@
 namespace kv::augmentation::KV_ISA {
 namespace {
 
-template <class T>
-constexpr DType kTypeOf = sizeof(T) == 4             ? DType::float32
-                          : sizeof(T) == 1           ? DType::uint8
-                          : __is_same(T, ::kv::Half) ? DType::float16
-                                                     : DType::bfloat16;
-
 // The planes of a sample; each is one row if it is flat.
 template <class T>
 KV_HD Planes<T> planes_of(Images<T> const& x, int64_t b, bool flat) {
@@ -26,7 +20,7 @@ KV_HD Planes<T> planes_of(Images<T> const& x, int64_t b, bool flat) {
 
 template <class T, class I>
 KV_HD color::Pixels pixels_of(I const& x, int64_t b) {
-  return {const_cast<T*>(x.row(b, 0, 0)), kTypeOf<T>, x.channels, 1, 0, 0, x.channel_stride, x.step};
+  return {const_cast<T*>(x.row(b, 0, 0)), kDType<T>, x.channels, 1, 0, 0, x.channel_stride, x.step};
 }
 
 // The range of a plane in [0, 1]; NaN if it has one.

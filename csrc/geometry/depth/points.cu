@@ -239,9 +239,9 @@ __global__ void __launch_bounds__(kThreads)
 #pragma unroll
     for (int k = 0; k < 3; ++k) store_vector(p.y.row(b, k, y) + x, normals[k]);
   } else {
-    AdjacentElements<kRun, kThreads / 32> const place(y * p.y.row_stride + x, is_in ? min(width - x, kRun) : 0);
+    AdjacentElements<kRun, kThreads / 32> const elements(y * p.y.row_stride + x, is_in ? min(width - x, kRun) : 0);
 #pragma unroll
-    for (int k = 0; k < 3; ++k) place.store(p.y.row(b, k, 0), normals[k]);
+    for (int k = 0; k < 3; ++k) elements.store(p.y.row(b, k, 0), normals[k]);
   }
 }
 

@@ -6,7 +6,7 @@
 // means of that line. Memory is read and written in order at any size; rows that adjacent bands have in common are in
 // the L1. The weights are computed once for all rows and planes of a block's tile.
 #include "core/launch.cuh"
-#include "geometry/transform/resize/resize.h"
+#include "geometry/transform/resize/contributors.cuh"
 
 namespace kv::geometry::cuda {
 namespace {
@@ -19,16 +19,6 @@ struct ResizeTiles {
   int rows, planes;
   int span;  // capacity of a line in elements
 };
-
-// Not inline, as they take most of the time to compile.
-template <class F>
-__device__ __noinline__ Contributors<F> find_contributors(ResizeAxis const& axis, int index) {
-  return contributors<F>(axis, index);
-}
-template <class F>
-__device__ __noinline__ F find_weight(ResizeAxis const& axis, Contributors<F> const reads, int index, int k) {
-  return weight_at(axis, reads, index, k);
-}
 
 // K: no band has more pixels, 0 for any number. Few weights stay in registers, and more elements take turns in a lane.
 template <int K>

@@ -8,6 +8,7 @@
 //
 // A mirrored window has the same weights in reverse order: positions in the tile are mirrored, nothing else is.
 #include "core/launch.cuh"
+#include "geometry/transform/resize/contributors.cuh"
 #include "geometry/transform/resize/resize_windows.h"
 
 namespace kv::geometry::cuda {
@@ -369,15 +370,6 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
 }
 
 // --- any types and sizes: one thread an element, the weights computed as they are needed -----------------------------
-
-template <class F>
-__device__ __noinline__ Contributors<F> find_contributors(ResizeAxis const& axis, int index) {
-  return contributors<F>(axis, index);
-}
-template <class F>
-__device__ __noinline__ F find_weight(ResizeAxis const& axis, Contributors<F> const reads, int index, int k) {
-  return weight_at(axis, reads, index, k);
-}
 
 template <class T>
 __global__ void resize_windows_any(__grid_constant__ ResizeWindows<T> const p) {

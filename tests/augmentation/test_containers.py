@@ -424,9 +424,10 @@ def test_cells_of_a_grid(device: torch.device) -> None:
 
 
 @pytest.mark.tracing
-def test_compiles_with_labels() -> None:
+@pytest.mark.parametrize("crop", [A.RandomResizedCrop((9, 11)), A.Resize((9, 11))], ids=["crop", "resize"])
+def test_compiles_with_labels(crop: nn.Module) -> None:
     augment = A.AugmentationSequential(
-        A.RandomResizedCrop((9, 11)),
+        crop,
         A.RandomHorizontalFlip(),
         A.ColorJitter(0.2, 0.2, 0.2, 0.1),
         data_keys=["image", "mask", "keypoints"],

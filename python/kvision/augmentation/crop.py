@@ -192,8 +192,10 @@ class RandomResizedCrop(GeometricAugmentationBase2D):
         return [Transform("crop", (0, 0, 0, 0, float(w), float(h), corners), (0, 1, 2, 3, -1, -1, -1))]
 
     def resampling(self, flags: dict[str, Any]) -> Resampling:
-        resampling = super().resampling(flags)
-        return resampling._replace(antialias=bool(flags["antialias"]) and resampling.mode != "nearest")
+        read = super().resampling(flags)
+        antialias = bool(flags["antialias"]) and read.mode != "nearest"
+        # Not by `_replace`: torch 2.11 cannot compile a call that leaves its result in an Execution.
+        return Resampling(read.mode, read.padding, read.align_corners, read.fill, antialias)
 
 
 class _CenterGenerator(RandomGeneratorBase):

@@ -80,7 +80,8 @@ class Resize(GeometricAugmentationBase2D):
         return None if flags["antialias"] else self.matrix_transforms(shape, flags)
 
     def resampling(self, flags: dict[str, Any]) -> Resampling:
-        return super().resampling(flags)._replace(padding="border")
+        read = super().resampling(flags)
+        return Resampling(read.mode, "border", read.align_corners, read.fill)  # _replace: see RandomResizedCrop
 
     def _warp(self, x: Tensor, matrix: Tensor, flags: dict[str, Any]) -> Tensor:
         if not flags["antialias"]:

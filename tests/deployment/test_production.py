@@ -95,7 +95,15 @@ def test_pipeline_runs_in_cpp(cmake: str, device: torch.device, tmp_path: Path) 
     subprocess.run([cmake, "--build", build, "--target", "run_pipeline"], check=True)
     script = ROOT / "examples/cpp/save_pipeline.py"
     subprocess.run([sys.executable, script, "--device", device.type, "--out", saved], check=True)
-    printed = subprocess.run([build / "run_pipeline", saved], check=True, stdout=subprocess.PIPE, text=True).stdout
-    assert f"image [2, 3, 512, 512] on {device.type}" in printed
-    for name in ("AOTInductor package: ", "traced module: ", "AOTInductor package, batch of 1: "):
-        assert f"{name}largest difference from Python" in printed
+
+    def printed() -> str:
+        return subprocess.run([build / "run_pipeline", saved], check=True, stdout=subprocess.PIPE, text=True).stdout
+
+    everything = printed()
+    assert f"image [2, 3, 512, 512] on {device.type}" in everything
+    for name in ("traced module: ", "AOTInductor package: ", "AOTInductor package, batch of 1: "):
+        assert f"{name}largest difference from Python" in everything
+    (saved / "pipeline.pt2").unlink()
+    without_package = printed()
+    assert "traced module: largest difference from Python" in without_package
+    assert "AOTInductor package: there is no" in without_package

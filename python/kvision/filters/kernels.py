@@ -56,7 +56,7 @@ def gaussian(
         _check.shape("gaussian", "mean", mean, "B or 1", 1)
         if mean.shape[0] != sigma.shape[0] and 1 not in (mean.shape[0], sigma.shape[0]):
             raise ShapeError(
-                f"gaussian: expected mean with 1 or {sigma.shape[0]} rows, got {tuple(mean.shape)}",
+                f"gaussian: expected mean with a batch size of 1 or {sigma.shape[0]}, got {tuple(mean.shape)}",
                 actual_shape=mean.shape,
             )
         mean = _check.to_device_of("gaussian", sigma, "mean", mean, of="sigma").to(sigma)

@@ -176,7 +176,7 @@ class Collection:
         """Reshape vectors (B, D) or (1, D) of images so that they broadcast with the items."""
         images = self._data.shape[0] if self._is_batched else 1
         if not _check.is_one_or(vectors.shape[0], images):
-            raise ShapeError(f"{op}: expected {name} with 1 or {images} rows, got {tuple(vectors.shape)}")
+            raise ShapeError(f"{op}: expected {name} with a batch size of 1 or {images}, got {tuple(vectors.shape)}")
         vectors = vectors.to(self._data)
         if not self._is_batched:
             return vectors[0]

@@ -41,7 +41,7 @@ class TestBilateralBlur(OpTests):
         ({"sigma_color": 0.0}, ValueError, "sigma_color"),
         ({"sigma_color": float("nan")}, ValueError, "sigma_color"),
         ({"sigma_color": "0.1"}, TypeError, "sigma_color"),
-        ({"sigma_color": lambda x: torch.ones(5)}, ValueError, "sigma_color with 1 or 2 rows"),
+        ({"sigma_color": lambda x: torch.ones(5)}, ValueError, "sigma_color with a batch size of 1 or 2"),
         ({"sigma_space": -1.0}, ValueError, "sigma_space"),
         ({"sigma_space": lambda x: torch.ones(1, 3)}, ValueError, "sigma_space"),
         ({"border_type": "mirror"}, ValueError, "border_type must be one of"),

@@ -50,7 +50,7 @@ class TestGaussianBlur2d(OpTests):
         ({"sigma": (1.0, 0.0)}, ValueError, "positive"),
         ({"sigma": (1.0, float("nan"))}, ValueError, "positive"),
         ({"sigma": "1"}, TypeError, "expected sigma"),
-        ({"sigma": lambda x: torch.ones(3, 2)}, ValueError, "1 or 2 rows"),
+        ({"sigma": lambda x: torch.ones(3, 2)}, ValueError, "a batch size of 1 or 2"),
         ({"sigma": lambda x: torch.ones(2)}, ValueError, "expected sigma of shape"),
         ({"border_type": "mirror"}, ValueError, "border_type must be one of"),
         ({"kernel_size": 31}, ValueError, "border of 15 pixels"),

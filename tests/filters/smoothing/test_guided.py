@@ -66,7 +66,7 @@ def test_number_types(device):
         ((*[torch.rand(1, 1, 4, 4)] * 2, 3, -0.1), ValueCheckError, "expected eps of at least 0, got -0.1"),
         ((*[torch.rand(1, 1, 4, 4)] * 2, 3, float("nan")), ValueCheckError, "got nan"),
         ((*[torch.rand(1, 1, 4, 4)] * 2, 3, "0.1"), TypeCheckError, "expected eps to be a number or a Tensor"),
-        ((*[torch.rand(1, 1, 4, 4)] * 2, 3, torch.ones(2)), ShapeError, "eps with 1 or 1 rows"),
+        ((*[torch.rand(1, 1, 4, 4)] * 2, 3, torch.ones(2)), ShapeError, "eps with a batch size of 1 or 1"),
         ((*[torch.rand(1, 1, 4, 4)] * 2, 3, torch.ones(1, device="meta")), DeviceError, "eps on meta"),
         ((*[torch.rand(1, 1, 4, 4)] * 2, 3, 0.1, "mirror"), ValueCheckError, "guided_blur: border_type"),
         ((*[torch.rand(1, 1, 4, 4)] * 2, 9, 0.1), ShapeError, "guided_blur: expected input larger than its 'reflect'"),

@@ -26,7 +26,7 @@ class Points(OpTests):
     errors = [
         ({"camera_matrix": lambda x: torch.eye(3)}, ValueError, "expected camera_matrix of shape"),
         ({"normalize_points": 1}, TypeError, "normalize_points to be a bool"),
-        ({"camera_matrix": lambda x: torch.ones(3, 3, 3)}, ValueError, "camera_matrix with 1 or 2 rows"),
+        ({"camera_matrix": lambda x: torch.ones(3, 3, 3)}, ValueError, "camera_matrix with a batch size of 1 or 2"),
     ]
 
     def input(self, shape, dtype, device):

@@ -31,7 +31,7 @@ class TestRotate(FormulaWarpTests):
         {"angle": degrees, "center": one(point), "mode": "bicubic", "padding_mode": "border"},
     ]
     errors = [
-        ({"angle": lambda x: torch.ones(3)}, ValueError, "expected angle with 1 or 2 rows"),
+        ({"angle": lambda x: torch.ones(3)}, ValueError, "expected angle with a batch size of 1 or 2"),
         ({"angle": 3.0}, TypeError, "angle to be a Tensor"),
         ({"center": lambda x: torch.ones(2, 3)}, ValueError, r"expected center of shape \(B, 2\)"),
         ({"mode": "linear"}, ValueError, "mode must be one of bilinear, nearest, bicubic; got 'linear'"),
@@ -191,7 +191,7 @@ X, V = torch.rand(2, 3, 4, 5), torch.rand(1, 1, 3, 4, 5)
 BAD = [
     (lambda: G.rotate([1.0], torch.ones(1)), TypeError, "rotate: expected tensor to be a Tensor, got list"),
     (lambda: G.rotate(X[0, 0], torch.ones(1)), ValueError, r"rotate: expected tensor of shape \(B, C, H, W\)"),
-    (lambda: G.rotate(X, torch.ones(3)), ValueError, "rotate: expected angle with 1 or 2 rows"),
+    (lambda: G.rotate(X, torch.ones(3)), ValueError, "rotate: expected angle with a batch size of 1 or 2"),
     (lambda: G.translate(X, torch.ones(2, 3)), ValueError, r"translate: expected translation of shape \(B, 2\)"),
     (lambda: G.scale(X, 2.0), TypeError, "scale: expected scale_factor to be a Tensor"),
     (lambda: G.shear(X, torch.ones(2, 2), "linear"), ValueError, "shear: mode must be one of"),

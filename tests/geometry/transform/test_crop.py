@@ -117,7 +117,11 @@ class TestCropAndResize(FormulaWarpTests):
     ]
     errors = [
         ({"boxes": lambda x: torch.ones(5, 4, 2)}, ValueError, r"expected box_indices of shape \(5,\), got \(6,\)"),
-        ({"box_indices": None, "boxes": lambda x: torch.ones(3, 4, 2)}, ValueError, "expected boxes with 1 or 2 rows"),
+        (
+            {"box_indices": None, "boxes": lambda x: torch.ones(3, 4, 2)},
+            ValueError,
+            "expected boxes with a batch size of 1 or 2",
+        ),
         ({"box_indices": [0, 1]}, TypeError, "expected box_indices to be a Tensor of int64 or int32, got list"),
         ({"box_indices": lambda x: torch.zeros(6)}, TypeError, "int64 or int32, got torch.float32"),
     ]

@@ -35,7 +35,7 @@ class TestWarpAffine(WarpTests):
     ]
     errors = [
         ({"M": lambda x: torch.eye(3)[None]}, ValueError, r"expected M of shape \(B, 2, 3\), got \(1, 3, 3\)"),
-        ({"M": lambda x: torch.ones(3, 2, 3)}, ValueError, "expected M with 1 or 2 rows"),
+        ({"M": lambda x: torch.ones(3, 2, 3)}, ValueError, "expected M with a batch size of 1 or 2"),
         ({"M": [[1.0]]}, TypeError, "M to be a Tensor"),
         ({"dsize": (0, 3)}, ValueError, "dsize to be an int or 2 ints of at least 1"),
         ({"dsize": (1.5, 3)}, TypeError, "dsize"),

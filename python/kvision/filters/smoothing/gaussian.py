@@ -178,7 +178,8 @@ def batch_of(op: str, name: str, x: Tensor, values: Tensor) -> Tensor:
     """`values` as images `x` are computed, in type and device; raise unless there is one row, or one for each image."""
     if not _check.is_one_or(values.shape[0], x.shape[0]):
         raise ShapeError(
-            f"{op}: expected {name} with 1 or {x.shape[0]} rows, got {tuple(values.shape)}", actual_shape=values.shape
+            f"{op}: expected {name} with a batch size of 1 or {x.shape[0]}, got {tuple(values.shape)}",
+            actual_shape=values.shape,
         )
     return as_dtype(_check.to_device_of(op, x, name, values), compute_dtype(x))
 

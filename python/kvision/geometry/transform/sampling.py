@@ -552,8 +552,8 @@ def symbolic_point(image: Tensor, *coordinates: float) -> Tensor:
 
 
 def cast_to_image(op: str, image: Tensor, name: str, x: Tensor, samples: int | None = None) -> Tensor:
-    """A matrix or parameter as the operators take it: in the dtype and on the device of the computation, with one row or
-    one a sample.
+    """A matrix or parameter as the operators take it: in the dtype and on the device of the computation, one for all
+    samples or one for each.
 
     There is one sample of each image unless their number is given. Maps, too; their callers check that they are on the
     image's device, since images and maps are not moved.
@@ -561,7 +561,9 @@ def cast_to_image(op: str, image: Tensor, name: str, x: Tensor, samples: int | N
     x = _check.to_device_of(op, image, name, x, of="image")
     samples = image.shape[0] if samples is None else samples
     if not _check.is_one_or(x.shape[0], samples):
-        raise ShapeError(f"{op}: expected {name} with 1 or {samples} rows, got {tuple(x.shape)}", actual_shape=x.shape)
+        raise ShapeError(
+            f"{op}: expected {name} with a batch size of 1 or {samples}, got {tuple(x.shape)}", actual_shape=x.shape
+        )
     return as_dtype(x, compute_dtype(image))
 
 

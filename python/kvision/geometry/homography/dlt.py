@@ -54,7 +54,7 @@ def find_homography_dlt(points1: Tensor, points2: Tensor, weights: Tensor | None
                  [0., 2., 1.],
                  [0., 0., 1.]]])
     """
-    check_correspondences("find_homography_dlt", points1, points2, weights, min_points=4)
+    weights = check_correspondences("find_homography_dlt", points1, points2, weights, min_points=4)
     _check.choice("find_homography_dlt", "solver", solver, ("lu", "svd"), _check.UnknownChoiceError)
     return homography_of(points1, points2, weights)
 
@@ -114,7 +114,7 @@ def find_homography_dlt_iterated(
         tensor(True)
     """
     op = "find_homography_dlt_iterated"
-    check_correspondences(op, points1, points2, weights, min_points=4)
+    weights = check_correspondences(op, points1, points2, weights, min_points=4)
     scale = 2 * _check_iterations(op, soft_inl_th, n_iter) ** 2
     H = homography_of(points1, points2, weights)
     for _ in range(n_iter - 1):
@@ -150,7 +150,7 @@ def find_homography_lines_dlt(ls1: Tensor, ls2: Tensor, weights: Tensor | None =
                  [0., 2., 1.],
                  [0., 0., 1.]]])
     """
-    ls1, ls2 = _batched("find_homography_lines_dlt", ls1, ls2, weights)
+    ls1, ls2, weights = _batched("find_homography_lines_dlt", ls1, ls2, weights)
     return of_lines(ls1, ls2, weights)
 
 
@@ -203,7 +203,7 @@ def find_homography_lines_dlt_iterated(
                  [0., 0., 1.]]])
     """
     op = "find_homography_lines_dlt_iterated"
-    ls1, ls2 = _batched(op, ls1, ls2, weights)
+    ls1, ls2, weights = _batched(op, ls1, ls2, weights)
     scale = 2 * _check_iterations(op, soft_inl_th, n_iter) ** 2
     H = of_lines(ls1, ls2, weights)
     some = (ls2[..., 0, :] != ls2[..., 1, :]).any(-1)
@@ -213,12 +213,12 @@ def find_homography_lines_dlt_iterated(
     return H
 
 
-def _batched(op: str, ls1: Tensor, ls2: Tensor, weights: Tensor | None) -> tuple[Tensor, Tensor]:
+def _batched(op: str, ls1: Tensor, ls2: Tensor, weights: Tensor | None) -> tuple[Tensor, Tensor, Tensor | None]:
     _check.numbers(op, "ls1", ls1)
     _check.numbers(op, "ls2", ls2)
     ls1, ls2 = (ls[None] if ls.dim() == 3 else ls for ls in (ls1, ls2))
-    check_correspondences(op, ls1, ls2, weights, min_points=4, names=("ls1", "ls2"), axes=(2, 2))
-    return ls1, ls2
+    weights = check_correspondences(op, ls1, ls2, weights, min_points=4, names=("ls1", "ls2"), axes=(2, 2))
+    return ls1, ls2, weights
 
 
 def _check_iterations(op: str, soft_inl_th: float, n_iter: int) -> float:

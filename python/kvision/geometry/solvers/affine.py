@@ -36,7 +36,7 @@ def find_affine(points1: Tensor, points2: Tensor, weights: Tensor | None = None)
                  [0., 2., 1.],
                  [0., 0., 1.]]])
     """
-    check_correspondences("find_affine", points1, points2, weights, min_points=3)
+    weights = check_correspondences("find_affine", points1, points2, weights, min_points=3)
     return affine_of(points1, points2, weights)
 
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import as_dtype
 from kvision._ops import Operator, register
 from kvision.core.exceptions import ShapeError
 
@@ -20,8 +21,11 @@ def check_correspondences(
     min_points: int,
     names: tuple[str, str] = ("points1", "points2"),
     axes: tuple[int, ...] = (2,),
-) -> None:
-    """Raise unless both are (B, N, *axes) of one shape and device with N of at least `min_points`, and weights (B, N)."""
+) -> Tensor | None:
+    """The weights in the type of the points, which may be a mask of inliers.
+
+    Raise unless both points are (B, N, *axes) of one shape and device with N of at least `min_points`, and weights (B, N).
+    """
     for name, x in zip(names, (points1, points2)):
         _check.shape(op, name, x, "B", "N", *axes)
         _check.floating(op, name, x)
@@ -33,9 +37,11 @@ def check_correspondences(
             f"got {tuple(points1.shape)}",
             actual_shape=points1.shape,
         )
-    if weights is not None:
-        _check.shape(op, "weights", weights, *points1.shape[:2])
-        _check.same_device(op, **{names[0]: points1}, weights=weights)
+    if weights is None:
+        return None
+    _check.shape(op, "weights", weights, *points1.shape[:2])
+    _check.same_device(op, **{names[0]: points1}, weights=weights)
+    return as_dtype(weights, points1.dtype)
 
 
 def normalized_weights(points: Tensor, weights: Tensor | None) -> Tensor:

@@ -9,6 +9,8 @@ from kvision import _check
 from kvision._dtype import as_dtype
 from kvision._modules import FunctionModule
 
+_SIGNED = {torch.uint16: torch.int16, torch.uint32: torch.int32, torch.uint64: torch.int64}
+
 
 def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
     """Subtract an image from its largest possible value.
@@ -38,7 +40,13 @@ def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
         max_val = 1.0 if max_val is None else _check.number("invert", "max_val", max_val)
     if image.is_floating_point():
         return as_dtype(max_val - image, image.dtype)
-    return torch.as_tensor(max_val).to(image.dtype) - image
+    largest = torch.as_tensor(max_val).to(image.dtype)
+    if image.dtype is torch.bool:
+        return largest ^ image
+    if image.dtype in _SIGNED:  # torch does not subtract these; the bits are the same
+        signed = _SIGNED[image.dtype]
+        return (largest.view(signed) - image.view(signed)).view(image.dtype)
+    return largest - image
 
 
 class Invert(FunctionModule):

@@ -12,6 +12,7 @@ from kvision.core.exceptions import ShapeError, TypeCheckError
 # For the gradient: how far a pixel spreads over the bins, and how close to the best variance counts as good.
 _BANDWIDTH = 0.5
 _TEMPERATURE = 0.01
+_WIDER = {torch.uint16: torch.int32, torch.uint32: torch.int64}
 _BLOCK = 1 << 17  # pixels of planes that are computed together, so that intermediate results stay in the caches
 
 
@@ -49,6 +50,10 @@ def otsu_threshold(
         tensor([[False, False, False],
                 [ True,  True,  True]])
     """
+    _check.numbers("otsu_threshold", "x", x)
+    if x.dtype in _WIDER:  # torch does not compare these
+        result, thresholds = otsu_threshold(x.to(_WIDER[x.dtype]), nbins, slow_and_differentiable, return_mask)
+        return result if return_mask else result.to(x.dtype), thresholds.to(x.dtype)
     planes = _planes(x)
     (nbins,) = _check.ints("otsu_threshold", "nbins", nbins, 1, minimum=2)
     _check.flag("otsu_threshold", "slow_and_differentiable", slow_and_differentiable)

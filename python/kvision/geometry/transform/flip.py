@@ -26,6 +26,7 @@ def _backward(needs, grad, sizes, columns, rows):
 flipped = register("flip", _reference, backward=_backward, linear=True, bytes=True)
 
 _LARGE = 1 << 16  # bytes
+_SIGNED = {torch.uint16: torch.int16, torch.uint32: torch.int32, torch.uint64: torch.int64}
 
 
 def hflip(input: Tensor) -> Tensor:
@@ -100,6 +101,8 @@ def _flip(op: str, input: Tensor, axes: tuple[int, ...]) -> Tensor:
         return _flip(op, input[None], axes)[0]
     if input.dim() == 0:
         raise ShapeError(f"{op}: expected input of shape (*, H, W), got {tuple(input.shape)}", actual_shape=input.shape)
+    if input.dtype in _SIGNED:  # torch does not flip these
+        return _flip(op, input.view(_SIGNED[input.dtype]), axes).view(input.dtype)
     if _torch_is_fast(input) or input.dtype not in flipped.dtypes or 0 in input.shape[-2:]:
         return input.flip(axes)
     columns, rows = -1 in axes, -2 in axes

@@ -3,6 +3,7 @@
 - Where a number is taken, so are NumPy's scalars and tensors of no axes.
 - A parameter in CPU memory follows images to their device; a second image, a map, points or labels do not.
 - What is no tensor, where a tensor is the first argument, is named in the error.
+- Shapes and types that do not fit together are a ValueError or a TypeError, not an error from inside of torch.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from PIL import Image
 from torch import Tensor, nn
 
 import kvision as K
+from benchmarks.sample_calls import SampleCall, Size, sample_calls
 from example_calls import HOMES, Call, example_calls
 from kvision.core.exceptions import DeviceError, TypeCheckError
 from test_docstrings import public_objects
@@ -77,6 +79,56 @@ def test_nearly_all_public_names_have_examples():
     examples = {name: doctest.DocTestFinder(recurse=False).find(x, name) for name, x in public_objects().items()}
     without = [name for name, actual in examples.items() if not any(example.examples for example in actual)]
     assert len(without) < 0.05 * len(examples), without
+
+
+# --- tensors that do not fit together ---------------------------------------------------------------------------------
+
+
+def misfits(x: Tensor) -> Iterator[Tensor]:
+    """Tensors of another batch size, number of points, size or type than `x`."""
+    if x.dim() > 0:
+        yield x[:1].expand(3, *x.shape[1:])
+        yield x[:1]
+    yield from (x.narrow(axis, 0, 0) for axis in range(x.dim()))
+    if x.dim() > 1:
+        yield torch.cat([x, x[:, :1]], 1)
+        yield x[0]
+    yield x[None]
+    yield x.long()
+    yield x.double() if x.is_floating_point() else x.to(torch.int16)
+
+
+@pytest.mark.parametrize("call", list(sample_calls()), ids=lambda call: call.name)
+def test_tensors_that_do_not_fit_are_named(call: SampleCall):
+    tensors = call.tensors(Size(2, 3, 12, 14))
+    for name, x in tensors.items():
+        if name.startswith("_"):
+            continue
+        for other in misfits(x):
+            try:
+                call.call(K, {**tensors, name: other})
+            except (TypeError, ValueError, IndexError) as error:
+                assert str(error)
+            except RuntimeError as error:
+                if "in-place" not in str(error):
+                    pytest.fail(f"{name} {tuple(other.shape)} {other.dtype}: {error!r}")
+
+
+def test_a_mask_of_inliers_is_a_weight():
+    points, moved, inliers = torch.rand(2, 9, 2), torch.rand(2, 9, 2), torch.rand(2, 9) > 0.2
+    G = K.geometry
+    for fit in (G.find_homography_dlt, G.find_homography_dlt_iterated, G.find_fundamental, G.find_affine):
+        assert torch.equal(fit(points, moved, inliers), fit(points, moved, inliers.float()))
+
+
+@pytest.mark.parametrize("dtype", [torch.uint16, torch.uint32])
+def test_unsigned_integers(dtype):
+    """torch neither flips, compares nor subtracts them."""
+    x = (torch.rand(1, 2, 5, 6) * 60000).to(dtype)
+    same = [K.geometry.hflip, K.geometry.vflip, K.geometry.rot180, lambda x: K.enhance.invert(x, 65535)]
+    for function in (*same, lambda x: K.filters.otsu_threshold(x)[0], lambda x: K.filters.otsu_threshold(x)[1]):
+        actual = function(x)
+        assert actual.dtype == dtype and torch.equal(actual.long(), function(x.long()))
 
 
 # --- numbers ----------------------------------------------------------------------------------------------------------

@@ -99,6 +99,22 @@ def broadcastable(op: str, **shapes: Sequence[int]) -> None:
                 raise ShapeError(f"{op}: expected leading axes that broadcast, got {got}")
 
 
+def leading_axes(op: str, axes: int, **tensors: Tensor) -> None:
+    """Raise ShapeError unless the axes in front of the last `axes` of the named tensors can be broadcast together."""
+    batch = None
+    for x in tensors.values():
+        if x.dim() != axes + 1:
+            break
+        size = x.shape[0]
+        if batch is None:
+            batch = size
+        elif size != batch:
+            break
+    else:
+        return
+    broadcastable(op, **{name: x.shape[: x.dim() - axes] for name, x in tensors.items()})
+
+
 def images(op: str, name: str, x: Any) -> None:
     """Raise unless `x` is a (B, C, H, W) tensor with at least one pixel an image."""
     numbers(op, name, x)

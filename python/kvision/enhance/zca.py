@@ -123,7 +123,8 @@ def zca_mean(
     _check.flag("zca_mean", "return_inverse", return_inverse)
     if inp.shape[dim] < 1 + unbiased:
         raise ShapeError(f"zca_mean: expected at least {1 + unbiased} samples along axis {dim}, got {tuple(inp.shape)}")
-    samples = as_dtype(inp, compute_dtype(inp)).movedim(dim, 0).flatten(1)
+    samples = as_dtype(inp, compute_dtype(inp)).movedim(dim, 0)
+    samples = samples.reshape(samples.shape[0], samples.shape[1:].numel())
     inverse, mean, root = _inverse_root(samples, samples.shape[0] - unbiased, eps)
     return inverse, mean, root if return_inverse else None
 

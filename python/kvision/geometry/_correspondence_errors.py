@@ -8,9 +8,11 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision._leading import broadcast_shapes
 from kvision._modes import CORRESPONDENCE_ERROR, CORRESPONDENCE_ERROR_NAMES
 from kvision._ops import register
+from kvision.core.exceptions import ShapeError
 from kvision.geometry._precision import length, promoted, quotient
 from kvision.geometry.linalg import adjugate, root
 
@@ -31,6 +33,15 @@ def correspondence_errors(points1: Tensor, points2: Tensor, matrix: Tensor, kind
         points1, points2 = (x.expand(-1, count, -1) for x in (points1, points2))
     errors: Tensor = _correspondence_errors(points1, points2, matrix, CORRESPONDENCE_ERROR[kind], squared)
     return errors if len(leading) == 1 and errors.shape[0] == leading[0] else errors.reshape(*leading, errors.shape[1])
+
+
+def check_correspondence_shapes(op: str, **tensors: Tensor) -> None:
+    """Raise ShapeError unless points (*, N, n) of both images and matrices (*, 3, 3), named in this order, fit together."""
+    _check.leading_axes(op, 2, **tensors)
+    (first, points1), (second, points2), _ = tensors.items()
+    counts = points1.shape[-2], points2.shape[-2]
+    if counts[0] != counts[1] and 1 not in counts:
+        raise ShapeError(f"{op}: expected as many {first} as {second}, or one, got {counts[0]} and {counts[1]}")
 
 
 def _one_batch(x: Tensor, leading: Sequence[int]) -> Tensor:

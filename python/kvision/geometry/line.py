@@ -121,7 +121,7 @@ def fit_line(points: Tensor, weights: Tensor | None = None) -> ParametrizedLine:
         tensor([[1., 0.]])
     """
     _check.shape("fit_line", "points", points, "B", "N", "D")
-    if points.shape[1] < 2:
+    if points.shape[1] < 2 or points.shape[2] < 1:
         raise ShapeError(f"fit_line: expected points of at least 2 a line, got {tuple(points.shape)}")
     if weights is not None:
         _check.shape("fit_line", "weights", weights, *points.shape[:2])

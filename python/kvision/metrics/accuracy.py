@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import floats
 from kvision.core.exceptions import ShapeError
 
 
@@ -34,6 +35,7 @@ def accuracy(pred: Tensor, target: Tensor, topk: Sequence[int] = (1,)) -> list[T
         [tensor(50.)]
     """
     _check.shape("accuracy", "pred", pred, "B", "C")
+    pred = floats(pred) if pred.dtype is torch.bool else pred
     _check.numbers("accuracy", "target", target)
     if target.numel() != pred.shape[0]:
         raise ShapeError(

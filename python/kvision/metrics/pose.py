@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 
 def angle_error_mat(R1: Tensor, R2: Tensor) -> Tensor:
@@ -140,6 +140,10 @@ def _check_pair(op: str, name: str, x: Tensor, other_name: str, other: Tensor, l
         if value.shape[value.dim() - len(last) :] != last or value.dim() < len(last):
             want = ", ".join(map(str, last))
             raise ShapeError(f"{op}: expected {n} of shape (*, {want}), got {tuple(value.shape)}")
+    if x.dtype != other.dtype:
+        raise TypeCheckError(
+            f"{op}: expected {other_name} of type {x.dtype}, got {other.dtype}", actual_type=other.dtype
+        )
     _check.same_shape(op, **{name: x, other_name: other})
     _check.same_device(op, **{name: x, other_name: other})
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype
+from kvision._dtype import as_dtype, compute_dtype
 from kvision._torch_compat import without_transforms
 from kvision.core.exceptions import ValueCheckError
 from kvision.morphology.dilation import dilated
@@ -25,7 +25,7 @@ def reconstruction(
 
     Args:
         seed: images (B, C, H, W), floating point or uint8; values above the mask are clamped to it first.
-        mask: images of the same shape and type.
+        mask: images of the same shape. Of two types, the wider one is that of the result.
         kernel: the mask of the flat structuring element, of odd size and with its center set; None for 3 x 3.
         method: 'dilation', or 'erosion' for a seed that shrinks above the mask.
         num_iters: the number of steps; None iterates until nothing changes, which waits for the device.
@@ -55,6 +55,8 @@ def reconstruction(
         _check.floating_or_bytes(op, name, x)
     _check.same_shape(op, seed=seed, mask=mask)
     _check.same_device(op, seed=seed, mask=mask)
+    wider = torch.promote_types(seed.dtype, mask.dtype)
+    seed, mask = as_dtype(seed, wider), as_dtype(mask, wider)
     if kernel is None:
         kernel = torch.ones(3, 3, dtype=torch.bool, device=seed.device)
     _check.shape(op, "kernel", kernel, "kH", "kW")

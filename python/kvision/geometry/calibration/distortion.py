@@ -313,6 +313,8 @@ def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:
     """
     op = "undistort_image"
     _check.trailing_shape(op, "image", image, "C", "H", "W")
+    if 0 in image.shape[-2:]:
+        raise ShapeError(f"{op}: expected image with H, W of at least 1, got {tuple(image.shape)}")
     _check.floating_trailing_shape(op, "K", K, 3, 3)
     _check_coefficients(op, dist)
     image = pixels(image)
@@ -344,9 +346,12 @@ def _check_lens(op: str, points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor 
     _check.floating_trailing_shape(op, "K", K, 3, 3)
     _check_coefficients(op, dist)
     _check.same_device(op, points=points, K=K, dist=dist)
+    leading = {"points": points.shape[:-2], "K": K.shape[:-2], "dist": dist.shape[:-1]}
     if new_K is not None:
         _check.floating_trailing_shape(op, "new_K", new_K, 3, 3)
         _check.same_device(op, points=points, new_K=new_K)
+        leading["new_K"] = new_K.shape[:-2]
+    _check.broadcastable(op, **leading)
 
 
 def _check_coefficients(op: str, dist: Tensor) -> None:

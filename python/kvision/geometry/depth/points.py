@@ -279,6 +279,7 @@ def depth_to_3d_v2(
     camera_matrix = _check.to_device_of(op, depth, "camera_matrix", camera_matrix, of="depth")
     depth = floats(depth)
     if xyz_grid is None:
+        _check.leading_axes(op, 2, depth=depth, camera_matrix=camera_matrix)
         return _points_last(depth, camera_matrix, normalize_points)
     _check.numbers(op, "xyz_grid", xyz_grid)
     if xyz_grid.shape[-3:] != (*depth.shape[-2:], 3):

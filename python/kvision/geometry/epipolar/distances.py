@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
-from kvision.geometry._correspondence_errors import correspondence_errors
+from kvision.geometry._correspondence_errors import check_correspondence_shapes, correspondence_errors
 from kvision.geometry._precision import in_full_precision
 from kvision.geometry.epipolar.fundamental import check_points
 
@@ -146,3 +146,4 @@ def _check_relation(op: str, pts1: Tensor, pts2: Tensor, Fm: Tensor) -> None:
     check_points(op, "pts2", pts2)
     _check.floating_trailing_shape(op, "Fm", Fm, 3, 3)
     _check.same_device(op, pts1=pts1, pts2=pts2, Fm=Fm)
+    check_correspondence_shapes(op, pts1=pts1, pts2=pts2, Fm=Fm)

@@ -94,6 +94,7 @@ def essential_from_fundamental(F_mat: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
     for name, x in (("F_mat", F_mat), ("K1", K1), ("K2", K2)):
         _check.floating_trailing_shape("essential_from_fundamental", name, x, 3, 3)
     _check.same_device("essential_from_fundamental", F_mat=F_mat, K1=K1, K2=K2)
+    _check.leading_axes("essential_from_fundamental", 2, F_mat=F_mat, K1=K1, K2=K2)
     return of_all(_from_fundamental, 2, F_mat, K1, K2)
 
 
@@ -175,6 +176,7 @@ def _check_motions(op: str, R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> N
     for name, x in (("t1", t1), ("t2", t2)):
         _check.floating_trailing_shape(op, name, x, 3, 1)
     _check.same_device(op, R1=R1, t1=t1, R2=R2, t2=t2)
+    _check.leading_axes(op, 2, R1=R1, t1=t1, R2=R2, t2=t2)
 
 
 def _motion(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tuple[Tensor, Tensor]:
@@ -412,12 +414,13 @@ def motion_from_essential_choose_solution(
     if E_mat.dim() not in (2, 3) or x1.dim() != E_mat.dim() or not K1.dim() == K2.dim() == E_mat.dim():
         got = ", ".join(str(tuple(x.shape)) for x in (E_mat, K1, K2, x1))
         raise ShapeError(f"{op}: expected E_mat, K1, K2 and x1 all with a batch or all without, got {got}")
+    _check.leading_axes(op, 2, E_mat=E_mat, K1=K1, K2=K2, x1=x1)
     if mask is not None:
         _check.shape(op, "mask", mask, *x1.shape[:-1])
     single = E_mat.dim() == 2
     E, K, L, x, y = (v[None] if single else v for v in (E_mat, K1, K2, x1, x2))
-    batch = E.shape[0]
-    K, L = (v.expand(batch, 3, 3) for v in (K, L))
+    batch = max(E.shape[0], K.shape[0], L.shape[0], x.shape[0])
+    E, K, L, x, y = (v.expand(batch, *v.shape[1:]) for v in (E, K, L, x, y))
     if mask is not None and single:
         mask = mask[None]
     R, t, X, count, _ = _motion_choice(E, K, L, x, y, mask)

@@ -10,6 +10,7 @@ from torch.nn.functional import pad
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError
+from kvision.geometry._correspondence_errors import check_correspondence_shapes
 from kvision.geometry._formula import of_all, register_formula
 from kvision.geometry._normalization import to_unit_last
 from kvision.geometry._precision import in_full_precision
@@ -60,7 +61,7 @@ def find_fundamental(points1: Tensor, points2: Tensor, weights: Tensor | None = 
     """
     op = "find_fundamental"
     _check.choice(op, "method", method, ("8POINT", "7POINT"))
-    check_correspondences(op, points1, points2, weights, min_points=8 if method == "8POINT" else 7)
+    weights = check_correspondences(op, points1, points2, weights, min_points=8 if method == "8POINT" else 7)
     if method == "7POINT":
         if points1.shape[1] != 7:
             raise ShapeError(f"{op}: expected points1 of shape (B, 7, 2), got {tuple(points1.shape)}")
@@ -95,6 +96,7 @@ def fundamental_from_essential(E_mat: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
     for name, x in (("E_mat", E_mat), ("K1", K1), ("K2", K2)):
         _check.floating_trailing_shape("fundamental_from_essential", name, x, 3, 3)
     _check.same_device("fundamental_from_essential", E_mat=E_mat, K1=K1, K2=K2)
+    _check.leading_axes("fundamental_from_essential", 2, E_mat=E_mat, K1=K1, K2=K2)
     return of_all(_from_essential, 2, E_mat, K1, K2)
 
 
@@ -142,6 +144,7 @@ def fundamental_from_projections(P1: Tensor, P2: Tensor) -> Tensor:
     _check.floating_trailing_shape(op, "P1", P1, 3, 4)
     _check.floating_trailing_shape(op, "P2", P2, 3, 4)
     _check.same_device(op, P1=P1, P2=P2)
+    _check.leading_axes(op, 2, P1=P1, P2=P2)
     return of_all(_from_projections, 2, P1, P2)
 
 
@@ -188,6 +191,7 @@ def compute_correspond_epilines(points: Tensor, F_mat: Tensor) -> Tensor:
     check_points("compute_correspond_epilines", "points", points)
     _check.floating_trailing_shape("compute_correspond_epilines", "F_mat", F_mat, 3, 3)
     _check.same_device("compute_correspond_epilines", points=points, F_mat=F_mat)
+    _check.leading_axes("compute_correspond_epilines", 2, points=points, F_mat=F_mat)
     return scaled_lines(lines(points, F_mat))
 
 
@@ -235,6 +239,7 @@ def get_perpendicular(lines: Tensor, points: Tensor) -> Tensor:
     _check.floating_trailing_shape("get_perpendicular", "lines", lines, "N", 3)
     check_points("get_perpendicular", "points", points)
     _check.same_device("get_perpendicular", lines=lines, points=points)
+    _check.leading_axes("get_perpendicular", 1, lines=lines, points=points)
     direction = pad(lines[..., :2], (0, 1))  # a point at infinity
     if points.shape[-1] == 2:
         points = pad(points, (0, 1), value=1.0)
@@ -271,6 +276,7 @@ def get_closest_point_on_epipolar_line(pts1: Tensor, pts2: Tensor, Fm: Tensor) -
     check_points(op, "pts2", pts2)
     _check.floating_trailing_shape(op, "Fm", Fm, 3, 3)
     _check.same_device(op, pts1=pts1, pts2=pts2, Fm=Fm)
+    check_correspondence_shapes(op, pts1=pts1, pts2=pts2, Fm=Fm)
     line = scaled_lines(lines(pts1, Fm))
     point = pts2 if pts2.shape[-1] == 2 else pts2[..., :2] / pts2[..., 2:]
     normal = line[..., :2]

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._leading import broadcast_shapes
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry._formula import of_rows, register_formula
 from kvision.geometry._precision import in_full_precision, promoted
@@ -80,7 +81,9 @@ def projection_from_KRt(K: Tensor, R: Tensor, t: Tensor) -> Tensor:
     _check.same_device(op, K=K, R=R, t=t)
     if not K.dim() == R.dim() == t.dim():
         raise ShapeError(f"{op}: expected K, R and t with as many axes, got {K.dim()}, {R.dim()} and {t.dim()}")
-    return K @ torch.cat([R, t.expand(*R.shape[:-1], 1)], -1)
+    _check.leading_axes(op, 2, K=K, R=R, t=t)
+    leading = broadcast_shapes(R.shape[:-2], t.shape[:-2])
+    return K @ torch.cat([R.expand(*leading, 3, 3), t.expand(*leading, 3, 1)], -1)
 
 
 @in_full_precision
@@ -168,6 +171,7 @@ def depth_from_point(R: Tensor, t: Tensor, X: Tensor) -> Tensor:
     _check.floating_trailing_shape(op, "t", t, 3, 1)
     _check.floating_trailing_shape(op, "X", X, "N", 3)
     _check.same_device(op, R=R, t=t, X=X)
+    _check.leading_axes(op, 2, R=R, t=t, X=X)
     return product_plus(R, X.mT, t).select(-2, 2)  # of a few points, views of a row take longer than the other rows
 
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._correspondence_errors import correspondence_errors
+from kvision.geometry._correspondence_errors import check_correspondence_shapes, correspondence_errors
 from kvision.geometry._precision import in_full_precision
 
 __all__ = [
@@ -139,6 +139,7 @@ def line_segment_transfer_error_one_way(ls1: Tensor, ls2: Tensor, H: Tensor, squ
         _check.floating_trailing_shape(op, name, x, "B", "N", 2, 2)
     _check.floating_trailing_shape(op, "H", H, "B", 3, 3)
     _check.same_device(op, ls1=ls1, ls2=ls2, H=H)
+    check_correspondence_shapes(op, ls1=ls1[..., 0], ls2=ls2[..., 0], H=H)
     return correspondence_errors(ls1, ls2, H, "segments", squared)
 
 
@@ -194,3 +195,4 @@ def _check_relation(op: str, pts1: Tensor, pts2: Tensor, H: Tensor) -> None:
             )
     _check.floating_trailing_shape(op, "H", H, "B", 3, 3)
     _check.same_device(op, pts1=pts1, pts2=pts2, H=H)
+    check_correspondence_shapes(op, pts1=pts1, pts2=pts2, H=H)

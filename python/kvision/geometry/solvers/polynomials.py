@@ -112,6 +112,7 @@ def _multiply(op: str, product: Operator, a: Tensor, b: Tensor, size: int) -> Te
     _check.floating_trailing_shape(op, "a", a, size)
     _check.floating_trailing_shape(op, "b", b, 4)
     _check.same_device(op, a=a, b=b)
+    _check.leading_axes(op, 1, a=a, b=b)
     return of_all(product, 1, a, b)
 
 

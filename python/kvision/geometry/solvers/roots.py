@@ -72,7 +72,8 @@ def solve_cubic(coeffs: Tensor) -> Tensor:
         >>> K.geometry.solve_cubic(torch.tensor([[1.0, 0.0, 0.0, -8.0]]))
         tensor([[2., 0., 0.]])
     """
-    _check.floating_trailing_shape("solve_cubic", "coeffs", coeffs, "B", 4)
+    _check.shape("solve_cubic", "coeffs", coeffs, "B", 4)
+    _check.floating("solve_cubic", "coeffs", coeffs)
     return real_roots(coeffs).nan_to_num(0.0)
 
 
@@ -96,7 +97,8 @@ def solve_quartic(coeffs: Tensor) -> Tensor:
         >>> K.geometry.solve_quartic(torch.tensor([[1.0, 0.0, -5.0, 0.0, 4.0]]))
         tensor([[-2., -1.,  1.,  2.]])
     """
-    _check.floating_trailing_shape("solve_quartic", "coeffs", coeffs, "B", 5)
+    _check.shape("solve_quartic", "coeffs", coeffs, "B", 5)
+    _check.floating("solve_quartic", "coeffs", coeffs)
     return real_roots(coeffs).nan_to_num(0.0)
 
 

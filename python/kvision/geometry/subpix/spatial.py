@@ -223,6 +223,7 @@ def render_gaussian2d(mean: Tensor, std: Tensor, size: tuple[int, int], normaliz
     if std.dtype != mean.dtype:
         raise TypeCheckError(f"{op}: expected std of type {mean.dtype}, got {std.dtype}", actual_type=std.dtype)
     _check.same_device(op, mean=mean, std=std)
+    _check.leading_axes(op, 1, mean=mean, std=std)
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
     height, width = _check.ints(op, "size", size, 2)
     leading = broadcast_shapes(mean.shape[:-1], std.shape[:-1])

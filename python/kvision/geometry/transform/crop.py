@@ -165,6 +165,8 @@ def crop_by_boxes(
     if len(extents) != 1 or not all(map(math.isfinite, *extents)):
         raise ValueCheckError(f"{op}: expected dst_box of one size, got widths and heights less 1 of {sorted(extents)}")
     w, h = (int(side) + 1 for side in extents.pop())
+    if not (1 <= w <= _check.LARGEST_INT and 1 <= h <= _check.LARGEST_INT):
+        raise ValueCheckError(f"{op}: expected dst_box clockwise from the top left, got a size of {h} by {w} pixels")
     return _crop(op, input_tensor, src_box, dst_box[:, 0], (h, w), mode, padding_mode, align_corners)
 
 

@@ -196,6 +196,8 @@ def build_laplacian_pyramid(
     """
     op = "build_laplacian_pyramid"
     _check.images(op, "input", input)
+    if input.shape[1] == 0:
+        raise ShapeError(f"{op}: expected input with at least one channel, got {tuple(input.shape)}")
     (count,) = _check.ints(op, "max_level", max_level, 1)
     image = input if input.is_floating_point() else input.float()
     h, w = _check.sizes_as_numbers(image)[2:]

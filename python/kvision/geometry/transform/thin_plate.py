@@ -197,6 +197,7 @@ def warp_points_tps(
     _check.shape(op, "points_src", points_src, "B", "M", 2)
     _check_spline(op, kernel_centers, kernel_weights, affine_weights)
     _check.same_device(op, points_src=points_src, kernel_centers=kernel_centers)
+    _check.leading_axes(op, 2, points_src=points_src, kernel_centers=kernel_centers)
     points = floats(points_src)
     dtype = compute_dtype(points)
     args = (as_dtype(x, dtype) for x in (points, kernel_centers, kernel_weights, affine_weights))

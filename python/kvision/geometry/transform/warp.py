@@ -255,6 +255,7 @@ def warp_grid(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
     _check.shape("warp_grid", "grid", grid, "B", "H", "W", 2)
     _check.shape("warp_grid", "src_homo_dst", src_homo_dst, "B", 3, 3)
     src_homo_dst = _check.to_device_of("warp_grid", grid, "src_homo_dst", src_homo_dst, of="grid")
+    _check.broadcastable("warp_grid", grid=grid.shape[:1], src_homo_dst=src_homo_dst.shape[:1])
     return transformed_grid(floats(grid), src_homo_dst)
 
 

@@ -268,6 +268,7 @@ def warp_grid3d(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
     _check.shape("warp_grid3d", "grid", grid, "B", "D", "H", "W", 3)
     _check.shape("warp_grid3d", "src_homo_dst", src_homo_dst, "B", 4, 4)
     src_homo_dst = _check.to_device_of("warp_grid3d", grid, "src_homo_dst", src_homo_dst, of="grid")
+    _check.broadcastable("warp_grid3d", grid=grid.shape[:1], src_homo_dst=src_homo_dst.shape[:1])
     return transformed_grid(floats(grid), src_homo_dst)
 
 

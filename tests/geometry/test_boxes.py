@@ -258,7 +258,7 @@ BAD = [
     (lambda: G.Boxes.from_tensor(BOX).to_mask(0, 3), ValueError, "Boxes.to_mask: expected height"),
     (lambda: G.Boxes.from_tensor(BOX).transform_boxes(torch.eye(4)), ValueError, r"expected M of shape \(\*, 3, 3\)"),
     (lambda: G.Boxes.from_tensor(BOX).transform_boxes(torch.eye(3).expand(3, 3, 3)), ValueError, r"\(3, 3\) or \(2, 3, 3\)"),
-    (lambda: G.Boxes.from_tensor(BOX).translate(torch.ones(3, 2)), ValueError, "translate: expected size with a batch size of 1 or 2"),
+    (lambda: G.Boxes.from_tensor(BOX).translate(torch.ones(3, 2)), ValueError, "expected size with a batch size of 1 or 2"),
     (lambda: G.Boxes.from_tensor(BOX).translate(torch.ones(2, 2), "slow"), ValueError, "translate: method must be one of"),
     (lambda: G.Boxes.from_tensor(BOX).pad(torch.ones(2, 2)), ValueError, r"Boxes.pad: expected padding_size of shape \(B, 4\)"),
     (lambda: G.Boxes.from_tensor(BOX).merge(BOX), TypeError, "Boxes.merge: expected boxes to be Boxes, got Tensor"),

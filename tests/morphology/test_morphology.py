@@ -70,6 +70,18 @@ def test_opencv(name, code, kernel, device):
     assert_close(getattr(M, name)(x.to(device), kernel.to(device))[0, 0].cpu(), torch.from_numpy(expected))
 
 
+@pytest.mark.parametrize(
+    "kernel", [torch.tensor([[0, 0, 0], [0, 1, 1], [0, 1, 0]]), torch.tensor([[1, 1, 0, 1], [0, 1, 1, 1]])]
+)
+def test_opencv_does_not_rotate_kernels(kernel):
+    x = torch.randint(0, 256, (1, 1, 20, 21), dtype=torch.uint8)
+    expected = torch.from_numpy(cv2.dilate(x[0, 0].numpy(), kernel.numpy().astype(np.uint8)))
+    origin = [(n - 1) // 2 for n in kernel.shape]
+    assert torch.equal(M.dilation(x, kernel.flip((0, 1)), origin=origin)[0, 0], expected)
+    assert not torch.equal(M.dilation(x, kernel)[0, 0], expected)
+    assert (M.opening(x, kernel) <= x).all() and (M.closing(x, kernel) >= x).all()
+
+
 ELLIPSE = torch.from_numpy(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 7)))
 CODES = {
     "dilation": cv2.MORPH_DILATE,

@@ -65,7 +65,7 @@ def dilation(
     max_val: float = 1e4,
     engine: str = "auto",
 ) -> Tensor:
-    """Take the largest pixel under a structuring element rotated by 180 degrees, as SciPy and OpenCV do.
+    """Take the largest pixel under a structuring element rotated by 180 degrees, as SciPy does.
 
     Args:
         tensor: images (B, C, H, W). uint8 gives uint8 (saturated), other integers give float32.

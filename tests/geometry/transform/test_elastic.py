@@ -27,6 +27,7 @@ def test_gradients(name, device):
 X, V = torch.rand(2, 3, 4, 5), torch.rand(1, 1, 3, 4, 5)
 BAD = [
     (lambda: G.elastic_transform2d(X, X), ValueError, "elastic_transform2d: expected noise of shape"),
+    (lambda: G.elastic_transform2d(X, X[:, :2], alpha=torch.ones(2, 2)), ValueError, "expected alpha of one or two numbers"),
 ]  # fmt: skip
 
 

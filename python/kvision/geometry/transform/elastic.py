@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype, pixels
 from kvision._modes import INTERPOLATION
-from kvision.core.exceptions import TypeCheckError
+from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.filters.smoothing.gaussian import _gaussian_blur2d as blur
 from kvision.filters.smoothing.gaussian import blur_arguments
 from kvision.geometry.transform import sampling
@@ -34,8 +34,9 @@ def elastic_transform2d(
         image: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
         noise: displacements along x and y, (B, 2, H, W), in units of half the image's width and height.
         kernel_size: size of the blur's kernel, (y, x), odd.
-        sigma: standard deviations of the blur in pixels, (y, x), positive; a tensor gets a gradient.
-        alpha: factors of the noise, (x, y); a tensor gets a gradient.
+        sigma: standard deviations of the blur in pixels, (y, x), positive; a tensor of one or two gets a
+            gradient.
+        alpha: factors of the noise, (x, y); a tensor of one or two gets a gradient.
         align_corners: -1 and 1 are the centers of the outermost pixels, not their outer edges.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
@@ -85,6 +86,8 @@ def _are_numbers(x: Tensor | Sequence[float]) -> bool:
 def _two(op: str, name: str, x: Tensor | Sequence[float], like: Tensor) -> Tensor:
     dtype = compute_dtype(like)
     if isinstance(x, Tensor):
+        if x.numel() not in (1, 2):
+            raise ShapeError(f"{op}: expected {name} of one or two numbers, got a Tensor {tuple(x.shape)}")
         return _check.to_device_of(op, like, name, x, of="image").to(dtype).reshape(-1).expand(2)
     if not isinstance(x, (tuple, list)) or len(x) != 2:
         raise TypeCheckError(f"{op}: expected {name} to be two numbers or a Tensor, got {x!r}")

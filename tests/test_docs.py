@@ -123,6 +123,13 @@ def test_every_block_says_its_language() -> None:
         assert "py" not in fences or path.name == "deployment.md"
 
 
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_are_no_part_of_a_list(page: str) -> None:
+    """An indented block right after a list would become a paragraph of its last point on the site."""
+    inside = r"^(?:[-*]|\d+\.) .+\n(?: +\S.*\n)*\n {4}(?:python|pip|torchrun|make|cmake|git) .*"
+    assert not re.findall(inside, (ROOT / page).read_text(), re.MULTILINE)
+
+
 def test_coverage_of_kornia_is_as_written() -> None:
     """Modules that docs/migrating_from_kornia.md lists as missing are missing; the others exist."""
     rows = re.findall(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
@@ -9,7 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
+import kvision
 from kvision import _backend
+
+UNSERVED = ("gradient", "reference", "vmap", "float64", "no samples")  # calls of `call_unserved`
 
 
 def record_kernel(monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str) -> tuple[list[Any], list[bool]]:
@@ -45,3 +49,18 @@ def assert_equal_params(actual: Any, expected: Any) -> None:
     assert len(flat) == len(expected_flat)
     for a, e in zip(flat, expected_flat):
         assert torch.equal(e, a) if isinstance(e, Tensor) else e == a
+
+
+def call_unserved(case: str, augment: Callable[..., Any], x: Tensor) -> None:
+    """A call of an augmentation that its kernel does not serve."""
+    if case == "gradient":
+        assert augment(x.clone().requires_grad_()).requires_grad
+    elif case == "reference":
+        with kvision.backend("reference"):
+            augment(x)
+    elif case == "vmap":
+        torch.func.vmap(lambda one: augment(one[None], seed=1))(x)
+    elif case == "float64":
+        assert augment(x.double()).dtype == torch.float64
+    else:
+        assert augment(x[:0]).shape == x[:0].shape

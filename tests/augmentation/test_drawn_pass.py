@@ -1,12 +1,17 @@
 """Draws and the pass that reads them by one kernel: results equal those of the separate operators."""
 
-import contextlib
-
 import pytest
 import torch
 
 import kvision as K
-from drawn_tests import assert_equal_params, has_kernels, random_images, record_kernel
+from drawn_tests import (
+    UNSERVED,
+    assert_equal_params,
+    call_unserved,
+    has_kernels,
+    random_images,
+    record_kernel,
+)
 from kvision import _backend
 from kvision.augmentation import drawn_pass
 from op_tests import assert_close
@@ -64,26 +69,16 @@ def test_kernel_equals_separate_operators(name, dtype, seed, device, backend, ke
     assert_equal_params(fused_params, params)
 
 
-@pytest.mark.parametrize("case", ["gradient", "reference", "vmap", "float64", "no samples", "subclass"])
+@pytest.mark.parametrize("case", [*UNSERVED, "subclass"])
 def test_calls_that_the_kernel_does_not_serve(case, device, kernel_calls, backend):
     calls, _ = kernel_calls
     augment, x = MAKE["affine"](), images(device)
-    if case == "gradient":
-        assert augment(x.requires_grad_()).requires_grad
-    elif case == "reference":
-        with K.backend("reference"):
-            augment(x)
-    elif case == "vmap":
-        torch.func.vmap(lambda one: augment(one[None], seed=1))(x)
-    elif case == "float64":
-        assert augment(x.double()).dtype == torch.float64
-    elif case == "no samples":
-        assert augment(x[:0]).shape == x[:0].shape
+    if case in UNSERVED:
+        call_unserved(case, augment, x)
     else:
         augment(torch.nn.Parameter(x, requires_grad=False))
     assert not calls
-    with torch.no_grad() if case == "gradient" else contextlib.nullcontext():
-        augment(images(device))
+    augment(x)
     assert bool(calls) == has_kernels(device, backend)
 
 

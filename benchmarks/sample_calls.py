@@ -376,9 +376,7 @@ ARGUMENTS: dict[str, Any] = {
 THREE_CHANNELS = channels(3)
 _VOLUME = {"input": volume}
 _EVEN_RGB = {"image": lambda s: THREE_CHANNELS(even(s))}
-_POINTS3 = {"points1": points(2), "points2": points(2)}
 _MUTUAL = {"input": lambda s: torch.rand(s.b, s.h * s.w), "target": lambda s: torch.rand(s.b, s.h * s.w)}
-_VOLUMES = {"input": volume, "target": volume}
 _DISPARITY = {"input": gray, "target": gray}
 _LABELS = {"target": labels}
 _TRANSLATIONS3 = {"translations": batch_of(3), "center": batch_of(3), "scale": batch_of(3, shift=0.5)}

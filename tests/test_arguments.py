@@ -223,8 +223,6 @@ DATA |= {"kernel_centers", "kernel_weights", "affine_weights", "pixel_coords", "
 READ = {"draw_line", "draw_point2d", "draw_rectangle", "draw_convex_polygon", "crop_by_boxes", "crop_by_boxes3d"}
 READ |= {"crop_by_indices"}
 READ |= {"linear_transform"}  # uses torch.autocast, which has no answer for meta
-# guided_blur names its images guidance and input.
-SECOND_IMAGES = {("guided_blur", "input"), ("GuidedBlur", "input")}
 
 
 def tensor_parameters(home: str) -> Iterator[tuple[Call, str]]:

@@ -19,7 +19,6 @@ from benchmarks.peers import optional
 
 cv2 = optional("cv2")
 kornia = optional("kornia")
-skmetrics = optional("skimage.metrics")
 
 CLASSES = 21
 

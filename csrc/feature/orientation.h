@@ -51,11 +51,6 @@ struct OrientationBackward {
 KV_KERNEL(orientation, Orientation)
 KV_KERNEL(orientation_backward, OrientationBackward)
 
-template <class F>
-KV_HD F orientation_weight(int y, int x, int n) {
-  return centered_gaussian(y, n, F(n) / 6) * centered_gaussian(x, n, F(n) / 6);
-}
-
 // A bin around the circle, for one at most 64 bins away.
 KV_HD int around_circle(int bin, int bins) {
 #if defined(__CUDACC__)  // not yet measured there without divisions

@@ -52,7 +52,7 @@ KV_KERNEL(orientation, Orientation)
 KV_KERNEL(orientation_backward, OrientationBackward)
 
 // A bin around the circle, for one at most 64 bins away.
-KV_HD int around_circle(int bin, int bins) {
+KV_HD int wrap_bin(int bin, int bins) {
 #if defined(__CUDACC__)  // not yet measured there without divisions
   return ((bin % bins) + bins) % bins;
 #else
@@ -66,11 +66,11 @@ template <class F>
 KV_HD F smoothed_bin(F const* histogram, int bin, int bins) {
   F sum = histogram[bin] * smoothing_weight<F>(0);
   for (int d = 1; d <= kSmoothing; ++d)
-    sum += (histogram[around_circle(bin - d, bins)] + histogram[around_circle(bin + d, bins)]) * smoothing_weight<F>(d);
+    sum += (histogram[wrap_bin(bin - d, bins)] + histogram[wrap_bin(bin + d, bins)]) * smoothing_weight<F>(d);
   return sum;
 }
 
-// A bin of a smoothed histogram with its neighbors. A histogram without a peak has bend 0.
+// A bin of a smoothed histogram with its neighbors. A histogram without a peak has curvature 0.
 template <class F>
 struct Peak {
   int bin;
@@ -78,17 +78,17 @@ struct Peak {
 
   KV_HD Peak(F const* smoothed, int bin, int bins)
       : bin(bin),
-        left(smoothed[around_circle(bin - 1, bins)]),
+        left(smoothed[wrap_bin(bin - 1, bins)]),
         middle(smoothed[bin]),
-        right(smoothed[around_circle(bin + 1, bins)]) {}
-  KV_HD F bend() const { return left + right - 2 * middle; }
+        right(smoothed[wrap_bin(bin + 1, bins)]) {}
+  KV_HD F curvature() const { return left + right - 2 * middle; }
   KV_HD F angle(int bins) const {
-    F const b = bend(), offset = b != 0 ? (left - right) / b / 2 : F(0);
+    F const b = curvature(), offset = b != 0 ? (left - right) / b / 2 : F(0);
     return F(kPi) - F(2 * kPi) * (F(bin) + offset) / F(bins);
   }
   // The derivatives of the angle along left, middle and right.
   KV_HD void derivatives(int bins, F (&d)[3]) const {
-    F const b = bend(), scale = -F(2 * kPi) / F(bins);
+    F const b = curvature(), scale = -F(2 * kPi) / F(bins);
     F const offset = b != 0 ? (left - right) / b / 2 : F(0), inverse = b != 0 ? scale / b : F(0);
     d[0] = (F(0.5) - offset) * inverse, d[1] = 2 * offset * inverse, d[2] = (F(-0.5) - offset) * inverse;
   }
@@ -107,7 +107,7 @@ class Peaks {
     int best = -1;
     for (int b = 0; b < bins; ++b) {
       F const m = smoothed[b];
-      bool const is_peak = m > smoothed[around_circle(b - 1, bins)] && m >= smoothed[around_circle(b + 1, bins)];
+      bool const is_peak = m > smoothed[wrap_bin(b - 1, bins)] && m >= smoothed[wrap_bin(b + 1, bins)];
       bool const is_next = m < smoothed[last] || (m == smoothed[last] && b > last);
       if (is_peak && is_next && m >= threshold * smoothed[first] && (best < 0 || m > smoothed[best])) best = b;
     }
@@ -130,7 +130,7 @@ KV_HD F angle_derivative(Peak<F> const& peak, F const (&d)[3], int bin, int bins
   F sum = 0;
   for (int k = -1; k <= 1; ++k)
     for (int e = -kSmoothing; e <= kSmoothing; ++e)
-      if (around_circle(peak.bin + k + e, bins) == bin) sum += d[k + 1] * smoothing_weight<F>(e < 0 ? -e : e);
+      if (wrap_bin(peak.bin + k + e, bins) == bin) sum += d[k + 1] * smoothing_weight<F>(e < 0 ? -e : e);
   return sum;
 }
 

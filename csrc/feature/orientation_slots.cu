@@ -9,7 +9,7 @@ constexpr int kThreads = 1024, kWarps = kThreads / 32;
 
 template <class F>
 __global__ void __launch_bounds__(kThreads) fill_slots(__grid_constant__ OrientationSlots<F> const p) {
-  __shared__ int of_warps[kWarps];
+  __shared__ int warp_sums[kWarps];
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
   int64_t const sample = blockIdx.x;
   int filled = 0;
@@ -18,12 +18,12 @@ __global__ void __launch_bounds__(kThreads) fill_slots(__grid_constant__ Orienta
     int64_t const i = sample * p.count + at;
     int const own = at < p.count ? p.count_orientations(i) : 0;
     int const inclusive = warp_prefix_sum(own);
-    if (lane == 31) of_warps[warp] = inclusive;
+    if (lane == 31) warp_sums[warp] = inclusive;
     __syncthreads();
     int before = filled + inclusive - own, all = 0;
     for (int w = 0; w < kWarps; ++w) {
-      before += w < warp ? of_warps[w] : 0;
-      all += of_warps[w];
+      before += w < warp ? warp_sums[w] : 0;
+      all += warp_sums[w];
     }
     if (own > 0 && before < p.count) p.store(sample, before, i);
     filled += all;

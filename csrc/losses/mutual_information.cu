@@ -54,7 +54,7 @@ __global__ void __launch_bounds__(kThreads) count_pairs(__grid_constant__ Mutual
   SignalRange<F> const of_x{-ends[0], ends[1]}, of_y{-ends[2], ends[3]};
   if (at.first == 0 && threadIdx.x < 4)
     p.ranges[4 * at.row + threadIdx.x] = threadIdx.x % 2 == 0 ? -ends[threadIdx.x] : ends[threadIdx.x];
-  if (!of_x.is_sound() || !of_y.is_sound()) return;
+  if (!of_x.is_finite() || !of_y.is_finite()) return;
   unsigned long long* const counts = p.counts + at.row * cells;
   F const scale = F(1ll << p.bits);
   for (int64_t i = at.first + threadIdx.x; i < at.last; i += kThreads) {
@@ -91,7 +91,8 @@ __global__ void __launch_bounds__(kFinalizeThreads) find_information(__grid_cons
   unsigned long long const* const counts = p.counts + row * cells;
   F *const gradients = p.gradients + row * cells, *const of_x = p.sums + row * 2 * bins, *const of_y = of_x + bins;
   F const* const ranges = p.ranges + 4 * row;
-  bool const sound = SignalRange<F>{ranges[0], ranges[1]}.is_sound() && SignalRange<F>{ranges[2], ranges[3]}.is_sound();
+  bool const finite =
+      SignalRange<F>{ranges[0], ranges[1]}.is_finite() && SignalRange<F>{ranges[2], ranges[3]}.is_finite();
   F const scale = p.binning.top * p.binning.top / F(1ll << p.bits);
   auto const count_of = [&](int i) {
     F const result = F(counts[i]) * scale;
@@ -132,12 +133,12 @@ __global__ void __launch_bounds__(kFinalizeThreads) find_information(__grid_cons
   }
   block_reduce<kFinalizeThreads>(entropies, Sum());
   Entropies<F> const h{entropies[0], entropies[1], entropies[2]};
-  F const loss = sound ? F(h.loss(p.normalized)) : F(NAN);
+  F const loss = finite ? F(h.loss(p.normalized)) : F(NAN);
   if (threadIdx.x == 0) p.loss[row] = loss;
   for (int i = threadIdx.x; i < cells; i += kFinalizeThreads) {
     int const k = i / bins, m = i - k * bins;
     F const log_x = ::log(of_x[k] * inverse), log_y = ::log(of_y[m] * inverse), log_p = ::log(count_of(i) * inverse);
-    bool const too_few = sound && F(counts[i]) * scale < p.min_count;
+    bool const too_few = finite && F(counts[i]) * scale < p.min_count;
     gradients[i] = too_few ? F(0) : h.derivative(p.normalized, loss, log_x, log_y, log_p) * inverse;
   }
 }

@@ -69,7 +69,7 @@ struct SignalRange {
 
   KV_HD bool is_flat(F epsilon) const { return !(high - low > epsilon); }
   // There are samples, and all are finite.
-  KV_HD bool is_sound() const { return (high - low) - (high - low) == 0; }
+  KV_HD bool is_finite() const { return (high - low) - (high - low) == 0; }
   KV_HD F fraction(F x, F epsilon) const { return is_flat(epsilon) ? F(0) : (x - low) / (high - low); }
 };
 

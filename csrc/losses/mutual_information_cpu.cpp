@@ -31,8 +31,8 @@ void mutual_information(MutualInformation<F> const& p, int64_t begin, int64_t en
     F* const ranges = p.ranges + 4 * row;
     ranges[0] = of_x.low, ranges[1] = of_x.high, ranges[2] = of_y.low, ranges[3] = of_y.high;
     for (int64_t i = 0; i < cells + 2 * bins; ++i) joint[i] = 0;
-    bool const sound = of_x.is_sound() && of_y.is_sound();
-    for (int64_t i = 0; sound && i < p.samples; ++i) {
+    bool const finite = of_x.is_finite() && of_y.is_finite();
+    for (int64_t i = 0; finite && i < p.samples; ++i) {
       if (!p.x.counts(row, i) || !p.y.counts(row, i)) continue;
       F const fraction_x = of_x.fraction(p.x.at(row, i), p.binning.epsilon);
       F const fraction_y = of_y.fraction(p.y.at(row, i), p.binning.epsilon);
@@ -61,13 +61,13 @@ void mutual_information(MutualInformation<F> const& p, int64_t begin, int64_t en
       h.joint -= fraction * log_of;
       gradients[i] = F(log_of);
     }
-    F const nan = F(__builtin_nan("")), loss = sound ? F(h.loss(p.normalized)) : nan;
+    F const nan = F(__builtin_nan("")), loss = finite ? F(h.loss(p.normalized)) : nan;
     p.loss[row] = loss;
     for (int64_t k = 0; k < bins; ++k)
       for (int64_t m = 0; m < bins; ++m) {
         F& derivative = gradients[k * bins + m];
         F const result = h.derivative(p.normalized, loss, F(sums[k]), F(sums[bins + m]), derivative) / F(all);
-        derivative = sound && joint[k * bins + m] * scale < p.min_count ? F(0) : result;
+        derivative = finite && joint[k * bins + m] * scale < p.min_count ? F(0) : result;
       }
   }
 }

@@ -36,7 +36,7 @@ struct Column {
     depth = p.depth.row(sample, y) + x;
     image = p.image.row(sample * p.channels, y) + x;
   }
-  __device__ __forceinline__ void go_down() { ++y, depth += depth_stride, image += image_stride; }
+  __device__ __forceinline__ void next_row() { ++y, depth += depth_stride, image += image_stride; }
   // The offsets of the neighbors; 0 where there is none.
   __device__ __forceinline__ int to_left() const { return x > 0 ? -1 : 0; }
   __device__ __forceinline__ int to_right() const { return x + 1 < width ? 1 : 0; }
@@ -44,7 +44,7 @@ struct Column {
 
   // The smoothness term: `apart` is the sum of the image's absolute differences, and `difference` that of the depth.
   // With `signs`, the sign of the difference replaces its absolute value.
-  __device__ __forceinline__ F rough(bool exists, F apart, F difference, F weight, bool signs) const {
+  __device__ __forceinline__ F edge_term(bool exists, F apart, F difference, F weight, bool signs) const {
     if (!exists) return F(0);
     return (signs ? sign_of(difference) : F(fabs(difference))) * fast_exp2(apart * exponent) * weight;
   }
@@ -56,7 +56,7 @@ struct Column {
       T const* const at = image + c * channel_stride;
       apart += fabs(read(at[image_stride]) - read(*at));
     }
-    return rough(true, apart, read(depth[depth_stride]) - read(*depth), weight, signs);
+    return edge_term(true, apart, read(depth[depth_stride]) - read(*depth), weight, signs);
   }
 };
 
@@ -69,7 +69,7 @@ __global__ void __launch_bounds__(kThreads)
   if (at.x < at.width) {
     int const right = at.to_right();
 #pragma unroll 2
-    for (; at.y < at.end; at.go_down()) {
+    for (; at.y < at.end; at.next_row()) {
       bool const has_below = at.has_below();
       int64_t const under = has_below ? at.image_stride : 0;
       F along_x = 0, along_y = 0;
@@ -82,8 +82,8 @@ __global__ void __launch_bounds__(kThreads)
       }
       F const own = read(*at.depth), adjacent = read(at.depth[right]);
       F const below = read(at.depth[has_below ? at.depth_stride : 0]);
-      sum += at.rough(right != 0, along_x, adjacent - own, p.of.along_x, false) +
-             at.rough(has_below, along_y, below - own, p.of.along_y, false);
+      sum += at.edge_term(right != 0, along_x, adjacent - own, p.of.along_x, false) +
+             at.edge_term(has_below, along_y, below - own, p.of.along_y, false);
     }
   }
   sum = block_sum<kSumThreads>(sum);
@@ -107,7 +107,7 @@ __global__ void __launch_bounds__(kThreads)
     up = above.below(of_y, signs);
   }
 #pragma unroll 1
-  for (; at.y < at.end; at.go_down()) {
+  for (; at.y < at.end; at.next_row()) {
     F to_left = 0, to_right = 0;
 #pragma unroll 4
     for (int c = 0; c < at.channels; ++c) {
@@ -117,8 +117,8 @@ __global__ void __launch_bounds__(kThreads)
       to_right += fabs(read(pixel[right]) - own);
     }
     F const own = read(*at.depth);
-    F const before = at.rough(left != 0, to_left, own - read(at.depth[left]), of_x, signs);
-    F const behind = at.rough(right != 0, to_right, read(at.depth[right]) - own, of_x, signs);
+    F const before = at.edge_term(left != 0, to_left, own - read(at.depth[left]), of_x, signs);
+    F const behind = at.edge_term(right != 0, to_right, read(at.depth[right]) - own, of_x, signs);
     F const down_edge = at.has_below() ? at.below(of_y, signs) : F(0);
     if (!p.of_image) {
       p.out.row(at.sample, at.y)[at.x] = round_to<T>((before - behind) + (up - down_edge));

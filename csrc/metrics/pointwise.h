@@ -70,7 +70,7 @@ template <class F>
 constexpr F kFar = sizeof(F) == 4 ? F(1e9) : F(1e70);
 
 template <class F, class V>
-KV_HD V not_far(V d) {
+KV_HD V clamp_far(V d) {
   V const far = V{} + kFar<F>;
   return d > far ? far : d < -far ? -far : d;
 }
@@ -109,7 +109,7 @@ KV_HD V point_loss(PointLoss kind, V x, V y) {
     case PointLoss::cauchy:
       return log_one_plus<F, Math>(V(half * d * d));
     case PointLoss::geman_mcclure: {
-      V const c = not_far<F>(d), square = c * c;
+      V const c = clamp_far<F>(d), square = c * c;
       return Math::divide(V(square * F(2)), V(square + F(4)));
     }
     case PointLoss::square:
@@ -131,7 +131,7 @@ KV_HD V point_derivative(PointLoss kind, bool by_y, V x, V y) {
   V const zero = V{}, one = zero + F(1), half = zero + F(0.5), d = by_y ? V(y - x) : V(x - y);
   switch (kind) {
     case PointLoss::charbonnier: {
-      V const c = not_far<F>(d);
+      V const c = clamp_far<F>(d);
       return Math::divide(c, Math::sqrt(V(c * c + one)));
     }
     case PointLoss::welsch:
@@ -139,7 +139,7 @@ KV_HD V point_derivative(PointLoss kind, bool by_y, V x, V y) {
     case PointLoss::cauchy:
       return Math::divide(d, V(half * d * d + one));
     case PointLoss::geman_mcclure: {
-      V const c = not_far<F>(d), inverse = Math::divide(one, V(c * c + F(4)));
+      V const c = clamp_far<F>(d), inverse = Math::divide(one, V(c * c + F(4)));
       return c * inverse * (F(16) * inverse);
     }
     case PointLoss::square:

@@ -34,7 +34,7 @@ KV_HD auto lane_of(V const& v, int n) {
 }
 
 template <int N, class T, class V>
-KV_HD void store_apart(T* to, int64_t step, V values) {
+KV_HD void store_strided(T* to, int64_t step, V values) {
   if (N == 1 || step == 1) {
     store<N>(to, values);
   } else if constexpr (N > 1) {
@@ -53,7 +53,7 @@ void depth_warp(DepthWarp<T> const& p, int64_t begin, int64_t end) {
       auto const window = DepthCoords<N, T>(p, projection, b, y, x).window(p);
       for (int c = 0; c < p.x.channels; ++c) {
         auto const value = window.outside ? Lanes<Compute<T>, N>{} : value_of(p, window, p.x.row(b, c, 0));
-        store_apart<N>(p.y.row(b, c, y) + x * p.y.step, p.y.step, value);
+        store_strided<N>(p.y.row(b, c, y) + x * p.y.step, p.y.step, value);
       }
     });
   });

@@ -1,5 +1,6 @@
 // Heat maps of Gaussians on CUDA: one block for a few rows of a plane. Its threads first sum the weights of both axes,
 // then take four pixels at a time. A second kernel adds the gradients of planes that have several chunks.
+#include "core/block_reduce.cuh"
 #include "geometry/subpix/plane_vectors.cuh"
 #include "geometry/subpix/render_gaussian2d.h"
 
@@ -10,24 +11,6 @@ namespace {
 template <class F>
 __device__ __forceinline__ F weight_of(F q) {
   return fast_exp2(q * F(-.5 * 1.44269504088896340736));
-}
-
-// The sums over a block's threads; every thread gets them.
-template <int K, class F>
-__device__ __forceinline__ void over_block(F (&v)[K]) {
-  __shared__ F of_warps[kThreads / 32][K];
-#pragma unroll
-  for (F& x : v) x = warp_reduce(x, Sum());
-  __syncthreads();  // other threads may still read the last sums
-  if (threadIdx.x % 32 == 0)
-#pragma unroll
-    for (int k = 0; k < K; ++k) of_warps[threadIdx.x / 32][k] = v[k];
-  __syncthreads();
-#pragma unroll
-  for (int k = 0; k < K; ++k) {
-    v[k] = 0;
-    for (int w = 0; w < kThreads / 32; ++w) v[k] += of_warps[w][k];
-  }
 }
 
 template <class F>
@@ -41,7 +24,7 @@ struct BlockAxes {
     F sums[6] = {};
     add(x, p.width, sums);
     add(y, p.height, sums + 3);
-    over_block(sums);
+    block_reduce<kThreads>(sums, Sum());
     x.take({sums[0], sums[1], sums[2]});
     y.take({sums[3], sums[4], sums[5]});
   }
@@ -94,7 +77,7 @@ __global__ void __launch_bounds__(kThreads)
     }
     if (down != 0) sums[1] += all * (v - axes.y.mean_u), sums[3] += all * (r - axes.y.mean_q);
   });
-  over_block(sums);
+  block_reduce<kThreads>(sums, Sum());
   if (threadIdx.x >= 4) return;
   F const sum = threadIdx.x == 0 ? sums[0] : threadIdx.x == 1 ? sums[1] : threadIdx.x == 2 ? sums[2] : sums[3];
   F const gradient = sum * (threadIdx.x % 2 ? axes.y.inverse : axes.x.inverse) * axes.x.normalizer * axes.y.normalizer;
@@ -111,7 +94,7 @@ __global__ void __launch_bounds__(kThreads)
   for (unsigned i = threadIdx.x; i < chunks; i += kThreads)
 #pragma unroll
     for (int k = 0; k < 4; ++k) sums[k] += p.partial[4 * (int64_t(blockIdx.x) * chunks + i) + k];
-  over_block(sums);
+  block_reduce<kThreads>(sums, Sum());
   if (threadIdx.x != 0) return;
 #pragma unroll
   for (int k = 0; k < 4; ++k) (k < 2 ? p.grad_mean : p.grad_std)[2 * blockIdx.x + k % 2] = round_to<T>(sums[k]);

@@ -19,17 +19,17 @@ struct ScaledExp {
 
 // The sums over a block's threads; the first thread gets them.
 template <class F>
-__device__ __forceinline__ ExpectationSums<F> over_block(ExpectationSums<F> sums, bool softmax,
-                                                         ScaledExp<F> const& exp) {
-  __shared__ ExpectationSums<F> of_warps[kThreads / 32];
+__device__ __forceinline__ ExpectationSums<F> block_reduce(ExpectationSums<F> sums, bool softmax,
+                                                           ScaledExp<F> const& exp) {
+  __shared__ ExpectationSums<F> warp_sums[kThreads / 32];
   sums = warp_reduce(sums, [softmax, exp](ExpectationSums<F> a, ExpectationSums<F> b) {
     a.add(b, softmax, exp);
     return a;
   });
-  if (threadIdx.x % 32 == 0) of_warps[threadIdx.x / 32] = sums;
+  if (threadIdx.x % 32 == 0) warp_sums[threadIdx.x / 32] = sums;
   __syncthreads();
   if (threadIdx.x == 0)
-    for (int w = 1; w < kThreads / 32; ++w) sums.add(of_warps[w], softmax, exp);
+    for (int w = 1; w < kThreads / 32; ++w) sums.add(warp_sums[w], softmax, exp);
   return sums;
 }
 
@@ -59,7 +59,7 @@ __global__ void __launch_bounds__(kThreads)
                        for (int k = 0; k < P; ++k)
                          sums.sum += v[k], sums.x += v[k] * maps.along_x.at(F(x + k)), sums.y += v[k] * y;
                      });
-  sums = over_block(sums, maps.softmax, exp);
+  sums = block_reduce(sums, maps.softmax, exp);
   if (threadIdx.x == 0) p.partial[blockIdx.x] = sums;
 }
 
@@ -69,7 +69,7 @@ __global__ void __launch_bounds__(kThreads) finalize_expectation(ExpectationSums
   ScaledExp<F> const exp{scale};
   auto sums = ExpectationSums<F>::nothing(softmax);
   for (unsigned i = threadIdx.x; i < chunks; i += kThreads) sums.add(partial[blockIdx.x * chunks + i], softmax, exp);
-  sums = over_block(sums, softmax, exp);
+  sums = block_reduce(sums, softmax, exp);
   if (threadIdx.x == 0) sums.store(coords + 2 * blockIdx.x, parts + 2 * blockIdx.x, softmax);
 }
 

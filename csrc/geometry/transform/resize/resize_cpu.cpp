@@ -124,8 +124,8 @@ KV_HD bool write_row(T* out, T const* minuend, F const* line, ColumnBands<F, N> 
 
 // The same, but a tap of weight 0 contributes nothing, even if it is NaN or inf.
 template <int N, class T, class F>
-[[gnu::noinline]] void write_row_with_care(T* out, T const* minuend, F const* line, ColumnBands<F, N> const& columns,
-                                           int64_t step) {
+[[gnu::noinline]] void write_row_skipping_zeros(T* out, T const* minuend, F const* line,
+                                                ColumnBands<F, N> const& columns, int64_t step) {
   for (int64_t g = 0; g < columns.groups; ++g)
     for (int i = 0; i < N; ++i) {
       F const* from = line + columns.from.data[g] + columns.distances.data[g * N + i];
@@ -190,7 +190,7 @@ void resize_rows(Resize<T> const& p, int64_t begin, int64_t end) {
       });
     T* const out = p.y.row(plane, r - plane * height);
     T const* const minuend = p.minuend ? p.minuend_at(out) : nullptr;
-    if (!write(out, minuend)) write_row_with_care(out, minuend, line.data, columns, step);
+    if (!write(out, minuend)) write_row_skipping_zeros(out, minuend, line.data, columns, step);
   }
 }
 

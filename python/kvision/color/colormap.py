@@ -150,7 +150,7 @@ def apply_colormap(input_tensor: Tensor, colormap: ColorMap) -> Tensor:
 
     Args:
         input_tensor: images (B, C, H, W) or (C, H, W). Floating-point values are in [0, 1]; a channel of an image that
-            has greater ones is divided by 255. So are integers, always.
+            has greater ones is divided by 255. Integers are always divided by 255.
         colormap: the table of n colors. 0 gives its first color, 1 its last; what lies between is divided evenly among
             the others but the last. Values outside [0, 1] count as its ends; NaN gives NaN.
 

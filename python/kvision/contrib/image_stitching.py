@@ -24,7 +24,7 @@ class ImageStitcher(nn.Module):
         blending_method: 'naive': the image on the right hides the one on the left.
 
     Its call takes two or more images (B, C, H, W), C being 1 or 3, and returns (B, C, H, W'): columns on the right that
-    no image reaches are cut off, which reads them. The gradient goes to the pixels, not through the homographies.
+    no image reaches are cut off, which waits for the device. The gradient goes to the pixels, not through the homographies.
 
     Raises:
         TypeCheckError: images that are not tensors, a matcher that is not a module.

@@ -15,14 +15,14 @@ class KMeans:
     Args:
         num_clusters: how many, at least 1.
         cluster_centers: first centers (num_clusters, D); None for that many of the points, drawn at random.
-        tolerance: stop when the square of the summed movements of the centers is at most this; None to go on.
+        tolerance: stop when the square of the summed movements of the centers is at most this; None for no such limit.
         max_iterations: stop after that many rounds; 0 for no such limit, which needs a tolerance.
-        seed: of torch's random numbers, which first centers and centers without points are drawn with; None leaves them.
+        seed: set torch's generator, which draws the first centers and new ones for centers without points; None does not.
 
     Raises:
         TypeCheckError: arguments of the wrong type.
         ShapeError: cluster_centers of another shape.
-        ValueCheckError: num_clusters below 1, a negative tolerance or max_iterations, neither of both limits.
+        ValueCheckError: num_clusters below 1, a negative tolerance or max_iterations, no limit at all.
 
     Example:
         >>> import torch, kvision as K

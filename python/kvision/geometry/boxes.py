@@ -190,7 +190,7 @@ class Boxes(_Boxes):
         return self._mask_of(height=height, width=width)
 
     def compute_area(self) -> Tensor:
-        """The areas (N,) or (B, N) of the quadrangles between the middles of the corner pixels.
+        """The areas (N,) or (B, N) of the quadrangles between the centers of the corner pixels.
 
         So an upright box of width w and height h has (w - 1) (h - 1), as in Kornia.
         """

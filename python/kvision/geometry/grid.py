@@ -26,7 +26,7 @@ def create_meshgrid(
         normalized_coordinates: from -1 to 1; else in pixels, from 0 on.
         device: of the result.
         dtype: of the result.
-        align_corners: -1 and 1 are the middles of the outermost pixels, not their outer edges. The only pixel of an axis
+        align_corners: -1 and 1 are the centers of the outermost pixels, not their outer edges. The only pixel of an axis
             is 0 either way.
 
     Returns:
@@ -66,7 +66,7 @@ def create_meshgrid3d(
         depth: of the volume, in voxels.
         height: of the volume, in voxels.
         width: of the volume, in voxels.
-        normalized_coordinates: from -1 to 1, the middles of the outermost voxels; else in voxels, from 0 on.
+        normalized_coordinates: from -1 to 1, the centers of the outermost voxels; else in voxels, from 0 on.
         device: of the result.
         dtype: of the result.
 

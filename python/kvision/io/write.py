@@ -32,7 +32,7 @@ def write_image(path_file: str | os.PathLike[str], image: Tensor, quality: int =
 
     Args:
         path_file: the file; it is overwritten.
-        image: (C, H, W) or (H, W), on any device, gray, RGB, or, but for JPEG, RGBA.
+        image: (C, H, W) or (H, W), on any device, gray or RGB; also RGBA, except for JPEG.
         quality: of JPEG and WebP, 0 to 100.
 
     Raises:

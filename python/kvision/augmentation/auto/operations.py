@@ -232,7 +232,7 @@ class AutoContrast(OperationBase):
 
     Args:
         initial_probability: first probability that a sample is augmented.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
         symmetric_megnitude: the sign of the magnitude is drawn for each sample.
 
     Raises:
@@ -262,7 +262,7 @@ class Brightness(OperationBase):
         initial_magnitude: its first value; None for the middle of the range.
         initial_probability: first probability that a sample is augmented.
         magnitude_range: lowest and highest magnitude: factors as `RandomBrightness` takes them.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
         symmetric_megnitude: the sign of the magnitude is drawn for each sample.
 
     Raises:
@@ -298,7 +298,7 @@ class Contrast(OperationBase):
         initial_magnitude: its first value; None for the middle of the range.
         initial_probability: first probability that a sample is augmented.
         magnitude_range: lowest and highest magnitude: factors as `RandomContrast` takes them.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
         symmetric_megnitude: the sign of the magnitude is drawn for each sample.
 
     Raises:
@@ -332,7 +332,7 @@ class Equalize(OperationBase):
 
     Args:
         initial_probability: first probability that a sample is augmented.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
 
     Raises:
         ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
@@ -356,7 +356,7 @@ class Gray(OperationBase):
 
     Args:
         initial_probability: first probability that a sample is augmented.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
 
     Raises:
         ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
@@ -380,7 +380,7 @@ class HorizontalFlip(OperationBase):
 
     Args:
         initial_probability: first probability that a sample is augmented.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
 
     Raises:
         ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
@@ -406,7 +406,7 @@ class Hue(OperationBase):
         initial_magnitude: its first value; None for the middle of the range.
         initial_probability: first probability that a sample is augmented.
         magnitude_range: lowest and highest magnitude: turns.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
         symmetric_megnitude: the sign of the magnitude is drawn for each sample.
 
     Raises:
@@ -440,7 +440,7 @@ class Invert(OperationBase):
 
     Args:
         initial_probability: first probability that a sample is augmented.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
 
     Raises:
         ValueError: `temperature` is not above 0; a range or a probability out of its bounds.
@@ -466,7 +466,7 @@ class Posterize(OperationBase):
         initial_magnitude: its first value; None for the middle of the range.
         initial_probability: first probability that a sample is augmented.
         magnitude_range: lowest and highest magnitude: bits.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
         symmetric_megnitude: the sign of the magnitude is drawn for each sample.
 
     Raises:
@@ -502,7 +502,7 @@ class Rotate(OperationBase):
         initial_magnitude: its first value; None for the middle of the range.
         initial_probability: first probability that a sample is augmented.
         magnitude_range: lowest and highest magnitude: degrees, counter-clockwise.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
         symmetric_megnitude: the sign of the magnitude is drawn for each sample.
 
     Raises:
@@ -538,7 +538,7 @@ class Saturate(OperationBase):
         initial_magnitude: its first value; None for the middle of the range.
         initial_probability: first probability that a sample is augmented.
         magnitude_range: lowest and highest magnitude: factors as `RandomSaturation` takes them.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
         symmetric_megnitude: the sign of the magnitude is drawn for each sample.
 
     Raises:
@@ -574,7 +574,7 @@ class Sharpness(OperationBase):
         initial_magnitude: its first value; None for the middle of the range.
         initial_probability: first probability that a sample is augmented.
         magnitude_range: lowest and highest magnitude: factors as `RandomSharpness` takes them.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
         symmetric_megnitude: the sign of the magnitude is drawn for each sample.
 
     Raises:
@@ -610,7 +610,7 @@ class ShearX(OperationBase):
         initial_magnitude: its first value; None for the middle of the range.
         initial_probability: first probability that a sample is augmented.
         magnitude_range: lowest and highest magnitude: fractions of half a turn.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
         symmetric_megnitude: the sign of the magnitude is drawn for each sample.
 
     Raises:
@@ -648,7 +648,7 @@ class ShearY(OperationBase):
         initial_magnitude: its first value; None for the middle of the range.
         initial_probability: first probability that a sample is augmented.
         magnitude_range: lowest and highest magnitude: fractions of half a turn.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
         symmetric_megnitude: the sign of the magnitude is drawn for each sample.
 
     Raises:
@@ -686,7 +686,7 @@ class Solarize(OperationBase):
         initial_magnitude: its first value; None for the middle of the range.
         initial_probability: first probability that a sample is augmented.
         magnitude_range: lowest and highest magnitude: thresholds.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
         symmetric_megnitude: the sign of the magnitude is drawn for each sample.
 
     Raises:
@@ -722,7 +722,7 @@ class SolarizeAdd(OperationBase):
         initial_magnitude: its first value; None for the middle of the range.
         initial_probability: first probability that a sample is augmented.
         magnitude_range: lowest and highest magnitude: numbers.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
         symmetric_megnitude: the sign of the magnitude is drawn for each sample.
 
     Raises:
@@ -758,7 +758,7 @@ class TranslateX(OperationBase):
         initial_magnitude: its first value; None for the middle of the range.
         initial_probability: first probability that a sample is augmented.
         magnitude_range: lowest and highest magnitude: fractions of the width.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
         symmetric_megnitude: the sign of the magnitude is drawn for each sample.
 
     Raises:
@@ -797,7 +797,7 @@ class TranslateY(OperationBase):
         initial_magnitude: its first value; None for the middle of the range.
         initial_probability: first probability that a sample is augmented.
         magnitude_range: lowest and highest magnitude: fractions of the height.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
         symmetric_megnitude: the sign of the magnitude is drawn for each sample.
 
     Raises:
@@ -834,7 +834,7 @@ class VerticalFlip(OperationBase):
 
     Args:
         initial_probability: first probability that a sample is augmented.
-        temperature: of the relaxation of the choice.
+        temperature: of the relaxed Bernoulli distribution, which gives the probability a gradient.
 
     Raises:
         ValueError: `temperature` is not above 0; a range or a probability out of its bounds.

@@ -15,7 +15,7 @@ __all__ = ["project_points", "unproject_points"]
 def project_points(point_3d: Tensor, camera_matrix: Tensor) -> Tensor:
     """Project points of a camera's frame to its pixels: f * (x, y) / z + c. Skew is ignored.
 
-    Where z is 0 within 1e-8 the point is not divided.
+    A point is not divided by a z between -1e-8 and 1e-8.
 
     Args:
         point_3d: (*, 3) as (x, y, z), z forwards; integers give float32.
@@ -23,7 +23,7 @@ def project_points(point_3d: Tensor, camera_matrix: Tensor) -> Tensor:
             of an axis before the coordinates: (B, 3, 3) goes with (B, N, 3).
 
     Returns:
-        (*, 2) as (x, y), the middle of the first pixel being (0, 0).
+        (*, 2) as (x, y), the center of the first pixel being (0, 0).
 
     Raises:
         TypeError: `point_3d` or `camera_matrix` is not a tensor of real numbers.

@@ -21,7 +21,7 @@ __all__ = ["PinholeCamera"]
 class PinholeCamera:
     """Pinhole cameras that look at the world: project its points to pixels, and back at a depth.
 
-    The camera has x to the right, y down and z forwards; the middle of the first pixel is (0, 0). It owns copies of its
+    The camera has x to the right, y down and z forwards; the center of the first pixel is (0, 0). It owns copies of its
     tensors, through which gradients go; only :meth:`scale_` and setting `tx`, `ty` and `tz` change it.
 
     Args:
@@ -195,7 +195,7 @@ class PinholeCamera:
     def project(self, point_3d: Tensor) -> Tensor:
         """Pixels (B, *, 2) of points of the world (B, *, 3); one camera also serves any (*, 3).
 
-        Where the depth is 0 within 1e-8 the point is not divided.
+        A point is not divided by a depth between -1e-8 and 1e-8.
         """
         self._check_points("project", "point_3d", point_3d, 3)
         return transformed(floats(point_3d), _projection(self._intrinsics, self._extrinsics))

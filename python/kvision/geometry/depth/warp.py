@@ -253,7 +253,7 @@ class DepthWarper(nn.Module):
         width: of the source's images.
         mode: 'bilinear' or 'nearest'.
         padding_mode: what is outside of the image: 'zeros', its 'border' or its 'reflection'.
-        align_corners: the reflection is about the middles of the outermost pixels, not their outer edges.
+        align_corners: the reflection is about the centers of the outermost pixels, not their outer edges.
 
     Raises:
         TypeError: an argument does not have its documented type.
@@ -323,7 +323,7 @@ class DepthWarper(nn.Module):
         return self._projection
 
     def compute_subpixel_step(self) -> Tensor:
-        """The step of inverse depth, at 1, that moves the middle of the image by half a pixel in the camera that sees it
+        """The step of inverse depth, at 1, that moves the center of the image by half a pixel in the camera that sees it
         move most.
 
         Source: R. Szeliski and D. Scharstein, "Symmetric sub-pixel stereo matching" (2002).

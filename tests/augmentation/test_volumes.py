@@ -14,6 +14,7 @@ from torch import Tensor
 import kvision.augmentation as A
 from kvision.augmentation.base import AugmentationBase3D
 from kvision.geometry.linalg import transform_points
+from op_tests import does_not_wait
 
 SIZE = (6, 7, 8)
 
@@ -100,6 +101,12 @@ def test_seeds_of_samples_are_independent_of_the_batch(case: Case, device: torch
     seeds, order = torch.arange(5) * 1000, torch.tensor([4, 1, 3])
     all_of_them = augment(x, seed=seeds)
     assert torch.equal(augment(x[order], seed=seeds[order]), all_of_them[order])
+
+
+@geometric
+def test_no_call_waits_for_the_device(case: Case, device: torch.device) -> None:
+    x, augment = volumes(device), case.make(**({} if case.changes_size else {"p": 0.7}))
+    does_not_wait(device, [lambda: augment(x), lambda: augment(x, seed=1)])
 
 
 @cases

@@ -207,8 +207,9 @@ class _RandomFlip3D(GeometricAugmentationBase3D):
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         matrix = torch.eye(4, device=input.device)
-        matrix[self.axis, self.axis] = -1
-        matrix[self.axis, 3] = input.shape[-1 - self.axis] - 1
+        # Assigning numbers to its entries would copy them from the host, and wait.
+        matrix[self.axis, self.axis].fill_(-1)
+        matrix[self.axis, 3].fill_(input.shape[-1 - self.axis] - 1)
         return matrix.expand(input.shape[0], 4, 4)
 
     def apply_transform(

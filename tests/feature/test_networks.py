@@ -57,6 +57,15 @@ def test_patches_equal_kornia(name, device):
     compare(*twins(name, device), torch.rand(5, 1, 32, 32, device=device))
 
 
+@pytest.mark.parametrize("name", ["HardNet", "HardNet8", "OriNet"])
+def test_patches_of_little_contrast_equal_kornia(name, device):
+    """They are divided by their deviation plus a small number."""
+    ours, theirs = twins(name, device)
+    x = 0.5 + 1e-5 * torch.rand(5, 1, 32, 32, device=device, dtype=torch.float64)
+    with torch.no_grad():
+        torch.testing.assert_close(ours.double()(x), theirs.double()(x), atol=1e-6, rtol=1e-6)
+
+
 @pytest.mark.parametrize("options", [{"is_bias": False}, {"dim_desc": 64, "drop_rate": 0.1}], ids=str)
 def test_options_of_hynet(options, device):
     compare(*twins("HyNet", device, **options), torch.rand(3, 1, 32, 32, device=device))

@@ -18,10 +18,12 @@ def check_patches(op: str, x: Tensor) -> None:
     _check.floating(op, "input", x)
 
 
-def standardized(patches: Tensor, eps: float = 1e-7) -> Tensor:
-    """Every patch with mean 0 and, unless it is constant, standard deviation 1."""
+def standardized(patches: Tensor, eps: float = 1e-6) -> Tensor:
+    """Every patch with mean 0 and, unless it is constant, standard deviation 1, in the layout that convolutions read best."""
     deviation, mean = torch.std_mean(patches, (1, 2, 3), keepdim=True)
-    return (patches - mean.detach()) / (deviation.detach() + eps)
+    x = (patches - mean.detach()) / (deviation.detach() + eps)
+    # On the CPU torch's float32 convolutions reorder images of other layouts, before and after each layer.
+    return x.to(memory_format=torch.channels_last) if x.is_cpu and x.dtype == torch.float32 else x
 
 
 def convolutions(*layers: tuple[int, int, int], **norm: bool) -> list[nn.Module]:
@@ -120,5 +122,5 @@ class HardNet8(nn.Module):
 
     def forward(self, input: Tensor) -> Tensor:
         check_patches("HardNet8", input)
-        x = normalize(self.features(standardized(input)).flatten(1))
+        x = normalize(self.features(standardized(input, 1e-7)).flatten(1))
         return normalize((x - self.mean) @ self.components)

@@ -16,6 +16,7 @@ KV_HD double square_root(double x) { return sqrt(x); }
 
 KV_HD double power_of_two(double x) { return ::exp2(x); }
 KV_HD void sin_cos(double x, double& sine, double& cosine) { ::sincos(x, &sine, &cosine); }
+KV_HD void sin_cos_near_zero(double x, double& sine, double& cosine) { ::sincos(x, &sine, &cosine); }
 KV_HD double arctan2(double y, double x) { return ::atan2(y, x); }
 KV_HD double rounded(double x) { return ::rint(x); }
 
@@ -32,27 +33,47 @@ KV_HD Double4 rounded(Double4 x) {
   return vabs(x) < 0x1p52 ? x + shift - shift : x;
 }
 
-// x = n pi / 2 + r, and series of sin r and cos r for |r| <= pi / 4. Pi / 2 is a sum of three numbers, of which the
-// first two have so few digits that their products with n are exact.
-KV_HD void sin_cos(Double4 x, Double4& sine, Double4& cosine) {
-  constexpr double most = 1e6, shift = 0x1.8p52;
+// Series for |x| <= pi / 4.
+KV_HD void sin_cos_series(Double4 x, Double4& sine, Double4& cosine) {
   constexpr double to_sine[] = {1 / 355687428096000.0, -1 / 1307674368000.0, 1 / 6227020800.0, -1 / 39916800.0,
                                 1 / 362880.0,          -1 / 5040.0,          1 / 120.0,        -1 / 6.0};
   constexpr double to_cosine[] = {1 / 20922789888000.0, -1 / 87178291200.0, 1 / 479001600.0, -1 / 3628800.0,
                                   1 / 40320.0,          -1 / 720.0,         1 / 24.0};
+  Double4 const square = x * x;
+  sine = x + x * square * polynomial(square, to_sine);
+  cosine = 1 - square * 0.5 + square * square * polynomial(square, to_cosine);
+}
+
+// Those of the C library, where |x| > most or x is NaN.
+KV_HD void replace_far_sin_cos(Double4 x, double most, Double4& sine, Double4& cosine) {
+  auto const far = !(vabs(x) <= most);
+  if (far[0] | far[1] | far[2] | far[3])
+    for (int i = 0; i < 4; ++i)
+      if (far[i]) {
+        sine[i] = __builtin_sin(x[i]);
+        cosine[i] = __builtin_cos(x[i]);
+      }
+}
+
+// The same for numbers that are within pi / 4 but for exceptions.
+KV_HD void sin_cos_near_zero(Double4 x, Double4& sine, Double4& cosine) {
+  sin_cos_series(x, sine, cosine);
+  replace_far_sin_cos(x, 0.7854, sine, cosine);
+}
+
+// x = n pi / 2 + r, |r| <= pi / 4. Pi / 2 is a sum of three numbers, of which the first two have so few digits that their
+// products with n are exact.
+KV_HD void sin_cos(Double4 x, Double4& sine, Double4& cosine) {
+  constexpr double most = 1e6, shift = 0x1.8p52;
   Double4 const shifted = x * 0.63661977236758134308 + shift, n = shifted - shift;
   Double4 const r = ((x - n * 0x1.921fb544p0) - n * 0x42d18469p-64) - n * 0x898cc51701b839p-120;
-  Double4 const square = r * r, s = r + r * square * polynomial(square, to_sine);
-  Double4 const c = 1 - square * 0.5 + square * square * polynomial(square, to_cosine);
+  Double4 s, c;
+  sin_cos_series(r, s, c);
   auto const quarter = __builtin_bit_cast(Lanes<int64_t, 4>, shifted);
   Double4 const up = (quarter & 1) != 0 ? c : s, across = (quarter & 1) != 0 ? s : c;
   sine = (quarter & 2) != 0 ? -up : up;
   cosine = ((quarter + 1) & 2) != 0 ? -across : across;
-  for (int i = 0; i < 4; ++i)
-    if (!(__builtin_fabs(x[i]) <= most)) {
-      sine[i] = __builtin_sin(x[i]);
-      cosine[i] = __builtin_cos(x[i]);
-    }
+  replace_far_sin_cos(x, most, sine, cosine);
 }
 
 // The angle of (x, y): that of multiples of pi / 8 nearby, and the series of what is left, whose tangent is at most
@@ -93,12 +114,21 @@ KV_HD Dual<V, N> power_of_two(Dual<V, N> a) {
   return a;
 }
 template <class V, int N>
-KV_HD void sin_cos(Dual<V, N> const& a, Dual<V, N>& sine, Dual<V, N>& cosine) {
-  sin_cos(a.value, sine.value, cosine.value);
+KV_HD void set_derivatives(Dual<V, N> const& a, Dual<V, N>& sine, Dual<V, N>& cosine) {
   for (int i = 0; i < N; ++i) {
     sine.d[i] = cosine.value * a.d[i];
     cosine.d[i] = -sine.value * a.d[i];
   }
+}
+template <class V, int N>
+KV_HD void sin_cos(Dual<V, N> const& a, Dual<V, N>& sine, Dual<V, N>& cosine) {
+  sin_cos(a.value, sine.value, cosine.value);
+  set_derivatives(a, sine, cosine);
+}
+template <class V, int N>
+KV_HD void sin_cos_near_zero(Dual<V, N> const& a, Dual<V, N>& sine, Dual<V, N>& cosine) {
+  sin_cos_near_zero(a.value, sine.value, cosine.value);
+  set_derivatives(a, sine, cosine);
 }
 template <class V, int N>
 KV_HD Dual<V, N> arctan2(Dual<V, N> const& y, Dual<V, N> const& x) {

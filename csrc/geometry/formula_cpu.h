@@ -61,8 +61,17 @@ struct Samples {
   }
   template <class T>
   KV_HD void write_typed(T* dst, int64_t stride, int num_values, Double4 const* x) const {
+    T* const to = dst + begin * stride;
+    if constexpr (sizeof(T) == 4)
+      if (count == 4) {  // converts four numbers at once
+        for (int i = 0; i < num_values; ++i) {
+          auto const y = __builtin_convertvector(x[i], Lanes<float, 4>);
+          for (int lane = 0; lane < 4; ++lane) to[lane * stride + i] = y[lane];
+        }
+        return;
+      }
     for (int lane = 0; lane < count; ++lane)
-      for (int i = 0; i < num_values; ++i) set(dst + (begin + lane) * stride + i, x[i][lane]);
+      for (int i = 0; i < num_values; ++i) set(to + lane * stride + i, x[i][lane]);
   }
   KV_HD void write_row(TypedPointer const& n, int64_t stride, int64_t first, int num_values, Double4 const* x) const {
     void* const data = const_cast<void*>(n.data);

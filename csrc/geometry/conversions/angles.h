@@ -36,7 +36,7 @@ KV_HD void cos_sin_degrees(V const& degrees, V& cosine, V& sine) {
   auto const quarters = rounded(degrees * (1 / 90.));
   V const rest = subtract_constant(degrees, quarters * 90.) * 0.017453292519943295769;
   V s, c;
-  sin_cos(rest, s, c);
+  sin_cos_near_zero(rest, s, c);
   auto const turn = quarters - rounded(quarters * .25) * 4.;  // -2 and 2 are the same turn
   V const half_c = select(turn * turn == 4., -c, c), half_s = select(turn * turn == 4., -s, s);
   cosine = select(turn == 1., -s, select(turn == -1., s, half_c)) + 0.;  // no negative zeros

@@ -54,6 +54,21 @@ def test_values_are_those_of_kornia(name, args, device):
         assert_close(ours.cpu(), his, 1e-7, 1e-9)
 
 
+def test_rotations_by_any_angle(device):
+    """Also by angles so large that only a multiple of 90 degrees next to them is left, and by none."""
+    turns = torch.tensor([0.0, 1, 7, -1e6, 1e12], dtype=torch.float64)
+    rest = torch.tensor([0.0, 44.9, 45, -45, 45.1, 89.5], dtype=torch.float64)
+    degrees = (360 * turns[:, None] + rest).to(device)
+    cosine, sine = torch.deg2rad(rest).cos().to(device), torch.deg2rad(rest).sin().to(device)
+    expected = torch.stack([cosine, sine, -sine, cosine], -1).unflatten(-1, (2, 2)).expand(5, -1, -1, -1)
+    matrices = G.angle_to_rotation_matrix(degrees)
+    assert_close(matrices[:4], expected[:4], 0, 1e-9)
+    assert_close(matrices[4], expected[4], 0, 1e-3)
+    unbounded = torch.tensor([1e17, -3e20, float("inf"), float("nan")], dtype=torch.float64, device=device)
+    matrices = G.angle_to_rotation_matrix(unbounded)
+    assert (matrices[:2].abs() <= 1).all() and matrices[2:].isnan().all()
+
+
 BAD = [
     (lambda: G.rad2deg(1.0), TypeError, "rad2deg: expected tensor to be a Tensor, got float"),
     (lambda: G.pol2cart(torch.ones(2), torch.ones(3)), ValueError, "pol2cart: expected leading axes that broadcast"),

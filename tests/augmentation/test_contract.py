@@ -261,6 +261,9 @@ def test_wrong_inputs(case: Case) -> None:
         augment(torch.zeros(1, 3, 8, 8, dtype=torch.int64))
     with pytest.raises(ValueError, match=f"{case.name}: expected input of shape"):
         augment(torch.zeros(1, 1, 3, 8, 8))
+    for size in ((0, 8), (8, 0)):
+        with pytest.raises(ValueError, match=f"{case.name}: expected input with pixels"):
+            augment(torch.zeros(1, 3, *size))
     if case.name != "PadTo":  # has no probability
         for p in (-0.1, 1.1):
             with pytest.raises(ValueError, match=f"{case.name}: expected p"):

@@ -218,3 +218,13 @@ def test_adaptive_augmentation() -> None:
         Ada(initial_p=2.0)
     with pytest.raises(ValueError, match="keep sizes"):
         Ada(A.CenterCrop(4), initial_p=1.0)(x)
+
+
+@pytest.mark.parametrize("name", ["RandomMixUpV2", "RandomCutMixV2", "PatchMix"])
+def test_labels_are_of_the_images(name: str) -> None:
+    mix = getattr(A, name)(data_keys=["input", "class"], p=1.0)
+    for labels in (torch.zeros(5), torch.zeros(1), torch.tensor(1)):
+        with pytest.raises(ValueError, match=f"{name}: expected label of 6 images"):
+            mix(images(), labels)
+    with pytest.raises(TypeError, match=f"{name}: expected label to be a Tensor, got list"):
+        mix(images(), [0, 1, 2, 3, 4, 5])

@@ -151,3 +151,12 @@ BAD = [
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+@pytest.mark.parametrize(
+    "function", [lambda x: F.scale_laf(x, 2.0), lambda x: F.normalize_laf(x, torch.rand(1, 1, 8, 9))]
+)
+def test_negated_views(function):
+    """Imaginary parts of conjugates, for which torch has no new_tensor."""
+    negated = torch.complex(LAF, -LAF).conj().imag
+    assert_close(function(negated), function(LAF), 1e-6, 1e-6)

@@ -116,6 +116,9 @@ class MixAugmentationBaseV2(AugmentationBase2D):
         if len(input) < len(keys):
             raise ValueCheckError(f"{type(self).__name__}: expected {len(keys)} inputs, got {len(input)}")
         x = self.transform_tensor(input[keys.index(DataKey.INPUT)])
+        for key, value in zip(keys, input):
+            if key != DataKey.INPUT:
+                self._check_labels(key, value, x.shape[0])
         execution = self._draw(x, seed, generator) if params is None else self._from_params(params, x)
         self._execution = execution
         outputs = [self._mixed(key, value, x, execution) for key, value in zip(keys, input)]
@@ -138,12 +141,15 @@ class MixAugmentationBaseV2(AugmentationBase2D):
 
     def _mixed_labels(self, key: DataKey, labels: Any, execution: Execution) -> Any:
         """Labels of the images of an execution, in containers."""
+        self._check_labels(key, labels, execution.shape[0])
+        return self._mixed(key, labels, labels.new_empty(execution.shape[0]), execution)
+
+    def _check_labels(self, key: DataKey, labels: Any, count: int) -> None:
         op, name = type(self).__name__, key.name.lower()
         if not isinstance(labels, Tensor):
             raise TypeCheckError(f"{op}: expected {name} to be a Tensor, got {type(labels).__name__}")
-        if labels.shape[:1] != execution.shape[:1]:
-            raise ShapeError(f"{op}: expected {name} of {execution.shape[0]} images, got {tuple(labels.shape)}")
-        return self._mixed(key, labels, labels.new_empty(execution.shape[0]), execution)
+        if labels.dim() == 0 or labels.shape[0] != count:
+            raise ShapeError(f"{op}: expected {name} of {count} images, got {tuple(labels.shape)}")
 
     @staticmethod
     def _chosen(mixed: Tensor, value: Tensor, execution: Execution) -> Tensor:

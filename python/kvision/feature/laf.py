@@ -290,7 +290,7 @@ _scale_parts = register_formula("scale_laf_parts", _scale_parts_reference, lambd
 def scale_laf_parts(laf: Tensor, shape: float, x: float, y: float) -> Tensor:
     """[k A | (sx, sy) c], from one image's pixels to those of a resized one."""
     if laf.is_cpu and laf.dtype in (torch.float32, torch.float64) and not is_compiling():
-        return laf * laf.new_tensor([[shape, shape, x], [shape, shape, y]])
+        return laf * torch.tensor([[shape, shape, x], [shape, shape, y]], dtype=laf.dtype, device=laf.device)
     return of_rows(_scale_parts, laf, 2, shape, x, y)
 
 

@@ -28,7 +28,7 @@ class AugmentationBase(OnePass):
     """What augmentations of images and of volumes share; see the package."""
 
     def validate_tensor(self, input: Tensor) -> None:
-        """Raise unless `input` is a tensor of a floating-point type or uint8 with at most a batch of images."""
+        """Raise unless `input` is a tensor of a floating-point type or uint8 with at most a batch of images that have pixels."""
         op = type(self).__name__
         if not isinstance(input, Tensor):
             raise TypeCheckError(f"{op}: expected input to be a Tensor, got {type(input).__name__}")
@@ -37,6 +37,8 @@ class AugmentationBase(OnePass):
         if not self.axes - 1 <= input.dim() <= self.axes + 1:
             layout = ("(H, W), (C, H, W) or (B, C, H, W)", "(D, H, W), (C, D, H, W) or (B, C, D, H, W)")[self.axes - 3]
             raise ShapeError(f"{op}: expected input of shape {layout}, got {tuple(input.shape)}")
+        if 0 in input.shape[1 - self.axes :]:
+            raise ShapeError(f"{op}: expected input with pixels, got {tuple(input.shape)}")
 
     def transform_tensor(self, input: Tensor, **_: Any) -> Tensor:
         """The input as a batch: (H, W) and (C, H, W) become (1, C, H, W)."""

@@ -276,6 +276,8 @@ class ImageSequential(ImageSequentialBase):
             raise ShapeError(
                 f"{type(self).__name__}: expected input with {axes - 1} to {axes + 1} axes, got {tuple(input.shape)}"
             )
+        if 0 in input.shape[1 - axes :]:
+            raise ShapeError(f"{type(self).__name__}: expected input with pixels, got {tuple(input.shape)}")
         if not input.is_floating_point() and input.dtype != torch.uint8:
             raise TypeCheckError(
                 f"{type(self).__name__}: expected input of a floating-point type or uint8, got {input.dtype}"

@@ -1,10 +1,10 @@
 // Edge-aware smoothness of an inverse depth map d (B, 1, H, W) with its image I (B, C, H, W). For every sample it is
 // the sum over all pairs of neighbors p, q of
 //
-//   rough(p, q) = weight * abs(d(q) - d(p)) * exp(-mean over c of abs(I_c(q) - I_c(p)))
+//   edge(p, q) = weight * abs(d(q) - d(p)) * exp(-mean over c of abs(I_c(q) - I_c(p)))
 //
 // with one weight along y and one along x. The gradient of a pixel is a sum over its neighbors as well. The gradient of
-// d(q) is rough with sign(d(q) - d(p)) instead of abs(d(q) - d(p)). The gradient of I_c(q) is -rough / C *
+// d(q) is edge(p, q) with sign(d(q) - d(p)) instead of abs(d(q) - d(p)). The gradient of I_c(q) is -edge(p, q) / C *
 // sign(I_c(q) - I_c(p)). Those of p have the opposite sign. Included by smoothness_cpu.cpp, smoothness.cu and
 // smoothness_op.cpp.
 #pragma once
@@ -51,8 +51,8 @@ KV_KERNEL(smoothness_backward, SmoothnessBackward)
 // The contribution of an edge to the gradient of a pixel of the image. Edges out of bounds contribute 0, whatever was
 // read.
 template <class V>
-KV_HD V part_of(V rough, V difference) {
-  return rough == 0 ? V{} : V(rough * sign_of(difference));
+KV_HD V part_of(V edge, V difference) {
+  return edge == 0 ? V{} : V(edge * sign_of(difference));
 }
 
 }  // namespace kv::losses

@@ -24,8 +24,8 @@ KV_HD void find_edges(DepthAndImage<T> const& p, int64_t sample, int64_t y, int6
       apart += vabs(V(load<N>(at + next_of_image) - load<N>(at)));
     }
     V const difference = load<N>(d + e + next) - load<N>(d + e);
-    V const slope = signs ? V(sign_of(difference)) : V(vabs(difference));
-    store<N>(to + e, V(slope * vexp2<F, N>(V(apart * p.exponent())) * weight));
+    V const edge = signs ? V(sign_of(difference)) : V(vabs(difference));
+    store<N>(to + e, V(edge * vexp2<F, N>(V(apart * p.exponent())) * weight));
   });
 }
 

@@ -103,6 +103,17 @@ def test_normal_equations(distance, align_corners, normalized, device, backend):
     assert_close(normal, weighted.mT @ jacobian / inside.sum(1)[:, None, None], 1e-7, 1e-7)
 
 
+@pytest.mark.parametrize("backend", ["auto", "reference"])
+def test_normal_equations_of_one_homography(backend, device):
+    x, y = torch.rand(2, 3, 2, 12, 14, dtype=torch.float64, device=device).unbind()
+    M = homography(x).to(device)[:1]
+    with K.backend(backend):
+        shared = G.photometric_normal_equations(x, y, M)
+        each = G.photometric_normal_equations(x, y, M.repeat(len(x), 1, 1))
+    for a, b in zip(shared, each):
+        assert_close(a, b)
+
+
 def test_normal_equations_without_overlap(device):
     far = torch.tensor([[[1.0, 0, 9], [0, 1, 0], [0, 0, 1]]], device=device)
     image = torch.ones(1, 1, 4, 4, device=device)

@@ -114,9 +114,9 @@ def find_homography_dlt_iterated(
         tensor(True)
     """
     op = "find_homography_dlt_iterated"
-    weights = check_correspondences(op, points1, points2, weights, min_points=4)
+    first_weights = check_correspondences(op, points1, points2, weights, min_points=4)
     scale = 2 * _check_iterations(op, soft_inl_th, n_iter) ** 2
-    H = homography_of(points1, points2, weights)
+    H = homography_of(points1, points2, first_weights)
     for _ in range(n_iter - 1):
         error = symmetric_transfer_error(points1, points2, H)
         H = homography_of(points1, points2, torch.exp(-error / scale))
@@ -203,9 +203,9 @@ def find_homography_lines_dlt_iterated(
                  [0., 0., 1.]]])
     """
     op = "find_homography_lines_dlt_iterated"
-    ls1, ls2, weights = _batched(op, ls1, ls2, weights)
+    ls1, ls2, first_weights = _batched(op, ls1, ls2, weights)
     scale = 2 * _check_iterations(op, soft_inl_th, n_iter) ** 2
-    H = of_lines(ls1, ls2, weights)
+    H = of_lines(ls1, ls2, first_weights)
     some = (ls2[..., 0, :] != ls2[..., 1, :]).any(-1)
     for _ in range(n_iter - 1):
         error = line_segment_transfer_error_one_way(ls1, ls2, H, squared=True)

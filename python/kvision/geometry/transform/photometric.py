@@ -111,7 +111,7 @@ _photometric = register(
 
 
 def _normal_reference(source, target, matrix, distance, eps, align_corners, normalized):
-    matrices = matrix.expand(source.shape[0], -1, -1)
+    matrices = matrix.expand(source.shape[0], -1, -1).contiguous()  # jvp takes no views of one matrix
     size, (*source_size,) = target.shape[2:], source.shape[2:]
 
     def residuals(m: Tensor) -> Any:

@@ -159,3 +159,12 @@ def test_errors() -> None:
         container(min_box_visibility=2)
     with pytest.raises(TypeError, match="expected class of a signed type, .* got torch.uint8"):
         container(clip_boxes=True)(IMAGE, BOXES, CLASSES.byte())
+
+
+@pytest.mark.parametrize("key", ["mask", "bbox", "bbox_xyxy", "keypoints"])
+@pytest.mark.parametrize("labels", [[[1.0, 2.0], [3.0, 4.0]], [None, None], "labels", None], ids=str)
+def test_labels_that_are_no_tensors_are_named(key: str, labels: Any) -> None:
+    augment = A.AugmentationSequential(A.RandomHorizontalFlip(p=1.0), data_keys=["input", key])
+    got = type(labels[0] if isinstance(labels, list) else labels).__name__
+    with pytest.raises(TypeError, match=rf"AugmentationSequential: expected .* to be a Tensor, got {got}"):
+        augment(torch.rand(2, 3, 8, 8), labels)

@@ -135,6 +135,7 @@ def test_diamond_square(kornia, size):
         torch.manual_seed(1)
         assert_close(C.diamond_square(size, **options), expected, 1e-5, 1e-5)
     each = C.diamond_square(size, torch.linspace(0.3, 0.6, size[0]), torch.ones(size[0]), torch.zeros)
+    assert torch.equal(C.diamond_square(size, torch.tensor(0.5).double(), random_fn=torch.ones), torch.ones(size))
     assert each.shape == size and (each == 0).all()
 
 

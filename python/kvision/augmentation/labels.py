@@ -240,11 +240,18 @@ def _upright(vertices: Tensor) -> Tensor:
 
 def pad(parts: Sequence[Tensor]) -> tuple[Tensor, list[int]]:
     """Boxes, points or instances of each image, padded to the same number."""
+    check_tensors("the labels of an image", parts)
     sizes = [len(part) for part in parts]
     padded = parts[0].new_zeros(len(parts), max(sizes, default=0), *parts[0].shape[1:])
     for row, part in zip(padded, parts):
         row[: len(part)] = part
     return padded, sizes
+
+
+def check_tensors(name: str, parts: Sequence[Any]) -> None:
+    for part in parts:
+        if not isinstance(part, Tensor):
+            raise TypeCheckError(f"AugmentationSequential: expected {name} to be a Tensor, got {type(part).__name__}")
 
 
 def _floating(name: str, x: Any) -> None:

@@ -89,7 +89,7 @@ def _per_plane(
     _check.numbers(op, name, value)
     if not _check.is_one_or(value.numel(), b):
         raise ShapeError(f"{op}: expected {name} with 1 or {b} numbers, got {tuple(value.shape)}")
-    value = value.to(device=device, dtype=dtype).reshape(-1, 1)
+    value = value.to(device=device, dtype=dtype or torch.get_default_dtype()).reshape(-1, 1)
     return value.expand(b, c).reshape(-1, 1, 1, 1)
 
 

@@ -357,6 +357,7 @@ class AugmentationSequential(ImageSequential):
 
     def _moved_masks(self, masks: Any, stages: Sequence[Stage]) -> Any:
         if isinstance(masks, (list, tuple)):
+            labels.check_tensors("the masks of an image", masks)
             if len({mask.shape for mask in masks}) <= 1:
                 return type(masks)(self._moved_masks(torch.stack(list(masks)), stages).unbind(0)) if masks else masks
             padded, sizes = labels.pad(masks)  # as many instances for each image
@@ -428,6 +429,7 @@ class AugmentationSequential(ImageSequential):
             if key == DataKey.INPUT:
                 outputs.append(self._restored(invert(self.transform_tensor(value), stages), value))
             elif key == DataKey.MASK:
+                labels.check_tensors("mask", [value])
                 outputs.append(move_masks_back(value, stages))
             elif key == DataKey.KEYPOINTS:
                 outputs.append(

@@ -12,7 +12,7 @@ from kvision.augmentation.container.image import ImageSequential, ParamItem, inv
 from kvision.augmentation.container.runs import Randomness, Stage
 from kvision.augmentation.container.stages import forget_coordinates
 from kvision.augmentation.keys import Seed
-from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = ["VideoSequential"]
 
@@ -30,9 +30,12 @@ class VideoLayout(NamedTuple):
 
     @classmethod
     def of(cls, op: str, data_format: str, videos: Any) -> VideoLayout:
-        if not isinstance(videos, Tensor) or videos.dim() != 5:
-            got = tuple(videos.shape) if isinstance(videos, Tensor) else type(videos).__name__
-            raise _RankError(f"{op}: expected input of shape ({', '.join(data_format)}), got {got}")
+        if not isinstance(videos, Tensor):
+            raise TypeCheckError(f"{op}: expected input to be a Tensor, got {type(videos).__name__}")
+        if videos.dim() != 5:
+            raise _RankError(
+                f"{op}: expected input of shape ({', '.join(data_format)}), got {tuple(videos.shape)}"
+            )
         t = data_format.index("T")
         return cls(op, data_format, (videos.shape[0], videos.shape[t]))
 

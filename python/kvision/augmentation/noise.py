@@ -13,6 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from kvision._constants import constant
 from kvision._ops import Operator, match_layout, register, saturate_to_byte
 from kvision.augmentation.draws import MAX_DRAWS, philox, unit
 from kvision.augmentation.keys import Keys
@@ -125,7 +126,7 @@ def _noise_backward(
     if not needs[1]:
         return [grad, None]
     # The noise alone, which only ranges with gradients need.
-    standard = torch.tensor([[0.0, 1.0]], dtype=parameters.dtype, device=parameters.device)
+    standard = constant(((0.0, 1.0),), parameters)
     grads = _computed(grad)
     noise = _ADDED[operator](torch.zeros_like(grads), standard, keys, seeds, chosen, plan)
     to_mean = torch.where(_is_chosen(chosen, images), grads, 0.0).sum((1, 2, 3))

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision._constants import constant
 from kvision._ops import behind_grad, register, vjp
 from kvision.feature._patch_gradient import centered_gaussian, check_patches, patch_gradients, too_large
 from kvision.feature.laf import (
@@ -33,7 +34,7 @@ def _reference(patches: Tensor, eps: float) -> Tensor:
     gx, gy = (g * weights for g in patch_gradients(patches, sobel=True))
     moments = torch.stack([(u * v).mean((1, 2)) for u, v in ((gx, gx), (gx, gy), (gy, gy))], 1)
     is_circle = ((moments.abs() <= eps).sum(1, keepdim=True) >= 2).detach()
-    circle = torch.tensor([1.0, 0.0, 1.0], dtype=moments.dtype, device=moments.device)
+    circle = constant((1.0, 0.0, 1.0), moments)
     moments = torch.where(is_circle, circle, moments)
     return moments / torch.maximum(moments[:, :1], moments[:, 2:])
 
@@ -174,7 +175,7 @@ def adapt_shape(laf: Tensor, valid: Tensor, frame: Tensor, ellipses: Tensor, pre
     """`frame`, `laf` upright, with the shape of `ellipses` (B, N, 3) in its coordinates, and the scale it has."""
     a, b, c = ellipses.unbind(-1)
     is_ellipse = (a > 0) & (c > 0) & (a - (b / c.abs().sqrt()).square() > 0) & ellipses.isfinite().all(-1)
-    circle = torch.tensor([1.0, 0.0, 1.0], dtype=laf.dtype, device=laf.device)
+    circle = constant((1.0, 0.0, 1.0), laf)
     ellipses = torch.where(is_ellipse[..., None], ellipses, circle)
     shape = ellipse_to_laf(torch.cat([torch.zeros_like(ellipses[..., :2]), ellipses], -1))[..., :2]
     scale = get_laf_scale(frame)

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torch.compiler import is_compiling
 
 from kvision import _check
+from kvision._constants import constant
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._ops import behind_grad, register, vjp
 from kvision.core.exceptions import ShapeError
@@ -382,7 +383,7 @@ class SIFTDescriptorFromPyramid(nn.Module):
         frames = as_dtype(lafs, dtype)
         valid = laf_is_valid(frames)
         frames = replace_invalid(frames, valid)
-        sizes = torch.tensor([level.shape[:1:-1] for level in levels], dtype=dtype, device=image.device)
+        sizes = constant(tuple(tuple(level.shape[:1:-1]) for level in levels), image, dtype)
         scale = (sizes / sizes[:1])[levels_of_frames(frames, len(levels), _WINDOW)][..., None]  # (B, N, 2, 1): x, y
         if not upright:
             frames = rotate_laf(frames, -torch.rad2deg(self._orientations(levels, frames, scale)))

@@ -242,7 +242,7 @@ def _vertices(op: str, polygons: Any, images: Tensor) -> Tensor:
 
 def _plot(image: Tensor, pixels: Tensor, color: Tensor) -> None:
     """Set the pixels (N, 2), as (x, y), of the image (C, H, W) to the color (C,)."""
-    x, y = pixels.to(image.device).unbind(1)
+    x, y = pixels.to(image.device, non_blocking=True).unbind(1)
     image[:, y, x] = color[:, None]
 
 

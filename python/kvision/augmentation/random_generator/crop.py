@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._constants import constant
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
@@ -37,16 +38,16 @@ def parse_size(op: str, size: Any) -> tuple[int, int]:
 
 def box_params(x: Tensor, y: Tensor, w: Tensor, h: Tensor, shape: Shape, size: tuple[int, int]) -> dict[str, Tensor]:
     """Boxes by their corners, clockwise from top left, both ends inclusive: `src` in the image, `dst` in the result."""
-    n, device = x.shape[0], x.device
+    n = x.shape[0]
     right, bottom = x + w - 1, y + h - 1
     src = torch.stack([x, y, right, y, right, bottom, x, bottom], -1).reshape(n, 4, 2)
     last_x, last_y = size[1] - 1.0, size[0] - 1.0
-    dst = torch.tensor([[0.0, 0.0], [last_x, 0.0], [last_x, last_y], [0.0, last_y]], dtype=x.dtype, device=device)
+    dst = constant(((0.0, 0.0), (last_x, 0.0), (last_x, last_y), (0.0, last_y)), x)
     return {
         "src": src,
-        "dst": dst.expand(n, 4, 2),
-        "input_size": torch.tensor(tuple(shape[-2:]), device=device).expand(n, 2),
-        "output_size": torch.tensor(size, device=device).expand(n, 2),
+        "dst": dst.repeat(n, 1, 1),
+        "input_size": constant(tuple(shape[-2:]), x, torch.int64).repeat(n, 1),
+        "output_size": constant(tuple(size), x, torch.int64).repeat(n, 1),
     }
 
 
@@ -99,15 +100,15 @@ class CropGenerator(RandomGeneratorBase):
         x, y = left - columns[:, 0], top - columns[:, 1]
         padded = (*shape[:-2], shape[-2] + top + bottom, shape[-1] + left + right)
         params = box_params(x, y, torch.full_like(x, w), torch.full_like(y, h), padded, self.resize_to or self.size)
-        padding = torch.tensor((left, right, top, bottom), device=x.device)
-        return {**params, "padding_size": padding.expand(columns.shape[0], 4)}
+        padding = constant((left, right, top, bottom), x, torch.int64)
+        return {**params, "padding_size": padding.repeat(columns.shape[0], 1)}
 
     def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
         src = params["src"]
         padding = params.get("padding_size")
         if padding is None:
             left, _, top, _ = self.padding_of(shape)
-            before = torch.tensor([left, top], device=src.device).expand(src.shape[0], 2)
+            before = constant((left, top), src)
         else:
             before = padding[:, 0::2]
         return before.to(src) - src[:, 0]

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._constants import constant
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw, uniform
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
@@ -250,11 +251,11 @@ class MosaicGenerator(RandomGeneratorBase):
         x, y = x.clamp(max=max(cells * width - w, 0)), y.clamp(max=max(rows * height - h, 0))
         right, bottom = x + w - 1, y + h - 1
         src = torch.stack([x, y, right, y, right, bottom, x, bottom], -1).reshape(-1, 4, 2)
-        dst = torch.tensor([[0.0, 0], [w - 1, 0], [w - 1, h - 1], [0, h - 1]], device=columns.device)
+        dst = constant(((0, 0), (w - 1, 0), (w - 1, h - 1), (0, h - 1)), columns, torch.float32)
         own = torch.arange(columns.shape[0], device=columns.device)
         return {
             "permutation": torch.stack([own, *others], 1),
             "src": src,
-            "dst": dst.expand(columns.shape[0], 4, 2),
+            "dst": dst.repeat(columns.shape[0], 1, 1),
             "batch_shapes": torch.tensor(tuple(shape[1:])).expand(columns.shape[0], len(shape) - 1),
         }

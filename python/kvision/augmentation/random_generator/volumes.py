@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._constants import constant
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw, uniform
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
@@ -83,8 +84,8 @@ class AffineGenerator3D(RandomGeneratorBase):
         params = super().to_params(columns, shape)
         if self._one_scale:
             params["scale"] = params["scale"][:, :1].expand(-1, 3)
-        center = torch.tensor([(n - 1) / 2 for n in reversed(shape[-3:])], dtype=columns.dtype, device=columns.device)
-        return {**params, "center": center.expand(columns.shape[0], 3)}
+        center = constant(tuple((n - 1) / 2 for n in reversed(shape[-3:])), columns)
+        return {**params, "center": center.repeat(columns.shape[0], 1)}
 
 
 class RotationGenerator3D(RandomGeneratorBase):
@@ -152,8 +153,8 @@ class PerspectiveGenerator3D(RandomGeneratorBase):
         return draws
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
-        start = corners(shape).to(columns)
-        return {"start_points": start.expand(columns.shape[0], 8, 3), "end_points": columns.reshape(-1, 8, 3)}
+        start = constant(tuple(map(tuple, corners(shape).tolist())), columns)
+        return {"start_points": start.repeat(columns.shape[0], 1, 1), "end_points": columns.reshape(-1, 8, 3)}
 
     def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
         return params["end_points"].reshape(-1, 24)
@@ -183,13 +184,13 @@ def box_params3d(first: Tensor, size: Sequence[int], output_size: Sequence[int])
     """
 
     def last(sides: Sequence[int]) -> Tensor:
-        return torch.tensor([n - 1 for n in reversed(sides)], dtype=first.dtype, device=first.device)
+        return constant(tuple(n - 1 for n in reversed(sides)), first)
 
     zero = torch.zeros_like(first)
     return {
         "src": bbox.corners(first, first + last(size)),
         "dst": bbox.corners(zero, zero + last(output_size)),
-        "output_size": torch.tensor(tuple(output_size), device=first.device).expand(first.shape[0], 3),
+        "output_size": constant(tuple(output_size), first, torch.int64).repeat(first.shape[0], 1),
     }
 
 

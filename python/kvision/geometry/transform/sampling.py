@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._constants import constant
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modes import INTERPOLATION_NAMES, PADDING, PADDING_NAMES, WARP_FORMULA
 from kvision._ops import Operator, flatten_batch, on_cuda, register, size_below_vmap
@@ -525,6 +526,8 @@ def padding_and_fill(
         fill_value = _check.scalars(op, "fill_value", fill_value)
     if isinstance(fill_value, (int, float)):
         fill_value = image.new_full((), fill_value, dtype=dtype)  # created on the device, without a copy from the host
+    elif isinstance(fill_value, (tuple, list)) and all(isinstance(x, (int, float)) for x in fill_value):
+        fill_value = constant(tuple(fill_value), image, dtype)
     elif not isinstance(fill_value, Tensor):
         fill_value = torch.as_tensor(fill_value, dtype=dtype, device=image.device)
     _check.numbers(op, "fill_value", fill_value)

@@ -174,7 +174,9 @@ struct RowPrefetcher {
     filled = lane < 16 ? min(left, 0) - 1 - lane : max(min(left + 32 * P, in_width), left) + lane - 16;
     if (kPrecede && lane < 16 && left - 1 - lane >= in_width) filled = left - 1 - lane;
     has_filled = filled >= left - Radius && filled < left + 32 * P + Radius && (filled < 0 || filled >= in_width);
-    source = has_filled ? border_index(across, filled, in_width) : -1;
+    // No result reads pixels that are further behind the row. Their sources may be out of the ring: every row would wait
+    // for them.
+    source = has_filled && filled < in_width + Radius ? border_index(across, filled, in_width) : -1;
     if (!kPrecede) has_filled = source >= 0;  // zeros stay
     fills = __any_sync(0xffffffffu, has_filled);
     source_in_ring = source >= max(left - Radius, 0) && source < left + 32 * P + Radius;

@@ -248,7 +248,7 @@ __device__ __forceinline__ void store_words(T* to, Compute<T> const (&v)[P], int
   if constexpr (kPerWord<T> == 1 || P % kPerWord<T> != 0) {
 #pragma unroll
     for (int i = 0; i < P; ++i)
-      if (x + i < width) to[i] = round_to<T>(v[i]);
+      if (i < width - x) to[i] = round_to<T>(v[i]);
   } else {
     constexpr int W = kPerWord<T>, N = P / W;
     Vector<T, P> const vector = rounded<T>(v);

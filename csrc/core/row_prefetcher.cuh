@@ -40,7 +40,7 @@ __device__ __forceinline__ void copy_part_async_if(uint32_t to, void const* from
       static_cast<uint8_t*>(shared)[i] = i < bytes ? static_cast<uint8_t const*>(from)[i] : uint8_t(0);
 }
 template <int Bytes>
-__device__ __forceinline__ void copy_async_if(uint32_t to, void const* from, bool enabled, bool zero) {
+__device__ __forceinline__ void copy_async_if(uint32_t to, void const* from, int enabled, bool zero) {
   copy_part_async_if<Bytes>(to, from, enabled, zero ? 0 : Bytes);
 }
 
@@ -49,19 +49,19 @@ __device__ __forceinline__ void copy_async_if(uint32_t to, void const* from, boo
 // Starts an asynchronous copy of `Bytes` to shared memory; it writes zeros instead if `zero`, and nothing unless
 // `enabled`. Inline assembly makes it one instruction: the library's form has a branch for each of the two.
 template <int Bytes>
-__device__ __forceinline__ void copy_async_if(uint32_t to, void const* from, bool enabled, bool zero) {
+__device__ __forceinline__ void copy_async_if(uint32_t to, void const* from, int enabled, bool zero) {
   static_assert(Bytes == 4 || Bytes == 8 || Bytes == 16);
   if constexpr (Bytes == 16)
     asm volatile(
         "{.reg .pred w, z; setp.ne.s32 w, %2, 0; setp.ne.s32 z, %3, 0; @w cp.async.cg.shared.global [%0], [%1], 16, "
         "z;}" ::"r"(to),
-        "l"(__cvta_generic_to_global(from)), "r"(int(enabled)), "r"(int(zero))
+        "l"(__cvta_generic_to_global(from)), "r"(enabled), "r"(int(zero))
         : "memory");
   else
     asm volatile(
         "{.reg .pred w, z; setp.ne.s32 w, %2, 0; setp.ne.s32 z, %3, 0; @w cp.async.ca.shared.global [%0], [%1], %4, "
         "z;}" ::"r"(to),
-        "l"(__cvta_generic_to_global(from)), "r"(int(enabled)), "r"(int(zero)), "n"(Bytes)
+        "l"(__cvta_generic_to_global(from)), "r"(enabled), "r"(int(zero)), "n"(Bytes)
         : "memory");
 }
 
@@ -133,6 +133,7 @@ struct RowPrefetcher {
   Aligned const aligned;
   bool has_halo, has_filled, fills, source_in_ring;
   int halo;  // the first column that the thread copies of those on either side
+  [[maybe_unused]] unsigned words = 0;  // a bit for each word of a row that the thread copies, the last one for the halo
   uint32_t column_to, halo_to;
   [[maybe_unused]] int unsafe_from = 0;     // the first row whose last vector may reach behind the image
   [[maybe_unused]] uint32_t preceding = 0;  // pixels that precede the last four rows, the latest row's in the low byte
@@ -167,6 +168,12 @@ struct RowPrefetcher {
     if constexpr (kPrecede) {
       unsafe_from = first_unsafe_row<P>(x, in, x.row_size());
       column_key = column + 1 - in_width, halo_key = has_halo ? halo + 1 - in_width : INT32_MAX / 2;
+    }
+    if constexpr (!kPrecede && sizeof(T) >= 4) {
+#pragma unroll
+      for (int i = 0; i < P; ++i)
+        words |= column + 32 * i >= 0 && column + 32 * i < in_width ? 1u << i : 0;
+      words |= has_halo ? 1u << P : 0;
     }
     for (int i = lane; i < Rows * kPitch; i += 32) ring[0][i] = T{};
     __syncwarp();
@@ -217,11 +224,11 @@ struct RowPrefetcher {
       if constexpr (sizeof(T) >= 4)
         if (!by_vectors) {
           constexpr int kElement = sizeof(T);
+          unsigned const copies = more ? words : 0;
 #pragma unroll
           for (int i = 0; i < P; ++i)
-            copy_async_if<kElement>(column_to + to + 32 * kElement * i, from + 32 * i,
-                                    more && column + 32 * i >= 0 && column + 32 * i < in_width, zero);
-          copy_async_if<kElement>(halo_to + to, from_halo, more && has_halo, zero);
+            copy_async_if<kElement>(column_to + to + 32 * kElement * i, from + 32 * i, copies & 1u << i, zero);
+          copy_async_if<kElement>(halo_to + to, from_halo, copies & 1u << P, zero);
         }
     }
     __pipeline_commit();

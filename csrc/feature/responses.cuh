@@ -110,17 +110,17 @@ struct Columns {
   Work<F> const& work;
   StoredPlanes const& planes;
   int x;
-  uint8_t* first;  // in row 0
+  bool are_inside;  // the columns of a warp and their neighbors, which are adjacent in memory
+  uint8_t* first;   // in row 0
 
+  // Called by all threads of a warp.
   __device__ __forceinline__ Columns(Work<F> const& work, StoredPlanes const& planes, ColumnPosition const& position)
       : work(work), planes(planes), x(min(position.x, width() - (Vectors ? kColumns : 1))) {
+    are_inside = !Vectors && __all_sync(0xffffffffu, x > 0 && x + kColumns < width()) &&
+                 planes.step == size_of(work.stored);
     first = planes.plane(position.plane) + x * planes.step;
   }
   __device__ __forceinline__ int width() const { return int(work.x.width); }
-  // Whether the thread's columns and their neighbors are adjacent in memory.
-  __device__ __forceinline__ bool is_inside() const {
-    return x > 0 && x + kColumns < width() && planes.step == size_of(work.stored);
-  }
   // N pixels of row `y`, which is in bounds: the thread's columns and (N - kColumns) / 2 on either side, with the
   // replicate border.
   template <int N>
@@ -149,15 +149,17 @@ struct Columns {
         values[0] = kv::read(pixels[x > 0 ? -1 : 0]);
         values[N - 1] = kv::read(pixels[x + kColumns < width() ? kColumns : kColumns - 1]);
       }
-    } else if (is_inside()) {  // adjacent pixels at any address
+    } else if (are_inside) {  // adjacent pixels at any address
       T const* const pixels = reinterpret_cast<T const*>(at);
 #pragma unroll
       for (int i = 0; i < N; ++i) values[i] = kv::read(pixels[i - kBefore]);
     } else {
+      int const ahead = width() - 1 - x;
 #pragma unroll
-      for (int i = 0; i < N; ++i)
-        values[i] =
-            kv::read(*reinterpret_cast<T const*>(at + (clamp(x + i - kBefore, 0, width() - 1) - x) * planes.step));
+      for (int i = 0; i < N; ++i) {
+        int const from = i < kBefore ? max(i - kBefore, -x) : min(i - kBefore, ahead);
+        values[i] = kv::read(*reinterpret_cast<T const*>(at + from * planes.step));
+      }
     }
   }
   // Writes the columns that the block owns.
@@ -170,10 +172,11 @@ struct Columns {
       using T = decltype(type);
       if constexpr (Vectors) {
         if (position.owns(x)) store_vector(reinterpret_cast<T*>(at), values);
-      } else if (is_inside() && position.owns(x)) {  // then it owns all four
+      } else if (are_inside) {
         T* const pixels = reinterpret_cast<T*>(at);
+        if (position.owns(x))  // then it owns all four
 #pragma unroll
-        for (int j = 0; j < kColumns; ++j) pixels[j] = round_to<T>(values[j]);
+          for (int j = 0; j < kColumns; ++j) pixels[j] = round_to<T>(values[j]);
       } else {
 #pragma unroll
         for (int j = 0; j < kColumns; ++j)

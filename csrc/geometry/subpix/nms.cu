@@ -51,35 +51,71 @@ struct Climb {
                                // rows; NaN elsewhere
   float above[P], previous[P];  // the largest of the last R rows, and of the last row
 
-  // Takes a row of each plane, times the sign.
-  __device__ __forceinline__ void next(float const (&v)[2 * D + 1][P + 2 * R], float sign) {
+  // Takes a row and, with D = 1, the largest of the rows in front of it and behind it, all times the sign.
+  __device__ __forceinline__ void next(float const (&v)[P + 2 * R], float const (&others)[P + 2 * R], float sign) {
 #pragma unroll
     for (int n = 0; n < P; ++n) {
-      float adjacent[2 * D + 1], row[2 * D + 1];
-#pragma unroll
-      for (int k = 0; k <= 2 * D; ++k) {
-        auto const at = [&](int i) { return sign * v[k][n + i]; };
-        adjacent[k] = nan_max(at(0), at(2 * R));
-        if (R == 2)
-          adjacent[k] = nan_max(nan_max(at(0), at(1)), nan_max(at(3), at(4)));  // two neighboring pixels share a pair
-        row[k] = nan_max(adjacent[k], at(R));
-      }
+      auto const at = [&](int i) { return sign * v[n + i]; };
+      float adjacent = nan_max(at(0), at(2 * R));
+      if (R == 2) adjacent = nan_max(nan_max(at(0), at(1)), nan_max(at(3), at(4)));  // two neighboring pixels share a pair
       if (D == 1) {
-        float const others = nan_max(row[0], row[2 * D]);
-        adjacent[D] = nan_max(adjacent[D], others), row[D] = nan_max(row[D], others);
+#pragma unroll
+        for (int i = 0; i <= 2 * R; ++i) adjacent = nan_max(adjacent, sign * others[n + i]);
       }
+      float const middle = at(R), row = nan_max(adjacent, middle);
 #pragma unroll
       for (int j = 0; j < R; ++j) candidates[j][n] = candidates[j + 1][n];
-      float const middle = sign * v[D][n + R];
-      candidates[R][n] = middle > nan_max(adjacent[D], above[n]) ? middle : __uint_as_float(0x7fc00000);
-      above[n] = R == 1 ? row[D] : nan_max(row[D], previous[n]);
-      previous[n] = row[D];
+      candidates[R][n] = middle > nan_max(adjacent, above[n]) ? middle : __uint_as_float(0x7fc00000);
+      above[n] = R == 1 ? row : nan_max(row, previous[n]);
+      previous[n] = row;
     }
   }
   // The pixel in the row that is R above the last one.
   __device__ __forceinline__ float middle(int n) const { return candidates[0][n]; }
   __device__ __forceinline__ bool is_summit(int n) const { return candidates[0][n] > above[n]; }
 };
+
+// The larger of two numbers, or the smaller; NaN if either is.
+template <bool Larger>
+__device__ __forceinline__ float extreme(float a, float b) {
+  return Larger ? nan_max(a, b) : nan_min(a, b);
+}
+// The same of two words that hold two numbers each.
+template <bool Larger, class T>
+__device__ __forceinline__ uint32_t extremes_of_words(uint32_t a, uint32_t b) {
+  uint32_t y;
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
+  Vector<T, 2> of_a, of_b;
+  __builtin_memcpy(&of_a, &a, 4), __builtin_memcpy(&of_b, &b, 4);
+  for (int i = 0; i < 2; ++i) of_a.v[i] = round_to<T>(extreme<Larger>(read(of_a.v[i]), read(of_b.v[i])));
+  __builtin_memcpy(&y, &of_a, 4);
+#else
+  if constexpr (__is_same(T, Half) && Larger)
+    asm("max.NaN.f16x2 %0, %1, %2;" : "=r"(y) : "r"(a), "r"(b));
+  else if constexpr (__is_same(T, Half))
+    asm("min.NaN.f16x2 %0, %1, %2;" : "=r"(y) : "r"(a), "r"(b));
+  else if constexpr (Larger)
+    asm("max.NaN.bf16x2 %0, %1, %2;" : "=r"(y) : "r"(a), "r"(b));
+  else
+    asm("min.NaN.bf16x2 %0, %1, %2;" : "=r"(y) : "r"(a), "r"(b));
+#endif
+  return y;
+}
+template <bool Larger, class T, int N>
+__device__ __forceinline__ Vector<T, N> extremes(Vector<T, N> const& a, Vector<T, N> const& b) {
+  Vector<T, N> y;
+  if constexpr (sizeof(T) == 2 && N % 2 == 0) {
+    uint32_t of_a[N / 2], of_b[N / 2];
+    __builtin_memcpy(of_a, &a, sizeof(a)), __builtin_memcpy(of_b, &b, sizeof(b));
+#pragma unroll
+    for (int i = 0; i < N / 2; ++i) of_a[i] = extremes_of_words<Larger, T>(of_a[i], of_b[i]);
+    __builtin_memcpy(&y, of_a, sizeof(y));
+  } else {
+#pragma unroll
+    for (int i = 0; i < N; ++i) y.v[i] = round_to<T>(extreme<Larger>(read(a.v[i]), read(b.v[i])));
+  }
+  return y;
+}
 
 // How a strip of rows is accessed: rows of vectors, or rows that begin anywhere.
 template <int R, bool Aligned, int P>
@@ -109,6 +145,15 @@ struct Row {
     if (threadIdx.x % 32 == 0 && x > 0) left = *reinterpret_cast<Vector<T, R> const*>(at - R);
     if (threadIdx.x % 32 == 31 && x + P < width) right = *reinterpret_cast<Vector<T, R> const*>(at + P);
   }
+  // The larger, or smaller, elements of two rows.
+  template <bool Larger>
+  static __device__ __forceinline__ Row extremes_of(Row const& a, Row const& b) {
+    Row y;
+    y.own = extremes<Larger>(a.own, b.own);
+    y.left = extremes<Larger>(a.left, b.left);
+    y.right = extremes<Larger>(a.right, b.right);
+    return y;
+  }
   __device__ __forceinline__ void spread(RowStrip<R, true, P> const&, float (&v)[P + 2 * R]) const {
 #pragma unroll
     for (int i = 0; i < P; ++i) v[R + i] = read(own.v[i]);
@@ -137,13 +182,30 @@ struct Row<T, R, P, false> {
       fetched.halo = none<T>();
     }
   }
+  // Both begin at the same element of a word: they are two planes apart.
+  template <bool Larger>
+  static __device__ __forceinline__ Row extremes_of(Row const& a, Row const& b) {
+    constexpr int N = sizeof(a.fetched.words) / sizeof(T);
+    Vector<T, N> of_a, of_b;
+    __builtin_memcpy(&of_a, a.fetched.words, sizeof(of_a)), __builtin_memcpy(&of_b, b.fetched.words, sizeof(of_b));
+    of_a = extremes<Larger>(of_a, of_b);
+    Row y;
+    __builtin_memcpy(y.fetched.words, &of_a, sizeof(of_a));
+    y.fetched.halo = extremes<Larger>(Vector<T, 1>{a.fetched.halo}, Vector<T, 1>{b.fetched.halo}).v[0];
+    y.fetched.preceding = a.fetched.preceding;
+    return y;
+  }
   __device__ __forceinline__ void spread(RowStrip<R, false, P> const& strip, float (&v)[P + 2 * R]) const {
     strip.spread(fetched, v);
   }
 };
 
+// Blocks on a multiprocessor, for volumes: more of them hide more latency than the registers are worth. 0: any.
+template <class T, int D, bool Minima>
+constexpr int kStripBlocks = D == 0 ? 0 : sizeof(T) == 4 ? (Minima ? 10 : 14) : (Minima ? 8 : 10);
+
 template <class T, int R, int D, bool Minima, bool Aligned>
-__global__ void __launch_bounds__(kStripThreads)
+__global__ void __launch_bounds__(kStripThreads, kStripBlocks<T, D, Minima>)
     strips_down(__grid_constant__ Nms<T> const p, Strips<kPixels<T>> const strips) {
   constexpr int P = kPixels<T>, kPlanes = 2 * D + 1;
   int64_t plane;
@@ -174,12 +236,15 @@ __global__ void __launch_bounds__(kStripThreads)
 #pragma unroll(R + 1)
   for (int i = -2 * R; i < kRows; ++i) {
     if (y0 + i >= height) break;
-    float v[kPlanes][P + 2 * R];
-#pragma unroll
-    for (int k = 0; k < kPlanes; ++k) ahead[k].spread(strip, v[k]);
+    // Rows in front and behind are reduced before the threads exchange elements: two exchanges instead of three.
+    using AnyRow = Row<T, R, P, Aligned>;
+    float v[P + 2 * R], largest[P + 2 * R], smallest[P + 2 * R];
+    ahead[D].spread(strip, v);
+    if constexpr (D == 1) AnyRow::template extremes_of<true>(ahead[0], ahead[2]).spread(strip, largest);
+    if constexpr (D == 1 && Minima) AnyRow::template extremes_of<false>(ahead[0], ahead[2]).spread(strip, smallest);
     fetch(y0 + R + i + 1);
-    high.next(v, 1);
-    if constexpr (Minima) low.next(v, -1);
+    high.next(v, largest, 1);
+    if constexpr (Minima) low.next(v, smallest, -1);
     if (i < 0) continue;
     float shown[P];
     Vector<uint8_t, P> is_maximum, is_minimum;

@@ -42,6 +42,16 @@ BAD = [
 ]  # fmt: skip
 
 
+@pytest.mark.parametrize("solve", [G.solve_quadratic, G.solve_cubic, G.solve_quartic])
+def test_leading_axes(solve):
+    coeffs = torch.rand(
+        2, 3, 4, {G.solve_quadratic: 3, G.solve_cubic: 4, G.solve_quartic: 5}[solve], dtype=torch.float64
+    )
+    roots = solve(coeffs - 0.5)
+    assert roots.shape == (2, 3, 4, coeffs.shape[-1] - 1)
+    assert torch.equal(roots.flatten(0, 2), solve(coeffs.flatten(0, 2) - 0.5))
+
+
 @pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
 def test_errors(call, error, message):
     with pytest.raises(error, match=message) as caught:

@@ -18,16 +18,16 @@ def solve_quadratic(coeffs: Tensor) -> Tensor:
     """Find the real roots of a x^2 + b x + c.
 
     Args:
-        coeffs: (B, 3) as (a, b, c), floating point.
+        coeffs: (*, B, 3) as (a, b, c), floating point.
 
     Returns:
-        (B, 2): (-b + sqrt(b^2 - 4 a c)) / (2 a), then the one with the other sign, in a form that does not cancel. A
+        (*, B, 2): (-b + sqrt(b^2 - 4 a c)) / (2 a), then the one with the other sign, in a form that does not cancel. A
         double root stands there twice, zeros where there are none; the one root of b x + c comes first. Gradients are
         those of the roots, 0 for what is missing and at double roots that of -b / (2 a).
 
     Raises:
         TypeCheckError: `coeffs` is not a floating-point tensor.
-        ShapeError: `coeffs` is not (B, 3).
+        ShapeError: `coeffs` is not (*, B, 3).
 
     Example:
         >>> import torch, kvision as K
@@ -57,24 +57,23 @@ def solve_cubic(coeffs: Tensor) -> Tensor:
     """Find the real roots of a x^3 + b x^2 + c x + d.
 
     Args:
-        coeffs: (B, 4) as (a, b, c, d), floating point; with leading zeros of a lower degree.
+        coeffs: (*, B, 4) as (a, b, c, d), floating point; with leading zeros of a lower degree.
 
     Returns:
-        (B, 3), in ascending order, repeated ones repeated, followed by zeros for those that are missing. Gradients are
+        (*, B, 3), in ascending order, repeated ones repeated, followed by zeros for those that are missing. Gradients are
         those of the roots, 0 for what is missing and for repeated ones, which have none.
 
     Raises:
         TypeCheckError: `coeffs` is not a floating-point tensor.
-        ShapeError: `coeffs` is not (B, 4).
+        ShapeError: `coeffs` is not (*, B, 4).
 
     Example:
         >>> import torch, kvision as K
         >>> K.geometry.solve_cubic(torch.tensor([[1.0, 0.0, 0.0, -8.0]]))
         tensor([[2., 0., 0.]])
     """
-    _check.shape("solve_cubic", "coeffs", coeffs, "B", 4)
-    _check.floating("solve_cubic", "coeffs", coeffs)
-    return real_roots(coeffs).nan_to_num(0.0)
+    _check.floating_trailing_shape("solve_cubic", "coeffs", coeffs, "B", 4)
+    return _roots_or_zeros(coeffs)
 
 
 @in_full_precision
@@ -82,24 +81,31 @@ def solve_quartic(coeffs: Tensor) -> Tensor:
     """Find the real roots of a x^4 + b x^3 + c x^2 + d x + e.
 
     Args:
-        coeffs: (B, 5) as (a, b, c, d, e), floating point; with leading zeros of a lower degree.
+        coeffs: (*, B, 5) as (a, b, c, d, e), floating point; with leading zeros of a lower degree.
 
     Returns:
-        (B, 4), in ascending order, repeated ones repeated, followed by zeros for those that are missing. Gradients are
+        (*, B, 4), in ascending order, repeated ones repeated, followed by zeros for those that are missing. Gradients are
         those of the roots, 0 for what is missing and for repeated ones, which have none.
 
     Raises:
         TypeCheckError: `coeffs` is not a floating-point tensor.
-        ShapeError: `coeffs` is not (B, 5).
+        ShapeError: `coeffs` is not (*, B, 5).
 
     Example:
         >>> import torch, kvision as K
         >>> K.geometry.solve_quartic(torch.tensor([[1.0, 0.0, -5.0, 0.0, 4.0]]))
         tensor([[-2., -1.,  1.,  2.]])
     """
-    _check.shape("solve_quartic", "coeffs", coeffs, "B", 5)
-    _check.floating("solve_quartic", "coeffs", coeffs)
-    return real_roots(coeffs).nan_to_num(0.0)
+    _check.floating_trailing_shape("solve_quartic", "coeffs", coeffs, "B", 5)
+    return _roots_or_zeros(coeffs)
+
+
+def _roots_or_zeros(coeffs: Tensor) -> Tensor:
+    """Real roots (*, n) of polynomials (*, n + 1), and 0 for those that are missing."""
+    if coeffs.dim() == 2:
+        return real_roots(coeffs).nan_to_num(0.0)
+    roots = real_roots(coeffs.flatten(0, -2)).nan_to_num(0.0)
+    return roots.reshape(*coeffs.shape[:-1], coeffs.shape[-1] - 1)
 
 
 def _scaled(coeffs: Tensor) -> Tensor:

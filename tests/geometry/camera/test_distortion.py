@@ -70,6 +70,17 @@ def test_fisheye_equals_opencv(device):
     assert_close(C.undistort_points_kannala_brandt(result, FISHEYE.to(device)).cpu(), points, 1e-9, 1e-9)
 
 
+@pytest.mark.parametrize("largest", [0.05, 0.3])
+def test_wide_fisheyes_are_inverted(largest, device):
+    """Angles up to 83 degrees, distorted to radii up to 9: Newton's method starts far away."""
+    angle, direction = 1.45 * rand(2000), 6.28 * rand(2000)
+    points = torch.stack([angle.tan() * direction.cos(), angle.tan() * direction.sin()], -1)
+    params = torch.cat([torch.tensor([1.0, 1, 0, 0]).double().expand(2000, 4), largest * rand(2000, 4)], -1)
+    points, params = points.to(device), params.to(device)
+    back = C.undistort_points_kannala_brandt(C.distort_points_kannala_brandt(points, params), params)
+    assert_close(back, points, 1e-9, 1e-9)
+
+
 @pytest.mark.parametrize("position", [[0.0, 0.0], [1e-30, 0.0], [1e-6, 1e-6], [0.3, -0.4], [3.0, 4.0]])
 def test_jacobian_and_inverse_of_a_fisheye(position, device):
     p, k = torch.tensor(position, dtype=torch.float64, device=device), FISHEYE.to(device)

@@ -201,8 +201,9 @@ def _undistort_fisheye(pixels: Tensor, params: Tensor) -> Tensor:
     k = _coefficients(params)
     derivative = [c * n for c, n in zip(k, (1, 3, 5, 7, 9))]  # of the distorted angle by the angle
     fixed = square.detach(), [c.detach() for c in k], [c.detach() for c in derivative]
-    # The angle is `ratio` times the distorted radius: ratio * polynomial(angle^2) = 1.
-    ratio = torch.ones_like(square)
+    # The angle is `ratio` times the distorted radius: ratio * polynomial(angle^2) = 1. Newton's method starts from the radius
+    # or, above 1, its cube root: from far above, a polynomial of degree 9 lets a step shrink the angle by a ninth only.
+    ratio = fixed[0].clamp(min=1).pow(-1 / 3)
     for _ in range(10):
         ratio = _newton(ratio, *fixed)
     for _ in range(2):

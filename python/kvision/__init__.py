@@ -35,7 +35,9 @@ if TYPE_CHECKING:
         utils,
     )
     from kvision.color import bgr_to_rgb, rgb_to_grayscale
+    from kvision.constants import pi
     from kvision.contrib import extract_tensor_patches
+    from kvision.core import eye_like, vec_like
     from kvision.enhance import normalize  # type: ignore[no-redef]  # the name of a module of enhance as well
     from kvision.feature import (
         BlobHessian,
@@ -52,11 +54,15 @@ if TYPE_CHECKING:
         DepthWarper,
         HomographyWarper,
         ScalePyramid,
+        create_meshgrid,
+        create_meshgrid3d,
         find_homography_dlt_iterated,
         get_perspective_transform,
         homography_warp,
+        load_pointcloud_ply,
         normal_transform_pixel,
         pyrdown,
+        save_pointcloud_ply,
         warp_perspective,
     )
     from kvision.image import (
@@ -69,7 +75,7 @@ if TYPE_CHECKING:
         print_image,
         tensor_to_image,
     )
-    from kvision.losses import dice_loss, focal_loss, psnr_loss, ssim_loss, tversky_loss
+    from kvision.losses import dice_loss, focal_loss, one_hot, psnr_loss, ssim_loss, tversky_loss
     from kvision.patch import patch_kornia
     from kvision.utils import (
         get_cuda_device_if_available,
@@ -97,6 +103,8 @@ __all__ = [
     "constants",
     "contrib",
     "core",
+    "create_meshgrid",
+    "create_meshgrid3d",
     "dice_loss",
     "draw_convex_polygon",
     "draw_line",
@@ -105,6 +113,7 @@ __all__ = [
     "enhance",
     "extract_patches_from_pyramid",
     "extract_tensor_patches",
+    "eye_like",
     "feature",
     "filters",
     "find_homography_dlt_iterated",
@@ -122,28 +131,36 @@ __all__ = [
     "info",
     "io",
     "is_autocast_enabled",
+    "load_pointcloud_ply",
     "losses",
     "match_smnn",
     "metrics",
     "morphology",
     "normal_transform_pixel",
     "normalize",
+    "one_hot",
     "patch_kornia",
+    "pi",
     "print_image",
     "psnr_loss",
     "pyrdown",
     "rgb_to_grayscale",
+    "save_pointcloud_ply",
     "sobel",
     "ssim_loss",
     "tensor_to_image",
     "tversky_loss",
     "utils",
+    "vec_like",
     "warp_perspective",
     "xla_is_available",
 ]
 
 # Names at the top level, and their modules: those in the examples of Kornia's paper, and those that Kornia 0.9 has there.
 _HOMES = {
+    "pi": "constants",
+    "eye_like": "core",
+    "vec_like": "core",
     "bgr_to_rgb": "color",
     "rgb_to_grayscale": "color",
     "extract_tensor_patches": "contrib",
@@ -154,11 +171,15 @@ _HOMES = {
     "DepthWarper": "geometry",
     "HomographyWarper": "geometry",
     "ScalePyramid": "geometry",
+    "create_meshgrid": "geometry",
+    "create_meshgrid3d": "geometry",
     "find_homography_dlt_iterated": "geometry",
     "get_perspective_transform": "geometry",
     "homography_warp": "geometry",
+    "load_pointcloud_ply": "geometry",
     "normal_transform_pixel": "geometry",
     "pyrdown": "geometry",
+    "save_pointcloud_ply": "geometry",
     "warp_perspective": "geometry",
     "BlobHessian": "feature",
     "HardNet": "feature",
@@ -177,6 +198,7 @@ _HOMES = {
     "tensor_to_image": "image",
     "dice_loss": "losses",
     "focal_loss": "losses",
+    "one_hot": "losses",
     "psnr_loss": "losses",
     "ssim_loss": "losses",
     "tversky_loss": "losses",

@@ -7,10 +7,17 @@ namespace kv::filters::cuda {
 namespace {
 
 // Rows of a strip, chosen by measurements on an H200. The backward pass has a longer setup and reads more rows twice.
-constexpr int kRows = 8, kBackwardRows = 32;
+// Unaligned rows of half types are limited by instructions: where there are enough strips, higher ones read fewer rows
+// twice.
+constexpr int kRows = 8, kHighRows = 24, kBackwardRows = 32;
+constexpr int64_t kEnoughStrips = 3000;
+
+// Blocks on a multiprocessor; 0: any. Unaligned rows need more warps than the compiler would choose.
+template <class T, bool Aligned>
+constexpr int kBlocks = Aligned || sizeof(T) == 8 ? 0 : sizeof(T) == 4 ? 4 : 3;
 
 template <class T, bool Aligned>
-__global__ void __launch_bounds__(256) sobel_strip(Sobel<T> p, Strips<kPixels<T>> strips) {
+__global__ void __launch_bounds__(256, kBlocks<T, Aligned>) sobel_strip(Sobel<T> p, Strips<kPixels<T>> strips) {
   constexpr int P = kPixels<T>;
   using F = Compute<T>;
   int64_t plane;
@@ -25,8 +32,9 @@ __global__ void __launch_bounds__(256) sobel_strip(Sobel<T> p, Strips<kPixels<T>
   F a[P + 2], b[P + 2], c[P + 2];
   strip.load(a, rows.next());
   strip.load(b, rows.next());
-  // Half types have twice the pixels a thread. There more warps hide latency better than a prefetched row.
-  constexpr bool kPrefetch = P == 4;
+  // Half types have twice the pixels a thread. There more warps hide latency better than a prefetched row, unless rows
+  // are exchanged in shared memory.
+  constexpr bool kPrefetch = P == 4 || !Aligned;
   [[maybe_unused]] typename Strip<1, Aligned, P>::template FetchedRow<T> prefetched;
   if constexpr (kPrefetch) prefetched = strip.fetch(rows.next());
 #pragma unroll 3
@@ -215,9 +223,13 @@ __global__ void sobel_backward_any(SobelBackward<T> p) {
 template <class T>
 int sobel(Sobel<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
-  Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
   if (p.x.step == 1)
     with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y), [&](auto aligned) {
+      Strips<P> strips(p.x.count(), p.x.height, p.x.width, kRows);
+      if (sizeof(T) == 2 && !aligned.value) {
+        Strips<P> const high(p.x.count(), p.x.height, p.x.width, kHighRows);
+        if (high.count >= kEnoughStrips) strips = high;
+      }
       sobel_strip<T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
     });
   else

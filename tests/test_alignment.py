@@ -77,7 +77,7 @@ def test_slices_give_the_same_bits(name, before, after, dtype, device):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16], ids=str)
-@pytest.mark.parametrize("width", [129, 257, 299, 481, 513, 514, 517])
+@pytest.mark.parametrize("width", [129, 142, 257, 270, 299, 481, 513, 514, 517])
 @pytest.mark.parametrize("name", STENCILS)
 def test_odd_widths(name, width, dtype, device):
     """Far from the right border they agree with a wider image, near it with the reference."""

@@ -133,7 +133,8 @@ struct RowPrefetcher {
   Aligned const aligned;
   bool has_halo, has_filled, fills, source_in_ring;
   int halo;  // the first column that the thread copies of those on either side
-  [[maybe_unused]] unsigned words = 0;  // a bit for each word of a row that the thread copies, the last one for the halo
+  [[maybe_unused]] unsigned words =
+      0;  // a bit for each word of a row that the thread copies, the last one for the halo
   uint32_t column_to, halo_to;
   [[maybe_unused]] int unsafe_from = 0;     // the first row whose last vector may reach behind the image
   [[maybe_unused]] uint32_t preceding = 0;  // pixels that precede the last four rows, the latest row's in the low byte
@@ -171,8 +172,7 @@ struct RowPrefetcher {
     }
     if constexpr (!kPrecede && sizeof(T) >= 4) {
 #pragma unroll
-      for (int i = 0; i < P; ++i)
-        words |= column + 32 * i >= 0 && column + 32 * i < in_width ? 1u << i : 0;
+      for (int i = 0; i < P; ++i) words |= column + 32 * i >= 0 && column + 32 * i < in_width ? 1u << i : 0;
       words |= has_halo ? 1u << P : 0;
     }
     for (int i = lane; i < Rows * kPitch; i += 32) ring[0][i] = T{};
@@ -181,8 +181,8 @@ struct RowPrefetcher {
     filled = lane < 16 ? min(left, 0) - 1 - lane : max(min(left + 32 * P, in_width), left) + lane - 16;
     if (kPrecede && lane < 16 && left - 1 - lane >= in_width) filled = left - 1 - lane;
     has_filled = filled >= left - Radius && filled < left + 32 * P + Radius && (filled < 0 || filled >= in_width);
-    // No result reads pixels that are further behind the row. Their sources may be out of the ring: every row would wait
-    // for them.
+    // No result reads pixels that are further behind the row. Their sources may be out of the ring: every row would
+    // wait for them.
     source = has_filled && filled < in_width + Radius ? border_index(across, filled, in_width) : -1;
     if (!kPrecede) has_filled = source >= 0;  // zeros stay
     fills = __any_sync(0xffffffffu, has_filled);

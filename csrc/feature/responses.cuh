@@ -116,8 +116,8 @@ struct Columns {
   // Called by all threads of a warp.
   __device__ __forceinline__ Columns(Work<F> const& work, StoredPlanes const& planes, ColumnPosition const& position)
       : work(work), planes(planes), x(min(position.x, width() - (Vectors ? kColumns : 1))) {
-    are_inside = !Vectors && __all_sync(0xffffffffu, x > 0 && x + kColumns < width()) &&
-                 planes.step == size_of(work.stored);
+    are_inside =
+        !Vectors && __all_sync(0xffffffffu, x > 0 && x + kColumns < width()) && planes.step == size_of(work.stored);
     first = planes.plane(position.plane) + x * planes.step;
   }
   __device__ __forceinline__ int width() const { return int(work.x.width); }

@@ -14,7 +14,9 @@ constexpr int64_t kEnoughStrips = 3000;
 
 // Blocks on a multiprocessor; 0: any. Unaligned rows need more warps than the compiler would choose.
 template <class T, bool Aligned>
-constexpr int kBlocks = Aligned || sizeof(T) == 8 ? 0 : sizeof(T) == 4 ? 4 : 3;
+constexpr int kBlocks = Aligned || sizeof(T) == 8 ? 0
+                        : sizeof(T) == 4          ? 4
+                                                  : 3;
 
 template <class T, bool Aligned>
 __global__ void __launch_bounds__(256, kBlocks<T, Aligned>) sobel_strip(Sobel<T> p, Strips<kPixels<T>> strips) {

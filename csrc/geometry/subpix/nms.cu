@@ -57,7 +57,8 @@ struct Climb {
     for (int n = 0; n < P; ++n) {
       auto const at = [&](int i) { return sign * v[n + i]; };
       float adjacent = nan_max(at(0), at(2 * R));
-      if (R == 2) adjacent = nan_max(nan_max(at(0), at(1)), nan_max(at(3), at(4)));  // two neighboring pixels share a pair
+      if (R == 2)
+        adjacent = nan_max(nan_max(at(0), at(1)), nan_max(at(3), at(4)));  // two neighboring pixels share a pair
       if (D == 1) {
 #pragma unroll
         for (int i = 0; i <= 2 * R; ++i) adjacent = nan_max(adjacent, sign * others[n + i]);
@@ -202,7 +203,9 @@ struct Row<T, R, P, false> {
 
 // Blocks on a multiprocessor, for volumes: more of them hide more latency than the registers are worth. 0: any.
 template <class T, int D, bool Minima>
-constexpr int kStripBlocks = D == 0 ? 0 : sizeof(T) == 4 ? (Minima ? 10 : 14) : (Minima ? 8 : 10);
+constexpr int kStripBlocks = D == 0           ? 0
+                             : sizeof(T) == 4 ? (Minima ? 10 : 14)
+                                              : (Minima ? 8 : 10);
 
 template <class T, int R, int D, bool Minima, bool Aligned>
 __global__ void __launch_bounds__(kStripThreads, kStripBlocks<T, D, Minima>)

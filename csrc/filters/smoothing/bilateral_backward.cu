@@ -41,6 +41,41 @@ struct Window {
 
 constexpr int kRun = 4;
 
+// The positions out of bounds near a tile, R on each side of the image: those in rows of the tile, in columns from left
+// to right, then those above and below the image.
+template <int R>
+struct Frame {
+  static constexpr int kRows = rows_of(kRun), kWide = kColumns + 2 * R, kSides = 2 * R * kRows;
+  static constexpr int kSlots = kSides + 2 * R * kWide;
+  int y0, x0, height, width;
+
+  __device__ __forceinline__ bool contains(int y, int x) const {
+    return y >= y0 && y < y0 + kRows && x >= x0 && x < x0 + kColumns;
+  }
+  // Those that may have their border pixel in the tile are the first ones, or all of them, or none.
+  __device__ __forceinline__ int count() const {
+    if (y0 <= R || y0 + kRows + R >= height) return kSlots;
+    return x0 <= R || x0 + kColumns + R >= width ? kSides : 0;
+  }
+  __device__ __forceinline__ static int beyond(int k, int n) { return k < R ? k - R : n + k - R; }
+  __device__ __forceinline__ static int index(int at, int n) { return at < 0 ? at + R : at - n + R; }
+  // False for slots of rows and columns of the tile that are not in the image.
+  __device__ __forceinline__ bool locate(int slot, int& y, int& x) const {
+    if (slot < kSides) {
+      y = y0 + slot % kRows, x = beyond(slot / kRows, width);
+      return y < height;
+    }
+    int const k = (slot - kSides) / kWide, i = (slot - kSides) % kWide;
+    y = beyond(k, height), x = i < kColumns ? x0 + i : beyond(i - kColumns, width);
+    return i >= kColumns || x < width;
+  }
+  __device__ __forceinline__ int slot(int y, int x) const {
+    bool const outside_x = x < 0 || x >= width;
+    if (y >= 0 && y < height) return index(x, width) * kRows + y - y0;
+    return kSides + index(y, height) * kWide + (outside_x ? kColumns + index(x, width) : x - x0);
+  }
+};
+
 // Adds what pixel q receives from pixel p; see bilateral.h. Values are scaled to unit falloff in color: b and the
 // products with a have one factor of the scale, the derivative of the distance has the other one.
 template <int C, bool L1>
@@ -118,6 +153,48 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
   }
   __syncthreads();
 
+  auto const load = [&](int row, int column, float(&pixel)[C], float(&pixel_ab)[C + 1]) {
+#pragma unroll
+    for (int c = 0; c < C; ++c) {
+      pixel[c] = s.at(row, column)[c * s.size()];
+      pixel_ab[c] = ab.at(row, column)[c * ab.size()];
+    }
+    pixel_ab[C] = ab.at(row, column)[C * ab.size()];
+  };
+  // Adds what a position out of bounds, whose border pixel is `center`, receives.
+  auto const receive_beyond = [&](int at_y, int at_x, float const(&center)[C], float(&grad)[C]) {
+    Window const window(p, at_y, at_x, false);
+    for (int row = window.top; row <= window.bottom; ++row)
+      for (int column = window.left; column <= window.right; ++column) {
+        float pixel[C], pixel_ab[C + 1];
+        load(row, column, pixel, pixel_ab);
+        int const dy = row - at_y, dx = column - at_x;
+        float const space = falloff.space_y * float(dy * dy) + falloff.space_x * float(dx * dx);
+        float const none[C + 1] = {};  // a position out of bounds has no gradients
+        accumulate_gradient<C, L1>(space, pixel, pixel_ab, center, none, false, grad);
+      }
+  };
+  // In windows known at compile time a thread for each position out of bounds computes what its border pixel adds.
+  Frame<(R > 0 ? R : 1)> const frame{y0, x0, height, width};
+  float* const beyond = ab.data + (C + 1) * ab.size();
+  if constexpr (R > 0) {
+    if (p.border != Border::circular && p.border != Border::constant && frame.count() > 0) {
+      for (int task = threadIdx.x; task < frame.count(); task += kThreads) {
+        int at_y, at_x;
+        if (!frame.locate(task, at_y, at_x)) continue;
+        int const from_y = border_index(p.border, at_y, height), from_x = border_index(p.border, at_x, width);
+        if (!frame.contains(from_y, from_x)) continue;
+        float center[C], received[C] = {};
+#pragma unroll
+        for (int c = 0; c < C; ++c) center[c] = s.at(from_y, from_x)[c * s.size()];
+        receive_beyond(at_y, at_x, center, received);
+#pragma unroll
+        for (int c = 0; c < C; ++c) beyond[C * task + c] = received[c];
+      }
+      __syncthreads();
+    }
+  }
+
   int const x = x0 + threadIdx.x % kColumns, y = y0 + threadIdx.x / kColumns * kRun;
   if (x >= width || y >= height) return;
   float center[kRun][C], center_ab[kRun][C + 1], grad[kRun][C];
@@ -131,14 +208,6 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
     }
     center_ab[i][C] = ab.at(y + i, x)[C * ab.size()];
   }
-  auto const load = [&](int row, int column, float(&pixel)[C], float(&pixel_ab)[C + 1]) {
-#pragma unroll
-    for (int c = 0; c < C; ++c) {
-      pixel[c] = s.at(row, column)[c * s.size()];
-      pixel_ab[c] = ab.at(row, column)[c * ab.size()];
-    }
-    pixel_ab[C] = ab.at(row, column)[C * ab.size()];
-  };
   for (int dx = -rx; dx <= rx; ++dx) {
     auto const pixel_row = [&](int row) {
       float pixel[C], pixel_ab[C + 1];
@@ -163,15 +232,13 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
     if (y + i >= height) return;
     for_each_reader_once(p, y + i, x, [&](int at_y, int at_x) {
       if (at_y == y + i && at_x == x) return;
-      Window const window(p, at_y, at_x, false);
-      for (int row = window.top; row <= window.bottom; ++row)
-        for (int column = window.left; column <= window.right; ++column) {
-          float pixel[C], pixel_ab[C + 1];
-          load(row, column, pixel, pixel_ab);
-          int const dy = row - at_y, dx = column - at_x;
-          float const space = falloff.space_y * float(dy * dy) + falloff.space_x * float(dx * dx);
-          accumulate_gradient<C, L1>(space, pixel, pixel_ab, center[i], center_ab[i], false, grad[i]);
-        }
+      if constexpr (R > 0) {
+        float const* const from = beyond + C * frame.slot(at_y, at_x);
+#pragma unroll
+        for (int c = 0; c < C; ++c) grad[i][c] += from[c];
+      } else {
+        receive_beyond(at_y, at_x, center[i], grad[i]);
+      }
     });
     T* const out = p.grad_x.row(b, 0, y + i) + x * p.grad_x.step;
 #pragma unroll
@@ -276,7 +343,8 @@ bool launch_tile(BilateralBackward<T> const& p, CUstream_st* stream) {
   auto const kernel = bilateral_backward_tile<T, C, L1, R>;
   int64_t const ry = p.ky / 2, rx = p.kx / 2;
   int64_t const bytes = sizeof(float) * (C * (rows_of(kRun) + 4 * ry) * (kColumns + 4 * rx) +
-                                         (C + 1) * (rows_of(kRun) + 2 * ry) * (kColumns + 2 * rx));
+                                         (C + 1) * (rows_of(kRun) + 2 * ry) * (kColumns + 2 * rx) +
+                                         (R > 0 ? C * Frame<(R > 0 ? R : 1)>::kSlots : 0));
   if (!fits(kernel, bytes)) return false;
   Tiles<kRun> const tiles(p.x.batch, p.x.height, p.x.width);
   kernel<<<tiles.count, kThreads, bytes, stream>>>(p, tiles);

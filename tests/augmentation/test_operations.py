@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
+import pickle
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
+import kvision as K
+import kvision.augmentation as A
 from kvision.augmentation.auto import operations as O
 
 NAMES = [n for n in O.__all__ if n not in ("OperationBase", "PolicySequential")]
@@ -79,6 +83,54 @@ def test_policies() -> None:
         O.OperationBase(torch.nn.Identity())
     with pytest.raises(ValueError, match="temperature"):
         O.Invert(temperature=0.0)
+    with pytest.raises(TypeError, match="Invert: expected temperature to be a number, got str"):
+        O.Invert(temperature="low")
+    with pytest.raises(TypeError, match="Brightness: expected initial_magnitude to be a number, got str"):
+        O.Brightness(initial_magnitude="high")
+
+
+@names
+def test_labels_follow_and_containers_replay(name: str, device: torch.device) -> None:
+    x, points = images(device), torch.rand(8, 4, 2, device=device) * 10
+    operation = getattr(O, name)().to(device)
+    augment = A.AugmentationSequential(
+        A.RandomHorizontalFlip(), O.PolicySequential(operation), data_keys=["image", "mask", "keypoints"]
+    )
+    state = torch.get_rng_state()
+    y, masks, moved = augment(x, x, points, seed=torch.arange(8))
+    assert torch.equal(torch.get_rng_state(), state)  # seeds leave the generator alone
+    expected = K.geometry.linalg.transform_points(augment.transform_matrix.detach(), points)
+    torch.testing.assert_close(moved, expected, atol=1e-4, rtol=1e-4)
+    chosen = (operation._params["batch_prob"] > 0.5).to(device)
+    assert 0 < chosen.sum() < 8
+    moves = operation.transform_matrix.detach() != torch.eye(3, device=device)
+    assert torch.equal(moves.flatten(1).any(1), chosen & isinstance(operation.op, A.GeometricAugmentationBase2D))
+    for part, again in zip((y, masks, moved), augment(x, x, points, params=augment._params)):
+        assert torch.equal(part, again)
+    torch.testing.assert_close(augment.inverse(moved, data_keys=["keypoints"]), points, atol=1e-4, rtol=1e-4)
+    for part, some in zip((y, masks, moved), augment(x[3:], x[3:], points[3:], seed=torch.arange(3, 8))):
+        torch.testing.assert_close(part[3:], some)
+
+
+def test_frames_of_a_video_share_what_is_drawn(device: torch.device) -> None:
+    video = A.VideoSequential(O.Rotate(initial_probability=0.5), O.Posterize(), data_format="BTCHW", same_on_frame=True)
+    y = video.to(device)(images(device)[:, None].expand(-1, 3, -1, -1, -1))
+    assert torch.equal(y[:, 0], y[:, 2])
+
+
+def test_other_parameters_follow_the_seed(device: torch.device) -> None:
+    operation = O.OperationBase(A.RandomAffine(30.0, (0.2, 0.2), p=0.5), [("angle", 10.0)]).to(device)
+    first, second = operation(images(device), seed=1), operation(images(device), seed=1)
+    assert torch.equal(first, second)
+    assert operation._params["translations"].unique(dim=0).shape[0] == 8
+
+
+@names
+def test_copies_and_pickles_have_the_settings(name: str) -> None:
+    operation = getattr(O, name)()
+    y = operation(images(), seed=3)
+    for other in (copy.deepcopy(operation), pickle.loads(pickle.dumps(operation))):
+        assert torch.equal(other(images(), seed=3), y)
 
 
 def test_signatures_are_those_of_kornia() -> None:

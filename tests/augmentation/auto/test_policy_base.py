@@ -287,6 +287,28 @@ def test_an_empty_batch_and_one_image(make: Any, device: torch.device) -> None:
 
 
 @policies_and_mixtures
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.uint8])
+def test_gray_images_are_those_of_three_equal_channels(make: Any, dtype: torch.dtype, device: torch.device) -> None:
+    x, augment = images(device, 64, dtype)[:, :1], make()
+    y = augment(x, seed=5)
+    assert y.shape == x.shape
+    expected = augment(x.expand(-1, 3, -1, -1), seed=5)[:, :1]
+    # Of uint8, each of up to four steps rounds, and the next one may triple the difference.
+    share = ((y.double() - expected.double()).abs() > (1 if dtype == torch.uint8 else 1e-5)).double().mean()
+    assert share < 0.01
+
+
+@pytest.mark.parametrize("make", [*POLICIES.values(), AugMix], ids=[*POLICIES, "mixture"])
+@pytest.mark.parametrize("channels", [2, 4])
+def test_images_of_other_channels(make: Any, channels: int, device: torch.device) -> None:
+    x = torch.rand(2, channels, 8, 8, device=device)
+    with pytest.raises(ValueError, match=rf"Aug\w*: expected images of 1 or 3 channels for .*got \(2, {channels}, 8, 8\)"):
+        make()(x)
+    without = PolicyAugmentBase([[("rotate", 1.0, 0.0, 30.0), ("equalize", 1.0, 0.0, 0.0)]])
+    assert without(x).shape == x.shape
+
+
+@policies_and_mixtures
 def test_gradients_reach_images(make: Any, device: torch.device) -> None:
     x = images(device).requires_grad_()
     make()(x).sum().backward()

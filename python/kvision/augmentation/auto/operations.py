@@ -7,6 +7,7 @@ ECCV 2020.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Generator, Tensor, nn
@@ -14,9 +15,12 @@ from torch import Generator, Tensor, nn
 import kvision.augmentation as A
 from kvision.augmentation.base import AugmentationBase2D, Params
 from kvision.augmentation.columns import draw_columns
+from kvision.augmentation.configuration import Plans
 from kvision.augmentation.container.image import ImageSequential
+from kvision.augmentation.container.runs import Randomness
+from kvision.augmentation.container.stages import Applied, Stage
 from kvision.augmentation.draws import Request, uniform
-from kvision.augmentation.keys import Seed, draw_keys
+from kvision.augmentation.keys import Seed, check_seeds, draw_keys
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = [
@@ -102,6 +106,10 @@ class OperationBase(nn.Module):
                 value = sum(self.magnitude_range or (0.0, 1.0)) / 2
             self._magnitude = nn.Parameter(torch.tensor([float(value)]))
 
+    def __getstate__(self) -> dict[str, Any]:
+        # Copies and pickles have the settings, not the last call.
+        return {name: value for name, value in self.__dict__.items() if name != "_params"}
+
     @property
     def magnitude(self) -> Tensor | None:
         """The magnitude within its range; None for an operation without one."""
@@ -142,12 +150,27 @@ class OperationBase(nn.Module):
         Returns:
             Parameters by name, with `batch_prob` (B,), which has a gradient to the probability.
         """
-        shape, device = tuple(batch_shape), self._probability.device
-        keys = draw_keys(type(self).__name__, 1, device, seed, generator)
-        request = Request([uniform(0.0, 1.0), uniform(0.0, 1.0)], same_on_batch=False)
-        (columns,) = draw_columns(torch.empty(shape[0], device=device), keys, [request])
-        words = columns.values if not self.is_batch_operation else columns.values[:1].expand(shape[0], 2)
-        params = dict(self.op.generate_parameters(shape))
+        return self._draw(Randomness(type(self).__name__, seed, generator, False, Plans()), tuple(batch_shape), mag)
+
+    def _draw(self, source: Randomness, shape: tuple[int, ...], mag: Tensor | None = None) -> Params:
+        """Draw the parameters of a call: first the choice and the sign, then what the augmentation draws."""
+        device, generator = self._probability.device, self.op._param_generator
+        of_op = None if generator is None or generator.per_pixel else self.op._request(shape)
+        requests = [Request([uniform(0.0, 1.0), uniform(0.0, 1.0)], same_on_batch=False)]
+        if of_op is not None:
+            requests.append(of_op)
+        keys = draw_keys(source.op, len(requests), device, source.seed_of_samples, source.generator)
+        samples = len(range(0, shape[0], source.frames))
+        check_seeds(source.op, keys, samples)
+        position = source.position if keys.one_key else 0
+        drawn = draw_columns(torch.empty(samples, device=device), keys, requests, position)
+        words, *of_op_values = (columns.values.repeat_interleave(source.frames, 0) for columns in drawn)
+        if self.is_batch_operation:
+            words = words[:1].expand(shape[0], 2)
+        if generator is not None and of_op_values:
+            params = generator.to_params(of_op_values[0], shape)
+        else:
+            params = dict(self.op.generate_parameters(shape))
         params = {name: x.to(device) if isinstance(x, Tensor) else x for name, x in params.items()}
         magnitude = self.magnitude if mag is None else mag
         if self._factor_name is not None and magnitude is not None:
@@ -192,6 +215,17 @@ class OperationBase(nn.Module):
         x = self.op.transform_tensor(input)
         if params is None:
             params = self.forward_parameters(tuple(x.shape), seed=seed, generator=generator)
+        return self._augment(x, params)
+
+    def _execute_nested(self, x: Tensor, params: Params | None, source: Randomness) -> tuple[Tensor, Stage]:
+        """Run in a container: the images, and what labels have to follow."""
+        if params is None:
+            params = self._draw(source._replace(op=type(self).__name__), tuple(x.shape))
+        y = self._augment(x, params)
+        chosen = {**params, "batch_prob": params["batch_prob"].detach()}
+        return y, Applied(self.op, self.op._execution_of(chosen, x, self.op.flags), self.op.flags)
+
+    def _augment(self, x: Tensor, params: Params) -> Tensor:
         self._params = params
         chosen = params["batch_prob"].to(x.device)[:, None, None, None]
         # Applied to all samples: the gradient to the probability needs the results of samples that are not chosen, too.

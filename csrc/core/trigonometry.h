@@ -61,8 +61,8 @@ KV_HD void sin_cos_near_zero(Double4 x, Double4& sine, Double4& cosine) {
   replace_far_sin_cos(x, 0.7854, sine, cosine);
 }
 
-// x = n pi / 2 + r, |r| <= pi / 4. Pi / 2 is a sum of three numbers, of which the first two have so few digits that their
-// products with n are exact.
+// x = n pi / 2 + r, |r| <= pi / 4. Pi / 2 is a sum of three numbers, of which the first two have so few digits that
+// their products with n are exact.
 KV_HD void sin_cos(Double4 x, Double4& sine, Double4& cosine) {
   constexpr double most = 1e6, shift = 0x1.8p52;
   Double4 const shifted = x * 0.63661977236758134308 + shift, n = shifted - shift;

@@ -75,7 +75,14 @@ if TYPE_CHECKING:
         print_image,
         tensor_to_image,
     )
-    from kvision.losses import dice_loss, focal_loss, one_hot, psnr_loss, ssim_loss, tversky_loss
+    from kvision.losses import (  # type: ignore[no-redef]  # one_hot is the name of a module of losses as well
+        dice_loss,
+        focal_loss,
+        one_hot,
+        psnr_loss,
+        ssim_loss,
+        tversky_loss,
+    )
     from kvision.patch import patch_kornia
     from kvision.utils import (
         get_cuda_device_if_available,

@@ -104,9 +104,7 @@ def draw_samples(
     if not isinstance(image, Tensor):
         raise TypeCheckError(f"preview: expected the image to be a Tensor, got {type(image).__name__}")
     if image.dim() not in (3, 4) or 0 in image.shape:
-        raise ShapeError(
-            f"preview: expected an image of shape (C, H, W) or (B, C, H, W), got {tuple(image.shape)}"
-        )
+        raise ShapeError(f"preview: expected an image of shape (C, H, W) or (B, C, H, W), got {tuple(image.shape)}")
     batch = 1 if image.dim() == 3 else len(image)
     batches = [_as_batch(key, value, image.dim() == 3) for key, value in zip(keys, inputs)]
     pipeline = augment

@@ -33,9 +33,7 @@ class VideoLayout(NamedTuple):
         if not isinstance(videos, Tensor):
             raise TypeCheckError(f"{op}: expected input to be a Tensor, got {type(videos).__name__}")
         if videos.dim() != 5:
-            raise _RankError(
-                f"{op}: expected input of shape ({', '.join(data_format)}), got {tuple(videos.shape)}"
-            )
+            raise _RankError(f"{op}: expected input of shape ({', '.join(data_format)}), got {tuple(videos.shape)}")
         t = data_format.index("T")
         return cls(op, data_format, (videos.shape[0], videos.shape[t]))
 

@@ -13,6 +13,7 @@ import torch
 from torch import Generator, Tensor, nn
 
 import kvision.augmentation as A
+from kvision import _check
 from kvision.augmentation.base import AugmentationBase2D, Params
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.configuration import Plans
@@ -92,19 +93,20 @@ class OperationBase(nn.Module):
         op = type(self).__name__
         if not isinstance(operation, AugmentationBase2D):
             raise TypeCheckError(f"{op}: expected operation to be an augmentation, got {type(operation).__name__}")
+        temperature = _check.number(op, "temperature", temperature)
         if not temperature > 0:
             raise ValueCheckError(f"{op}: expected temperature above 0, got {temperature}")
         self.probability_range = (1e-7, 1 - 1e-7)
         self._probability = nn.Parameter(torch.tensor([float(operation.p)]))
         operation.p = 1.0
-        self.op, self.temperature, self.is_batch_operation = operation, float(temperature), is_batch_operation
+        self.op, self.temperature, self.is_batch_operation = operation, temperature, is_batch_operation
         self.magnitude_fn, self.symmetric_megnitude = magnitude_fn, symmetric_megnitude
         self._factor_name = None
         if initial_magnitude is not None:
             self._factor_name, value = initial_magnitude[0]
             if value is None:
                 value = sum(self.magnitude_range or (0.0, 1.0)) / 2
-            self._magnitude = nn.Parameter(torch.tensor([float(value)]))
+            self._magnitude = nn.Parameter(torch.tensor([_check.number(op, "initial_magnitude", value)]))
 
     def __getstate__(self) -> dict[str, Any]:
         # Copies and pickles have the settings, not the last call.

@@ -9,7 +9,7 @@ from torch import Generator
 
 from kvision import _check
 from kvision._check import UnknownChoiceError
-from kvision.augmentation.auto.policy_base import LEVELS, PolicyAugmentBase
+from kvision.augmentation.auto.policy_base import LEVELS, PolicyAugmentBase, sub_policies
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = ["AutoAugment", "RandAugment", "TrivialAugment"]
@@ -181,7 +181,7 @@ class AutoAugment(PolicyAugmentBase):
                     f"AutoAugment: expected policy to be one of {listed} or a list, got {policy!r}"
                 )
             policy = _parse(_AUTO_POLICIES[policy])
-        entries = [[_at_level(entry) for entry in part] for part in policy]
+        entries = [[_at_level(entry) for entry in part] for part in sub_policies("AutoAugment", policy)]
         super().__init__(entries, transformation_matrix_mode, same_on_batch=same_on_batch, generator=generator)
 
 
@@ -227,7 +227,8 @@ class RandAugment(PolicyAugmentBase):
             raise TypeCheckError(f"RandAugment: expected n to be an int, got {n!r}")
         if n < 1:
             raise ValueCheckError(f"RandAugment: expected n of at least 1, got {n}")
-        if not 0 < m < LEVELS:
+        m = _check.scalar("RandAugment", "m", m)
+        if not 0 < _check.number("RandAugment", "m", m) < LEVELS:
             raise ValueCheckError(f"RandAugment: expected m between 0 and {LEVELS}, got {m}")
         entries = []
         for name, low, high in _single("RandAugment", self.default_policy if policy is None else policy):
@@ -300,9 +301,10 @@ def _at_level(entry: Any) -> tuple[str, float, float, float]:
 def _single(op: str, policy: Sequence[Any]) -> list[tuple[str, float, float]]:
     """The entries of a policy whose sub-policies have one operation each."""
     entries = []
-    for part in policy:
+    for part in sub_policies(op, policy):
         if len(part) != 1 or isinstance(part[0], str) or not isinstance(part[0], Sequence) or len(part[0]) != 3:
             raise TypeCheckError(f"{op}: expected sub-policies of one entry (name, low, high), got {part!r}")
         name, low, high = part[0]
-        entries.append((name, float(low), float(high)))
+        low, high = (_check.number(op, f"the values of {name!r}", value) for value in (low, high))
+        entries.append((name, low, high))
     return entries

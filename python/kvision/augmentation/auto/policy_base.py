@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator, Tensor
 
+from kvision import _check
 from kvision._ops import FastPath
 from kvision.augmentation.auto.operation_table import OPERATIONS, execute_steps
 from kvision.augmentation.columns import DrawPlan, fits_one_launch, plan_draws
@@ -64,8 +65,8 @@ class PolicyAugmentBase(ImageSequential):
         generator: draws the keys of each call; default: torch's generator.
 
     Raises:
-        TypeError: an entry does not have the form in Args.
-        ValueError: the policy is empty; an operation is unknown; a probability is not within 0 and 1. A call raises it for
+        TypeError: an entry does not have the form in Args; `count` is not an int.
+        ValueError: the policy is empty; `count` is below 1; an operation is unknown; a probability is not within 0 and 1. A call raises it for
             images of other than one or three channels, if the policy has color or contrast.
 
     Example:
@@ -95,8 +96,13 @@ class PolicyAugmentBase(ImageSequential):
                 f"{op}: expected transformation_matrix_mode to be 'silent', 'rigid' or 'skip', got "
                 f"{transformation_matrix_mode!r}"
             )
+        count = _check.scalar(op, "count", count)
+        if not isinstance(count, int) or isinstance(count, bool):
+            raise TypeCheckError(f"{op}: expected count to be an int, got {count!r}")
+        if count < 1:
+            raise ValueCheckError(f"{op}: expected count of at least 1, got {count}")
         self.transformation_matrix_mode, self.count = transformation_matrix_mode, count
-        self.policy = [[_entry(op, entry) for entry in part] for part in policy]
+        self.policy = [[_entry(op, entry) for entry in part] for part in sub_policies(op, policy)]
         if not self.policy or not all(self.policy):
             raise ValueCheckError(f"{op}: expected policy to be sub-policies with at least one operation each")
         self._length = max(len(part) for part in self.policy)
@@ -239,6 +245,15 @@ class PolicyAugmentBase(ImageSequential):
         return all(OPERATIONS[name].neutral != 0 for names in self._names for name in names)
 
 
+def sub_policies(op: str, policy: Any) -> Sequence[Sequence[Any]]:
+    """A policy, if it is a sequence of sequences."""
+    for part in (policy, *policy) if isinstance(policy, Sequence) else (policy,):
+        if isinstance(part, str) or not isinstance(part, Sequence):
+            raise TypeCheckError(f"{op}: expected policy to be sub-policies, lists of entries, got {policy!r}")
+    checked: Sequence[Sequence[Any]] = policy
+    return checked
+
+
 def _entry(op: str, entry: Sequence[Any]) -> Entry:
     """An entry that was checked."""
     if isinstance(entry, str) or not isinstance(entry, Sequence) or len(entry) != 4:
@@ -246,9 +261,11 @@ def _entry(op: str, entry: Sequence[Any]) -> Entry:
     name, probability, low, high = entry
     if name not in OPERATIONS:
         raise ValueCheckError(f"{op}: expected operations to be one of {', '.join(OPERATIONS)}, got {name!r}")
+    probability = _check.number(op, f"the probability of {name!r}", probability)
+    low, high = (_check.number(op, f"the values of {name!r}", value) for value in (low, high))
     if not 0 <= probability <= 1:
         raise ValueCheckError(f"{op}: expected the probability of {name!r} within 0 and 1, got {probability}")
-    return Entry(name, float(probability), float(low), float(high))
+    return Entry(name, probability, low, high)
 
 
 def _row(entry: Entry | None) -> list[float]:

@@ -110,7 +110,10 @@ KV_HD ResizeAxis::ResizeAxis(ResizeFilter filter, int64_t source, int64_t result
   unit = antialias ? max(num, den) : den;
   per_den = 1. / double(den);
   per_num = num ? 1. / double(num) : 0;
-  per_unit = 1. / double(unit);
+  per_unit = unit == den ? per_den : per_num;
+  // n / den and n / num rounded up.
+  auto const ceil_div_den = [&](int64_t n) { return floor_div(n + den - 1); };
+  auto const ceil_div_num = [&](int64_t n) { return floor_div_num(n + num - 1); };
   bool const shrinks = num > den;
   int64_t taps, readers;  // pixels in a band, and bands that a pixel is in
   switch (filter) {
@@ -123,14 +126,14 @@ KV_HD ResizeAxis::ResizeAxis(ResizeFilter filter, int64_t source, int64_t result
       readers = shrinks ? 2 : ceil_div(result, source) + 1;
       break;
     case ResizeFilter::pyrdown:
-      taps = 6, readers = num ? ceil_div(6 * den, num) : result;
+      taps = 6, readers = num ? ceil_div_num(6 * den) : result;
       break;
     case ResizeFilter::pyrup:
-      taps = 4, readers = num ? ceil_div(2 * den, num) + 4 : result;
+      taps = 4, readers = num ? ceil_div_num(2 * den) + 4 : result;
       break;
     default:  // windows are 0 at both ends
-      taps = ceil_div(2 * filter_radius(filter) * unit, den);
-      readers = num ? ceil_div(2 * filter_radius(filter) * unit, num) : result;
+      taps = ceil_div_den(2 * filter_radius(filter) * unit);
+      readers = num ? ceil_div_num(2 * filter_radius(filter) * unit) : result;
   }
   max_taps = int(backward ? min(readers, result) : min(taps, source));
   max_readers = int(backward ? min(taps, source) : min(readers, result));
@@ -149,11 +152,11 @@ KV_HD F sin_pi(F x) {  // by its series; 0 at the integers
 }
 
 template <class F>
-KV_HD F filter_at(ResizeAxis const& a, F x) {
+KV_HD F filter_at(ResizeFilter filter, bool antialias, F x) {
   x = x < 0 ? -x : x;
-  if (a.filter == ResizeFilter::bilinear) return x < 1 ? 1 - x : F(0);
-  if (a.filter == ResizeFilter::bicubic) {
-    F const k = a.antialias ? F(-0.5) : F(-0.75);  // as Pillow and OpenCV
+  if (filter == ResizeFilter::bilinear) return x < 1 ? 1 - x : F(0);
+  if (filter == ResizeFilter::bicubic) {
+    F const k = antialias ? F(-0.5) : F(-0.75);  // as Pillow and OpenCV
     if (x <= 1) return cubic_inner(k, x);
     return x < 2 ? cubic_outer(k, x - 1, 2 - x) : F(0);
   }
@@ -232,7 +235,7 @@ KV_HD Band<F> extent(ResizeAxis const& a, int i) {
 // The window at a distance in units of 1 / den. The product is as exact in float as a division.
 template <class F>
 KV_HD F window_at(ResizeAxis const& a, int64_t distance) {
-  return filter_at(a, sizeof(F) == 4 ? F(double(distance) * a.per_unit) : F(distance) / F(a.unit));
+  return filter_at(a.filter, a.antialias, sizeof(F) == 4 ? F(double(distance) * a.per_unit) : F(distance) / F(a.unit));
 }
 
 // A pixel's weight in pixel i of the result, before it is divided by their sum.

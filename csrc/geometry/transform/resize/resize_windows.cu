@@ -1,10 +1,9 @@
-// Antialiased resizing of windows on CUDA, and its gradient. A block has a tile of the output of one sample. Backward,
-// the output is the gradient of the image; it is 0 outside of the window.
+// Antialiased resizing of windows on CUDA, and its gradient. A block has a tile of the output of one sample, some
+// planes of it. Backward, the output is the gradient of the image; it is 0 outside of the window.
 //
 //   weights   The block computes those of its columns and of its rows once.
-//   down      Each row of the tile is the weighted sum of a few rows of the input: a line in shared memory.
-//   across    Each pixel is the weighted sum of a few pixels of its line. A thread keeps the weights of a column in
-//             registers, and goes through the lines.
+//   down      A thread has a column of the output, and its weights in registers. It goes down the rows of the input:
+//             each is weighted along x once, and then along y, for the rows of the output that read it.
 //
 // A mirrored window has the same weights in reverse order: positions in the tile are mirrored, nothing else is.
 #include "core/launch.cuh"
@@ -14,59 +13,98 @@
 namespace kv::geometry::cuda {
 namespace {
 
-constexpr int kThreads = 256;
-constexpr int kMaxColumns = 256, kMinColumns = 64, kMaxPlanes = 4;  // of a tile; columns count elements
-constexpr int kMaxLines = 16, kMaxRounds = 4;                       // rows at a time, and how many times
-constexpr int kBlocks = 4;                                          // on a multiprocessor at once
-constexpr int64_t kShared = 54 << 10;                               // of each
+constexpr int kThreads = 256;          // at most, of a block
+constexpr int kMaxColumns = kThreads;  // of a tile; columns count elements
+constexpr int kMinRows = 4, kMaxRows = 32;
+constexpr int kAhead = 2;              // rows that a thread reads before it needs them
+constexpr int kPlanes = 3;             // of a thread, if samples have so many or a multiple of them
+constexpr int kBlocks = 4;             // on a multiprocessor at once, of the most threads
+constexpr int64_t kShared = 54 << 10;  // of each
 
 // How the output is divided among blocks, and the capacities of their shared memory in numbers.
 struct WindowTiles {
   unsigned across, down, groups;  // tiles of columns and of rows, groups of planes
-  int columns, rows, planes;      // of a tile; columns in pixels
-  int lines;                      // rows at a time
-  int span;                       // of a line
-  int weights_x, weights_y;       // all of them
+  int columns, rows;              // of a tile; columns in pixels
+  int weights, steps;             // of all columns, of the rows
   int64_t bytes;
 };
 
-// One axis of a sample's window.
+// Pixels that a pixel reads.
+struct Reads {
+  int first, count;
+  __device__ int last() const { return first + count - 1; }
+};
+
+// One axis of a sample's window: the numbers of ResizeAxis in 32 bits, which suffice for tiles. A block computes many.
 struct WindowAxis {
-  ResizeAxis axis;
-  Window window;
+  ResizeFilter filter;
+  bool backward, mirrored;
+  int first, source, result;  // of the window; sizes of the window and of what it is resized to
+  int origin, num, den, unit, reach;
+  float per_den, per_num, per_unit;
+  int max_taps;  // that a pixel of the output reads
+
+  __device__ WindowAxis(Window const& window, ResizeFilter filter, int result, bool align_corners, bool backward)
+      : filter(filter),
+        backward(backward),
+        mirrored(window.mirrored),
+        first(window.first),
+        source(window.size),
+        result(result),
+        origin(align_corners ? 0 : source - result),
+        num(!align_corners ? 2 * source
+            : result > 1   ? source - 1
+                           : 0),
+        den(!align_corners ? 2 * result
+            : result > 1   ? result - 1
+                           : 1),
+        unit(max(num, den)),
+        reach(filter_radius(filter) * unit),
+        per_den(1 / float(den)),
+        per_num(num ? 1 / float(num) : 0),
+        per_unit(unit == den ? per_den : per_num) {
+    max_taps = !backward ? min(rounded_down(2 * reach + den - 1, den, per_den), source)
+               : num     ? min(rounded_down(2 * reach + num - 1, num, per_num), result)
+                         : result;
+  }
+  // The quotient is not above 2^22.
+  static __device__ __forceinline__ int rounded_down(int n, int divisor, float reciprocal) {
+    int const q = __float2int_rd(float(n) * reciprocal), rest = n - q * divisor;
+    return rest < 0 ? q - 1 : rest < divisor ? q : q + 1;
+  }
 
   // Where the axis begins in the input and in the output, and its length there.
-  __device__ int in_first() const { return axis.backward ? 0 : window.first; }
-  __device__ int out_first() const { return axis.backward ? window.first : 0; }
-  __device__ int out_size() const { return axis.backward ? axis.source : axis.result; }
+  __device__ int in_first() const { return backward ? 0 : first; }
+  __device__ int out_first() const { return backward ? first : 0; }
+  __device__ int in_size() const { return backward ? result : source; }
+  __device__ int out_size() const { return backward ? source : result; }
   // Positions of the output, and indices along the axis.
   __device__ int index_of(int position) const {
     int const i = position - out_first();
-    return window.mirrored ? out_size() - 1 - i : i;
+    return mirrored ? out_size() - 1 - i : i;
   }
-  __device__ int in_size() const { return axis.backward ? axis.result : axis.source; }
-  __device__ Contributors<float> contributors(int index) const {
-    if (!axis.backward) {
-      Band<float> const band = window_band<float>(axis, index);
-      return {band.first, band.last - band.first + 1, 1};
-    }
-    if (axis.num == 0) return {0, axis.result, 1};  // all read the only pixel
-    return window_holders<float>(axis, index);
+  // As window_band and window_holders.
+  __device__ __forceinline__ Reads band(int i) const {
+    int const n = origin + i * num;
+    int const from = max(rounded_down(n - reach, den, per_den) + 1, 0);
+    return {from, min(rounded_down(n + reach - 1, den, per_den), source - 1) - from + 1};
+  }
+  __device__ __forceinline__ Reads reads(int index) const {
+    if (!backward) return band(index);
+    if (num == 0) return {0, result};  // all read the only pixel
+    int const n = index * den - origin;
+    int const from = clamp(rounded_down(n - reach, num, per_num) + 1, 0, result);
+    return {from, max(min(rounded_down(n + reach - 1, num, per_num), result - 1) - from + 1, 0)};
   }
   // The first of as many pixels as any index reads, which are all within the input.
-  __device__ int first_tap(Contributors<float> const& reads) const {
-    return clamp(reads.first, 0, in_size() - axis.max_taps);
+  __device__ int first_tap(Reads const& reads) const { return clamp(reads.first, 0, in_size() - max_taps); }
+  // The weight of source pixel j in pixel i of the result, before it is divided by their sum.
+  __device__ __forceinline__ float weight(int i, int j) const {
+    float const x = float(j * den - (origin + i * num)) * per_unit;
+    return filter == ResizeFilter::bilinear ? __saturatef(1 - fabsf(x)) : call_filter(filter, x);
   }
+  static __device__ __noinline__ float call_filter(ResizeFilter filter, float x) { return filter_at(filter, true, x); }
 };
-
-// The weight of source pixel j in pixel i of the result, before it is divided by their sum.
-__device__ __noinline__ float call_weight(ResizeAxis const& axis, int i, int j) {
-  return window_at<float>(axis, j * axis.den - axis.center(i));
-}
-__device__ __forceinline__ float weight_of(ResizeAxis const& axis, int i, int j) {
-  if (axis.filter != ResizeFilter::bilinear) return call_weight(axis, i, j);
-  return __saturatef(1 - fabsf(float(double(j * axis.den - axis.center(i)) * axis.per_unit)));
-}
 
 // The part of an axis that a tile covers.
 struct TileAxis {
@@ -80,92 +118,143 @@ struct TileAxis {
     end = min(last, a.out_first() + a.out_size());
     count = max(end - begin, 0);
     low = from = length = 0;
-    taps = a.axis.max_taps;
+    taps = a.max_taps;
     if (count == 0) return;
     low = min(a.index_of(begin), a.index_of(end - 1));
-    from = a.first_tap(a.contributors(low));
-    length = a.first_tap(a.contributors(low + count - 1)) + taps - from;
+    from = a.first_tap(a.reads(low));
+    length = a.first_tap(a.reads(low + count - 1)) + taps - from;
   }
   __device__ __forceinline__ bool covers(int position) const { return position >= begin && position < end; }
 };
 
-// The weights of a part of an axis, and where they begin in the input of the tile.
-struct Weights {
-  float* weights;  // weight k of index i at [k * stride + i * step]
-  int stride, step;
-  int* first;
-  float* norms;  // backward: of the pixels that are read
+// 1 / the sum of weights, of the pixels of the result that a part of an axis reads backward.
+__device__ __forceinline__ void write_norms(WindowAxis const& a, TileAxis const& tile, float* norms, int thread,
+                                            int threads) {
+  for (int t = thread; t < tile.length; t += threads) {
+    int const i = tile.from + t;
+    Reads const band = a.band(i);
+    float sum = 0;
+#pragma unroll 1
+    for (int j = band.first; j <= band.last(); ++j) sum += a.weight(i, j);
+    norms[t] = 1 / sum;
+  }
+}
 
-  __device__ __forceinline__ void write_norms(WindowAxis const& a, TileAxis const& tile, int thread) const {
-    for (int t = thread; t < tile.length; t += kThreads) {
-      int const i = tile.from + t;
-      Band<float> const band = window_band<float>(a.axis, i);
-      float sum = 0;
+// The weight of pixel `at` of the input, which pixel `index` of the output reads; forward before it is divided by their
+// sum.
+__device__ __forceinline__ float tap_weight(WindowAxis const& a, TileAxis const& tile, float const* norms, int index,
+                                            int at) {
+  return a.backward ? a.weight(at, index) * norms[at - tile.from] : a.weight(index, at);
+}
+
+// Weight k of column i at [k * count + i], and the first pixel that it reads.
+__device__ __forceinline__ void write_weights(WindowAxis const& a, TileAxis const& tile, float const* norms,
+                                              float* weights, int* first, int thread, int threads) {
+  int const each = a.backward && tile.taps > 8 ? 8 : 1;  // threads of a column
 #pragma unroll 1
-      for (int j = band.first; j <= band.last; ++j) sum += weight_of(a.axis, i, j);
-      norms[t] = 1 / sum;
+  for (int t = thread; t < tile.count * each; t += threads) {
+    int const local = t / each, index = tile.low + local;
+    Reads const reads = a.reads(index);
+    int const begin = a.first_tap(reads), end = reads.first + reads.count;
+    float* const to = weights + local;
+    float sum = 0;
+#pragma unroll 1
+    for (int k = t % each; k < tile.taps; k += each) {
+      int const at = begin + k;
+      float const weight = at >= reads.first && at < end ? tap_weight(a, tile, norms, index, at) : 0;
+      to[k * tile.count] = weight;
+      sum += weight;
     }
-  }
-  // `norms` are complete.
-  __device__ __forceinline__ void write(WindowAxis const& a, TileAxis const& tile, int thread) const {
-    int const threads = a.axis.backward && tile.taps > 8 ? 8 : 1;  // of an index
+    if (!a.backward) {
+      float const norm = 1 / sum;
 #pragma unroll 1
-    for (int t = thread; t < tile.count * threads; t += kThreads) {
-      int const local = t / threads, index = tile.low + local;
-      Contributors<float> const reads = a.contributors(index);
-      int const begin = a.first_tap(reads), end = reads.first + reads.count;
-      float* const to = weights + local * step;
-      float sum = 0;
-#pragma unroll 1
-      for (int k = t % threads; k < tile.taps; k += threads) {
-        int const at = begin + k;
-        float weight = 0;
-        if (at >= reads.first && at < end)
-          weight =
-              a.axis.backward ? weight_of(a.axis, at, index) * norms[at - tile.from] : weight_of(a.axis, index, at);
-        to[k * stride] = weight;
-        sum += weight;
-      }
-      if (!a.axis.backward) {
-        float const norm = 1 / sum;
-#pragma unroll 1
-        for (int k = 0; k < tile.taps; ++k) to[k * stride] *= norm;
-      }
-      first[local] = begin - tile.from;
+      for (int k = 0; k < tile.taps; ++k) to[k * tile.count] *= norm;
     }
+    first[local] = begin - tile.from;
   }
+}
+
+// What happens at a row, for a window of radius R. Where pixels have at most 2 R taps, it is a row of the output: the
+// weights of the last rows of the input, and the number of the last one. Where pixels have more, each row of the input
+// is read by at most 2 R rows of the output. Then it is a row of the input: its weights in the rows of the output that
+// are not complete, and how many it completes.
+template <int R>
+struct alignas(16) RowStep {
+  float weights[2 * R];
+  int number;
 };
 
-// A sum that is not finite, of `taps` rows and columns: a tap of weight 0 contributes nothing, even if it is inf or
-// NaN.
-template <class T>
-__device__ __noinline__ float sum_of_taps(T const* from, int row_stride, int step, float const* weights_y, int taps_y,
-                                          float const* weights_x, int stride_x, int taps_x) {
-  float sum = 0;
+// The steps of a tile's rows. Rows of the input are 0 before.
+template <int R>
+__device__ __forceinline__ void write_steps(WindowAxis const& a, TileAxis const& tile, float const* norms,
+                                            RowStep<R>* steps, int thread, int threads) {
+  bool const by_output = tile.taps <= 2 * R;
 #pragma unroll 1
-  for (int l = 0; l < taps_y; ++l)
-#pragma unroll 1
-    for (int k = 0; k < taps_x; ++k) {
-      float const weight = weights_y[l] * weights_x[k * stride_x];
-      if (weight != 0) sum += weight * float(read(from[int64_t(l) * row_stride + k * step]));
+  for (int t = thread; t < tile.count; t += threads) {
+    int const index = tile.low + t;
+    Reads const reads = a.reads(index);
+    int const begin = a.first_tap(reads), end = reads.first + reads.count;
+    int last[2 * R - 1];  // of the rows of the output before this one
+#pragma unroll
+    for (int i = 0; i < 2 * R - 1; ++i) {
+      last[i] = INT32_MIN;
+      if (by_output || t <= i) continue;
+      last[i] = a.reads(index - 1 - i).last();
     }
+    auto const weight_at = [&](int at) -> float& {
+      if (by_output) return steps[t].weights[at - begin + 2 * R - tile.taps];
+      int incomplete = 0;
+#pragma unroll
+      for (int i = 0; i < 2 * R - 1; ++i) incomplete += last[i] >= at;
+      return steps[at - tile.from].weights[incomplete];
+    };
+    if (by_output) {
+#pragma unroll
+      for (int i = 0; i < 2 * R; ++i) steps[t].weights[i] = 0;
+      steps[t].number = begin - tile.from + tile.taps - 1;
+    }
+    float sum = 0;
+#pragma unroll 1
+    for (int at = reads.first; at < end; ++at) sum += weight_at(at) = tap_weight(a, tile, norms, index, at);
+    if (!a.backward) {
+      float const norm = 1 / sum;
+#pragma unroll 1
+      for (int at = reads.first; at < end; ++at) weight_at(at) *= norm;
+    }
+    if (!by_output) atomicAdd(&steps[end - 1 - tile.from].number, 1);
+  }
+  if (by_output && thread == 0) steps[tile.count].number = INT32_MAX;
+}
+
+// The sum of all taps of a pixel, the weights computed as they are needed. A tap of weight 0 contributes nothing, even
+// if it is inf or NaN. `plane` is the first pixel of the input.
+template <class T>
+__device__ __noinline__ Compute<T> sum_of_taps(ResizeWindows<T> const& p, int64_t sample, int index_x, int index_y,
+                                               T const* plane) {
+  using F = Compute<T>;
+  int const index[] = {index_x, index_y};
+  int64_t const stride[] = {p.x.step, p.x.row_stride};
+  ResizeAxis axes[] = {p.resize_axis(p.window(sample, 0), 0), p.resize_axis(p.window(sample, 1), 1)};
+  Contributors<F> reads[2];
+#pragma unroll 1
+  for (int a = 0; a < 2; ++a) {
+    reads[a] = find_contributors<F>(axes[a], index[a]);
+    plane += (reads[a].first + (p.backward ? 0 : p.window(sample, a).first)) * stride[a];
+  }
+  F sum = 0;
+  for (int l = 0; l < reads[0].count; ++l) {
+    F const weight_x = find_weight(axes[0], reads[0], index_x, l);
+    F line = 0;
+    for (int k = 0; k < reads[1].count && weight_x != 0; ++k) {
+      F const weight = find_weight(axes[1], reads[1], index_y, k);
+      if (weight != 0) line += F(read(plane[k * stride[1] + l * stride[0]])) * weight;
+    }
+    if (weight_x != 0) sum += line * weight_x;
+  }
   return sum;
 }
 
-// Four elements of a row: adjacent ones or, where rows are no whole vectors, every `apart`-th.
-template <bool Vectors, class T>
-__device__ __forceinline__ void load_four(T const* from, int apart, int existing, float (&v)[4]) {
-  if constexpr (Vectors) {
-    Vector<T, 4> const vector = *reinterpret_cast<Vector<T, 4> const*>(from);
-#pragma unroll
-    for (int i = 0; i < 4; ++i) v[i] = read(vector.v[i]);
-  } else {
-#pragma unroll
-    for (int i = 0; i < 4; ++i) v[i] = i < existing ? read(from[i * apart]) : 0.f;
-  }
-}
-
-template <class T, bool Vectors>
+template <class T, int P, int R>
 __global__ void __launch_bounds__(kThreads, kBlocks)
     resize_window_tiles(__grid_constant__ ResizeWindows<T> const p, WindowTiles const tiles) {
   __shared__ __align__(16) unsigned char axes_memory[2 * sizeof(WindowAxis)];
@@ -173,199 +262,195 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   extern __shared__ __align__(16) float memory[];
   WindowAxis* const axes = reinterpret_cast<WindowAxis*>(axes_memory);
   WindowAxis const &across = axes[0], &down = axes[1];
+  int const step = P == 1 ? int(p.x.step) : 1;
 
   unsigned rest = blockIdx.x;
   int const tile_x = int(rest % tiles.across) * tiles.columns;
   rest /= tiles.across;
   int const tile_y = int(rest % tiles.down) * tiles.rows;
   rest /= tiles.down;
-  int const first_plane = int(rest % tiles.groups) * tiles.planes;
-  int64_t const sample = rest / tiles.groups, plane0 = sample * p.planes + first_plane;
-  int const planes = min(tiles.planes, int(p.planes) - first_plane);
+  int64_t const sample = rest / tiles.groups, plane0 = sample * p.planes + rest % tiles.groups * P;
   int const end_x = min(tile_x + tiles.columns, int(p.y.width)), end_y = min(tile_y + tiles.rows, int(p.y.height));
-  int const elements = (end_x - tile_x) * int(p.y.step);  // of a row of the tile
-
-  if (threadIdx.x % 32 == 0 && threadIdx.x < 64) {
-    int const i = int(threadIdx.x / 32);
-    Window const window = p.window(sample, i);
-    axes[i] = {p.resize_axis(window, i), window};
+  int const elements = (end_x - tile_x) * step;  // of a row of the tile
+  if (threadIdx.x < 2) {
+    int const i = int(threadIdx.x);
+    axes[i] = {p.window(sample, i), p.filter, p.result(i), p.align_corners, p.backward};
     tile_axes[i].init(axes[i], i ? tile_y : tile_x, i ? end_y : end_x);
   }
   __syncthreads();
-  TileAxis const columns = tile_axes[0], rows = tile_axes[1];
-
+  TileAxis const &columns = tile_axes[0], &rows = tile_axes[1];
   bool const is_empty = columns.count == 0 || rows.count == 0;
+  int const e = int(threadIdx.x), pixel = step == 1 ? e : e / step;
+  int const x_plane = P > 1 ? int(p.x.plane(plane0 + 1) - p.x.plane(plane0)) : 0;
+  int const y_plane = P > 1 ? int(p.y.plane(plane0 + 1) - p.y.plane(plane0)) : 0;
   if (!is_empty) {
-    float* const lines = memory;
-    float* const weights_y = lines + tiles.planes * tiles.lines * tiles.span;
-    float* const weights_x = weights_y + tiles.weights_y;
-    int* const first_x = reinterpret_cast<int*>(weights_x + tiles.weights_x);
-    int* const first_y = first_x + tiles.columns;
-    float* const norms = reinterpret_cast<float*>(first_y + tiles.rows);
-    Weights const of_columns{weights_x, columns.count, 1, first_x, norms};
-    Weights const of_rows{weights_y, 1, rows.taps, first_y, norms + columns.length};
-    int const from_last = kThreads - 1 - int(threadIdx.x);  // the last threads begin with the rows
-    if (p.backward) {
-      of_columns.write_norms(across, columns, int(threadIdx.x));
-      of_rows.write_norms(down, rows, from_last);
-      __syncthreads();
+    RowStep<R>* const steps = reinterpret_cast<RowStep<R>*>(memory);
+    float* const weights_x = reinterpret_cast<float*>(steps + tiles.steps);
+    int* const first_x = reinterpret_cast<int*>(weights_x + tiles.weights);
+    float* const norms_x = reinterpret_cast<float*>(first_x + tiles.columns);
+    float* const norms_y = norms_x + columns.length;
+    bool const by_output = rows.taps <= 2 * R;
+    int const threads = int(blockDim.x), from_last = threads - 1 - int(threadIdx.x);  // the last ones begin with rows
+
+    // The rows of the tile are on their way to the L2 cache while the weights are computed.
+    T const* const origin = p.x.plane(plane0) + int64_t(down.in_first() + rows.from) * p.x.row_stride +
+                            int64_t(across.in_first() + columns.from) * step;
+    int const lines = (columns.length * step * int(sizeof(T)) + 254) / 128;
+    for (int t = int(threadIdx.x); t < lines * rows.length * P; t += threads) {
+      int const row = t / lines, line = t - row * lines;
+      int const k = P == 1 ? 0 : row % P, r = P == 1 ? row : row / P;
+      auto const* const at = reinterpret_cast<char const*>(origin + k * x_plane + r * p.x.row_stride) +
+                             min(128 * line, columns.length * step * int(sizeof(T)) - 1);
+      asm volatile("prefetch.global.L2 [%0];" ::"l"(at));
     }
-    of_columns.write(across, columns, int(threadIdx.x));
-    of_rows.write(down, rows, from_last);
+    if (p.backward) {
+      write_norms(across, columns, norms_x, int(threadIdx.x), threads);
+      write_norms(down, rows, norms_y, from_last, threads);
+    }
+    if (!by_output)
+      for (int t = int(threadIdx.x); t < rows.length; t += threads) steps[t] = {};
+    if (p.backward || !by_output) __syncthreads();
+    write_weights(across, columns, norms_x, weights_x, first_x, int(threadIdx.x), threads);
+    write_steps(down, rows, norms_y, steps, from_last, threads);
+    __syncthreads();
 
-    // Lines begin with the vector that holds the first element that is read.
-    int const first_row = down.in_first() + rows.from, row_stride = int(p.x.row_stride);
-    int const first_element = (across.in_first() + columns.from) * int(p.x.step);
-    int const begin = Vectors ? first_element & -4 : first_element, offset = first_element - begin;
-    int const length = offset + columns.length * int(p.x.step), fours = (length + 3) / 4;
-    // Threads beside each other, and where a thread is among them; more such groups take other rows.
-    int const width = min(fours, kThreads), groups = kThreads / width, group = int(threadIdx.x) / width;
-    int const out_width = min(elements, kThreads), out_groups = kThreads / out_width,
-              out_group = int(threadIdx.x) / out_width;
-
-    // The lines of rows [top, top + count). Taps: how many there are, 0 for any number.
-    auto const sum_rows = [&](int top, int count, auto most) {
-      constexpr int K = decltype(most)::value;
-      for (int four = int(threadIdx.x) - group * width; four < fours; four += width) {
-        int const at = Vectors ? 4 * four : four, existing = Vectors ? 4 : (length - four + fours - 1) / fours;
-        for (int k = 0; k < planes; ++k) {
-          T const* const source = p.x.plane(plane0 + k) + int64_t(first_row) * row_stride + begin + at;
-          float* line = lines + (k * tiles.lines + group) * tiles.span + at;
-#pragma unroll 2
-          for (int r = top + group; r < top + count; r += groups, line += groups * tiles.span) {
-            float const* const weights = weights_y + r * rows.taps;
-            T const* from = source + int64_t(first_y[r]) * row_stride;
-            float sum[4]{};
-            if constexpr (K > 0) {
-              float v[K][4];
+    if (e < elements && columns.covers(tile_x + pixel)) {
+      int const index_x = across.index_of(tile_x + pixel), local = index_x - columns.low;
+      float const* const all_weights = weights_x + local;
+      T const* from = origin + first_x[local] * step + (e - pixel * step);
+      bool const backwards = down.mirrored;
+      int const y = backwards ? rows.end - 1 : rows.begin;
+      int const to_stride = int(backwards ? -p.y.row_stride : p.y.row_stride);
+      T* to = p.y.row(plane0, y) + int64_t(tile_x) * step + e;
+      T* const first_to = to;
+      auto const store = [&](float const(&sums)[P]) {
 #pragma unroll
-              for (int n = 0; n < K; ++n) load_four<Vectors>(from + int64_t(n) * row_stride, fours, existing, v[n]);
-              Vector<float, K == 3 ? 4 : K> own;  // 3 are no vector
-              if constexpr (K == 3)
-                own = {weights[0], weights[1], weights[2]};
-              else
-                own = *reinterpret_cast<Vector<float, K> const*>(weights);
-#pragma unroll
-              for (int n = 0; n < K; ++n)
-#pragma unroll
-                for (int i = 0; i < 4; ++i) sum[i] += own.v[n] * v[n][i];
-            } else {
-#pragma unroll 4
-              for (int n = 0; n < rows.taps; ++n, from += row_stride) {
-                float const weight = weights[n];
-                float v[4];
-                load_four<Vectors>(from, fours, existing, v);
-#pragma unroll
-                for (int i = 0; i < 4; ++i) sum[i] += weight * v[i];
-              }
-            }
-            if constexpr (Vectors) {
-              *reinterpret_cast<Vector<float, 4>*>(line) = {sum[0], sum[1], sum[2], sum[3]};
-            } else {
-#pragma unroll
-              for (int i = 0; i < 4; ++i)
-                if (i < existing) line[i * fours] = sum[i];
-            }
-          }
-        }
-      }
-    };
-
-    // The pixels of these rows. A thread has a column.
-    auto const sum_columns = [&](int top, int count, auto most, int step) {
-      constexpr int K = decltype(most)::value;
-      bool const backwards = down.window.mirrored;
-      // The output from the line of row `top` on.
-      int const y = backwards ? rows.end - 1 - top : rows.begin + top;
-      int64_t const row_bytes = (backwards ? -p.y.row_stride : p.y.row_stride) * int64_t(sizeof(T));
-      int64_t const to_stride = out_groups * row_bytes;
-      int const line_stride = out_groups * tiles.span;
-      for (int e = int(threadIdx.x) - out_group * out_width; e < elements; e += out_width) {
-        int const pixel = step == 1 ? e : e / step, channel = e - pixel * step;
-        if (!columns.covers(tile_x + pixel)) continue;
-        int const local = across.index_of(tile_x + pixel) - columns.low;
-        float const* const all_weights = weights_x + local;
-        int const first = first_x[local] * step + channel;
+        for (int k = 0; k < P; ++k) to[k * y_plane] = round_to<T>(sums[k]);
+        to += to_stride;
+      };
+      float poison = 0;
+      auto const walk = [&](auto most, auto steps_of_output) {
+        constexpr int K = decltype(most)::value, D = K == 0 || K > 4 ? 1 : kAhead;
+        int const length = rows.length, row_stride = int(p.x.row_stride);
         float weights[K > 0 ? K : 1];
 #pragma unroll
         for (int n = 0; n < K; ++n) weights[n] = all_weights[n * columns.count];
-#pragma unroll 1
-        for (int k = 0; k < planes; ++k) {
-          float const* line = lines + (k * tiles.lines + out_group) * tiles.span + offset + first;
-          auto* to = reinterpret_cast<unsigned char*>(p.y.row(plane0 + k, y) + int64_t(tile_x) * step + e) +
-                     out_group * row_bytes;
-          int r = out_group;
-          auto const write = [&](auto together) {
-            constexpr int J = decltype(together)::value;
-            float sums[J]{};
-            float const* own = line;
+        T raw[D][P][K > 0 ? K : 1];
+        auto const load = [&](T(&into)[P][K > 0 ? K : 1]) {
 #pragma unroll
-            for (int j = 0; j < J; ++j, own += line_stride) {
-              if constexpr (K > 0) {
+          for (int k = 0; k < P; ++k) {
+            T const* const row = from + k * x_plane;
 #pragma unroll
-                for (int n = 0; n < K; ++n) sums[j] += weights[n] * own[n * step];
-              } else {
-                for (int n = 0; n < columns.taps; ++n) sums[j] += all_weights[n * columns.count] * own[n * step];
-              }
-            }
-            float poison = 0;
+            for (int n = 0; n < K; ++n) into[k][n] = row[n * step];
+          }
+          from += row_stride;
+        };
+        if constexpr (K > 0) {
 #pragma unroll
-            for (int j = 0; j < J; ++j) poison += sums[j] * 0;
-            if (poison != 0) {
-              T const* const source = p.x.plane(plane0 + k) + int64_t(first_row) * row_stride + first_element + first;
-#pragma unroll 1
-              for (int j = 0; j < J; ++j) {
-                int const row = top + r + j * out_groups;
-                float const sum =
-                    sum_of_taps(source + int64_t(first_y[row]) * row_stride, row_stride, step,
-                                weights_y + row * rows.taps, rows.taps, all_weights, columns.count, columns.taps);
-#pragma unroll
-                for (int i = 0; i < J; ++i)
-                  if (i == j) sums[i] = sum;
-              }
-            }
-#pragma unroll
-            for (int j = 0; j < J; ++j, to += to_stride) *reinterpret_cast<T*>(to) = round_to<T>(sums[j]);
-            r += J * out_groups;
-            line = own;
-          };
-          while (r + 3 * out_groups < count) write(std::integral_constant<int, 4>{});
-          while (r < count) write(std::integral_constant<int, 1>{});
+          for (int d = 0; d < D; ++d)
+            if (d < length) load(raw[d]);
         }
+        float sums[2 * R][P]{};  // the last rows of the input, or rows of the output that are not complete
+        RowStep<R> const* next = steps;
+        RowStep<R> own = *next;
+#pragma unroll 1
+        for (int r = 0; r < length;) {
+#pragma unroll
+          for (int d = 0; d < D; ++d, ++r) {
+            if (d > 0 && r >= length) break;
+            float h[P]{};
+            if constexpr (K > 0) {
+#pragma unroll
+              for (int k = 0; k < P; ++k)
+#pragma unroll
+                for (int n = 0; n < K; ++n) h[k] += weights[n] * read(raw[d][k][n]);
+              if (r + D < length) load(raw[d]);
+            } else {
+#pragma unroll 4
+              for (int n = 0; n < columns.taps; ++n) {
+                float const weight = all_weights[n * columns.count];
+#pragma unroll
+                for (int k = 0; k < P; ++k) h[k] += weight * read(from[k * x_plane + n * step]);
+              }
+              from += row_stride;
+            }
+            if constexpr (sizeof(T) > 1) {
+#pragma unroll
+              for (int k = 0; k < P; ++k) poison += h[k] * 0;
+            }
+            auto const shift = [&](float const(&last)[P]) {
+#pragma unroll
+              for (int i = 0; i < 2 * R; ++i)
+#pragma unroll
+                for (int k = 0; k < P; ++k) sums[i][k] = i + 1 < 2 * R ? sums[min(i + 1, 2 * R - 1)][k] : last[k];
+            };
+            if constexpr (decltype(steps_of_output)::value) {
+              shift(h);
+#pragma unroll 1
+              while (own.number == r) {
+                float pixels[P]{};
+#pragma unroll
+                for (int i = 0; i < 2 * R; ++i)
+#pragma unroll
+                  for (int k = 0; k < P; ++k) pixels[k] += own.weights[i] * sums[i][k];
+                own = *++next;
+                store(pixels);
+              }
+            } else {
+#pragma unroll
+              for (int i = 0; i < 2 * R; ++i)
+#pragma unroll
+                for (int k = 0; k < P; ++k) sums[i][k] += own.weights[i] * h[k];
+#pragma unroll 1
+              for (; own.number > 0; --own.number) {
+                store(sums[0]);
+                float const zeros[P]{};
+                shift(zeros);
+              }
+              own = *++next;
+            }
+          }
+        }
+      };
+      auto const with_taps = [&](auto steps_of_output) {
+        if (columns.taps == 2 * R)
+          walk(std::integral_constant<int, 2 * R>{}, steps_of_output);
+        else if (columns.taps == 2 * R + 1)
+          walk(std::integral_constant<int, 2 * R + 1>{}, steps_of_output);
+        else if (R == 1 && columns.taps == 4)
+          walk(std::integral_constant<int, 4>{}, steps_of_output);
+        else if (R == 1 && columns.taps == 5)
+          walk(std::integral_constant<int, 5>{}, steps_of_output);
+        else if (R == 1 && columns.taps == 6)
+          walk(std::integral_constant<int, 6>{}, steps_of_output);
+        else if (R == 1 && columns.taps == 7)
+          walk(std::integral_constant<int, 7>{}, steps_of_output);
+        else
+          walk(std::integral_constant<int, 0>{}, steps_of_output);
+      };
+      by_output ? with_taps(std::true_type{}) : with_taps(std::false_type{});
+      // A tap of weight 0 contributes nothing, even if it is inf or NaN.
+      if (poison != 0) {
+        to = first_to;
+        T const* const source = p.x.plane(plane0) + (e - pixel * step);
+#pragma unroll 1
+        for (int i = 0; i < rows.count; ++i, to += to_stride)
+#pragma unroll 1
+          for (int k = 0; k < P; ++k)
+            to[k * y_plane] = round_to<T>(sum_of_taps(p, sample, index_x, rows.low + i, source + k * x_plane));
       }
-    };
-    auto const with_taps = [&](int taps, auto run) {
-      if (taps == 2)
-        run(std::integral_constant<int, 2>{});
-      else if (taps == 3)
-        run(std::integral_constant<int, 3>{});
-      else if (taps == 4)
-        run(std::integral_constant<int, 4>{});
-      else
-        run(std::integral_constant<int, 0>{});
-    };
-    for (int top = 0; top < rows.count; top += tiles.lines) {
-      int const count = min(tiles.lines, rows.count - top);
-      __syncthreads();
-      if (group < groups) with_taps(rows.taps, [&](auto taps) { sum_rows(top, count, taps); });
-      __syncthreads();
-      if (out_group < out_groups)
-        with_taps(columns.taps, [&](auto taps) {
-          p.x.step == 1 ? sum_columns(top, count, taps, 1) : sum_columns(top, count, taps, int(p.x.step));
-        });
     }
   }
   if (!p.backward) return;
 
   // The pixels of the tile that are not in the window.
   if (!is_empty && columns.count == end_x - tile_x && rows.count == end_y - tile_y) return;
-  for (int e = int(threadIdx.x); e < elements; e += kThreads) {
-    bool const in_columns = !is_empty && columns.covers(tile_x + e / int(p.y.step));
-    for (int k = 0; k < planes; ++k) {
-      T* const out = p.y.plane(plane0 + k) + int64_t(tile_x) * p.y.step + e;
-      for (int y = tile_y; y < end_y; ++y)
-        if (!in_columns || !rows.covers(y)) out[y * p.y.row_stride] = T{};
-    }
+  if (e >= elements) return;
+  bool const in_columns = !is_empty && columns.covers(tile_x + pixel);
+  for (int k = 0; k < P; ++k) {
+    T* const out = p.y.plane(plane0 + k) + int64_t(tile_x) * step + e;
+    for (int y = tile_y; y < end_y; ++y)
+      if (!in_columns || !rows.covers(y)) out[y * p.y.row_stride] = T{};
   }
 }
 
@@ -373,92 +458,75 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
 
 template <class T>
 __global__ void resize_windows_any(__grid_constant__ ResizeWindows<T> const p) {
-  using F = Compute<T>;
   int64_t const i = int64_t(blockIdx.x) * blockDim.x + threadIdx.x, size = p.y.row_size(), step = p.x.step;
   if (i >= p.y.rows() * size) return;
   int64_t const e = i % size, r = i / size, plane = r / p.y.height, sample = plane / p.planes;
   int const position[] = {int(e / step), int(r - plane * p.y.height)};
-  int index[2], from[2];
-  Contributors<F> reads[2];
+  int index[2];
   bool inside = true;
-  WindowAxis axes[] = {{p.resize_axis(p.window(sample, 0), 0), p.window(sample, 0)},
-                       {p.resize_axis(p.window(sample, 1), 1), p.window(sample, 1)}};
 #pragma unroll 1
   for (int a = 0; a < 2; ++a) {
-    index[a] = axes[a].index_of(position[a]);
-    inside = inside && index[a] >= 0 && index[a] < axes[a].out_size();
-    if (!inside) break;
-    reads[a] = find_contributors<F>(axes[a].axis, index[a]);
-    from[a] = axes[a].in_first() + reads[a].first;
+    Window const window = p.window(sample, a);
+    int const size = p.backward ? window.size : p.result(a);
+    index[a] = position[a] - (p.backward ? window.first : 0);
+    inside = inside && index[a] >= 0 && index[a] < size;
+    if (window.mirrored) index[a] = size - 1 - index[a];
   }
-  F sum = 0;
-  if (inside) {
-    T const* const source = p.x.row(plane, from[1]) + from[0] * step + e - position[0] * step;
-    for (int l = 0; l < reads[0].count; ++l) {
-      F const weight_x = find_weight(axes[0].axis, reads[0], index[0], l);
-      F line = 0;
-      for (int k = 0; k < reads[1].count && weight_x != 0; ++k) {
-        F const weight = find_weight(axes[1].axis, reads[1], index[1], k);
-        if (weight != 0) line += F(read(source[k * p.x.row_stride + l * step])) * weight;
-      }
-      if (weight_x != 0) sum += line * weight_x;
-    }
-  }
-  p.y.row(plane, position[1])[e] = round_to<T>(sum);
+  T const* const first = p.x.plane(plane) + (e - position[0] * step);
+  p.y.row(plane, position[1])[e] = round_to<T>(inside ? sum_of_taps(p, sample, index[0], index[1], first) : 0);
 }
 
 // --- launches --------------------------------------------------------------------------------------------------------
 
 // Tiles that serve windows of any size: the largest windows read most.
 template <class T>
-WindowTiles tiles_of(ResizeWindows<T> const& p, int64_t most) {
+WindowTiles tiles_of(ResizeWindows<T> const& p, int planes, int64_t step_bytes) {
   int64_t const step = p.x.step, width = p.y.width, height = p.y.height, radius = filter_radius(p.filter);
   ResizeAxis const across(p.filter, p.source(0), p.result(0), p.align_corners, true, false);
   ResizeAxis const down(p.filter, p.source(1), p.result(1), p.align_corners, true, false);
-  // The pixels that n adjacent ones of the output read, and their weights. Backward, s pixels of a window are read by
-  // each of `result` ones, and by at most 2 radius result + s ones in all if s is larger than 2 radius.
-  auto const pixels_read = [&](ResizeAxis const& a, int64_t n) {
-    return p.backward ? int64_t(a.result) : min(ceil_div(n * a.num, a.den) + a.max_taps + 1, int64_t(a.source));
+  // As equal as possible.
+  auto const divided = [](int64_t size, int64_t most) { return ceil_div(size, ceil_div(size, most)); };
+  int64_t const columns = divided(width, max(kMaxColumns / step, int64_t(1)));
+  // So many rows that all blocks are a few times as many as run at once: the smaller a type is, the more of the time is
+  // spent on weights, which rows share.
+  int64_t const groups = ceil_div(p.planes, planes), samples = p.x.count() / p.planes;
+  int64_t const all_rows = samples * groups * ceil_div(width, columns) * height;
+  int64_t const waves = (sizeof(T) == 4 ? 4 : sizeof(T) == 2 ? 3 : 2) + (p.backward ? 1 : 0);
+  int64_t const rows =
+      divided(height, clamp(all_rows / (waves * kBlocks * multiprocessors()), int64_t(kMinRows), int64_t(kMaxRows)));
+  // Backward, s pixels of a window are read by each of `result` ones, and by at most 2 radius result + s ones in all if
+  // s is larger than 2 radius.
+  int64_t const weights =
+      p.backward ? (2 * radius + 1) * max(int64_t(across.result), columns) + columns : columns * across.max_taps;
+  int64_t const rows_read = p.backward
+                                ? int64_t(down.result)
+                                : min(ceil_div(rows * down.num, down.den) + down.max_taps + 1, int64_t(down.source));
+  int64_t const steps = max(rows_read, rows) + 1, norms = p.backward ? int64_t(across.result) + down.result : 0;
+  return {unsigned(ceil_div(width, columns)),
+          unsigned(ceil_div(height, rows)),
+          unsigned(groups),
+          int(columns),
+          int(rows),
+          int(weights),
+          int(steps),
+          step_bytes * steps + 4 * (weights + columns + norms)};
+}
+
+template <int R, class T>
+int resize_tiles(ResizeWindows<T> const& p, CUstream_st* stream) {
+  auto const are_near = [](auto const& images) {  // offsets between planes have 32 bits
+    return images.plane(1) - images.plane(0) <= INT32_MAX / kPlanes;
   };
-  auto const weights = [&](ResizeAxis const& a, int64_t n) {
-    return p.backward ? (2 * radius + 1) * max(int64_t(a.result), n) + n : n * a.max_taps;
-  };
-  auto const with = [&](int64_t columns, int64_t lines, int64_t rounds, int64_t planes) {
-    int64_t const rows = lines * rounds;
-    WindowTiles tiles{unsigned(ceil_div(width, columns)),
-                      unsigned(ceil_div(height, rows)),
-                      unsigned(ceil_div(p.planes, planes)),
-                      int(columns),
-                      int(rows),
-                      int(planes),
-                      int(lines),
-                      int((pixels_read(across, columns) * step + 2 * 3) & -4),
-                      int(weights(across, columns)),
-                      int(weights(down, rows) + 3) & -4,
-                      0};
-    int64_t const norms = p.backward ? int64_t(across.result) + down.result : 0;
-    tiles.bytes = 4 * (planes * lines * tiles.span + tiles.weights_x + tiles.weights_y + columns + rows + norms);
-    return tiles;
-  };
-  auto const most_lines = [&](int64_t columns, int64_t planes) {
-    int64_t lines = min(height, int64_t(kMaxLines));
-    while (lines > 1 && with(columns, lines, kMaxRounds, planes).bytes > most) --lines;
-    return lines;
-  };
-  int64_t columns = min(width, max(kMaxColumns / step, int64_t(1))), planes = min(p.planes, int64_t(kMaxPlanes));
-  int64_t lines = most_lines(columns, planes);
-  while (lines < min(height, int64_t(kMaxLines / 2)) && columns * step > kMinColumns) {
-    columns = ceil_div(columns, 2);
-    lines = most_lines(columns, planes);
-  }
-  while (planes > 1 && with(columns, lines, kMaxRounds, planes).bytes > most) --planes;
-  // As equal as possible. More rounds share the weights, if there are enough blocks.
-  columns = ceil_div(width, ceil_div(width, columns));
-  lines = ceil_div(height, ceil_div(height, lines));
-  WindowTiles const one = with(columns, lines, 1, planes);
-  int64_t const blocks = p.x.count() / p.planes * one.groups * one.down * one.across;
-  int64_t const rounds = clamp(blocks / (kBlocks * multiprocessors() * 3 / 2), int64_t(1), int64_t(kMaxRounds));
-  return with(columns, lines, rounds, planes);
+  bool const together = p.planes % kPlanes == 0 && p.x.step == 1 && are_near(p.x) && are_near(p.y);
+  WindowTiles const tiles = tiles_of(p, together ? kPlanes : 1, sizeof(RowStep<R>));
+  if (tiles.bytes > max_shared_bytes(kShared)) return kUnsupported;
+  auto* const kernel = together ? resize_window_tiles<T, kPlanes, R> : resize_window_tiles<T, 1, R>;
+  if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(tiles.bytes)))
+    return error;
+  unsigned const blocks = unsigned(p.x.count() / p.planes) * tiles.groups * tiles.down * tiles.across;
+  int const threads = int(ceil_div(tiles.columns * p.x.step, int64_t(32))) * 32;
+  kernel<<<blocks, threads, unsigned(tiles.bytes), stream>>>(p, tiles);
+  return cudaGetLastError();
 }
 
 }  // namespace
@@ -466,17 +534,13 @@ WindowTiles tiles_of(ResizeWindows<T> const& p, int64_t most) {
 template <class T>
 int resize_windows(ResizeWindows<T> const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) < 8) {
-    int64_t const most = max_shared_bytes(kShared);
-    WindowTiles const tiles = tiles_of(p, most);
-    if (tiles.bytes <= most && p.x.row_stride <= INT32_MAX) {
-      bool const vectors = reinterpret_cast<uintptr_t>(p.x.data) % (4 * sizeof(T)) == 0 && p.x.row_stride % 4 == 0 &&
-                           p.x.inner_stride % 4 == 0 && p.x.outer_stride % 4 == 0 && p.x.row_size() % 4 == 0;
-      auto* const kernel = vectors ? resize_window_tiles<T, true> : resize_window_tiles<T, false>;
-      if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(tiles.bytes)))
-        return error;
-      unsigned const blocks = unsigned(p.x.count() / p.planes) * tiles.groups * tiles.down * tiles.across;
-      kernel<<<blocks, kThreads, unsigned(tiles.bytes), stream>>>(p, tiles);
-      return cudaGetLastError();
+    bool const fits =
+        p.x.step <= kMaxColumns && p.x.height * p.x.row_stride <= INT32_MAX && p.y.height * p.y.row_stride <= INT32_MAX;
+    if (fits) {
+      int const error = p.filter == ResizeFilter::bilinear  ? resize_tiles<1>(p, stream)
+                        : p.filter == ResizeFilter::bicubic ? resize_tiles<2>(p, stream)
+                                                            : resize_tiles<3>(p, stream);
+      if (error != kUnsupported) return error;
     }
   }
   resize_windows_any<<<unsigned(ceil_div(p.y.rows() * p.y.row_size(), 256)), 256, 0, stream>>>(p);

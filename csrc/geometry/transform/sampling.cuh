@@ -86,6 +86,30 @@ __device__ __forceinline__ int row_in_tile() {
 
 // --- sampling coordinates --------------------------------------------------------------------------------------------
 
+// The coordinates of a map in a column, from row `y` on.
+template <class F>
+struct MapColumn {
+  F const *u, *v;
+  int u_stride, v_stride, y;
+  F u_scale, v_scale, own, u_offset, v_offset;
+
+  __device__ __forceinline__ MapColumn(SampleCoords<F> const& coords, int64_t b, int y, int x)
+      : u(coords.x.row(b, 0, y) + x * coords.x.step),
+        v(coords.y.row(b, 0, y) + x * coords.y.step),
+        u_stride(int(coords.x.row_stride)),
+        v_stride(int(coords.y.row_stride)),
+        y(y),
+        u_scale(coords.scale[0]),
+        v_scale(coords.scale[1]),
+        own(coords.own),
+        u_offset(F(x) * coords.own + coords.offset[0]),
+        v_offset(coords.offset[1]) {}
+  __device__ __forceinline__ void at(int row, F& at_u, F& at_v) const {
+    at_u = u[row * u_stride] * u_scale + u_offset;
+    at_v = v[row * v_stride] * v_scale + (F(y + row) * own + v_offset);
+  }
+};
+
 // The sampling coordinates of a tile, from its matrix or the maps.
 template <class F>
 struct TileCoords {
@@ -98,8 +122,7 @@ struct TileCoords {
     if (!coords.has_map()) {
       tile.map.apply(F(x - tile.x), F(y - tile.y), u, v);
     } else {
-      u = coords.x.row(tile.b, 0, y)[x * coords.x.step] * coords.scale[0] + (F(x) * coords.own + coords.offset[0]);
-      v = coords.y.row(tile.b, 0, y)[x * coords.y.step] * coords.scale[1] + (F(y) * coords.own + coords.offset[1]);
+      MapColumn<F>(coords, tile.b, y, x).at(0, u, v);
     }
   }
   __device__ __forceinline__ void at(int y, int x, F& u, F& v) const {

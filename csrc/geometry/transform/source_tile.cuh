@@ -54,9 +54,10 @@ struct TapBounds {
   // The bounding box of those of N adjacent threads.
   template <int N>
   __device__ __forceinline__ void merge_lanes() {
-    *this = warp_reduce<N>(*this, [](TapBounds const& a, TapBounds const& b) -> TapBounds {
-      return {min(a.left, b.left), min(a.top, b.top), max(a.right, b.right), max(a.bottom, b.bottom)};
-    });
+    left = warp_reduce<N>(left, Min{});
+    top = warp_reduce<N>(top, Min{});
+    right = warp_reduce<N>(right, Max{});
+    bottom = warp_reduce<N>(bottom, Max{});
   }
 };
 
@@ -150,22 +151,27 @@ struct BlockTiles {
                                             int across = kAcross<T>) {
     if (!p.coords.has_map()) return;
     Tile<F> const& tile = tiles[number];
-    TileCoords<F> const coords(p.coords, tile);
     F* const map_coords = static_cast<F*>(kept) + threadIdx.x;
-    int const x = tile.x + column_in_tile(across);
-    TapBounds box = TapBounds::empty();
+    int const x = tile.x + column_in_tile(across), first_y = tile.y + row_in_tile(across);
+    MapColumn<F> const map(p.coords, tile.b, first_y, x);
+    F low_u = F(INFINITY), low_v = low_u, high_u = -low_u, high_v = high_u;  // of the coordinates
 #pragma unroll
     for (int run = 0; run < kPixelsPerThread; ++run) {
-      int const y = tile.y + row_in_tile(across) + run * kRowStep;
       F u = 0, v = 0;
-      if (x < width && y < height) {
-        coords.near(y, x, u, v);
+      if (x < width && first_y + run * kRowStep < height) {
+        map.at(run * kRowStep, u, v);
         u = clamped(p.x_axis, u);
         v = clamped(p.y_axis, v);
-        box.add<K>(u, v, F(0), F(1 << 20));
+        low_u = min(low_u, u), high_u = max(high_u, u);
+        low_v = min(low_v, v), high_v = max(high_v, v);
       }
       map_coords[2 * run * kThreads] = u;
       map_coords[(2 * run + 1) * kThreads] = v;
+    }
+    TapBounds box = TapBounds::empty();
+    if (low_u <= high_u) {
+      box.add<K>(low_u, low_v, F(0), F(1 << 20));
+      box.add<K>(high_u, high_v, F(0), F(1 << 20));
     }
     box.merge_lanes<32>();
     if (threadIdx.x % 32 == 0) {

@@ -104,7 +104,19 @@ def test_the_public_api_is_the_listed_one() -> None:
 
 def test_top_level_names_are_those_of_their_modules() -> None:
     """A flat name is an alias of the same object and never behaves differently."""
-    homes = [K.color, K.contrib, K.enhance, K.feature, K.filters, K.geometry, K.image, K.losses, K.utils]
+    homes = [
+        K.color,
+        K.constants,
+        K.contrib,
+        K.core,
+        K.enhance,
+        K.feature,
+        K.filters,
+        K.geometry,
+        K.image,
+        K.losses,
+        K.utils,
+    ]
     for name in public_names(K):
         if name not in ("__version__", "backend", "info", "patch_kornia"):  # defined at the top level
             assert any(getattr(home, name, None) is getattr(K, name) for home in homes), name

@@ -118,6 +118,13 @@ def test_frames_of_a_video_share_what_is_drawn(device: torch.device) -> None:
     assert torch.equal(y[:, 0], y[:, 2])
 
 
+def test_params_of_another_batch(device: torch.device) -> None:
+    operation = O.Rotate().to(device)
+    operation(images(device))
+    with pytest.raises(ValueError, match="Rotate: expected params of a batch of 3, got those of 8 images"):
+        operation(images(device)[:3], params=operation._params)
+
+
 def test_other_parameters_follow_the_seed(device: torch.device) -> None:
     operation = O.OperationBase(A.RandomAffine(30.0, (0.2, 0.2), p=0.5), [("angle", 10.0)]).to(device)
     first, second = operation(images(device), seed=1), operation(images(device), seed=1)

@@ -302,7 +302,9 @@ def test_gray_images_are_those_of_three_equal_channels(make: Any, dtype: torch.d
 @pytest.mark.parametrize("channels", [2, 4])
 def test_images_of_other_channels(make: Any, channels: int, device: torch.device) -> None:
     x = torch.rand(2, channels, 8, 8, device=device)
-    with pytest.raises(ValueError, match=rf"Aug\w*: expected images of 1 or 3 channels for .*got \(2, {channels}, 8, 8\)"):
+    with pytest.raises(
+        ValueError, match=rf"Aug\w*: expected images of 1 or 3 channels for .*got \(2, {channels}, 8, 8\)"
+    ):
         make()(x)
     without = PolicyAugmentBase([[("rotate", 1.0, 0.0, 30.0), ("equalize", 1.0, 0.0, 0.0)]])
     assert without(x).shape == x.shape
@@ -479,6 +481,11 @@ def test_gradients_of_a_mixture(device: torch.device) -> None:
         (lambda: RandAugment(1, 3, [[("rotate", 0, 1), ("invert", 0, 1)]]), TypeError, "one entry"),
         (lambda: TrivialAugment([[("twirl", 0, 1)]]), ValueError, "got 'twirl'"),
         (lambda: RandAugment(2, 3)(images(), params=[]), ValueError, "2 steps, got 0"),
+        (
+            lambda: RandAugment(1, 3)(images(batch=2), params=RandAugment(1, 3).forward_parameters((3, 3, 12, 15))),
+            ValueError,
+            "RandAugment: expected params of a batch of 2, got those of 3 images",
+        ),
         (lambda: RandAugment(17, 3), ValueError, "n to take at most 64 random numbers a sample, got 68"),
         (lambda: AugMix(11), ValueError, "severity within 1 and 10, got 11"),
         (lambda: AugMix(2.5), TypeError, "severity to be an int"),

@@ -22,7 +22,7 @@ from kvision.augmentation.container.runs import Randomness
 from kvision.augmentation.container.stages import Applied, Stage
 from kvision.augmentation.draws import Request, uniform
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys
-from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = [
     "AutoContrast",
@@ -228,6 +228,11 @@ class OperationBase(nn.Module):
         return y, Applied(self.op, self.op._execution_of(chosen, x, self.op.flags), self.op.flags)
 
     def _augment(self, x: Tensor, params: Params) -> Tensor:
+        if len(params["batch_prob"]) != len(x):
+            raise ShapeError(
+                f"{type(self).__name__}: expected params of a batch of {len(x)}, got those of "
+                f"{len(params['batch_prob'])} images"
+            )
         self._params = params
         chosen = params["batch_prob"].to(x.device)[:, None, None, None]
         # Applied to all samples: the gradient to the probability needs the results of samples that are not chosen, too.

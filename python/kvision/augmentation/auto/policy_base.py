@@ -66,8 +66,8 @@ class PolicyAugmentBase(ImageSequential):
 
     Raises:
         TypeError: an entry does not have the form in Args; `count` is not an int.
-        ValueError: the policy is empty; `count` is below 1; an operation is unknown; a probability is not within 0 and 1. A call raises it for
-            images of other than one or three channels, if the policy has color or contrast.
+        ValueError: the policy is empty; `count` is below 1; an operation is unknown; a probability is not within 0 and 1.
+            A call raises it for images of other than one or three channels, if the policy has color or contrast.
 
     Example:
         >>> import torch, kvision as K
@@ -172,6 +172,10 @@ class PolicyAugmentBase(ImageSequential):
                 f"{type(self).__name__}: expected params of {self.count * self._length} steps, got {len(params)}"
             )
         operation, value = (torch.stack([item.data[key] for item in params], 1) for key in ("operation", "magnitude"))
+        if len(operation) != len(x):
+            raise ShapeError(
+                f"{type(self).__name__}: expected params of a batch of {len(x)}, got those of {len(operation)} images"
+            )
         return Drawn(operation.to(x.device), value.to(x.device))
 
     @property

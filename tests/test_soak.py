@@ -105,7 +105,8 @@ def test_calls_do_not_leak(device: torch.device) -> None:
 def call_all(runs: list[Callable[[], None]], device: torch.device) -> None:
     for run in runs:
         run()
-    if device.type == "cuda":  # the driver allocates for calls that wait, of which there are more from one turn to the next
+    # Else more calls wait from one turn to the next, and the driver allocates for them.
+    if device.type == "cuda":
         torch.cuda.synchronize()
 
 

@@ -1,6 +1,6 @@
 // Dilation and erosion on CUDA: flat windows by tiles, along y and then along x; other windows, and channels-last
-// images, tap by tap for each element. The gradient is computed in the same two ways where dilation_3x3.cu and
-// dilation_backward.cu do not support it.
+// images, tap by tap for each element. The gradient is computed in the same two ways where dilation_3x3.cu,
+// dilation_backward_strips.cu and dilation_backward.cu do not support it.
 #include "dilation_tiles.cuh"
 
 namespace kv::morphology::cuda {
@@ -327,7 +327,15 @@ int dilation_backward(DilationBackward<T> const& p, CUstream_st* stream) {
     return launch_ties<T>(SumGradients<T>{p}, stream);
   }
   if constexpr (sizeof(T) < 8)
-    if (!is_3x3(p.window)) return dilation_backward_tiles(p, stream);
+    if (!is_3x3(p.window)) {
+      auto const is_small = [](auto const& image) { return image.height * image.row_stride <= INT32_MAX; };
+      int const size = p.window.height;
+      bool const by_strips = p.window.width == size && (size == 7 || size == 15) && is_small(p.x) && is_small(p.grad) &&
+                             is_small(p.grad_x);
+      if (by_strips)
+        if (int error = dilation_backward_strips(p, stream)) return error;
+      return dilation_backward_tiles(p, by_strips, stream);
+    }
   return dilation_3x3_backward(p, stream);
 }
 

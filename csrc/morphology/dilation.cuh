@@ -1,6 +1,7 @@
-// Shared by the CUDA files of dilation: dilation_3x3.cu has windows of 3 x 3 pixels, dilation_backward.cu the gradient
-// of other windows that fit into shared memory, and dilation.cu everything else. Whether a window is flat is known on
-// the device only, so each block finds out.
+// Shared by the CUDA files of dilation: dilation_3x3.cu has windows of 3 x 3 pixels, dilation_backward_strips.cu the
+// gradient of flat windows of 7 x 7 and 15 x 15, dilation_backward.cu that of other windows that fit into shared
+// memory, and dilation.cu everything else. Whether a window is flat is known on the device only, so each block finds
+// out.
 #pragma once
 
 #include "core/launch.cuh"
@@ -33,8 +34,12 @@ template <class T>
 int dilation_3x3(Dilation<T> const& p, CUstream_st* stream);
 template <class T>
 int dilation_3x3_backward(DilationBackward<T> const& p, CUstream_st* stream);
-// Windows for which needs_no_workspace holds, over planar images.
+// Windows for which needs_no_workspace holds, over planar images; without the flat ones if `flat_left_out`.
 template <class T>
-int dilation_backward_tiles(DilationBackward<T> const& p, CUstream_st* stream);
+int dilation_backward_tiles(DilationBackward<T> const& p, bool flat_left_out, CUstream_st* stream);
+// Flat windows of 7 x 7 and 15 x 15 pixels over planar images whose planes have at most INT32_MAX elements. Windows
+// that are not flat are left out.
+template <class T>
+int dilation_backward_strips(DilationBackward<T> const& p, CUstream_st* stream);
 
 }  // namespace kv::morphology::cuda

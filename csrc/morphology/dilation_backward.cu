@@ -13,6 +13,7 @@ constexpr int kBackwardThreads = 288;
 struct AnyTypeBackward {
   DilationBackward<float> p;  // the images are stored as `type`
   DType type;
+  bool flat_left_out;
 };
 template <class T>
 auto as_floats(Planes<T> const& p) {
@@ -49,6 +50,7 @@ __global__ void __launch_bounds__(kBackwardThreads, 3)
   int const rows_of_windows = rows + window.height - 1, windows_of_row = columns + window.width - 1;
   int const top = y0 + window.top - (window.height - 1), left = x0 + window.left - (window.width - 1);
   bool const flat = is_flat(window, sample);
+  if (flat && any.flat_left_out) return;
   Value* const results = reinterpret_cast<Value*>(bytes);                         // (rows of windows, layout.windows)
   Value* const along_y = reinterpret_cast<Value*>(bytes + layout.first_bytes());  // (rows of windows, layout.pixels)
   float* const pixels =
@@ -167,15 +169,15 @@ __global__ void __launch_bounds__(kBackwardThreads, 3)
 }  // namespace
 
 template <class T>
-int dilation_backward_tiles(DilationBackward<T> const& p, CUstream_st* stream) {
-  AnyTypeBackward const any{{as_floats(p.grad), as_floats(p.x), as_floats(p.grad_x), p.window, p.planes, nullptr},
-                            kDType<T>};
+int dilation_backward_tiles(DilationBackward<T> const& p, bool flat_left_out, CUstream_st* stream) {
+  AnyTypeBackward const any{
+      {as_floats(p.grad), as_floats(p.x), as_floats(p.grad_x), p.window, p.planes, nullptr}, kDType<T>, flat_left_out};
   return launch_tiles(backward_by_tiles, any, p.x, BackwardTileLayout::kRows, BackwardTileLayout::kColumns,
                       kBackwardThreads, BackwardTileLayout(p.window).bytes(), stream);
 }
 
-template int dilation_backward_tiles(DilationBackward<float> const&, CUstream_st*);
-template int dilation_backward_tiles(DilationBackward<Half> const&, CUstream_st*);
-template int dilation_backward_tiles(DilationBackward<BFloat16> const&, CUstream_st*);
+template int dilation_backward_tiles(DilationBackward<float> const&, bool, CUstream_st*);
+template int dilation_backward_tiles(DilationBackward<Half> const&, bool, CUstream_st*);
+template int dilation_backward_tiles(DilationBackward<BFloat16> const&, bool, CUstream_st*);
 
 }  // namespace kv::morphology::cuda

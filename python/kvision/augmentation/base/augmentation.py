@@ -199,10 +199,14 @@ class AugmentationBase(OnePass):
         return x, execution
 
     def _execution_of(self, params: Params | None, x: Tensor, flags: dict[str, Any]) -> Execution | None:
-        """The last execution, or that of given parameters, for an inverse on the device of results x."""
+        """The last execution, or that of given parameters, whose matrices are on the device of x."""
         if params is None:
             return self._execution
-        return self._from_params(params, x.new_empty(1).expand(tuple(int(n) for n in params["forward_input_shape"])))
+        execution = self._from_params(
+            params, x.new_empty(1).expand(tuple(int(n) for n in params["forward_input_shape"]))
+        )
+        execution.identity = x.device, x.dtype if x.dtype == torch.float64 else torch.float32
+        return execution
 
 
 class AugmentationBase2D(AugmentationBase):

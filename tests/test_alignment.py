@@ -89,7 +89,10 @@ def test_odd_widths(name, width, dtype, device):
     result, gradient = result_and_gradient(call, x, g[..., :width].contiguous())
     of_wider, gradient_of_wider = result_and_gradient(call, wider, g)
     assert torch.equal(result[..., wrapped : width - reach], of_wider[..., wrapped : width - reach])
-    assert torch.equal(gradient[..., wrapped : width - 2 * reach], gradient_of_wider[..., wrapped : width - 2 * reach])
+    far, far_of_wider = (v[..., wrapped : width - 2 * reach] for v in (gradient, gradient_of_wider))
+    # Sums of up to 49 gradients, none negative, in an order that depends on how blocks divide a width.
+    tolerance = max(48 * torch.finfo(torch.float32).eps, torch.finfo(dtype).eps) if name == "dilation 7" else 0.0
+    torch.testing.assert_close(far, far_of_wider, rtol=tolerance, atol=0.0)
     with kv.backend("reference"):
         expected, expected_gradient = result_and_gradient(call, x.float(), g[..., :width].float())
     atol = 2e-4 if dtype == torch.float32 else 2e-2

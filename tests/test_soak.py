@@ -99,7 +99,7 @@ def test_calls_do_not_leak(device: torch.device) -> None:
     heap, gpu = (b - a for a, b in zip(before, in_use(device)))
     print(f"{calls} calls of {len(runs)} functions: the heap grew by {heap / calls:.2f} bytes a call")
     assert heap < calls
-    assert gpu == 0
+    assert gpu <= 0
 
 
 def call_all(runs: list[Callable[[], None]], device: torch.device) -> None:

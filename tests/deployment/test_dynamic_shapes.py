@@ -86,7 +86,7 @@ def test_compile_with_matrices_of_a_constant_batch(warp, device):
         x = torch.rand(2, 3, h, w, device=device)
         assert_close(compiled(x), warp(x, matrices, (8, 9)))
     name = warp.__name__
-    message = rf"ShapeError\((\(\)|.{name}: expected \w+ with 1 or )"  # torch 2.11 leaves it out
+    message = rf"ShapeError\((\(\)|.{name}: expected \w+ with a batch size of 1 or )"  # torch 2.11 leaves it out
     with pytest.raises(torch._dynamo.exc.Unsupported, match=message):
         compiled(torch.rand(5, 3, 20, 24, device=device))
 

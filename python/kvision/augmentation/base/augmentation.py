@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
+from kvision._dtype import compute_dtype
 from kvision.augmentation.base.execution import Execution, Params
 from kvision.augmentation.base.one_pass import OnePass
 from kvision.augmentation.base.samples import is_known, known_everywhere, where_chosen, without_added_axes
@@ -205,7 +206,7 @@ class AugmentationBase(OnePass):
         execution = self._from_params(
             params, x.new_empty(1).expand(tuple(int(n) for n in params["forward_input_shape"]))
         )
-        execution.identity = x.device, x.dtype if x.dtype == torch.float64 else torch.float32
+        execution.identity = x.device, compute_dtype(x)
         return execution
 
 

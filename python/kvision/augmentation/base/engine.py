@@ -8,6 +8,7 @@ import torch
 from torch import Generator, Tensor
 
 from kvision._constants import constant
+from kvision._dtype import compute_dtype
 from kvision._ops import match_layout
 from kvision.augmentation.base.declaration import Declaration
 from kvision.augmentation.base.execution import Execution, Params, Shape
@@ -225,7 +226,7 @@ class Engine(Declaration):
         transform: Tensor | None = None
         if self._needs_no_matrix():
             params = self._params_on_device(x, execution, for_users=False)
-            execution.identity = x.device, stored if stored in (torch.float32, torch.float64) else torch.float32
+            execution.identity = x.device, compute_dtype(x)
         else:
             params = self._params_on_device(x, execution)
             transform = self.compute_transformation(x, params, flags)

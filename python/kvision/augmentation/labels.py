@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
@@ -85,8 +86,7 @@ def move_boxes(boxes: Any, mode: str, move: Mover, points_of_side: int = 1) -> A
         moved = boxes.clone()
         moved._data = move_boxes(boxes._data, "vertices", move, points_of_side)
         return moved
-    if not isinstance(boxes, Tensor):
-        raise TypeCheckError(f"AugmentationSequential: expected boxes to be a Tensor, got {type(boxes).__name__}")
+    _check.is_tensor("AugmentationSequential", "boxes", boxes)
     trailing = (4, 2) if mode == "vertices" else (4,)
     if boxes.shape[-len(trailing) :] != trailing or boxes.dim() not in (1 + len(trailing), 2 + len(trailing)):
         raise ShapeError(
@@ -249,14 +249,13 @@ def pad(parts: Sequence[Tensor]) -> tuple[Tensor, list[int]]:
 
 
 def check_tensors(name: str, parts: Sequence[Any]) -> None:
+    """Raise TypeCheckError unless all parts are tensors."""
     for part in parts:
-        if not isinstance(part, Tensor):
-            raise TypeCheckError(f"AugmentationSequential: expected {name} to be a Tensor, got {type(part).__name__}")
+        _check.is_tensor("AugmentationSequential", name, part)
 
 
 def _floating(name: str, x: Any) -> None:
-    if not isinstance(x, Tensor):
-        raise TypeCheckError(f"AugmentationSequential: expected {name} to be a Tensor, got {type(x).__name__}")
+    _check.is_tensor("AugmentationSequential", name, x)
     if not x.is_floating_point():
         raise TypeCheckError(f"AugmentationSequential: expected {name} of a floating-point type, got {x.dtype}")
 

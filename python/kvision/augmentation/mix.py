@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
-from kvision import geometry
+from kvision import _check, geometry
 from kvision._constants import constant
 from kvision._dtype import compute_dtype, floats
 from kvision._modes import INTERPOLATION, PADDING
@@ -24,7 +24,7 @@ from kvision.augmentation.random_generator.mix import (
     PatchMixGenerator,
 )
 from kvision.constants import DataKey, Resample
-from kvision.core.exceptions import BaseError, ShapeError, TypeCheckError, ValueCheckError
+from kvision.core.exceptions import BaseError, ShapeError, ValueCheckError
 from kvision.geometry.transform import sampling
 
 __all__ = ["MixAugmentationBaseV2", "PatchMix", "RandomCutMixV2", "RandomJigsaw", "RandomMixUpV2", "RandomMosaic"]
@@ -146,8 +146,7 @@ class MixAugmentationBaseV2(AugmentationBase2D):
 
     def _check_labels(self, key: DataKey, labels: Any, count: int) -> None:
         op, name = type(self).__name__, key.name.lower()
-        if not isinstance(labels, Tensor):
-            raise TypeCheckError(f"{op}: expected {name} to be a Tensor, got {type(labels).__name__}")
+        _check.is_tensor(op, name, labels)
         if labels.dim() == 0 or labels.shape[0] != count:
             raise ShapeError(f"{op}: expected {name} of {count} images, got {tuple(labels.shape)}")
 

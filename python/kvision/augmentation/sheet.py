@@ -101,8 +101,7 @@ def draw_samples(
             f"got {len(inputs)} inputs"
         )
     image = inputs[keys.index(DataKey.INPUT)]
-    if not isinstance(image, Tensor):
-        raise TypeCheckError(f"preview: expected the image to be a Tensor, got {type(image).__name__}")
+    _check.is_tensor("preview", "the image", image)
     if image.dim() not in (3, 4) or 0 in image.shape:
         raise ShapeError(f"preview: expected an image of shape (C, H, W) or (B, C, H, W), got {tuple(image.shape)}")
     batch = 1 if image.dim() == 3 else len(image)

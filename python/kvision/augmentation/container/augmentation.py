@@ -26,7 +26,7 @@ from kvision.augmentation.container.stages import (
 from kvision.augmentation.container.video import VideoLayout, VideoSequential
 from kvision.augmentation.keys import Seed
 from kvision.constants import DataKey, Resample
-from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.core.exceptions import ShapeError, ValueCheckError
 
 __all__ = ["AugmentationSequential"]
 
@@ -362,8 +362,7 @@ class AugmentationSequential(ImageSequential):
                 return type(masks)(self._moved_masks(torch.stack(list(masks)), stages).unbind(0)) if masks else masks
             padded, sizes = labels.pad(masks)  # as many instances for each image
             return type(masks)(row[:n] for row, n in zip(self._moved_masks(padded, stages), sizes))
-        if not isinstance(masks, Tensor):
-            raise TypeCheckError(f"AugmentationSequential: expected mask to be a Tensor, got {type(masks).__name__}")
+        labels.check_tensors("mask", [masks])
         shape, images = masks.shape, self._shape
         axes = 4 if images is None else len(images)
         if masks.dim() == axes - 1 and images is not None:

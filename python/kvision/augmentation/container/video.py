@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator, Tensor, nn
 
+from kvision import _check
 from kvision.augmentation.container.image import ImageSequential, ParamItem, invert
 from kvision.augmentation.container.runs import Randomness, Stage
 from kvision.augmentation.container.stages import forget_coordinates
 from kvision.augmentation.keys import Seed
-from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.core.exceptions import ShapeError, ValueCheckError
 
 __all__ = ["VideoSequential"]
 
@@ -30,8 +31,7 @@ class VideoLayout(NamedTuple):
 
     @classmethod
     def of(cls, op: str, data_format: str, videos: Any) -> VideoLayout:
-        if not isinstance(videos, Tensor):
-            raise TypeCheckError(f"{op}: expected input to be a Tensor, got {type(videos).__name__}")
+        _check.is_tensor(op, "input", videos)
         if videos.dim() != 5:
             raise _RankError(f"{op}: expected input of shape ({', '.join(data_format)}), got {tuple(videos.shape)}")
         t = data_format.index("T")

@@ -27,6 +27,10 @@ def is_autocast_on(x: Tensor) -> bool:
     return device != "meta" and torch.is_autocast_enabled(device)  # torch has no answer for meta
 
 
+# Types that torch neither flips nor subtracts, and those of the same bits that it does.
+SIGNED = {torch.uint16: torch.int16, torch.uint32: torch.int32, torch.uint64: torch.int64}
+
+
 def as_dtype(x: Tensor, dtype: torch.dtype) -> Tensor:
     """`x.to(dtype)`, without a call of torch where `x` has this type."""
     return x if x.dtype == dtype else x.to(dtype)

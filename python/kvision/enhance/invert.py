@@ -6,10 +6,8 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import as_dtype
+from kvision._dtype import SIGNED, as_dtype
 from kvision._modules import FunctionModule
-
-_SIGNED = {torch.uint16: torch.int16, torch.uint32: torch.int32, torch.uint64: torch.int64}
 
 
 def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
@@ -43,8 +41,8 @@ def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
     largest = torch.as_tensor(max_val).to(image.dtype)
     if image.dtype is torch.bool:
         return largest ^ image
-    if image.dtype in _SIGNED:  # torch does not subtract these; the bits are the same
-        signed = _SIGNED[image.dtype]
+    if image.dtype in SIGNED:
+        signed = SIGNED[image.dtype]
         return (largest.view(signed) - image.view(signed)).view(image.dtype)
     return largest - image
 

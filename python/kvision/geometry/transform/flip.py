@@ -7,6 +7,7 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision import _check
+from kvision._dtype import SIGNED
 from kvision._modules import FunctionModule
 from kvision._ops import FastPath, register
 from kvision._torch_compat import below_autograd, is_tracing
@@ -28,7 +29,6 @@ flipped = register("flip", _reference, backward=_backward, linear=True, bytes=Tr
 _fast = FastPath("flip", flipped.dtypes)
 
 _LARGE = 1 << 16  # bytes
-_SIGNED = {torch.uint16: torch.int16, torch.uint32: torch.int32, torch.uint64: torch.int64}
 
 
 def hflip(input: Tensor) -> Tensor:
@@ -106,8 +106,8 @@ def _flip(op: str, input: Tensor, axes: tuple[int, ...]) -> Tensor:
         return _flip(op, input[None], axes)[0]
     if input.dim() == 0:
         raise ShapeError(f"{op}: expected input of shape (*, H, W), got {tuple(input.shape)}", actual_shape=input.shape)
-    if input.dtype in _SIGNED:  # torch does not flip these
-        return _flip(op, input.view(_SIGNED[input.dtype]), axes).view(input.dtype)
+    if input.dtype in SIGNED:
+        return _flip(op, input.view(SIGNED[input.dtype]), axes).view(input.dtype)
     if _torch_is_fast(input) or input.dtype not in flipped.dtypes or 0 in input.shape[-2:]:
         return input.flip(axes)
     columns, rows = -1 in axes, -2 in axes

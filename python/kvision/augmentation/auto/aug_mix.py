@@ -11,14 +11,13 @@ from collections.abc import Sequence
 import torch
 from torch import Generator, Tensor
 
-from kvision import _check
 from kvision._dtype import compute_dtype
-from kvision.augmentation.auto.policy_base import Drawn, PolicyAugmentBase
+from kvision.augmentation.auto.policy_base import Drawn, PolicyAugmentBase, check_integer
 from kvision.augmentation.base import per_sample
 from kvision.augmentation.container.image import ParamItem
 from kvision.augmentation.container.stages import Stage
 from kvision.augmentation.draws import Draw, Request, integer
-from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.core.exceptions import ValueCheckError
 
 __all__ = ["AugMix"]
 
@@ -80,12 +79,9 @@ class AugMix(PolicyAugmentBase):
         same_on_batch: bool | None = None,
         generator: Generator | None = None,
     ) -> None:
-        severity = _check.scalar("AugMix", "severity", severity)
-        mixture_width = _check.scalar("AugMix", "mixture_width", mixture_width)
-        chain_depth = _check.scalar("AugMix", "chain_depth", chain_depth)
-        for name, number in (("severity", severity), ("mixture_width", mixture_width), ("chain_depth", chain_depth)):
-            if not isinstance(number, int) or isinstance(number, bool):
-                raise TypeCheckError(f"AugMix: expected {name} to be an int, got {number!r}")
+        severity = check_integer("AugMix", "severity", severity)
+        mixture_width = check_integer("AugMix", "mixture_width", mixture_width)
+        chain_depth = check_integer("AugMix", "chain_depth", chain_depth)
         if not 1 <= severity <= _LEVELS:
             raise ValueCheckError(f"AugMix: expected severity within 1 and {_LEVELS}, got {severity}")
         if mixture_width < 1:

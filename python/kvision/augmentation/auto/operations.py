@@ -15,6 +15,7 @@ from torch import Generator, Tensor, nn
 import kvision.augmentation as A
 from kvision import _check
 from kvision.augmentation.base import AugmentationBase2D, Params
+from kvision.augmentation.base.execution import check_batch_of_params
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.configuration import Plans
 from kvision.augmentation.container.image import ImageSequential
@@ -22,7 +23,7 @@ from kvision.augmentation.container.runs import Randomness
 from kvision.augmentation.container.stages import Applied, Stage
 from kvision.augmentation.draws import Request, uniform
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys
-from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = [
     "AutoContrast",
@@ -228,11 +229,7 @@ class OperationBase(nn.Module):
         return y, Applied(self.op, self.op._execution_of(chosen, x, self.op.flags), self.op.flags)
 
     def _augment(self, x: Tensor, params: Params) -> Tensor:
-        if len(params["batch_prob"]) != len(x):
-            raise ShapeError(
-                f"{type(self).__name__}: expected params of a batch of {len(x)}, got those of "
-                f"{len(params['batch_prob'])} images"
-            )
+        check_batch_of_params(type(self).__name__, len(params["batch_prob"]), len(x))
         self._params = params
         chosen = params["batch_prob"].to(x.device)[:, None, None, None]
         # Applied to all samples: the gradient to the probability needs the results of samples that are not chosen, too.

@@ -9,7 +9,7 @@ from torch import Generator
 
 from kvision import _check
 from kvision._check import UnknownChoiceError
-from kvision.augmentation.auto.policy_base import LEVELS, PolicyAugmentBase, sub_policies
+from kvision.augmentation.auto.policy_base import LEVELS, PolicyAugmentBase, check_integer, sub_policies
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = ["AutoAugment", "RandAugment", "TrivialAugment"]
@@ -222,9 +222,7 @@ class RandAugment(PolicyAugmentBase):
         same_on_batch: bool | None = None,
         generator: Generator | None = None,
     ) -> None:
-        n = _check.scalar("RandAugment", "n", n)
-        if not isinstance(n, int) or isinstance(n, bool):
-            raise TypeCheckError(f"RandAugment: expected n to be an int, got {n!r}")
+        n = check_integer("RandAugment", "n", n)
         if n < 1:
             raise ValueCheckError(f"RandAugment: expected n of at least 1, got {n}")
         m = _check.scalar("RandAugment", "m", m)

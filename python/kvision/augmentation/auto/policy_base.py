@@ -11,6 +11,7 @@ from torch import Generator, Tensor
 from kvision import _check
 from kvision._ops import FastPath
 from kvision.augmentation.auto.operation_table import OPERATIONS, execute_steps
+from kvision.augmentation.base.execution import check_batch_of_params
 from kvision.augmentation.columns import DrawPlan, fits_one_launch, plan_draws
 from kvision.augmentation.container.image import ImageSequential, ParamItem, identity_of
 from kvision.augmentation.container.runs import Randomness
@@ -96,9 +97,7 @@ class PolicyAugmentBase(ImageSequential):
                 f"{op}: expected transformation_matrix_mode to be 'silent', 'rigid' or 'skip', got "
                 f"{transformation_matrix_mode!r}"
             )
-        count = _check.scalar(op, "count", count)
-        if not isinstance(count, int) or isinstance(count, bool):
-            raise TypeCheckError(f"{op}: expected count to be an int, got {count!r}")
+        count = check_integer(op, "count", count)
         if count < 1:
             raise ValueCheckError(f"{op}: expected count of at least 1, got {count}")
         self.transformation_matrix_mode, self.count = transformation_matrix_mode, count
@@ -172,10 +171,7 @@ class PolicyAugmentBase(ImageSequential):
                 f"{type(self).__name__}: expected params of {self.count * self._length} steps, got {len(params)}"
             )
         operation, value = (torch.stack([item.data[key] for item in params], 1) for key in ("operation", "magnitude"))
-        if len(operation) != len(x):
-            raise ShapeError(
-                f"{type(self).__name__}: expected params of a batch of {len(x)}, got those of {len(operation)} images"
-            )
+        check_batch_of_params(type(self).__name__, len(operation), len(x))
         return Drawn(operation.to(x.device), value.to(x.device))
 
     @property
@@ -247,6 +243,14 @@ class PolicyAugmentBase(ImageSequential):
 
     def is_intensity_only(self, strict: bool = True) -> bool:
         return all(OPERATIONS[name].neutral != 0 for names in self._names for name in names)
+
+
+def check_integer(op: str, name: str, value: Any) -> int:
+    """An int, or an integer of NumPy or torch, as an int."""
+    value = _check.scalar(op, name, value)
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise TypeCheckError(f"{op}: expected {name} to be an int, got {value!r}")
+    return value
 
 
 def sub_policies(op: str, policy: Any) -> Sequence[Sequence[Any]]:

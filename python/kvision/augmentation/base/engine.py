@@ -11,13 +11,13 @@ from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision._ops import match_layout
 from kvision.augmentation.base.declaration import Declaration
-from kvision.augmentation.base.execution import Execution, Params, Shape
+from kvision.augmentation.base.execution import Execution, Params, Shape, check_batch_of_params
 from kvision.augmentation.base.samples import where_chosen
 from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, identity_values, plan_draws
 from kvision.augmentation.draws import Request, is_chosen_batch
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
 from kvision.augmentation.noise import PixelNoise
-from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.core.exceptions import ValueCheckError
 
 
 class Engine(Declaration):
@@ -156,10 +156,8 @@ class Engine(Declaration):
         """An execution that replays given parameters."""
         shape = tuple(x.shape)
         chosen = params.get("batch_prob")
-        if chosen is not None and len(chosen) != shape[0]:
-            raise ShapeError(
-                f"{type(self).__name__}: expected params of a batch of {shape[0]}, got those of {len(chosen)} images"
-            )
+        if chosen is not None:
+            check_batch_of_params(type(self).__name__, len(chosen), shape[0])
         applied = True
         if chosen is None:
             params = {**params, "batch_prob": torch.ones(shape[0])}

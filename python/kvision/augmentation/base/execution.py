@@ -9,9 +9,16 @@ from torch import Tensor
 
 from kvision.augmentation.columns import Columns
 from kvision.augmentation.keys import Keys
+from kvision.core.exceptions import ShapeError
 
 Shape = tuple[int, ...]
 Params = dict[str, Any]
+
+
+def check_batch_of_params(op: str, count: int, batch: int) -> None:
+    """Raise ShapeError unless parameters of `count` images replay on `batch` of them."""
+    if count != batch:
+        raise ShapeError(f"{op}: expected params of a batch of {batch}, got those of {count} images")
 
 
 class Execution:

@@ -12,7 +12,7 @@ namespace {
 
 using Value = Ties<float>;
 
-constexpr int kMostColumns = 256, kResident = 3;
+constexpr int kMaxColumns = 256, kResident = 3;
 
 // Rows of a group, for windows of `size` rows and columns; `size - 1` rows of windows are kept for the next group.
 constexpr int rows_of(int size) { return size + 1; }
@@ -48,7 +48,7 @@ __device__ __forceinline__ void combine_run(Read read, Write write) {
   write(Size, prefix);
 }
 
-// Combines windows along x, in place: those that begin at 0 ... of a row are stored from `to` on.
+// Combines windows along x, in place: window i begins at element i of a row, and is stored at `to + i`.
 template <int Size>
 __device__ __forceinline__ void combine_rows(Value* values, int stride, int to) {
   constexpr int kRows = rows_of(Size);
@@ -63,7 +63,7 @@ __device__ __forceinline__ void combine_rows(Value* values, int stride, int to) 
 }
 
 template <class T, int Size>
-__global__ void __launch_bounds__(kMostColumns, kResident) backward_by_strips(__grid_constant__ Work<T> const p) {
+__global__ void __launch_bounds__(kMaxColumns, kResident) backward_by_strips(__grid_constant__ Work<T> const p) {
   constexpr int kRows = rows_of(Size), kCarried = Size - 1;
   extern __shared__ __align__(16) unsigned char bytes[];
   ColumnBlock const block(p, int(blockDim.x), kCarried);
@@ -82,7 +82,7 @@ __global__ void __launch_bounds__(kMostColumns, kResident) backward_by_strips(__
   Value* const carried = values + kRows * stride + thread;  // (kCarried, columns): windows of the rows before
   Value* const pixels = values + left + thread;             // of the thread's column
   Value* const windows = values + right + thread;
-  // The values beyond the block's columns.
+  // The values on either side of the block's columns.
   auto const pad = [&](int before, Value const& value) {
     if (thread >= kCarried) return;
     Value* const at = values + (thread < before ? thread : columns + thread);
@@ -168,8 +168,8 @@ int dilation_backward_strips(DilationBackward<T> const& p, CUstream_st* stream) 
   auto const launch = [&](auto size) -> int {
     constexpr int kSize = decltype(size)::value;
     auto const kernel = backward_by_strips<T, kSize>;
-    int const bytes = bytes_of(kSize, kMostColumns);
-    ColumnGrid const grid(p.x.count(), p.x.height, p.x.width, kMostColumns, kSize - 1, kSize - 1, kResident, bytes, 32,
+    int const bytes = bytes_of(kSize, kMaxColumns);
+    ColumnGrid const grid(p.x.count(), p.x.height, p.x.width, kMaxColumns, kSize - 1, kSize - 1, kResident, bytes, 32,
                           rows_of(kSize));
     if (int error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes)) return error;
     kernel<<<grid.blocks, grid.columns, bytes_of(kSize, grid.columns), stream>>>(

@@ -57,16 +57,16 @@ struct Frame {
     if (y0 <= R || y0 + kRows + R >= height) return kSlots;
     return x0 <= R || x0 + kColumns + R >= width ? kSides : 0;
   }
-  __device__ __forceinline__ static int beyond(int k, int n) { return k < R ? k - R : n + k - R; }
+  __device__ __forceinline__ static int coordinate(int k, int n) { return k < R ? k - R : n + k - R; }
   __device__ __forceinline__ static int index(int at, int n) { return at < 0 ? at + R : at - n + R; }
   // False for slots of rows and columns of the tile that are not in the image.
   __device__ __forceinline__ bool locate(int slot, int& y, int& x) const {
     if (slot < kSides) {
-      y = y0 + slot % kRows, x = beyond(slot / kRows, width);
+      y = y0 + slot % kRows, x = coordinate(slot / kRows, width);
       return y < height;
     }
     int const k = (slot - kSides) / kWide, i = (slot - kSides) % kWide;
-    y = beyond(k, height), x = i < kColumns ? x0 + i : beyond(i - kColumns, width);
+    y = coordinate(k, height), x = i < kColumns ? x0 + i : coordinate(i - kColumns, width);
     return i >= kColumns || x < width;
   }
   __device__ __forceinline__ int slot(int y, int x) const {
@@ -162,7 +162,7 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
     pixel_ab[C] = ab.at(row, column)[C * ab.size()];
   };
   // Adds what a position out of bounds, whose border pixel is `center`, receives.
-  auto const receive_beyond = [&](int at_y, int at_x, float const(&center)[C], float(&grad)[C]) {
+  auto const receive_out_of_bounds = [&](int at_y, int at_x, float const(&center)[C], float(&grad)[C]) {
     Window const window(p, at_y, at_x, false);
     for (int row = window.top; row <= window.bottom; ++row)
       for (int column = window.left; column <= window.right; ++column) {
@@ -176,7 +176,7 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
   };
   // In windows known at compile time a thread for each position out of bounds computes what its border pixel adds.
   Frame<(R > 0 ? R : 1)> const frame{y0, x0, height, width};
-  float* const beyond = ab.data + (C + 1) * ab.size();
+  float* const received_from_border = ab.data + (C + 1) * ab.size();
   if constexpr (R > 0) {
     if (p.border != Border::circular && p.border != Border::constant && frame.count() > 0) {
       for (int task = threadIdx.x; task < frame.count(); task += kThreads) {
@@ -187,9 +187,9 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
         float center[C], received[C] = {};
 #pragma unroll
         for (int c = 0; c < C; ++c) center[c] = s.at(from_y, from_x)[c * s.size()];
-        receive_beyond(at_y, at_x, center, received);
+        receive_out_of_bounds(at_y, at_x, center, received);
 #pragma unroll
-        for (int c = 0; c < C; ++c) beyond[C * task + c] = received[c];
+        for (int c = 0; c < C; ++c) received_from_border[C * task + c] = received[c];
       }
       __syncthreads();
     }
@@ -233,11 +233,11 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
     for_each_reader_once(p, y + i, x, [&](int at_y, int at_x) {
       if (at_y == y + i && at_x == x) return;
       if constexpr (R > 0) {
-        float const* const from = beyond + C * frame.slot(at_y, at_x);
+        float const* const from = received_from_border + C * frame.slot(at_y, at_x);
 #pragma unroll
         for (int c = 0; c < C; ++c) grad[i][c] += from[c];
       } else {
-        receive_beyond(at_y, at_x, center[i], grad[i]);
+        receive_out_of_bounds(at_y, at_x, center[i], grad[i]);
       }
     });
     T* const out = p.grad_x.row(b, 0, y + i) + x * p.grad_x.step;

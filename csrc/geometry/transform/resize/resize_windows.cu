@@ -517,10 +517,10 @@ int resize_tiles(ResizeWindows<T> const& p, CUstream_st* stream) {
   auto const are_near = [](auto const& images) {  // offsets between planes have 32 bits
     return images.plane(1) - images.plane(0) <= INT32_MAX / kPlanes;
   };
-  bool const together = p.planes % kPlanes == 0 && p.x.step == 1 && are_near(p.x) && are_near(p.y);
-  WindowTiles const tiles = tiles_of(p, together ? kPlanes : 1, sizeof(RowStep<R>));
+  bool const by_groups = p.planes % kPlanes == 0 && p.x.step == 1 && are_near(p.x) && are_near(p.y);
+  WindowTiles const tiles = tiles_of(p, by_groups ? kPlanes : 1, sizeof(RowStep<R>));
   if (tiles.bytes > max_shared_bytes(kShared)) return kUnsupported;
-  auto* const kernel = together ? resize_window_tiles<T, kPlanes, R> : resize_window_tiles<T, 1, R>;
+  auto* const kernel = by_groups ? resize_window_tiles<T, kPlanes, R> : resize_window_tiles<T, 1, R>;
   if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(tiles.bytes)))
     return error;
   unsigned const blocks = unsigned(p.x.count() / p.planes) * tiles.groups * tiles.down * tiles.across;

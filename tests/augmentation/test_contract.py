@@ -48,6 +48,17 @@ def test_all_classes_have_a_case() -> None:
     assert classes == {case.name for case in CASES}
 
 
+@names
+@pytest.mark.parametrize("p", [0.0, 0.7, 1.0])
+def test_matrices_are_where_images_are(case: Case, p: float, device: torch.device) -> None:
+    x, augment = images(device), case.make(p=p)
+    flipped = A.AugmentationSequential(A.RandomHorizontalFlip(), augment, data_keys=["image"])
+    for call in (augment, lambda x: augment(x, params=augment._params), flipped):
+        call(x)
+        matrix = augment.transform_matrix
+        assert matrix is None or matrix.device == x.device
+
+
 @pytest.mark.interface
 @names
 def test_replay_is_exact(case: Case, device: torch.device) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
-from kvision._dtype import compute_dtype
 from kvision.augmentation.base.execution import Execution, Params
 from kvision.augmentation.base.one_pass import OnePass
 from kvision.augmentation.base.samples import is_known, known_everywhere, where_chosen, without_added_axes
@@ -203,11 +202,8 @@ class AugmentationBase(OnePass):
         """The last execution, or that of given parameters, whose matrices are on the device of x."""
         if params is None:
             return self._execution
-        execution = self._from_params(
-            params, x.new_empty(1).expand(tuple(int(n) for n in params["forward_input_shape"]))
-        )
-        execution.identity = x.device, compute_dtype(x)
-        return execution
+        shape = tuple(int(n) for n in params["forward_input_shape"])
+        return self._from_params(params, x.new_empty(1).expand(shape))
 
 
 class AugmentationBase2D(AugmentationBase):

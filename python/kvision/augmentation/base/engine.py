@@ -60,11 +60,14 @@ class Engine(Declaration):
         shape = tuple(x.shape)
         draws = self._draws(shape, seed is not None)
         if draws is None:
-            return Execution(shape, applied=self._applies(None, 0))
-        keys = self._keys(x, seed, generator)
-        columns = Columns(draws.draw(x, keys), draws.spans[0])
-        applied = self._applies(keys, 0)
-        return Execution(shape, columns, applied=applied, redraw=(keys, 0), is_certain=self._is_certain)
+            execution = Execution(shape, applied=self._applies(None, 0))
+        else:
+            keys = self._keys(x, seed, generator)
+            columns = Columns(draws.draw(x, keys), draws.spans[0])
+            applied = self._applies(keys, 0)
+            execution = Execution(shape, columns, applied=applied, redraw=(keys, 0), is_certain=self._is_certain)
+        execution.identity = x.device, compute_dtype(x)
+        return execution
 
     # --- parameters by name ---
 
@@ -173,7 +176,9 @@ class Engine(Declaration):
         columns = None
         if applied and not self._is_customized() and self._executes_columns(shape):
             columns = self._columns_of(params, shape, x.device, chosen)
-        return Execution(shape, columns, chosen, applied, params)
+        execution = Execution(shape, columns, chosen, applied, params)
+        execution.identity = x.device, compute_dtype(x)
+        return execution
 
     def _was_planned(self, params: Params) -> bool:
         """Whether a call with these parameters planned for this augmentation, although no sample was chosen.
@@ -224,7 +229,6 @@ class Engine(Declaration):
         transform: Tensor | None = None
         if self._needs_no_matrix():
             params = self._params_on_device(x, execution, for_users=False)
-            execution.identity = x.device, compute_dtype(x)
         else:
             params = self._params_on_device(x, execution)
             transform = self.compute_transformation(x, params, flags)

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from torch import Generator, Tensor
 
+from kvision._dtype import compute_dtype
 from kvision.augmentation.base.engine import Engine
 from kvision.augmentation.base.execution import Execution, Shape
 from kvision.augmentation.columns import Columns, DrawPlan, Span
@@ -68,5 +69,7 @@ class OnePass(Engine):
             execution = Execution(plan.shape, columns, None, True, None, (keys, 0), 1, plan.is_certain)
         if plan.image_pass.warps:
             execution.keep_matrix(matrix)
+        else:
+            execution.identity = x.device, compute_dtype(x)
         self.__dict__["_execution"] = execution  # faster than Module.__setattr__, which looks for parameters
         return y, execution

@@ -237,7 +237,9 @@ def _execute_run(
         else:
             columns, links = plan.drawn.run(x, keys)
         executions, steps = _executions(plan, columns, keys, source.frames), plan.steps
+    identity = x.device, compute_dtype(x)
     for child, module, execution in zip(run, modules, executions):
+        execution.identity = identity
         child.execution = module.__dict__["_execution"] = execution  # faster than Module.__setattr__
     stages: list[Stage] = []
     for step in steps:

@@ -50,7 +50,6 @@ class MapAugmentation(AugmentationBase2D):
         if not execution.applied or not execution.keeps_map or self._is_customized():
             return super()._run(x, execution, flags)
         y = maps.read_displaced(x, self._map_of(execution, flags, x), self.resampling(flags))
-        execution.identity = x.device, compute_dtype(x)
         return where_chosen(execution.chosen, match_layout(y, x), x)
 
     def apply_transform(

@@ -8,7 +8,6 @@ import torch
 from torch import Generator, Tensor
 
 from kvision._constants import constant
-from kvision._dtype import compute_dtype
 from kvision._ops import match_layout
 from kvision.augmentation.base.declaration import Declaration
 from kvision.augmentation.base.execution import Execution, Params, Shape, check_batch_of_params
@@ -66,7 +65,7 @@ class Engine(Declaration):
             columns = Columns(draws.draw(x, keys), draws.spans[0])
             applied = self._applies(keys, 0)
             execution = Execution(shape, columns, applied=applied, redraw=(keys, 0), is_certain=self._is_certain)
-        execution.identity = x.device, compute_dtype(x)
+        execution.keep_type(x)
         return execution
 
     # --- parameters by name ---
@@ -177,7 +176,7 @@ class Engine(Declaration):
         if applied and not self._is_customized() and self._executes_columns(shape):
             columns = self._columns_of(params, shape, x.device, chosen)
         execution = Execution(shape, columns, chosen, applied, params)
-        execution.identity = x.device, compute_dtype(x)
+        execution.keep_type(x)
         return execution
 
     def _was_planned(self, params: Params) -> bool:

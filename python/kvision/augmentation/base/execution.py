@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._dtype import compute_dtype
 from kvision.augmentation.columns import Columns
 from kvision.augmentation.keys import Keys
 from kvision.core.exceptions import ShapeError
@@ -48,6 +49,10 @@ class Execution:
         self.identity: tuple[torch.device, torch.dtype] | None = None
         self.keeps_map = False  # for labels of the same call
         self.map: Tensor | None = None  # of a deformation, kept by `keeps_map`
+
+    def keep_type(self, images: Tensor) -> None:
+        """Keep the device and type of images, which identity matrices get."""
+        self.identity = images.device, compute_dtype(images)
 
     def keep_matrix(self, matrix: Tensor) -> None:
         """Keep the matrices of an operator, which carry no gradients; where parameters do, they are computed when asked for."""

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 from torch import Generator, Tensor
 
-from kvision._dtype import compute_dtype
 from kvision.augmentation.base.engine import Engine
 from kvision.augmentation.base.execution import Execution, Shape
 from kvision.augmentation.columns import Columns, DrawPlan, Span
@@ -70,6 +69,6 @@ class OnePass(Engine):
         if plan.image_pass.warps:
             execution.keep_matrix(matrix)
         else:
-            execution.identity = x.device, compute_dtype(x)
+            execution.keep_type(x)
         self.__dict__["_execution"] = execution  # faster than Module.__setattr__, which looks for parameters
         return y, execution

@@ -236,10 +236,8 @@ def _execute_run(
             first = y, matrix
         else:
             columns, links = plan.drawn.run(x, keys)
-        executions, steps = _executions(plan, columns, keys, source.frames), plan.steps
-    identity = x.device, compute_dtype(x)
+        executions, steps = _executions(x, plan, columns, keys, source.frames), plan.steps
     for child, module, execution in zip(run, modules, executions):
-        execution.identity = identity
         child.execution = module.__dict__["_execution"] = execution  # faster than Module.__setattr__
     stages: list[Stage] = []
     for step in steps:
@@ -350,7 +348,7 @@ def _draw(x: Tensor, plan: _RunPlan, keys: Keys | None, frames: int) -> Tensor |
     return columns.repeat_interleave(frames, 0) if frames > 1 else columns
 
 
-def _executions(plan: _RunPlan, columns: Tensor | None, keys: Keys | None, frames: int) -> list[Execution]:
+def _executions(x: Tensor, plan: _RunPlan, columns: Tensor | None, keys: Keys | None, frames: int) -> list[Execution]:
     executions = []
     for request, span, shape, applies, certain in zip(
         plan.requests, plan.spans, plan.shapes, plan.applied, plan.certain
@@ -360,6 +358,7 @@ def _executions(plan: _RunPlan, columns: Tensor | None, keys: Keys | None, frame
         else:
             redraw = (keys, plan.first + request)
             executions.append(Execution(shape, Columns(columns, span), None, applies, None, redraw, frames, certain))
+        executions[-1].keep_type(x)
     return executions
 
 

@@ -240,8 +240,15 @@ def _vertices(op: str, polygons: Any, images: Tensor) -> Tensor:
     return vertices
 
 
+_FEW = 4  # pixels that are written one by one, which on a GPU takes less time than copying their indices to it
+
+
 def _plot(image: Tensor, pixels: Tensor, color: Tensor) -> None:
     """Set the pixels (N, 2), as (x, y), of the image (C, H, W) to the color (C,)."""
+    if _check.values_are_readable(pixels) and len(pixels) <= _FEW:
+        for x, y in pixels.tolist():
+            image[:, y, x] = color
+        return
     x, y = pixels.to(image.device, non_blocking=True).unbind(1)
     image[:, y, x] = color[:, None]
 
@@ -257,10 +264,8 @@ def _points(op: str, name: str, points: Any, image: Tensor) -> Tensor:
     height, width = image.shape[-2:]
     if not _check.values_are_readable(pixels):
         return pixels
-    if len(pixels) == 0:
-        return pixels
-    (left, top), (right, bottom) = (extreme.tolist() for extreme in torch.aminmax(pixels, dim=0))
-    if left < 0 or top < 0 or right >= width or bottom >= height:
+    extremes = pixels if len(pixels) <= _FEW else torch.stack(torch.aminmax(pixels, dim=0))
+    if not all(0 <= x < width and 0 <= y < height for x, y in extremes.tolist()):
         x, y = next((x, y) for x, y in pixels.tolist() if not (0 <= x < width and 0 <= y < height))
         raise ValueCheckError(
             f"{op}: expected {name} inside the image, x from 0 to {width - 1} and y from 0 to {height - 1}, "

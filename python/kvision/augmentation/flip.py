@@ -6,13 +6,19 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
+from torch import Generator, Tensor
 
+from kvision._constants import constant
+from kvision._dtype import compute_dtype
 from kvision.augmentation import transforms
-from kvision.augmentation.base import Shape
+from kvision.augmentation.base import Execution, Shape
+from kvision.augmentation.columns import Columns, Span
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
+from kvision.augmentation.keys import Seed
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.transforms import Transform
+from kvision.geometry.transform.flip import flipped
 
 __all__ = ["RandomHorizontalFlip", "RandomVerticalFlip"]
 
@@ -29,12 +35,27 @@ class _FlipGenerator(RandomGeneratorBase):
 
 class _RandomFlip(GeometricAugmentationBase2D):
     moves_whole_pixels = stays_inside = permutes_pixels = True
+    flips_columns: bool  # or rows
 
     def __init__(
         self, p: float = 0.5, p_batch: float = 1.0, same_on_batch: bool = False, keepdim: bool = False, **options: Any
     ) -> None:
         super().__init__(p=p, p_batch=p_batch, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator = _FlipGenerator()
+
+    def _draw_and_run(
+        self, x: Tensor, seed: Seed, generator: Generator | None, flags: dict[str, Any]
+    ) -> tuple[Tensor, Execution]:
+        """A flip of all samples draws nothing but its key, and its matrix is computed when it is read."""
+        if not self._is_certain or self._is_customized():
+            return super()._draw_and_run(x, seed, generator, flags)
+        keys = self._keys(x, seed, generator)
+        flipped_all = constant((-1.0,), x, compute_dtype(x)).expand(x.shape[0], 1)
+        columns = Columns(flipped_all, Span(0, 1, False))
+        execution = Execution(tuple(x.shape), columns, redraw=(keys, 0), is_certain=True)
+        execution.keep_type(x)
+        self.__dict__["_execution"] = execution  # faster than Module.__setattr__, which looks for parameters
+        return flipped(x, self.flips_columns, not self.flips_columns), execution
 
 
 class RandomHorizontalFlip(_RandomFlip):
@@ -61,6 +82,8 @@ class RandomHorizontalFlip(_RandomFlip):
                  [ 0.,  0.,  1.]]])
     """
 
+    flips_columns = True
+
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
         return [transforms.affine(transforms.center_of(shape), scale=(0, -1))]
 
@@ -84,6 +107,8 @@ class RandomVerticalFlip(_RandomFlip):
         tensor([[[[2.],
                   [1.]]]])
     """
+
+    flips_columns = False
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
         return [transforms.affine(transforms.center_of(shape), scale=(-1, 0))]

@@ -23,28 +23,36 @@ _KERNELS: dict[str, Callable[[Tensor], Tensor]] = {
 }
 
 
+Gradients = Callable[..., Sequence[Tensor | None]]
+
+
 class _Recomputed(torch.autograd.Function):
-    """`f(*tensors)`, recomputed in the backward pass, so that no intermediate result is stored."""
+    """`f(*tensors)`, recomputed in the backward pass, so that no intermediate result is stored.
+
+    `gradients(needs, grad, *tensors)` may give the gradients by a shorter formula than autograd's.
+    """
 
     generate_vmap_rule = True
 
     @staticmethod
-    def forward(f: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
+    def forward(f: Callable[..., Tensor], gradients: Gradients | None, *tensors: Tensor) -> Tensor:
         return f(*tensors)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
-        ctx.f = inputs[0]
-        ctx.save_for_backward(*inputs[1:])
-        ctx.save_for_forward(*inputs[1:])
+        ctx.f, ctx.gradients = inputs[:2]
+        ctx.save_for_backward(*inputs[2:])
+        ctx.save_for_forward(*inputs[2:])
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
+        if ctx.gradients is not None:
+            return (None, None, *ctx.gradients(ctx.needs_input_grad[2:], grad, *ctx.saved_tensors))
         vjp_fn = torch.func.vjp(ctx.f, *ctx.saved_tensors)[1]
-        return (None, *vjp_fn(grad))
+        return (None, None, *vjp_fn(grad))
 
     @staticmethod
-    def jvp(ctx: Any, _: None, *tangents: Tensor | None) -> Tensor:
+    def jvp(ctx: Any, _: None, __: None, *tangents: Tensor | None) -> Tensor:
         tensors = ctx.saved_tensors
         full = tuple(torch.zeros_like(x) if t is None else t for x, t in zip(tensors, tangents))
         # J t as the derivative of u -> J^T u: plain forward mode cannot be nested in itself.
@@ -53,9 +61,9 @@ class _Recomputed(torch.autograd.Function):
         return jvp_fn(full)[0]
 
 
-def recomputed(f: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
+def recomputed(f: Callable[..., Tensor], *tensors: Tensor, gradients: Gradients | None = None) -> Tensor:
     # torch.compile decides itself what to store, and cannot trace a Function with forward mode; torch.jit.trace saves none.
-    return f(*tensors) if torch.compiler.is_compiling() or is_tracing() else _Recomputed.apply(f, *tensors)
+    return f(*tensors) if torch.compiler.is_compiling() or is_tracing() else _Recomputed.apply(f, gradients, *tensors)
 
 
 def count_chunks(x: Tensor, bins: int) -> int:
@@ -150,7 +158,32 @@ def joint_counts(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor) -> Ten
         return _total(products)
 
     n = count_chunks(x1, bins.shape[0])
-    return _total([recomputed(counts, a, b, bins, bandwidth) for a, b in zip(x1.chunk(n, 1), x2.chunk(n, 1))])
+    pairs = zip(x1.chunk(n, 1), x2.chunk(n, 1))
+    return _total([recomputed(counts, a, b, bins, bandwidth, gradients=_joint_gradients) for a, b in pairs])
+
+
+def _joint_gradients(
+    needs: Sequence[bool], grad: Tensor, x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor
+) -> list[Tensor | None]:
+    """The gradients of joint_counts for samples (N, P): autograd would pass over (N, K, P) twice as often."""
+    distances = [(x[:, None] - bins[:, None]) / bandwidth for x in (x1, x2)]  # (N, K, P)
+    weights = [_KERNELS["gaussian"](u) for u in distances]
+    grad_bins, grad_bandwidth = None, None
+    grads: list[Tensor | None] = [None, None]
+    of_weights = (grad, weights[1]), (grad.mT, weights[0])
+    for i, (u, weight, (matrix, other)) in enumerate(zip(distances, weights, of_weights)):
+        if not (needs[i] or needs[2] or needs[3]):
+            continue
+        of_distance = (matrix @ other) * weight * u  # with the opposite sign
+        if needs[i]:
+            grads[i] = of_distance.sum(1) / -bandwidth
+        if needs[2]:
+            part = of_distance.sum((0, 2))
+            grad_bins = part if grad_bins is None else grad_bins + part
+        if needs[3]:
+            part = (of_distance * u).sum()
+            grad_bandwidth = part if grad_bandwidth is None else grad_bandwidth + part
+    return [*grads, *(None if g is None else g / bandwidth for g in (grad_bins, grad_bandwidth))]
 
 
 _SHORT = 256  # samples

@@ -204,9 +204,8 @@ def lines(points: Tensor, F: Tensor) -> Tensor:
 
 
 def scaled_lines(line: Tensor) -> Tensor:
-    a, b, _ = line.unbind(-1)
-    square = torch.addcmul(a * a, b, b)
-    return line / square.masked_fill(square == 0, 1).sqrt().unsqueeze(-1)
+    length = torch.linalg.vector_norm(line[..., :2], dim=-1, keepdim=True)
+    return line / length.masked_fill(length == 0, 1)
 
 
 def check_points(op: str, name: str, x: Tensor) -> None:

@@ -52,6 +52,16 @@ class TestSpatialFunctions(CompositionTests):
     compiled = ("spatial_soft_argmax2d", "render_gaussian2d")
 
 
+def test_softmax_of_few_large_planes(device):
+    x = 5 * torch.randn(1, 2, 400, 401, dtype=torch.float64, device=device)
+    x[..., :9] = -torch.inf
+    x.requires_grad_()
+    y, expected = G.spatial_softmax2d(x), x.flatten(2).softmax(-1).view(x.shape)
+    assert_close(y, expected)
+    weights = torch.rand_like(y)
+    assert_close(*(torch.autograd.grad((p * weights).sum(), x)[0] for p in (y, expected)), 1e-9, 1e-12)
+
+
 def gaussians(mean: Tensor, std: Tensor, size: tuple[int, int], normalized: bool) -> list[Tensor]:
     """Maps, and the gradients of a sum of theirs."""
     leaves = [x.detach().requires_grad_() for x in (mean, std)]

@@ -239,6 +239,24 @@ def test_errors(call, error, message):
     assert isinstance(caught.value, K.core.exceptions.BaseError)
 
 
+class TestDistanceTransform(OpTests):
+    function = staticmethod(C.distance_transform)
+    module = staticmethod(C.DistanceTransform)
+    operators = ("distance_transform_step",)
+    variants = [{}, {"kernel_size": 5, "h": 0.3}]
+    errors = [({"kernel_size": 4}, ValueError, "expected kernel_size to be odd")]
+    differentiable = False  # with a gradient no step has a kernel
+    shape = (2, 2, 13, 18)
+    small = (1, 1, 4, 5)
+
+    def input(self, shape, dtype, device):
+        return (0.7 * torch.rand(shape)).mul(torch.rand(shape) < 0.05).to(dtype).to(device)
+
+    def expected(self, x, kwargs):
+        with K.backend("reference"):
+            return self.call(x, kwargs)
+
+
 class TestConnectedComponents(OpTests):
     function = staticmethod(C.connected_components)
     operators = ("connected_components",)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from functools import reduce
 from itertools import product
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,7 +13,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
-from kvision._ops import is_compiling, with_kernel_casts
+from kvision._ops import is_compiling, register, wants_derivative, with_kernel_casts
 from kvision._torch_compat import in_onnx_export
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.filters.filter2d import filter2d
@@ -72,38 +73,65 @@ def distance_transform(image: Tensor, kernel_size: int = 3, h: float = 0.35, exa
     return _approximate(image, size, h)
 
 
+def _grow(
+    grown: Tensor, total: Tensor, kernel: Tensor, distance: float | Tensor, scale: float | Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """A step: the grown masks, the distances, and the pixels that are reached, at scale * log(blurred) from the mask before."""
+    blur = filter2d if grown.dim() == 4 else filter3d
+    near = blur(grown, kernel, "replicate")
+    reached = (near > 0) & (near < 1)
+    within = scale * torch.where(reached, near, 0.5).log()
+    return torch.where(reached, 1, grown), total + torch.where(reached, distance + within, 0), reached
+
+
+def _step_reference(grown: Tensor, total: Tensor, kernel: Tensor, distance: float, h: float) -> tuple[Tensor, Tensor]:
+    return _grow(grown, total, kernel, distance, -h)[:2]
+
+
+def _fake(grown: Tensor, *_: Any) -> list[Tensor]:
+    return [torch.empty_like(grown, memory_format=torch.contiguous_format) for _ in range(2)]
+
+
+_step = register("distance_transform_step", _step_reference, fake=_fake)
+
+_SMALL = 7  # windows that the kernel, which reads each pixel of a window from memory, takes
+
+
 @with_kernel_casts
 def _approximate(x: Tensor, size: int, h: float) -> Tensor:
-    blur = filter2d if x.dim() == 4 else filter3d
     squares = (torch.arange(size, dtype=x.dtype, device=x.device) - size // 2) ** 2
     coords = torch.meshgrid(*[squares] * (x.dim() - 2), indexing="ij")
     kernel = (sum(coords[1:], coords[0]).sqrt() / -h).exp()[None]
     radius, scale = size // 2, x.new_full((), -h)  # a tensor, because loops of graphs take no symbolic floats
 
-    def grow(
+    def advance(
         step: int | Tensor, grown: Tensor, total: Tensor, _: Tensor
     ) -> tuple[int | Tensor, Tensor, Tensor, Tensor]:
-        near = blur(grown, kernel, "replicate")
-        reached = (near > 0) & (near < 1)
-        within = scale * torch.where(reached, near, 0.5).log()
-        total = total + torch.where(reached, step * radius + within, 0)
-        return step + 1, torch.where(reached, 1, grown), total, reached.any()  # where none is, later steps reach none
+        grown, total, reached = _grow(grown, total, kernel, step * radius, scale)
+        return step + 1, grown, total, reached.any()  # where none is, later steps reach none
 
     sides = x.shape[2:]
-    grown, total = x.clamp(0, 1), torch.zeros_like(x)
+    grown = x.clamp(0, 1).contiguous()
+    total = torch.zeros_like(grown)
     changed = torch.ones((), dtype=torch.bool, device=x.device)
     # ONNX gets no loop: its body is traced as if it were for torch.
     if is_compiling() and not in_onnx_export() and not (torch.is_grad_enabled() and x.requires_grad):
         # A graph has loops of its own, whose length depends on sizes. The gradients through them are wrong in torch 2.13.
         steps = (reduce(torch.sym_max, sides) + radius - 1) // radius
         state = torch.zeros((), dtype=torch.int64, device=x.device), grown, total, changed
-        return torch.while_loop(lambda step, *state: (step < steps) & state[-1], grow, state)[2]
+        return torch.while_loop(lambda step, *state: (step < steps) & state[-1], advance, state)[2]
+    has_kernel = size <= _SMALL and not is_compiling() and not wants_derivative(x)
     for step in range(math.ceil(max(sides) / radius)):
-        _, grown, total, changed = grow(step, grown, total, changed)
+        before = grown
+        if has_kernel:
+            grown, total = _step(grown, total, kernel, float(step * radius), h)
+        else:
+            _, grown, total, changed = advance(step, grown, total, changed)
         # Each read waits for the GPU, so there it is read after 1, 2, 4, ... steps: at most twice the steps are computed.
         is_due = not x.is_cuda or (step & (step + 1)) == 0
-        if is_due and _check.values_are_readable(x, may_wait=True) and not changed:
-            break
+        if is_due and _check.values_are_readable(x, may_wait=True):
+            if torch.equal(before, grown) if has_kernel else not changed:
+                break
     return total
 
 

@@ -32,9 +32,9 @@ __device__ __forceinline__ void for_each_voxel(P const& p, Voxel voxel) {
   __syncthreads();
   Homography3<F> const map = shared_map;
   Size3 const& size = p.use.output;
-  int64_t const last = min((part + 1) * kVoxelsOfPart, p.output_voxels());
+  int64_t const last = min((part + 1) * p.part_voxels, p.output_voxels());
 #pragma unroll 1
-  for (int64_t at = part * kVoxelsOfPart + threadIdx.x; at < last; at += kThreads) {
+  for (int64_t at = part * p.part_voxels + threadIdx.x; at < last; at += kThreads) {
     int64_t const row = at / size.width;
     F const x = F(at - row * size.width), y = F(row % size.height), z = F(row / size.height);
     F coords[3];

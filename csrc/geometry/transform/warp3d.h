@@ -30,16 +30,21 @@ struct Warp3d {
   MatrixUse3 use;
   T *x, *y;
   int64_t batch, channels;
-  double* sums;  // of the gradient to the matrices: 16 for each of `parts` of a sample
-  int64_t parts;
+  double* sums;                // of the gradient to the matrices: 16 for each of `parts` of a sample
+  int64_t parts, part_voxels;  // CUDA: a block takes a part, of at most `part_voxels` voxels
 
   KV_HD int64_t source_voxels() const { return use.source.depth * use.source.height * use.source.width; }
   KV_HD int64_t output_voxels() const { return use.output.depth * use.output.height * use.output.width; }
   KV_HD Axis<Compute<T>> axis(int i) const { return {int(use.source.along(i)), padding, use.align_corners}; }
 };
 
-// The number of voxels of a sample that a block takes on CUDA.
-constexpr int64_t kVoxelsOfPart = 4096;
+// The number of voxels of a sample that a block takes on CUDA: many, because each computes the map of its sample, and
+// few where there would be less than kFewBlocks, which leave most of a GPU idle.
+constexpr int64_t kMostPartVoxels = 4096, kFewestPartVoxels = 256, kFewBlocks = 512;
+inline int64_t part_voxels_of(int64_t batch, int64_t output_voxels) {
+  int64_t const voxels = batch * output_voxels / kFewBlocks / kFewestPartVoxels * kFewestPartVoxels;
+  return clamp(voxels, kFewestPartVoxels, kMostPartVoxels);
+}
 
 // The value; in the compute type, the gradient of the volume and the partial sums of the gradient of the matrices.
 template <class T>

@@ -14,13 +14,16 @@ Size3 size3_of(char const* op, std::vector<int64_t> const& size) {
 
 Size3 size3_of(char const* op, Tensor const& x) { return size3_of(op, {x.size(2), x.size(3), x.size(4)}); }
 
-// Parts of a sample: chunks of voxels on CUDA, rows on the CPU.
-int64_t parts_of(Size3 const& output) {
+// The voxels of a part of a sample: a chunk on CUDA, a row on the CPU.
+int64_t part_voxels([[maybe_unused]] int64_t batch, Size3 const& output) {
 #if defined(KV_CUDA)
-  return ceil_div(output.depth * output.height * output.width, kVoxelsOfPart);
+  return part_voxels_of(batch, output.depth * output.height * output.width);
 #else
-  return output.depth * output.height;
+  return output.width;
 #endif
+}
+int64_t parts_of(int64_t batch, Size3 const& output) {
+  return ceil_div(output.depth * output.height * output.width, part_voxels(batch, output));
 }
 
 // A warp of dense volumes like `volumes`, and its parameters; the caller sets the tensors that are read and written.
@@ -46,9 +49,18 @@ struct Warp {
   int64_t channels() const { return volumes.size(1); }
   template <class T>
   Warp3d<T> of(Tensor const& x, Tensor const& y) const {
-    return {
-        interpolation, padding, matrix.data<Compute<T>>(), matrix.stride, use, data_ptr<T>(x), data_ptr<T>(y), batch(),
-        channels(),    nullptr, parts_of(use.output)};
+    return {interpolation,
+            padding,
+            matrix.data<Compute<T>>(),
+            matrix.stride,
+            use,
+            data_ptr<T>(x),
+            data_ptr<T>(y),
+            batch(),
+            channels(),
+            nullptr,
+            parts_of(batch(), use.output),
+            part_voxels(batch(), use.output)};
   }
 };
 
@@ -115,7 +127,7 @@ Tensor warp3d_matrix_backward(Tensor const& grad, Tensor const& volumes, Tensor 
   Warp const w(op, volumes, {op, matrix, volumes, 3, volumes.size(0)}, size3_of(op, volumes), size3_of(op, grad),
                interpolation, padding, align_corners, inverse, normalized);
   Tensor const y = dense(grad);
-  int64_t const parts = parts_of(w.use.output);
+  int64_t const parts = parts_of(w.batch(), w.use.output);
   Tensor const sums = empty({w.batch(), parts, 16}, grad, Layout::planar, ScalarType::Double);
   Tensor const grad_matrix = empty({w.batch(), w.use.rows, 4}, w.matrix.tensor);
   dispatch_compute_dtype(op, volumes, [&](auto type) {

@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     case, size, dtype, device, [] if size in neighbors else peers, stopwatch, bandwidth,
                     backward=options.backward, batch_one=size == round_sizes[0],
                 )  # fmt: skip
-                for row in measured if size in round_sizes else where_served(measured, case.name, size, dtype):
+                for row in where_served(measured, case.name, size, dtype):
                     rows.append(row)
                     print(layout.line(row), flush=True)
 

@@ -104,3 +104,13 @@ def test_perpendicular_lines(lines, points, device):
     torch.autograd.gradgradcheck(G.get_perpendicular, inputs)
     of_vmap = torch.func.vmap(G.get_perpendicular)(lines.expand(3, *lines.shape), points.expand(3, *points.shape))
     assert_close(of_vmap, result.expand_as(of_vmap), 0, 1e-12)
+
+
+def test_second_gradients_of_lines_without_direction(device):
+    """A point at an epipole has no epipolar line: (0, 0, c), whose gradients of both orders are finite."""
+    F = torch.eye(3, device=device).double()[None].requires_grad_()
+    at_epipole = torch.zeros(1, 2, 2, device=device).double().requires_grad_()
+    lines = G.compute_correspond_epilines(at_epipole, F)
+    (grad,) = torch.autograd.grad(lines.square().sum(), at_epipole, create_graph=True)
+    seconds = torch.autograd.grad(grad.square().sum() + grad.sum(), (at_epipole, F))
+    assert grad.isfinite().all() and all(second.isfinite().all() for second in seconds)

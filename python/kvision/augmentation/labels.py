@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.constants import DataKey
-from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 BOX_FORMATS = {
     DataKey.BBOX: "vertices",
@@ -27,6 +27,17 @@ CURVED = 16  # points on each side of a box that moves by a map, which bends its
 # edges of pixels: the first pixel's center, 0, is half a pixel from its left edge, 0. xyxy_plus names the first and the last
 # pixel, which both belong to the box.
 _OFFSETS = {"xyxy": (-0.5, -0.5), "xywh": (-0.5, -0.5), "xyxy_plus": (-0.5, 0.5)}
+
+
+def parse_data_keys(op: str, keys: Any) -> list[DataKey]:
+    """The members of DataKey that the argument `data_keys` names."""
+    if isinstance(keys, str) or not isinstance(keys, Sequence) or not keys:
+        raise ValueCheckError(f"{op}: expected data_keys to be a sequence of keys, got {keys!r}")
+    try:
+        return [DataKey.get(key) for key in keys]
+    except (ValueCheckError, TypeCheckError) as error:
+        listed = ", ".join(repr(name.lower()) for name in DataKey._member_map_)
+        raise type(error)(f"{op}: expected data_keys to be of {listed}; got {keys!r}") from None
 
 
 def move_points(points: Any, move: Mover, numbers: int = 2) -> Any:

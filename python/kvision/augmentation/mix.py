@@ -14,7 +14,7 @@ from kvision._dtype import compute_dtype, floats
 from kvision._modes import INTERPOLATION, PADDING
 from kvision.augmentation.base import AugmentationBase2D, Execution, Params, where_chosen
 from kvision.augmentation.keys import Seed
-from kvision.augmentation.labels import BOX_FORMATS
+from kvision.augmentation.labels import BOX_FORMATS, parse_data_keys
 from kvision.augmentation.maps import exact
 from kvision.augmentation.random_generator.mix import (
     CutmixGenerator,
@@ -79,8 +79,11 @@ class MixAugmentationBaseV2(AugmentationBase2D):
         data_keys: Sequence[str | int | DataKey] | None = None,
         **options: Any,
     ) -> None:
+        op = type(self).__name__
+        if options.get("return_transform"):
+            raise _NoMatrixError(f"{op}: samples are mixed, there is no matrix to return")
         super().__init__(p=p, p_batch=p_batch, same_on_batch=same_on_batch, keepdim=keepdim, **options)
-        self.data_keys = [DataKey.INPUT] if data_keys is None else [DataKey.get(key) for key in data_keys]
+        self.data_keys = [DataKey.INPUT] if data_keys is None else parse_data_keys(op, data_keys)
 
     @property
     def transform_matrix(self) -> Tensor:
@@ -112,9 +115,10 @@ class MixAugmentationBaseV2(AugmentationBase2D):
             ValueError: there are fewer inputs than keys.
             NotImplementedError: a key that this operation cannot mix.
         """
-        keys = self.data_keys if data_keys is None else [DataKey.get(key) for key in data_keys]
+        op = type(self).__name__
+        keys = self.data_keys if data_keys is None else parse_data_keys(op, data_keys)
         if len(input) < len(keys):
-            raise ValueCheckError(f"{type(self).__name__}: expected {len(keys)} inputs, got {len(input)}")
+            raise ValueCheckError(f"{op}: expected {len(keys)} inputs, got {len(input)}")
         x = self.transform_tensor(input[keys.index(DataKey.INPUT)])
         for key, value in zip(keys, input):
             if key != DataKey.INPUT:

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision.augmentation.container import AugmentationSequential, ImageSequentialBase
-from kvision.augmentation.labels import BOX_FORMATS, box_corners
+from kvision.augmentation.labels import BOX_FORMATS, box_corners, parse_data_keys
 from kvision.augmentation.normalize import Denormalize, Normalize
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -94,7 +94,7 @@ def draw_samples(
         raise TypeCheckError(f"preview: expected augment to be a module, got {type(augment).__name__}")
     if data_keys is None:
         data_keys = getattr(augment, "data_keys", None) or [DataKey.INPUT]
-    keys = [DataKey.get(key) for key in data_keys]
+    keys = parse_data_keys("preview", data_keys)
     if len(keys) != len(inputs) or DataKey.INPUT not in keys:
         raise ValueCheckError(
             f"preview: expected an image and its labels for the keys {[key.name.lower() for key in keys]}, "

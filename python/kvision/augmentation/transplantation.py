@@ -11,6 +11,7 @@ from torch import Generator, Tensor
 from kvision.augmentation.base import Execution, Params, per_sample
 from kvision.augmentation.draws import integer
 from kvision.augmentation.keys import Seed
+from kvision.augmentation.labels import parse_data_keys
 from kvision.augmentation.mix import MixAugmentationBaseV2
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
 from kvision.constants import DataKey
@@ -101,7 +102,7 @@ class RandomTransplantation(MixAugmentationBaseV2):
             ValueError: there is another number of inputs than of keys, or no mask; shapes do not fit.
         """
         op = type(self).__name__
-        keys = self.data_keys if data_keys is None else [DataKey.get(key) for key in data_keys]
+        keys = self.data_keys if data_keys is None else parse_data_keys(op, data_keys)
         if len(input) != len(keys) or DataKey.MASK not in keys:
             raise ValueCheckError(f"{op}: expected one input of each data key, a mask among them, got {len(input)}")
         for x in input:

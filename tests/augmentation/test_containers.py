@@ -559,3 +559,82 @@ def test_replay_of_a_batch_in_which_nothing_was_chosen(case: Case, resample: str
             chosen.add(container._params[0].data["batch_prob"].item())
             assert torch.equal(container(x, params=container._params), y)
         assert chosen == {0.0, 1.0}
+
+
+WITH_MATRICES = {
+    "ImageSequential": lambda **options: A.ImageSequential(A.RandomRotation(30.0), A.RandomInvert(), **options),
+    "AugmentationSequential": lambda **options: A.AugmentationSequential(A.RandomAffine(30.0), **options),
+    "PatchSequential": lambda **options: A.PatchSequential(
+        A.RandomInvert(), grid_size=(2, 2), patchwise_apply=False, **options
+    ),
+    "AutoAugment": lambda **options: A.auto.AutoAugment(**options),
+    "RandAugment": lambda **options: A.auto.RandAugment(2, 9, **options),
+    "TrivialAugment": lambda **options: A.auto.TrivialAugment(**options),
+    "AugMix": lambda **options: A.auto.AugMix(**options),
+    "AdaptiveDiscriminatorAugmentation": lambda **options: A.presets.ada.AdaptiveDiscriminatorAugmentation(
+        A.RandomAffine(30.0, p=1.0), initial_p=0.5, **options
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WITH_MATRICES)
+def test_return_transform(name: str, device: torch.device) -> None:
+    """On the constructor and the call; matrices that come with the images are multiplied, or passed on."""
+    x, before = images(device), torch.tensor([[1.0, 0, 3], [0, 1, 0], [0, 0, 1]]).expand(6, 3, 3)
+    augment = WITH_MATRICES[name]()
+    y, matrix = augment(x, seed=1, return_transform=True)
+    assert torch.equal(y, augment(x, seed=1)) and matrix.device == x.device
+    torch.testing.assert_close(matrix.cpu(), augment.transform_matrix.cpu())
+    assert augment((x, before), seed=1)[1] is before
+    own = WITH_MATRICES[name](return_transform=True)
+    assert isinstance(own(x, seed=1, return_transform=False), Tensor)
+    torch.testing.assert_close(own((x, before), seed=1)[1], matrix @ before.to(matrix))
+    chained = nn.Sequential(own, A.RandomHorizontalFlip(p=1.0, return_transform=True))
+    _, product = chained(x)
+    flip = torch.tensor([[-1.0, 0, 19], [0, 1, 0], [0, 0, 1]], device=device)
+    torch.testing.assert_close(product, flip @ own.transform_matrix.to(device))
+
+
+def test_return_transform_with_labels(device: torch.device) -> None:
+    x, flip = images(device), A.RandomHorizontalFlip(p=1.0)
+    expected = torch.tensor([[-1.0, 0, 19], [0, 1, 0], [0, 0, 1]], device=device).expand(6, 3, 3)
+    augment = A.AugmentationSequential(flip, data_keys=["image", "mask"], return_transform=True)
+    (y, matrix), mask = augment(x, x)
+    assert torch.equal(matrix, expected) and torch.equal(y, mask)
+    named = A.AugmentationSequential(flip, data_keys=None)({"mask": x, "image": x}, return_transform=True)
+    assert torch.equal(named["image"][1], expected) and torch.equal(named["mask"], mask)
+    video = A.VideoSequential(flip, return_transform=True)
+    frames, matrices = video(x[None])
+    assert torch.equal(matrices, expected) and frames.shape == (1, *x.shape)
+    with pytest.raises(RuntimeError, match="RandomMixUpV2: samples are mixed, there is no matrix"):
+        A.RandomMixUpV2(return_transform=True)
+
+
+def test_samples_that_a_discriminator_sees_unchanged_have_the_identity(device: torch.device) -> None:
+    x = images(device, batch=32)
+    augment = A.presets.ada.AdaptiveDiscriminatorAugmentation(A.RandomHorizontalFlip(p=1.0), initial_p=0.5)
+    y = augment(x)
+    chosen = augment._params[-1].data["batch_prob"].to(device) > 0.5
+    assert 0 < chosen.sum() < 32
+    flips = augment.transform_matrix[:, 0, 0].to(device) < 0
+    assert torch.equal(flips, chosen) and torch.equal(augment.inverse(y), x)
+    assert torch.equal(augment(x, params=augment._params), y) and torch.equal(augment(x, params=augment._params), y)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda keys: A.AugmentationSequential(A.RandomHorizontalFlip(), data_keys=keys),
+        lambda keys: A.AugmentationSequential(A.RandomHorizontalFlip())(images(), images(), data_keys=keys),
+        lambda keys: A.RandomCutMixV2(data_keys=keys),
+        lambda keys: A.RandomTransplantation()(images(), images()[:, 0], data_keys=keys),
+        lambda keys: A.preview(A.RandomHorizontalFlip(), images()[0], images(), data_keys=keys),
+    ],
+    ids=["constructor", "call", "mix", "transplantation", "preview"],
+)
+def test_unknown_data_keys(call: Any) -> None:
+    listed = "'image', 'input', 'mask', 'bbox', 'bbox_xyxy', .*; got "
+    with pytest.raises(KeyError, match=rf"\w+: expected data_keys to be of {listed}\['image', 'foo'\]"):
+        call(["image", "foo"])
+    with pytest.raises(TypeError, match=rf"\w+: expected data_keys to be of {listed}\['image', 1.5\]"):
+        call(["image", 1.5])

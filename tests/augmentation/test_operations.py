@@ -112,6 +112,49 @@ def test_labels_follow_and_containers_replay(name: str, device: torch.device) ->
         torch.testing.assert_close(part[3:], some)
 
 
+@pytest.mark.tracing
+@names
+def test_compiles(name: str) -> None:
+    """By itself with torch's generator, and in a container with a seed."""
+    torch.compiler.reset()
+    x, operation = images(), getattr(O, name)()
+    chain = A.AugmentationSequential(
+        A.RandomHorizontalFlip(), O.PolicySequential(operation), data_keys=["image", "mask"]
+    )
+    for call in (lambda x: [operation(x)], lambda x: chain(x, x, seed=4)):
+        results, gradients = [], []
+        for own in (call, torch.compile(call, fullgraph=True, backend="aot_eager")):
+            torch.manual_seed(1)
+            results.append(own(x))
+            gradients.append(torch.autograd.grad(results[-1][0].square().sum(), operation._probability)[0])
+        torch.testing.assert_close(*results)
+        torch.testing.assert_close(*gradients)
+
+
+@names
+def test_containers_give_all_samples_the_same(name: str) -> None:
+    policy = O.PolicySequential(getattr(O, name)())
+    policy.same_on_batch = True
+    x = images()[:1].expand(8, -1, -1, -1)
+    results = [policy(x) for _ in range(8)]
+    assert all(torch.equal(y, y[:1].expand_as(y)) for y in results)
+    chosen = policy[0]._params["batch_prob"]
+    assert (chosen == chosen[0]).all()
+    policy.same_on_batch = False
+    policy(images()[:1].expand(64, -1, -1, -1))
+    assert 0 < (policy[0]._params["batch_prob"] > 0.5).sum() < 64
+
+
+def test_return_transform(device: torch.device) -> None:
+    x, before = images(device), torch.tensor([[1.0, 0, 3], [0, 1, 0], [0, 0, 1]]).expand(8, 3, 3)
+    operation = O.Rotate().to(device)
+    y, matrix = operation((x, before), return_transform=True)
+    torch.testing.assert_close(matrix, operation.transform_matrix @ before.to(device))
+    own = O.OperationBase(A.RandomRotation(30.0, p=1.0, return_transform=True), [("degrees", 9.0)]).to(device)
+    y, matrix = own(x)
+    assert torch.equal(matrix, own.transform_matrix) and y.shape == x.shape
+
+
 def test_frames_of_a_video_share_what_is_drawn(device: torch.device) -> None:
     video = A.VideoSequential(O.Rotate(initial_probability=0.5), O.Posterize(), data_format="BTCHW", same_on_frame=True)
     y = video.to(device)(images(device)[:, None].expand(-1, 3, -1, -1, -1))

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision._dtype import compute_dtype
+from kvision._dtype import as_dtype, compute_dtype
 from kvision._modes import INTERPOLATION
 from kvision.augmentation.base import AugmentationBase, Execution, Params, RigidAffineAugmentationBase2D, Shape
 from kvision.augmentation.columns import Span
@@ -33,10 +33,9 @@ class GeometricAugmentation(AugmentationBase):
     def output_shape(self, shape: Shape, flags: dict[str, Any]) -> Shape:
         return (*shape[:2], *self.output_size(shape, flags))
 
-    def _execution_of(self, params: Params | None, x: Tensor, flags: dict[str, Any]) -> Execution | None:
-        execution = super()._execution_of(params, x, flags)
-        if execution is not None and params is not None:
-            execution.matrix = self._matrix_of(x.new_empty(1).expand(execution.shape), execution, flags)
+    def _execution_on(self, x: Tensor, params: Params, flags: dict[str, Any]) -> Execution:
+        execution = super()._execution_on(x, params, flags)
+        execution.matrix = self._matrix_of(x, execution, flags)
         return execution
 
     def _matrix_of(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
@@ -150,7 +149,8 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
     def _matrix_of(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if execution.columns is not None or execution.params is None:
             drawn, chain = self._chain(x, execution, flags)
-            return transform_matrix(drawn, chain)
+            dtype = compute_dtype(x) if execution.identity is None else execution.identity[1]
+            return transform_matrix(as_dtype(drawn, dtype), chain)
         return super()._matrix_of(x, execution, flags)
 
     def _chain(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> tuple[Tensor, list[Transform]]:
@@ -173,8 +173,7 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
             columns = torch.empty(input.shape[0], 0, device=input.device)
         else:
             columns = self._param_generator.to_columns(params, tuple(input.shape))
-        columns = columns.to(input.device)
-        return transform_matrix(columns if columns.dtype == torch.float64 else columns.float(), chain)
+        return transform_matrix(columns.to(input.device, compute_dtype(input)), chain)
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None

@@ -56,6 +56,7 @@ class AugMix(PolicyAugmentBase):
             corruptions of ImageNet-C have them.
         same_on_batch: all samples get the same operations, values and weights.
         generator: draws the keys of each call; default: torch's generator.
+        return_transform: calls return the images and identity matrices.
 
     Raises:
         TypeError: `severity`, `mixture_width` or `chain_depth` is not an int.
@@ -78,6 +79,7 @@ class AugMix(PolicyAugmentBase):
         *,
         same_on_batch: bool | None = None,
         generator: Generator | None = None,
+        return_transform: bool | None = None,
     ) -> None:
         severity = check_integer("AugMix", "severity", severity)
         mixture_width = check_integer("AugMix", "mixture_width", mixture_width)
@@ -94,7 +96,9 @@ class AugMix(PolicyAugmentBase):
         ranges = {**_RANGES, **_FURTHER_RANGES} if all_ops else _RANGES
         entries = [[(name, 1.0, low, low + top * (high - low))] for name, (low, high) in ranges.items()]
         count = mixture_width * (_DEPTH if chain_depth == -1 else chain_depth)
-        super().__init__(entries, count=count, same_on_batch=same_on_batch, generator=generator)
+        super().__init__(
+            entries, count=count, same_on_batch=same_on_batch, generator=generator, return_transform=return_transform
+        )
         self.severity, self.mixture_width, self.chain_depth = severity, mixture_width, chain_depth
         self.alpha, self.all_ops = float(alpha), all_ops
         self._top_level = severity - 1

@@ -14,7 +14,7 @@ from torch import Generator, Tensor, nn
 
 import kvision.augmentation as A
 from kvision import _check
-from kvision.augmentation.base import AugmentationBase2D, Params
+from kvision.augmentation.base import AugmentationBase2D, Params, image_and_matrix, with_matrix
 from kvision.augmentation.base.execution import check_batch_of_params
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.configuration import Plans
@@ -114,6 +114,15 @@ class OperationBase(nn.Module):
         return {name: value for name, value in self.__dict__.items() if name != "_params"}
 
     @property
+    def same_on_batch(self) -> bool:
+        """Whether all samples get the same choice, sign and parameters."""
+        return bool(self.op.same_on_batch)
+
+    @same_on_batch.setter
+    def same_on_batch(self, value: bool) -> None:
+        self.op.same_on_batch = value
+
+    @property
     def magnitude(self) -> Tensor | None:
         """The magnitude within its range; None for an operation without one."""
         if self._factor_name is None:
@@ -159,7 +168,7 @@ class OperationBase(nn.Module):
         """Draw the parameters of a call: first the choice and the sign, then what the augmentation draws."""
         device, generator = self._probability.device, self.op._param_generator
         of_op = None if generator is None or generator.per_pixel else self.op._request(shape)
-        requests = [Request([uniform(0.0, 1.0), uniform(0.0, 1.0)], same_on_batch=False)]
+        requests = [Request([uniform(0.0, 1.0), uniform(0.0, 1.0)], same_on_batch=self.same_on_batch)]
         if of_op is not None:
             requests.append(of_op)
         keys = draw_keys(source.op, len(requests), device, source.seed_of_samples, source.generator)
@@ -198,27 +207,34 @@ class OperationBase(nn.Module):
 
     def forward(
         self,
-        input: Tensor,
+        input: Tensor | tuple[Tensor, Tensor],
         params: Params | None = None,
         *,
         seed: Seed = None,
         generator: Generator | None = None,
-    ) -> Tensor:
+        return_transform: bool | None = None,
+    ) -> Any:
         """Augment images.
 
         Args:
-            input: images (B, C, H, W) of a floating-point type.
+            input: images (B, C, H, W) of a floating-point type. A pair of images and matrices (B, 3, 3) passes the matrices on,
+                as chains with `return_transform` do.
             params: parameters of an earlier call.
             seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
             generator: draws the key of this call; default: torch's generator.
+            return_transform: also return the matrices; default: as the augmentation says.
 
         Returns:
-            Images of the shape of `input`.
+            Images of the shape of `input`; with `return_transform` a pair of them and the matrices (B, 3, 3).
         """
-        x = self.op.transform_tensor(input)
+        image, before = image_and_matrix(input)
+        x = self.op.transform_tensor(image)
         if params is None:
             params = self.forward_parameters(tuple(x.shape), seed=seed, generator=generator)
-        return self._augment(x, params)
+        y = self._augment(x, params)
+        returns = self.op.return_transform if return_transform is None else return_transform
+        transform = self.transform_matrix if returns else None
+        return with_matrix(y, before, None if transform is None else transform.to(y.device))
 
     def _execute_nested(self, x: Tensor, params: Params | None, source: Randomness) -> tuple[Tensor, Stage]:
         """Run in a container: the images, and what labels have to follow."""
@@ -226,14 +242,15 @@ class OperationBase(nn.Module):
             params = self._draw(source._replace(op=type(self).__name__), tuple(x.shape))
         y = self._augment(x, params)
         chosen = {**params, "batch_prob": params["batch_prob"].detach()}
-        return y, Applied(self.op, self.op._execution_of(chosen, x, self.op.flags), self.op.flags)
+        return y, Applied(self.op, self.op._execution_on(x, chosen, self.op.flags), self.op.flags)
 
     def _augment(self, x: Tensor, params: Params) -> Tensor:
         check_batch_of_params(type(self).__name__, len(params["batch_prob"]), len(x))
         self._params = params
         chosen = params["batch_prob"].to(x.device)[:, None, None, None]
         # Applied to all samples: the gradient to the probability needs the results of samples that are not chosen, too.
-        augmented: Tensor = self.op(x, params={**params, "batch_prob": torch.ones(x.shape[0])})
+        of_all = {name: drawn for name, drawn in params.items() if name != "batch_prob"}
+        augmented: Tensor = self.op(x, params=of_all, return_transform=False)
         y = torch.where(chosen.detach() > 0.5, augmented, x)
         if not chosen.requires_grad:
             return y

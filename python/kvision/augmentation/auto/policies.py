@@ -151,6 +151,7 @@ class AutoAugment(PolicyAugmentBase):
         transformation_matrix_mode: accepted for code written for Kornia.
         same_on_batch: all samples get the same operations and values.
         generator: draws the keys of each call; default: torch's generator.
+        return_transform: calls return the images and the product of the matrices.
 
     Raises:
         NotImplementedError: `policy` is another name; it is a ValueError as well.
@@ -173,6 +174,7 @@ class AutoAugment(PolicyAugmentBase):
         *,
         same_on_batch: bool | None = None,
         generator: Generator | None = None,
+        return_transform: bool | None = None,
     ) -> None:
         if isinstance(policy, str):
             if policy not in _AUTO_POLICIES:
@@ -182,7 +184,8 @@ class AutoAugment(PolicyAugmentBase):
                 )
             policy = _parse(_AUTO_POLICIES[policy])
         entries = [[_at_level(entry) for entry in part] for part in sub_policies("AutoAugment", policy)]
-        super().__init__(entries, transformation_matrix_mode, same_on_batch=same_on_batch, generator=generator)
+        options: dict[str, Any] = {"generator": generator, "return_transform": return_transform}
+        super().__init__(entries, transformation_matrix_mode, same_on_batch=same_on_batch, **options)
 
 
 class RandAugment(PolicyAugmentBase):
@@ -198,6 +201,7 @@ class RandAugment(PolicyAugmentBase):
         transformation_matrix_mode: accepted for code written for Kornia.
         same_on_batch: all samples get the same operations and values.
         generator: draws the keys of each call; default: torch's generator.
+        return_transform: calls return the images and the product of the matrices.
 
     Raises:
         TypeError: an entry does not have the form in Args; `n` is not an int.
@@ -221,6 +225,7 @@ class RandAugment(PolicyAugmentBase):
         *,
         same_on_batch: bool | None = None,
         generator: Generator | None = None,
+        return_transform: bool | None = None,
     ) -> None:
         n = check_integer("RandAugment", "n", n)
         if n < 1:
@@ -232,7 +237,8 @@ class RandAugment(PolicyAugmentBase):
         for name, low, high in _single("RandAugment", self.default_policy if policy is None else policy):
             value = low + (high - low) * m / LEVELS
             entries.append([(name, 1.0, value, value)])
-        super().__init__(entries, transformation_matrix_mode, count=n, same_on_batch=same_on_batch, generator=generator)
+        options: dict[str, Any] = {"generator": generator, "return_transform": return_transform}
+        super().__init__(entries, transformation_matrix_mode, count=n, same_on_batch=same_on_batch, **options)
         self.n, self.m = n, m
         self._check_draws("n")
 
@@ -247,6 +253,7 @@ class TrivialAugment(PolicyAugmentBase):
         transformation_matrix_mode: accepted for code written for Kornia.
         same_on_batch: all samples get the same operation and value.
         generator: draws the keys of each call; default: torch's generator.
+        return_transform: calls return the images and the product of the matrices.
 
     Raises:
         TypeError: an entry does not have the form in Args.
@@ -265,10 +272,12 @@ class TrivialAugment(PolicyAugmentBase):
         *,
         same_on_batch: bool | None = None,
         generator: Generator | None = None,
+        return_transform: bool | None = None,
     ) -> None:
         operations = _single("TrivialAugment", _TRIVIAL if policy is None else policy)
         entries = [[(name, 1.0, low, high)] for name, low, high in operations]
-        super().__init__(entries, transformation_matrix_mode, same_on_batch=same_on_batch, generator=generator)
+        options: dict[str, Any] = {"generator": generator, "return_transform": return_transform}
+        super().__init__(entries, transformation_matrix_mode, same_on_batch=same_on_batch, **options)
 
 
 def _parse(table: str) -> list[list[tuple[str, float, int | None]]]:

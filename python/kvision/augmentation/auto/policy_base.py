@@ -50,9 +50,9 @@ class PolicyAugmentBase(ImageSequential):
     """Base of the policies: each sample gets one of some sub-policies, whose operations run one after the other.
 
     The choices and the values of all samples are drawn at once, and one kernel runs a step on the batch, each sample's
-    operation alone, so that nothing waits for the device. For images with a gradient, of float64 or of other than three
-    channels, an operation runs on the whole batch, without effect on samples with another one. Images of one channel are gray:
-    color leaves them as they are. Color and contrast are not defined for images of other than one or three channels.
+    operation alone, so that nothing waits for the device; another one has its gradient. For images of float64 or of other than
+    three channels, an operation runs on the whole batch, without effect on samples with another one. Images of one channel are
+    gray: color leaves them as they are. Color and contrast are not defined for images of other than one or three channels.
 
     Values in which an operation has a direction (rotate, shear, translate) or a neutral factor (color, contrast,
     brightness, sharpness) are mirrored about the value that changes nothing for a random half of the samples.
@@ -64,6 +64,7 @@ class PolicyAugmentBase(ImageSequential):
         count: how many sub-policies each sample gets, each drawn for itself.
         same_on_batch: all samples get the same operations and values.
         generator: draws the keys of each call; default: torch's generator.
+        return_transform: calls return the images and the product of the matrices.
 
     Raises:
         TypeError: an entry does not have the form in Args; `count` is not an int.
@@ -89,8 +90,9 @@ class PolicyAugmentBase(ImageSequential):
         count: int = 1,
         same_on_batch: bool | None = None,
         generator: Generator | None = None,
+        return_transform: bool | None = None,
     ) -> None:
-        super().__init__(same_on_batch=same_on_batch, generator=generator)
+        super().__init__(same_on_batch=same_on_batch, generator=generator, return_transform=return_transform)
         op = type(self).__name__
         if transformation_matrix_mode not in _MODES:
             raise ValueCheckError(

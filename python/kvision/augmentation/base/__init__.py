@@ -25,7 +25,15 @@ from kvision.augmentation.base.augmentation import (
     RigidAffineAugmentationBase3D,
 )
 from kvision.augmentation.base.execution import Execution, Params, Shape
-from kvision.augmentation.base.samples import is_known, known_everywhere, per_sample, where_chosen, without_added_axes
+from kvision.augmentation.base.samples import (
+    image_and_matrix,
+    is_known,
+    known_everywhere,
+    per_sample,
+    where_chosen,
+    with_matrix,
+    without_added_axes,
+)
 
 __all__ = [
     "AugmentationBase",
@@ -36,9 +44,11 @@ __all__ = [
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",
     "Shape",
+    "image_and_matrix",
     "is_known",
     "known_everywhere",
     "per_sample",
     "where_chosen",
+    "with_matrix",
     "without_added_axes",
 ]

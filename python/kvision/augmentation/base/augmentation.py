@@ -10,7 +10,14 @@ from torch import Generator, Tensor
 
 from kvision.augmentation.base.execution import Execution, Params
 from kvision.augmentation.base.one_pass import OnePass
-from kvision.augmentation.base.samples import is_known, known_everywhere, where_chosen, without_added_axes
+from kvision.augmentation.base.samples import (
+    image_and_matrix,
+    is_known,
+    known_everywhere,
+    where_chosen,
+    with_matrix,
+    without_added_axes,
+)
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.maps import exact
 from kvision.core.exceptions import ShapeError, TypeCheckError
@@ -79,12 +86,7 @@ class AugmentationBase(OnePass):
             TypeError: `input` is not a tensor of a floating-point type or uint8.
             ValueError: `input` has another number of axes.
         """
-        image: Any
-        matrix = None
-        if isinstance(input, (tuple, list)) and len(input) == 2 and all(isinstance(x, Tensor) for x in input):
-            image, matrix = input
-        else:
-            image = input
+        image, before = image_and_matrix(input)
         x = self.transform_tensor(image)
         flags = self._flags_of(kwargs)
         if params is None:
@@ -95,10 +97,7 @@ class AugmentationBase(OnePass):
         if self.keepdim:
             y = self._restored(y, image)
         returns = self.return_transform if return_transform is None else return_transform
-        if not returns:
-            return y if matrix is None else (y, matrix)
-        transform = self._matrix(execution).to(y.device)
-        return y, transform if matrix is None else transform @ matrix.to(transform)
+        return with_matrix(y, before, self._matrix(execution).to(y.device) if returns else None)
 
     # --- what was drawn ---
 
@@ -203,7 +202,11 @@ class AugmentationBase(OnePass):
         if params is None:
             return self._execution
         shape = tuple(int(n) for n in params["forward_input_shape"])
-        return self._from_params(params, x.new_empty(1).expand(shape))
+        return self._execution_on(x.new_empty(1).expand(shape), params, flags)
+
+    def _execution_on(self, x: Tensor, params: Params, flags: dict[str, Any]) -> Execution:
+        """The execution of given parameters, with its matrices, on images of which only the shape and the device count."""
+        return self._from_params(params, x)
 
 
 class AugmentationBase2D(AugmentationBase):

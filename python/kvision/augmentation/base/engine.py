@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 from torch import Generator, Tensor
+from torch.compiler import is_compiling
 
 from kvision._constants import constant
 from kvision._ops import match_layout
@@ -163,7 +164,7 @@ class Engine(Declaration):
         applied = True
         if chosen is None:
             params = {**params, "batch_prob": torch.ones(shape[0])}
-        elif chosen.device.type == "cpu":
+        elif chosen.device.type == "cpu" and not is_compiling():
             is_chosen = chosen > 0.5
             applied = bool(is_chosen.any()) or shape[0] == 0 or self._was_planned(params)
             chosen = None if bool(is_chosen.all()) else is_chosen

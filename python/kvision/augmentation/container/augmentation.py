@@ -9,6 +9,7 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision.augmentation import labels
+from kvision.augmentation.base import image_and_matrix
 from kvision.augmentation.container.image import ImageSequential, ParamItem
 from kvision.augmentation.container.runs import Randomness, execute
 from kvision.augmentation.container.stages import (
@@ -70,6 +71,7 @@ class AugmentationSequential(ImageSequential):
         generator: draws the keys of each call; default: torch's generator.
         output_dtype: type of the results; default: that of the images. Floating-point types have uint8 images in [0, 1].
         memory_format: `torch.channels_last` or `torch.contiguous_format` for the results; default: that of the images.
+        return_transform: the first image of a result is a pair of it and the product of the matrices.
 
     Raises:
         TypeError: a child is not a module.
@@ -111,6 +113,7 @@ class AugmentationSequential(ImageSequential):
         generator: Generator | None = None,
         output_dtype: torch.dtype | None = None,
         memory_format: torch.memory_format | None = None,
+        return_transform: bool | None = None,
     ) -> None:
         super().__init__(
             *args,
@@ -122,6 +125,7 @@ class AugmentationSequential(ImageSequential):
             generator=generator,
             output_dtype=output_dtype,
             memory_format=memory_format,
+            return_transform=return_transform,
         )
         if transformation_matrix_mode not in ("silent", "silence", "rigid", "skip"):
             raise ValueCheckError(
@@ -144,9 +148,7 @@ class AugmentationSequential(ImageSequential):
         self.extra_args = {DataKey.MASK: {"resample": "nearest"}} if extra_args is None else extra_args
 
     def _keys(self, keys: Any) -> list[DataKey]:
-        if isinstance(keys, str) or not isinstance(keys, Sequence) or not keys:
-            raise ValueCheckError(f"AugmentationSequential: expected data_keys to be a sequence of keys, got {keys!r}")
-        return [DataKey.get(key) for key in keys]
+        return labels.parse_data_keys("AugmentationSequential", keys)
 
     def forward(
         self,
@@ -155,18 +157,22 @@ class AugmentationSequential(ImageSequential):
         data_keys: Sequence[str | int | DataKey] | None = None,
         seed: Seed = None,
         generator: Generator | None = None,
+        return_transform: bool | None = None,
     ) -> Any:
         """Augment images with what belongs to them.
 
         Args:
-            *args: images and labels in the order of the data keys; or one dict.
+            *args: images and labels in the order of the data keys; or one dict. The first image may be a pair of it and
+                matrices (B, 3, 3), which are passed on, as chains with `return_transform` do.
             params: the `_params` of an earlier call, to repeat it on these images.
             data_keys: keys of this call; default: those of the constructor.
             seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
             generator: draws the keys of this call; default: that of the constructor, or torch's.
+            return_transform: also return the matrices; default: as the constructor says.
 
         Returns:
-            What was given, moved: one tensor for one key, else a list; a dict for a dict.
+            What was given, moved: one tensor for one key, else a list; a dict for a dict. With `return_transform` the first
+            image is a pair of it and the matrices (B, 3, 3).
 
         Raises:
             TypeError: an input has another type than its key says.
@@ -174,23 +180,31 @@ class AugmentationSequential(ImageSequential):
         """
         if len(args) == 1 and not isinstance(args[0], Tensor) and isinstance(args[0], Mapping):
             names = list(args[0])
-            outputs = self._call(
-                [DataKey.get(_without_suffix(name)) for name in names], list(args[0].values()), params, seed, generator
-            )
-            return dict(zip(names, outputs))
-        keys = self.data_keys if data_keys is None else self._keys(data_keys)
+            keys: list[DataKey] | None = [DataKey.get(_without_suffix(name)) for name in names]
+            values = list(args[0].values())
+        else:
+            names, values = None, list(args)
+            keys = self.data_keys if data_keys is None else self._keys(data_keys)
         if keys is None:
             raise ValueCheckError("AugmentationSequential: without data_keys, expected one dict")
-        outputs = self._call(keys, list(args), params, seed, generator)
+        if len(keys) != len(values):
+            raise ValueCheckError(
+                f"AugmentationSequential: expected {len(keys)} inputs for {[k.name.lower() for k in keys]}, got {len(values)}"
+            )
+        image = keys.index(DataKey.INPUT) if DataKey.INPUT in keys else None
+        before = None
+        if image is not None:
+            values[image], before = image_and_matrix(values[image])
+        outputs = self._call(keys, values, params, seed, generator)
+        if image is not None:
+            outputs[image] = self._with_matrix(outputs[image], before, return_transform)
+        if names is not None:
+            return dict(zip(names, outputs))
         return outputs[0] if len(outputs) == 1 else outputs
 
     def _call(
         self, keys: list[DataKey], inputs: list[Any], params: Any, seed: Seed, generator: Generator | None
     ) -> list[Any]:
-        if len(keys) != len(inputs):
-            raise ValueCheckError(
-                f"AugmentationSequential: expected {len(keys)} inputs for {[k.name.lower() for k in keys]}, got {len(inputs)}"
-            )
         if DataKey.INPUT not in keys:
             if self._shape is None and params is None:
                 raise ValueCheckError("AugmentationSequential: expected one of data_keys to be 'input'")

@@ -10,7 +10,14 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision._ops import FLOATS
-from kvision.augmentation.base import AugmentationBase, is_known, known_everywhere, without_added_axes
+from kvision.augmentation.base import (
+    AugmentationBase,
+    image_and_matrix,
+    is_known,
+    known_everywhere,
+    with_matrix,
+    without_added_axes,
+)
 from kvision.augmentation.configuration import Plans
 from kvision.augmentation.container.runs import Child, Randomness, execute
 from kvision.augmentation.container.stages import Applied, Stage, forget_coordinates, invert, move_masks, product
@@ -145,6 +152,7 @@ class ImageSequential(ImageSequentialBase):
         generator: draws the keys of each call; default: torch's generator.
         output_dtype: type of the results; default: that of the images. Floating-point types have uint8 images in [0, 1].
         memory_format: `torch.channels_last` or `torch.contiguous_format` for the results; default: that of the images.
+        return_transform: calls return the image and the product of the matrices.
 
     Raises:
         TypeError: a child is not a module; `random_apply` is neither a bool nor one or two ints; `output_dtype` is no
@@ -174,6 +182,7 @@ class ImageSequential(ImageSequentialBase):
         generator: Generator | None = None,
         output_dtype: torch.dtype | None = None,
         memory_format: torch.memory_format | None = None,
+        return_transform: bool | None = None,
     ) -> None:
         super().__init__(*args, same_on_batch=same_on_batch, keepdim=keepdim)
         op = type(self).__name__
@@ -195,6 +204,7 @@ class ImageSequential(ImageSequentialBase):
             )
         self.resample, self.generator = resample, generator
         self.output_dtype, self.memory_format = output_dtype, memory_format
+        self.return_transform = return_transform
 
     def _counts(self, random_apply: Any) -> tuple[int, int] | None:
         """The lowest number of children that run, and the end of the range of numbers; None for all in order."""
@@ -331,33 +341,43 @@ class ImageSequential(ImageSequentialBase):
 
     def forward(
         self,
-        input: Tensor,
+        input: Tensor | tuple[Tensor, Tensor],
         params: Sequence[ParamItem] | None = None,
         extra_args: dict[Any, Any] | None = None,
         *,
         seed: Seed = None,
         generator: Generator | None = None,
-    ) -> Tensor:
+        return_transform: bool | None = None,
+    ) -> Any:
         """Augment images.
 
         Args:
-            input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8.
+            input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8. A pair of images and matrices
+                (B, 3, 3) passes the matrices on, as chains with `return_transform` do.
             params: the `_params` of an earlier call, to repeat it on these images.
             extra_args: accepted for code written for Kornia.
             seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
             generator: draws the keys of this call; default: that of the constructor, or torch's.
+            return_transform: also return the matrices; default: as the constructor says.
 
         Returns:
-            Images (B, C, h, w) of the type of `input`.
+            Images (B, C, h, w) of the type of `input`; with `return_transform` a pair of them and the matrices (B, 3, 3).
 
         Raises:
             TypeError: `input` is not a tensor of a floating-point type or uint8.
             ValueError: `input` has another number of axes; `params` names a child that there is not.
         """
-        x = self.transform_tensor(input)
+        image, before = image_and_matrix(input)
+        x = self.transform_tensor(image)
         y = self._execute(x, params, self._source(seed, generator))
         forget_coordinates(self._stages)
-        return self._restored(y, input)
+        return self._with_matrix(self._restored(y, image), before, return_transform)
+
+    def _with_matrix(self, y: Tensor, before: Tensor | None, return_transform: bool | None) -> Any:
+        """The result of a call, with its matrix if that is asked for."""
+        returns = self.return_transform if return_transform is None else return_transform
+        transform = self.transform_matrix if returns else None
+        return with_matrix(y, before, None if transform is None else transform.to(y.device))
 
     def _restored(self, y: Tensor, input: Tensor) -> Tensor:
         if y.dim() <= input.dim():

@@ -54,6 +54,7 @@ class PatchSequential(ImageSequential):
             least n and fewer than m.
         random_apply_weights: relative probabilities of the children with `random_apply`.
         generator: draws the keys of each call; default: torch's generator.
+        return_transform: calls return the images and identity matrices; refused where cells move.
 
     Raises:
         TypeError: a child is not a module; `grid_size` is not two ints.
@@ -81,6 +82,7 @@ class PatchSequential(ImageSequential):
         random_apply: int | bool | tuple[int, int] = False,
         random_apply_weights: Sequence[float] | None = None,
         generator: Generator | None = None,
+        return_transform: bool | None = None,
     ) -> None:
         super().__init__(
             *args,
@@ -89,6 +91,7 @@ class PatchSequential(ImageSequential):
             random_apply=random_apply,
             random_apply_weights=random_apply_weights,
             generator=generator,
+            return_transform=return_transform,
         )
         self.grid_size = parse_size("PatchSequential", grid_size)
         if padding not in ("same", "valid"):
@@ -146,30 +149,34 @@ class PatchSequential(ImageSequential):
 
     def forward(  # type: ignore[override]  # parameters of cells
         self,
-        input: Tensor,
+        input: Tensor | tuple[Tensor, Tensor],
         params: Sequence[PatchParamItem] | None = None,
         extra_args: dict[Any, Any] | None = None,
         *,
         seed: Seed = None,
         generator: Generator | None = None,
-    ) -> Tensor:
+        return_transform: bool | None = None,
+    ) -> Any:
         """Augment the cells of images.
 
         Args:
-            input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8.
+            input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8; or a pair of them and matrices.
             params: the `_params` of an earlier call, to repeat it on these images.
             extra_args: accepted for code written for Kornia.
             seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
             generator: draws the keys of this call; default: that of the constructor, or torch's.
+            return_transform: also return the matrices; default: as the constructor says.
 
         Returns:
-            Images of the size of `input`, cropped to a multiple of the grid with padding 'valid'.
+            Images of the size of `input`, cropped to a multiple of the grid with padding 'valid'; with `return_transform` a pair
+            of them and the matrices (B, 3, 3).
 
         Raises:
             TypeError: `input` is not a tensor of a floating-point type or uint8.
             ValueError: `input` has another number of axes; an augmentation changes the size of a cell.
         """
-        return super().forward(input, params, extra_args, seed=seed, generator=generator)  # type: ignore[arg-type]
+        options: dict[str, Any] = {"seed": seed, "generator": generator, "return_transform": return_transform}
+        return super().forward(input, params, extra_args, **options)  # type: ignore[arg-type]
 
     def _execute(self, x: Tensor, params: Any, source: Randomness) -> Tensor:
         pad = self.compute_padding(x, self.padding)

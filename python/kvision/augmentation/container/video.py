@@ -9,6 +9,7 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision import _check
+from kvision.augmentation.base import image_and_matrix
 from kvision.augmentation.container.image import ImageSequential, ParamItem, invert
 from kvision.augmentation.container.runs import Randomness, Stage
 from kvision.augmentation.container.stages import forget_coordinates
@@ -73,6 +74,7 @@ class VideoSequential(ImageSequential):
         generator: draws the keys of each call; default: torch's generator.
         output_dtype: type of the results; default: that of the images. Floating-point types have uint8 images in [0, 1].
         memory_format: `torch.channels_last` or `torch.contiguous_format` for the results; default: that of the images.
+        return_transform: calls return the videos and the product of the matrices of each frame.
 
     Raises:
         TypeError: a child is not a module.
@@ -97,6 +99,7 @@ class VideoSequential(ImageSequential):
         generator: Generator | None = None,
         output_dtype: torch.dtype | None = None,
         memory_format: torch.memory_format | None = None,
+        return_transform: bool | None = None,
     ) -> None:
         super().__init__(
             *args,
@@ -106,6 +109,7 @@ class VideoSequential(ImageSequential):
             generator=generator,
             output_dtype=output_dtype,
             memory_format=memory_format,
+            return_transform=return_transform,
         )
         if not isinstance(data_format, str) or data_format.upper() not in ("BTCHW", "BCTHW"):
             raise ValueCheckError(
@@ -123,33 +127,38 @@ class VideoSequential(ImageSequential):
 
     def forward(  # a video has one more axis
         self,
-        input: Tensor,
+        input: Tensor | tuple[Tensor, Tensor],
         params: Sequence[ParamItem] | None = None,
         extra_args: dict[Any, Any] | None = None,
         *,
         seed: Seed = None,
         generator: Generator | None = None,
-    ) -> Tensor:
+        return_transform: bool | None = None,
+    ) -> Any:
         """Augment videos.
 
         Args:
-            input: videos (B, T, C, H, W), or (B, C, T, H, W) as `data_format` says, of a floating-point type or uint8.
+            input: videos (B, T, C, H, W), or (B, C, T, H, W) as `data_format` says, of a floating-point type or uint8. A
+                pair of videos and matrices (B T, 3, 3) passes the matrices on, as chains with `return_transform` do.
             params: the `_params` of an earlier call, to repeat it on these videos.
             extra_args: accepted for code written for Kornia.
             seed: an int, or int64 (B,) with one of a video, from which all parameters follow.
             generator: draws the keys of this call; default: that of the constructor, or torch's.
+            return_transform: also return the matrices; default: as the constructor says.
 
         Returns:
-            Videos of the type and the order of axes of `input`.
+            Videos of the type and the order of axes of `input`; with `return_transform` a pair of them and the matrices
+            (B T, 3, 3).
 
         Raises:
             ValueError: `input` has another number of axes.
         """
-        layout = self._layout(input)
+        videos, before = image_and_matrix(input)
+        layout = self._layout(videos)
         source = self._of_frames(self._source(seed, generator), layout.sizes[1])
-        frames = self._execute(layout.frames(input), params, source)
+        frames = self._execute(layout.frames(videos), params, source)
         forget_coordinates(self._stages)
-        return layout.videos(frames)
+        return self._with_matrix(layout.videos(frames), before, return_transform)
 
     def _of_frames(self, source: Randomness, time: int) -> Randomness:
         return source._replace(frames=time if self.same_on_frame else 1, time=time)

@@ -118,6 +118,7 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         real_acc: float | Tensor | None = None,
         seed: Seed = None,
         generator: Generator | None = None,
+        return_transform: bool | None = None,
     ) -> Any:
         """Augment a fraction of the samples.
 
@@ -128,42 +129,61 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
             real_acc: accuracy on real images, or the discriminator's logits of them, which adjust the fraction.
             seed: an int from which all parameters follow.
             generator: draws the keys of this call; default: that of the constructor, or torch's.
+            return_transform: also return the matrices; default: as the constructor says.
 
         Returns:
-            What was given, with a fraction of the samples augmented.
+            What was given, with a fraction of the samples augmented. With `return_transform` the first image is a pair of it
+            and the matrices (B, 3, 3).
 
         Raises:
             TypeError: no input is a tensor.
             ValueError: an augmentation changes the size of the images.
         """
-        named = inputs[0] if len(inputs) == 1 and isinstance(inputs[0], dict) else None
-        values = list(named.values()) if named is not None else list(inputs)
-        images = next((x for x in values if isinstance(x, Tensor)), None)
-        if images is None:
-            got = type(values[0]).__name__ if values else "nothing"
-            raise TypeCheckError(f"{type(self).__name__}: expected inputs to be Tensors, got {got}")
-        batch = images.shape[0]
         if real_acc is not None:
             self.update(real_acc)
+        options: dict[str, Any] = {"seed": seed, "generator": generator, "return_transform": return_transform}
+        return super().forward(*inputs, params=params, data_keys=data_keys, **options)
+
+    def _call(
+        self, keys: list[DataKey], inputs: list[Any], params: Any, seed: Seed, generator: Generator | None
+    ) -> list[Any]:
+        op = type(self).__name__
+        images = next((x for x in inputs if isinstance(x, Tensor)), None)
+        if images is None:
+            raise TypeCheckError(f"{op}: expected inputs to be Tensors, got {type(inputs[0]).__name__}")
         if params is not None:
-            chosen = params[-1].data["batch_prob"] > 0.5
-            outputs = super().forward(*inputs, params=params[:-1], data_keys=data_keys)
+            chosen = _chosen_of(params)
+            params = params[:-1]
         else:
-            keys = draw_keys(type(self).__name__, 1, torch.device("cpu"), seed, generator or self.generator)
-            (columns,) = draw_columns(
-                torch.empty(batch), keys, [Request([uniform(0.0, 1.0)])], _CHOICE if keys.one_key else 0
-            )
+            own = draw_keys(op, 1, torch.device("cpu"), seed, generator or self.generator)
+            request, position = Request([uniform(0.0, 1.0)]), _CHOICE if own.one_key else 0
+            (columns,) = draw_columns(torch.empty(images.shape[0]), own, [request], position)
             chosen = columns.values[:, 0] < self.p
-            outputs = super().forward(*inputs, data_keys=data_keys, seed=seed, generator=generator)
-            self._param_items = [*self._params, ParamItem("share", {"batch_prob": chosen.float()})]
-        after = list(outputs.values()) if named is not None else outputs if isinstance(outputs, list) else [outputs]
-        mixed = [_where(chosen, new, old) for new, old in zip(after, values)]
-        if named is not None:
-            return dict(zip(named, mixed))
-        return mixed[0] if len(mixed) == 1 else mixed
+        outputs = super()._call(keys, inputs, params, seed, generator)
+        self._param_items = [*self._params, ParamItem("share", {"batch_prob": chosen.float()})]
+        return [_where(chosen, new, old) for new, old in zip(outputs, inputs)]
+
+    @property
+    def transform_matrix(self) -> Tensor | None:
+        """The product (B, 3, 3) of the matrices of the last call, the identity of samples that were not augmented."""
+        matrix = super().transform_matrix
+        if matrix is None:
+            return None
+        return where_chosen(_chosen_of(self._params), matrix, torch.eye(matrix.shape[-1]).to(matrix))
+
+    def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
+        chosen = _chosen_of(self._params if params is None else params)
+        outputs = super()._invert_all(keys, inputs, None if params is None else params[:-1])
+        return [_where(chosen, new, old) for new, old in zip(outputs, inputs)]
 
 
 _CHOICE = 1 << 16  # the position in the chain of the draw that chooses samples
+
+
+def _chosen_of(params: Sequence[ParamItem]) -> Tensor:
+    """(B,), which samples of a call were augmented."""
+    is_chosen: Tensor = params[-1].data["batch_prob"] > 0.5
+    return is_chosen
 
 
 def _where(chosen: Tensor, new: Any, old: Any) -> Any:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 import kvision.augmentation as A
-from augmentation_cases import CASES, Case
+from augmentation_cases import CASES, GEOMETRIC, Case
 from kvision.augmentation.base import AugmentationBase
 from op_tests import does_not_wait
 
@@ -78,6 +78,26 @@ def test_replay_is_exact(case: Case, device: torch.device) -> None:
     wide = x.double()
     first = augment(wide)
     assert torch.equal(augment(wide, params=augment._params), first)
+
+
+@pytest.mark.interface
+@pytest.mark.parametrize("case", GEOMETRIC, ids=lambda case: case.name)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.float16], ids=str)
+def test_matrices_have_the_type_that_computes(case: Case, dtype: torch.dtype, device: torch.device) -> None:
+    """Drawn, replayed, in a container and where they are computed from the parameters again."""
+    x, augment = images(device).to(dtype), case.make(p=1.0)
+    augment(x)
+    matrix, params = augment.transform_matrix, augment._params
+    assert matrix.dtype == (torch.float64 if dtype == torch.float64 else torch.float32)
+    augment(x, params=params)
+    of_params = augment._execution_of(params, x, augment.flags).matrix
+    torch.testing.assert_close(augment.transform_matrix, matrix, rtol=0, atol=0)
+    torch.testing.assert_close(of_params, matrix, rtol=0, atol=0)
+    chain = A.ImageSequential(A.RandomHorizontalFlip(p=1.0), augment)
+    chain(x)
+    matrix = chain.transform_matrix
+    chain(x, params=chain._params)
+    torch.testing.assert_close(chain.transform_matrix, matrix, rtol=0, atol=0)
 
 
 def _saved(params: dict[str, Any]) -> io.BytesIO:

@@ -45,13 +45,13 @@ class Execution:
         self.frames = frames  # neighboring samples that share what was drawn
         self.is_certain = is_certain  # all samples are chosen, which is known without the columns
         self.matrix: Tensor | None = None
-        # Device and type of identity matrices, if these are made only when they are read.
+        # Device and type of matrices that are made only when they are read.
         self.identity: tuple[torch.device, torch.dtype] | None = None
         self.keeps_map = False  # for labels of the same call
         self.map: Tensor | None = None  # of a deformation, kept by `keeps_map`
 
     def keep_type(self, images: Tensor) -> None:
-        """Keep the device and type of images, which identity matrices get."""
+        """Keep the device and type of images, for matrices that are made when they are read."""
         self.identity = images.device, compute_dtype(images)
 
     def keep_matrix(self, matrix: Tensor) -> None:

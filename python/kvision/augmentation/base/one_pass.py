@@ -68,7 +68,7 @@ class OnePass(Engine):
             execution = Execution(plan.shape, columns, None, True, None, (keys, 0), 1, plan.is_certain)
         if plan.image_pass.warps:
             execution.keep_matrix(matrix)
-        else:
+        if execution.matrix is None:
             execution.keep_type(x)
         self.__dict__["_execution"] = execution  # faster than Module.__setattr__, which looks for parameters
         return y, execution

@@ -261,7 +261,7 @@ def _execute_run(
             stages.append(Applied(module, execution, module.flags))
         elif step.geometric:
             if columns is not None and columns.requires_grad:
-                matrix = transform_matrix(columns, step.chain)
+                matrix = transform_matrix(as_dtype(columns, compute_dtype(x)), step.chain)
             assert step.resampling is not None
             stages.append(Warp(matrix, step.source, step.size, step.resampling))
     return x, stages

@@ -1,7 +1,8 @@
 // The operations of policies: in a step each sample of a batch gets one of them, in one traversal of the images. On the
 // CPU the kernels of the operators themselves serve a sample each. On CUDA a first launch computes the matrices, and
 // what equalize, auto_contrast and contrast need to know of a plane; in a second one each block does to a tile what its
-// sample has chosen. Included by operations_cpu.cpp, operations.cu and operations_op.cpp.
+// sample has chosen. The gradient takes two more: that of the warp, of all samples, and the sums that the mean of
+// contrast and the range of auto_contrast get. Included by operations_cpu.cpp, operations.cu and operations_op.cpp.
 #pragma once
 
 #include "color/program.h"
@@ -64,6 +65,17 @@ struct ApplyOperations {
   KV_HD float value_of(int64_t b) const { return value[b * value_stride]; }
 };
 
+// The sums of a plane that its gradient needs: of contrast that of the mean's gradient, of auto_contrast the RangeSums.
+constexpr int kGradientSums = 4;
+
+// The gradient of the images of one step. All images are planar and dense.
+template <class T>
+struct ApplyOperationsBackward {
+  ApplyOperations<T> forward;             // whose results are not written
+  geometry::SampleImageBackward<T> warp;  // the gradients, and how operations that move pixels read the images
+  float* sums;                            // CUDA: kGradientSums numbers of each plane
+};
+
 // The choices of a policy, from the numbers that were drawn for it. The columns of a sample are `count` groups: the
 // index of a sub-policy, then the chance, the level and the mirroring of each of its `length` operations.
 template <class T>
@@ -95,6 +107,7 @@ struct ChooseOperations {
 };
 
 KV_KERNEL(apply_operations, ApplyOperations)
+KV_KERNEL(apply_operations_backward, ApplyOperationsBackward)
 KV_KERNEL(choose_operations, ChooseOperations)
 
 // The matrix of an operation, the identity if it moves no pixels. Values are degrees counter-clockwise, tangents,
@@ -167,13 +180,16 @@ constexpr float kPosterizeSplit = __is_same(T, Half)       ? 8193.f
                                   : __is_same(T, BFloat16) ? 65537.f
                                                            : 1.f;
 
+// What is added to the range of auto_contrast, as to that of normalize_min_max.
+constexpr float kRangeEps = 1e-6f;
+
 // The step of auto_contrast: parameters are those of standardize_rgb, the lowest values of the channels and their
-// ranges. A channel of one value stays as it is. The range is a little wider, as that of normalize_min_max.
+// ranges. A channel of one value stays as it is.
 KV_HD void set_range(ColorOperation& operation, int channel, float lowest, float highest) {
   bool const is_flat = lowest == highest;
   operation.step = color::Step::standardize_rgb;
   operation.parameters[channel] = is_flat ? 0 : lowest;
-  operation.parameters[kImageChannels + channel] = is_flat ? 1 : highest - lowest + 1e-6f;
+  operation.parameters[kImageChannels + channel] = is_flat ? 1 : highest - lowest + kRangeEps;
 }
 
 KV_HD constexpr float luma_weight(int channel) { return channel == 0 ? .299f : channel == 1 ? .587f : .114f; }

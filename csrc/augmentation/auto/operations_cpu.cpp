@@ -5,6 +5,7 @@
 // Included after core/lanes.h, whose vectors they use.
 #include "augmentation/auto/operations.h"
 #include "enhance/equalize.h"
+#include "enhance/min_max.h"
 #include "enhance/sharpness.h"
 
 namespace kv::augmentation::KV_ISA {
@@ -38,31 +39,107 @@ void find_range(Planes<T const> const& x, int64_t channel, float& lowest, float&
   if (has_nan) lowest = highest = __builtin_nanf("");
 }
 
+// The color program of one operation on a sample. Around a mean it needs `parts` and `mean`.
 template <class T>
-void run_color(ApplyOperations<T> const& p, int64_t b, ColorOperation const& operation) {
-  Images<T const> const& x = p.warp.x;
+color::Program<float> program_of(Images<T const> const& x, int64_t b, ColorOperation const& operation, float* parts,
+                                 float* mean) {
   int64_t const pixels = x.height * x.width;
   color::Program<float> program{};
-  program.x = pixels_of<T>(x, b), program.y = pixels_of<T>(p.warp.y, b);
+  program.x = pixels_of<T>(x, b);
   program.samples = program.inner = program.steps = program.length = 1;
   program.pixels = program.mean_pixels = pixels;
   program.step[0] = operation.step;
   program.count = color::parameters_of(operation.step);
   for (int i = 0; i < program.count; ++i) program.numbers[i] = operation.parameters[i], program.column[i] = -1;
-  bool const around_mean = operation.step == color::Step::contrast;
-  program.contrast = around_mean ? 0 : -1;
+  program.contrast = operation.step == color::Step::contrast ? 0 : -1;
+  program.parts_count = color::mean_parts_of<float>(1, pixels);
+  program.parts = parts;
+  program.means = mean;
+  for (int k = 0; k < kImageChannels; ++k) program.gray_weights[k] = luma_weight(k);
+  return program;
+}
+
+template <class T>
+void run_color(ApplyOperations<T> const& p, int64_t b, ColorOperation const& operation) {
+  int64_t const pixels = p.warp.x.height * p.warp.x.width;
+  Scratch<float> const parts(color::mean_parts_of<float>(1, pixels));
   float mean;
-  Scratch<float> const parts(around_mean ? color::mean_parts_of<float>(1, pixels) : 0);
-  if (around_mean) {
-    program.parts_count = color::mean_parts_of<float>(1, pixels);
-    program.parts = parts.data;
-    program.means = &mean;
-    for (int k = 0; k < kImageChannels; ++k) program.gray_weights[k] = luma_weight(k);
+  auto program = program_of(p.warp.x, b, operation, parts.data, &mean);
+  program.y = pixels_of<T>(p.warp.y, b);
+  if (program.contrast >= 0) {
     program.measures_mean = true;
     color::KV_ISA::program(program, 0, program.parts_count);
     program.measures_mean = false;
   }
   color::KV_ISA::program(program, 0, color::chunks_of<float>(pixels));
+}
+
+template <class T>
+void run_color_backward(ApplyOperationsBackward<T> const& p, int64_t b, ColorOperation const& operation) {
+  Images<T const> const& x = p.forward.warp.x;
+  int64_t const pixels = x.height * x.width;
+  Scratch<float> const parts(color::mean_parts_of<float>(1, pixels));
+  float mean = 0;
+  color::ProgramBackward<float> backward{};
+  color::Program<float>& program = backward.forward;
+  program = program_of(x, b, operation, parts.data, &mean);
+  backward.grad = pixels_of<T>(p.warp.grad, b), backward.grad_x = pixels_of<T>(p.warp.grad_x, b);
+  backward.needs_grad_x = true;
+  backward.needs_input[0] = backward.reads_input = !color::is_affine(operation.step, operation.parameters);
+  if (program.contrast >= 0) {
+    program.measures_mean = true;
+    color::KV_ISA::program(program, 0, program.parts_count);
+    for (int64_t i = 0; i < program.parts_count; ++i) mean += parts.data[i];
+    mean /= float(pixels);
+    color::KV_ISA::program_backward(backward, 0, program.parts_count);
+    program.measures_mean = false;
+  }
+  color::KV_ISA::program_backward(backward, 0, color::chunks_of<float>(pixels));
+}
+
+// The gradient of images that equalize() makes, of a sample.
+template <class T>
+void equalize_backward(ApplyOperationsBackward<T> const& p, int64_t b) {
+  Images<T const> const& x = p.forward.warp.x;
+  Scratch<T> const result(kImageChannels * x.height * x.width);
+  Images<T> y = p.warp.grad_x;  // of the same layout
+  y.data = result.data;
+  y.batch_stride = 0;
+  T changed[kImageChannels];
+  enhance::Equalize<T> const equalize{planes_of(x, b, true), planes_of(y, b, true), changed, false, nullptr};
+  enhance::KV_ISA::equalize(equalize, 0, kImageChannels);
+  Images<T const> const equalized{y.data,  y.batch_stride, y.channel_stride, y.row_stride, y.step,
+                                  y.batch, y.height,       y.width,          y.channels};
+  enhance::EqualizeBackward<T> const backward{planes_of(p.warp.grad, b, true), planes_of(equalized, b, true),
+                                              planes_of(p.warp.grad_x, b, true), changed};
+  enhance::KV_ISA::equalize_backward(backward, 0, kImageChannels);
+}
+
+// The gradient of images that are stretched to their range, of a sample.
+template <class T>
+void auto_contrast_backward(ApplyOperationsBackward<T> const& p, int64_t b) {
+  auto const x = planes_of(p.forward.warp.x, b, true), grad = planes_of(p.warp.grad, b, true);
+  auto const grad_x = planes_of(p.warp.grad_x, b, true);
+  T range[2 * kImageChannels];
+  enhance::MinMaxBackward<T> backward{};
+  backward.grad = grad, backward.x = x, backward.grad_x = grad_x;
+  backward.range = range;
+  backward.scale = 1, backward.eps = kRangeEps;
+  for (int k = 0; k < kImageChannels; ++k) {
+    find_range(x, k, range[2 * k], range[2 * k + 1]);
+    if (range[2 * k] == range[2 * k + 1])
+      __builtin_memcpy(grad_x.plane(k), grad.plane(k), size_t(x.width) * sizeof(T));
+    else
+      enhance::KV_ISA::min_max_backward(backward, k, k + 1);
+  }
+}
+
+template <class T>
+void write_matrix(ApplyOperations<T> const& p, int64_t b) {
+  Images<T const> const& x = p.warp.x;
+  Double4 m[9];
+  operation_matrix(p.operation_of(b), double(p.value_of(b)) + Double4{}, double(x.height), double(x.width), m);
+  for (int i = 0; i < 9; ++i) p.matrices[9 * b + i] = float(m[i][0]);
 }
 
 template <class T>
@@ -82,9 +159,7 @@ void apply_operations(ApplyOperations<T> const& p, int64_t begin, int64_t end) {
   for (int64_t b = begin; b < end; ++b) {
     Operation const operation = p.operation_of(b);
     float const value = p.value_of(b);
-    Double4 m[9];
-    operation_matrix(operation, double(value) + Double4{}, double(x.height), double(x.width), m);
-    for (int i = 0; i < 9; ++i) p.matrices[9 * b + i] = float(m[i][0]);
+    write_matrix(p, b);
     if (moves_pixels(operation)) {
       geometry::KV_ISA::sample(p.warp, b * x.height, (b + 1) * x.height);
       continue;
@@ -120,6 +195,44 @@ void apply_operations(ApplyOperations<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+template <class T>
+void apply_operations_backward(ApplyOperationsBackward<T> const& p, int64_t begin, int64_t end) {
+  Images<T const> const& x = p.forward.warp.x;
+  for (int64_t b = begin; b < end; ++b) {
+    Operation const operation = p.forward.operation_of(b);
+    float const value = p.forward.value_of(b);
+    if (moves_pixels(operation)) {
+      write_matrix(p.forward, b);
+      geometry::KV_ISA::sample_image_backward(p.warp, b * kImageChannels, (b + 1) * kImageChannels);
+      continue;
+    }
+    switch (operation) {
+      case Operation::none:
+      case Operation::identity:
+        copy_sample(p.warp.grad, p.warp.grad_x, b);
+        break;
+      case Operation::sharpness: {
+        enhance::SharpnessBackward<T> const backward{planes_of(p.warp.grad, b, false),
+                                                     planes_of(x, b, false),
+                                                     planes_of(p.warp.grad_x, b, false),
+                                                     {nullptr, 0, 0, 1, value},
+                                                     nullptr,
+                                                     1};
+        enhance::KV_ISA::sharpness_backward(backward, 0, kImageChannels * x.height);
+        break;
+      }
+      case Operation::equalize:
+        equalize_backward(p, b);
+        break;
+      case Operation::auto_contrast:
+        auto_contrast_backward(p, b);
+        break;
+      default:
+        run_color_backward(p, b, color_operation(operation, value, kPosterizeSplit<T>));
+    }
+  }
+}
+
 // Steps of samples.
 template <class T>
 void choose_operations(ChooseOperations<T> const& p, int64_t begin, int64_t end) {
@@ -132,6 +245,7 @@ KV_INSTANTIATE_ONE(apply_operations, ApplyOperations, uint8_t)
 KV_INSTANTIATE_ONE(apply_operations, ApplyOperations, ::kv::Half)
 KV_INSTANTIATE_ONE(apply_operations, ApplyOperations, ::kv::BFloat16)
 #endif
+KV_INSTANTIATE_ONE(apply_operations_backward, ApplyOperationsBackward, float)
 KV_INSTANTIATE_ONE(choose_operations, ChooseOperations, float)
 
 }  // namespace kv::augmentation::KV_ISA

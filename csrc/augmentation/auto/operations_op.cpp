@@ -15,56 +15,141 @@ Images<T> dense_images(Tensor const& x, Layout layout) {
           x.size(3),      int(channels)};
 }
 
+// Operations of several steps are (B, S), those of one step (B,).
+void check_arguments(char const* op, Tensor const& images, Tensor const& operation, Tensor const& value,
+                     bool several_steps) {
+  enhance::check_planes(op, images);
+  auto const fits = [&](Tensor const& t, ScalarType type) {
+    bool const same = t.dim() == 1 + several_steps && t.size(0) == images.size(0) &&
+                      (!several_steps || (t.size(1) > 0 && t.size(1) == operation.size(1)));
+    return same && t.scalar_type() == type && t.device() == images.device();
+  };
+  KV_CHECK(images.size(1) == kImageChannels, op, ": expected images of three channels, got ", images.size(1));
+  KV_CHECK(images.size(0) <= INT32_MAX / 64, op, ": expected fewer than 2^25 images, got ", images.size(0));
+  KV_CHECK(fits(operation, ScalarType::Long), op, ": expected operations of shape ", several_steps ? "(B, S)" : "(B,)",
+           ", int64, on the device of images");
+  KV_CHECK(fits(value, ScalarType::Float), op, ": expected a float32 value of each operation");
+}
+
+// How operations that move pixels read images of a size, by matrices (B, 3, 3).
+template <class T>
+void set_warp(geometry::Sampling<T>& p, int64_t batch, geometry::Size const& size, float const* matrices) {
+  p.interpolation = geometry::Interpolation::bilinear;
+  p.x_axis = {int(size.width), geometry::Padding::fill, true};
+  p.y_axis = {int(size.height), geometry::Padding::fill, true};
+  p.images = batch;
+  p.coords.matrices = matrices;
+  p.coords.matrix_stride = 9;
+  p.coords.use = {3, true, false, true, size, size};
+}
+
+// A step on dense images; operation and value are (B,) of one step, or (B, S).
+template <class T>
+ApplyOperations<T> operations_on(char const* op, Tensor const& x, Layout layout, Tensor const& operation,
+                                 Tensor const& value, int64_t step, float* matrices,
+                                 [[maybe_unused]] Tensor const& measured) {
+  ApplyOperations<T> p{};
+  p.warp.x = dense_images<T const>(x, layout);
+  geometry::check_planes(op, p.warp.x);
+  set_warp<T>(p.warp, x.size(0), {x.size(2), x.size(3)}, matrices);
+  p.matrices = matrices;
+  p.operation = data_ptr<int64_t const>(operation) + (step > 0 ? step * operation.stride(1) : 0);
+  p.operation_stride = operation.stride(0);
+  p.value = data_ptr<float const>(value) + (step > 0 ? step * value.stride(1) : 0);
+  p.value_stride = value.stride(0);
+#if defined(KV_CUDA)
+  p.measured = data_ptr<float>(measured);
+#endif
+  return p;
+}
+
+// Calls run(Type<T>{}) with the type of images that get gradients: on the CPU float32.
+template <class Run>
+void dispatch_differentiable(char const* op, Tensor const& x, Run run) {
+#if defined(KV_CUDA)
+  if (x.scalar_type() == ScalarType::Half) return run(Type<Half>{});
+  if (x.scalar_type() == ScalarType::BFloat16) return run(Type<BFloat16>{});
+#endif
+  KV_CHECK(x.scalar_type() == ScalarType::Float, op, ": no kernel for this dtype");
+  run(Type<float>{});
+}
+
+// What CUDA measures of the planes of images, and nothing on the CPU.
+Tensor measured_of([[maybe_unused]] Tensor const& images, [[maybe_unused]] int64_t numbers) {
+#if defined(KV_CUDA)
+  return empty({images.size(0) * kImageChannels, numbers}, images, Layout::planar, ScalarType::Float);
+#else
+  return {};
+#endif
+}
+
 // Runs all steps of a policy, by turns into two buffers. Images (B, 3, H, W); operation and value (B, S). Returns the
 // results and the matrices (S, B, 3, 3) of the steps.
 std::tuple<Tensor, Tensor> apply_operations(Tensor const& images, Tensor const& operation, Tensor const& value) {
   constexpr char const* op = "apply_operations";
-  enhance::check_planes(op, images);
-  int64_t const batch = images.size(0), steps = operation.dim() == 2 ? operation.size(1) : 0;
-  auto const fits = [&](Tensor const& t, ScalarType type) {
-    return t.dim() == 2 && t.size(0) == batch && t.size(1) == steps && t.scalar_type() == type &&
-           t.device() == images.device();
-  };
-  KV_CHECK(images.size(1) == kImageChannels, op, ": expected images of three channels, got ", images.size(1));
-  KV_CHECK(batch <= INT32_MAX / 64, op, ": expected fewer than 2^25 images, got ", batch);
-  KV_CHECK(steps > 0 && fits(operation, ScalarType::Long), op,
-           ": expected operations of shape (B, S), int64, on the device of images");
-  KV_CHECK(fits(value, ScalarType::Float), op, ": expected a float32 value of each operation");
-  geometry::Size const size = geometry::checked_size(op, images);
+  check_arguments(op, images, operation, value, true);
+  geometry::checked_size(op, images);
+  int64_t const batch = images.size(0), steps = operation.size(1);
   Layout const layout = layout_of(images);
   Tensor const matrices = empty({steps, batch, 3, 3}, images, Layout::planar, ScalarType::Float);
-#if defined(KV_CUDA)
-  Tensor const measured = empty({batch * kImageChannels, kMeasured}, images, Layout::planar, ScalarType::Float);
-#endif
+  Tensor const measured = measured_of(images, kMeasured);
   Tensor x = enhance::dense_planes(images, layout), others;
   for (int64_t step = 0; step < steps; ++step) {
     Tensor const y = step < 2 ? empty_like(x, layout) : others;
     dispatch_joined(op, x, [&]<class T>(Type<T>) {
-      ApplyOperations<T> p{};
-      p.warp.interpolation = geometry::Interpolation::bilinear;
-      p.warp.x_axis = {int(size.width), geometry::Padding::fill, true};
-      p.warp.y_axis = {int(size.height), geometry::Padding::fill, true};
-      p.warp.images = batch;
-      p.warp.x = dense_images<T const>(x, layout);
+      float* const own = data_ptr<float>(matrices) + step * batch * 9;
+      auto p = operations_on<T>(op, x, layout, operation, value, step, own, measured);
       p.warp.y = dense_images<T>(y, layout);
-      p.matrices = data_ptr<float>(matrices) + step * batch * 9;
-      p.warp.coords.matrices = p.matrices;
-      p.warp.coords.matrix_stride = 9;
-      p.warp.coords.use = {3, true, false, true, size, size};
-      geometry::check_planes(op, p.warp.x);
-      p.operation = data_ptr<int64_t const>(operation) + step * operation.stride(1);
-      p.operation_stride = operation.stride(0);
-      p.value = data_ptr<float const>(value) + step * value.stride(1);
-      p.value_stride = value.stride(0);
-#if defined(KV_CUDA)
-      p.measured = data_ptr<float>(measured);
-#endif
-      KV_RUN(apply_operations, x, p, batch, 6 * kImageChannels * size.height * size.width);
+      KV_RUN(apply_operations, x, p, batch, 6 * kImageChannels * x.size(2) * x.size(3));
     });
     others = step > 0 ? x : Tensor();
     x = y;
   }
   return {x, matrices};
+}
+
+// One step, whose results have gradients; operation and value are (B,). Returns the results and the matrices (B, 3, 3).
+std::tuple<Tensor, Tensor> apply_operation(Tensor const& images, Tensor const& operation, Tensor const& value) {
+  constexpr char const* op = "apply_operation";
+  check_arguments(op, images, operation, value, false);
+  geometry::checked_size(op, images);
+  Layout const layout = layout_of(images);
+  Tensor const x = enhance::dense_planes(images, layout), y = empty_like(x, layout);
+  Tensor const matrices = empty({x.size(0), 3, 3}, x, Layout::planar, ScalarType::Float);
+  Tensor const measured = measured_of(x, kMeasured);
+  dispatch_joined(op, x, [&]<class T>(Type<T>) {
+    auto p = operations_on<T>(op, x, layout, operation, value, 0, data_ptr<float>(matrices), measured);
+    p.warp.y = dense_images<T>(y, layout);
+    KV_RUN(apply_operations, x, p, x.size(0), 6 * kImageChannels * x.size(2) * x.size(3));
+  });
+  return {y, matrices};
+}
+
+// The gradient of the images of apply_operation, in planes.
+Tensor apply_operation_backward(Tensor const& grad, Tensor const& images, Tensor const& operation,
+                                Tensor const& value) {
+  constexpr char const* op = "apply_operation_backward";
+  check_arguments(op, images, operation, value, false);
+  bool same = grad.dim() == 4 && grad.scalar_type() == images.scalar_type() && grad.device() == images.device();
+  for (int64_t i = 0; i < 4; ++i) same = same && grad.size(i) == images.size(i);
+  KV_CHECK(same, op, ": grad differs in shape, type or device from images");
+  geometry::checked_size(op, images);
+  Tensor const x = dense(images), g = dense(grad), grad_x = empty_like(x, Layout::planar);
+  Tensor const matrices = empty({x.size(0), 3, 3}, x, Layout::planar, ScalarType::Float);
+  Tensor const measured = measured_of(x, kMeasured), sums = measured_of(x, kGradientSums);
+  dispatch_differentiable(op, x, [&]<class T>(Type<T>) {
+    ApplyOperationsBackward<T> p{};
+    float* const own = data_ptr<float>(matrices);
+    p.forward = operations_on<T>(op, x, Layout::planar, operation, value, 0, own, measured);
+    set_warp<T>(p.warp, x.size(0), {x.size(2), x.size(3)}, own);
+    p.warp.grad = dense_images<T const>(g, Layout::planar);
+    p.warp.grad_x = dense_images<T>(grad_x, Layout::planar);
+#if defined(KV_CUDA)
+    p.sums = data_ptr<float>(sums);
+#endif
+    KV_RUN(apply_operations_backward, x, p, x.size(0), 12 * kImageChannels * x.size(2) * x.size(3));
+  });
+  return grad_x;
 }
 
 std::tuple<Tensor, Tensor> choose_operations(Tensor const& columns, Tensor const& table, int64_t count,
@@ -98,6 +183,8 @@ std::tuple<Tensor, Tensor> choose_operations(Tensor const& columns, Tensor const
 }  // namespace
 
 KV_OPERATOR(apply_operations, "(Tensor images, Tensor operation, Tensor value) -> (Tensor, Tensor)")
+KV_OPERATOR(apply_operation, "(Tensor images, Tensor operation, Tensor value) -> (Tensor, Tensor)")
+KV_OPERATOR(apply_operation_backward, "(Tensor grad, Tensor images, Tensor operation, Tensor value) -> Tensor")
 KV_OPERATOR(choose_operations,
             "(Tensor columns, Tensor table, int count, float top_level) -> (Tensor operation, Tensor value)")
 

@@ -95,4 +95,13 @@ inline constexpr Operator<"salt_and_pepper", Tensor(Tensor images, Tensor parame
 inline constexpr Operator<"erase_rectangles", Tensor(Tensor images, Tensor boxes, Tensor values)> erase_rectangles{
     detail::erased_gradients};
 
+// A step of a policy: each image (B, 3, H, W) gets the operation of its number, with its value; -1 is none. Returns the
+// images and the matrices (B, 3, 3) of operations that move pixels. operation_table.py has the numbers and the values.
+inline constexpr Operator<"apply_operation", Two(Tensor images, Tensor operation, Tensor value)> apply_operation{
+    [](Backward const& b) -> variable_list {
+      TORCH_CHECK_NOT_IMPLEMENTED(!b.needs(2), "apply_operation: C++ has no gradient of value; Python's kvision has");
+      return {b.call("apply_operation_backward")[0]};
+    },
+    1};
+
 }  // namespace kvision::ops

@@ -7,7 +7,7 @@ from torch import Tensor
 from drawn_tests import UNSERVED, call_unserved, has_kernels, random_images, record_kernel
 from kvision.augmentation.auto import AugMix, AutoAugment, RandAugment, TrivialAugment, operation_table, policy_base
 from kvision.augmentation.auto.operation_table import OPERATIONS, execute_steps
-from op_tests import DispatchedOperators, assert_close
+from op_tests import DispatchedOperators, OpTests, assert_close
 
 # A value of each operation that has one.
 VALUES = {
@@ -36,6 +36,38 @@ LAYOUTS = {
 }
 # Of one pixel, smaller than a tile, of whole vectors, and large enough that a plane is divided on CUDA.
 SIZES = {"one": (1, 1), "column": (9, 1), "odd": (37, 41), "vectors": (32, 64), "large": (97, 132)}
+
+
+def of_names(*names: str):
+    """The arguments of a step, whose samples have these operations by turns."""
+    numbers = [OPERATIONS[name].number for name in names]
+    values = [VALUES.get(name, 0.0) for name in names]
+    return {
+        "operation": lambda x: torch.tensor(numbers).repeat(len(x))[: len(x)],
+        "value": lambda x: (1000 * torch.tensor(values)).round().int().repeat(len(x))[: len(x)],  # get no gradient
+    }
+
+
+class TestApplyOperation(OpTests):
+    operators = ("apply_operation", "apply_operation_backward")
+    variants = [
+        of_names("rotate", "contrast"),
+        of_names("sharpness", "auto_contrast"),
+        of_names("color", "translate_y"),
+    ]
+    channels = 3
+    mixed = ("operation", "value")
+    accepted = ("operation of torch.int64",)
+    small = (2, 3, 4, 5)
+    max_size = 12
+
+    @staticmethod
+    def function(x: Tensor, operation: Tensor, value: Tensor) -> Tensor:
+        x = x if x.is_floating_point() else x.float()
+        return operation_table._apply_operation(x, operation.long(), value.float() / 1000)[0]
+
+    def test_wrong_kinds(self, variant, device):
+        pytest.skip("the classes that call the operator check its input")
 
 
 @pytest.fixture
@@ -140,6 +172,48 @@ def test_flat_channels_stay_as_they_are(name, dtype, device):
     operation = torch.full((2, 1), OPERATIONS[name].number, device=device)
     y, _ = execute_steps(x, [(name,)], operation, torch.zeros(2, 1, device=device))
     assert torch.equal(y[0], x[0]) and not torch.equal(y[1], x[1])
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16], ids=str)
+@pytest.mark.parametrize("layout", [*LAYOUTS, "of a sum"])
+@pytest.mark.parametrize("size", SIZES)
+def test_gradients_are_those_of_separate_operators(size, layout, dtype, device):
+    operation, value = (t[:, 0] for t in each_operation(device))
+    x = random_images((len(operation), 3, *SIZES[size]), device, dtype)
+    x = LAYOUTS.get(layout, LAYOUTS["contiguous"])(x).detach().requires_grad_()
+    weights = torch.randn(x.shape, generator=torch.Generator().manual_seed(1)).to(x)
+    gradients = []
+    for step in (operation_table._apply_operation, operation_table._reference):
+        y, _ = step(x, operation, value)
+        gradients += torch.autograd.grad(y.sum() if layout == "of a sum" else (y * weights).sum(), x)
+    fused, expected = gradients
+    assert fused.dtype == dtype and fused.is_contiguous()
+    step = {torch.float16: 2e-2, torch.bfloat16: 1e-1}.get(dtype, 2e-4)
+    for i, name in enumerate(["none", *NAMES]):
+        error = (fused[i].float() - expected[i].float()).abs() / expected[i].abs().amax().clamp(min=1).float()
+        # Where rounding carries a value across a threshold or a bound, its gradient is another one.
+        assert (error > step).sum() <= 0.004 * error.numel(), name
+
+
+def test_one_operation_for_all_samples_of_a_vmap(device):
+    x, (operation, value) = random_images((5, 1, 3, 8, 9), device, torch.float32), each_operation(device)
+    for step in zip(operation, value):
+        y, _ = torch.func.vmap(operation_table._apply_operation, (0, None, None))(x, *step)
+        expected = torch.cat([operation_table._apply_operation(one, *step)[0] for one in x])
+        assert_close(y[:, 0], expected, 0.0, 1e-6)
+
+
+def test_a_policy_with_gradients_is_an_operator_a_step(device, backend):
+    if not has_kernels(device, backend):
+        pytest.skip("the kernels are not there")
+    augment, x = RandAugment(2, 9), random_images((4, 3, 8, 9), device, torch.float32).requires_grad_()
+    augment(x, seed=1)
+    with DispatchedOperators() as dispatched:
+        y = augment(x, seed=1)
+        torch.autograd.grad(y.sum(), x)
+    own = [name for name in dispatched.names if name.startswith(("apply", "warp", "color"))]
+    assert own == ["apply_operation"] * 2 + ["apply_operation_backward"] * 2
+    assert_same_images(augment(x.detach(), seed=1), y)
 
 
 @pytest.mark.parametrize("case", [*UNSERVED, "one channel"])

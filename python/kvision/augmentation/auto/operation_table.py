@@ -1,7 +1,7 @@
 """The operations of policies, by name: what they do with a sample's value, for a whole batch at once.
 
 An operation is a number of the sample, and so is its value. One kernel runs a step on a batch, each sample's operation
-alone. Where a gradient is wanted, a graph is traced or a type has no kernel, a step executes on the whole batch:
+alone, and so does its gradient. Where a type has no kernel, or values get gradients, a step executes on the whole batch:
 
     all operations that move pixels       one matrix a sample (the identity for other operations) and one warp
     all operations on single pixels       one color program, whose order has the step of each sample's operation alone
@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from kvision import enhance
 from kvision._constants import constant
-from kvision._ops import FastPath
+from kvision._ops import FastPath, behind_grad, flatten_batch, register, size_below_vmap, vjp
 from kvision.augmentation import transforms
 from kvision.augmentation.container.stages import Stage, Warp
 from kvision.augmentation.drawn_pass import COMPUTED_IN_FLOAT32
@@ -101,7 +101,12 @@ def execute_steps(
         return x, [Warp(matrix, size, size, _BILINEAR) for matrix, move in zip(matrices.unbind(), moves) if move]
     stages: list[Stage] = []
     for of_step, numbers, values in zip(names, operation.unbind(1), value.unbind(1)):
-        x, more = execute_step(x, of_step, numbers, values)
+        if _supports(x, numbers, values) is None and not values.requires_grad and _apply_operation.is_native(x):
+            x, matrix = _apply_operation(x, numbers, values)
+            size = (x.shape[-2], x.shape[-1])
+            more: list[Stage] = [Warp(matrix, size, size, _BILINEAR)] if _moves_pixels(of_step) else []
+        else:
+            x, more = execute_step(x, of_step, numbers, values)
         stages += more
     return x, stages
 
@@ -109,6 +114,68 @@ def execute_steps(
 def _has_kernel(x: Tensor, operation: Tensor, value: Tensor) -> bool:
     is_usual = x.shape[1] == 3 and operation.dtype == torch.int64 and value.dtype == torch.float32
     return is_usual and not value.requires_grad and _apply_operations.serves(x)
+
+
+# --- a step with its gradient ---------------------------------------------------------------------------------------
+
+# Arguments: images (B, 3, H, W); numbers (B,) of the operations; their values (B,).
+
+
+def _reference(x: Tensor, operation: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
+    y, stages = execute_step(x, tuple(OPERATIONS), operation, value)
+    (warp,) = stages
+    assert isinstance(warp, Warp)
+    return y, warp.matrix
+
+
+def _reference_backward(grad: Tensor, x: Tensor, operation: Tensor, value: Tensor) -> Tensor:
+    gradient: Tensor = vjp(lambda x: _reference(x, operation, value)[0])(grad, x)
+    return gradient.contiguous()
+
+
+def _supports(x: Tensor, operation: Tensor, value: Tensor) -> str | None:
+    """Images have three channels and a pixel, and are float32, or on CUDA float16 or bfloat16."""
+    if x.shape[1] != 3 or not x.numel():
+        return f"there is no kernel for images {tuple(x.shape)}"
+    if x.dtype != torch.float32 and not (x.is_cuda and x.dtype in (torch.float16, torch.bfloat16)):
+        return f"there is no kernel for {x.dtype} on {x.device.type}"
+    if operation.dtype != torch.int64 or value.dtype != torch.float32:
+        return f"there is no kernel for operations of {operation.dtype} with values of {value.dtype}"
+    return None
+
+
+def _flatten(n: int, in_dims: tuple[Any, ...], args: tuple[Any, ...]) -> tuple[list[Any], int]:
+    """Numbers and values of one sample do not stay one for all, which the kernel does not take."""
+    batch = size_below_vmap(args[0], in_dims[0])
+    return [flatten_batch(x, dim, n, batch) for x, dim in zip(args, in_dims)], batch
+
+
+def _backward(needs, grad, _, x, operation, value):
+    if needs[2]:
+        return _apply_operation.differentiate_reference(needs, grad, _, x, operation, value)
+    return [_apply_operation_backward(grad, x, operation, value), None, None]
+
+
+_apply_operation = register(
+    "apply_operation",
+    _reference,
+    fake=lambda x, *_: [x.shape, x.new_empty((x.shape[0], 3, 3), dtype=torch.float32)],
+    backward=_backward,
+    non_differentiable=(1,),
+    casts_outputs=True,
+    supports=_supports,
+    flatten=_flatten,
+)
+_apply_operation_backward = register(
+    "apply_operation_backward",
+    _reference_backward,
+    fake=lambda grad, x, *_: x.new_empty(x.shape),
+    casts_outputs=True,
+    supports=behind_grad(_supports),
+    flatten=_flatten,
+)
+
+# --- the parts of a step --------------------------------------------------------------------------------------------
 
 
 @functools.lru_cache

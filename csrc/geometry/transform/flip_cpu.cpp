@@ -35,12 +35,12 @@ KV_HD void store_past_caches(void* to, V v) {
 // The same for images larger than the caches: non-temporal stores, and a prefetch of the row below.
 template <class T>
 void reverse_row_past_caches(T const* from, T* to, int64_t size) {
-  constexpr int N = kRowLanes<T>;
+  constexpr int bytes = sizeof(T) < 4 ? 16 : kVectorBytes, N = bytes / int(sizeof(T));
   int64_t e = 0;
-  for (; e < size && reinterpret_cast<uintptr_t>(to + e) % sizeof(RowVector<T>) != 0; ++e) to[e] = from[size - 1 - e];
+  for (; e < size && reinterpret_cast<uintptr_t>(to + e) % bytes != 0; ++e) to[e] = from[size - 1 - e];
   for (; e + N <= size; e += N) {
     __builtin_prefetch(from + size + e);
-    store_past_caches(to + e, reversed(from + size - N - e));
+    store_past_caches(to + e, reversed<bytes>(from + size - N - e));
   }
   for (; e < size; ++e) to[e] = from[size - 1 - e];
 }
@@ -68,9 +68,22 @@ KV_HD void reverse_rgb(uint8_t const* from, uint8_t* to, int64_t size) {
     for (int c = 0; c < 3; ++c) to[e + c] = from[size - 3 - e + c];
 }
 
+// Of `size` bytes.
+KV_HD void copy_row(uint8_t const* from, uint8_t* to, int64_t size) {
+  constexpr int bytes = kVectorBytes < 32 ? 16 : 32;
+  if (size < bytes) {
+    memcpy(to, from, size_t(size));
+    return;
+  }
+  for_each_row_vector<bytes>(to, size,
+                             [&](int64_t e) KV_INLINE { store_bytes<bytes>(to + e, load_bytes<bytes>(from + e)); });
+}
+
 // The elements from `left` on of a row of `in_size`; zeros out of bounds.
 template <class T>
 void copy_window(T const* from, int64_t in_size, int64_t left, T* to, int64_t size) {
+  if (left >= 0 && left + size <= in_size)
+    return copy_row(reinterpret_cast<uint8_t const*>(from + left), reinterpret_cast<uint8_t*>(to), size * sizeof(T));
   int64_t const begin = clamp(-left, int64_t(0), size), end = clamp(in_size - left, begin, size);
   memset(to, 0, size_t(begin) * sizeof(T));
   memcpy(to + begin, from + left + begin, size_t(end - begin) * sizeof(T));
@@ -84,15 +97,27 @@ void flip(Flip<T> const& p, int64_t begin, int64_t end) {
   int64_t const step = p.x.step, size = p.y.row_size(), height = p.y.height;
   bool const large = p.y.rows() * size * int64_t(sizeof(T)) > kCacheBytes;
   Scratch<T> line(step == 1 || !p.columns ? 0 : 2 * size);
-  for (int64_t r = begin; r < end; ++r) {
-    int64_t const plane = r / height, y = r - plane * height;
+  if (begin == end) return;
+  int64_t plane = begin / height, y = begin - plane * height;  // by steps: a row takes little longer than a division
+  T const* in = p.x.plane(plane);
+  T* out = p.y.plane(plane);
+  bool const is_one_row =
+      p.rows && p.columns && step == 1 && !large && p.x.row_stride == size && p.y.row_stride == size;
+  for (int64_t r = begin; is_one_row && r < end; ++plane) {  // adjacent rows, rotated: one row, reversed
+    int64_t const first = r - plane * height, last = min(height, first + end - r);
+    reverse_row<false>(p.x.plane(plane) + (height - last) * size, p.y.plane(plane) + first * size,
+                       (last - first) * size);
+    r += last - first;
+  }
+  for (int64_t r = begin; !is_one_row && r < end; ++r, ++y) {
+    if (y == height) in = p.x.plane(++plane), out = p.y.plane(plane), y = 0;
     int64_t const source = p.rows ? height - 1 - y : y + p.top;
-    T* const to = p.y.row(plane, y);
+    T* const to = out + y * p.y.row_stride;
     if (source < 0 || source >= p.x.height) {
       memset(to, 0, size_t(size) * sizeof(T));
       continue;
     }
-    T const* const from = p.x.row(plane, source);
+    T const* const from = in + source * p.x.row_stride;
     if (!p.columns)
       copy_window(from, p.x.row_size(), p.left * step, to, size);
     else if (step == 1)

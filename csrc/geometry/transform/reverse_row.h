@@ -26,26 +26,46 @@ struct bits_of<8> {
   using type = uint64_t;
 };
 
+// Vectors of at most 32 bytes: those of 64 cross two cache lines wherever they do not begin with one.
 template <class T>
-constexpr int kRowLanes = (sizeof(T) < 4 ? 16 : kVectorBytes) / int(sizeof(T));
-template <class T>
-using RowVector = Lanes<typename bits_of<sizeof(T)>::type, kRowLanes<T>>;
+constexpr int kRowBytes = sizeof(T) < 4 || kVectorBytes < 32 ? 16 : 32;
+template <class T, int bytes = kRowBytes<T>>
+using RowVector = Lanes<typename bits_of<sizeof(T)>::type, bytes / int(sizeof(T))>;
 
-template <class T>
-KV_HD RowVector<T> reversed(T const* from) {
-  RowVector<T> last_first;
-  for (int i = 0; i < kRowLanes<T>; ++i) last_first[i] = typename bits_of<sizeof(T)>::type(kRowLanes<T> - 1 - i);
-  return __builtin_shuffle(*reinterpret_cast<RowVector<T> const*>(from), last_first);
+template <int bytes, class T>
+KV_HD RowVector<T, bytes> reversed(T const* from) {
+  using V = RowVector<T, bytes>;
+  constexpr int N = bytes / int(sizeof(T));
+  V last_first;
+  for (int i = 0; i < N; ++i) last_first[i] = typename bits_of<sizeof(T)>::type(N - 1 - i);
+  return __builtin_shuffle(*reinterpret_cast<V const*>(from), last_first);
+}
+
+// Calls f(e) for vectors of a row, aligned in memory but for the first and the last one, which overlap their neighbors.
+template <int64_t bytes, class T, class F>
+KV_HD void for_each_row_vector(T const* to, int64_t size, F f) {
+  constexpr int64_t N = bytes / int64_t(sizeof(T));
+  f(int64_t(0));
+#pragma GCC unroll 4
+  for (int64_t e = (bytes - reinterpret_cast<intptr_t>(to) % bytes) / int64_t(sizeof(T)); e + N <= size; e += N) f(e);
+  f(size - N);
 }
 
 // Stores go upwards in one stream. Two streams from both ends took half as long again in rows that do not begin at
-// multiples of a vector, where every store touches two cache lines.
-template <class T>
+// multiples of a vector, where every store touches two cache lines. `to_below`: the row below is read next. It is
+// prefetched, because processors do not foresee its end, where it is read first; rows read upwards they foresee.
+template <bool to_below = true, class T>
 void reverse_row(T const* from, T* to, int64_t size) {
-  constexpr int N = kRowLanes<T>;
-  int64_t e = 0;
-  for (; e + N <= size; e += N) *reinterpret_cast<RowVector<T>*>(to + e) = reversed(from + size - N - e);
-  for (; e < size; ++e) to[e] = from[size - 1 - e];
+  using V = RowVector<T>;
+  constexpr int64_t N = sizeof(V) / sizeof(T);
+  if (size < N) {
+    for (int64_t e = 0; e < size; ++e) to[e] = from[size - 1 - e];
+    return;
+  }
+  for_each_row_vector<kRowBytes<T>>(to, size, [&](int64_t e) KV_INLINE {
+    if constexpr (to_below) __builtin_prefetch(from + size + e);
+    *reinterpret_cast<V*>(to + e) = reversed<kRowBytes<T>>(from + size - N - e);
+  });
 }
 
 }  // namespace

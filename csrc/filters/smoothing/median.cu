@@ -1,24 +1,71 @@
 // Median blur on CUDA. For 3x3 and 5x5 windows each warp goes down a strip with the sorted rows of its pixels in
-// registers and computes two output rows a step. Other windows, and channels-last images, take a plain kernel with one
-// thread for each element.
+// registers and computes two output rows a step. Images of half types and bytes are sorted two pixels at a time. Other
+// windows, and channels-last images, take a plain kernel with one thread for each element.
 #include "core/launch.cuh"
 #include "median.h"
 
 namespace kv::filters::cuda {
 namespace {
 
-// Pixels of a thread, limited by its registers.
-template <int K>
-constexpr int kMedianPixels = K == 3 ? 4 : 2;
+// Two numbers of 16 bits. One instruction has the minima or maxima of two pairs from compute capability 8.0 on.
+template <class T>
+struct Pair {
+  uint32_t bits;
+
+  Pair() = default;
+  explicit __device__ __forceinline__ Pair(uint32_t bits) : bits(bits) {}
+  __device__ __forceinline__ Pair(float first, float second) {
+    T const numbers[] = {round_to<T>(first), round_to<T>(second)};
+    __builtin_memcpy(&bits, numbers, 4);
+  }
+  __device__ __forceinline__ float operator[](int i) const {
+    T numbers[2];
+    __builtin_memcpy(numbers, &bits, 4);
+    return read(numbers[i]);
+  }
+};
+template <class T>
+__device__ __forceinline__ Pair<T> lower(Pair<T> a, Pair<T> b) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
+  return Pair<T>(nan_min(a[0], b[0]), nan_min(a[1], b[1]));
+#else
+  uint32_t bits;
+  if constexpr (__is_same(T, Half))
+    asm("min.NaN.f16x2 %0, %1, %2;" : "=r"(bits) : "r"(a.bits), "r"(b.bits));
+  else
+    asm("min.NaN.bf16x2 %0, %1, %2;" : "=r"(bits) : "r"(a.bits), "r"(b.bits));
+  return Pair<T>(bits);
+#endif
+}
+template <class T>
+__device__ __forceinline__ Pair<T> upper(Pair<T> a, Pair<T> b) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
+  return Pair<T>(nan_max(a[0], b[0]), nan_max(a[1], b[1]));
+#else
+  uint32_t bits;
+  if constexpr (__is_same(T, Half))
+    asm("max.NaN.f16x2 %0, %1, %2;" : "=r"(bits) : "r"(a.bits), "r"(b.bits));
+  else
+    asm("max.NaN.bf16x2 %0, %1, %2;" : "=r"(bits) : "r"(a.bits), "r"(b.bits));
+  return Pair<T>(bits);
+#endif
+}
+
+// What a thread sorts. Bytes are exact in halves.
+template <class T>
+constexpr int kPixelsOfValue = sizeof(T) < 4 ? 2 : 1;
+template <class T>
+using Value = std::conditional_t<kPixelsOfValue<T> == 2, Pair<std::conditional_t<sizeof(T) == 1, Half, T>>, Compute<T>>;
+
 constexpr int kRows = 32;
 
-// One sorted row of the windows of each of a thread's pixels. Adjacent windows share the first sorting step.
-template <int K, int P, class F>
+// One sorted row of the windows of each of a thread's N values. Adjacent windows share the first sorting step.
+template <int K, int N, class V>
 struct SortedRows {
-  F v[P][K];
-  __device__ __forceinline__ void sort(F const (&row)[P + K - 1]) {
+  V v[N][K];
+  __device__ __forceinline__ void sort(V const (&row)[N + K - 1]) {
 #pragma unroll
-    for (int i = 0; i < P; i += 2) {
+    for (int i = 0; i < N; i += 2) {
 #pragma unroll
       for (int k = 1; k < K; ++k) v[i][k] = row[i + k];
       sort_common<K>(v[i]);
@@ -32,13 +79,16 @@ struct SortedRows {
   }
 };
 
-template <int K, class T, bool Aligned>
+// N: values of a thread, limited by its registers. The pixels of a pair are N apart.
+template <int K, int N, class T, bool Aligned>
 __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1
                                        : K == 3                ? 3
-                                                : 2) median_strip(MedianBlur<T> p, Strips<kMedianPixels<K>> strips) {
-  constexpr int P = kMedianPixels<K>, R = K / 2;
+                                                               : 2)
+    median_strip(MedianBlur<T> p, Strips<N * kPixelsOfValue<T>> strips) {
+  constexpr int P = N * kPixelsOfValue<T>, R = K / 2;
   using F = Compute<T>;
-  using Rows = SortedRows<K, P, F>;
+  using V = Value<T>;
+  using Rows = SortedRows<K, N, V>;
   int64_t plane;
   int x, y0;
   if (!strips.locate(plane, x, y0)) return;
@@ -55,7 +105,14 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1
   auto const sort = [&](FetchedRow const& fetched, Rows& sorted) {
     F row[P + 2 * R];
     strip.spread(fetched, row);
-    sorted.sort(row);
+    V values[N + 2 * R];
+#pragma unroll
+    for (int i = 0; i < N + 2 * R; ++i)
+      if constexpr (P > N)
+        values[i] = V(row[i], row[i + N]);
+      else
+        values[i] = row[i];
+    sorted.sort(values);
   };
   // The next two rows are fetched before the current two are processed.
   FetchedRow prefetched0 = fetch(y0 + R), prefetched1 = fetch(y0 + R + 1);
@@ -68,9 +125,19 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1
     sort(fetched0, next0);
     sort(fetched1, next1);
   };
-  auto const store = [&](F const(&first)[P], F const(&second)[P], int y) {
-    strip.store_in_stripes(out, first);
-    if (y + 1 < y1) strip.store_in_stripes(out + p.y.row_stride, second);
+  auto const store_row = [&](T* to, V const(&values)[N]) {
+    F row[P];
+#pragma unroll
+    for (int i = 0; i < N; ++i)
+      if constexpr (P > N)
+        row[i] = values[i][0], row[i + N] = values[i][1];
+      else
+        row[i] = values[i];
+    strip.store_in_stripes(to, row);
+  };
+  auto const store = [&](V const(&first)[N], V const(&second)[N], int y) {
+    store_row(out, first);
+    if (y + 1 < y1) store_row(out + p.y.row_stride, second);
     out += 2 * p.y.row_stride;
   };
 
@@ -80,10 +147,10 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1
     sort(fetch(y0), b);
     for (int y = y0; y < y1; y += 2) {
       advance(y, c, d);
-      F first[P], second[P];
+      V first[N], second[N];
 #pragma unroll
-      for (int i = 0; i < P; ++i) {
-        F middle[K + 1];
+      for (int i = 0; i < N; ++i) {
+        V middle[K + 1];
         middle_of_two<K>(b.v[i], c.v[i], middle);
         first[i] = median_of<K>(middle, a.v[i]);
         second[i] = median_of<K>(middle, d.v[i]);
@@ -94,20 +161,20 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1
     }
   } else {
     Rows before, same, after, next0, next1;  // rows y - 2, y, y + 1, y + 2, y + 3
-    F above[P][2 * K], below[P][2 * K];      // rows y - 1 and y, y + 1 and y + 2, merged
+    V above[N][2 * K], below[N][2 * K];      // rows y - 1 and y, y + 1 and y + 2, merged
     sort(fetch(y0 - 2), before);
     sort(fetch(y0 - 1), after);
     sort(fetch(y0), same);
 #pragma unroll
-    for (int i = 0; i < P; ++i) merge<K, K>(after.v[i], same.v[i], above[i]);
+    for (int i = 0; i < N; ++i) merge<K, K>(after.v[i], same.v[i], above[i]);
     sort(fetch(y0 + 1), after);
     for (int y = y0; y < y1; y += 2) {
       advance(y, next0, next1);
-      F first[P], second[P];
+      V first[N], second[N];
 #pragma unroll
-      for (int i = 0; i < P; ++i) {
+      for (int i = 0; i < N; ++i) {
         merge<K, K>(after.v[i], next0.v[i], below[i]);
-        F middle[K + 1];
+        V middle[K + 1];
         middle_of_two<K>(above[i], below[i], middle);
         first[i] = median_of<K>(middle, before.v[i]);
         second[i] = median_of<K>(middle, next1.v[i]);
@@ -161,12 +228,14 @@ __global__ void median_any(MedianBlur<T> p) {
   p.y.row(plane, y)[e] = from_key<T>(median);
 }
 
-template <int K, class T>
-void launch_strip(MedianBlur<T> const& p, CUstream_st* stream) {
-  constexpr int P = kMedianPixels<K>;
+template <int K, int N, class T>
+void launch_strips(MedianBlur<T> const& p, CUstream_st* stream) {
+  constexpr int P = N * kPixelsOfValue<T>;
   Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
+  if constexpr (P > 4)  // too few strips to occupy the GPU: narrower ones
+    if (strips.count < 8 * unsigned(multiprocessors())) return launch_strips<K, N / 2>(p, stream);
   with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y), [&](auto aligned) {
-    median_strip<K, T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+    median_strip<K, N, T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
   });
 }
 
@@ -175,9 +244,9 @@ void launch_strip(MedianBlur<T> const& p, CUstream_st* stream) {
 template <class T>
 int median_blur(MedianBlur<T> const& p, CUstream_st* stream) {
   if (p.ky == p.kx && p.kx == 3 && p.x.step == 1)
-    launch_strip<3>(p, stream);
+    launch_strips<3, 4>(p, stream);
   else if (p.ky == p.kx && p.kx == 5 && p.x.step == 1)
-    launch_strip<5>(p, stream);
+    launch_strips<5, 2>(p, stream);
   else
     median_any<<<unsigned(ceil_div(p.x.rows() * p.x.row_size(), 256)), 256, 0, stream>>>(p);
   return cudaGetLastError();

@@ -76,6 +76,18 @@ class TestMedianBlur(OpTests):
             with K.backend("reference"):
                 assert_close(ours, K.filters.median_blur(x.to(device), size, border), 0, 0)
 
+    @pytest.mark.large
+    @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.uint8], ids=str)
+    @pytest.mark.parametrize("width", [264, 257])
+    @pytest.mark.parametrize("size", [3, 5])
+    def test_many_images_of_small_types(self, size, width, dtype, device):
+        """The values of float32: on CUDA pixels of these types are sorted in pairs, those of many images in wider strips."""
+        x = (torch.rand(96, 3, 70, width, device=device) * 255).to(dtype)
+        if dtype.is_floating_point:
+            x[::7, 1, 33, 255:] = torch.nan
+        expected = K.filters.median_blur(x.float(), size).to(dtype)
+        assert_close(K.filters.median_blur(x, size), expected, 0, 0)
+
     @pytest.mark.parametrize("border", BORDERS)
     @pytest.mark.parametrize("size", [3, 5, 4, (2, 7)], ids=str)
     def test_ties_share_the_gradient_evenly(self, size, border, device):

@@ -73,7 +73,10 @@ def exercise(call: SampleCall, device: torch.device) -> Callable[[], None]:
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="mallinfo2 is glibc's")
 @pytest.mark.slow
 def test_calls_do_not_leak(device: torch.device) -> None:
-    """At least 20,000 calls of all quick functions in turn, after 2,000, grow the heap by less than a byte a call."""
+    """At least 20,000 calls of all quick functions in turn, after 2,000, grow the heap by less than a byte a call.
+
+    Where they grow it by more, they are called again: what leaks grows each time, a block that is allocated once does not.
+    """
     if not hasattr(ctypes.CDLL(None), "mallinfo2"):
         pytest.skip("mallinfo2 came with glibc 2.33")
     warnings.simplefilter("ignore")
@@ -90,12 +93,15 @@ def test_calls_do_not_leak(device: torch.device) -> None:
     for _ in range(-(-WARM_UP // len(runs))):
         call_all(runs, device)
     turns = -(-CALLS // len(runs))
-    before = in_use(device)
-    for _ in range(turns):
-        call_all(runs, device)
     calls = turns * len(runs)
-    heap, gpu = (b - a for a, b in zip(before, in_use(device)))
-    print(f"{calls} calls of {len(runs)} functions: the heap grew by {heap / calls:.2f} bytes a call")
+    for _ in range(2):
+        before = in_use(device)
+        for _ in range(turns):
+            call_all(runs, device)
+        heap, gpu = (b - a for a, b in zip(before, in_use(device)))
+        print(f"{calls} calls of {len(runs)} functions: heap {heap / calls:+.2f} bytes a call, GPU {gpu:+} bytes")
+        if heap < calls and gpu <= 0:
+            break
     assert heap < calls
     assert gpu <= 0
 
@@ -118,5 +124,6 @@ def in_use(device: torch.device) -> tuple[int, int]:
     gc.collect()
     if device.type == "cuda":
         torch.cuda.synchronize()
+        time.sleep(0.1)  # autograd's thread holds the last gradients a moment longer than their caller
         return heap_in_use(), torch.cuda.memory_allocated()
     return heap_in_use(), 0

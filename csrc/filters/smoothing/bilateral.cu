@@ -4,10 +4,14 @@
 namespace kv::filters::cuda {
 namespace {
 
-constexpr int kRun = 8;
+// Pixels of a thread, and blocks on a multiprocessor at once: of windows that are known at compile time, whose code for
+// a run is small, fewer pixels and more blocks.
+constexpr int run_of(int reach) { return reach > 0 ? 4 : 8; }
+constexpr int blocks_of(int reach) { return reach > 0 ? 5 : 3; }
 
 template <class T, int C, bool L1, int R>
-__global__ void __launch_bounds__(kThreads, 3) bilateral_tile(Bilateral<T> p, Tiles<kRun> tiles) {
+__global__ void __launch_bounds__(kThreads, blocks_of(R)) bilateral_tile(Bilateral<T> p, Tiles<run_of(R)> tiles) {
+  constexpr int kRun = run_of(R);
   extern __shared__ float memory[];
   int const ry = R > 0 ? R : p.ky / 2, rx = R > 0 ? R : p.kx / 2;
   int64_t b;
@@ -53,6 +57,7 @@ __global__ void bilateral_any(Bilateral<T> p) {
 // False where the tile does not fit into shared memory.
 template <int C, bool L1, int R, class T>
 bool launch_tile(Bilateral<T> const& p, CUstream_st* stream) {
+  constexpr int kRun = run_of(R);
   auto const kernel = bilateral_tile<T, C, L1, R>;
   int64_t const bytes = C * int64_t(rows_of(kRun) + p.ky - 1) * (kColumns + p.kx - 1) * sizeof(float);
   if (!fits(kernel, bytes)) return false;

@@ -125,7 +125,7 @@ __device__ __forceinline__ void sum_run(SharedPlanes const& s, int ry, [[maybe_u
       center[i][c] = s.at(y + i, x)[c * s.size()];
     }
   }
-  auto const column = [&](int dx) {
+  auto const column = [&](int dx, auto is_center) {
     float const space_x = falloff.space_x * float(dx * dx);
     auto const pixel_row = [&](int row) {  // adds a row to the pixels of the run that have it in their windows
       float pixel[C];
@@ -136,7 +136,7 @@ __device__ __forceinline__ void sum_run(SharedPlanes const& s, int ry, [[maybe_u
         int const dy = row - i;
         if (dy < -(R > 0 ? R : ry) || dy > (R > 0 ? R : ry)) continue;
         float weight = 1;
-        if (R == 0 || dy != 0 || dx != 0)
+        if (!is_center || dy != 0)
           weight = fast_exp2(log_weight<C, L1>(falloff.space_y * float(dy * dy) + space_x, pixel, center[i]));
         total[i] += weight;
 #pragma unroll
@@ -150,11 +150,16 @@ __device__ __forceinline__ void sum_run(SharedPlanes const& s, int ry, [[maybe_u
       for (int row = -ry; row < Run + ry; ++row) pixel_row(row);
     }
   };
+  // One code for all columns but the center's: that of each of them would not fit into the cache of instructions.
   if constexpr (R > 0) {
-#pragma unroll
-    for (int dx = -R; dx <= R; ++dx) column(dx);
+    column(0, std::true_type{});
+#pragma unroll 1
+    for (int dx = 1; dx <= R; ++dx) {
+#pragma unroll 1
+      for (int side = -1; side <= 1; side += 2) column(side * dx, std::false_type{});
+    }
   } else {
-    for (int dx = -rx; dx <= rx; ++dx) column(dx);
+    for (int dx = -rx; dx <= rx; ++dx) column(dx, std::false_type{});
   }
 }
 

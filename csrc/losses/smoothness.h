@@ -29,7 +29,7 @@ struct DepthAndImage {
 template <class T>
 struct Smoothness {
   DepthAndImage<T> of;
-  int64_t chunks;       // of a sample: rows on the CPU, blocks on CUDA
+  int64_t chunks;       // of a sample: rows on the CPU, blocks on CUDA, of which vectors of pixels take fewer
   Compute<T>* partial;  // (B, chunks)
   Compute<T>* sums;     // (B), written by the CUDA kernel; on the CPU the operator sums the chunks
 };
@@ -42,8 +42,8 @@ struct SmoothnessBackward {
   bool of_image;
 };
 
-// CUDA: the part of a sample per block.
-constexpr int kSmoothRows = 16, kSmoothColumns = 256;
+// CUDA: rows of a thread, and threads of a block.
+constexpr int kSmoothRows = 8, kSmoothThreads = 256;
 
 KV_KERNEL(smoothness, Smoothness)
 KV_KERNEL(smoothness_backward, SmoothnessBackward)

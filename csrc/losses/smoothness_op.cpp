@@ -28,7 +28,7 @@ Tensor smoothness(Tensor const& depth, Tensor const& image, double along_y, doub
   Tensor const d = as_layout(depth, Layout::planar), x = as_layout(image, Layout::planar);
   int64_t const samples = d.size(0), height = d.size(2), width = d.size(3);
 #if defined(KV_CUDA)
-  int64_t const chunks = ceil_div(height, kSmoothRows) * ceil_div(width, kSmoothColumns);
+  int64_t const chunks = ceil_div(ceil_div(height, kSmoothRows) * width, kSmoothThreads);
 #else
   int64_t const chunks = height;
 #endif

@@ -228,6 +228,24 @@ class TestSmoothness(OpTests):
     test_wrong_kinds = test_other_integers_become_float32 = test_value_of_bytes = None  # of floating-point depth only
     test_nan_stays_in_its_window = None  # a number has no window
 
+    @pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.float16, torch.bfloat16], ids=str)
+    @pytest.mark.parametrize("width", [44, 45])
+    @pytest.mark.parametrize("channels", [1, 3, 4])
+    def test_rows_and_channels(self, channels, width, dtype, device):
+        """On CUDA three channels have kernels of their own, which process aligned rows by vectors."""
+        inputs = [torch.rand(2, c, 37, width, device=device).to(dtype) for c in (1, channels)]
+
+        def loss_and_gradients(inputs):
+            leaves = [x.detach().requires_grad_() for x in inputs]
+            loss = L.inverse_depth_smoothness_loss(*leaves)
+            return loss, *torch.autograd.grad(loss, leaves)
+
+        with K.backend("reference"):
+            expected = loss_and_gradients([x.double() for x in inputs])
+        tolerance = 4 * torch.finfo(dtype).eps if dtype.itemsize == 2 else 1e-5
+        for y, z in zip(loss_and_gradients(inputs), expected, strict=True):
+            assert_close(y.double(), z, 0, tolerance * z.abs().max().item())
+
 
 def test_divergence_of_empty_pixels():
     p = torch.tensor([[[[0.0, 1.0]]]], requires_grad=True)

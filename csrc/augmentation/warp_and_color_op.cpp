@@ -221,8 +221,9 @@ PassResults run_pass(Tensor const& image, OptionalTensor const& columns, Optiona
     auto const [y, means] = run_joined(a, image, arguments);
     return {y, a.matrix_tensor, around_mean ? OptionalTensor(means) : OptionalTensor()};
   }
-  Tensor const x = a.matrix ? a.sampled(image) : image;
-  auto const [y, means] = color::run_program(a.op, x, arguments, program, a.plan.numbers);
+  bool const samples = a.matrix.has_value();
+  Tensor const x = samples ? a.sampled(image) : image;
+  auto const [y, means] = color::run_program(a.op, x, arguments, program, a.plan.numbers, samples);
   return {y, a.matrix_tensor, around_mean ? OptionalTensor(means) : OptionalTensor()};
 }
 

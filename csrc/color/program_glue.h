@@ -242,15 +242,24 @@ inline ScalarType result_type(PlanArgument const& plan, Tensor const& input) {
   return plan.dtype < 0 ? input.scalar_type() : scalar_type_of(DType(plan.dtype));
 }
 
-// The result, and the means that contrast was taken around.
+// The result, and the means that contrast was taken around. On CUDA a result like the input overwrites an input that the
+// caller `owns`, because a thread reads its pixels before it writes them. On the CPU the last vectors of a row overlap.
 inline std::tuple<Tensor, Tensor> run_program(char const* op, Tensor const& input, ProgramArguments const& a,
-                                              PlanArgument const& plan, std::vector<double> const& numbers) {
+                                              PlanArgument const& plan, std::vector<double> const& numbers,
+                                              [[maybe_unused]] bool owns = false) {
   ScalarType const type = result_type(plan, input);
   Layout const in = layout_of(input);
   Layout const out = plan.layout < 0 ? in : plan.layout == 0 ? Layout::planar : Layout::channels_last;
   Tensor const x = as_pixel_rows(input, in);
   int64_t const channels = a.sequence.one_channel ? 1 : x.size(1);
-  Tensor const y = empty({x.size(0), channels, x.size(2), x.size(3)}, x, channels == 1 ? Layout::planar : out, type);
+#if defined(KV_CUDA)
+  bool const in_place = owns && in == out && channels == x.size(1) && type == x.scalar_type();
+#else
+  constexpr bool in_place = false;
+#endif
+  Tensor const y = in_place ? x
+                            : empty({x.size(0), channels, x.size(2), x.size(3)}, x,
+                                    channels == 1 ? Layout::planar : out, type);
   Samples const samples = a.samples(x, in == out);
   ScalarType const computes = a.in_double ? ScalarType::Double : ScalarType::Float;
   bool const around_mean = a.sequence.contrast >= 0;

@@ -58,10 +58,11 @@ def draw_keys(op: str, count: int, device: torch.device, seed: Seed, generator: 
     """
     if seed is not None:
         return _from_seed(op, seed)
-    if generator is None and not is_compiling() and not _captures(device):
+    compiles = is_compiling()
+    if generator is None and not compiles and not _captures(device):
         return Keys(_random_words(count))
     where = device if generator is None else generator.device
-    if is_compiling():
+    if compiles:
         if generator is None:
             return Keys(_random_keys(count))
         # Compilers know no random_ of a generator. The lowest number is added to the words of a range, as random_ does not.

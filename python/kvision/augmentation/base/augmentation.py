@@ -36,15 +36,15 @@ class AugmentationBase(OnePass):
 
     def validate_tensor(self, input: Tensor) -> None:
         """Raise unless `input` is a tensor of a floating-point type or uint8 with at most a batch of images that have pixels."""
-        op = type(self).__name__
+        axes, op = self.axes, type(self).__name__
         if not isinstance(input, Tensor):
             raise TypeCheckError(f"{op}: expected input to be a Tensor, got {type(input).__name__}")
         if not input.is_floating_point() and input.dtype != torch.uint8:
             raise TypeCheckError(f"{op}: expected input of a floating-point type or uint8, got {input.dtype}")
-        if not self.axes - 1 <= input.dim() <= self.axes + 1:
-            layout = ("(H, W), (C, H, W) or (B, C, H, W)", "(D, H, W), (C, D, H, W) or (B, C, D, H, W)")[self.axes - 3]
+        if not axes - 1 <= input.dim() <= axes + 1:
+            layout = ("(H, W), (C, H, W) or (B, C, H, W)", "(D, H, W), (C, D, H, W) or (B, C, D, H, W)")[axes - 3]
             raise ShapeError(f"{op}: expected input of shape {layout}, got {tuple(input.shape)}")
-        if 0 in input.shape[1 - self.axes :]:
+        if not input.numel() and 0 in input.shape[1 - axes :]:
             raise ShapeError(f"{op}: expected input with pixels, got {tuple(input.shape)}")
 
     def transform_tensor(self, input: Tensor, **_: Any) -> Tensor:

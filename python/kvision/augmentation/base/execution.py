@@ -35,6 +35,7 @@ class Execution:
         redraw: tuple[Keys, int] | None = None,
         frames: int = 1,
         is_certain: bool = False,
+        identity: tuple[torch.device, torch.dtype] | None = None,
     ) -> None:
         self.shape = shape  # of the images, (B, C, H, W)
         self.columns = columns  # of the parameters, on their device
@@ -46,7 +47,7 @@ class Execution:
         self.is_certain = is_certain  # all samples are chosen, which is known without the columns
         self.matrix: Tensor | None = None
         # Device and type of matrices that are made only when they are read.
-        self.identity: tuple[torch.device, torch.dtype] | None = None
+        self.identity = identity
         self.keeps_map = False  # for labels of the same call
         self.map: Tensor | None = None  # of a deformation, kept by `keeps_map`
 

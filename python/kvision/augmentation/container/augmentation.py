@@ -215,8 +215,7 @@ class AugmentationSequential(ImageSequential):
         inputs = self._of_frames(keys, inputs)
         image = inputs[first]
         x = self.transform_tensor(image)
-        source = self._source(seed, generator)
-        y = self._execute(x, params, source if len(keys) == 1 else source._replace(has_labels=True))
+        y = self._execute(x, params, self._source(seed, generator, has_labels=len(keys) > 1))
         state["_result_size"] = tuple(y.shape[2:])
         outputs = []
         for i, (key, value) in enumerate(zip(keys, inputs)):
@@ -241,9 +240,8 @@ class AugmentationSequential(ImageSequential):
 
     # --- videos ---
 
-    def _source(self, seed: Seed, generator: Generator | None) -> Randomness:
-        source = super()._source(seed, generator)
-        return source if self._videos is None else source._replace(time=self._videos.sizes[1])
+    def _source(self, seed: Seed, generator: Generator | None, time: int = 0, has_labels: bool = False) -> Randomness:
+        return super()._source(seed, generator, time if self._videos is None else self._videos.sizes[1], has_labels)
 
     def _video_layout(self, videos: Any) -> VideoLayout | None:
         """The layout of videos, which containers with a VideoSequential take."""
@@ -392,7 +390,7 @@ class AugmentationSequential(ImageSequential):
                 f"AugmentationSequential: expected mask of {images[0]} images of {tuple(images[2:])}, got {tuple(shape)}"
             )
         moved = move_masks(batched, stages, *self._mask_flags())
-        if moved.shape[:2] == batched.shape[:2] and masks.dim() < axes:
+        if masks.dim() < axes and moved.shape[:2] == batched.shape[:2]:
             return moved.reshape(*shape[: 2 - axes], *moved.shape[2:])
         return moved
 

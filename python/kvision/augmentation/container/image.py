@@ -286,7 +286,7 @@ class ImageSequential(ImageSequentialBase):
             raise ShapeError(
                 f"{type(self).__name__}: expected input with {axes - 1} to {axes + 1} axes, got {tuple(input.shape)}"
             )
-        if 0 in input.shape[1 - axes :]:
+        if not input.numel() and 0 in input.shape[1 - axes :]:
             raise ShapeError(f"{type(self).__name__}: expected input with pixels, got {tuple(input.shape)}")
         if not input.is_floating_point() and input.dtype != torch.uint8:
             raise TypeCheckError(
@@ -323,10 +323,11 @@ class ImageSequential(ImageSequentialBase):
         y = self._execute(x, params, source._replace(once=once, plans=self._plans, output=SAME))
         return y, Applied(self, None, {}, self._stages)
 
-    def _source(self, seed: Seed, generator: Generator | None) -> Randomness:
+    def _source(self, seed: Seed, generator: Generator | None, time: int = 0, has_labels: bool = False) -> Randomness:
         same = self.output_dtype is None and self.memory_format is None
         once, output = self.resample == "once", SAME if same else Output(self.output_dtype, self.memory_format)
-        return Randomness(type(self).__name__, seed, generator or self.generator, once, self._plans, output)
+        op, own = type(self).__name__, generator or self.generator
+        return Randomness(op, seed, own, once, self._plans, output, 1, 0, time, has_labels)
 
     @property
     def _params(self) -> list[ParamItem]:

@@ -349,16 +349,15 @@ def _draw(x: Tensor, plan: _RunPlan, keys: Keys | None, frames: int) -> Tensor |
 
 
 def _executions(x: Tensor, plan: _RunPlan, columns: Tensor | None, keys: Keys | None, frames: int) -> list[Execution]:
-    executions = []
+    executions, identity = [], (x.device, compute_dtype(x))
     for request, span, shape, applies, certain in zip(
         plan.requests, plan.spans, plan.shapes, plan.applied, plan.certain
     ):
         if request is None or span is None or columns is None or keys is None:
-            executions.append(Execution(shape, applied=applies))
+            executions.append(Execution(shape, applied=applies, identity=identity))
         else:
-            redraw = (keys, plan.first + request)
-            executions.append(Execution(shape, Columns(columns, span), None, applies, None, redraw, frames, certain))
-        executions[-1].keep_type(x)
+            drawn, redraw = Columns(columns, span), (keys, plan.first + request)
+            executions.append(Execution(shape, drawn, None, applies, None, redraw, frames, certain, identity))
     return executions
 
 

@@ -37,6 +37,7 @@ from kvision._torch_compat import (
     in_onnx_export,
     is_any_autocast_enabled,
     is_tracing,
+    keep_calls_apart,
     kernel_caller,
     schema_of,
     unwrap_dead_wrappers,
@@ -93,7 +94,12 @@ def register_random(name: str, schema: str, draw: Callable[..., Tensor], fake: C
     """An operator that draws from torch's default generators, for graphs: compilers neither join nor replace its calls."""
     tags = (torch.Tag.nondeterministic_seeded,)
     operator = torch.library.custom_op(f"kvision::{name}", draw, mutates_args=(), schema=schema, tags=tags)
-    operator.register_fake(fake)
+
+    @operator.register_fake
+    def shape(*args: Any) -> Tensor:
+        keep_calls_apart(getattr(torch.ops.kvision, name))  # before the graph that is traced now is cleaned
+        return fake(*args)
+
     return operator
 
 

@@ -34,6 +34,7 @@ __all__ = [
     "in_onnx_export",
     "is_any_autocast_enabled",
     "is_tracing",
+    "keep_calls_apart",
     "kernel_caller",
     "refuse_script",
     "schema_of",
@@ -127,6 +128,18 @@ def before_first_lookup(namespace: str, prepare: Callable[[], None]) -> None:
         return getattr(operators, name)
 
     operators.__getattr__ = __getattr__
+
+
+def keep_calls_apart(operator: Any) -> None:
+    """Keep compilers from replacing calls of a random operator of torch.ops by the result of an equal call.
+
+    The pass that does so in graphs with gradients has a list of torch's random operators. Waits for one that asks for
+    Tag.nondeterministic_seeded.
+    """
+    from torch._functorch import compile_utils  # which only compilation needs
+
+    if operator not in compile_utils.rand_ops:
+        compile_utils.rand_ops.append(operator)
 
 
 def schema_of(operator: OpOverload) -> Any:

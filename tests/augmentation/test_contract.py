@@ -331,6 +331,24 @@ def test_compiles(case: Case) -> None:
 
 
 @pytest.mark.tracing
+@pytest.mark.parametrize("backend", ["aot_eager", "aot_eager_decomp_partition"])
+def test_calls_of_one_graph_draw_apart(backend: str) -> None:
+    """Also where gradients are wanted, in graphs of which equal calls are removed."""
+    torch.compiler.reset()
+    x, augment, chain = images().requires_grad_(), A.RandomRotation(30.0, p=1.0), A.ImageSequential(A.RandomInvert())
+
+    def views(x: Tensor) -> list[Tensor]:
+        return [augment(x), augment(x), chain(x), chain(x)]
+
+    torch.manual_seed(1)
+    expected = views(x)
+    torch.manual_seed(1)
+    results = torch.compile(views, fullgraph=True, backend=backend)(x)
+    torch.testing.assert_close(results, expected)
+    assert not torch.equal(results[0], results[1])
+
+
+@pytest.mark.tracing
 def test_compiles_without_decisions_of_the_host() -> None:
     x, augment = images(), A.RandomMotionBlur(3, 35.0, 0.5, p=1.0)
     compiled = torch.compile(lambda x: augment(x, seed=4), fullgraph=True, backend="aot_eager")

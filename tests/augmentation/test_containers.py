@@ -601,6 +601,7 @@ def test_return_transform_with_labels(device: torch.device) -> None:
     augment = A.AugmentationSequential(flip, data_keys=["image", "mask"], return_transform=True)
     (y, matrix), mask = augment(x, x)
     assert torch.equal(matrix, expected) and torch.equal(y, mask)
+    assert A.preview(augment, x[:1], x[:1], count=2).dim() == 3
     named = A.AugmentationSequential(flip, data_keys=None)({"mask": x, "image": x}, return_transform=True)
     assert torch.equal(named["image"][1], expected) and torch.equal(named["mask"], mask)
     video = A.VideoSequential(flip, return_transform=True)

@@ -5,7 +5,7 @@
 
 #include "dual.h"
 #if !defined(__CUDACC__)
-#include "lanes.h"
+#include "any_lane.h"
 #endif
 
 namespace kv {
@@ -47,7 +47,7 @@ KV_HD void sin_cos_series(Double4 x, Double4& sine, Double4& cosine) {
 // Those of the C library, where |x| > most or x is NaN.
 KV_HD void replace_far_sin_cos(Double4 x, double most, Double4& sine, Double4& cosine) {
   auto const far = !(vabs(x) <= most);
-  if (far[0] | far[1] | far[2] | far[3])
+  if (any_lane(far))
     for (int i = 0; i < 4; ++i)
       if (far[i]) {
         sine[i] = __builtin_sin(x[i]);

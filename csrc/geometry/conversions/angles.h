@@ -65,6 +65,13 @@ struct AngleToRotationMatrix : ScalarInputs<1> {
     cos_sin_degrees(degrees[0], m[0], m[1]);
     m[2] = -m[1] + 0., m[3] = m[0];
   }
+  template <class V>
+  static KV_HD void vjp(V const* degrees, V const* grad_m, V* grad_degrees, FormulaOptions const&) {
+    V cosine, sine;
+    cos_sin_degrees(degrees[0], cosine, sine);
+    V const by_radians = (grad_m[1] - grad_m[2]) * cosine - (grad_m[0] + grad_m[3]) * sine;
+    grad_degrees[0] = by_radians * 0.017453292519943295769;
+  }
 };
 
 }  // namespace kv::geometry

@@ -1,4 +1,4 @@
-// Regions and patches. Arguments are those of torch.ops.kvision.
+// Regions, distances and patches. Arguments are those of torch.ops.kvision.
 #pragma once
 
 #include "kvision/ops/operator.h"
@@ -6,6 +6,9 @@
 namespace kvision::ops {
 
 inline constexpr Operator<"connected_components", Tensor(Tensor input)> connected_components{non_differentiable};
+inline constexpr Operator<"distance_transform_step",
+                          Two(Tensor grown, Tensor total, Tensor kernel, double distance, double h)>
+    distance_transform_step{no_gradient};
 
 namespace detail {
 

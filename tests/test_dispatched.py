@@ -51,6 +51,10 @@ CALLS: dict[str, tuple[Callable[[], object], int]] = {
     "accuracy": (lambda: K.metrics.accuracy(torch.rand(4, 3), torch.ones(4).long()), 6),
     "angle_error_vec": (lambda: K.metrics.angle_error_vec(torch.rand(4, 3), torch.rand(4, 3)), 12),
     "draw_point2d": (lambda: K.image.draw_point2d(torch.zeros(3, 4, 5), torch.ones(2, 2).long(), torch.ones(3)), 3),
+    "compute_correspond_epilines": (
+        lambda: K.geometry.compute_correspond_epilines(torch.rand(2, 9, 2), torch.rand(2, 3, 3)),
+        3,
+    ),
     "match_fginn": (lambda: K.feature.match_fginn(*descriptors()), 16),
     "RandomLinearIllumination": (lambda: LIGHT(torch.rand(2, 3, 4, 5)), 26),
 }

@@ -66,6 +66,7 @@ namespace kv::geometry {
   _(essential_from_fundamental, EssentialFromFundamental, "Tensor fundamental, Tensor camera1, Tensor camera2")  \
   _(fundamental_from_essential, FundamentalFromEssential, "Tensor essential, Tensor camera1, Tensor camera2")    \
   _(fundamental_from_projections, FundamentalFromProjections, "Tensor projection1, Tensor projection2")          \
+  _(normalize_line, NormalizeLine, "Tensor line")                                                                \
   _(camera_motion, CameraMotion, "Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2") \
   _(essential_from_motions, EssentialFromMotions,                                                                \
     "Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2")                              \

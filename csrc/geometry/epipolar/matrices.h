@@ -67,6 +67,27 @@ struct FundamentalFromEssential : CameraInputs {
   }
 };
 
+// A line (a, b, c) over the length of (a, b), itself where that is 0.
+struct NormalizeLine : VectorInput<3, 3> {
+  template <class V>
+  static KV_HD V length(V const* x) {
+    V const square = x[0] * x[0] + x[1] * x[1];
+    return square_root(select(square == 0., constant<V>(1), square));
+  }
+  template <class V>
+  static KV_HD void evaluate(V const* x, V* y, FormulaOptions const&) {
+    V const n = length(x);
+    for (int i = 0; i < 3; ++i) y[i] = x[i] / n;
+  }
+  template <class V>
+  static KV_HD void vjp(V const* x, V const* grad_y, V* grad_x, FormulaOptions const&) {
+    V const n = length(x), along = dot3(grad_y, x) / (n * n);
+    grad_x[0] = (grad_y[0] - along * x[0]) / n;
+    grad_x[1] = (grad_y[1] - along * x[1]) / n;
+    grad_x[2] = grad_y[2] / n;
+  }
+};
+
 // Inputs: rotations and translations of two cameras.
 struct MotionInputs {
   static constexpr int kInputs = 4, kRequired = 4, kInputSize = 24, kScalars = 0, kOptionalLastRow = 0;

@@ -495,6 +495,7 @@ inline constexpr Operator<"fundamental_from_essential", Tensor(Tensor essential,
     fundamental_from_essential{side_by_side};
 inline constexpr Operator<"fundamental_from_projections", Tensor(Tensor projection1, Tensor projection2)>
     fundamental_from_projections{side_by_side};
+inline constexpr Operator<"normalize_line", Tensor(Tensor line)> normalize_line{side_by_side};
 inline constexpr Operator<"camera_motion",
                           Tensor(Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2)>
     camera_motion{side_by_side};

@@ -65,6 +65,7 @@ class TestFundamentalOperators(PointOpTests):
     calls = {
         "fundamental_from_essential": [Call((vector(3, 3), near(EYE), near(EYE)))],
         "fundamental_from_projections": [Call((vector(3, 4),) * 2)],
+        "normalize_line": [Call((vector(3),))],
     }
 
 

@@ -11,7 +11,7 @@ from torch.nn.functional import pad
 from kvision import _check
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._correspondence_errors import check_correspondence_shapes
-from kvision.geometry._formula import of_all, register_formula
+from kvision.geometry._formula import of_all, of_rows, register_formula
 from kvision.geometry._normalization import to_unit_last
 from kvision.geometry._precision import in_full_precision
 from kvision.geometry.linalg import adjugate, product_plus
@@ -204,9 +204,16 @@ def lines(points: Tensor, F: Tensor) -> Tensor:
 
 
 def scaled_lines(line: Tensor) -> Tensor:
+    return of_rows(_normalize_line, line, 1)
+
+
+def _normalize_line_reference(line: Tensor) -> Tensor:
     # No norm: its second derivative at 0 is not finite.
     square = line[..., :2].square().sum(-1, keepdim=True)
     return line / square.masked_fill(square == 0, 1).sqrt()
+
+
+_normalize_line = register_formula("normalize_line", _normalize_line_reference, lambda *args: (3,))
 
 
 def check_points(op: str, name: str, x: Tensor) -> None:

@@ -122,7 +122,7 @@ def _approximate(x: Tensor, size: int, h: float) -> Tensor:
         return torch.while_loop(lambda step, *state: (step < steps) & state[-1], advance, state)[2]
     has_kernel = size <= _SMALL and not is_compiling() and not wants_derivative(x)
     for step in range(math.ceil(max(sides) / radius)):
-        before = grown
+        before = total  # in which every pixel that is reached changes
         if has_kernel:
             grown, total = _step(grown, total, kernel, float(step * radius), h)
         else:
@@ -130,7 +130,7 @@ def _approximate(x: Tensor, size: int, h: float) -> Tensor:
         # Each read waits for the GPU, so there it is read after 1, 2, 4, ... steps: at most twice the steps are computed.
         is_due = not x.is_cuda or (step & (step + 1)) == 0
         if is_due and _check.values_are_readable(x, may_wait=True):
-            if torch.equal(before, grown) if has_kernel else not changed:
+            if torch.equal(before, total) if has_kernel else not changed:
                 break
     return total
 

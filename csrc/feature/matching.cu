@@ -168,6 +168,7 @@ __device__ __forceinline__ void add_gradient(T const* x, T const* y, T grad, int
   T square = 0;
   for (int d = threadIdx.x % 32; d < width; d += 32) square += (x[d] - y[d]) * (x[d] - y[d]);
   T const weight = distance_vjp(grad, warp_reduce(square, Sum()));
+  if (weight == 0) return;
   for (int d = threadIdx.x % 32; d < width; d += 32) grad_x[d] += weight * (x[d] - y[d]);
 }
 
@@ -186,21 +187,22 @@ __global__ void __launch_bounds__(kThreads) differentiate(__grid_constant__ TwoN
   T* const grad_x = own.grad_values + (b * own.count + i) * p.width;
   for (int d = lane; d < p.width; d += 32) grad_x[d] = 0;
   if (i < own.listed)
-    for (int k = 0; k < 2; ++k) {
-      int64_t const at = 2 * (b * own.listed + i) + k, j = own.indices[at];
+    for (int k = 0; k < own.neighbors; ++k) {
+      int64_t const at = own.neighbors * (b * own.listed + i) + k, j = own.index(at);
       if (j >= 0 && j < other.count && own.grad[at] != 0)
         add_gradient(x, others + j * p.width, own.grad[at], p.width, grad_x);
     }
   // Pairs without a gradient are skipped: few pairs are matches, but some descriptors are neighbors of hundreds of
   // others.
-  int64_t const* const list = other.indices + 2 * b * other.listed;
-  T const* const grads = other.grad + 2 * b * other.listed;
-  for (int64_t start = 0; start < 2 * int64_t(other.listed); start += 32) {
-    bool const points_here =
-        start + lane < 2 * int64_t(other.listed) && list[start + lane] == i && grads[start + lane] != 0;
+  int const neighbors = other.neighbors;
+  int64_t const size = int64_t(neighbors) * other.listed, offset = b * size;
+  T const* const grads = other.grad + offset;
+  for (int64_t start = 0; start < size; start += 32) {
+    int64_t const of_lane = start + lane;
+    bool const points_here = of_lane < size && other.index(offset + of_lane) == i && grads[of_lane] != 0;
     for (unsigned lanes = __ballot_sync(kAllLanes, points_here); lanes; lanes &= lanes - 1) {
       int64_t const at = start + __ffs(int(lanes)) - 1;
-      add_gradient(x, others + at / 2 * p.width, grads[at], p.width, grad_x);
+      add_gradient(x, others + at / neighbors * p.width, grads[at], p.width, grad_x);
     }
   }
 }
@@ -261,8 +263,10 @@ __global__ void __launch_bounds__(kThreads) differentiate_scores(__grid_constant
 
 template <class T>
 int two_nearest(TwoNearest<T> const& p, CUstream_st* stream) {
-  if constexpr (sizeof(T) == 4)
+  if constexpr (sizeof(T) == 4) {
     if (p.first.half_squares) return find_matching_candidates(p, stream);
+    if (!p.first.partial) return find_matching_neighbors(p, stream);
+  }
   unsigned const blocks = unsigned(p.batch * ceil_div(p.first.count, kMatchingTile<T>) * p.first.splits);
   find<T><<<blocks, kThreads, 0, stream>>>(p);
   return cudaGetLastError();

@@ -37,8 +37,8 @@ struct Neighbors {
     if (first) square[0] = candidate, index[0] = at;
   }
   KV_HD void merge(Neighbors const& other) {
-    for (int k = 0; k < 2; ++k)
-      if (other.index[k] >= 0) insert(other.square[k], other.index[k]);
+    if (other.index[0] >= 0) insert(other.square[0], other.index[0]);
+    if (other.index[1] >= 0) insert(other.square[1], other.index[1]);
   }
 };
 
@@ -66,7 +66,8 @@ struct DescriptorSet {
   // Results:
   int splits;             // a row of partial results for each part of the other set
   Neighbors<T>* partial;  // (batch, splits, count); null if the neighbors are not requested
-  T* distances;           // (batch, count, 2)
+  bool pairs;             // whether the results are those of the nearest only, see store_neighbors
+  T* distances;           // (batch, count, 2), or 1 for pairs
   int64_t* indices;       // (batch, count, 2)
   // Working memory of matching_candidates.cu, else null:
   T* half_squares;         // (batch, count)
@@ -81,6 +82,7 @@ struct TwoNearest {
   DescriptorSet<T> first, second;
   int64_t batch;
   int width;
+  bool both;         // whether the neighbors of the second set are requested
   T radius_squared;  // a pair of which the positions are nearer does not count
 
   KV_HD bool is_valid(DescriptorSet<T> const& set, int64_t b, int i) const {
@@ -95,16 +97,28 @@ struct TwoNearest {
   }
 };
 
+// Stores the neighbors of descriptor `at` of a sample, element `i` of the results. A pair has the indices of a descriptor
+// and of its nearest one, 0 where there is none.
+template <class T>
+KV_HD void store_neighbors(DescriptorSet<T> const& set, int64_t i, int64_t at, Neighbors<T> const& neighbors) {
+  if (set.pairs) {
+    set.distances[i] = sqrt(neighbors.square[0]);
+    set.indices[2 * i] = at, set.indices[2 * i + 1] = neighbors.index[0] < 0 ? 0 : neighbors.index[0];
+    return;
+  }
+  for (int k = 0; k < 2; ++k) {
+    set.distances[2 * i + k] = sqrt(neighbors.square[k]);
+    set.indices[2 * i + k] = neighbors.index[k];
+  }
+}
+
 // Merges the partial results of element `i` of the results of a set, and stores them.
 template <class T>
 KV_HD void merge_neighbors(DescriptorSet<T> const& set, int64_t i) {
   int64_t const b = i / set.count, at = i - b * set.count;
   Neighbors<T> merged = Neighbors<T>::none();
   for (int s = 0; s < set.splits; ++s) merged.merge(set.partial[(b * set.splits + s) * set.count + at]);
-  for (int k = 0; k < 2; ++k) {
-    set.distances[2 * i + k] = sqrt(merged.square[k]);
-    set.indices[2 * i + k] = merged.index[k];
-  }
+  store_neighbors(set, i, at, merged);
 }
 
 // The gradient to both sets. With unit vectors u from the neighbor to the descriptor,
@@ -113,10 +127,14 @@ KV_HD void merge_neighbors(DescriptorSet<T> const& set, int64_t i) {
 template <class T>
 struct NeighborGradient {
   T const* values;         // (batch, count, width)
-  T const* grad;           // (batch, listed, 2), to the distances of the neighbors of this set
-  int64_t const* indices;  // (batch, listed, 2)
+  T const* grad;           // (batch, listed, neighbors), to the distances of the neighbors of this set
+  int64_t const* indices;  // (batch, listed, 2), of which the last `neighbors` are those of neighbors
   int count, listed;       // listed: count, or 0 if these neighbors were not requested
+  int neighbors;           // 2, or 1 for pairs
   T* grad_values;          // (batch, count, width)
+
+  // Entry `at` of grad, as an entry of indices.
+  KV_HD int64_t index(int64_t at) const { return indices[neighbors == 2 ? at : 2 * at + 1]; }
 };
 
 template <class T>
@@ -126,7 +144,8 @@ struct TwoNearestBackward {
   int width;
 };
 
-// The weight of x - y in the gradient to x from the gradient to |x - y|. The gradient at 0 is taken as 0.
+// The weight of x - y in the gradient to x from the gradient to |x - y|. The gradient at 0 is taken as 0. The weight of
+// descriptors that have no finite distance, which are no neighbors, is 0 as well: the caller leaves them out.
 template <class F>
 KV_HD F distance_vjp(F grad, F square) {
   return square > 0 ? grad / sqrt(square) : F(0);
@@ -221,6 +240,8 @@ bool has_matching_candidates();  // on the current GPU
 // Replace two_nearest and two_nearest_merge for sets with half_squares.
 int find_matching_candidates(TwoNearest<float> const& p, CUstream_st* stream);
 int choose_matching_neighbors(TwoNearest<float> const& p, CUstream_st* stream);
+// Replaces both for small sets, with the same results.
+int find_matching_neighbors(TwoNearest<float> const& p, CUstream_st* stream);
 }  // namespace cuda
 
 }  // namespace kv::feature

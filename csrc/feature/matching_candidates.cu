@@ -2,7 +2,8 @@
 // |a - b|^2 / 2 = |a|^2 / 2 + |b|^2 / 2 - a . b, where a and b are sums of two bfloat16, and keeps the three nearest
 // candidates of each row and column. Then a warp for each descriptor computes the distances of the nearest candidates
 // of all tiles as sums of squared differences. Other pairs of a tile have at least the distance of its third candidate.
-// Where this bound, rounding included, does not exclude them, all distances of the tile are computed.
+// Where this bound, rounding included, does not exclude them, all distances of the tile are computed. Of small sets, one
+// kernel computes all distances.
 #include "core/launch.cuh"
 #include "feature/matching.h"
 
@@ -261,6 +262,7 @@ struct Search {
       if (is_new && other->half_squares[first_other + j + n] < kInfinity) neighbors.insert(square, j + n);
     }
   }
+  __device__ __forceinline__ void store() const { store_neighbors(*own, i, i % own->count, neighbors); }
   __device__ __forceinline__ void add_tile(int tile) {
     constexpr int kUnroll = 8;
     int const from = tile * kTile, to = min(from + kTile, other->count);
@@ -320,10 +322,75 @@ __global__ void __launch_bounds__(kThreads)
         }
     }
   }
-  if (lane < 2) {
-    search.own->distances[2 * search.i + lane] = sqrtf(lane ? search.neighbors.square[1] : search.neighbors.square[0]);
-    search.own->indices[2 * search.i + lane] = lane ? search.neighbors.index[1] : search.neighbors.index[0];
+  if (lane == 0) search.store();
+}
+
+// --- small sets ------------------------------------------------------------------------------------------------------
+
+constexpr int kGroup = 8;  // descriptors of the other set that a warp compares at a time
+
+struct MergeNeighbors {
+  __device__ __forceinline__ Neighbors<float> operator()(Neighbors<float> a, Neighbors<float> const& b) const {
+    a.merge(b);
+    return a;
   }
+};
+
+// Adds up N values over the lanes that differ in bits up to `Lane`. A lane gets one of the sums, which its bits select.
+// They are the same bits as those of warp_reduce.
+template <int Lane, int N>
+__device__ __forceinline__ float sum_over_lanes(float const (&values)[N]) {
+  if constexpr (N == 1) {
+    return warp_reduce<2 * Lane>(values[0], Sum());
+  } else {
+    bool const is_upper = threadIdx.x & Lane;
+    float sums[N / 2];
+#pragma unroll
+    for (int i = 0; i < N / 2; ++i) {
+      float const own = is_upper ? values[i + N / 2] : values[i];
+      sums[i] = own + shuffle_xor(is_upper ? values[i] : values[i + N / 2], Lane);
+    }
+    return sum_over_lanes<Lane / 2>(sums);
+  }
+}
+
+// A block for each descriptor of both sets. Its warps compare it with all of the other set, and add up squares in the
+// order of split_descriptors and Search::add, so that results are those of larger sets.
+__global__ void __launch_bounds__(kThreads) find_neighbors(__grid_constant__ TwoNearest<float> const p) {
+  __shared__ Neighbors<float> of_warps[kWarps];
+  int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
+  Search search(p, blockIdx.x);
+  float const* const x = search.own->values + search.i * p.width;
+  float const* const others = search.other->values + search.first_other * p.width;
+  bool const *const own_mask = search.own->mask, *const mask = search.other->mask;
+  int const count = search.other->count;
+  float length = 0;
+  for (int d = lane; d < p.width; d += 32) length += x[d] * x[d];
+  length = warp_reduce(length, Sum());
+  if ((!own_mask || own_mask[search.i]) && length < kInfinity)
+    for (int start = warp * kGroup; start < count; start += kWarps * kGroup) {
+      float squares[kGroup] = {}, lengths[kGroup] = {};
+#pragma unroll 4  // so that the loads of several components are in flight
+      for (int d = lane; d < p.width; d += 32) {
+        float const component = x[d];
+#pragma unroll
+        for (int n = 0; n < kGroup; ++n) {
+          float const value = others[int64_t(min(start + n, count - 1)) * p.width + d], difference = component - value;
+          squares[n] += difference * difference, lengths[n] += value * value;
+        }
+      }
+      float const square = sum_over_lanes<16>(squares), other_length = sum_over_lanes<16>(lengths);
+      int const j = start + (lane & 16) / 4 + (lane & 8) / 4 + (lane & 4) / 4;
+      if (j < count && (!mask || mask[search.first_other + j]) && other_length < kInfinity)
+        search.neighbors.insert(square, j);
+    }
+  search.neighbors = warp_reduce<32, 4>(search.neighbors, MergeNeighbors());
+  if (lane == 0) of_warps[warp] = search.neighbors;
+  __syncthreads();
+  if (threadIdx.x != 0) return;
+#pragma unroll
+  for (int w = 1; w < kWarps; ++w) search.neighbors.merge(of_warps[w]);
+  search.store();
 }
 
 }  // namespace
@@ -345,8 +412,14 @@ int find_matching_candidates(TwoNearest<float> const& p, CUstream_st* stream) {
 }
 
 int choose_matching_neighbors(TwoNearest<float> const& p, CUstream_st* stream) {
-  int64_t const elements = p.batch * (int64_t(p.first.count) + (p.second.candidates ? p.second.count : 0));
+  int64_t const elements = p.batch * (int64_t(p.first.count) + (p.both ? p.second.count : 0));
   choose_neighbors<<<unsigned(ceil_div(elements, kWarps)), kThreads, 0, stream>>>(p, elements);
+  return cudaGetLastError();
+}
+
+int find_matching_neighbors(TwoNearest<float> const& p, CUstream_st* stream) {
+  int64_t const elements = p.batch * (int64_t(p.first.count) + (p.both ? p.second.count : 0));
+  find_neighbors<<<unsigned(elements), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

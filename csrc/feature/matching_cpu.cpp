@@ -112,14 +112,15 @@ void two_nearest_backward(TwoNearestBackward<T> const& p, int64_t begin, int64_t
     for (int side = 0; side < 2; ++side) {
       NeighborGradient<T> const &own = side ? p.second : p.first, &other = side ? p.first : p.second;
       for (int64_t i = 0; i < own.listed; ++i)
-        for (int k = 0; k < 2; ++k) {
-          int64_t const at = 2 * (b * own.listed + i) + k, j = own.indices[at];
+        for (int k = 0; k < own.neighbors; ++k) {
+          int64_t const at = own.neighbors * (b * own.listed + i) + k, j = own.index(at);
           if (j < 0 || j >= other.count) continue;
           int64_t const row = (b * own.count + i) * width, other_row = (b * other.count + j) * width;
           T const *const x = own.values + row, *const y = other.values + other_row;
           T square = 0;
           for (int e = 0; e < width; ++e) square += (x[e] - y[e]) * (x[e] - y[e]);
           T const weight = distance_vjp(own.grad[at], square);
+          if (weight == 0) continue;
           for (int e = 0; e < width; ++e) {
             T const change = weight * (x[e] - y[e]);
             own.grad_values[row + e] += change;

@@ -37,12 +37,15 @@ std::optional<Tensor> checked_mask(char const* op, char const* name, std::option
 // Tiles of columns are divided over blocks such that there are this many, about 8 for every block that the largest GPU
 // runs at a time.
 constexpr int64_t kMatchingBlocks = 2048;
+// So many pairs are compared by one kernel, which writes no candidates (docs/notes/features.md).
+constexpr int64_t kFewPairs = 1 << 16;
 #endif
 
-std::tuple<Tensor, Tensor, Tensor, Tensor> two_nearest(
-    Tensor const& desc1, Tensor const& desc2, std::optional<Tensor> const& mask1, std::optional<Tensor> const& mask2,
-    std::optional<Tensor> const& positions1, std::optional<Tensor> const& positions2, double distance, bool both) {
-  constexpr char const* op = "two_nearest";
+// The neighbors of the first set, and if `both` is set, those of the second one. Or, as `pairs`, those of the nearest only.
+std::tuple<Tensor, Tensor, Tensor, Tensor> find_neighbors(
+    char const* op, Tensor const& desc1, Tensor const& desc2, std::optional<Tensor> const& mask1,
+    std::optional<Tensor> const& mask2, std::optional<Tensor> const& positions1,
+    std::optional<Tensor> const& positions2, double distance, bool both, bool pairs) {
   DescriptorPair const x(op, desc1, desc2);
   int64_t const batch = x.batch, n = desc1.size(1), m = desc2.size(1), listed = both ? m : 0;
   auto const valid1 = checked_mask(op, "mask1", mask1, x.first), valid2 = checked_mask(op, "mask2", mask2, x.second);
@@ -53,45 +56,54 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> two_nearest(
     check_sizes(op, "positions2", *positions2, x.first, {batch, m, 2});
     at1 = expand_batch(*positions1, batch), at2 = expand_batch(*positions2, batch);
   }
-  Tensor const distances1 = empty({batch, n, 2}, x.first), distances2 = empty({batch, listed, 2}, x.first);
+  int64_t const columns = pairs ? 1 : 2;
+  Tensor const distances1 = empty({batch, n, columns}, x.first);
   Tensor const indices1 = empty({batch, n, 2}, x.first, Layout::planar, ScalarType::Long);
-  Tensor const indices2 = empty({batch, listed, 2}, x.first, Layout::planar, ScalarType::Long);
+  Tensor distances2, indices2;  // pairs have none
+  if (!pairs) {
+    distances2 = empty({batch, listed, 2}, x.first);
+    indices2 = empty({batch, listed, 2}, x.first, Layout::planar, ScalarType::Long);
+  }
   auto const run = [&](auto type) {
     using T = typename decltype(type)::type;
+    auto const set = [&](Tensor const& values, std::optional<Tensor> const& mask,
+                         std::optional<Tensor> const& positions, Tensor const* distances, Tensor const* indices) {
+      DescriptorSet<T> result{};
+      result.values = data_ptr<T const>(values), result.count = int(values.size(1)), result.pairs = pairs;
+      if (mask) result.mask = data_ptr<bool const>(*mask);
+      if (positions) result.positions = data_ptr<T const>(*positions);
+      if (distances) result.distances = data_ptr<T>(*distances), result.indices = data_ptr<int64_t>(*indices);
+      return result;
+    };
+    TwoNearest<T> params{set(x.first, valid1, at1, &distances1, &indices1),
+                         set(x.second, valid2, at2, both ? &distances2 : nullptr, both ? &indices2 : nullptr),
+                         batch,
+                         int(x.width),
+                         both,
+                         T(distance * distance)};
 #if defined(KV_CUDA)
+    torch::stable::accelerator::DeviceGuard const guard(x.first.get_device_index());
     int64_t const tile = kMatchingTile<T>, tiles1 = ceil_div(n, tile), tiles2 = ceil_div(m, tile);
+    bool const by_candidates = sizeof(T) == 4 && !positions1 && n > 0 && m > 0 && cuda::has_matching_candidates();
+    if (by_candidates && batch * n * m <= kFewPairs) {
+      KV_RUN(two_nearest, x.first, params, batch, 0);
+      return;
+    }
     int64_t const blocks = batch * tiles1 < 1 ? 1 : batch * tiles1;
     int64_t const splits1 = clamp(ceil_div(kMatchingBlocks, blocks), int64_t(1), tiles2 < 1 ? 1 : tiles2);
     int64_t const splits2 = tiles1;
 #else
-    int64_t const splits1 = 1, splits2 = ceil_div(n, kMatchingCpuRows);
-#endif
-#if defined(KV_CUDA)
-    torch::stable::accelerator::DeviceGuard const guard(x.first.get_device_index());
-    bool const by_candidates = sizeof(T) == 4 && !positions1 && n > 0 && m > 0 && cuda::has_matching_candidates();
-#else
     constexpr bool by_candidates = false;
+    int64_t const splits1 = 1, splits2 = ceil_div(n, kMatchingCpuRows);
 #endif
     int64_t const words = by_candidates ? 0 : sizeof(Neighbors<T>) / 4;
     Tensor const partial1 = empty({batch, splits1, n, words}, x.first, Layout::planar, ScalarType::Int);
     Tensor const partial2 = empty({batch, splits2, listed, words}, x.first, Layout::planar, ScalarType::Int);
-    auto const set = [](Tensor const& values, std::optional<Tensor> const& mask, std::optional<Tensor> const& positions,
-                        int64_t splits, Tensor const& partial, Tensor const& distances, Tensor const& indices) {
-      return DescriptorSet<T>{data_ptr<T const>(values),
-                              mask ? data_ptr<bool const>(*mask) : nullptr,
-                              positions ? data_ptr<T const>(*positions) : nullptr,
-                              int(values.size(1)),
-                              int(splits),
-                              static_cast<Neighbors<T>*>(partial.mutable_data_ptr()),
-                              data_ptr<T>(distances),
-                              data_ptr<int64_t>(indices),
-                              nullptr,
-                              nullptr,
-                              nullptr};
+    auto const set_partial = [](DescriptorSet<T>& set, int64_t splits, Tensor const& partial) {
+      set.splits = int(splits), set.partial = static_cast<Neighbors<T>*>(partial.mutable_data_ptr());
     };
-    TwoNearest<T> params{set(x.first, valid1, at1, splits1, partial1, distances1, indices1),
-                         set(x.second, valid2, at2, splits2, partial2, distances2, indices2), batch, int(x.width),
-                         T(distance * distance)};
+    set_partial(params.first, splits1, partial1);
+    set_partial(params.second, splits2, partial2);
     if (!both) params.second.partial = nullptr;
 #if defined(KV_CUDA)
     int64_t const candidates1 = by_candidates ? batch * n * tiles2 : 0;
@@ -117,12 +129,26 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> two_nearest(
   return {distances1, indices1, distances2, indices2};
 }
 
-std::tuple<Tensor, Tensor> two_nearest_backward(Tensor const& grad1, Tensor const& grad2, Tensor const& desc1,
-                                                Tensor const& desc2, Tensor const& indices1, Tensor const& indices2) {
-  constexpr char const* op = "two_nearest_backward";
+std::tuple<Tensor, Tensor, Tensor, Tensor> two_nearest(
+    Tensor const& desc1, Tensor const& desc2, std::optional<Tensor> const& mask1, std::optional<Tensor> const& mask2,
+    std::optional<Tensor> const& positions1, std::optional<Tensor> const& positions2, double distance, bool both) {
+  return find_neighbors("two_nearest", desc1, desc2, mask1, mask2, positions1, positions2, distance, both, false);
+}
+
+std::tuple<Tensor, Tensor> nearest_pairs(Tensor const& desc1, Tensor const& desc2) {
+  auto const [distances, indices, _, __] =
+      find_neighbors("nearest_pairs", desc1, desc2, {}, {}, {}, {}, 0, false, true);
+  return {distances, indices};
+}
+
+// The gradients to both sets from those to the distances (B, N, neighbors) of the first set, and of the second one if
+// these are given.
+std::tuple<Tensor, Tensor> differentiate(char const* op, Tensor const& grad1, Tensor const* grad2, Tensor const& desc1,
+                                         Tensor const& desc2, Tensor const& indices1, Tensor const* indices2,
+                                         int64_t neighbors) {
   DescriptorPair const x(op, desc1, desc2);
   auto const check = [&](char const* name, Tensor const& grad, Tensor const& indices, Tensor const& descriptors) {
-    KV_CHECK(grad.dim() == 3 && grad.size(0) == x.batch && grad.size(2) == 2 &&
+    KV_CHECK(grad.dim() == 3 && grad.size(0) == x.batch && grad.size(2) == neighbors &&
                  (grad.size(1) == descriptors.size(1) || grad.size(1) == 0) &&
                  grad.scalar_type() == descriptors.scalar_type() && grad.device() == descriptors.device(),
              op, ": expected ", name, " to be that of the distances");
@@ -131,24 +157,38 @@ std::tuple<Tensor, Tensor> two_nearest_backward(Tensor const& grad1, Tensor cons
                  indices.device() == descriptors.device(),
              op, ": expected indices like ", name);
   };
-  check("grad1", grad1, indices1, x.first);
-  check("grad2", grad2, indices2, x.second);
-  Tensor const g1 = dense(grad1), g2 = dense(grad2), i1 = dense(indices1), i2 = dense(indices2);
+  check(grad2 ? "grad1" : "grad", grad1, indices1, x.first);
+  if (grad2) check("grad2", *grad2, *indices2, x.second);
+  Tensor const g1 = dense(grad1), i1 = dense(indices1);
+  Tensor const g2 = grad2 ? dense(*grad2) : g1, i2 = grad2 ? dense(*indices2) : i1;
+  int64_t const listed2 = grad2 ? grad2->size(1) : 0;
   Tensor const grad_desc1 = empty({x.batch, desc1.size(1), x.width}, x.first);
   Tensor const grad_desc2 = empty({x.batch, desc2.size(1), x.width}, x.first);
   auto const run = [&](auto type) {
     using T = typename decltype(type)::type;
-    auto const set = [](Tensor const& values, Tensor const& grad, Tensor const& indices, Tensor const& grad_values) {
+    auto const set = [&](Tensor const& values, Tensor const& grad, Tensor const& indices, int64_t listed,
+                         Tensor const& grad_values) {
       return NeighborGradient<T>{data_ptr<T const>(values), data_ptr<T const>(grad), data_ptr<int64_t const>(indices),
-                                 int(values.size(1)),       int(grad.size(1)),       data_ptr<T>(grad_values)};
+                                 int(values.size(1)),       int(listed),             int(neighbors),
+                                 data_ptr<T>(grad_values)};
     };
-    TwoNearestBackward<T> const params{set(x.first, g1, i1, grad_desc1), set(x.second, g2, i2, grad_desc2), x.batch,
-                                       int(x.width)};
+    TwoNearestBackward<T> const params{set(x.first, g1, i1, g1.size(1), grad_desc1),
+                                       set(x.second, g2, i2, listed2, grad_desc2), x.batch, int(x.width)};
     KV_RUN(two_nearest_backward, x.first, params, desc1.size(1) + desc2.size(1) > 0 ? x.batch : 0,
-           (grad1.size(1) + grad2.size(1)) * 4 * x.width);
+           (grad1.size(1) + listed2) * 2 * neighbors * x.width);
   };
   x.first.scalar_type() == ScalarType::Double ? run(Type<double>{}) : run(Type<float>{});
   return {grad_desc1, grad_desc2};
+}
+
+std::tuple<Tensor, Tensor> two_nearest_backward(Tensor const& grad1, Tensor const& grad2, Tensor const& desc1,
+                                                Tensor const& desc2, Tensor const& indices1, Tensor const& indices2) {
+  return differentiate("two_nearest_backward", grad1, &grad2, desc1, desc2, indices1, &indices2, 2);
+}
+
+std::tuple<Tensor, Tensor> nearest_pairs_backward(Tensor const& grad, Tensor const& desc1, Tensor const& desc2,
+                                                  Tensor const& indices) {
+  return differentiate("nearest_pairs_backward", grad, nullptr, desc1, desc2, indices, nullptr, 1);
 }
 
 std::tuple<Tensor, Tensor, Tensor> select_matches(Tensor const& distances1, Tensor const& indices1,
@@ -243,6 +283,8 @@ KV_OPERATOR(select_matches_backward,
 KV_OPERATOR(select_matches,
             "(Tensor distances1, Tensor indices1, Tensor? distances2, Tensor? indices2, int count2, bool ratios, "
             "float threshold) -> (Tensor, Tensor, Tensor)")
+KV_OPERATOR(nearest_pairs, "(Tensor desc1, Tensor desc2) -> (Tensor, Tensor)")
+KV_OPERATOR(nearest_pairs_backward, "(Tensor grad, Tensor desc1, Tensor desc2, Tensor indices) -> (Tensor, Tensor)")
 KV_OPERATOR(two_nearest,
             "(Tensor desc1, Tensor desc2, Tensor? mask1, Tensor? mask2, Tensor? positions1, Tensor? positions2, "
             "float distance, bool both) -> (Tensor, Tensor, Tensor, Tensor)")

@@ -121,15 +121,17 @@ def test_nan_has_no_match(mode, device):
     x, y = (t.to(device) for t in pair(40, 30))
     wrong_x, wrong_y = x.clone(), y.clone()
     wrong_x[3, 2], wrong_y[4, 1] = torch.nan, torch.nan
-    leaf = wrong_x.requires_grad_()
-    scores, indices = MODES[mode](K.feature, leaf, wrong_y)
+    leaves = wrong_x.requires_grad_(), wrong_y.requires_grad_()
+    scores, indices = MODES[mode](K.feature, *leaves)
     right = torch.ones(len(indices), dtype=torch.bool)
     if mode == "nn":
         assert scores[3].isinf() and indices[3].tolist() == [3, 0]
         right[3] = False
     assert not (indices[right] == torch.tensor([3, 4], device=device)).any() and scores[right].isfinite().all()
-    scores[right].sum().backward()
-    assert leaf.grad.isfinite().all()
+    for of in (scores, scores[right]):  # the distance inf has no gradient
+        of_x, of_y = torch.autograd.grad(of.sum(), leaves, retain_graph=True)
+        assert of_x.isfinite().all() and of_x.count_nonzero() > 0 and torch.equal(of_x[3], torch.zeros_like(of_x[3]))
+        assert of_y.isfinite().all() and of_y.count_nonzero() > 0 and torch.equal(of_y[4], torch.zeros_like(of_y[4]))
     x[3], y[4] = 100.0, -100.0  # far from all others
     assert torch.equal(MODES[mode](K.feature, x, y)[1][right], indices[right])
 
@@ -208,6 +210,22 @@ def test_neighbors_in_float32_are_the_nearest(kind, device):
         nearest = d.topk(2, 1, largest=False)[0]
         torch.testing.assert_close(distances.double(), nearest, atol=1e-6, rtol=1e-5)
         torch.testing.assert_close(d.gather(1, indices), nearest, atol=1e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_few_and_many_descriptors_give_the_same_bits(both, device):
+    """CUDA compares few descriptors in one kernel, and of more it searches candidates."""
+    x, y = descriptors(300, 128).float(), descriptors(280, 128, seed=1).float()
+    x[7, 3], y[9, 2], y[40:80] = torch.nan, torch.inf, y[:40]
+    mask = torch.arange(280)[None] % 11 != 5
+    x, y, mask = x[None].to(device), y[None].to(device), mask.to(device)
+    few = _two_nearest(x, y, None, mask, None, None, 0.0, both)
+    many = _two_nearest(*(t.repeat(6, *[1] * (t.dim() - 1)) for t in (x, y)), None, mask, None, None, 0.0, both)
+    for a, b in zip(few, many):
+        assert torch.equal(a.expand_as(b), b)
+    distances, pairs = K.feature.match_nn(x[0], y[0])
+    of_two = _two_nearest(x, y, None, None, None, None, 0.0, False)
+    assert torch.equal(distances, of_two[0][0, :, :1]) and torch.equal(pairs[:, 1], of_two[1][0, :, 0].clamp(min=0))
 
 
 @pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
@@ -331,6 +349,7 @@ class TestMatchingOperators(PointOpTests):
                 ((*MASKS, positions_of(7), positions_of(6)), (30.0, True)),
             ]
         ],
+        "nearest_pairs": [Call(SETS, dtypes=SINGLE_AND_DOUBLE, accepted=(" cut along axis -2", "of torch.int64"))],
         "select_matches": [
             Call(
                 (vector(40, 2), neighbors(40, 6), *back),

@@ -35,6 +35,10 @@ inline constexpr Rule two_nearest{
     },
     3};
 
+// From the distances.
+inline constexpr Rule nearest_pairs{
+    [](Backward const& b) { return b.call("nearest_pairs_backward", {{"indices", b.results[0]}}); }, 1};
+
 // From the scores. Indices and counts are constants.
 inline constexpr Rule select_matches{[](Backward const& b) -> variable_list {
                                        variable_list const gradients =
@@ -45,6 +49,8 @@ inline constexpr Rule select_matches{[](Backward const& b) -> variable_list {
 
 }  // namespace detail
 
+// The distances (B, N, 1) of the nearest descriptors, and the indices (B, N, 2) of a descriptor and its nearest one.
+inline constexpr Operator<"nearest_pairs", Two(Tensor desc1, Tensor desc2)> nearest_pairs{detail::nearest_pairs};
 // The matches of each sample, from the neighbors (B, N, 2) of the first set and, if matches are mutual, those of the
 // second set, which has count2 descriptors: scores (B, N), indices (B, N, 2), and the count of matches (B,).
 inline constexpr Operator<"select_matches",

@@ -126,8 +126,15 @@ def _backward(needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None
     grad1 = torch.zeros_like(distances1) if grad1 is None else grad1
     grad2 = torch.zeros_like(distances2) if grad2 is None else grad2
     grads = _two_nearest_backward(grad1, grad2, desc1, desc2, indices1, indices2)
-    summed = (g.sum(0, keepdim=True) if len(x) == 1 and len(g) != 1 else g for g, x in zip(grads, (desc1, desc2)))
-    return [g if need else None for g, need in zip(summed, needs)] + [None] * 4
+    return _summed(needs, grads, (desc1, desc2)) + [None] * 4
+
+
+def _summed(needs: Sequence[bool], grads: Sequence[Tensor], inputs: Sequence[Tensor]) -> list[Tensor | None]:
+    """The gradients that are needed; those to a batch of one are summed over the samples that it serves."""
+    return [
+        None if not need else g.sum(0, keepdim=True) if len(x) == 1 and len(g) != 1 else g
+        for need, g, x in zip(needs, grads, inputs)
+    ]
 
 
 _two_nearest_backward = register("two_nearest_backward", _reference_backward, fake=_fake_backward, casts_outputs=True)
@@ -138,6 +145,53 @@ _two_nearest = register(
     backward=_backward,
     saves_results=True,
     non_differentiable=(1, 3),
+    casts_outputs=True,
+)
+
+# --- the nearest one -------------------------------------------------------------------------------------------------
+
+
+def _pairs_reference(desc1: Tensor, desc2: Tensor) -> tuple[Tensor, Tensor]:
+    distances, indices, _, _ = _reference(desc1, desc2, None, None, None, None, 0.0, False)
+    own = torch.arange(indices.shape[1], device=indices.device).expand(indices.shape[:2])
+    return distances[..., :1], torch.stack([own, indices[..., 0].clamp(min=0)], 2)
+
+
+def _pairs_reference_backward(grad: Tensor, desc1: Tensor, desc2: Tensor, pairs: Tensor) -> tuple[Tensor, Tensor]:
+    nearest = pairs[..., 1:]
+    if desc2.shape[1]:  # the index of no neighbor is that of a descriptor at no finite distance
+        others = desc2.expand(len(nearest), -1, -1).gather(1, nearest.expand(-1, -1, desc2.shape[2]))
+        is_pair = (desc1 - others).square().sum(2, keepdim=True).isfinite()
+        nearest = torch.where(is_pair, nearest, -1)
+    return _reference_backward(grad, grad[:, :0], desc1, desc2, nearest, nearest[:, :0])
+
+
+def _fake_pairs(desc1: Tensor, desc2: Tensor) -> list[Any]:
+    batch = desc2.shape[0] if desc1.shape[0] == 1 else desc1.shape[0]
+    sizes = (batch, desc1.shape[1])
+    return [desc1.new_empty((*sizes, 1)), desc1.new_empty((*sizes, 2), dtype=torch.int64)]
+
+
+def _pairs_backward(needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
+    grad, _, _, pairs, desc1, desc2 = grads_and_args
+    return _summed(needs, _nearest_pairs_backward(grad, desc1, desc2, pairs), (desc1, desc2))
+
+
+_nearest_pairs_backward = register(
+    "nearest_pairs_backward",
+    _pairs_reference_backward,
+    fake=lambda grad, desc1, desc2, _: [(grad.shape[0], *x.shape[1:]) for x in (desc1, desc2)],
+    casts_outputs=True,
+)
+# From descriptors (B, N, D) and (B, M, D) to the distances (B, N, 1) of the nearest ones, and pairs (B, N, 2) of a descriptor's
+# index and that of its nearest one, 0 where there is none.
+_nearest_pairs = register(
+    "nearest_pairs",
+    _pairs_reference,
+    fake=_fake_pairs,
+    backward=_pairs_backward,
+    saves_results=True,
+    non_differentiable=(1,),
     casts_outputs=True,
 )
 
@@ -297,7 +351,7 @@ def _matches(neighbors: _Neighbors, th: float | None = None) -> tuple[Tensor, Te
     scores, indices, sizes = _padded_matches(neighbors, th)
     # In a graph the size of the list must come from an operator such as nonzero, not from a Python int.
     kept = (indices[0, :, 0] >= 0).nonzero()[:, 0] if is_compiling() or is_tracing() else slice(int(sizes))
-    return as_dtype(scores[0, kept, None], neighbors.dtype), indices[0, kept]
+    return as_dtype(scores.view(-1, 1)[kept], neighbors.dtype), indices.squeeze(0)[kept]
 
 
 def _matches_of_batch(neighbors: _Neighbors, th: float) -> tuple[Tensor, Tensor]:
@@ -368,10 +422,13 @@ def match_nn(desc1: Tensor, desc2: Tensor, dm: Tensor | None = None) -> tuple[Te
     _check_descriptors("match_nn", desc1, desc2, dm)
     if 0 in (desc1.shape[0], desc2.shape[0]):
         return _no_matches(desc1, desc2, dm)
-    neighbors = _Neighbors(desc1[None], desc2[None], _one(dm), both=False)
+    if dm is None:
+        dtype, result = compute_dtype(desc1), floats(desc1).dtype
+        distances, pairs = _nearest_pairs(*(as_dtype(d, dtype).unsqueeze(0) for d in (desc1, desc2)))
+        return as_dtype(distances.squeeze(0), result), pairs.squeeze(0)
+    distances, nearest = _smallest_two(as_dtype(floats(dm), compute_dtype(dm)))
     own = torch.arange(desc1.shape[0], device=desc1.device)
-    indices = torch.stack([own, neighbors.indices1[0, :, 0].clamp(min=0)], 1)
-    return as_dtype(neighbors.distances1[0, :, :1], neighbors.dtype), indices
+    return as_dtype(distances[:, :1], floats(dm).dtype), torch.stack([own, nearest[:, 0].clamp(min=0)], 1)
 
 
 def match_mnn(desc1: Tensor, desc2: Tensor, dm: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -563,23 +620,24 @@ def match_fginn(
     _check.flag(op, "mutual", mutual)
     if desc1.shape[0] == 0 or desc2.shape[0] < 2:
         return _no_matches(dm, desc1, desc2)
-    neighbors = _Neighbors(desc1[None], desc2[None], _one(dm), both=mutual)
-    nearest = neighbors.indices1[..., 0]
+    x, y = desc1[None], desc2[None]
+    neighbors = _Neighbors(x, y, _one(dm), both=mutual)
+    nearest = neighbors.indices1[..., :1]
     centers = as_dtype(floats(lafs2[..., 2]), neighbors.distances1.dtype)
     if desc1.is_cuda and desc1.shape[0] <= _ALL_AT_ONCE:
-        first = centers[0].index_select(0, nearest[0].clamp(min=0))
-        other_distances = _second_elsewhere(desc1, desc2, dm, first, centers, spatial_th)
+        first = centers.index_select(1, nearest.flatten().clamp(min=0))
+        others = _second_elsewhere(x, y, _one(dm), first, centers, spatial_th)
     else:  # only those whose second neighbor is near the first one look for another
         of_two = centers[0].index_select(0, neighbors.indices1.clamp(min=0).flatten())
         first, second = of_two.unflatten(0, (-1, 2)).unbind(1)
         again = ((first - second).square().sum(-1) < spatial_th * spatial_th).nonzero()[:, 0]
-        rows = None if dm is None else dm.index_select(0, again)
-        of_first = first.index_select(0, again)
-        others = _second_elsewhere(desc1.index_select(0, again), desc2, rows, of_first, centers, spatial_th)
-        other_distances = neighbors.distances1[..., 1].index_copy(1, again, others)
+        rows = None if dm is None else dm.index_select(0, again)[None]
+        of_first = first.index_select(0, again)[None]
+        others = _second_elsewhere(x.index_select(1, again), y, rows, of_first, centers, spatial_th)
+        others = neighbors.distances1[..., 1:].index_copy(1, again, others)
     # The list of matches by these ratios. An index of -1 in the second column would say that there is no ratio.
-    neighbors.distances1 = torch.stack([neighbors.distances1[..., 0], other_distances], 2)
-    neighbors.indices1 = nearest[..., None].expand(-1, -1, 2)
+    neighbors.distances1 = torch.cat([neighbors.distances1[..., :1], others], 2)
+    neighbors.indices1 = nearest.expand(-1, -1, 2)
     if mutual:  # without a ratio test on the way back: its ratios are 0 / 1
         zero_and_one = torch.arange(2.0, dtype=centers.dtype, device=centers.device)
         neighbors.distances2 = zero_and_one.expand_as(neighbors.distances2)
@@ -595,9 +653,8 @@ _ALL_AT_ONCE = 1024
 def _second_elsewhere(
     desc1: Tensor, desc2: Tensor, dm: Tensor | None, first: Tensor, centers: Tensor, spatial_th: float
 ) -> Tensor:
-    """The distances (1, N) to the nearest descriptors that are `spatial_th` or more from the centers `first` (N, 2)."""
-    positions = (first[None], centers, spatial_th)
-    return _Neighbors(desc1[None], desc2[None], _one(dm), positions=positions, both=False).distances1[..., 0]
+    """The distances (1, N, 1) to the nearest descriptors that are `spatial_th` or more from the centers `first` (1, N, 2)."""
+    return _Neighbors(desc1, desc2, dm, positions=(first, centers, spatial_th), both=False).distances1[..., :1]
 
 
 # --- modules --------------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,8 +13,8 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
-from kvision.feature.laf import get_laf_center, get_laf_orientation, get_laf_scale
-from kvision.feature.matching import _check_descriptors, _is_mutual, _Neighbors, _no_matches, _one, _ratio
+from kvision.feature.laf import get_laf_orientation, get_laf_scale
+from kvision.feature.matching import _check_descriptors, _Neighbors, _no_matches, _one, _ratio
 
 DEFAULTS: dict[str, Any] = {
     **{"area_ratio": 100, "search_expansion": 4, "ransac_iters": 128, "min_inliers": 6, "min_confidence": 200},
@@ -28,18 +28,18 @@ MIN_RESIDUAL = 2.0**-24
 NUMBERS_AT_ONCE = 1 << 23  # of distances between key points and of residuals
 
 
-class _Putative(NamedTuple):
-    """Matches to verify, of key points in pixels."""
+class _Putative:
+    """Matches to verify, of key points in pixels: a row each, so that one operator selects some of them."""
 
-    xy1: Tensor  # (N, 2)
-    xy2: Tensor
-    rotation: Tensor  # (N,) degrees from the frame in the first image to that in the second
-    growth: Tensor  # (N,) logarithm of the ratio of their scales
-    ratio: Tensor  # (N,) of the two nearest distances
-    is_mutual: Tensor
+    def __init__(self, table: Tensor) -> None:
+        self.table = table  # (N, 8) in float64
+        self.xy1, self.xy2 = table[:, :2], table[:, 2:4]
+        # Degrees from the frame in the first image to that in the second; logarithm of the ratio of their scales; ratio of
+        # the two nearest distances; 1 for mutual nearest neighbors, else 0.
+        self.rotation, self.growth, self.ratio, self.is_mutual = table[:, 4:].unbind(1)
 
     def take(self, rows: Tensor) -> _Putative:
-        return _Putative(*(x[rows] for x in self))
+        return _Putative(self.table.index_select(0, rows))
 
 
 def match_adalam(
@@ -115,24 +115,23 @@ def match_adalam(
         neighbors = _Neighbors(desc1[None], desc2[None], _one(dm))
         nearest = neighbors.indices1[0, :, 0]
         ratio = _ratio(neighbors.distances1, neighbors.indices1)[0]
-        own = (nearest >= 0).nonzero()[:, 0]
-        to = nearest[own]
-        frames1, frames2 = floats(lafs1).double()[:, own], floats(lafs2).double()[:, to]
-        putative = _Putative(
-            get_laf_center(frames1)[0],
-            get_laf_center(frames2)[0],
-            (get_laf_orientation(frames2) - get_laf_orientation(frames1)).flatten(),
-            (get_laf_scale(frames2).log() - get_laf_scale(frames1).log()).flatten(),
-            ratio[own].double().nan_to_num(nan=1.0),  # of two equal candidates, none is distinctive
-            _is_mutual(neighbors.indices1[..., 0], neighbors.indices2[..., 0])[0, own],
-        )
-        areas = [_area(op, name, hw, floats(lafs)) for name, hw, lafs in (("hw1", hw1, lafs1), ("hw2", hw2, lafs2))]
-        inverse, verified = _verify(putative, areas, options)
-        if not verified:
+        at = nearest.clamp(min=0)  # rows without a neighbor are left out below
+        frames1, frames2 = floats(lafs1).double(), floats(lafs2).double()
+        frames = torch.cat([frames1, frames2.index_select(1, at)])
+        rotation, growth = get_laf_orientation(frames)[..., 0], get_laf_scale(frames).log()[..., 0, 0]
+        is_mutual = neighbors.indices2[0, :, 0].index_select(0, at) == torch.arange(len(at), device=at.device)
+        distinctive = ratio.double().nan_to_num(nan=1.0)  # of two equal candidates, none is distinctive
+        changes = [rotation[1] - rotation[0], growth[1] - growth[0], distinctive, is_mutual.double()]
+        putative = torch.cat([*frames[..., 2], torch.stack(changes, 1)], 1)
+        radii = _radii(op, options["area_ratio"], (hw1, hw2), (frames1, frames2))
+        inverse = _verify(putative, nearest >= 0, radii, options)
+        if inverse is None:
             kept = (ratio <= LARGEST_FALLBACK_RATIO).nonzero()[:, 0]
-            return ratio[kept, None].square().float(), torch.stack([kept, nearest[kept]], 1)
-        kept = (inverse <= 1 / options["min_confidence"]).nonzero()[:, 0]
-        return inverse[kept, None].float(), torch.stack([own[kept], to[kept]], 1)
+            scores = ratio[kept].square()
+        else:
+            kept = (inverse <= 1 / options["min_confidence"]).nonzero()[:, 0]
+            scores = inverse[kept]
+        return scores[:, None].float(), torch.stack([kept, nearest[kept]], 1)
 
 
 def _checked_config(op: str, config: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -152,13 +151,20 @@ def _checked_config(op: str, config: Mapping[str, Any] | None) -> dict[str, Any]
     return options
 
 
-def _area(op: str, name: str, hw: Sequence[int] | None, lafs: Tensor) -> Tensor:
-    """The area of an image in pixels, or of the box around its frames."""
-    if hw is not None:
-        height, width = _check.pair(op, name, tuple(hw))
-        return lafs.new_tensor(height * width, dtype=torch.float64)
-    x = lafs[0, :, :, 2].double()
-    return (x.amax(0) - x.amin(0)).prod().clamp(min=1.0)
+def _radii(
+    op: str, area_ratio: float, sizes: Sequence[Sequence[int] | None], frames: Sequence[Tensor]
+) -> tuple[Tensor, Tensor]:
+    """The radii of neighborhoods in both images, whose area is that of an image, or of the box around its frames, over a ratio."""
+    extents = []
+    for name, hw, of_image in zip(("hw1", "hw2"), sizes, frames):
+        if hw is not None:
+            extents.append(of_image.new_tensor(_check.pair(op, name, tuple(hw))))
+        else:
+            x = of_image[0, :, :, 2]
+            extents.append(x.amax(0) - x.amin(0))
+    areas = torch.stack(extents).prod(1).clamp(min=1.0)
+    radius1, radius2 = torch.sqrt(areas / (area_ratio * math.pi)).unbind(0)
+    return radius1, radius2
 
 
 def _near(x: Tensor, y: Tensor, radius: Tensor) -> Tensor:
@@ -168,7 +174,9 @@ def _near(x: Tensor, y: Tensor, radius: Tensor) -> Tensor:
 def _find_seeds(x: _Putative, radius: Tensor, mutual: bool) -> Tensor:
     """Rows of the most distinctive matches within a radius in the first image; the first of equal ones."""
     is_candidate = x.ratio <= LARGEST_SEED_RATIO
-    candidates = (is_candidate & x.is_mutual if mutual else is_candidate).nonzero()[:, 0]
+    candidates = (is_candidate & (x.is_mutual > 0) if mutual else is_candidate).nonzero()[:, 0]
+    if not len(candidates):
+        return candidates
     xy, ratio = x.xy1[candidates], x.ratio[candidates]
     order = torch.arange(len(candidates), device=xy.device)
     parts = []
@@ -176,7 +184,7 @@ def _find_seeds(x: _Putative, radius: Tensor, mutual: bool) -> Tensor:
         r = ratio[part, None]
         is_better = (ratio < r) | ((ratio == r) & (order < part[:, None]))
         parts.append(~(is_better & _near(xy[part], xy, radius)).any(1))
-    return candidates[torch.cat(parts)] if parts else candidates
+    return candidates[torch.cat(parts)]
 
 
 def _neighborhoods(
@@ -236,23 +244,25 @@ def _count_inliers(squares: Tensor, counts: Tensor, min_confidence: float) -> tu
     return inliers, limit, confidence.gather(-1, last)[..., 0]
 
 
-def _verify(x: _Putative, areas: Sequence[Tensor], options: Mapping[str, Any]) -> tuple[Tensor, bool]:
-    """The inverse confidence of every match, inf for those of no seed; and whether any seed could be verified."""
-    inverse = torch.full_like(x.ratio, math.inf)
-    rows = torch.arange(len(x.ratio), device=inverse.device)
+def _verify(
+    putative: Tensor, is_match: Tensor, radii: tuple[Tensor, Tensor], options: Mapping[str, Any]
+) -> Tensor | None:
+    """The inverse confidence of every match, inf for those of no seed; None if no seed could be verified."""
+    x = _Putative(putative)
     if options["detected_scale_rate_threshold"] is not None:
-        rows = rows[x.growth.abs() <= math.log(options["detected_scale_rate_threshold"])]
-        x = x.take(rows)
-    radius1, radius2 = (torch.sqrt(area / (options["area_ratio"] * math.pi)) for area in areas)
+        is_match = is_match & (x.growth.abs() <= math.log(options["detected_scale_rate_threshold"]))
+    rows = is_match.nonzero()[:, 0]
+    x = x.take(rows)
+    radius1, radius2 = radii
     seeds = _find_seeds(x, radius1, options["force_seed_mnn"])
     if not len(seeds):
-        return inverse, False
+        return None
     expansion = options["search_expansion"]
     neighbors, valid = _neighborhoods(x, seeds, expansion * radius1, expansion * radius2, options)
     counts = valid.sum(1)
     enough = counts + 1 >= max(3, options["min_inliers"])
     if not bool(enough.any()):
-        return inverse, False
+        return None
     seeds, neighbors, valid, counts = seeds[enough], neighbors[enough], valid[enough], counts[enough]
     # Offsets from the seed, in radii of the neighborhoods: the map has no translation.
     offsets1 = (x.xy1[neighbors] - x.xy1[seeds, None]) / (expansion * radius1)
@@ -297,6 +307,5 @@ def _verify(x: _Putative, areas: Sequence[Tensor], options: Mapping[str, Any]) -
     values = torch.where(is_inlier, values, math.inf)
     own = torch.where(is_accepted, 1 / confidence[0], math.inf)
     targets, values = torch.cat([neighbors.flatten(), seeds]), torch.cat([values.flatten(), own])
-    verified = x.ratio.new_full((len(x.ratio),), math.inf).scatter_reduce(0, targets, values, "amin")
-    inverse[rows] = verified
-    return inverse, True
+    inverse = putative.new_full((len(putative),), math.inf)
+    return inverse.scatter_reduce(0, rows[targets], values, "amin")

@@ -74,6 +74,27 @@ def test_sift_features(name, backend, device):
     assert_close(feature(image.expand(1, 3, -1, -1))[1], one[1], 1e-4, 1e-5)
 
 
+@pytest.mark.native
+@pytest.mark.parametrize("backend", ["patch", "pyramid"])
+@pytest.mark.parametrize("size", [(77, 101), (96, 128)], ids=str)
+def test_samples_are_the_same_bits_alone_and_in_a_batch(size, backend, device):
+    """Neither how many samples there are nor how many threads has an effect."""
+    if device.type != "cpu":
+        pytest.skip("torch's matrix products on CUDA depend on the size of the batch")
+    whole = photo(160, 160).float()
+    h, w = size
+    images = torch.cat([whole[..., y : y + h, x : x + w] for y, x in ((0, 0), (60, 30), (23, 11))])
+    feature = F.SIFTFeature(20, descriptor_backend=backend)
+    batch, threads = feature(images), torch.get_num_threads()
+    for i in range(3):
+        torch.set_num_threads(1 + i)
+        try:
+            alone = feature(images[i : i + 1])
+        finally:
+            torch.set_num_threads(threads)
+        assert all(torch.equal(a[0], b[i]) for a, b in zip(alone, batch))
+
+
 DETECTORS = {
     "Hessian with shapes": lambda: F.ScaleSpaceDetector(
         20, ori_module=F.LAFOrienter(19), aff_module=F.LAFAffineShapeEstimator(19)

@@ -45,6 +45,10 @@ def to_polar(gx: Tensor, gy: Tensor, eps: float) -> tuple[Tensor, Tensor]:
     directed = (squared > 0) & squared.isfinite()
     gx, gy = torch.where(directed, gx, 1), torch.where(directed, gy, 0)
     magnitude = (gx * gx + gy * gy + eps).sqrt()
+    if gx.is_cpu:
+        # torch computes arc tangents in vectors and those that are left over one by one, with another last bit, so that
+        # they depend on the size of the batch. It computes all of them one by one if they are not adjacent in memory.
+        gx, gy = torch.stack([gx, gy], -1).unbind(-1)
     return torch.where(directed, magnitude, 0), torch.where(directed, torch.atan2(gy, gx), 0)
 
 

@@ -186,7 +186,8 @@ def extract_patches_simple(
 ) -> Tensor:
     """Sample a square patch around each local affine frame from the image itself.
 
-    As `extract_patches_from_pyramid`, but frames that are larger than a patch alias.
+    As `extract_patches_from_pyramid`, but frames that are larger than a patch alias. A frame that is not finite gives a patch
+    of zeros and no gradient here as well.
 
     Args:
         img: images (B, C, H, W). Integers are computed in float32.

@@ -125,18 +125,11 @@ struct Columns {
   // replicate border.
   template <int N>
   __device__ __forceinline__ void read(int y, F (&values)[N]) const {
-    read_rows<1>([&](int) { return row(y); }, [&](int) -> F(&)[N] { return values; });
+    uint8_t const* const at = row(y);
+    dispatch_floating_dtype<F>(work.stored, [&](auto type) { read_at<decltype(type)>(at, values); });
   }
   // The thread's first pixel of row `y`.
   __device__ __forceinline__ uint8_t* row(int y) const { return first + y * planes.row_stride; }
-  // Reads `Rows` rows at once: row i starts at address_of(i), and its pixels go to values_of(i).
-  template <int Rows, class AddressOf, class ValuesOf>
-  __device__ __forceinline__ void read_rows(AddressOf address_of, ValuesOf values_of) const {
-    dispatch_floating_dtype<F>(work.stored, [&](auto type) {
-#pragma unroll
-      for (int i = 0; i < Rows; ++i) read_at<decltype(type)>(address_of(i), values_of(i));
-    });
-  }
   template <class T, int N>
   __device__ __forceinline__ void read_at(uint8_t const* at, F (&values)[N]) const {
     constexpr int kBefore = (N - kColumns) / 2;
@@ -164,10 +157,7 @@ struct Columns {
   }
   // Writes the columns that the block owns.
   __device__ __forceinline__ void write(ColumnPosition const& position, int y, F const (&values)[kColumns]) const {
-    write_at(position, row(y), values);
-  }
-  __device__ __forceinline__ void write_at(ColumnPosition const& position, uint8_t* at,
-                                           F const (&values)[kColumns]) const {
+    uint8_t* const at = row(y);
     dispatch_floating_dtype<F>(work.stored, [&](auto type) {
       using T = decltype(type);
       if constexpr (Vectors) {

@@ -10,7 +10,7 @@ constexpr int P = 4;        // columns of a thread
 constexpr int kRing = 4;    // rows; all but one are in flight
 constexpr int kRows = 32;   // of a strip
 constexpr int kWarps = 4;   // of a block; they do not synchronize
-constexpr int kBlocks = 5;  // of a multiprocessor
+constexpr int kBlocks = 4;  // of a multiprocessor
 
 template <class Kernel, class T, class Aligned>
 __global__ void __launch_bounds__(32 * kWarps, sizeof(T) == 8 ? 1 : kBlocks)

@@ -97,8 +97,8 @@ struct TwoNearest {
   }
 };
 
-// Stores the neighbors of descriptor `at` of a sample, element `i` of the results. A pair has the indices of a descriptor
-// and of its nearest one, 0 where there is none.
+// Stores the neighbors of descriptor `at` of a sample, element `i` of the results. A pair has the indices of a
+// descriptor and of its nearest one, 0 where there is none.
 template <class T>
 KV_HD void store_neighbors(DescriptorSet<T> const& set, int64_t i, int64_t at, Neighbors<T> const& neighbors) {
   if (set.pairs) {

@@ -2,8 +2,8 @@
 // |a - b|^2 / 2 = |a|^2 / 2 + |b|^2 / 2 - a . b, where a and b are sums of two bfloat16, and keeps the three nearest
 // candidates of each row and column. Then a warp for each descriptor computes the distances of the nearest candidates
 // of all tiles as sums of squared differences. Other pairs of a tile have at least the distance of its third candidate.
-// Where this bound, rounding included, does not exclude them, all distances of the tile are computed. Of small sets, one
-// kernel computes all distances.
+// Where this bound, rounding included, does not exclude them, all distances of the tile are computed. Of small sets,
+// one kernel computes all distances.
 #include "core/launch.cuh"
 #include "feature/matching.h"
 

@@ -41,11 +41,14 @@ constexpr int64_t kMatchingBlocks = 2048;
 constexpr int64_t kFewPairs = 1 << 16;
 #endif
 
-// The neighbors of the first set, and if `both` is set, those of the second one. Or, as `pairs`, those of the nearest only.
-std::tuple<Tensor, Tensor, Tensor, Tensor> find_neighbors(
-    char const* op, Tensor const& desc1, Tensor const& desc2, std::optional<Tensor> const& mask1,
-    std::optional<Tensor> const& mask2, std::optional<Tensor> const& positions1,
-    std::optional<Tensor> const& positions2, double distance, bool both, bool pairs) {
+// The neighbors of the first set, and if `both` is set, those of the second one. Or, as `pairs`, those of the nearest
+// only.
+std::tuple<Tensor, Tensor, Tensor, Tensor> find_neighbors(char const* op, Tensor const& desc1, Tensor const& desc2,
+                                                          std::optional<Tensor> const& mask1,
+                                                          std::optional<Tensor> const& mask2,
+                                                          std::optional<Tensor> const& positions1,
+                                                          std::optional<Tensor> const& positions2, double distance,
+                                                          bool both, bool pairs) {
   DescriptorPair const x(op, desc1, desc2);
   int64_t const batch = x.batch, n = desc1.size(1), m = desc2.size(1), listed = both ? m : 0;
   auto const valid1 = checked_mask(op, "mask1", mask1, x.first), valid2 = checked_mask(op, "mask2", mask2, x.second);
@@ -168,8 +171,12 @@ std::tuple<Tensor, Tensor> differentiate(char const* op, Tensor const& grad1, Te
     using T = typename decltype(type)::type;
     auto const set = [&](Tensor const& values, Tensor const& grad, Tensor const& indices, int64_t listed,
                          Tensor const& grad_values) {
-      return NeighborGradient<T>{data_ptr<T const>(values), data_ptr<T const>(grad), data_ptr<int64_t const>(indices),
-                                 int(values.size(1)),       int(listed),             int(neighbors),
+      return NeighborGradient<T>{data_ptr<T const>(values),
+                                 data_ptr<T const>(grad),
+                                 data_ptr<int64_t const>(indices),
+                                 int(values.size(1)),
+                                 int(listed),
+                                 int(neighbors),
                                  data_ptr<T>(grad_values)};
     };
     TwoNearestBackward<T> const params{set(x.first, g1, i1, g1.size(1), grad_desc1),

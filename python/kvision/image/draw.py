@@ -245,7 +245,8 @@ _FEW = 4  # pixels that are written one by one, which on a GPU takes less time t
 
 def _plot(image: Tensor, pixels: Tensor, color: Tensor) -> None:
     """Set the pixels (N, 2), as (x, y), of the image (C, H, W) to the color (C,)."""
-    if _check.values_are_readable(pixels) and len(pixels) <= _FEW:
+    is_expanded = 0 in image.stride()  # to which torch assigns by indices alone
+    if _check.values_are_readable(pixels) and len(pixels) <= _FEW and not is_expanded:
         for x, y in pixels.tolist():
             image[:, y, x] = color
         return

@@ -242,8 +242,9 @@ inline ScalarType result_type(PlanArgument const& plan, Tensor const& input) {
   return plan.dtype < 0 ? input.scalar_type() : scalar_type_of(DType(plan.dtype));
 }
 
-// The result, and the means that contrast was taken around. On CUDA a result like the input overwrites an input that the
-// caller `owns`, because a thread reads its pixels before it writes them. On the CPU the last vectors of a row overlap.
+// The result, and the means that contrast was taken around. On CUDA a result like the input overwrites an input that
+// the caller `owns`, because a thread reads its pixels before it writes them. On the CPU the last vectors of a row
+// overlap.
 inline std::tuple<Tensor, Tensor> run_program(char const* op, Tensor const& input, ProgramArguments const& a,
                                               PlanArgument const& plan, std::vector<double> const& numbers,
                                               [[maybe_unused]] bool owns = false) {
@@ -257,9 +258,8 @@ inline std::tuple<Tensor, Tensor> run_program(char const* op, Tensor const& inpu
 #else
   constexpr bool in_place = false;
 #endif
-  Tensor const y = in_place ? x
-                            : empty({x.size(0), channels, x.size(2), x.size(3)}, x,
-                                    channels == 1 ? Layout::planar : out, type);
+  Tensor const y =
+      in_place ? x : empty({x.size(0), channels, x.size(2), x.size(3)}, x, channels == 1 ? Layout::planar : out, type);
   Samples const samples = a.samples(x, in == out);
   ScalarType const computes = a.in_double ? ScalarType::Double : ScalarType::Float;
   bool const around_mean = a.sequence.contrast >= 0;

@@ -57,9 +57,9 @@ __device__ __forceinline__ void sum_across(F const* line, int at, F (&sums)[P]) 
 
 // Computes the derivatives of a thread's columns row by row, not divided by the sum of their weights. Rows continue by
 // reflection, so that each row is read once. In reflected rows the derivative along y has the opposite sign.
-template <class F, bool Vectors>
+template <class F, bool Vectors, bool Common>
 struct Derivatives {
-  Columns<F, Vectors> const columns;
+  Columns<F, Vectors, Common> const columns;
   F above[P + 2], middle[P + 2];  // the two rows before the next one
   F next[P + 2];                  // a row that was read ahead
 
@@ -75,7 +75,7 @@ struct Derivatives {
 
   // The derivatives of row y. Calls are in the order of rows. Reads a row ahead if `more`.
   __device__ __forceinline__ void advance(int y, bool more, F (&dx)[P], F (&dy)[P]) {
-    bool const sobel = columns.work.arguments.sobel;
+    bool const sobel = Common || columns.work.arguments.sobel;
     F below[P + 2];
 #pragma unroll
     for (int i = 0; i < P + 2; ++i) below[i] = next[i];
@@ -124,16 +124,18 @@ __device__ __forceinline__ F derivative_factor(bool sobel, bool is_harris) {
   return is_harris ? square * square : square;
 }
 
-template <class F, bool Vectors>
+// Common: images of float32 and Sobel filters, as constants.
+template <class F, bool Vectors, bool Common>
 __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks) corner_forward(__grid_constant__ Work<F> const work) {
   __shared__ Lines<F, 3> lines[2];
   ColumnPosition const position(work, kReach, int(blockDim.x), int(threadIdx.x));
-  Columns<F, Vectors> const columns(work, work.result, position);
-  Derivatives<F, Vectors> derivatives(work, position, position.y0 - R);
+  Columns<F, Vectors, Common> const columns(work, work.result, position);
+  Derivatives<F, Vectors, Common> derivatives(work, position, position.y0 - R);
   RunningSums<F> down;
   bool const is_harris = work.arguments.kind == CornerKind::harris, writes = position.owns_some();
   F const k = work.arguments.k_of(position.plane);
-  F const scale = work.arguments.scale_of(position.plane) * derivative_factor<F>(work.arguments.sobel, is_harris);
+  F const scale =
+      work.arguments.scale_of(position.plane) * derivative_factor<F>(Common || work.arguments.sobel, is_harris);
   int now = 0;
 #pragma unroll kUnroll
   for (int y = position.y0 - R; y < position.y1 + kDelay; ++y, now ^= 1) {
@@ -158,7 +160,7 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks) corner_forward(__g
   }
 }
 
-template <class F, bool Vectors>
+template <class F, bool Vectors, bool Common>
 __global__ void __launch_bounds__(2 * kColumnThreads<F>, kBlocksOfGradients)
     corner_backward(__grid_constant__ Work<F> const work) {
   __shared__ Lines<F, 3> products[2], gradients[2];
@@ -166,15 +168,15 @@ __global__ void __launch_bounds__(2 * kColumnThreads<F>, kBlocksOfGradients)
   int const threads = int(blockDim.x) / 2;
   bool const is_first_half = int(threadIdx.x) < threads;
   ColumnPosition const position(work, kReachOfGradients, threads, int(threadIdx.x) - (is_first_half ? 0 : threads));
-  bool const is_harris = work.arguments.kind == CornerKind::harris, sobel = work.arguments.sobel;
+  bool const is_harris = work.arguments.kind == CornerKind::harris, sobel = Common || work.arguments.sobel;
   int const height = position.height, width = position.width, first = position.y0 - kCornerGradientReach,
             end = position.y1 + kDelayOfGradients;
   bool const has_columns = position.x < width;
   int now = 0, slot = 0;
 
   if (is_first_half) {
-    Derivatives<F, Vectors> derivatives(work, position, first);
-    Columns<F, Vectors> const grads(work, work.grad, position);
+    Derivatives<F, Vectors, Common> derivatives(work, position, first);
+    Columns<F, Vectors, Common> const grads(work, work.grad, position);
     RunningSums<F> down;
     F const k = work.arguments.k_of(position.plane);
     F const scale = work.arguments.scale_of(position.plane) * derivative_factor<F>(sobel, is_harris);
@@ -215,7 +217,7 @@ __global__ void __launch_bounds__(2 * kColumnThreads<F>, kBlocksOfGradients)
     return;
   }
 
-  Columns<F, Vectors> const columns(work, work.result, position);
+  Columns<F, Vectors, Common> const columns(work, work.result, position);
   RunningSums<F> down;
   GradientRow<F> above[P] = {}, middle[P] = {};
   F u[P] = {}, v[P] = {};
@@ -275,14 +277,19 @@ __global__ void __launch_bounds__(2 * kColumnThreads<F>, kBlocksOfGradients)
 template <class T>
 int corner_response(Response<T> const& p, CUstream_st* stream) {
   using F = Compute<T>;
-  return run(corner_forward<F, false>, corner_forward<F, kHasVectors<F>>, work_of(p), 1, kReach, R + kDelay, kBlocks, 1,
-             0, stream);
+  constexpr bool kSingle = __is_same(T, float);
+  auto* const vectors = kSingle && p.arguments.sobel ? corner_forward<F, kHasVectors<F>, kSingle>
+                                                     : corner_forward<F, kHasVectors<F>, false>;
+  return run(corner_forward<F, false, false>, vectors, work_of(p), 1, kReach, R + kDelay, kBlocks, 1, 0, stream);
 }
 
 template <class T>
 int corner_response_backward(ResponseBackward<T> const& p, CUstream_st* stream) {
   using F = Compute<T>;
-  return run(corner_backward<F, false>, corner_backward<F, kHasVectors<F>>, work_of(p), 2, kReachOfGradients,
+  constexpr bool kSingle = __is_same(T, float);
+  auto* const vectors = kSingle && p.arguments.sobel ? corner_backward<F, kHasVectors<F>, kSingle>
+                                                     : corner_backward<F, kHasVectors<F>, false>;
+  return run(corner_backward<F, false, false>, vectors, work_of(p), 2, kReachOfGradients,
              kCornerGradientReach + kDelayOfGradients, kBlocksOfGradients, 1, 0, stream);
 }
 

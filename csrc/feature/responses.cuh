@@ -103,9 +103,9 @@ struct ColumnPosition : ColumnBlock {
   __device__ __forceinline__ bool owns_some() const { return x + kColumns > first && x < last; }
 };
 
-// The columns of a thread in one plane. Vectors: rows are vectors of kColumns pixels, see `run`. It refers to the
-// arguments of the kernel, which are constants and cost no registers.
-template <class F, bool Vectors>
+// The columns of a thread in one plane. Vectors: rows are vectors of kColumns pixels, see `run`. Single: they are
+// stored in the type F. It refers to the arguments of the kernel, which are constants and cost no registers.
+template <class F, bool Vectors, bool Single = false>
 struct Columns {
   Work<F> const& work;
   StoredPlanes const& planes;
@@ -125,11 +125,18 @@ struct Columns {
   // replicate border.
   template <int N>
   __device__ __forceinline__ void read(int y, F (&values)[N]) const {
-    uint8_t const* const at = row(y);
-    dispatch_floating_dtype<F>(work.stored, [&](auto type) { read_at<decltype(type)>(at, values); });
+    with_type([&](auto type) { read_at<decltype(type)>(row(y), values); });
   }
   // The thread's first pixel of row `y`.
   __device__ __forceinline__ uint8_t* row(int y) const { return first + y * planes.row_stride; }
+  // Calls f with the stored type.
+  template <class Call>
+  __device__ __forceinline__ void with_type(Call f) const {
+    if constexpr (Single)
+      f(F{});
+    else
+      dispatch_floating_dtype<F>(work.stored, f);
+  }
   template <class T, int N>
   __device__ __forceinline__ void read_at(uint8_t const* at, F (&values)[N]) const {
     constexpr int kBefore = (N - kColumns) / 2;
@@ -158,7 +165,7 @@ struct Columns {
   // Writes the columns that the block owns.
   __device__ __forceinline__ void write(ColumnPosition const& position, int y, F const (&values)[kColumns]) const {
     uint8_t* const at = row(y);
-    dispatch_floating_dtype<F>(work.stored, [&](auto type) {
+    with_type([&](auto type) {
       using T = decltype(type);
       if constexpr (Vectors) {
         if (position.owns(x)) store_vector(reinterpret_cast<T*>(at), values);

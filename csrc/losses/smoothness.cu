@@ -10,8 +10,8 @@ constexpr int kThreads = kSmoothThreads;
 constexpr int kVector = 4, kAnywhere = 2;  // columns of a thread where rows are aligned, and of others
 static_assert(kThreads == kSumThreads);
 
-// The pixels of a sample that a thread processes: P columns from x on and the rows y ... end - 1. Aligned: they are
-// whole vectors; otherwise they are read and written one by one. C is the number of channels of the image, so that the
+// The pixels of a sample that a thread processes: P columns from x on and the rows y ... end - 1. kVector columns are a
+// vector of aligned rows; others are read and written one by one. C is the number of channels of the image, so that the
 // loads of all of them are in flight at the same time; 0 serves any number, one after the other.
 template <class T, int P, int C>
 struct Columns {
@@ -49,7 +49,7 @@ struct Columns {
   __device__ __forceinline__ bool has(int j) const { return kAligned || x + j < width; }
   // Whether column x + j and the one to its left are both in bounds.
   __device__ __forceinline__ bool has_edge(int j) const {
-    return (j > 0 || x > 0) && (kAligned && j < P || x + j < width);
+    return (j > 0 || x > 0) && ((kAligned && j < P) || x + j < width);
   }
 
   // The smoothness term: `apart` is the sum of the image's absolute differences, and `difference` that of the depth.

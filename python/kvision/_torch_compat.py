@@ -142,6 +142,20 @@ def keep_calls_apart(operator: Any) -> None:
         compile_utils.rand_ops.append(operator)
 
 
+def largest(*sizes: int) -> int:
+    """The largest of sizes, also of those that are symbolic in a graph. Waits for a dynamo whose torch.sym_max takes ints."""
+    return max(sizes) if _are_ints(sizes) else functools.reduce(torch.sym_max, sizes)
+
+
+def smallest(*sizes: int) -> int:
+    """The smallest of sizes, as in `largest`."""
+    return min(sizes) if _are_ints(sizes) else functools.reduce(torch.sym_min, sizes)
+
+
+def _are_ints(sizes: tuple[int, ...]) -> bool:
+    return all(type(size) is int for size in sizes)
+
+
 def schema_of(operator: OpOverload) -> Any:
     """The schema, which lists `arguments` and `returns`. Waits for a public attribute of OpOverload."""
     return operator._schema

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import reduce
 from itertools import product
 from typing import Any
 
@@ -14,7 +13,7 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import is_compiling, register, wants_derivative, with_kernel_casts
-from kvision._torch_compat import in_onnx_export
+from kvision._torch_compat import in_onnx_export, largest
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.filters.filter2d import filter2d
 from kvision.filters.filter3d import filter3d
@@ -117,7 +116,7 @@ def _approximate(x: Tensor, size: int, h: float) -> Tensor:
     # ONNX gets no loop: its body is traced as if it were for torch.
     if is_compiling() and not in_onnx_export() and not (torch.is_grad_enabled() and x.requires_grad):
         # A graph has loops of its own, whose length depends on sizes. The gradients through them are wrong in torch 2.13.
-        steps = (reduce(torch.sym_max, sides) + radius - 1) // radius
+        steps = (largest(*sides) + radius - 1) // radius
         state = torch.zeros((), dtype=torch.int64, device=x.device), grown, total, changed
         return torch.while_loop(lambda step, *state: (step < steps) & state[-1], advance, state)[2]
     has_kernel = size <= _SMALL and not is_compiling() and not wants_derivative(x)

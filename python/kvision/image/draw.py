@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._torch_compat import largest
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = ["draw_convex_polygon", "draw_line", "draw_point2d", "draw_rectangle"]
@@ -90,7 +91,7 @@ def draw_line(image: Tensor, p1: Tensor, p2: Tensor, color: Any) -> Tensor:
     steps = delta.abs().amax(1)
     # Shorter lines repeat their end. In a graph, which has no values, all are as long as the longest possible one.
     is_readable = _check.values_are_readable(steps)
-    count = int(steps.amax()) + 1 if is_readable and len(steps) else torch.sym_max(*image.shape[1:])
+    count = int(steps.amax()) + 1 if is_readable and len(steps) else largest(*image.shape[1:])
     t = torch.minimum(torch.arange(count), steps[:, None])[..., None]
     # start + t * delta / n, rounded half up in integers: float steps would round an exact half either way.
     n = steps.clamp_min(1)[:, None, None]

@@ -13,7 +13,7 @@ from kvision._dtype import compute_dtype, pixels
 from kvision._modes import BORDER, BORDER_NAMES, INTERPOLATION, INTERPOLATION_NAMES
 from kvision._modules import FunctionModule
 from kvision._ops import register, saturate_to_byte
-from kvision._torch_compat import is_tracing
+from kvision._torch_compat import is_tracing, largest, smallest
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters import gaussian_blur2d
 
@@ -232,12 +232,11 @@ def side_to_size(size: int, h: int, w: int, side: str) -> tuple[int, int]:
     """Height and width of a result with one side of length `size`, and the aspect of an image h x w."""
     # Computed in floats, as in Kornia: products are rounded down. A side next to a short one is at least `size`.
     height, width = math.trunc(size / (w / h)), math.trunc(size * (w / h))
-    larger, smaller = (max, min) if type(h) is int and type(w) is int else (torch.sym_max, torch.sym_min)
     if side == "short":
-        return larger(size, height), larger(size, width)
+        return largest(size, height), largest(size, width)
     if side == "long":
-        return smaller(size, larger(1, height)), smaller(size, larger(1, width))
-    return (size, larger(1, width)) if side == "vert" else (larger(1, height), size)
+        return smallest(size, largest(1, height)), smallest(size, largest(1, width))
+    return (size, largest(1, width)) if side == "vert" else (largest(1, height), size)
 
 
 def _blurred(x: Tensor, *factors: float) -> Tensor:

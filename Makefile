@@ -26,7 +26,7 @@ demo: build
 
 test: build $(DEV)
 	@[ -n "$(TESTS)" ] || echo "kvision: all tests take about five minutes on two cores; TESTS=tests/filters chooses some"
-	$(BIN)/python -m pytest --quiet --numprocesses auto --maxprocesses 8 --sizes few -m "not (slow or tracing or derivatives)" $(TESTS) $(ARGS)
+	$(BIN)/python -m pytest --quiet --numprocesses auto --maxprocesses 8 --dist worksteal --sizes few -m "not (slow or tracing or derivatives)" $(TESTS) $(ARGS)
 
 bench: build $(DEV)
 	$(BIN)/python -m benchmarks $(ARGS)

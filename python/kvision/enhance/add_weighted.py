@@ -37,9 +37,12 @@ def _backward(needs, grad, x, y, alpha, beta, gamma, a, b, c):
         pixels = promoted if image is None else promoted * image
         return pixels.sum((2, 3))[..., None].sum_to_size(weight.shape)
 
+    def scaled(number: float, weight: Tensor | None) -> Tensor:
+        return grad * number if weight is None else scale_shift(grad, weight, 0.0, False)
+
     return [
-        scale_shift(grad, a if alpha is None else alpha, 0.0, False) if needs[0] else None,
-        scale_shift(grad, b if beta is None else beta, 0.0, False).sum_to_size(y.shape) if needs[1] else None,
+        scaled(a, alpha) if needs[0] else None,
+        scaled(b, beta).sum_to_size(y.shape) if needs[1] else None,
         of_weight(alpha, x) if needs[2] else None,
         of_weight(beta, y) if needs[3] else None,
         of_weight(gamma, None) if needs[4] else None,

@@ -36,8 +36,10 @@ __all__ = [
     "is_tracing",
     "keep_calls_apart",
     "kernel_caller",
+    "largest",
     "refuse_script",
     "schema_of",
+    "smallest",
     "unwrap_dead_wrappers",
     "without_transforms",
 ]

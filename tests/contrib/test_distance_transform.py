@@ -18,9 +18,7 @@ class TestDistanceTransform(OpTests):
     operators = ("distance_transform_step",)
     variants = [{}, {"kernel_size": 5, "h": 0.3}]
     errors = [({"kernel_size": 4}, ValueError, "expected kernel_size to be odd")]
-    differentiable = (
-        False  # with a gradient no step has a kernel; TestCompositions of test_contrib.py has its gradients
-    )
+    differentiable = False  # no step has a kernel then; TestCompositions of test_contrib.py has its gradients
     shape = (2, 2, 13, 18)
     small = (1, 1, 4, 5)
 

@@ -90,26 +90,32 @@ void copy_window(T const* from, int64_t in_size, int64_t left, T* to, int64_t si
   memset(to + end, 0, size_t(size - end) * sizeof(T));
 }
 
+// Rotates dense planes: adjacent rows of one are a single row, reversed.
+template <class T>
+void rotate_planes(Flip<T> const& p, int64_t begin, int64_t end) {
+  int64_t const size = p.y.row_size(), height = p.y.height;
+  for (int64_t r = begin; r < end;) {
+    int64_t const plane = r / height, first = r - plane * height, last = min(height, first + end - r);
+    reverse_row<false>(p.x.plane(plane) + (height - last) * size, p.y.plane(plane) + first * size,
+                       (last - first) * size);
+    r += last - first;
+  }
+}
+
 }  // namespace
 
 template <class T>
 void flip(Flip<T> const& p, int64_t begin, int64_t end) {
   int64_t const step = p.x.step, size = p.y.row_size(), height = p.y.height;
   bool const large = p.y.rows() * size * int64_t(sizeof(T)) > kCacheBytes;
-  Scratch<T> line(step == 1 || !p.columns ? 0 : 2 * size);
   if (begin == end) return;
+  bool const is_dense = step == 1 && p.x.row_stride == size && p.y.row_stride == size;
+  if (p.rows && p.columns && is_dense && !large) return rotate_planes(p, begin, end);
+  Scratch<T> line(step == 1 || !p.columns ? 0 : 2 * size);
   int64_t plane = begin / height, y = begin - plane * height;  // by steps: a row takes little longer than a division
   T const* in = p.x.plane(plane);
   T* out = p.y.plane(plane);
-  bool const is_one_row =
-      p.rows && p.columns && step == 1 && !large && p.x.row_stride == size && p.y.row_stride == size;
-  for (int64_t r = begin; is_one_row && r < end; ++plane) {  // adjacent rows, rotated: one row, reversed
-    int64_t const first = r - plane * height, last = min(height, first + end - r);
-    reverse_row<false>(p.x.plane(plane) + (height - last) * size, p.y.plane(plane) + first * size,
-                       (last - first) * size);
-    r += last - first;
-  }
-  for (int64_t r = begin; !is_one_row && r < end; ++r, ++y) {
+  for (int64_t r = begin; r < end; ++r, ++y) {
     if (y == height) in = p.x.plane(++plane), out = p.y.plane(plane), y = 0;
     int64_t const source = p.rows ? height - 1 - y : y + p.top;
     T* const to = out + y * p.y.row_stride;

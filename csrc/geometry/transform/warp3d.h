@@ -38,14 +38,6 @@ struct Warp3d {
   KV_HD Axis<Compute<T>> axis(int i) const { return {int(use.source.along(i)), padding, use.align_corners}; }
 };
 
-// The number of voxels of a sample that a block takes on CUDA: many, because each computes the map of its sample, and
-// few where there would be less than kFewBlocks, which leave most of a GPU idle.
-constexpr int64_t kMostPartVoxels = 4096, kFewestPartVoxels = 256, kFewBlocks = 512;
-inline int64_t part_voxels_of(int64_t batch, int64_t output_voxels) {
-  int64_t const voxels = batch * output_voxels / kFewBlocks / kFewestPartVoxels * kFewestPartVoxels;
-  return clamp(voxels, kFewestPartVoxels, kMostPartVoxels);
-}
-
 // The value; in the compute type, the gradient of the volume and the partial sums of the gradient of the matrices.
 template <class T>
 struct Warp3dForward : Warp3d<T> {

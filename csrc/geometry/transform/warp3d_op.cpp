@@ -14,10 +14,13 @@ Size3 size3_of(char const* op, std::vector<int64_t> const& size) {
 
 Size3 size3_of(char const* op, Tensor const& x) { return size3_of(op, {x.size(2), x.size(3), x.size(4)}); }
 
-// The voxels of a part of a sample: a chunk on CUDA, a row on the CPU.
+// The voxels of a part of a sample. On the CPU it is a row. On CUDA a block takes it: many, because each computes the
+// map of its sample, and few where there would be less than kFewBlocks, which leave most of a GPU idle.
 int64_t part_voxels([[maybe_unused]] int64_t batch, Size3 const& output) {
 #if defined(KV_CUDA)
-  return part_voxels_of(batch, output.depth * output.height * output.width);
+  constexpr int64_t kMost = 4096, kFewest = 256, kFewBlocks = 512;
+  int64_t const voxels = batch * output.depth * output.height * output.width / kFewBlocks;
+  return clamp(voxels / kFewest * kFewest, kFewest, kMost);
 #else
   return output.width;
 #endif

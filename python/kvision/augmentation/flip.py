@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision.augmentation import transforms
-from kvision.augmentation.base import Execution, Shape
+from kvision.augmentation.base import Execution, Shape, matrix_type
 from kvision.augmentation.columns import Columns, Span
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
@@ -50,10 +50,9 @@ class _RandomFlip(GeometricAugmentationBase2D):
         if not self._is_certain or self._is_customized():
             return super()._draw_and_run(x, seed, generator, flags)
         keys = self._keys(x, seed, generator)
-        flipped_all = constant((-1.0,), x, compute_dtype(x)).expand(x.shape[0], 1)
-        columns = Columns(flipped_all, Span(0, 1, False))
+        columns = Columns(constant((-1.0,), x, compute_dtype(x)).expand(x.shape[0], 1), Span(0, 1, False))
         execution = Execution(tuple(x.shape), columns, redraw=(keys, 0), is_certain=True)
-        execution.keep_type(x)
+        execution.identity = matrix_type(x)
         self.__dict__["_execution"] = execution  # faster than Module.__setattr__, which looks for parameters
         return flipped(x, self.flips_columns, not self.flips_columns), execution
 

@@ -151,10 +151,15 @@ _two_nearest = register(
 # --- the nearest one -------------------------------------------------------------------------------------------------
 
 
+def _pairs(nearest: Tensor) -> Tensor:
+    """Pairs (B, N, 2) of a descriptor's index and that of its nearest one, 0 where there is none."""
+    own = torch.arange(nearest.shape[1], device=nearest.device).expand_as(nearest)
+    return torch.stack([own, nearest.clamp(min=0)], 2)
+
+
 def _pairs_reference(desc1: Tensor, desc2: Tensor) -> tuple[Tensor, Tensor]:
     distances, indices, _, _ = _reference(desc1, desc2, None, None, None, None, 0.0, False)
-    own = torch.arange(indices.shape[1], device=indices.device).expand(indices.shape[:2])
-    return distances[..., :1], torch.stack([own, indices[..., 0].clamp(min=0)], 2)
+    return distances[..., :1], _pairs(indices[..., 0])
 
 
 def _pairs_reference_backward(grad: Tensor, desc1: Tensor, desc2: Tensor, pairs: Tensor) -> tuple[Tensor, Tensor]:
@@ -426,9 +431,8 @@ def match_nn(desc1: Tensor, desc2: Tensor, dm: Tensor | None = None) -> tuple[Te
         dtype, result = compute_dtype(desc1), floats(desc1).dtype
         distances, pairs = _nearest_pairs(*(as_dtype(d, dtype).unsqueeze(0) for d in (desc1, desc2)))
         return as_dtype(distances.squeeze(0), result), pairs.squeeze(0)
-    distances, nearest = _smallest_two(as_dtype(floats(dm), compute_dtype(dm)))
-    own = torch.arange(desc1.shape[0], device=desc1.device)
-    return as_dtype(distances[:, :1], floats(dm).dtype), torch.stack([own, nearest[:, 0].clamp(min=0)], 1)
+    neighbors = _Neighbors(desc1[None], desc2[None], dm[None], both=False)
+    return as_dtype(neighbors.distances1[0, :, :1], neighbors.dtype), _pairs(neighbors.indices1[..., 0])[0]
 
 
 def match_mnn(desc1: Tensor, desc2: Tensor, dm: Tensor | None = None) -> tuple[Tensor, Tensor]:

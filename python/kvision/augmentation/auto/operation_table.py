@@ -94,17 +94,21 @@ def execute_steps(
     Returns:
         The images, and what labels have to follow.
     """
+    size = (x.shape[-2], x.shape[-1])
+
+    def warps(of_step: tuple[str, ...], matrix: Tensor) -> list[Stage]:
+        return [Warp(matrix, size, size, _BILINEAR)] if _moves_pixels(of_step) else []
+
+    stages: list[Stage] = []
     if _has_kernel(x, operation, value):
         x, matrices = _apply_operations.kernel(x, operation, value)
-        size = (x.shape[-2], x.shape[-1])
-        moves = [_moves_pixels(of_step) for of_step in names]
-        return x, [Warp(matrix, size, size, _BILINEAR) for matrix, move in zip(matrices.unbind(), moves) if move]
-    stages: list[Stage] = []
+        for of_step, matrix in zip(names, matrices.unbind()):
+            stages += warps(of_step, matrix)
+        return x, stages
     for of_step, numbers, values in zip(names, operation.unbind(1), value.unbind(1)):
         if _supports(x, numbers, values) is None and not values.requires_grad and _apply_operation.is_native(x):
             x, matrix = _apply_operation(x, numbers, values)
-            size = (x.shape[-2], x.shape[-1])
-            more: list[Stage] = [Warp(matrix, size, size, _BILINEAR)] if _moves_pixels(of_step) else []
+            more = warps(of_step, matrix)
         else:
             x, more = execute_step(x, of_step, numbers, values)
         stages += more

@@ -24,7 +24,7 @@ from kvision.augmentation.base.augmentation import (
     RigidAffineAugmentationBase2D,
     RigidAffineAugmentationBase3D,
 )
-from kvision.augmentation.base.execution import Execution, Params, Shape
+from kvision.augmentation.base.execution import Execution, Params, Shape, matrix_type
 from kvision.augmentation.base.samples import (
     image_and_matrix,
     is_known,
@@ -47,6 +47,7 @@ __all__ = [
     "image_and_matrix",
     "is_known",
     "known_everywhere",
+    "matrix_type",
     "per_sample",
     "where_chosen",
     "with_matrix",

@@ -11,7 +11,7 @@ from torch.compiler import is_compiling
 from kvision._constants import constant
 from kvision._ops import match_layout
 from kvision.augmentation.base.declaration import Declaration
-from kvision.augmentation.base.execution import Execution, Params, Shape, check_batch_of_params
+from kvision.augmentation.base.execution import Execution, Params, Shape, check_batch_of_params, matrix_type
 from kvision.augmentation.base.samples import where_chosen
 from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, identity_values, plan_draws
 from kvision.augmentation.draws import Request, is_chosen_batch
@@ -66,7 +66,7 @@ class Engine(Declaration):
             columns = Columns(draws.draw(x, keys), draws.spans[0])
             applied = self._applies(keys, 0)
             execution = Execution(shape, columns, applied=applied, redraw=(keys, 0), is_certain=self._is_certain)
-        execution.keep_type(x)
+        execution.identity = matrix_type(x)
         return execution
 
     # --- parameters by name ---
@@ -177,7 +177,7 @@ class Engine(Declaration):
         if applied and not self._is_customized() and self._executes_columns(shape):
             columns = self._columns_of(params, shape, x.device, chosen)
         execution = Execution(shape, columns, chosen, applied, params)
-        execution.keep_type(x)
+        execution.identity = matrix_type(x)
         return execution
 
     def _was_planned(self, params: Params) -> bool:

@@ -22,6 +22,11 @@ def check_batch_of_params(op: str, count: int, batch: int) -> None:
         raise ShapeError(f"{op}: expected params of a batch of {batch}, got those of {count} images")
 
 
+def matrix_type(images: Tensor) -> tuple[torch.device, torch.dtype]:
+    """The device and the type of matrices of images."""
+    return images.device, compute_dtype(images)
+
+
 class Execution:
     """One call of an augmentation: what was drawn, for `_params`, `transform_matrix`, labels, inverse and replay."""
 
@@ -35,7 +40,6 @@ class Execution:
         redraw: tuple[Keys, int] | None = None,
         frames: int = 1,
         is_certain: bool = False,
-        identity: tuple[torch.device, torch.dtype] | None = None,
     ) -> None:
         self.shape = shape  # of the images, (B, C, H, W)
         self.columns = columns  # of the parameters, on their device
@@ -46,14 +50,11 @@ class Execution:
         self.frames = frames  # neighboring samples that share what was drawn
         self.is_certain = is_certain  # all samples are chosen, which is known without the columns
         self.matrix: Tensor | None = None
-        # Device and type of matrices that are made only when they are read.
-        self.identity = identity
+        self.identity: tuple[torch.device, torch.dtype] | None = (
+            None  # `matrix_type`, where matrices are made when they are read
+        )
         self.keeps_map = False  # for labels of the same call
         self.map: Tensor | None = None  # of a deformation, kept by `keeps_map`
-
-    def keep_type(self, images: Tensor) -> None:
-        """Keep the device and type of images, for matrices that are made when they are read."""
-        self.identity = images.device, compute_dtype(images)
 
     def keep_matrix(self, matrix: Tensor) -> None:
         """Keep the matrices of an operator, which carry no gradients; where parameters do, they are computed when asked for."""

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from torch import Generator, Tensor
 
 from kvision.augmentation.base.engine import Engine
-from kvision.augmentation.base.execution import Execution, Shape
+from kvision.augmentation.base.execution import Execution, Shape, matrix_type
 from kvision.augmentation.columns import Columns, DrawPlan, Span
 from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.keys import Seed
@@ -69,6 +69,6 @@ class OnePass(Engine):
         if plan.image_pass.warps:
             execution.keep_matrix(matrix)
         if execution.matrix is None:
-            execution.keep_type(x)
+            execution.identity = matrix_type(x)
         self.__dict__["_execution"] = execution  # faster than Module.__setattr__, which looks for parameters
         return y, execution

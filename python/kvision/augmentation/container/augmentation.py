@@ -132,7 +132,7 @@ class AugmentationSequential(ImageSequential):
                 "AugmentationSequential: expected transformation_matrix_mode to be 'silent', 'rigid' or 'skip', got "
                 f"{transformation_matrix_mode!r}"
             )
-        self.data_keys = None if data_keys is None else self._keys(data_keys)
+        self.data_keys = None if data_keys is None else labels.parse_data_keys("AugmentationSequential", data_keys)
         if self.data_keys is not None and self.data_keys[0] != DataKey.INPUT:
             raise ValueCheckError(
                 f"AugmentationSequential: expected data_keys to begin with 'input', got {data_keys!r}"
@@ -146,9 +146,6 @@ class AugmentationSequential(ImageSequential):
         self.box_filter = labels.BoxFilter(clip_boxes, min_box_area, min_box_visibility)
         self.transformation_matrix_mode = transformation_matrix_mode
         self.extra_args = {DataKey.MASK: {"resample": "nearest"}} if extra_args is None else extra_args
-
-    def _keys(self, keys: Any) -> list[DataKey]:
-        return labels.parse_data_keys("AugmentationSequential", keys)
 
     def forward(
         self,
@@ -184,7 +181,7 @@ class AugmentationSequential(ImageSequential):
             values = list(args[0].values())
         else:
             names, values = None, list(args)
-            keys = self.data_keys if data_keys is None else self._keys(data_keys)
+            keys = self.data_keys if data_keys is None else labels.parse_data_keys("AugmentationSequential", data_keys)
         if keys is None:
             raise ValueCheckError("AugmentationSequential: without data_keys, expected one dict")
         if len(keys) != len(values):
@@ -423,7 +420,7 @@ class AugmentationSequential(ImageSequential):
             names = list(args[0])
             values = self._invert_all([DataKey.get(_without_suffix(n)) for n in names], list(args[0].values()), params)
             return dict(zip(names, values))
-        keys = self.data_keys if data_keys is None else self._keys(data_keys)
+        keys = self.data_keys if data_keys is None else labels.parse_data_keys("AugmentationSequential", data_keys)
         outputs = self._invert_all(keys or [DataKey.INPUT], list(args), params)
         return outputs[0] if len(outputs) == 1 else outputs
 

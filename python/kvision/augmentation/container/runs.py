@@ -24,7 +24,7 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision._dtype import as_dtype, compute_dtype
-from kvision.augmentation.base import AugmentationBase, Execution, Shape, where_chosen
+from kvision.augmentation.base import AugmentationBase, Execution, Shape, matrix_type, where_chosen
 from kvision.augmentation.columns import Columns, DrawPlan, Span, plan_draws
 from kvision.augmentation.configuration import Plans
 from kvision.augmentation.container.stages import Applied, Composed, MapLink, Stage, Warp
@@ -349,15 +349,16 @@ def _draw(x: Tensor, plan: _RunPlan, keys: Keys | None, frames: int) -> Tensor |
 
 
 def _executions(x: Tensor, plan: _RunPlan, columns: Tensor | None, keys: Keys | None, frames: int) -> list[Execution]:
-    executions, identity = [], (x.device, compute_dtype(x))
+    executions, identity = [], matrix_type(x)
     for request, span, shape, applies, certain in zip(
         plan.requests, plan.spans, plan.shapes, plan.applied, plan.certain
     ):
         if request is None or span is None or columns is None or keys is None:
-            executions.append(Execution(shape, applied=applies, identity=identity))
+            executions.append(Execution(shape, applied=applies))
         else:
             drawn, redraw = Columns(columns, span), (keys, plan.first + request)
-            executions.append(Execution(shape, drawn, None, applies, None, redraw, frames, certain, identity))
+            executions.append(Execution(shape, drawn, None, applies, None, redraw, frames, certain))
+        executions[-1].identity = identity
     return executions
 
 

@@ -10,7 +10,9 @@ its operators, when it is first used.
 
 from __future__ import annotations
 
+import gc
 import importlib
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from kvision import _backend, _ops, constants  # constants now: its tensor must not be made inside of a FakeTensorMode
@@ -220,12 +222,26 @@ _HOMES = {
 
 def __getattr__(name: str) -> Any:
     if name in _HOMES:
-        value = getattr(importlib.import_module(f"kvision.{_HOMES[name]}"), name)
+        value = getattr(_import_module(_HOMES[name]), name)
         globals()[name] = value
         return value
     if name in __all__:
-        return importlib.import_module(f"kvision.{name}")
+        return _import_module(name)
     raise AttributeError(f"module 'kvision' has no attribute {name!r}")
+
+
+def _import_module(name: str) -> ModuleType:
+    """Import a module of this package without collecting garbage.
+
+    What an import makes stays, and one collection looks at all objects of torch, which takes .1 s, as long as the filters.
+    """
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        return importlib.import_module(f"kvision.{name}")
+    finally:
+        if collects:
+            gc.enable()
 
 
 def __dir__() -> list[str]:

@@ -7,6 +7,8 @@ import os
 import torch
 from torch import Tensor
 
+from kvision._torch_compat import constant_in_graphs
+
 _TUNED_FOR = 227 << 10  # bytes, of compute capabilities 9.0 and 10.0
 
 
@@ -15,7 +17,7 @@ def fitting(x: Tensor, limit: int) -> int:
     return limit * min(_shared_memory(x.device.index or 0), _TUNED_FOR) // _TUNED_FOR if x.is_cuda else limit
 
 
-@torch.compiler.assume_constant_result
+@constant_in_graphs
 def _shared_memory(device: int) -> int:
     """The bytes a block may have; KVISION_SHARED_MEMORY lowers them, so that any GPU can test what smaller ones run."""
     chosen = int(os.environ.get("KVISION_SHARED_MEMORY") or _TUNED_FOR)

@@ -25,6 +25,7 @@ __all__ = [
     "TorchDispatchMode",
     "before_first_lookup",
     "below_autograd",
+    "constant_in_graphs",
     "find_operator",
     "function_caller",
     "has_kernel",
@@ -142,6 +143,16 @@ def keep_calls_apart(operator: Any) -> None:
 
     if operator not in compile_utils.rand_ops:
         compile_utils.rand_ops.append(operator)
+
+
+def constant_in_graphs(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Let torch.compile call `function` once and write its result into the graph.
+
+    torch.compiler.assume_constant_result is public, but imports the compiler, which takes more than a second that programs
+    without compilation would pay for. Waits for torch 2.14 to be the oldest, whose own only sets this mark.
+    """
+    function._dynamo_marked_constant = True  # type: ignore[attr-defined]
+    return function
 
 
 def largest(*sizes: int) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
 
+from kvision import _constants
 from kvision._constants import constant
 
 ROWS = ((1.0, 2.0), (3.0, 4.0))
@@ -32,6 +33,16 @@ def test_what_a_mode_makes_is_not_kept(device: torch.device) -> None:
     assert not kept.is_inference() and x.grad is not None and x.grad.tolist() == list(values)
 
 
+def test_a_bounded_number_is_kept(device: torch.device) -> None:
+    x = torch.rand(2, device=device)
+    before = len(_constants._in_graphs)
+    for i in range(3000):
+        constant((float(i), 0.5), x)
+    information = _constants._kept.cache_info()
+    assert information.maxsize is not None and information.currsize <= information.maxsize
+    assert len(_constants._in_graphs) == before
+
+
 def test_a_graph_reads_it_at_every_replay(device: torch.device) -> None:
     if device.type != "cuda":
         return
@@ -40,6 +51,9 @@ def test_a_graph_reads_it_at_every_replay(device: torch.device) -> None:
     graph = torch.cuda.CUDAGraph()
     with torch.cuda.graph(graph):
         y = x + constant((5.0, 6.0, 7.0), x)
+    for i in range(3000):  # which replace all constants but those that a graph reads
+        constant((float(i), 7.0, 8.0), x)
+    torch.full((1 << 16, 3), -1.0, device=device)
     x.zero_()
     graph.replay()
     assert y.tolist() == [5, 6, 7]

@@ -11,19 +11,26 @@ from torch import Tensor
 from kvision._torch_compat import in_function_transform
 
 
+# The constants that captured CUDA graphs read: their replays read this memory as long as they live, which nobody can ask.
+_in_graphs: dict[tuple[Any, ...], Tensor] = {}
+
+
 def constant(values: tuple[Any, ...], like: Tensor, dtype: torch.dtype | None = None) -> Tensor:
     """Numbers, or rows of them, as a tensor with the device and type of `like`. Not to be written to.
 
-    Each is copied to a device once in a process: a copy waits for the device, and a CUDA graph would repeat it from memory
-    of the host that has other owners by then.
+    The last thousand are kept on their device: a copy waits for the device, and a CUDA graph would repeat it from memory of the
+    host that has other owners by then.
     """
     dtype = dtype or like.dtype
-    if type(like) is Tensor and not torch.compiler.is_compiling() and not in_function_transform():
-        return _kept(values, like.device, dtype)
-    return torch.tensor(values, device=like.device, dtype=dtype)  # a tracer stores it in the graph
+    if type(like) is not Tensor or torch.compiler.is_compiling() or in_function_transform():
+        return torch.tensor(values, device=like.device, dtype=dtype)  # a tracer stores it in the graph
+    kept = _kept(values, like.device, dtype)
+    if like.is_cuda and torch.cuda.is_current_stream_capturing():
+        _in_graphs[values, like.device, dtype] = kept
+    return kept
 
 
-@functools.cache
+@functools.lru_cache(maxsize=1024)
 def _kept(values: tuple[Any, ...], device: torch.device, dtype: torch.dtype) -> Tensor:
     with torch.inference_mode(False):
         return torch.tensor(values, device=device, dtype=dtype)

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from kvision._torch_compat import in_function_transform
 
-
 # The constants that captured CUDA graphs read: their replays read this memory as long as they live, which nobody can ask.
 _in_graphs: dict[tuple[Any, ...], Tensor] = {}
 

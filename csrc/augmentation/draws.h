@@ -20,13 +20,14 @@ enum class DrawKind : uint8_t {
   rectangle,
   beta,
   normal,
-  uniform_and_affine
+  uniform_and_affine,
+  uniform_of_sample
 };
-constexpr int kDrawKinds = 10;
+constexpr int kDrawKinds = 11;
 
 // How many numbers a kind takes, and how many columns it gives: 0 for as many as its first number says.
-constexpr int kDrawNumbers[kDrawKinds] = {0, 3, 4, 3, 3, 6, 6, 3, 3, 5};
-constexpr int kDrawColumns[kDrawKinds] = {1, 1, 1, 1, 0, 4, 4, 1, 1, 2};
+constexpr int kDrawNumbers[kDrawKinds] = {0, 3, 4, 3, 3, 6, 6, 3, 3, 5, 3};
+constexpr int kDrawColumns[kDrawKinds] = {1, 1, 1, 1, 0, 4, 4, 1, 1, 2, 1};
 
 constexpr int kMaxDraws = 64, kMaxDrawNumbers = 256;  // of a launch, whose parameters take less than 4 KB
 
@@ -67,10 +68,12 @@ struct DrawParameters {
   Draw draws[kMaxDraws];
   double numbers[kMaxDrawNumbers];
 
-  KV_HD DrawSource source(Draw const& d, int64_t b) const {
-    // A seed is one of a sample: its index in the batch takes no part.
+  KV_HD DrawSource source(Draw const& d, int64_t b) const { return source_of_sample(d, d.same_on_batch ? 0 : b, b); }
+  KV_HD DrawSource source_of_sample(Draw const& d, int64_t b) const { return source_of_sample(d, b, b); }
+  // A seed is one of a sample: its index in the batch takes no part.
+  KV_HD DrawSource source_of_sample(Draw const& d, int64_t sample, int64_t b) const {
     int64_t const key = seeds ? seeds[b * seed_stride] : keys ? keys[d.key * key_stride] : d.key;
-    return {uint64_t(key), seeds || d.same_on_batch ? 0 : uint32_t(b), d.position};
+    return {uint64_t(key), seeds ? 0 : uint32_t(sample), d.position};
   }
 };
 
@@ -229,6 +232,9 @@ KV_HD void draw_sample(DrawParameters<T> const& p, Draw const& d, int64_t b) {
       // The second column is made of the first one as it is stored.
       result[0] = T(chosen ? uniform_of(source.words(d.index).w[0], n[0], n[1]) : n[4]);
       result[1] = T(fused(n[2], chosen ? double(result[0]) : n[4], n[3]));
+      break;
+    case DrawKind::uniform_of_sample:  // also under same_on_batch
+      result[0] = T(chosen ? uniform_of(p.source_of_sample(d, b).words(d.index).w[0], n[0], n[1]) : n[2]);
       break;
   }
 }

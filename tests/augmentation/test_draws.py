@@ -26,7 +26,7 @@ from kvision.augmentation.keys import draw_keys
 from op_tests import instruction_set
 from point_op_tests import Call, PointOpTests, vector
 
-KEYS = torch.tensor([0x123456789ABCDEF, -3, 2**62, 11, 5])
+KEYS = torch.tensor([0x123456789ABCDEF, -3, 2**62, 11, 5, 0x5DEECE66D])
 N = 20000
 
 CROP = Draw("resized_crop", (0.08, 1.0, math.log(3 / 4), math.log(4 / 3), 97, 131))
@@ -40,6 +40,7 @@ EXACT = [
     Request([CROP, TALL, RECTANGLE, WIDE, Draw("permutation", (1, 0, 0))], 0.9),
     Request([uniform(0, 1), Draw("permutation", (9, 8, -1))], 1.0, 1.0, True),
     Request([Draw("uniform_and_affine", (-0.3, 0.3, 0.7, 0.1, 0.25))], 0.9),
+    Request([uniform(0, 1), Draw("uniform_of_sample", (0, 2, -1))], 0.9, 1.0, True),
 ]
 ROUNDED = [
     Request([Draw("beta", (0.4, 0.4, 0.1)), Draw("beta", (3.0, 2.0, 0.1)), Draw("normal", (1.0, 2.0, 0.0))], 0.9)
@@ -346,7 +347,7 @@ def test_plans_are_checked(device):
         (KEYS, plan[:-1], numbers, "the plan ends within a request"),
         (KEYS, [plan[0] - 1, *plan[1:]], numbers, "more columns than"),
         (KEYS, [plan[0] + 1, *plan[1:]], numbers, "the draws take"),
-        (KEYS, [*plan[:-1], 10], numbers, "a kind of draw from 0 to 9, got 10"),
+        (KEYS, [*plan[:-1], 11], numbers, "a kind of draw from 0 to 10, got 11"),
         (KEYS, plan, numbers[:-4], "expected more numbers"),
         (KEYS, *too_many[:2], "the number of draws from 0 to 64, got 65"),
         (KEYS, *too_long[:2], "at most 256 numbers"),

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import torch
+from scipy import stats
 from torch import Tensor
 
 import kvision as K
@@ -54,6 +55,63 @@ def test_samples_not_chosen_are_unchanged(name: str) -> None:
     chosen = mix._params["batch_prob"] > 0.5
     if name != "RandomMixUpV2" or chosen.any():
         assert torch.equal(y[~chosen], x[~chosen])
+
+
+PARTNERS = {
+    "RandomMixUpV2": (lambda params: [params["mixup_pairs"]], {}),
+    "RandomCutMixV2": (lambda params: list(params["mix_pairs"]), {"num_mix": 2}),
+    "PatchMix": (lambda params: [params["mix_pairs"]], {}),
+    "RandomMosaic": (lambda params: list(params["permutation"].unbind(1)[1:]), {}),
+}
+
+
+@pytest.mark.parametrize("p", [0.2, 0.5, 1.0])
+@pytest.mark.parametrize("batch", [3, 8])
+@pytest.mark.parametrize("name", PARTNERS)
+@pytest.mark.parametrize("seeds", [40, pytest.param(4000, marks=pytest.mark.slow)])
+def test_partners_are_a_random_permutation_of_the_chosen(seeds: int, name: str, batch: int, p: float) -> None:
+    partners_of, options = PARTNERS[name]
+    same = {} if name == "RandomMosaic" else {"same_on_batch": True}
+    mixes = [getattr(A, name)(p=p, **options), getattr(A, name)(p=p, **options, **same)]
+    x = torch.empty(batch, 1, 16, 16)
+    tables: dict[tuple[int, int], Tensor] = {}  # of each round and number of chosen samples: who met whom
+    for seed in range(seeds):
+        mix = mixes[seed % 2]
+        execution = mix._draw(x, seed, None)
+        params = mix._params_on_device(x, execution)
+        chosen = torch.arange(batch)
+        if execution.chosen is not None:
+            chosen = chosen[execution.chosen]
+        for which, partners in enumerate(partners_of(params)):
+            mixed = torch.arange(batch)
+            mixed[chosen] = partners[chosen]
+            assert torch.equal(partners, mixed)  # the others keep themselves
+            table = (partners[chosen, None] == chosen).double()
+            assert torch.equal(table.sum(0), torch.ones(len(chosen), dtype=torch.float64))
+            at = which, len(chosen)
+            tables[at] = table + tables.get(at, 0)
+    statistic = freedom = 0.0
+    for (_, n), table in tables.items():
+        count = float(table.sum()) / max(n, 1)
+        if n > 1 and count >= 5 * n:
+            # Tables of permutations vary by n / (n - 1) more than those of independent rows.
+            statistic += float(((table - count / n) ** 2).sum()) * (n - 1) / count
+            freedom += (n - 1) ** 2
+    assert not freedom or stats.chi2.sf(statistic, freedom) > 1e-3
+    assert freedom or (seeds < 4000 and p < 1)
+
+
+@pytest.mark.parametrize("name", ["RandomMixUpV2", "RandomCutMixV2", "PatchMix"])
+def test_same_on_batch_shares_what_is_mixed_but_not_the_partner(name: str) -> None:
+    x = images()
+    mix = getattr(A, name)(same_on_batch=True)
+    y = mix(x, seed=3)
+    params = mix._params
+    shared = {"RandomMixUpV2": "mixup_lambdas", "RandomCutMixV2": "crop_src", "PatchMix": "patch_coords"}[name]
+    of_samples = params[shared].transpose(0, 1) if name == "RandomCutMixV2" else params[shared]
+    assert torch.equal(of_samples, of_samples[:1].expand_as(of_samples))
+    partners = PARTNERS[name][0](params)[0]
+    assert not torch.equal(partners, torch.arange(6)) and not torch.equal(y, x)
 
 
 def test_mixup_is_the_weighted_sum() -> None:

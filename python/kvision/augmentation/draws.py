@@ -45,6 +45,7 @@ KINDS = {
     "normal": Kind(8, 3, 1),  # mean, standard deviation, identity
     # Lowest, highest, scale, offset, identity of a real number v: v and scale * v + offset.
     "uniform_and_affine": Kind(9, 5, 2),
+    "uniform_of_sample": Kind(10, 3, 1),  # uniform, and another one for each sample also under same_on_batch
 }
 _NAMES = tuple(KINDS)
 MAX_DRAWS, MAX_NUMBERS = 64, 256  # of a launch: kMaxDraws and kMaxDrawNumbers of draws.h
@@ -173,18 +174,20 @@ def _reference(
         p, p_batch = numbers[number : number + 2]
         number += 2
         # A seed is one of a sample: its index in the batch takes no part.
-        source = _Source(
+        of_sample = _Source(
             keys[key] if seeds is None else seeds.expand(batch),
-            torch.zeros_like(sample) if same or seeds is not None else sample,
+            sample if seeds is None else torch.zeros_like(sample),
             position,
         )
+        source = of_sample._replace(sample=torch.zeros_like(sample)) if same else of_sample
         whole_batch = source._replace(sample=torch.full_like(sample, BATCH_SAMPLE))
         chosen = (unit(source.words(CHOSEN)[0]) < p) & (unit(whole_batch.words(CHOSEN)[0]) < p_batch)
         for index, kind in enumerate(kinds, start=first):
             name = _NAMES[kind]
             rest = numbers[number : number + KINDS[name].numbers]
             number += len(rest)
-            for value, identity in _VALUES[name](functools.partial(source.words, index), rest):
+            words = of_sample.words if name == "uniform_of_sample" else source.words
+            for value, identity in _VALUES[name](functools.partial(words, index), rest):
                 columns.append(torch.where(chosen, value, identity))
     if not columns:
         return images.new_empty(batch, 0, dtype=torch.float32)
@@ -351,6 +354,7 @@ _VALUES: dict[str, Callable[[_Words, Sequence[float]], _Columns]] = {
     "beta": _beta,
     "normal": _normal,
     "uniform_and_affine": _uniform_and_affine,
+    "uniform_of_sample": _uniform,
 }
 
 draw_parameters = register(

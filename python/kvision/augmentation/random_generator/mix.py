@@ -19,9 +19,15 @@ from kvision.core.exceptions import TypeCheckError, ValueCheckError
 __all__ = ["CutmixGenerator", "JigsawGenerator", "MixupGenerator", "MosaicGenerator", "PatchMixGenerator"]
 
 
-def partners(words: Tensor) -> Tensor:
-    """A random permutation of the samples, from one uniform number of each."""
-    return words.argsort(0)
+_PARTNER = Draw("uniform_of_sample", (0.0, 1.0, -1.0))  # orders the samples; -1 for those that are not chosen
+
+
+def partners(order: Tensor) -> Tensor:
+    """A random permutation of the chosen samples, from a draw `_PARTNER` of each; the others keep themselves."""
+    # Both begin with the samples that are not chosen, as sorting is stable.
+    return torch.empty_like(order, dtype=torch.int64).scatter(
+        0, (order >= 0).int().argsort(stable=True), order.argsort(stable=True)
+    )
 
 
 class MixupGenerator(RandomGeneratorBase):
@@ -52,7 +58,7 @@ class MixupGenerator(RandomGeneratorBase):
         self.p = p
 
     def draws(self, shape: Shape) -> Sequence[Any]:
-        return [uniform(0.0, 1.0), self._lambda.uniform()]
+        return [_PARTNER, self._lambda.uniform()]
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"mixup_pairs": partners(columns[:, 0]), "mixup_lambdas": columns[:, 1]}
@@ -95,7 +101,7 @@ class CutmixGenerator(RandomGeneratorBase):
     def draws(self, shape: Shape) -> Sequence[Draw]:
         # A partner, the area kept, and the position of the window's center.
         return [
-            uniform(0.0, 1.0),
+            _PARTNER,
             Draw("beta", (self._beta, self._beta, 1.0)),
             uniform(0.0, 1.0),
             uniform(0.0, 1.0),
@@ -104,12 +110,12 @@ class CutmixGenerator(RandomGeneratorBase):
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
         height, width = shape[-2:]
         pairs, windows = [], []
-        for words, kept, u, v in columns.reshape(-1, self.num_mix, 4).permute(1, 2, 0):
+        for order, kept, u, v in columns.reshape(-1, self.num_mix, 4).permute(1, 2, 0):
             side = (1 - kept).sqrt().clamp(self._cut.low, self._cut.high)
             w, h = (side * width).floor(), (side * height).floor()
             x, y = (u * (width - w + 1)).floor(), (v * (height - h + 1)).floor()
             right, bottom = x + w - 1, y + h - 1
-            pairs.append(partners(words))
+            pairs.append(partners(order))
             windows.append(torch.stack([x, y, right, y, right, bottom, x, bottom], -1).reshape(-1, 4, 2))
         return {
             "mix_pairs": torch.stack(pairs),
@@ -149,7 +155,7 @@ class PatchMixGenerator(RandomGeneratorBase):
     def draws(self, shape: Shape) -> Sequence[Draw]:
         h, w = (min(a, b) for a, b in zip(self.patch_size, shape[-2:]))
         return [
-            uniform(0.0, 1.0),
+            _PARTNER,
             Draw("integer", (0, 1, shape[-1] - w + 1, 0)),
             Draw("integer", (0, 1, shape[-2] - h + 1, 0)),
         ]
@@ -237,7 +243,7 @@ class MosaicGenerator(RandomGeneratorBase):
         self._start = ranges.parse("RandomMosaic", "start_ratio_range", start_ratio_range, bounds=(0.0, 1.0))
 
     def draws(self, shape: Shape) -> Sequence[Any]:
-        return [self._start.uniform(), self._start.uniform(), *[uniform(0.0, 1.0)] * (self.cells - 1)]
+        return [self._start.uniform(), self._start.uniform(), *[_PARTNER] * (self.cells - 1)]
 
     @property
     def cells(self) -> int:
@@ -245,7 +251,7 @@ class MosaicGenerator(RandomGeneratorBase):
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
         (height, width), (h, w) = shape[-2:], self.output_size or tuple(shape[-2:])
-        others = [partners(words) for words in columns[:, 2:].unbind(1)]
+        others = [partners(order) for order in columns[:, 2:].unbind(1)]
         x, y = (columns[:, 0] * width).floor(), (columns[:, 1] * height).floor()
         rows, cells = self.mosaic_grid
         x, y = x.clamp(max=max(cells * width - w, 0)), y.clamp(max=max(rows * height - h, 0))

@@ -85,9 +85,8 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
             return x
         columns = execution.columns
         by_name = columns is None and execution.params is not None
-        image_pass = (
-            None if by_name else self._kept_pass(execution.shape, None if columns is None else columns.span, flags)
-        )
+        span = None if columns is None else columns.span
+        image_pass = None if by_name else self._kept_pass(x.dtype, execution.shape, span, flags)
         if image_pass is None:
             return super()._run(x, execution, flags)
         return image_pass.run(x, None if columns is None else columns.drawn)[0]

@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision import enhance
 from kvision.augmentation.base import Params, Shape
 from kvision.augmentation.intensity_base import ColorStep, ColorSteps, IntensityAugmentationBase2D
-from kvision.core.exceptions import TypeCheckError
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = ["Denormalize", "Normalize"]
 
@@ -27,12 +27,29 @@ class _Statistics(IntensityAugmentationBase2D):
         super().__init__(p=p, same_on_batch=True, keepdim=keepdim, **options)
         op = type(self).__name__
         self.flags = {name: _tensor(op, name, value) for name, value in (("mean", mean), ("std", std))}
-        self._mean, self._std = (x.flatten().tolist() for x in self.flags.values())
+        self._known = {name: (x, x.flatten().tolist()) for name, x in self.flags.items()}
+
+    def result_dtype(self, dtype: torch.dtype) -> torch.dtype:
+        if dtype != torch.uint8:
+            return dtype
+        mean = self._numbers(self.flags, "mean")
+        if max(mean, default=0.0) > 1:
+            raise ValueCheckError(
+                f"{type(self).__name__}: expected mean of at most 1 for uint8 images, which count as x / 255, got "
+                f"{mean}; divide mean and std by 255"
+            )
+        return torch.float32  # the values leave [0, 1]
+
+    def _numbers(self, flags: dict[str, Any], name: str) -> list[float]:
+        """A mean or a standard deviation as numbers, which compilers cannot read from tensors."""
+        known, numbers = self._known[name]
+        return numbers if flags[name] is known else _tensor(type(self).__name__, name, flags[name]).flatten().tolist()
 
     def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps | None:
-        if shape[1] != 3 or len(self._mean) not in (1, 3) or len(self._std) not in (1, 3):
+        mean, std = self._numbers(flags, "mean"), self._numbers(flags, "std")
+        if shape[1] != 3 or len(mean) not in (1, 3) or len(std) not in (1, 3):
             return None
-        mean, std = (x * (3 // len(x)) for x in (self._mean, self._std))
+        mean, std = (x * (3 // len(x)) for x in (mean, std))
         return ColorSteps(
             [ColorStep(self.step, (*mean, *std) if self.step == "standardize_rgb" else (*std, *mean, 0.0))]
         )
@@ -48,6 +65,8 @@ def _tensor(op: str, name: str, value: Any) -> Tensor:
 class Normalize(_Statistics):
     """Subtract a mean and divide by a standard deviation, of all channels or of each.
 
+    uint8 images count as x / 255 and give float32, unless `p` is 0. `kvision.enhance.normalize` stays in the unit of its images.
+
     Args:
         mean: a number, or one of each channel.
         std: a number, or one of each channel.
@@ -56,6 +75,7 @@ class Normalize(_Statistics):
 
     Raises:
         TypeError: `mean` or `std` holds no numbers.
+        ValueError: in a call with uint8 images, `mean` is above 1.
 
     Example:
         >>> import torch, kvision as K
@@ -79,6 +99,8 @@ class Normalize(_Statistics):
 class Denormalize(_Statistics):
     """Multiply by a standard deviation and add a mean, of all channels or of each.
 
+    uint8 images count as x / 255 and give float32, unless `p` is 0. `kvision.enhance.denormalize` stays in the unit of its images.
+
     Args:
         mean: a number, or one of each channel.
         std: a number, or one of each channel.
@@ -87,6 +109,7 @@ class Denormalize(_Statistics):
 
     Raises:
         TypeError: `mean` or `std` holds no numbers.
+        ValueError: in a call with uint8 images, `mean` is above 1.
 
     Example:
         >>> import torch, kvision as K

@@ -344,6 +344,10 @@ class Pass(NamedTuple):
     def warps(self) -> bool:
         return len(self.size) > 0
 
+    def giving(self, dtype: torch.dtype) -> Pass:
+        """The same pass with results of a type."""
+        return self._replace(plan=[program._DTYPES.index(dtype), *self.plan[1:]])
+
     def run(self, x: Tensor, columns: Tensor | None) -> tuple[Tensor, Tensor]:
         """The result, and the matrices (B, 3, 3) of the warp, which do not carry gradients."""
         fill = None

@@ -24,6 +24,7 @@ from kvision.augmentation.container.stages import Applied, Stage
 from kvision.augmentation.draws import Request, uniform
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.core.pixels import to_unit
 
 __all__ = [
     "AutoContrast",
@@ -251,6 +252,7 @@ class OperationBase(nn.Module):
         # Applied to all samples: the gradient to the probability needs the results of samples that are not chosen, too.
         of_all = {name: drawn for name, drawn in params.items() if name != "batch_prob"}
         augmented: Tensor = self.op(x, params=of_all, return_transform=False)
+        x = x if x.dtype == augmented.dtype else to_unit(x)
         y = torch.where(chosen.detach() > 0.5, augmented, x)
         if not chosen.requires_grad:
             return y

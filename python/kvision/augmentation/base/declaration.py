@@ -144,6 +144,10 @@ class Declaration(_KeepsArguments):
         """The shape of the results for images of a shape."""
         return shape
 
+    def result_dtype(self, dtype: torch.dtype) -> torch.dtype:
+        """The type of the results for images of a type; float32 for uint8 where values leave [0, 1]."""
+        return dtype
+
     def identity_matrix(self, input: Tensor | Sequence[int]) -> Tensor:
         """An identity matrix for each sample of images, or of a shape (B, ...)."""
         n = self.axes

@@ -225,7 +225,7 @@ class Engine(Declaration):
         """Execute on images (B, C, H, W): by the methods that users override."""
         if not execution.applied:
             return x
-        stored = x.dtype
+        stored, result = x.dtype, self.result_dtype(x.dtype)
         transform: Tensor | None = None
         if self._needs_no_matrix():
             params = self._params_on_device(x, execution, for_users=False)
@@ -233,19 +233,19 @@ class Engine(Declaration):
             params = self._params_on_device(x, execution)
             transform = self.compute_transformation(x, params, flags)
         image = x
-        if stored == torch.uint8 and not self.accepts_bytes:
+        if stored == torch.uint8 and (result != stored or not self.accepts_bytes):
             image = x.float().div_(255)
         elif execution.chosen is not None and self._is_overridden("apply_transform"):
             image = x.clone()  # which may write to it, and samples that are not chosen stay
         y = self.apply_transform(image, params, flags, transform)
-        if stored == torch.uint8 and y.dtype != torch.uint8:
+        if result == torch.uint8 and y.dtype != torch.uint8:
             y = (y * 255).round_().clamp_(0, 255).to(torch.uint8)
-        elif y.dtype != stored and stored.is_floating_point:
-            y = y.to(stored)
+        elif y.dtype != result and result.is_floating_point:
+            y = y.to(result)
         if y.dim() == 4 and y.shape == x.shape:
             y = match_layout(y, x)
         if execution.chosen is not None and y.shape == x.shape:
-            y = where_chosen(execution.chosen, y, x)
+            y = where_chosen(execution.chosen, y, x if result == stored else image)
             if transform is not None:
                 identity = self.identity_matrix(x).to(transform)
                 transform = torch.where(execution.chosen[:, None, None], transform, identity)

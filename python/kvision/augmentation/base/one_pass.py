@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import torch
 from torch import Generator, Tensor
 
 from kvision.augmentation.base.engine import Engine
@@ -28,28 +29,35 @@ class OnePass(Engine):
     """Executes by one pass what has one, and by one kernel with its draws where nothing else is asked for."""
 
     def _plan(self, x: Tensor, has_seed: bool) -> CallPlan:
-        key = (x.shape, has_seed)
+        key = (x.shape, x.dtype, has_seed)
         plan: CallPlan | None = self._plans.get(key)
         if plan is None:
             shape = tuple(x.shape)
             draws = self._draws(shape, has_seed)
             decides = self.whole_batch and 0 < self.p_batch < 1  # on the host, in each call
             applied = not decides and self._applies(None, 0)
-            image_pass = self._pass(shape, None if draws is None else draws.spans[0], self.flags) if applied else None
+            span = None if draws is None else draws.spans[0]
+            image_pass = self._pass_of(x.dtype, shape, span, self.flags) if applied else None
             drawn = None if image_pass is None or draws is None else DrawnPass(draws, image_pass)
             plan = CallPlan(shape, draws, self._is_certain, image_pass, drawn)
             if draws is None or draws.learned is None:
                 self._plans.keep(key, plan)
         return plan
 
-    def _kept_pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
-        """The pass that executes this augmentation by columns, cached for the flags of the constructor."""
+    def _pass_of(self, dtype: torch.dtype, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
+        """The pass that executes this augmentation by columns on images of a type."""
+        image_pass, result = self._pass(shape, span, flags), self.result_dtype(dtype)
+        return image_pass if image_pass is None or result == dtype else image_pass.giving(result)
+
+    def _kept_pass(self, dtype: torch.dtype, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
+        """`_pass_of`, cached for the flags of the constructor."""
         if flags is not self.flags:
-            return self._pass(shape, span, flags)
-        kept: tuple[Pass | None] | None = self._plans.get((shape, span))
+            return self._pass_of(dtype, shape, span, flags)
+        key = (dtype, shape, span)
+        kept: tuple[Pass | None] | None = self._plans.get(key)
         if kept is None:
-            kept = (self._pass(shape, span, flags),)
-            self._plans.keep((shape, span), kept)
+            kept = (self._pass_of(dtype, shape, span, flags),)
+            self._plans.keep(key, kept)
         return kept[0]
 
     def _draw_and_run(

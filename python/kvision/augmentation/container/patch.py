@@ -19,6 +19,7 @@ from kvision.augmentation.keys import Seed, frame_seeds
 from kvision.augmentation.random_generator.crop import parse_size
 from kvision.augmentation.warp_and_color import SAME
 from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.core.pixels import to_unit
 
 __all__ = ["PatchParamItem", "PatchSequential"]
 
@@ -194,6 +195,8 @@ class PatchSequential(ImageSequential):
         is_cropped = any(pad) and self.padding == "valid"
         moves = is_cropped or any(_moves(child.module) for chain in chains for child in chain)
         self._stages = [Cells()] if moves else []
+        if any(cell.dtype != cells[0].dtype for cell in cells):  # some of bytes became floating point
+            cells = [to_unit(cell) for cell in cells]
         return self.restore_from_patches(torch.stack(cells, 1), pad=pad)
 
     def _cells(self, x: Tensor, pad: Padding) -> list[Tensor]:

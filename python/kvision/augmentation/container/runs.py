@@ -122,7 +122,7 @@ def _key(x: Tensor, children: Sequence[Child], source: Randomness, position: int
     """The key of the plan of a run: all that it depends on besides the settings of modules."""
     _, seed, _, once, _, output, frames, _, time, _ = source
     modules = [(id(child.module), child.params is None) for child in children]
-    return (x.shape, position, seed is None, once, output, frames, time, *modules)
+    return (x.shape, x.dtype, position, seed is None, once, output, frames, time, *modules)
 
 
 def _runs(children: Sequence[Child], plans: Plans) -> list[list[Child]]:
@@ -220,7 +220,7 @@ def _execute_run(
     links: list[Tensor] | None = None
     if run[0].params is not None:
         executions, columns = _replay(x, run)
-        steps: Sequence[_Step] = _plan_steps(modules, executions, source)
+        steps: Sequence[_Step] = _plan_steps(modules, executions, source, x.dtype)
     else:
         keys = None
         if plan is None:
@@ -402,7 +402,7 @@ def _plan_run(
         Execution(shape, None if span is None else Columns(x, span), applied=applies)  # of its span only
         for shape, span, applies in zip(shapes, spans, applied)
     ]
-    steps = _plan_steps(modules, planned, source)
+    steps = _plan_steps(modules, planned, source, x.dtype)
     certain = [module._is_certain for module in modules]
     start = steps[0] if steps and len(draws) == 1 and source.frames == 1 else None
     drawn: DrawnPass | DrawnLinks | None = None
@@ -452,10 +452,10 @@ def _more_keys(keys: Keys | None, count: int, x: Tensor, source: Randomness) -> 
 
 
 def _plan_steps(
-    modules: Sequence[AugmentationBase], executions: Sequence[Execution], source: Randomness
+    modules: Sequence[AugmentationBase], executions: Sequence[Execution], source: Randomness, dtype: torch.dtype
 ) -> list[_Step]:
-    """What is executed for these executions, of whose columns only the spans count."""
-    pending = _Pending(source.once)
+    """What is executed for these executions, of whose columns only the spans count, on images of a type."""
+    pending = _Pending(source.once, dtype)
     for number, (module, execution) in enumerate(zip(modules, executions)):
         pending.add(number, module, execution)
     return pending.finish(source.output)
@@ -479,8 +479,10 @@ class _Geometric(NamedTuple):
 class _Pending:
     """Neighboring augmentations that wait to be joined in one pass."""
 
-    def __init__(self, once: bool) -> None:
+    def __init__(self, once: bool, dtype: torch.dtype) -> None:
         self.once = once
+        self.dtype = dtype  # of the images that come next
+        self.converted: torch.dtype | None = None  # of the result of the pending color steps, if it is another one
         self.steps: list[_Step] = []
         self.geometric: list[_Geometric] = []
         self.parts: list[ColorPart] = []
@@ -489,6 +491,7 @@ class _Pending:
         if not execution.applied:
             return
         span = None if execution.columns is None else execution.columns.span
+        result = module.result_dtype(self.dtype)
         customized = module._is_customized()
         if isinstance(module, MapAugmentation) and self.once and not customized:
             if self.parts:
@@ -502,6 +505,8 @@ class _Pending:
                 if not fits_one_program([*self.parts, part]) or len(_chain(self.geometric)) > MAX_TRANSFORMS:
                     self._flush()
                 self.parts.append(part)
+                if result != self.dtype:
+                    self.dtype = self.converted = result
                 return
         if not customized and isinstance(module, GeometricAugmentationBase2D):
             chain = module.transforms(execution.shape, module.flags)
@@ -522,6 +527,7 @@ class _Pending:
                 return
         self._flush()
         self.steps.append(number)
+        self.dtype = result
 
     def _joins(self, geometric: _Geometric) -> bool:
         """Whether one warp gives what the pending ones and then `geometric` give."""
@@ -537,7 +543,9 @@ class _Pending:
 
     def _flush(self, output: Output = SAME) -> None:
         geometric, parts = self.geometric, self.parts
-        self.geometric, self.parts = [], []
+        if output.dtype is None:
+            output = output._replace(dtype=self.converted)
+        self.geometric, self.parts, self.converted = [], [], None
         alone = [at for at, g in enumerate(geometric) if g.chain is None or g.antialiased]
         if not alone or _is_window(geometric):
             self._join(geometric, parts, output)

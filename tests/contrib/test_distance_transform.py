@@ -30,17 +30,49 @@ class TestDistanceTransform(OpTests):
             return self.call(x, kwargs)
 
 
-def test_distance_is_scipys(device):
-    image = (torch.rand(2, 2, 30, 41, device=device) < 0.01).double()
-    image[:, :, 3, 4] = 1
-    expected = torch.from_numpy(scipy.ndimage.distance_transform_edt(1 - image[1, 1].cpu().numpy()))
-    assert_close(C.distance_transform(image, exact=True)[1, 1].cpu(), expected)
-    volume = (torch.rand(1, 1, 7, 8, 9) < 0.03).double()
-    volume[..., 0] = 0
-    volume[..., 3, 4, 5] = 1
-    expected = torch.from_numpy(scipy.ndimage.distance_transform_edt(1 - volume[0, 0].numpy()))
-    assert_close(C.distance_transform(volume, exact=True)[0, 0], expected)
-    assert C.distance_transform(torch.zeros(1, 1, 3, 3), exact=True).isinf().all()
+class TestExactDistances(OpTests):
+    function = staticmethod(C.distance_transform)
+    module = staticmethod(C.DistanceTransform)
+    operators = ("distance_transform_exact",)
+    accepted = ("input of one axis more",)  # a volume
+    variants = [{"exact": True}]
+    differentiable = False
+    shape = (2, 2, 13, 18)
+
+    def input(self, shape, dtype, device):
+        return (torch.rand(shape) < 0.05).to(dtype).to(device)
+
+
+@pytest.mark.parametrize(
+    "shape", [(1, 1, 1, 1), (2, 3, 1, 37), (1, 1, 70, 1), (2, 2, 45, 130), (1, 2, 7, 8, 9), (1, 1, 33, 3, 65)]
+)
+def test_exact_distances_are_scipys(shape, device):
+    for share in (0.9, 0.3, 0.01):  # with a source in every image, as SciPy's distance to none is another
+        image = (torch.rand(shape, device=device) < share).double().flatten(2)
+        image[..., image.shape[2] // 2] = 1
+        image = image.view(shape)
+        distances = C.distance_transform(image, exact=True)
+        for masks, actual in zip(image.flatten(0, 1).cpu(), distances.flatten(0, 1).cpu(), strict=True):
+            assert_close(actual, torch.from_numpy(scipy.ndimage.distance_transform_edt(1 - masks.numpy())), 1e-15, 0)
+
+
+def test_exact_distance_without_sources(device):
+    assert C.distance_transform(torch.zeros(1, 1, 3, 3, device=device), exact=True).isinf().all()
+    assert C.distance_transform(torch.zeros(0, 1, 3, 3, device=device), exact=True).shape == (0, 1, 3, 3)
+    one = torch.zeros(2, 1, 40, 33, device=device)
+    one[1, 0, 39, 32] = 1
+    distances = C.distance_transform(one, exact=True)
+    assert distances[0].isinf().all() and distances[1, 0, 0, 0] == (39**2 + 32**2) ** 0.5
+
+
+def test_exact_distances_of_long_images_are_exact(device):
+    """Squares above 2^24 are no longer whole numbers in float32."""
+    image = torch.zeros(1, 1, 2, 20_001, device=device)
+    image[..., 0, 0] = 1
+    distances = C.distance_transform(image, exact=True)
+    assert distances[0, 0, 0].tolist() == list(range(20_001))
+    with K.backend("native"), pytest.raises(RuntimeError, match="too large for distances in 32 bits"):
+        C.distance_transform(torch.zeros(1, 1, 1, 32_768, device=device), exact=True)
 
 
 def test_distance_is_kornias():

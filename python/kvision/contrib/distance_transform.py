@@ -134,8 +134,7 @@ def _approximate(x: Tensor, size: int, h: float) -> Tensor:
     return total
 
 
-@with_kernel_casts
-def _exact(x: Tensor) -> Tensor:
+def _exact_reference(x: Tensor) -> Tensor:
     """The squared distance, axis by axis: each step is a lower envelope of parabolas on the previous result."""
     squared = torch.where(x == 1, torch.zeros_like(x), torch.inf)
     for axis in range(2, x.dim()):
@@ -146,6 +145,28 @@ def _exact(x: Tensor) -> Tensor:
             squared = torch.minimum(squared, torch.cat([far, nearer[0]], axis))
             squared = torch.minimum(squared, torch.cat([nearer[1], far], axis))
     return squared.sqrt()
+
+
+def _exact_supports(x: Tensor) -> str | None:
+    """Sides are below 32768, and their squares add up to less than 2^31."""
+    sides = x.shape[2:]
+    if max(sides) < 32768 and sum(n * n for n in sides) < 1 << 31:
+        return None
+    return f"sides of {tuple(sides)} are too large for distances in 32 bits"
+
+
+_exact_kernel = register(
+    "distance_transform_exact",
+    _exact_reference,
+    fake=lambda x: torch.empty_like(x, memory_format=torch.contiguous_format),
+    non_differentiable=(0,),
+    supports=_exact_supports,
+)
+
+
+@with_kernel_casts
+def _exact(x: Tensor) -> Tensor:
+    return _exact_kernel(x)
 
 
 class DistanceTransform(FunctionModule):

@@ -50,8 +50,8 @@ MAPS = [
     Case("RandomThinPlateSpline", (0.2,)),
 ]
 INTENSITY = [
-    Case("ColorJiggle", (0.2, 0.2, 0.2, 0.2), any_channels=False),
-    Case("ColorJitter", (0.2, 0.2, 0.2, 0.2), any_channels=False),
+    Case("ColorJiggle", (0.2, 0.2, 0.2, 0.2)),
+    Case("ColorJitter", (0.2, 0.2, 0.2, 0.2)),
     Case("Denormalize", ([0.5, 0.4, 0.3], [0.2, 0.3, 0.4]), fixed=True, any_channels=False, all_or_none=True),
     Case("Normalize", ([0.5, 0.4, 0.3], [0.2, 0.3, 0.4]), fixed=True, any_channels=False, all_or_none=True),
     Case("RandomAutoContrast", fixed=True),
@@ -65,7 +65,7 @@ INTENSITY = [
     Case("RandomGamma", ((0.5, 1.5), (0.8, 1.0))),
     Case("RandomGaussianBlur", ((3, 5), (0.5, 2.0))),
     Case("RandomGrayscale", fixed=True),
-    Case("RandomHue", ((-0.3, 0.3),), any_channels=False),
+    Case("RandomHue", ((-0.3, 0.3),)),
     Case("RandomInvert", fixed=True),
     Case("RandomJPEG", ((20.0, 60.0),), any_channels=False),
     Case("RandomMedianBlur", fixed=True),
@@ -73,7 +73,7 @@ INTENSITY = [
     Case("RandomPlanckianJitter", any_channels=False),
     Case("RandomPosterize", (3,), gradient=False),
     Case("RandomRGBShift", any_channels=False),
-    Case("RandomSaturation", ((0.5, 1.5),), any_channels=False),
+    Case("RandomSaturation", ((0.5, 1.5),)),
     Case("RandomSharpness", ((0.2, 1.8),)),
     Case("RandomSolarize", (0.1, 0.1)),
     Case("RandomErasing"),

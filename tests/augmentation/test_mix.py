@@ -143,6 +143,34 @@ def test_labels_have_the_share_that_is_kept(name: str) -> None:
             assert labels[i].tolist() == [i, i, 0]
 
 
+@pytest.mark.parametrize("in_container", [False, True], ids=["alone", "container"])
+@pytest.mark.parametrize("name", ["RandomMixUpV2", "RandomCutMixV2", "PatchMix"])
+def test_probabilities_of_classes_are_mixed_as_the_images(name: str, in_container: bool, device: torch.device) -> None:
+    """Images of one channel a class, whose pixels are labels: their mean is what the labels become."""
+    mix = getattr(A, name)(**CLASSES[name] | {"p": 0.7}, data_keys=["input", "class"])
+    augment = A.AugmentationSequential(mix, data_keys=["input", "class"]) if in_container else mix
+    one_hot = torch.eye(6, dtype=torch.int64, device=device)[torch.tensor([0, 2, 4, 1, 1, 5])]
+    for labels in (one_hot, one_hot.float(), one_hot.double() * 0.75 + 0.25 / 6):
+        x = labels.double()[:, :, None, None].expand(6, 6, 12, 16)
+        y, mixed = augment(x, labels, seed=8)
+        assert mixed.dtype == (labels.dtype if labels.is_floating_point() else torch.float32)
+        torch.testing.assert_close(mixed.double(), y.mean((2, 3)), rtol=1e-6, atol=1e-6)
+        assert not torch.equal(y, x)
+    assert torch.equal(getattr(A, name)(p=0.0, data_keys=["input", "class"])(x, one_hot)[1], one_hot.float())
+
+
+def test_labels_of_boxes_are_not_probabilities() -> None:
+    x, boxes = images(), torch.tensor([[[1.0, 1.0, 5.0, 5.0], [2.0, 2.0, 9.0, 9.0]]]).repeat(6, 1, 1)
+    one_hot = torch.tensor([[0, 1]] * 6)
+    for labels in (one_hot, one_hot.float()):
+        cut = A.RandomCutMixV2(data_keys=["input", "bbox_xyxy", "class"])
+        for augment in (cut, A.AugmentationSequential(cut, data_keys=["input", "bbox_xyxy", "class"])):
+            _, moved, of_boxes = augment(x, boxes, labels)
+            assert moved.shape == (6, 4, 4) and of_boxes.shape == (6, 4) and of_boxes.dtype == labels.dtype
+    with pytest.raises(ValueError, match=r"RandomMixUpV2: expected labels .* got torch.int64 \(6, 2\)"):
+        A.RandomMixUpV2(data_keys=["input", "class"])(x, torch.tensor([[3, 1]] * 6))
+
+
 def test_jigsaw_moves_masks_and_points() -> None:
     x = torch.arange(2 * 12 * 16.0).reshape(2, 1, 12, 16)
     jigsaw = A.RandomJigsaw((3, 4), p=1.0, data_keys=["input", "mask", "keypoints"])

@@ -192,12 +192,36 @@ def test_fill_of_bytes(device: torch.device) -> None:
         torch.testing.assert_close(augment(stored / 255.0, seed=2) * 255, y.float(), atol=0.51, rtol=0)
 
 
+@pytest.mark.parametrize("channels", [1, 2, 4, 13])
+def test_images_without_colors_have_brightness_and_contrast(channels: int, device: torch.device) -> None:
+    x = torch.rand(6, channels, 8, 9, device=device, generator=torch.Generator(device).manual_seed(1))
+    order = (1, 3, 0, 2)
+    jitter, jiggle = (f((0.8, 1.2), (0.5, 0.9), 0.5, 0.3, p=0.7, order=order) for f in (A.ColorJitter, A.ColorJiggle))
+    for augment in (jitter, jiggle):
+        y = augment(x, seed=4)
+        factor = {name: augment._params[f"{name}_factor"].to(device) for name in ("brightness", "contrast")}
+        brightness, contrast = (factor[name][:, None, None, None] for name in ("brightness", "contrast"))
+        if augment is jitter:
+            mean = x.mean((1, 2, 3), keepdim=True)
+            expected = ((mean + (x - mean) * contrast).clamp(0, 1) * brightness).clamp(0, 1)
+        else:
+            expected = ((x * contrast).clamp(0, 1) + brightness - 1).clamp(0, 1)
+        chosen = augment._params["batch_prob"].to(device)[:, None, None, None] > 0.5
+        torch.testing.assert_close(y, torch.where(chosen, expected, x))
+        assert torch.equal(augment(x, params=augment._params), y)
+        flipped = A.ImageSequential(A.RandomHorizontalFlip(p=1.0), augment)
+        z = flipped(x, seed=4)
+        torch.testing.assert_close(z, augment(x.flip(-1), params=flipped._params[1].data))
+    for augment in (A.RandomHue((0.2, 0.3)), A.RandomSaturation((0.2, 0.3))):
+        assert torch.equal(augment(x), x)
+
+
 def test_refusals() -> None:
-    jitter = A.ColorJitter(0.2, 0.2, 0.2, 0.1)
-    with pytest.raises(ValueError, match=r"ColorJitter: expected images of 3 channels, got \(2, 1, 8, 8\)"):
-        A.ImageSequential(A.RandomHorizontalFlip(), jitter)(torch.rand(2, 1, 8, 8))
-    with pytest.raises(ValueError, match="ColorJitter: expected images of 3 channels"):
-        jitter(torch.rand(2, 4, 8, 8))
+    jitter, shift = A.ColorJitter(0.2, 0.2, 0.2, 0.1), A.RandomRGBShift(p=1.0)
+    with pytest.raises(ValueError, match=r"RandomRGBShift: expected images of 3 channels, got \(2, 1, 8, 8\)"):
+        A.ImageSequential(A.RandomHorizontalFlip(), shift)(torch.rand(2, 1, 8, 8))
+    with pytest.raises(ValueError, match="RandomRGBShift: expected images of 3 channels"):
+        shift(torch.rand(2, 4, 8, 8))
     with pytest.raises(TypeError, match="ImageSequential: expected input of a floating-point type or uint8"):
         A.ImageSequential(A.RandomHorizontalFlip())(torch.zeros(1, 3, 8, 8, dtype=torch.int64))
     container = A.ImageSequential(jitter)

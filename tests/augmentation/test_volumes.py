@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 import kvision.augmentation as A
+from augmentation_cases import CASES as CASES_OF_IMAGES
 from kvision.augmentation.base import AugmentationBase3D
 from kvision.geometry.linalg import transform_points
 from op_tests import does_not_wait
@@ -435,3 +436,40 @@ def test_masks_and_points_of_volumes_in_containers() -> None:
         augment(volumes_, masks, center[:, None, :2])
     with pytest.raises(NotImplementedError, match="boxes of volumes"):
         augment(volumes_, torch.zeros(2, 1, 4), data_keys=["image", "bbox_xyxy"])
+
+
+TAKE_VOLUMES = """ColorJiggle ColorJitter Denormalize Normalize RandomAutoContrast RandomBrightness RandomChannelDropout
+RandomChannelShuffle RandomClahe RandomContrast RandomEqualize RandomGamma RandomGrayscale RandomHue RandomInvert
+RandomPosterize RandomRGBShift RandomSaturation RandomSharpness RandomSolarize""".split()
+
+
+@pytest.mark.parametrize("case", CASES_OF_IMAGES, ids=lambda case: case.name)
+def test_augmentations_of_images_in_containers_of_volumes(case: Any, device: torch.device) -> None:
+    x = torch.rand(2, 3, 4, 8, 9, device=device) * torch.linspace(0.5, 1, 4, device=device)[:, None, None]
+    augment = case.make(**({} if case.changes_size else {"p": 1.0}))
+    container = A.AugmentationSequential(A.RandomHorizontalFlip3D(p=0.0), augment, data_keys=["input", "mask"])
+    mask = x[:, :1].round()
+    if case.name not in TAKE_VOLUMES:
+        with pytest.raises(
+            ValueError, match=rf"^{case.name}: expected images of shape \(B, C, H, W\), got \(2, 3, 4, 8"
+        ):
+            container(x, mask)
+        return
+    y, moved = container(x, mask, seed=1)
+    assert torch.equal(moved, mask)
+    again = container(x, mask, params=container._params)[0]
+    torch.testing.assert_close(again, y)
+    slices = [x[:, :, d] for d in range(4)]
+    if case.name == "ColorJitter":  # contrast is about the mean of all slices
+        slices, x = [x.flatten(2, 3)], x.flatten(2, 3)[:, :, None]
+    params = container._params[1].data
+    expected = torch.stack([augment(s, params={**params, "forward_input_shape": s.shape}) for s in slices], 2)
+    torch.testing.assert_close(y, expected.reshape(y.shape), rtol=1e-5, atol=1e-6)
+
+
+def test_policies_in_containers_of_volumes() -> None:
+    container = A.ImageSequential(A.RandomHorizontalFlip3D(), A.auto.RandAugment(2, 9))
+    with pytest.raises(
+        ValueError, match=r"RandAugment: expected images of shape \(B, C, H, W\), got \(2, 3, 4, 8, 8\)"
+    ):
+        container(torch.rand(2, 3, 4, 8, 8))

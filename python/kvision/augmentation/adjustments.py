@@ -380,6 +380,8 @@ class RandomGrayscale(IntensityAugmentationBase2D):
         tensor([0.2990, 0.2990, 0.2990])
     """
 
+    takes_volumes = True
+
     def __init__(
         self,
         rgb_weights: Tensor | Sequence[float] | None = None,
@@ -413,4 +415,4 @@ class RandomGrayscale(IntensityAugmentationBase2D):
         if len(self._weights) != channels:
             raise ShapeError(f"RandomGrayscale: expected {len(self._weights)} channels, got {tuple(input.shape)}")
         weights = constant(tuple(self._weights), input)
-        return (input * weights[:, None, None]).sum(1, keepdim=True).expand_as(input)
+        return (input * weights.reshape(-1, *[1] * (input.dim() - 2))).sum(1, keepdim=True).expand_as(input)

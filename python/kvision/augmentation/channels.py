@@ -41,6 +41,8 @@ class RandomChannelShuffle(IntensityAugmentationBase2D):
         tensor([0., 1., 2.])
     """
 
+    takes_volumes = True
+
     def __init__(
         self,
         same_on_batch: bool = False,
@@ -76,6 +78,8 @@ class RandomChannelDropout(IntensityAugmentationBase2D):
         >>> K.augmentation.RandomChannelDropout(3, p=1.0)(torch.ones(1, 3, 1, 1)).flatten()
         tensor([0., 0., 0.])
     """
+
+    takes_volumes = True
 
     def __init__(
         self,

@@ -31,11 +31,17 @@ class DrawnPass:
         )
         # Types of images for which posterization has other numbers.
         self._types_with_other_numbers = SPLIT if image_pass.splits else ()
+        self._around_mean = image_pass.has_contrast
         self._plan: tuple[Tensor, Tensor] | None = None
+
+    def _takes(self, x: Tensor) -> bool:
+        if x.dtype in self._types_with_other_numbers or x.dim() != 4:
+            return False
+        return not self._around_mean or x.shape[1] in (1, 3)
 
     def run(self, x: Tensor, keys: Keys) -> tuple[Tensor, Tensor, Tensor]:
         """The result, the matrices (B, 3, 3) of the warp, which do not carry gradients, and the columns."""
-        if self.has_kernel and x.dtype not in self._types_with_other_numbers and _draw_warp_and_color.serves(x):
+        if self.has_kernel and self._takes(x) and _draw_warp_and_color.serves(x):
             if self._plan is None:
                 self._plan = self._packed()
             y, matrix, columns = _draw_warp_and_color.kernel(

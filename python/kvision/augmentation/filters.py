@@ -234,6 +234,8 @@ class RandomSharpness(IntensityAugmentationBase2D):
         tensor([[[[0.2500, 0.7500]]]])
     """
 
+    takes_volumes = True
+
     def __init__(
         self,
         sharpness: Any = 0.5,
@@ -274,6 +276,8 @@ class RandomEqualize(IntensityAugmentationBase2D):
         torch.Size([2, 3, 8, 8])
     """
 
+    takes_volumes = True
+
     def __init__(
         self,
         same_on_batch: bool = False,
@@ -308,6 +312,8 @@ class RandomAutoContrast(IntensityAugmentationBase2D):
         >>> K.augmentation.RandomAutoContrast()(torch.tensor([[[[0.25, 0.5]]]])).round(decimals=3)
         tensor([[[[0., 1.]]]])
     """
+
+    takes_volumes = True
 
     def __init__(
         self,
@@ -348,6 +354,8 @@ class RandomClahe(IntensityAugmentationBase2D):
         >>> K.augmentation.RandomClahe(grid_size=(2, 2), p=1.0)(torch.rand(1, 1, 8, 8)).shape
         torch.Size([1, 1, 8, 8])
     """
+
+    takes_volumes = True
 
     def __init__(
         self,

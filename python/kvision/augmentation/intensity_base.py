@@ -31,10 +31,15 @@ class ColorSteps(NamedTuple):
     order: Sequence[int] | None = None
 
 
+_OF_COLORS = ("hue", "saturation", "saturation_gray")
+_NOTHING = ColorStep("scale_shift", (1.0, 0.0, 0.0))
+
+
 class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
     """Base of augmentations that change values and no positions; the matrix is the identity.
 
-    A subclass declares a part of a color program, `color_steps`, or overrides `apply_transform`.
+    A subclass declares a part of a color program, `color_steps`, or overrides `apply_transform`. One that gives each slice of
+    a volume (B, C, D, H, W) its own result says `takes_volumes`; color programs take volumes, too.
 
     Args:
         p: probability that a sample is augmented.
@@ -57,9 +62,21 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
         tensor([[[[1., 1.]]]])
     """
 
+    takes_volumes = False
+
     def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps | None:
         """The steps of the drawn columns; None if `apply_transform` is overridden instead."""
         return None
+
+    def _steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps | None:
+        """The steps for images of a shape: those that change colors change nothing where there are none."""
+        steps = self.color_steps(shape, flags)
+        if steps is None or shape[1] == 3:
+            return steps
+        served = [_NOTHING if step.name in _OF_COLORS else step for step in steps.steps]
+        if any(STEPS[step.name].domain == "rgb" for step in served):
+            raise ShapeError(f"{type(self).__name__}: expected images of 3 channels, got {tuple(shape)}")
+        return steps._replace(steps=served)
 
     def _request(self, shape: Shape) -> Request | None:
         request = super()._request(shape)
@@ -98,7 +115,7 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        steps = self.color_steps(tuple(input.shape), flags)
+        steps = self._steps(tuple(input.shape), flags)
         if steps is None:
             raise NotImplementedError(f"{type(self).__name__}.apply_transform")
         columns = None
@@ -132,11 +149,9 @@ def color_part(
     module: IntensityAugmentationBase2D, shape: Shape, span: Span | None, flags: dict[str, Any]
 ) -> ColorPart | None:
     """What an augmentation contributes to a color program, by its columns; None for one without steps."""
-    steps = module.color_steps(shape, flags)
+    steps = module._steps(shape, flags)
     if steps is None:
         return None
-    if shape[1] != 3 and any(STEPS[step.name].domain == "rgb" for step in steps.steps):
-        raise ShapeError(f"{type(module).__name__}: expected images of 3 channels, got {tuple(shape)}")
     if span is None:
         return ColorPart(steps.steps)
     order = None

@@ -125,10 +125,12 @@ class MixAugmentationBaseV2(AugmentationBase2D):
                 self._check_labels(key, value, x.shape[0])
         execution = self._draw(x, seed, generator) if params is None else self._from_params(params, x)
         self._execution = execution
-        outputs = [self._mixed(key, value, x, execution) for key, value in zip(keys, input)]
+        boxes = next((value.shape[1] for key, value in zip(keys, input) if key in BOX_FORMATS), None)
+        outputs = [self._mixed(key, value, x, execution, boxes) for key, value in zip(keys, input)]
         return outputs[0] if len(outputs) == 1 else outputs
 
-    def _mixed(self, key: DataKey, value: Any, x: Tensor, execution: Execution) -> Any:
+    def _mixed(self, key: DataKey, value: Any, x: Tensor, execution: Execution, boxes: int | None) -> Any:
+        """What belongs to a key, mixed; `boxes` is how many boxes an image has, None without boxes."""
         if key == DataKey.INPUT:
             return self._run(self.transform_tensor(value), execution, self.flags)
         params = self._params_on_device(x, execution)
@@ -138,15 +140,41 @@ class MixAugmentationBaseV2(AugmentationBase2D):
             return self.apply_transform_boxes(value, params, {**self.flags, "mode": key, "chosen": execution.chosen})
         if key == DataKey.KEYPOINTS:
             return self._chosen(self.apply_transform_keypoint(value, params, self.flags), value, execution)
+        if value.dim() == 2 and value.shape[1] != boxes and self._is_mixture(value, boxes):
+            return self._mixed_probabilities(value, params, execution)
         params = {**params, "chosen": execution.chosen}
         if not execution.applied:
             params["chosen"] = torch.zeros(x.shape[0], dtype=torch.bool, device=x.device)
         return self.apply_transform_class(value, params, self.flags)
 
-    def _mixed_labels(self, key: DataKey, labels: Any, execution: Execution) -> Any:
+    def _mixed_labels(self, key: DataKey, labels: Any, execution: Execution, boxes: int | None) -> Any:
         """Labels of the images of an execution, in containers."""
         self._check_labels(key, labels, execution.shape[0])
-        return self._mixed(key, labels, labels.new_empty(execution.shape[0]), execution)
+        return self._mixed(key, labels, labels.new_empty(execution.shape[0]), execution, boxes)
+
+    def _partners(self, params: Params) -> list[tuple[Tensor, Tensor]] | None:
+        """Partners (B,) and their parts (B,) of the result, for labels (B, K); None where images are not mixed so."""
+        return None
+
+    def _is_mixture(self, labels: Tensor, boxes: int | None) -> bool:
+        """Whether labels (B, K) are probabilities of K classes, or integers with one 1 a row, which are read for that."""
+        if type(self)._partners is MixAugmentationBaseV2._partners:
+            return False
+        if labels.is_floating_point():
+            return True
+        return boxes is None and bool((((labels == 0) | (labels == 1)).all(1) & (labels.sum(1) == 1)).all())
+
+    def _mixed_probabilities(self, labels: Tensor, params: Params, execution: Execution) -> Tensor:
+        """Probabilities (B, K) of the classes of images, as much of each partner as the result has."""
+        stored = labels.dtype if labels.is_floating_point() else torch.float32
+        values = labels.to(torch.promote_types(stored, torch.float32))
+        if not execution.applied:
+            return values.to(stored)
+        partners = [(index.to(values.device), part.to(values)) for index, part in self._partners(params) or ()]
+        mixed = values * (1 - sum(part for _, part in partners))[:, None]
+        for index, part in partners:
+            mixed = mixed + values[index] * part[:, None]
+        return where_chosen(execution.chosen, mixed, values).to(stored)
 
     def _check_labels(self, key: DataKey, labels: Any, count: int) -> None:
         op, name = type(self).__name__, key.name.lower()
@@ -252,7 +280,8 @@ def _labels(labels: Tensor, partners: Tensor, weights: Tensor, params: Params) -
 class RandomMixUpV2(MixAugmentationBaseV2):
     """Mix each image with another one of the batch: (1 - weight) * image + weight * partner.
 
-    Labels become (B, 3): the label, that of the partner, and the weight of the partner. Masks are mixed as images.
+    Labels (B,) become (B, 3): the label, that of the partner, and the weight of the partner. Labels (B, K), probabilities or
+    integers with one 1 a row, are mixed, and so are masks.
     Source: Zhang, Cisse, Dauphin and Lopez-Paz, mixup: beyond empirical risk minimization, ICLR 2018.
 
     Args:
@@ -299,7 +328,15 @@ class RandomMixUpV2(MixAugmentationBaseV2):
             raise self._refuse("masks of integers")
         return self.apply_transform(input, params, flags)
 
+    def _partners(self, params: Params) -> list[tuple[Tensor, Tensor]]:
+        return [(params["mixup_pairs"], params["mixup_lambdas"])]
+
     def apply_transform_class(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        if input.dim() > 1:
+            raise ShapeError(
+                f"{type(self).__name__}: expected labels (B,), or (B, K) of a floating-point type or with one 1 a row, "
+                f"got {input.dtype} {tuple(input.shape)}"
+            )
         return _labels(input, params["mixup_pairs"], params["mixup_lambdas"], params)
 
 
@@ -314,8 +351,9 @@ def _in_windows(windows: Tensor, height: int, width: int) -> Tensor:
 class RandomCutMixV2(MixAugmentationBaseV2):
     """Paste a window of another image of the batch into each image.
 
-    Labels become (num_mix, B, 3): the label, that of the partner, and the fraction of the image that is kept. Masks are pasted
-    as images. Boxes (B, N, 4) and their labels (B, N) are followed by those of the partners, clipped to the window.
+    Labels (B,) become (num_mix, B, 3): the label, that of the partner, and the fraction of the image that is kept. Labels (B,
+    K), probabilities or integers with one 1 a row, are mixed by what is seen of each image. Masks are pasted as images. Boxes
+    (B, N, 4) and their labels (B, N) are followed by those of the partners, clipped to the window.
     Source: Yun, Han, Oh, Chun, Choe and Yoo, CutMix, ICCV 2019.
 
     Args:
@@ -380,6 +418,15 @@ class RandomCutMixV2(MixAugmentationBaseV2):
     def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         return self._pasted_boxes(input, self._windows(params), flags)
 
+    def _partners(self, params: Params) -> list[tuple[Tensor, Tensor]]:
+        height, width = (int(n) for n in params["image_shape"].tolist())
+        windows = self._windows(params)
+        last = windows[0][1].new_zeros(1)  # the round that a pixel is from: later windows cover earlier ones
+        for number, (_, window) in enumerate(windows, start=1):
+            last = torch.where(_in_windows(window, height, width), number, last)
+        parts = [(last == number).double().mean((1, 2, 3)) for number in range(1, len(windows) + 1)]
+        return [(partners, part) for (partners, _), part in zip(windows, parts)]
+
     def apply_transform_class(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         if input.dim() > 1:
             return _of_boxes(input, [partners for partners, _ in self._windows(params)], params)
@@ -394,8 +441,9 @@ class RandomCutMixV2(MixAugmentationBaseV2):
 class PatchMix(MixAugmentationBaseV2):
     """Paste a square window of another image of the batch into each image; all windows have the same size.
 
-    Labels become (B, 3): the label, that of the partner, and the fraction of the image that is kept. Masks are pasted as
-    images. Boxes (B, N, 4) and their labels (B, N) are followed by those of the partners, clipped to the window.
+    Labels (B,) become (B, 3): the label, that of the partner, and the fraction of the image that is kept. Labels (B, K),
+    probabilities or integers with one 1 a row, are mixed by these fractions. Masks are pasted as images. Boxes (B, N, 4) and
+    their labels (B, N) are followed by those of the partners, clipped to the window.
 
     Args:
         alpha: accepted for code written for Kornia: the window has one size.
@@ -440,6 +488,9 @@ class PatchMix(MixAugmentationBaseV2):
 
     def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         return self._pasted_boxes(input, [(params["mix_pairs"], params["patch_coords"])], flags)
+
+    def _partners(self, params: Params) -> list[tuple[Tensor, Tensor]]:
+        return [(params["mix_pairs"], 1 - params["lam"])]
 
     def apply_transform_class(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         if input.dim() > 1:

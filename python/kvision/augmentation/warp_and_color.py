@@ -221,7 +221,18 @@ def _supports(image: Tensor, columns: Tensor | None, fill: Tensor | None, size: 
         return f"there is no kernel for images without pixels, here {tuple(image.shape)}"
     if plan[0] >= 0 and (image.dtype == torch.float64) != (plan[0] == program._DTYPES.index(torch.float64)):
         return f"there is no kernel from {image.dtype} to {program._DTYPES[plan[0]]}"
+    return _unsupported_channels(image, plan)
+
+
+def _unsupported_channels(image: Tensor, plan: Sequence[int]) -> str | None:
+    """Contrast is around the mean of three channels or one."""
+    if image.shape[1] not in (1, 3) and _has_contrast(plan):
+        return f"there is no kernel for contrast of {image.shape[1]} channels"
     return None
+
+
+def _has_contrast(plan: Sequence[int]) -> bool:
+    return CONTRAST in _parse(plan, ()).steps
 
 
 def _supports_backward(grad: Tensor, image: Tensor, columns: Tensor | None, *rest: Any) -> str | None:
@@ -230,7 +241,7 @@ def _supports_backward(grad: Tensor, image: Tensor, columns: Tensor | None, *res
         return f"there is no kernel for images without pixels, here {tuple(image.shape)}"
     if rest[-1] and columns is not None and columns.shape[1] > program.MAX_NUMBERS:
         return f"there is no kernel for gradients of {columns.shape[1]} columns"
-    return None
+    return _unsupported_channels(image, rest[4])
 
 
 def _adds_by_atomics(grad: Tensor, image: Tensor, *rest: Any) -> bool:
@@ -348,8 +359,15 @@ class Pass(NamedTuple):
         """The same pass with results of a type."""
         return self._replace(plan=[program._DTYPES.index(dtype), *self.plan[1:]])
 
+    @property
+    def has_contrast(self) -> bool:
+        return _has_contrast(self.plan)
+
     def run(self, x: Tensor, columns: Tensor | None) -> tuple[Tensor, Tensor]:
         """The result, and the matrices (B, 3, 3) of the warp, which do not carry gradients."""
+        if x.dim() == 5:  # a volume, whose slices are those of one high image
+            y, matrix = self.run(x.flatten(2, 3), columns)
+            return y.unflatten(2, x.shape[2:4]), matrix
         fill = None
         if self.resampling is not None:
             value = fill_of_images(x, self.resampling.fill)

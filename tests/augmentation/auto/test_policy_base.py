@@ -299,15 +299,17 @@ def test_gray_images_are_those_of_three_equal_channels(make: Any, dtype: torch.d
 
 
 @pytest.mark.parametrize("make", [*POLICIES.values(), AugMix], ids=[*POLICIES, "mixture"])
-@pytest.mark.parametrize("channels", [2, 4])
+@pytest.mark.parametrize("channels", [2, 4, 13])
 def test_images_of_other_channels(make: Any, channels: int, device: torch.device) -> None:
-    x = torch.rand(2, channels, 8, 8, device=device)
-    with pytest.raises(
-        ValueError, match=rf"Aug\w*: expected images of 1 or 3 channels for .*got \(2, {channels}, 8, 8\)"
-    ):
-        make()(x)
-    without = PolicyAugmentBase([[("rotate", 1.0, 0.0, 30.0), ("equalize", 1.0, 0.0, 0.0)]])
-    assert without(x).shape == x.shape
+    x = torch.rand(8, channels, 8, 8, device=device)
+    y = make()(x, seed=3)
+    assert y.shape == x.shape and not torch.equal(y, x)
+    color, contrast = (PolicyAugmentBase([[(name, 1.0, 1.5, 1.5)]]) for name in ("color", "contrast"))
+    assert torch.equal(color(x), x)
+    factor = contrast.forward_parameters(x.shape)[0].data["magnitude"].to(device)[:, None, None, None]
+    mean = x.mean((1, 2, 3), keepdim=True)
+    expected = (mean + (x - mean) * factor).clamp(0, 1)
+    torch.testing.assert_close(contrast(x, params=contrast._params), expected)
 
 
 @policies_and_mixtures

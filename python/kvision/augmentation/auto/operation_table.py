@@ -205,8 +205,8 @@ def execute_step(x: Tensor, names: tuple[str, ...], operation: Tensor, value: Te
         matrix = _matrix(operation, value, *size)
         x = warp(x, matrix, size, _BILINEAR)
         stages.append(Warp(matrix, size, size, _BILINEAR))
-    is_gray = x.shape[1] == 1  # images without colors to change
-    color = tuple(name for name in _COLOR if name in names and not (is_gray and name == "color"))
+    has_colors = x.shape[1] == 3
+    color = tuple(name for name in _COLOR if name in names and (has_colors or name != "color"))
     if color:
         values = torch.where(operation == OPERATIONS["posterize"].number, value.round(), value)
         columns = torch.cat([values[:, None], constant(_orders(color), value)[operation]], 1)

@@ -24,7 +24,6 @@ __all__ = ["PolicyAugmentBase"]
 
 LEVELS = 30  # the highest level of magnitude; the lowest is 0
 _MODES = ("silent", "silence", "rigid", "skip")
-_WITH_GRAY = ("color", "contrast")  # operations that need the gray value of a pixel
 
 _choose_operations = FastPath("choose_operations", (torch.float32,))
 
@@ -51,8 +50,8 @@ class PolicyAugmentBase(ImageSequential):
 
     The choices and the values of all samples are drawn at once, and one kernel runs a step on the batch, each sample's
     operation alone, so that nothing waits for the device; another one has its gradient. For images of float64 or of other than
-    three channels, an operation runs on the whole batch, without effect on samples with another one. Images of one channel are
-    gray: color leaves them as they are. Color and contrast are not defined for images of other than one or three channels.
+    three channels, an operation runs on the whole batch, without effect on samples with another one. Color leaves those of other
+    than three channels as they are, and contrast is about the mean of all their channels.
 
     Values in which an operation has a direction (rotate, shear, translate) or a neutral factor (color, contrast,
     brightness, sharpness) are mirrored about the value that changes nothing for a random half of the samples.
@@ -69,7 +68,6 @@ class PolicyAugmentBase(ImageSequential):
     Raises:
         TypeError: an entry does not have the form in Args; `count` is not an int.
         ValueError: the policy is empty; `count` is below 1; an operation is unknown; a probability is not within 0 and 1.
-            A call raises it for images of other than one or three channels, if the policy has color or contrast.
 
     Example:
         >>> import torch, kvision as K
@@ -213,11 +211,8 @@ class PolicyAugmentBase(ImageSequential):
 
     def _run(self, x: Tensor, drawn: Drawn) -> tuple[Tensor, list[Stage]]:
         """Execute what was drawn; gives the images, and what labels have to follow."""
-        if x.shape[1] not in (1, 3) and any(name in names for names in self._names for name in _WITH_GRAY):
-            raise ShapeError(
-                f"{type(self).__name__}: expected images of 1 or 3 channels for 'color' and 'contrast', got "
-                f"{tuple(x.shape)}"
-            )
+        if x.dim() != 4:
+            raise ShapeError(f"{type(self).__name__}: expected images of shape (B, C, H, W), got {tuple(x.shape)}")
         return execute_steps(x, self._names[: drawn.operation.shape[1]], drawn.operation, drawn.value)
 
     def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:

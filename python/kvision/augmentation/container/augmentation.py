@@ -94,6 +94,7 @@ class AugmentationSequential(ImageSequential):
     _kept_boxes: Sequence[Any] = ()
     _points: Sequence[tuple[Any, Any]] = ()  # before and after
     _videos: VideoLayout | None = None
+    _boxes: int | None = None  # how many an image has
     _result_size: tuple[int, ...] = (0, 0)
 
     def __init__(
@@ -210,6 +211,8 @@ class AugmentationSequential(ImageSequential):
         state = self.__dict__  # faster than Module.__setattr__, which looks for parameters
         state["_videos"] = self._video_layout(inputs[first])
         inputs = self._of_frames(keys, inputs)
+        of_boxes = (value for key, value in zip(keys, inputs) if key in labels.BOX_FORMATS)
+        state["_boxes"] = next((value.shape[1] for value in of_boxes if isinstance(value, Tensor)), None)
         image = inputs[first]
         x = self.transform_tensor(image)
         y = self._execute(x, params, self._source(seed, generator, has_labels=len(keys) > 1))
@@ -332,7 +335,9 @@ class AugmentationSequential(ImageSequential):
             module: Any = stage.module
             if getattr(module, "mixes_samples", False):
                 before = self._moved(key, value, stages[:i])
-                return self._moved(key, module._mixed_labels(key, before, stage.execution), stages[i + 1 :])
+                return self._moved(
+                    key, module._mixed_labels(key, before, stage.execution, self._boxes), stages[i + 1 :]
+                )
             if stage.stages and mixes(stage.stages):
                 nested = self._moved(key, self._moved(key, value, stages[:i]), stage.stages)
                 return self._moved(key, nested, stages[i + 1 :])

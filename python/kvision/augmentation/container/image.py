@@ -43,7 +43,7 @@ torch.serialization.add_safe_globals([ParamItem])  # torch.load reads `_params`
 
 # What a call leaves behind.
 _STATE = frozenset(
-    "_stages _shape _executed _param_items _result_size _kept_boxes _points _videos _restore "
+    "_stages _shape _executed _param_items _result_size _kept_boxes _points _videos _boxes _restore "
     "_drawn _executed_cells".split()
 )
 

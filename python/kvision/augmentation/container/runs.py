@@ -46,6 +46,7 @@ from kvision.augmentation.warp_and_color import (
     fits_one_program,
     make_pass,
 )
+from kvision.core.exceptions import ShapeError
 
 
 @dataclass(slots=True)
@@ -461,6 +462,14 @@ def _plan_steps(
     return pending.finish(source.output)
 
 
+def _check_takes_volumes(module: AugmentationBase, shape: Shape) -> None:
+    """Raise unless an augmentation of images is one of volumes (B, C, D, H, W), too."""
+    if isinstance(module, IntensityAugmentationBase2D):
+        if module.takes_volumes or module.color_steps(shape, module.flags) is not None:
+            return
+    raise ShapeError(f"{type(module).__name__}: expected images of shape (B, C, H, W), got {shape}")
+
+
 class _Geometric(NamedTuple):
     """A geometric augmentation that waits to be joined."""
 
@@ -493,6 +502,8 @@ class _Pending:
         span = None if execution.columns is None else execution.columns.span
         result = module.result_dtype(self.dtype)
         customized = module._is_customized()
+        if len(execution.shape) != module.axes + 1 and not customized:
+            _check_takes_volumes(module, execution.shape)
         if isinstance(module, MapAugmentation) and self.once and not customized:
             if self.parts:
                 self._flush()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -22,6 +23,7 @@ from torch.compiler import is_compiling
 from torch.utils._python_dispatch import TorchDispatchMode
 
 __all__ = [
+    "LoadedModule",
     "TorchDispatchMode",
     "before_first_lookup",
     "below_autograd",
@@ -75,6 +77,32 @@ def without_transforms(x: Tensor) -> Tensor:
     while is_functorch_wrapped_tensor(x):
         x = get_unwrapped(x)
     return x
+
+
+class LoadedModule(nn.Module):
+    """A module that sees a state dict before it loads it, and knows whether a missing key is an error.
+
+    Waits for a method of nn.Module: the public hook is registered object by object, and `strict` is True to it in any case.
+    """
+
+    def _before_loading(self, state_dict: dict[str, Any], prefix: str, is_strict: bool, errors: list[str]) -> None:
+        raise NotImplementedError
+
+    def _load_from_state_dict(
+        self,
+        state_dict: dict[str, Any],
+        prefix: str,
+        metadata: Any,
+        strict: bool,
+        missing: Any,
+        extra: Any,
+        errors: Any,
+    ) -> None:
+        frame = sys._getframe()
+        while frame.f_back is not None and frame.f_code is not nn.Module.load_state_dict.__code__:
+            frame = frame.f_back
+        self._before_loading(state_dict, prefix, frame.f_locals.get("strict", strict), errors)
+        super()._load_from_state_dict(state_dict, prefix, metadata, strict, missing, extra, errors)
 
 
 def in_forward_ad() -> bool:

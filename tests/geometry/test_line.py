@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 import kvision as K
 from composition_tests import Case, CompositionTests
@@ -22,7 +22,7 @@ class TestLine(CompositionTests):
     cases = {
         "line": Case(lambda o, d, p: line(o, d).distance(p), ((2, 5, 3),) * 3),
         "projection": Case(lambda o, d, p: line(o, d).projection(p), ((2, 5, 2),) * 3),
-        "fit_line": Case(lambda p, w: G.fit_line(p, w).direction, ((2, 9, 3), (2, 9))),
+        "fit_line": Case(lambda p, w: G.fit_line(p, w).point_at(2.0), ((2, 9, 3), (2, 9))),
         "intersect": Case(lambda o, d, n: line(o, d).intersect(G.Hyperplane.from_vector(n, o))[1], ((2, 5, 3),) * 3),
     }
     compiled = ()
@@ -83,12 +83,10 @@ def test_lines_and_planes_are_those_of_kornia(device):
     assert_close(parallel.intersect(flat)[1], p.to(device))
 
 
-def test_lines_and_planes_learn(device):
-    line = G.ParametrizedLine(nn.Parameter(torch.zeros(2)), torch.tensor([1.0, 0])).to(device)
-    assert [name for name, _ in line.named_parameters()] == ["origin"]
+def test_lines_learn(device):
+    line = G.ParametrizedLine(torch.zeros(2), torch.tensor([1.0, 0])).to(device)
     line.distance(torch.tensor([1.0, 2], device=device)).backward()
     assert_close(line.origin.grad, torch.tensor([0.0, -1], device=device))
-    assert isinstance(G.Hyperplane(nn.Parameter(torch.ones(3)), Scalar(torch.ones(()))).n, nn.Parameter)
 
 
 BAD = [

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._modules import FunctionModule
+from kvision._modules import StatefulModule, learned
 from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.linalg import batched_dot_product, batched_squared_norm, dominant_eigenvector, normalized, root
@@ -19,8 +19,10 @@ from kvision.geometry.vector import Scalar
 __all__ = ["ParametrizedLine", "fit_line"]
 
 
-class ParametrizedLine(FunctionModule):
-    """Lines origin + t direction. As a module it learns origins and directions that are nn.Parameters.
+class ParametrizedLine(StatefulModule):
+    """Lines origin + t direction. As a module it learns and saves both.
+
+    A tensor outside of any graph becomes an nn.Parameter; one that requires a gradient stays part of its graph.
 
     Args:
         origin: (*, D).
@@ -33,7 +35,7 @@ class ParametrizedLine(FunctionModule):
     Example:
         >>> import torch, kvision as K
         >>> line = K.geometry.ParametrizedLine.through(torch.tensor([0.0, 1.0]), torch.tensor([2.0, 1.0]))
-        >>> line.point_at(3.0), line.distance(torch.tensor([5.0, 5.0]))
+        >>> line.point_at(3.0).detach(), line.distance(torch.tensor([5.0, 5.0])).detach()
         (tensor([3., 1.]), tensor(4.))
     """
 
@@ -42,7 +44,22 @@ class ParametrizedLine(FunctionModule):
         if origin.dim() == 0:
             raise ShapeError("ParametrizedLine: expected origin of shape (*, D), got ()")
         _check.trailing_shape("ParametrizedLine", "direction", direction, origin.shape[-1])
-        super().__init__(origin=origin, direction=direction)
+        super().__init__()
+        self._store("_origin", learned(origin))
+        self._store("_direction", learned(direction))
+
+    def extra_repr(self) -> str:
+        return f"origin={self.origin!r}, direction={self.direction!r}"
+
+    @property
+    def origin(self) -> Tensor:
+        """Points (*, D) of the lines, at t = 0."""
+        return self._origin  # type: ignore[return-value]  # a tensor by construction
+
+    @property
+    def direction(self) -> Tensor:
+        """The directions (*, D)."""
+        return self._direction  # type: ignore[return-value]  # a tensor by construction
 
     def __getitem__(self, index: int) -> Tensor:
         return (self.origin, self.direction)[index]
@@ -117,7 +134,7 @@ def fit_line(points: Tensor, weights: Tensor | None = None) -> ParametrizedLine:
 
     Example:
         >>> import torch, kvision as K
-        >>> K.geometry.fit_line(torch.tensor([[[0.0, 1.0], [2.0, 1.0], [4.0, 1.0]]])).direction
+        >>> K.geometry.fit_line(torch.tensor([[[0.0, 1.0], [2.0, 1.0], [4.0, 1.0]]])).direction.detach()
         tensor([[1., 0.]])
     """
     _check.shape("fit_line", "points", points, "B", "N", "D")

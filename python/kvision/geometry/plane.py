@@ -7,7 +7,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._modules import FunctionModule
+from kvision._modules import StatefulModule, learned
 from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.core.tensor_wrapper import TensorWrapper
@@ -18,8 +18,10 @@ from kvision.geometry.vector import Scalar, Vector3
 __all__ = ["Hyperplane", "fit_plane"]
 
 
-class Hyperplane(FunctionModule):
-    """Planes n x + d = 0. As a module it learns normals and offsets that are nn.Parameters.
+class Hyperplane(StatefulModule):
+    """Planes n x + d = 0. As a module it learns and saves both.
+
+    A tensor outside of any graph becomes an nn.Parameter; one that requires a gradient stays part of its graph.
 
     Args:
         n: normals (*, 3), of length 1 where distances are to be distances; a Vector3 or a tensor.
@@ -44,7 +46,12 @@ class Hyperplane(FunctionModule):
         _check.numbers("Hyperplane", "d", d)
         if n.shape[:-1] != d.shape:
             _check.broadcastable("Hyperplane", n=n.shape[:-1], d=d.shape)
-        super().__init__(n=n, d=d)
+        super().__init__()
+        self._store("_n", learned(n))
+        self._store("_d", learned(d))
+
+    def extra_repr(self) -> str:
+        return f"n={self.n!r}, d={self.d!r}"
 
     @classmethod
     def from_vector(cls, n: Vector3 | Tensor, e: Vector3 | Tensor) -> Hyperplane:
@@ -64,6 +71,16 @@ class Hyperplane(FunctionModule):
             *map(floats, points.values())
         )
         return cls.from_vector(normal, floats(points["p0"]))
+
+    @property
+    def n(self) -> Tensor:
+        """The normals (*, 3)."""
+        return self._n  # type: ignore[return-value]  # a tensor by construction
+
+    @property
+    def d(self) -> Tensor:
+        """The offsets (*)."""
+        return self._d  # type: ignore[return-value]  # a tensor by construction
 
     @property
     def normal(self) -> Vector3:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, floats
-from kvision._modules import FunctionModule
+from kvision._modules import StatefulModule
 from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.geometry._formula import of_all, register_formula
@@ -29,11 +29,11 @@ from kvision.geometry.linalg import batched_squared_norm, dominant_eigenvector, 
 __all__ = ["Quaternion", "average_quaternions"]
 
 
-class Quaternion(FunctionModule):
+class Quaternion(StatefulModule):
     """Quaternions w + x i + y j + z k. Those of length 1 are rotations; q and -q are the same one.
 
-    Operators take other quaternions, tensors (*) and numbers, which are real quaternions. As a module it learns data that is
-    an nn.Parameter.
+    Operators take other quaternions, tensors (*) and numbers, which are real quaternions. As a module it saves its
+    data, and learns it where that is an nn.Parameter.
 
     Args:
         data: (*, 4) as (w, x, y, z).
@@ -53,7 +53,11 @@ class Quaternion(FunctionModule):
 
     def __init__(self, data: Tensor) -> None:
         _check.trailing_shape("Quaternion", "data", data, 4)
-        super().__init__(data=data)
+        super().__init__()
+        self._store("_data", data)
+
+    def extra_repr(self) -> str:
+        return f"data={self.data!r}"
 
     # --- constructors -----------------------------------------------------------------------------------------------
 
@@ -113,8 +117,13 @@ class Quaternion(FunctionModule):
     # --- properties -------------------------------------------------------------------------------------------------
 
     @property
+    def data(self) -> Tensor:
+        """The entries (*, 4)."""
+        return self._data  # type: ignore[return-value]  # a tensor by construction
+
+    @property
     def q(self) -> Tensor:
-        """The data (*, 4)."""
+        """The entries (*, 4)."""
         return self.data
 
     @property

@@ -11,10 +11,10 @@ from math import factorial
 from typing import Any, Generic, TypeVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from kvision import _check
-from kvision._torch_compat import in_forward_ad, in_function_transform
+from kvision._modules import StatefulModule, as_operands
 from kvision.core.exceptions import TypeCheckError
 
 Self = TypeVar("Self", bound="LieGroup")
@@ -22,21 +22,14 @@ Motion = TypeVar("Motion", bound="RigidMotion[Any]")
 Rotation = TypeVar("Rotation", bound="LieGroup")
 
 
-class LieGroup(nn.Module):
+class LieGroup(StatefulModule):
     """A batch of group elements with any leading axes.
 
-    Tensors that an element is made of become an nn.Parameter, as in Kornia, so that an optimizer finds them. A tensor that
-    already requires a gradient stays part of its graph.
+    Tensors that an element is made of become an nn.Parameter, so that an optimizer finds them. A tensor that already requires
+    a gradient stays part of its graph. What operations return needs a gradient where their operands do.
     """
 
     tangent_axes = 1  # of a tangent vector; 0 where it is a number
-
-    def _store(self, name: str, x: Tensor) -> None:
-        is_plain = not (x.requires_grad or in_function_transform() or in_forward_ad() or torch.compiler.is_compiling())
-        if isinstance(x, nn.Parameter) or is_plain:
-            self.register_parameter(name, x if isinstance(x, nn.Parameter) else nn.Parameter(x))
-        else:
-            self.register_buffer(name, x, persistent=False)
 
     @abstractmethod
     def log(self) -> Tensor: ...
@@ -57,7 +50,8 @@ class LieGroup(nn.Module):
         Returns:
             The moved elements. Gauss-Newton and other solvers on the group update an element this way.
         """
-        moved: Self = self * self.exp(v)
+        step = self.exp(v)  # made here, and no more to learn than v is
+        moved: Self = self * (step if v.requires_grad else step.requires_grad_(False))
         return moved
 
     def interpolate(self: Self, other: Self, t: Tensor | float) -> Self:
@@ -94,7 +88,7 @@ class RigidMotion(LieGroup, Generic[Rotation]):
         return f"rotation: {self.r}\ntranslation: {self.t}"
 
     def __getitem__(self: Motion, idx: Any) -> Motion:
-        return type(self)(self.r[idx], self.t[idx])
+        return type(self)(self.r[idx], as_operands(self.t[idx], self.t))
 
     @property
     def r(self) -> Rotation:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._modules import as_operands, learned
 from kvision.core.exceptions import TypeCheckError
 from kvision.geometry._formula import of_rows, register_formula
 from kvision.geometry.conversions.series import sinc
@@ -53,12 +54,13 @@ class Se2(RigidMotion[So2]):
         data = translation.data if isinstance(translation, Vector2) else translation
         check_translation("Se2", data, 2)
         self._rotation = rotation
-        self._store("_translation", data)
+        self._store("_translation", learned(data))
 
     def __mul__(self, right: Any) -> Any:
         """Compose with motions, or move points (*, 2)."""
         if isinstance(right, Se2):
-            return Se2(self.r * right.r, self.r * right.t + self.t)
+            t = self.r * right.t + self.t
+            return Se2(self.r * right.r, as_operands(t, self.r.z, self.t, right.t))
         return self.r * right + self.t
 
     @property
@@ -122,12 +124,12 @@ class Se2(RigidMotion[So2]):
     def from_matrix(cls, matrix: Tensor) -> Se2:
         """Motions of homogeneous matrices (*, 3, 3)."""
         _check.floating_trailing_shape("Se2.from_matrix", "matrix", matrix, 3, 3)
-        return cls(So2.from_matrix(matrix[..., :2, :2]), matrix[..., :2, 2])
+        return cls(So2.from_matrix(matrix[..., :2, :2]), matrix[..., :2, 2].clone())
 
     def inverse(self) -> Se2:
         """The inverse motions."""
         r = self.r.inverse()
-        return Se2(r, -(r * self.t))
+        return Se2(r, as_operands(-(r * self.t), self.r.z, self.t))
 
     @classmethod
     def random(

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
+from kvision._modules import as_operands, learned
 from kvision.core.exceptions import TypeCheckError
 from kvision.geometry._formula import of_rows, register_formula
 from kvision.geometry.conversions.series import angle_per_sine, cos, sinc, squared
@@ -61,12 +62,13 @@ class Se3(RigidMotion[So3]):
         data = translation.data if isinstance(translation, Vector3) else translation
         check_translation("Se3", data, 3)
         self._rotation = rotation if isinstance(rotation, So3) else So3(rotation)
-        self._store("_translation", data)
+        self._store("_translation", learned(data))
 
     def __mul__(self, right: Any) -> Any:
         """Compose with motions, or move points (*, 3) or a Vector3."""
         if isinstance(right, Se3):
-            return Se3(self.r * right.r, self.r * right.t + self.t)
+            t = self.r * right.t + self.t
+            return Se3(self.r * right.r, as_operands(t, self.quaternion.data, self.t, right.t))
         if isinstance(right, Vector3):
             return Vector3(self * right.data)
         return self.r * right + self.t
@@ -143,18 +145,18 @@ class Se3(RigidMotion[So3]):
             The motions (*).
         """
         _check.floating_trailing_shape("Se3.from_matrix", "matrix", matrix, 4, 4)
-        return cls(So3.from_matrix(matrix[..., :3, :3], check_rotation), matrix[..., :3, 3])
+        return cls(So3.from_matrix(matrix[..., :3, :3], check_rotation), matrix[..., :3, 3].clone())
 
     @classmethod
     def from_qxyz(cls, qxyz: Tensor) -> Se3:
         """Motions of quaternions and translations (*, 7), as (w, x, y, z, tx, ty, tz)."""
         _check.floating_trailing_shape("Se3.from_qxyz", "qxyz", qxyz, 7)
-        return cls(Quaternion(qxyz[..., :4]), qxyz[..., 4:])
+        return cls(Quaternion(qxyz[..., :4].clone()), qxyz[..., 4:].clone())
 
     def inverse(self) -> Se3:
         """The inverse motions."""
         r = self.r.inverse()
-        return Se3(r, -(r * self.t))
+        return Se3(r, as_operands(-(r * self.t), self.quaternion.data, self.t))
 
     @classmethod
     def random(

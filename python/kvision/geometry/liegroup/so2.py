@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._modules import as_operands, learned
 from kvision.core.exceptions import TypeCheckError
 from kvision.geometry.liegroup.group import LieGroup, shape_of
 from kvision.geometry.liegroup.so3 import rotate
@@ -43,18 +44,18 @@ class So2(LieGroup):
         if not isinstance(z, Tensor) or not z.is_complex():
             got = str(z.dtype) if isinstance(z, Tensor) else type(z).__name__
             raise TypeCheckError(f"So2: expected z to be a complex Tensor, got {got}", actual_type=got)
-        self._store("_z", z)
+        self._store("_z", learned(z))
 
     def __repr__(self) -> str:
         return f"{self.z}"
 
     def __getitem__(self, idx: Any) -> So2:
-        return So2(self.z[idx])
+        return So2(as_operands(self.z[idx], self.z))
 
     def __mul__(self, right: Any) -> Any:
         """Compose with rotations, or rotate points (*, 2)."""
         if isinstance(right, So2):
-            return So2(self.z * right.z)
+            return So2(as_operands(self.z * right.z, self.z, right.z))
         return rotate("So2", self.matrix(), right)
 
     @property
@@ -110,7 +111,7 @@ class So2(LieGroup):
 
     def inverse(self) -> So2:
         """The inverse rotations."""
-        return So2(self.z.conj().resolve_conj())
+        return So2(as_operands(self.z.conj().resolve_conj(), self.z))
 
     @classmethod
     def random(

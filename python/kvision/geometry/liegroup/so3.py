@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
+from kvision._modules import as_operands, learned
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.geometry._formula import of_rows, register_formula
 from kvision.geometry.conversions.rotations import (
@@ -53,21 +54,26 @@ class So3(LieGroup):
         super().__init__()
         if not isinstance(q, Quaternion):
             raise TypeCheckError(f"So3: expected q to be a Quaternion, got {type(q).__name__}", actual_type=type(q))
-        self._q = q
+        data = learned(q.data)
+        self._q = q if data is q.data else Quaternion(data)
 
     def __repr__(self) -> str:
         return f"{self.q.data}"
 
     def __getitem__(self, idx: Any) -> So3:
-        return So3(Quaternion(self.q.data[idx]))
+        return self._of(self.q.data[idx])
 
     def __mul__(self, right: Any) -> Any:
         """Compose with rotations, or rotate points (*, 3) or a Vector3."""
         if isinstance(right, So3):
-            return So3(self.q * right.q)
+            return self._of((self.q * right.q).data, right.q.data)
         if isinstance(right, Vector3):
             return Vector3(rotate("So3", self.matrix(), right.data))
         return rotate("So3", self.matrix(), right)
+
+    def _of(self, q: Tensor, *others: Tensor) -> So3:
+        """The result `q` (*, 4) of an operation on these rotations and others."""
+        return So3(Quaternion(as_operands(q, self.q.data, *others)))
 
     @property
     def q(self) -> Quaternion:
@@ -155,7 +161,7 @@ class So3(LieGroup):
 
     def inverse(self) -> So3:
         """The inverse rotations."""
-        return So3(self.q.conj())
+        return self._of(self.q.conj().data)
 
     @classmethod
     def random(

@@ -1,11 +1,10 @@
 """`python -m benchmarks.sweep`: every function that Kornia has too, against Kornia's, at two sizes.
 
 Forward without a gradient, and forward + backward to all floating-point arguments, where both libraries have a gradient.
-The arguments are those of benchmarks/sample_calls.py; those of features and augmentations, modules among them, are in
-benchmarks/sample_modules.py. A function is slower where it takes more than 5% and 5 microseconds longer than Kornia's
-three times: a glance decides what is far faster, what is near is measured for longer, and what is slower then for longer
-still. The exit status is 1 where one is. `--shard 1/3` measures every third name, `--join FILES` makes one table of the
-JSON files of several runs; of a function that was measured twice it has the later figures.
+The arguments are those of benchmarks/sample_calls. A function is slower where it takes more than 5% and 5 microseconds
+longer than Kornia's three times: a glance decides what is far faster, what is near is measured for longer, and what is
+slower then for longer still. The exit status is 1 where one is. `--shard 1/3` measures every third name, `--join FILES`
+makes one table of the JSON files of several runs; of a function that was measured twice it has the later figures.
 """
 
 from __future__ import annotations
@@ -29,8 +28,7 @@ from torch import Tensor
 import kvision as K
 from benchmarks import machine
 from benchmarks.peers import set_threads
-from benchmarks.sample_calls import WITHOUT_SAMPLE, SampleCall, Size, public_functions, sample_calls
-from benchmarks.sample_modules import ModuleCall, sample_modules
+from benchmarks.sample_calls import WITHOUT_SAMPLE, SampleCall, Size, public_functions, sample_calls, sample_modules
 from benchmarks.timing import Clock, clock
 
 SIZES = (Size(4, 3, 256, 256), Size(1, 3, 375, 500))
@@ -86,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return summarize(rows, [text for report in reports for text in report["not measured"]])
 
 
-def all_calls() -> list[SampleCall | ModuleCall]:
+def all_calls() -> list[SampleCall]:
     return [*sample_calls(), *sample_modules()]
 
 
@@ -152,7 +150,7 @@ def summarize(rows: Sequence[Row], refused: Sequence[str]) -> int:
 
 
 def stages(
-    call: SampleCall | ModuleCall, size: Size, device: torch.device, kornia: Any
+    call: SampleCall, size: Size, device: torch.device, kornia: Any
 ) -> Iterator[tuple[str, Callable[[], Any], Callable[[], Any]]]:
     """The calls of both libraries, forward, then forward + backward where both have a gradient."""
     tensors = call.tensors(size, device)

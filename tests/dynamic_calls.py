@@ -36,7 +36,7 @@ LEFT_OUT = {
         NUMBERS,
     ),
 }
-CALLS = {call.name: call for call in sample_calls() if call.makers}
+CALLS = {call.name: call for call in sample_calls() if call.axes}
 
 
 class Call(nn.Module):

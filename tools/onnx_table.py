@@ -3,7 +3,7 @@
     python tools/onnx_table.py                     all functions: most of an hour on two cores; then the page
     python tools/onnx_table.py sobel --show        these, with the whole message where one fails; the page stays as it is
 
-Each function of benchmarks/sample_calls.py is exported with fixed sizes (dynamo=True, opset 20), and run. What was tried is kept in
+Each function of benchmarks/sample_calls is exported with fixed sizes (dynamo=True, opset 20), and run. What was tried is kept in
 build/onnx_table.json, so that a second start goes on; --again tries everything anew. Each export has a process of its own: one that
 fails may leave torch in a state in which the next one fails, too.
 """
@@ -215,7 +215,7 @@ def main() -> None:
     kept: dict[str, dict[str, str]] = {}
     if KEPT.exists() and not options.again:
         kept = json.loads(KEPT.read_text())
-    calls = [call for call in sample_calls() if call.makers]
+    calls = [call for call in sample_calls() if call.axes]
     chosen = [call for call in calls if any(part in call.name for part in options.names)]
     if not options.names:
         chosen = [call for call in calls if call.name not in kept]

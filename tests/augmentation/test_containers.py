@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 import kvision.augmentation as A
-from augmentation_cases import GEOMETRIC, MAPS, Case
+from benchmarks.sample_calls.augmentations import GEOMETRIC, MAPS, Augmentation
 from kvision.augmentation.container.runs import Warp
 
 JITTER = (0.2, 0.2, 0.2, 0.1)
@@ -117,7 +117,7 @@ LARGE |= {"Resize": ((60, 70),), "LongestMaxSize": (80,), "SmallestMaxSize": (60
 
 
 @pytest.mark.parametrize("case", GEOMETRIC, ids=lambda case: case.name)
-def test_points_boxes_and_masks_follow_the_image(case: Case, device: torch.device) -> None:
+def test_points_boxes_and_masks_follow_the_image(case: Augmentation, device: torch.device) -> None:
     augment = A.AugmentationSequential(
         getattr(A, case.name)(*LARGE.get(case.name, case.args), **({} if case.name == "PadTo" else {"p": 1.0})),
         data_keys=["input", "mask", "keypoints", "bbox_xyxy"],
@@ -336,7 +336,7 @@ def test_dispatchers() -> None:
 
 
 @pytest.mark.parametrize("case", MAPS, ids=lambda case: case.name)
-def test_points_and_masks_follow_a_map(case: Case, device: torch.device) -> None:
+def test_points_and_masks_follow_a_map(case: Augmentation, device: torch.device) -> None:
     gentle = {
         "RandomElasticTransform": ((47, 47), (8.0, 8.0), (1.5, 1.5)),
         "RandomThinPlateSpline": (0.1,),
@@ -363,7 +363,7 @@ def test_points_and_masks_follow_a_map(case: Case, device: torch.device) -> None
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8, torch.float64], ids=str)
 @pytest.mark.parametrize("case", MAPS, ids=lambda case: case.name)
 def test_labels_read_the_map_of_their_images(
-    case: Case, dtype: torch.dtype, device: torch.device, monkeypatch: pytest.MonkeyPatch
+    case: Augmentation, dtype: torch.dtype, device: torch.device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A map is computed once for an image and its labels, and freed at the end of a call."""
     calls = []
@@ -546,7 +546,7 @@ def test_cells_in_containers(device: torch.device) -> None:
 
 @pytest.mark.parametrize("resample", ["each", "once"])
 @pytest.mark.parametrize("case", [c for c in (*GEOMETRIC, *MAPS) if not c.changes_size], ids=lambda case: case.name)
-def test_replay_of_a_batch_in_which_nothing_was_chosen(case: Case, resample: str) -> None:
+def test_replay_of_a_batch_in_which_nothing_was_chosen(case: Augmentation, resample: str) -> None:
     # Pixels from outside follow the first augmentation that interpolates, whether or not samples were chosen.
     bordered = {"padding_mode": "border"} if case.name in ("RandomAffine", "RandomElasticTransform") else {}
     first = case.make(p=0.5, **bordered)

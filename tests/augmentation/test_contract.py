@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 import kvision.augmentation as A
-from augmentation_cases import CASES, GEOMETRIC, Case
+from benchmarks.sample_calls.augmentations import GEOMETRIC, IMAGES, Augmentation
 from kvision.augmentation.base import AugmentationBase
 from op_tests import does_not_wait
 
@@ -25,8 +25,8 @@ BASES = (
     "IntensityAugmentation",
     "RigidAffineAugmentation",
 )
-RANDOM = [case for case in CASES if not case.fixed]
-names = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+RANDOM = [case for case in IMAGES if not case.fixed]
+names = pytest.mark.parametrize("case", IMAGES, ids=lambda case: case.name)
 random_names = pytest.mark.parametrize("case", RANDOM, ids=lambda case: case.name)
 
 
@@ -45,12 +45,12 @@ def test_all_classes_have_a_case() -> None:
         and not name.startswith(BASES)
         and not name.endswith("3D")  # test_volumes.py
     }
-    assert classes == {case.name for case in CASES}
+    assert classes == {case.name for case in IMAGES}
 
 
 @names
 @pytest.mark.parametrize("p", [0.0, 0.7, 1.0])
-def test_matrices_are_where_images_are(case: Case, p: float, device: torch.device) -> None:
+def test_matrices_are_where_images_are(case: Augmentation, p: float, device: torch.device) -> None:
     x, augment = images(device), case.make(p=p)
     flipped = A.AugmentationSequential(A.RandomHorizontalFlip(), augment, data_keys=["image"])
     for call in (augment, lambda x: augment(x, params=augment._params), flipped):
@@ -61,7 +61,7 @@ def test_matrices_are_where_images_are(case: Case, p: float, device: torch.devic
 
 @pytest.mark.interface
 @names
-def test_replay_is_exact(case: Case, device: torch.device) -> None:
+def test_replay_is_exact(case: Augmentation, device: torch.device) -> None:
     x, augment = images(device), case.make(p=0.7)
     first = augment(x)
     again = case.make(p=0.7)
@@ -83,7 +83,7 @@ def test_replay_is_exact(case: Case, device: torch.device) -> None:
 @pytest.mark.interface
 @pytest.mark.parametrize("case", GEOMETRIC, ids=lambda case: case.name)
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.float16], ids=str)
-def test_matrices_have_the_type_that_computes(case: Case, dtype: torch.dtype, device: torch.device) -> None:
+def test_matrices_have_the_type_that_computes(case: Augmentation, dtype: torch.dtype, device: torch.device) -> None:
     """Drawn, replayed, in a container and where they are computed from the parameters again."""
     x, augment = images(device).to(dtype), case.make(p=1.0)
     augment(x)
@@ -109,7 +109,7 @@ def _saved(params: dict[str, Any]) -> io.BytesIO:
 
 @pytest.mark.interface
 @names
-def test_manual_seed_reproduces(case: Case, device: torch.device) -> None:
+def test_manual_seed_reproduces(case: Augmentation, device: torch.device) -> None:
     x, augment = images(device), case.make()
     torch.manual_seed(5)
     first = augment(x)
@@ -122,7 +122,7 @@ def test_manual_seed_reproduces(case: Case, device: torch.device) -> None:
 
 @pytest.mark.interface
 @random_names
-def test_a_call_takes_one_word_of_the_generator(case: Case) -> None:
+def test_a_call_takes_one_word_of_the_generator(case: Augmentation) -> None:
     x, augment = images(), case.make(p=1.0)
     torch.manual_seed(5)
     augment(x)
@@ -136,7 +136,7 @@ def test_a_call_takes_one_word_of_the_generator(case: Case) -> None:
 
 @pytest.mark.interface
 @names
-def test_seeds_of_samples_are_independent_of_the_batch(case: Case, device: torch.device) -> None:
+def test_seeds_of_samples_are_independent_of_the_batch(case: Augmentation, device: torch.device) -> None:
     if case.one_kernel:
         pytest.skip("samples share a size, which is that of the first")
     x, augment = images(device), case.make(**({} if case.changes_size else {"p": 0.7}))
@@ -152,7 +152,7 @@ def test_seeds_of_samples_are_independent_of_the_batch(case: Case, device: torch
 
 @pytest.mark.interface
 @random_names
-def test_parameters_are_those_of_the_cpu(case: Case, device: torch.device) -> None:
+def test_parameters_are_those_of_the_cpu(case: Augmentation, device: torch.device) -> None:
     on_device, on_cpu = case.make(p=0.7), case.make(p=0.7)
     on_device(images(device), seed=3), on_cpu(images(), seed=3)
     for name, value in on_cpu._params.items():
@@ -161,7 +161,7 @@ def test_parameters_are_those_of_the_cpu(case: Case, device: torch.device) -> No
 
 
 @names
-def test_samples_not_chosen_are_unchanged(case: Case, device: torch.device) -> None:
+def test_samples_not_chosen_are_unchanged(case: Augmentation, device: torch.device) -> None:
     x = images(device, batch=32) * 3 - 1  # out of [0, 1] as well
     if case.name == "PadTo":
         pytest.skip("it has no probability")
@@ -179,7 +179,7 @@ def test_samples_not_chosen_are_unchanged(case: Case, device: torch.device) -> N
 
 @pytest.mark.interface
 @random_names
-def test_same_on_batch(case: Case) -> None:
+def test_same_on_batch(case: Augmentation) -> None:
     if case.changes_size and "same_on_batch" not in inspect.signature(getattr(A, case.name)).parameters:
         return
     augment = case.make(p=1.0, same_on_batch=True)
@@ -194,7 +194,7 @@ def test_same_on_batch(case: Case) -> None:
 
 @names
 @pytest.mark.parametrize("batch", [0, 1])
-def test_small_batches(case: Case, batch: int, device: torch.device) -> None:
+def test_small_batches(case: Augmentation, batch: int, device: torch.device) -> None:
     x = images(device, batch)
     y = case.make(p=1.0)(x)
     assert y.shape[:2] == x.shape[:2]
@@ -202,7 +202,7 @@ def test_small_batches(case: Case, batch: int, device: torch.device) -> None:
 
 @pytest.mark.interface
 @names
-def test_ranks(case: Case) -> None:
+def test_ranks(case: Augmentation) -> None:
     x = images()[0]
     assert case.make(p=1.0)(x).dim() == 4
     assert case.make(p=1.0, **_keepdim(case))(x).dim() == (3 if _keepdim(case) else 4)
@@ -210,13 +210,13 @@ def test_ranks(case: Case) -> None:
         assert case.make(p=1.0)(x[0]).dim() == 4
 
 
-def _keepdim(case: Case) -> dict[str, bool]:
+def _keepdim(case: Augmentation) -> dict[str, bool]:
     return {"keepdim": True} if "keepdim" in inspect.signature(getattr(A, case.name)).parameters else {}
 
 
 @names
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64, torch.uint8], ids=str)
-def test_types(case: Case, dtype: torch.dtype, device: torch.device) -> None:
+def test_types(case: Augmentation, dtype: torch.dtype, device: torch.device) -> None:
     x, augment = images(device, dtype=dtype), case.make(p=1.0)
     y = augment(x, seed=3)
     leaves_unit = case.name in ("Normalize", "Denormalize") and dtype == torch.uint8
@@ -233,7 +233,7 @@ def test_types(case: Case, dtype: torch.dtype, device: torch.device) -> None:
 
 
 @names
-def test_channels_last(case: Case, device: torch.device) -> None:
+def test_channels_last(case: Augmentation, device: torch.device) -> None:
     x = images(device)
     planar, last = case.make(p=0.7), case.make(p=0.7)
     expected = planar(x, seed=3)
@@ -246,7 +246,7 @@ def test_channels_last(case: Case, device: torch.device) -> None:
 
 @pytest.mark.interface
 @names
-def test_inputs_are_not_modified(case: Case) -> None:
+def test_inputs_are_not_modified(case: Augmentation) -> None:
     x = images()
     before = x.clone()
     case.make(p=0.7)(x)
@@ -254,7 +254,7 @@ def test_inputs_are_not_modified(case: Case) -> None:
 
 
 @names
-def test_any_number_of_channels(case: Case) -> None:
+def test_any_number_of_channels(case: Augmentation) -> None:
     if not case.any_channels:
         pytest.skip("defined for RGB")
     for channels in (1, 2, 5):
@@ -264,7 +264,7 @@ def test_any_number_of_channels(case: Case) -> None:
 
 @pytest.mark.interface
 @names
-def test_pickles_and_copies(case: Case) -> None:
+def test_pickles_and_copies(case: Augmentation) -> None:
     x, augment = images(), case.make()
     augment(x)
     for other in (pickle.loads(pickle.dumps(augment)), copy.deepcopy(augment)):
@@ -273,7 +273,7 @@ def test_pickles_and_copies(case: Case) -> None:
 
 @pytest.mark.derivatives
 @names
-def test_gradient_of_images(case: Case) -> None:
+def test_gradient_of_images(case: Augmentation) -> None:
     if not case.gradient:
         pytest.skip("jumps")
     augment = case.make(p=1.0)
@@ -286,7 +286,7 @@ def test_gradient_of_images(case: Case) -> None:
 
 @pytest.mark.interface
 @names
-def test_wrong_inputs(case: Case) -> None:
+def test_wrong_inputs(case: Augmentation) -> None:
     augment = case.make()
     with pytest.raises(TypeError, match=f"{case.name}: expected input to be a Tensor, got list"):
         augment([1.0])
@@ -305,7 +305,7 @@ def test_wrong_inputs(case: Case) -> None:
 
 @pytest.mark.interface
 @names
-def test_return_transform(case: Case) -> None:
+def test_return_transform(case: Augmentation) -> None:
     x = images()
     y, matrix = case.make(p=1.0)(x, return_transform=True)
     assert y.dim() == 4 and matrix.shape == (6, 3, 3)
@@ -318,7 +318,7 @@ def test_return_transform(case: Case) -> None:
 
 @pytest.mark.tracing
 @names
-def test_compiles(case: Case) -> None:
+def test_compiles(case: Augmentation) -> None:
     """With a seed, and with torch's generator, from which compiled calls draw what eager calls draw."""
     if case.one_kernel:
         pytest.skip("the host reads the size of a kernel, where this has a range")
@@ -371,13 +371,13 @@ def test_the_host_draws_the_size_of_a_kernel_again(p: float, seed: Any) -> None:
 
 
 @names
-def test_no_call_waits_for_the_device(case: Case, device: torch.device) -> None:
+def test_no_call_waits_for_the_device(case: Augmentation, device: torch.device) -> None:
     x, augment = images(device), case.make(**({} if case.changes_size else {"p": 0.7}))
     does_not_wait(device, [lambda: augment(x), lambda: augment(x, seed=1)])
 
 
 @random_names
-def test_a_graph_draws_anew(case: Case, device: torch.device) -> None:
+def test_a_graph_draws_anew(case: Augmentation, device: torch.device) -> None:
     if device.type != "cuda":
         pytest.skip("CUDA graphs are CUDA's")
     x, augment = images(device), case.make(p=1.0)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import kvision.augmentation as A
-from augmentation_cases import CASES, MAPS, Case
+from benchmarks.sample_calls.augmentations import IMAGES, MAPS, Augmentation
 
 KA = pytest.importorskip("kornia.augmentation")
 
@@ -15,11 +15,9 @@ KA = pytest.importorskip("kornia.augmentation")
 DIFFERENT = ("RandomAffine", "RandomRotation90", "SmallestMaxSize", "RandomThinPlateSpline")
 
 
-@pytest.mark.parametrize("case", [c for c in CASES if c.name not in DIFFERENT], ids=lambda case: case.name)
-def test_same_parameters_give_the_same_images(case: Case) -> None:
-    fisheye = case.name == "RandomFisheye"  # takes tensors in Kornia
-    args = [torch.tensor(a) if isinstance(a, list) or fisheye else a for a in case.args]
-    theirs = getattr(KA, case.name)(*args, **case.kwargs)
+@pytest.mark.parametrize("case", [c for c in IMAGES if c.name not in DIFFERENT], ids=lambda case: case.name)
+def test_same_parameters_give_the_same_images(case: Augmentation) -> None:
+    theirs = getattr(KA, case.name)(*case.args, **case.kwargs)
     x = torch.rand(5, 3, 16, 20)
     expected = theirs(x)
     ours = getattr(A, case.name)(*case.args, **case.kwargs)

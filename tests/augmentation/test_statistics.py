@@ -17,7 +17,7 @@ from scipy import stats
 from torch import Tensor
 
 import kvision.augmentation as A
-from augmentation_cases import CASES
+from benchmarks.sample_calls.augmentations import IMAGES, VOLUMES
 from kvision.augmentation.base import AugmentationBase
 from kvision.augmentation.draws import is_chosen_batch
 
@@ -450,14 +450,7 @@ def drawn(spec: Spec, p: float) -> tuple[dict[str, Tensor], Tensor]:
 
 
 def test_all_classes_that_draw_have_a_spec() -> None:
-    fixed = {case.name for case in CASES if case.fixed}
-    fixed |= {
-        "CenterCrop3D",
-        "RandomHorizontalFlip3D",
-        "RandomVerticalFlip3D",
-        "RandomDepthicalFlip3D",
-        "RandomEqualize3D",
-    }
+    fixed = {case.name for case in (*IMAGES, *VOLUMES) if case.fixed}
     fixed |= {"RandomTransplantation", "RandomTransplantation3D"}  # choose among the labels of masks: test_mix.py
     classes = {
         name

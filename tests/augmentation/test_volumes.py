@@ -5,53 +5,21 @@ from __future__ import annotations
 import copy
 import inspect
 import pickle
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
 import kvision.augmentation as A
-from augmentation_cases import CASES as CASES_OF_IMAGES
+from benchmarks.sample_calls.augmentations import FLIPS3D, GEOMETRIC3D, IMAGES, VOLUMES, Augmentation
 from kvision.augmentation.base import AugmentationBase3D
 from kvision.geometry.linalg import transform_points
 from op_tests import does_not_wait
 
 SIZE = (6, 7, 8)
-
-
-class Case(NamedTuple):
-    """A class, its arguments, and what a test has to know of it."""
-
-    name: str
-    args: tuple[Any, ...] = ()
-    kwargs: dict[str, Any] = {}
-    fixed: bool = False  # draws nothing when all samples are chosen
-    changes_size: bool = False
-    gradient: bool = True  # differentiable at random volumes
-    one_kernel: bool = False  # a parameter is shared by the samples of a batch
-    warps: bool = False  # interpolates
-
-    def make(self, **kwargs: Any) -> Any:
-        return getattr(A, self.name)(*self.args, **{**self.kwargs, **kwargs})
-
-
-CASES = [
-    Case("RandomAffine3D", (30.0, (0.1, 0.2, 0.1), (0.8, 1.2), 10.0), warps=True),
-    Case("RandomRotation3D", ((20.0, 30.0, 40.0),), warps=True),
-    Case("RandomPerspective3D", (0.5,), warps=True),
-    Case("RandomCrop3D", ((4, 5, 5),), {"padding": 1}, changes_size=True),
-    Case("CenterCrop3D", ((4, 5, 5),), fixed=True, changes_size=True),
-    Case("RandomHorizontalFlip3D", fixed=True),
-    Case("RandomVerticalFlip3D", fixed=True),
-    Case("RandomDepthicalFlip3D", fixed=True),
-    Case("RandomEqualize3D", fixed=True, gradient=False),
-    Case("RandomMotionBlur3D", ((3, 5), (10.0, 20.0, 30.0), 0.5), one_kernel=True),
-]
-GEOMETRIC = CASES[:8]
-FLIPS = CASES[5:8]
-cases = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-geometric = pytest.mark.parametrize("case", GEOMETRIC, ids=lambda case: case.name)
+cases = pytest.mark.parametrize("case", VOLUMES, ids=lambda case: case.name)
+geometric = pytest.mark.parametrize("case", GEOMETRIC3D, ids=lambda case: case.name)
 
 
 def volumes(device: Any = "cpu", batch: int = 5, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -65,14 +33,14 @@ def test_all_classes_have_a_case() -> None:
         for name, value in vars(A).items()
         if inspect.isclass(value) and issubclass(value, AugmentationBase3D) and not name.endswith("Base3D")
     }
-    assert classes == {case.name for case in CASES}
+    assert classes == {case.name for case in VOLUMES}
 
 
 # --- the contract of all augmentations ------------------------------------------------------------------------------
 
 
 @cases
-def test_replay_is_exact(case: Case, device: torch.device) -> None:
+def test_replay_is_exact(case: Augmentation, device: torch.device) -> None:
     x, augment = volumes(device), case.make(p=0.7)
     first = augment(x)
     params = augment._params
@@ -82,7 +50,7 @@ def test_replay_is_exact(case: Case, device: torch.device) -> None:
 
 
 @cases
-def test_seeds_and_generators_reproduce(case: Case, device: torch.device) -> None:
+def test_seeds_and_generators_reproduce(case: Augmentation, device: torch.device) -> None:
     x, augment = volumes(device), case.make()
     torch.manual_seed(5)
     first = augment(x)
@@ -95,7 +63,7 @@ def test_seeds_and_generators_reproduce(case: Case, device: torch.device) -> Non
 
 
 @cases
-def test_seeds_of_samples_are_independent_of_the_batch(case: Case, device: torch.device) -> None:
+def test_seeds_of_samples_are_independent_of_the_batch(case: Augmentation, device: torch.device) -> None:
     if case.one_kernel:
         pytest.skip("samples share a size, which is that of the first")
     x, augment = volumes(device), case.make(**({} if case.changes_size else {"p": 0.7}))
@@ -105,13 +73,13 @@ def test_seeds_of_samples_are_independent_of_the_batch(case: Case, device: torch
 
 
 @geometric
-def test_no_call_waits_for_the_device(case: Case, device: torch.device) -> None:
+def test_no_call_waits_for_the_device(case: Augmentation, device: torch.device) -> None:
     x, augment = volumes(device), case.make(**({} if case.changes_size else {"p": 0.7}))
     does_not_wait(device, [lambda: augment(x), lambda: augment(x, seed=1)])
 
 
 @cases
-def test_samples_not_chosen_are_unchanged(case: Case, device: torch.device) -> None:
+def test_samples_not_chosen_are_unchanged(case: Augmentation, device: torch.device) -> None:
     x = volumes(device, batch=32) * 3 - 1  # out of [0, 1] as well
     assert torch.equal(case.make(p=0.0)(x), x)
     augment = case.make(p=0.5)
@@ -130,7 +98,7 @@ def test_samples_not_chosen_are_unchanged(case: Case, device: torch.device) -> N
 
 
 @cases
-def test_same_on_batch(case: Case) -> None:
+def test_same_on_batch(case: Augmentation) -> None:
     if case.fixed:
         pytest.skip("draws nothing")
     x = volumes()[:1].expand(4, -1, -1, -1, -1)
@@ -142,14 +110,14 @@ def test_same_on_batch(case: Case) -> None:
 
 @cases
 @pytest.mark.parametrize("batch", [0, 1])
-def test_small_batches(case: Case, batch: int, device: torch.device) -> None:
+def test_small_batches(case: Augmentation, batch: int, device: torch.device) -> None:
     augment = case.make(p=1.0)
     assert augment(volumes(device, batch)).shape[:2] == (batch, 2)
     assert augment.transform_matrix.shape == (batch, 4, 4)
 
 
 @cases
-def test_ranks(case: Case) -> None:
+def test_ranks(case: Augmentation) -> None:
     x = volumes()[0]
     assert case.make(p=1.0)(x).dim() == 5
     assert case.make(p=1.0, keepdim=True)(x).dim() == 4
@@ -158,7 +126,7 @@ def test_ranks(case: Case) -> None:
 
 @cases
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64, torch.uint8], ids=str)
-def test_types(case: Case, dtype: torch.dtype, device: torch.device) -> None:
+def test_types(case: Augmentation, dtype: torch.dtype, device: torch.device) -> None:
     x, augment = volumes(device, dtype=dtype), case.make(p=1.0)
     y = augment(x, seed=3)
     assert y.dtype == dtype
@@ -169,7 +137,7 @@ def test_types(case: Case, dtype: torch.dtype, device: torch.device) -> None:
 
 
 @cases
-def test_inputs_are_not_modified_and_may_be_strided(case: Case) -> None:
+def test_inputs_are_not_modified_and_may_be_strided(case: Augmentation) -> None:
     x = volumes()
     before = x.clone()
     expected = case.make(p=0.7)(x, seed=3)
@@ -179,7 +147,7 @@ def test_inputs_are_not_modified_and_may_be_strided(case: Case) -> None:
 
 
 @cases
-def test_pickles_and_copies(case: Case) -> None:
+def test_pickles_and_copies(case: Augmentation) -> None:
     x, augment = volumes(), case.make()
     augment(x)
     for other in (pickle.loads(pickle.dumps(augment)), copy.deepcopy(augment)):
@@ -187,7 +155,7 @@ def test_pickles_and_copies(case: Case) -> None:
 
 
 @cases
-def test_gradient_of_volumes(case: Case) -> None:
+def test_gradient_of_volumes(case: Augmentation) -> None:
     if not case.gradient:
         pytest.skip("jumps")
     augment = case.make(p=1.0)
@@ -203,7 +171,7 @@ def test_ranges_get_gradients() -> None:
 
 
 @cases
-def test_wrong_inputs(case: Case) -> None:
+def test_wrong_inputs(case: Augmentation) -> None:
     augment = case.make()
     with pytest.raises(TypeError, match=f"{case.name}: expected input to be a Tensor, got list"):
         augment([1.0])
@@ -236,7 +204,7 @@ def test_wrong_arguments(make: Any, error: str) -> None:
 
 
 @cases
-def test_return_transform(case: Case) -> None:
+def test_return_transform(case: Augmentation) -> None:
     x = volumes()
     _, matrix = case.make(p=1.0)(x, return_transform=True)
     assert matrix.shape == (5, 4, 4)
@@ -250,8 +218,8 @@ def test_return_transform(case: Case) -> None:
 # --- geometry -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("case, axis", list(zip(FLIPS, (-1, -2, -3))), ids=lambda v: getattr(v, "name", ""))
-def test_flips_are_exact(case: Case, axis: int, device: torch.device) -> None:
+@pytest.mark.parametrize("case, axis", list(zip(FLIPS3D, (-1, -2, -3))), ids=lambda v: getattr(v, "name", ""))
+def test_flips_are_exact(case: Augmentation, axis: int, device: torch.device) -> None:
     x, augment = volumes(device), case.make(p=1.0)
     assert torch.equal(augment(x), x.flip(axis))
     assert torch.equal(augment.inverse(augment(x)), x)
@@ -289,7 +257,7 @@ def test_center_crops() -> None:
 
 
 @geometric
-def test_voxels_follow_the_matrix(case: Case) -> None:
+def test_voxels_follow_the_matrix(case: Augmentation) -> None:
     """A linear volume has the value of its source at the position of each voxel of the result."""
     z, y, x = torch.meshgrid(*(torch.arange(float(n)) for n in SIZE), indexing="ij")
     ramp = (x + 10 * y + 100 * z).expand(4, 1, *SIZE)
@@ -305,7 +273,7 @@ def test_voxels_follow_the_matrix(case: Case) -> None:
 
 
 @geometric
-def test_points_and_masks_follow(case: Case, device: torch.device) -> None:
+def test_points_and_masks_follow(case: Augmentation, device: torch.device) -> None:
     x, augment = volumes(device), case.make(p=0.7)
     y = augment(x)
     execution, matrix = augment._execution, augment.transform_matrix
@@ -320,7 +288,7 @@ def test_points_and_masks_follow(case: Case, device: torch.device) -> None:
 
 
 @geometric
-def test_inverse_undoes(case: Case, device: torch.device) -> None:
+def test_inverse_undoes(case: Augmentation, device: torch.device) -> None:
     # Of a smooth volume, in the middle that no transform loses.
     axes = torch.meshgrid(*(torch.linspace(-1, 1, n, device=device) for n in (24, 26, 28)), indexing="ij")
     x = torch.exp(-4 * sum(a * a for a in axes)).expand(3, 1, -1, -1, -1)
@@ -345,8 +313,8 @@ def test_axes_of_one_voxel() -> None:
 
 
 @pytest.mark.tracing
-@pytest.mark.parametrize("case", [CASES[0], CASES[5], CASES[9]], ids=lambda case: case.name)
-def test_compiles(case: Case) -> None:
+@pytest.mark.parametrize("case", [VOLUMES[0], VOLUMES[5], VOLUMES[9]], ids=lambda case: case.name)
+def test_compiles(case: Augmentation) -> None:
     kwargs = {"p": 0.7}
     augment = A.RandomMotionBlur3D(3, 20.0, 0.5, **kwargs) if case.one_kernel else case.make(**kwargs)
     x = volumes()
@@ -358,7 +326,7 @@ def test_compiles(case: Case) -> None:
 
 
 @cases
-def test_the_parameters_of_kornia_give_its_volumes(case: Case) -> None:
+def test_the_parameters_of_kornia_give_its_volumes(case: Augmentation) -> None:
     theirs_of = pytest.importorskip("kornia.augmentation")
     # Kornia's warps leave their matrix where align_corners is False (docs/differences.md).
     kwargs = {**case.kwargs, **({"align_corners": True} if case.warps else {})}
@@ -382,8 +350,8 @@ def test_shears_are_those_of_kornia_about_the_center() -> None:
     torch.testing.assert_close(transform_points(matrix, center), center)
 
 
-@pytest.mark.parametrize("case", [c for c in CASES if not c.fixed], ids=lambda case: case.name)
-def test_parameters_have_the_shapes_of_kornia(case: Case) -> None:
+@pytest.mark.parametrize("case", [c for c in VOLUMES if not c.fixed], ids=lambda case: case.name)
+def test_parameters_have_the_shapes_of_kornia(case: Augmentation) -> None:
     theirs_of = pytest.importorskip("kornia.augmentation")
     x = volumes()
     theirs, ours = getattr(theirs_of, case.name)(*case.args, **case.kwargs, p=1.0), case.make(p=1.0)
@@ -443,7 +411,7 @@ RandomChannelShuffle RandomClahe RandomContrast RandomEqualize RandomGamma Rando
 RandomPosterize RandomRGBShift RandomSaturation RandomSharpness RandomSolarize""".split()
 
 
-@pytest.mark.parametrize("case", CASES_OF_IMAGES, ids=lambda case: case.name)
+@pytest.mark.parametrize("case", IMAGES, ids=lambda case: case.name)
 def test_augmentations_of_images_in_containers_of_volumes(case: Any, device: torch.device) -> None:
     x = torch.rand(2, 3, 4, 8, 9, device=device) * torch.linspace(0.5, 1, 4, device=device)[:, None, None]
     augment = case.make(**({} if case.changes_size else {"p": 1.0}))

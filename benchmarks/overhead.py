@@ -1,6 +1,6 @@
 """`python -m benchmarks.overhead`: the overhead of public calls, measured on tiny inputs.
 
-Public calls that between them run every operator, at 16 elements on one CPU thread: forward without a gradient, forward
+Public calls of filters, at 16 elements on one CPU thread: forward without a gradient, forward
 that records one, and forward + backward, in microseconds, next to aten's mul in the same run.
 """
 
@@ -11,52 +11,38 @@ import json
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from benchmarks import machine
+from benchmarks.sample_calls import Size, filters
 from benchmarks.timing import Call
-from kvision import _ops, filters
+from kvision import _ops
 from kvision._trace import native_operators
 
 BARS = {"forward": 12.0, "with gradient": 20.0, "forward+backward": 60.0}  # us
 
-IMAGE, VOLUME = (1, 1, 4, 4), (1, 1, 2, 2, 4)
+SIZE = Size(1, 1, 4, 4)  # of images; volumes have 36 voxels
+# Between them they run the kernels of filters.
+NAMES = (
+    *("filter2d", "filter2d_separable", "filter3d", "gaussian_blur2d", "box_blur", "median_blur", "sobel"),
+    *("spatial_gradient", "spatial_gradient3d", "laplacian", "unsharp_mask", "bilateral_blur", "joint_bilateral_blur"),
+    *("guided_blur", "motion_blur", "canny", "blur_pool2d"),
+)
+CALLS = {call.name.partition(".")[2]: call for call in filters.CALLS}
 
 
-@dataclass(frozen=True)
-class Public:
-    """A public call on one tensor."""
-
-    name: str
-    call: Callable[[Tensor], Tensor]
-    size: tuple[int, ...] = IMAGE
-
-
-KERNEL, KERNEL3D, LINE = torch.rand(1, 3, 3), torch.rand(1, 3, 3, 3), torch.rand(1, 3)
-
-CALLS = [
-    Public("filter2d", lambda x: filters.filter2d(x, KERNEL)),
-    Public("filter2d_separable", lambda x: filters.filter2d_separable(x, LINE, LINE)),
-    Public("filter3d", lambda x: filters.filter3d(x, KERNEL3D), VOLUME),
-    Public("gaussian_blur2d", lambda x: filters.gaussian_blur2d(x, (3, 3), (1.0, 1.0))),
-    Public("box_blur", lambda x: filters.box_blur(x, 3)),
-    Public("median_blur", lambda x: filters.median_blur(x, 3)),
-    Public("sobel", lambda x: filters.sobel(x)),
-    Public("spatial_gradient", lambda x: filters.spatial_gradient(x)),
-    Public("spatial_gradient3d", lambda x: filters.spatial_gradient3d(x), VOLUME),
-    Public("laplacian", lambda x: filters.laplacian(x, 3)),
-    Public("unsharp_mask", lambda x: filters.unsharp_mask(x, (3, 3), (1.0, 1.0))),
-    Public("bilateral_blur", lambda x: filters.bilateral_blur(x, 3, 0.1, (1.0, 1.0))),
-    Public("joint_bilateral_blur", lambda x: filters.joint_bilateral_blur(x, x.detach(), 3, 0.1, (1.0, 1.0))),
-    Public("guided_blur", lambda x: filters.guided_blur(x.detach(), x, 3, 0.1)),
-    Public("motion_blur", lambda x: filters.motion_blur(x, 3, 35.0, 0.5)),
-    Public("canny", lambda x: filters.canny(x)[0]),
-    Public("blur_pool2d", lambda x: filters.blur_pool2d(x, 3)),
-]
+def of_input(name: str) -> tuple[Callable[[Tensor], Tensor], Tensor]:
+    """The first result of a function of filters, of its input alone, and an input."""
+    call = CALLS[name]
+    function, tensors = call.function(), call.tensors(SIZE)
+    arguments = {**tensors, **call.others}
+    x = arguments.pop("input")
+    if name == "canny":
+        return lambda x: function(x, **arguments)[0], x
+    return lambda x: function(input=x, **arguments), x
 
 
 def microseconds(call: Call, calls: int, blocks: int) -> float:
@@ -71,8 +57,7 @@ def microseconds(call: Call, calls: int, blocks: int) -> float:
     return min(seconds) * 1e6
 
 
-def overhead(call: Callable[[Tensor], Tensor], size: Sequence[int], calls: int, blocks: int) -> dict[str, float]:
-    plain = torch.rand(size)
+def overhead(call: Callable[[Tensor], Tensor], plain: Tensor, calls: int, blocks: int) -> dict[str, float]:
     leaf = plain.clone().requires_grad_()
     upstream = torch.rand_like(call(plain))
     return {
@@ -94,18 +79,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"us a call, at 16 elements; bars: {', '.join(f'{stage} {bar:g}' for stage, bar in BARS.items())}\n")
     print(f"{'call':22}{'backend':11}" + "".join(f"{stage:>18}" for stage in BARS))
 
-    factor = torch.rand(IMAGE)
+    factor = torch.rand(SIZE)
     rows, ran = [], set()
-    for public in [Public("aten mul", lambda x: x * factor), *CALLS]:
-        x = torch.rand(public.size, requires_grad=True)
-        native = native_operators(lambda x=x, call=public.call: call(x).sum().backward())
-        backend = "native" if native else "reference" if public in CALLS else "torch"
-        figures = overhead(public.call, public.size, options.calls, options.blocks)
+    for name in ("aten mul", *NAMES):
+        call, x = of_input(name) if name in NAMES else (lambda x: x * factor, torch.rand(SIZE))
+        leaf = x.clone().requires_grad_()
+        native = native_operators(lambda leaf=leaf, call=call: call(leaf).sum().backward())
+        backend = "native" if native else "reference" if name in NAMES else "torch"
+        figures = overhead(call, x, options.calls, options.blocks)
         missed = [stage for stage, bar in BARS.items() if figures[stage] > bar] if native else []
-        rows.append({"call": public.name, "backend": backend, **figures, "missed": missed})
+        rows.append({"call": name, "backend": backend, **figures, "missed": missed})
         ran.update(native)
         cells = (f"{figures[stage]:.1f}{'!' if stage in missed else ' '}" for stage in BARS)
-        print(f"{public.name:22}{backend:11}" + "".join(f"{cell:>18}" for cell in cells), flush=True)
+        print(f"{name:22}{backend:11}" + "".join(f"{cell:>18}" for cell in cells), flush=True)
     over = [f"{row['call']} ({', '.join(row['missed'])})" for row in rows if row["missed"]]
     print("\n" + (f"over a bar: {', '.join(over)}" if over else "every native call meets its bars"))
     unseen = sorted(_ops.operators.keys() - ran)

@@ -7,44 +7,19 @@ import pytest
 import torch
 
 import kvision as kv
-from kvision import feature, filters, geometry, losses, metrics, morphology
+from benchmarks.sample_calls.windows import WINDOWS, Window
+from kvision import filters, losses
 
 pytestmark = [pytest.mark.native, pytest.mark.large]
 
-KERNEL = torch.tensor([[0.1, 0.2, 0.05], [0.3, -0.4, 0.1], [0.05, 0.2, 0.15]])
-
-# Functions of an image, and how far they reach.
-STENCILS = {
-    "sobel": (filters.sobel, 1),
-    "spatial_gradient": (filters.spatial_gradient, 1),
-    "spatial_gradient of order 2": (lambda x: filters.spatial_gradient(x, order=2), 2),
-    "box_blur 3": (lambda x: filters.box_blur(x, 3), 1),
-    "box_blur 11": (lambda x: filters.box_blur(x, 11), 5),
-    "gaussian_blur2d 5": (lambda x: filters.gaussian_blur2d(x, 5, (1.5, 1.5)), 2),
-    "gaussian_blur2d 5, constant": (lambda x: filters.gaussian_blur2d(x, 5, (1.5, 1.5), "constant"), 2),
-    "gaussian_blur2d 5, replicate": (lambda x: filters.gaussian_blur2d(x, 5, (1.5, 1.5), "replicate"), 2),
-    "gaussian_blur2d 9, circular": (lambda x: filters.gaussian_blur2d(x, 9, (2.0, 2.0), "circular"), 4),
-    "gaussian_blur2d 31": (lambda x: filters.gaussian_blur2d(x, 31, (5.0, 5.0)), 15),
-    "unsharp_mask": (lambda x: filters.unsharp_mask(x, 5, (1.5, 1.5)), 2),
-    "laplacian 3": (lambda x: filters.laplacian(x, 3), 1),
-    "filter2d 3": (lambda x: filters.filter2d(x, KERNEL[None].to(x)), 1),
-    "filter2d 3, replicate": (lambda x: filters.filter2d(x, KERNEL[None].to(x), "replicate"), 1),
-    "filter2d 7": (lambda x: filters.filter2d(x, torch.ones(1, 7, 7).to(x), normalized=True), 3),
-    "median_blur 3": (lambda x: filters.median_blur(x, 3), 1),
-    "median_blur 5": (lambda x: filters.median_blur(x, 5), 2),
-    "dilation 3": (lambda x: morphology.dilation(x, torch.ones(3, 3).to(x)), 1),
-    "erosion 3": (lambda x: morphology.erosion(x, torch.ones(3, 3).to(x)), 1),
-    "dilation 3, not flat": (lambda x: morphology.dilation(x, torch.ones(3, 3).to(x), KERNEL.to(x)), 1),
-    "dilation 7": (lambda x: morphology.dilation(x, torch.ones(7, 7).to(x)), 3),
-    "ssim 7": (lambda x: metrics.ssim(x, x.flip(-2), 7), 3),
-    "nms2d 3": (lambda x: geometry.nms2d(x, (3, 3)), 1),
-    "nms2d 5": (lambda x: geometry.nms2d(x, (5, 5)), 2),
-    "nms3d": (lambda x: geometry.nms3d(x[None], (3, 3, 3))[0], 1),
-    "harris_response": (feature.harris_response, 4),
-    "gftt_response": (feature.gftt_response, 4),
-    "hessian_response": (feature.hessian_response, 2),
-}
+LARGE = [window for window in WINDOWS if window.large]
+windows = pytest.mark.parametrize("window", LARGE, ids=str)
 HALVES = (torch.float16, torch.bfloat16)
+
+
+def on_images(window: Window):
+    """The call on images, which are the planes of one volume where it takes volumes."""
+    return (lambda x: window(x[None])[0]) if len(window.reach) == 3 else window
 
 
 def result_and_gradient(call, x, upstream):
@@ -65,9 +40,9 @@ def sliced(x, before, after):
 
 @pytest.mark.parametrize("dtype", [torch.float32, *HALVES], ids=str)
 @pytest.mark.parametrize("before, after", [(1, 0), (2, 3), (3, 4), (5, 2)])
-@pytest.mark.parametrize("name", STENCILS)
-def test_slices_give_the_same_bits(name, before, after, dtype, device):
-    call, _ = STENCILS[name]
+@windows
+def test_slices_give_the_same_bits(window, before, after, dtype, device):
+    call = on_images(window)
     x = torch.rand(2, 3, 43, 272, device=device).to(dtype)
     g = torch.rand_like(call(x))
     result, gradient = result_and_gradient(call, x, g)
@@ -78,10 +53,10 @@ def test_slices_give_the_same_bits(name, before, after, dtype, device):
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16], ids=str)
 @pytest.mark.parametrize("width", [129, 142, 257, 270, 299, 481, 513, 514, 517])
-@pytest.mark.parametrize("name", STENCILS)
-def test_odd_widths(name, width, dtype, device):
+@windows
+def test_odd_widths(window, width, dtype, device):
     """Far from the right border they agree with a wider image, near it with the reference."""
-    call, reach = STENCILS[name]
+    call, reach, name = on_images(window), window.reach[-1], str(window)
     wider = torch.rand(1, 3, 37, (width + 15) // 16 * 16, device=device).to(dtype)
     x = wider[..., :width].contiguous()
     g = torch.rand_like(call(wider))
@@ -91,7 +66,9 @@ def test_odd_widths(name, width, dtype, device):
     assert torch.equal(result[..., wrapped : width - reach], of_wider[..., wrapped : width - reach])
     far, far_of_wider = (v[..., wrapped : width - 2 * reach] for v in (gradient, gradient_of_wider))
     # Sums of up to 49 gradients, none negative, in an order that depends on how blocks divide a width.
-    tolerance = max(48 * torch.finfo(torch.float32).eps, torch.finfo(dtype).eps) if name == "dilation 7" else 0.0
+    tolerance = (
+        max(48 * torch.finfo(torch.float32).eps, torch.finfo(dtype).eps) if name == "dilation kernel=7 7" else 0.0
+    )
     torch.testing.assert_close(far, far_of_wider, rtol=tolerance, atol=0.0)
     with kv.backend("reference"):
         expected, expected_gradient = result_and_gradient(call, x.float(), g[..., :width].float())

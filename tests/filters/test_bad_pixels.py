@@ -2,109 +2,74 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import replace
 
 import pytest
 import torch
 from torch import Tensor
 
 import kvision as K
-from op_tests import assert_close
+from benchmarks.sample_calls.windows import WINDOWS, Window
+from op_tests import as_tuple, assert_close
 
 F = K.filters
-
-
-class Case(NamedTuple):
-    call: Callable[[Tensor], Tensor]
-    reach: tuple[int, ...]  # how far a pixel is seen, along the axes of an image or a volume
-    channels: bool = False  # whether it is seen by the other channels, too
-
-
-def kernel(*size: int) -> Callable[[Tensor], Tensor]:
-    return lambda x: torch.rand(1, *size, generator=torch.Generator().manual_seed(0)).to(x) + 0.1
-
-
-CASES = {
-    "sobel": Case(F.sobel, (1, 1)),
-    "spatial_gradient": Case(lambda x: F.spatial_gradient(x).movedim(2, 0), (1, 1)),
-    "spatial_gradient_2": Case(lambda x: F.spatial_gradient(x, order=2).movedim(2, 0), (2, 2)),
-    "spatial_gradient_diff": Case(lambda x: F.spatial_gradient(x, "diff").movedim(2, 0), (1, 1)),
-    "spatial_gradient3d": Case(lambda x: F.spatial_gradient3d(x, order=2).movedim(2, 0), (1, 1, 1)),
-    "laplacian_3": Case(lambda x: F.laplacian(x, 3), (1, 1)),
-    "laplacian_5x9": Case(lambda x: F.laplacian(x, (5, 9), "replicate"), (2, 4)),
-    "canny": Case(lambda x: F.canny(x, 0.01, 0.02, hysteresis=False)[0], (4, 4), channels=True),
-    "box_3": Case(lambda x: F.box_blur(x, 3), (1, 1)),
-    "box_5x13": Case(lambda x: F.box_blur(x, (5, 13), "circular"), (2, 6)),
-    "box_31": Case(lambda x: F.box_blur(x, 31, "constant"), (15, 15)),
-    "gaussian_5": Case(lambda x: F.gaussian_blur2d(x, 5, 1.5), (2, 2)),
-    "gaussian_3x11": Case(lambda x: F.gaussian_blur2d(x, (3, 11), (0.8, 3.0), "constant"), (1, 5)),
-    "unsharp_mask": Case(lambda x: F.unsharp_mask(x, 5, 1.5), (2, 2)),
-    "median_3": Case(lambda x: F.median_blur(x, 3), (1, 1)),
-    "median_5": Case(lambda x: F.median_blur(x, 5), (2, 2)),
-    "median_3x9": Case(lambda x: F.median_blur(x, (3, 9)), (1, 4)),
-    "bilateral": Case(lambda x: F.bilateral_blur(x, 5, 0.2, 1.5), (2, 2), channels=True),
-    "joint_bilateral": Case(lambda x: F.joint_bilateral_blur(x, x, 5, 0.2, 1.5, "replicate"), (2, 2), channels=True),
-    "guided": Case(lambda x: F.guided_blur(x, x, 3, 0.1), (2, 2), channels=True),
-    "motion": Case(lambda x: F.motion_blur(x, 5, 30.0, 0.5), (2, 2)),
-    "motion3d": Case(lambda x: F.motion_blur3d(x, 3, (30.0, 10.0, 50.0), 0.5), (1, 1, 1)),
-    "filter2d": Case(lambda x: F.filter2d(x, kernel(3, 5)(x)), (1, 2)),
-    "filter2d_separable": Case(lambda x: F.filter2d_separable(x, kernel(7)(x), kernel(3)(x)), (1, 3)),
-    "filter3d": Case(lambda x: F.filter3d(x, kernel(3, 1, 5)(x)), (1, 0, 2)),
-    "blur_pool": Case(lambda x: F.blur_pool2d(x, 3, stride=1), (1, 1)),
-    "edge_aware_blur_pool": Case(lambda x: F.edge_aware_blur_pool2d(x, 3, 1.05), (3, 3), channels=True),
-}
 BAD = [float("nan"), float("inf"), float("-inf")]
 
 
-@pytest.fixture(params=CASES)
-def case(request: pytest.FixtureRequest) -> Case:
-    return CASES[request.param]
+windows = pytest.mark.parametrize("window", WINDOWS, ids=str)
 
 
-def image_of(case: Case, device: torch.device) -> Tensor:
-    size = (19, 40) if len(case.reach) == 2 else (7, 9, 11)
+def call(window: Window, x: Tensor) -> Tensor:
+    """The first result, its new axis, where there is one, in front."""
+    y = as_tuple(window(x))[0]
+    return y.movedim(2, 0) if y.dim() > x.dim() else y
+
+
+def image_of(window: Window, device: torch.device) -> Tensor:
+    size = (19, 40) if len(window.reach) == 2 else (7, 9, 11)
     return torch.rand(2, 3, *size, device=device) + 0.1
 
 
-def window(case: Case, like: Tensor) -> tuple[tuple[int, ...], Tensor]:
+def seen_from(window: Window, like: Tensor) -> tuple[tuple[int, ...], Tensor]:
     """A pixel, and where it may be seen."""
     at = tuple(n // 2 for n in like.shape[2:])
     seen = torch.zeros(like.shape, dtype=torch.bool, device=like.device)
-    around = tuple(slice(max(p - r, 0), p + r + 1) for p, r in zip(at, case.reach))
-    seen[(0, slice(None) if case.channels else 1, *around)] = True
+    around = tuple(slice(max(p - r, 0), p + r + 1) for p, r in zip(at, window.reach))
+    seen[(0, slice(None) if window.channels else 1, *around)] = True
     return (0, 1, *at), seen
 
 
+@windows
 @pytest.mark.parametrize("bad", BAD, ids=str)
-def test_values(case: Case, bad: float, device: torch.device) -> None:
-    x = image_of(case, device)
-    at, seen = window(case, x)
+def test_values(window: Window, bad: float, device: torch.device) -> None:
+    x = image_of(window, device)
+    at, seen = seen_from(window, x)
     spoilt = x.clone()
     spoilt[at] = bad
-    y, expected = case.call(spoilt), case.call(x)
-    unseen = ~seen[:, : y.shape[-len(case.reach) - 1]].expand_as(y)
+    y, expected = call(window, spoilt), call(window, x)
+    unseen = ~seen[:, : y.shape[-len(window.reach) - 1]].expand_as(y)
     assert_close(y[unseen], expected[unseen])
 
 
+@windows
 @pytest.mark.parametrize("bad", BAD, ids=str)
-def test_gradients(case: Case, bad: float, device: torch.device) -> None:
+def test_gradients(window: Window, bad: float, device: torch.device) -> None:
     """Of a bad pixel, and of a bad gradient that comes back."""
-    x = image_of(case, device).requires_grad_()
-    at, seen = window(case, x)
-    y = case.call(x)
+    x = image_of(window, device).requires_grad_()
+    at, seen = seen_from(window, x)
+    y = call(window, x)
     (expected,) = torch.autograd.grad(y.sum(), x, retain_graph=True)
 
     grad = torch.ones_like(y)
-    grad[(..., at[0], min(at[1], y.shape[-len(case.reach) - 1] - 1), *at[2:])] = bad
+    grad[(..., at[0], min(at[1], y.shape[-len(window.reach) - 1] - 1), *at[2:])] = bad
     (actual,) = torch.autograd.grad(y, x, grad)
     assert_close(actual[~seen], expected[~seen])
 
     spoilt = x.detach().clone()
     spoilt[at] = bad
-    (actual,) = torch.autograd.grad(case.call(spoilt.requires_grad_()).sum(), spoilt)
+    (actual,) = torch.autograd.grad(call(window, spoilt.requires_grad_()).sum(), spoilt)
     # Windows that hold the pixel reach as far again.
-    _, seen = window(case._replace(reach=tuple(2 * r for r in case.reach)), x)
+    _, seen = seen_from(replace(window, reach=tuple(2 * r for r in window.reach)), x)
     assert_close(actual[~seen], expected[~seen])
 
 

@@ -1,0 +1,114 @@
+"""Calls of filters with windows of many sizes, with how far a pixel is seen.
+
+Tests of bad pixels make all of them, tests of alignment those that are `large`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from benchmarks.sample_calls import features, filters, functions, geometry
+from benchmarks.sample_calls.model import Axes, SampleCall, Size, rand
+
+CALLS = {call.name: call for module in (features, filters, functions, geometry) for call in module.CALLS}
+
+
+@dataclass(frozen=True)
+class Window:
+    """A call whose first tensor is given. An argument that is a function is called with that one."""
+
+    call: SampleCall
+    reach: tuple[int, ...]  # how far a pixel is seen, along the axes of an image or a volume
+    changed: dict[str, Any]
+    channels: bool = False  # whether it is seen by the other channels, too
+    large: bool = False
+
+    def __str__(self) -> str:
+        shown = {
+            k: v.axes if isinstance(v, Axes) else v for k, v in self.changed.items() if v not in (itself, upside_down)
+        }
+        return " ".join([self.call.name.partition(".")[2], *(f"{k}={v}" for k, v in shown.items())])
+
+    def __call__(self, x: Tensor) -> Any:
+        image, *others = self.call.axes
+        size, generator = Size(*x.shape[:2], *x.shape[-2:]), torch.random.get_rng_state()
+        torch.manual_seed(0)
+        tensors = {name: self.call.axes[name](size).to(x) for name in others}
+        torch.random.set_rng_state(generator)
+        arguments = {k: v(x) if callable(v) else v for k, v in self.call.others.items()}
+        return self.call.function()(**{image: x}, **tensors, **arguments)
+
+
+def window(name: str, *reach: int, channels: bool = False, large: bool = False, **changed: Any) -> Window:
+    """A call with some arguments changed. Without a reach, it is half of the kernel's size."""
+    call = CALLS[name]
+    axes = {k: v for k, v in call.axes.items() if k not in changed}
+    axes |= {k: v for k, v in changed.items() if isinstance(v, Axes)}
+    others = {k: v for k, v in {**call.others, **changed}.items() if k not in axes}
+    if not reach:
+        size = others["kernel_size"]
+        reach = tuple(n // 2 for n in ((size, size) if isinstance(size, int) else size))
+    return Window(replace(call, axes=axes, others=others), reach, changed, channels, large)
+
+
+def itself(x: Tensor) -> Tensor:
+    return x
+
+
+def upside_down(x: Tensor) -> Tensor:
+    return x.flip(-2)
+
+
+SIGNED = rand("1 3 3", -0.4, 0.6)
+WINDOWS = [
+    window("filters.sobel", 1, 1, large=True),
+    window("filters.spatial_gradient", 1, 1, large=True),
+    window("filters.spatial_gradient", 2, 2, large=True, order=2),
+    window("filters.spatial_gradient", 1, 1, mode="diff"),
+    window("filters.spatial_gradient3d", 1, 1, 1, order=2),
+    window("filters.laplacian", kernel_size=3, large=True),
+    window("filters.laplacian", kernel_size=(5, 9), border_type="replicate"),
+    window("filters.canny", 4, 4, channels=True, low_threshold=0.01, high_threshold=0.02, hysteresis=False),
+    window("filters.box_blur", kernel_size=3, large=True),
+    window("filters.box_blur", kernel_size=(5, 13), border_type="circular"),
+    window("filters.box_blur", kernel_size=11, large=True),
+    window("filters.box_blur", kernel_size=31, border_type="constant"),
+    window("filters.gaussian_blur2d", large=True),
+    window("filters.gaussian_blur2d", large=True, border_type="constant"),
+    window("filters.gaussian_blur2d", large=True, border_type="replicate"),
+    window("filters.gaussian_blur2d", kernel_size=(3, 11), sigma=(0.8, 3.0), border_type="constant"),
+    window("filters.gaussian_blur2d", large=True, kernel_size=9, sigma=(2.0, 2.0), border_type="circular"),
+    window("filters.gaussian_blur2d", large=True, kernel_size=31, sigma=(5.0, 5.0)),
+    window("filters.unsharp_mask", large=True),
+    window("filters.median_blur", large=True, kernel_size=3),
+    window("filters.median_blur", large=True, kernel_size=5),
+    window("filters.median_blur", kernel_size=(3, 9)),
+    window("filters.bilateral_blur", channels=True, sigma_color=0.2),
+    window("filters.joint_bilateral_blur", channels=True, guidance=itself, sigma_color=0.2, border_type="replicate"),
+    window("filters.guided_blur", 2, 2, channels=True, input=itself, kernel_size=3),
+    window("filters.motion_blur", kernel_size=5),
+    window("filters.motion_blur3d", 1, 1, 1, kernel_size=3, angle=(30.0, 10.0, 50.0)),
+    window("filters.filter2d", 1, 1, large=True, kernel=SIGNED),
+    window("filters.filter2d", 1, 1, large=True, kernel=SIGNED, border_type="replicate"),
+    window("filters.filter2d", 1, 2, kernel=rand("1 3 5", 0.1, 1.1)),
+    window("filters.filter2d", 3, 3, large=True, kernel=rand("1 7 7", 1, 1), normalized=True),
+    window("filters.filter2d_separable", 1, 3, kernel_x=rand("1 7", 0.1, 1.1), kernel_y=rand("1 3", 0.1, 1.1)),
+    window("filters.filter3d", 1, 0, 2, kernel=rand("1 3 1 5", 0.1, 1.1)),
+    window("filters.blur_pool2d", kernel_size=3, stride=1),
+    window("filters.edge_aware_blur_pool2d", 3, 3, channels=True, kernel_size=3, edge_threshold=1.05),
+    window("morphology.dilation", 1, 1, large=True),
+    window("morphology.dilation", 1, 1, large=True, structuring_element=rand("3 3", -0.4, 0.3)),
+    window("morphology.dilation", 3, 3, large=True, kernel=rand("7 7", 1, 1)),
+    window("morphology.erosion", 1, 1, large=True),
+    window("metrics.ssim", 3, 3, large=True, img2=upside_down, window_size=7),
+    window("geometry.nms2d", large=True),
+    window("geometry.nms2d", large=True, kernel_size=(5, 5)),
+    window("geometry.nms3d", large=True),
+    window("feature.harris_response", 4, 4, large=True),
+    window("feature.gftt_response", 4, 4, large=True),
+    window("feature.hessian_response", 2, 2, large=True),
+]

@@ -14,7 +14,8 @@ import torch
 from torch import Tensor
 
 import kvision
-from kvision import color, contrib, enhance, geometry, losses, metrics
+from benchmarks.sample_calls.windows import WINDOWS
+from kvision import contrib, enhance, geometry, losses, metrics
 from kvision.geometry import transform
 
 pytestmark = [pytest.mark.native, pytest.mark.large]
@@ -23,29 +24,11 @@ SHAPES = [(2, 3, 335, 513), (5, 3, 67, 299), (3, 3, 64, 126)]
 DTYPES = [torch.float32, torch.float16, torch.bfloat16]
 
 
-def weights(x: Tensor) -> Tensor:
-    """A number for each image."""
-    return torch.linspace(0.5, 1.5, len(x), device=x.device)
-
-
 def camera(x: Tensor) -> Tensor:
     return torch.tensor([[[400.0, 0, 250], [0, 410, 160], [0, 0, 1]]], device=x.device).expand(len(x), 3, 3)
 
 
-POINTWISE: dict[str, Callable[[Tensor], Tensor]] = {
-    "rgb_to_hsv": color.rgb_to_hsv,
-    "rgb_to_lab": color.rgb_to_lab,
-    "rgb_to_ycbcr": color.rgb_to_ycbcr,
-    "rgb_to_grayscale": color.rgb_to_grayscale,
-    "adjust_saturation": lambda x: enhance.adjust_saturation(x, weights(x)),
-    "adjust_hue": lambda x: enhance.adjust_hue(x, 0.5),
-    "adjust_brightness": lambda x: enhance.adjust_brightness(x, weights(x)),
-    "adjust_gamma": lambda x: enhance.adjust_gamma(x, 1.5),
-    "normalize": lambda x: enhance.normalize(x, x.new_tensor([0.4, 0.5, 0.6]), x.new_tensor([0.2, 0.3, 0.4])),
-    "add_weighted": lambda x: enhance.add_weighted(x, weights(x).view(-1, 1, 1, 1), 1 - x.detach(), 0.25, 0.125),
-    "depth_to_3d": lambda x: geometry.depth_to_3d(x[:, :1], camera(x)),
-    "depth_to_3d, normalized": lambda x: geometry.depth_to_3d(x[:, 1:2], camera(x), True),
-}
+POINTWISE = [window for window in WINDOWS if window.large and not any(window.reach)]
 
 
 def pixels(shape: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
@@ -80,15 +63,14 @@ def value_and_gradient(call: Callable[[Tensor], Tensor], x: Tensor, grad: Tensor
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 @pytest.mark.parametrize("dtype", DTYPES, ids=str)
-@pytest.mark.parametrize("name", POINTWISE)
-def test_pointwise_functions_give_the_bits_of_aligned_images(name, dtype, shape, device):
-    call = POINTWISE[name]
+@pytest.mark.parametrize("window", POINTWISE, ids=str)
+def test_pointwise_functions_give_the_bits_of_aligned_images(window, dtype, shape, device):
     batch, channels, height, width = shape
     aligned_shape = (batch, channels, height, -(-width // 16) * 16)
     x, grad = (pixels(aligned_shape, dtype, device) for _ in range(2))
-    value, gradient = (result[..., :width] for result in value_and_gradient(call, x, grad))
+    value, gradient = (result[..., :width] for result in value_and_gradient(window, x, grad))
     for layout, arrange in LAYOUTS.items():
-        y, grad_x = value_and_gradient(call, arrange(x[..., :width]), grad[..., :width].contiguous())
+        y, grad_x = value_and_gradient(window, arrange(x[..., :width]), grad[..., :width].contiguous())
         if device.type == "cuda":
             assert torch.equal(y, value) and torch.equal(grad_x, gradient), layout
         else:  # the ends of rows may be computed by other instructions

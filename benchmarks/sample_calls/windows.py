@@ -1,10 +1,12 @@
-"""Calls of filters with windows of many sizes, with how far a pixel is seen.
+"""Calls of filters and of pointwise functions, with how far a pixel is seen: windows of many sizes, or of one pixel.
 
-Tests of bad pixels make all of them, tests of alignment those that are `large`.
+Tests of bad pixels make all of them. Tests of large images make the `large` ones: filters where rows are no vectors, and
+pointwise functions where planes are not aligned either.
 """
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,7 +14,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.sample_calls import features, filters, functions, geometry
-from benchmarks.sample_calls.model import Axes, SampleCall, Size, rand
+from benchmarks.sample_calls.model import Axes, SampleCall, Size, made, rand
 
 CALLS = {call.name: call for module in (features, filters, functions, geometry) for call in module.CALLS}
 
@@ -26,24 +28,27 @@ class Window:
     changed: dict[str, Any]
     channels: bool = False  # whether it is seen by the other channels, too
     large: bool = False
+    gray: bool = False  # takes one channel, which is the first one of an image
 
     def __str__(self) -> str:
-        shown = {
-            k: v.axes if isinstance(v, Axes) else v for k, v in self.changed.items() if v not in (itself, upside_down)
-        }
+        shown = {k: v.axes if isinstance(v, Axes) else v for k, v in self.changed.items() if not inspect.isfunction(v)}
         return " ".join([self.call.name.partition(".")[2], *(f"{k}={v}" for k, v in shown.items())])
 
     def __call__(self, x: Tensor) -> Any:
-        image, *others = self.call.axes
-        size, generator = Size(*x.shape[:2], *x.shape[-2:]), torch.random.get_rng_state()
-        torch.manual_seed(0)
-        tensors = {name: self.call.axes[name](size).to(x) for name in others}
-        torch.random.set_rng_state(generator)
-        arguments = {k: v(x) if callable(v) else v for k, v in self.call.others.items()}
-        return self.call.function()(**{image: x}, **tensors, **arguments)
+        x = x[:, :1] if self.gray else x
+        first, *others = self.call.axes
+        dtype = torch.float64 if x.dtype == torch.float64 else torch.float32
+        with torch.random.fork_rng(devices=()):
+            torch.manual_seed(0)
+            size = Size(*x.shape[:2], *x.shape[-2:])
+            tensors = {name: self.call.axes[name](size).to(x.device, dtype) for name in others}
+        arguments = {k: v(x) if inspect.isfunction(v) else v for k, v in self.call.others.items()}
+        return self.call.function()(**{first: x}, **tensors, **arguments)
 
 
-def window(name: str, *reach: int, channels: bool = False, large: bool = False, **changed: Any) -> Window:
+def window(
+    name: str, *reach: int, large: bool = False, channels: bool = False, gray: bool = False, **changed: Any
+) -> Window:
     """A call with some arguments changed. Without a reach, it is half of the kernel's size."""
     call = CALLS[name]
     axes = {k: v for k, v in call.axes.items() if k not in changed}
@@ -52,7 +57,7 @@ def window(name: str, *reach: int, channels: bool = False, large: bool = False, 
     if not reach:
         size = others["kernel_size"]
         reach = tuple(n // 2 for n in ((size, size) if isinstance(size, int) else size))
-    return Window(replace(call, axes=axes, others=others), reach, changed, channels, large)
+    return Window(replace(call, axes=axes, others=others), reach, changed, channels, large, gray)
 
 
 def itself(x: Tensor) -> Tensor:
@@ -63,6 +68,17 @@ def upside_down(x: Tensor) -> Tensor:
     return x.flip(-2)
 
 
+def pointwise(name: str, **changed: Any) -> Window:
+    return window(name, 0, 0, large=True, **changed)
+
+
+def inverted(x: Tensor) -> Tensor:
+    return 1 - x.detach()
+
+
+EACH = rand("B", 0.5, 1.5)
+PINHOLE = made("B 3 3", lambda s: torch.tensor([[400.0, 0, 250], [0, 410, 160], [0, 0, 1]]).repeat(s.b, 1, 1))
+DEPTH = dict(camera_matrix=PINHOLE, channels=True, gray=True)
 SIGNED = rand("1 3 3", -0.4, 0.6)
 WINDOWS = [
     window("filters.sobel", 1, 1, large=True),
@@ -111,4 +127,16 @@ WINDOWS = [
     window("feature.harris_response", 4, 4, large=True),
     window("feature.gftt_response", 4, 4, large=True),
     window("feature.hessian_response", 2, 2, large=True),
+    pointwise("color.rgb_to_hsv", channels=True),
+    pointwise("color.rgb_to_lab", channels=True),
+    pointwise("color.rgb_to_ycbcr", channels=True),
+    pointwise("color.rgb_to_grayscale", channels=True),
+    pointwise("enhance.adjust_saturation", channels=True, factor=EACH),
+    pointwise("enhance.adjust_hue", channels=True, factor=0.5),
+    pointwise("enhance.adjust_brightness", factor=EACH),
+    pointwise("enhance.adjust_gamma", gamma=1.5),
+    pointwise("enhance.normalize"),
+    pointwise("enhance.add_weighted", alpha=rand("B 1 1 1", 0.5, 1.5), src2=inverted, beta=0.25, gamma=0.125),
+    pointwise("geometry.depth_to_3d", **DEPTH),
+    pointwise("geometry.depth_to_3d", normalize_points=True, **DEPTH),
 ]

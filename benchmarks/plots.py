@@ -6,98 +6,52 @@ Nothing is measured here. Every number comes from a table in benchmarks/results.
 from __future__ import annotations
 
 import csv
-import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+
+from benchmarks import cases
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
 PICTURES = ROOT / "docs" / "pictures"
 
-# Titles of panels, and the tables of results that they show.
-H200 = [
-    ("Filters", "filters"),
-    ("Color and enhance", "color"),
-    ("Warps and sizes", "geometry"),
-    ("Losses, morphology", "losses"),
+# Titles of panels, and the modules of benchmarks/cases that they show.
+PANELS = [
+    ("Filters", ("filters",)),
+    ("Color and enhance", ("color", "enhance")),
+    ("Warps and sizes", ("geometry",)),
+    ("Losses, morphology", ("losses",)),
 ]
-EPYC = [("Filters", ["filters"]), ("Color and enhance", ["color"]), ("Warps and sizes", ["warps", "sizes"])]
 GPU_SIZES = ("128x3x256x256", "32x3x1080x1920")
 CPU_SIZES = ("16x3x256x256", "1x3x1080x1920")
 COLORS = ("#0f766e", "#c2410c")
 
-NUMBER = r" +([\d.e+-]+)"
-ROW = rf"(\S*) +(?:(forward\+backward|forward|backward) +)?([a-z]+){NUMBER}{NUMBER} +\d+%{NUMBER}{NUMBER} "
 Cases = list[tuple[str, list[float | None]]]  # a case and its value at each size
 
 
-class Row(NamedTuple):
-    """One library in one case: milliseconds (median and minimum) and the median over the floor."""
-
-    size: str
-    case: str
-    stage: str
-    library: str
-    median: float
-    minimum: float
-    over_floor: float
+def table(machine: str, name: str) -> list[dict[str, str]]:
+    """The rows of a table of results, by column; lines that begin with # say how it was made."""
+    with (RESULTS / machine / f"{name}.csv").open(newline="") as file:
+        return list(csv.DictReader(line for line in file if line[0] != "#"))
 
 
-def rows(text: str) -> list[Row]:
-    """The rows of the tables that `python -m benchmarks` prints, at any size."""
-    table_rows: list[Row] = []
-    size = case = stage = ""
-    for line in text.splitlines():
-        heading = re.match(r"(\d+(?:x\d+)+) float32", line)
-        if heading:
-            size, case, stage = heading[1], "", ""
-            continue
-        row = re.match(ROW, line)
-        if row and size:
-            case, stage = row[1] or case, row[2] or stage
-            table_rows.append(Row(size, case, stage, row[3], float(row[4]), float(row[5]), float(row[7])))
-    return table_rows
-
-
-def table(machine: str, file: str) -> list[Row]:
-    return rows((RESULTS / machine / f"{file}.txt").read_text())
-
-
-def over_floor(file: str) -> Cases:
-    """Time over the floor of every case of a file, forward, at both sizes, on the H200."""
-    of = {
-        (row.case, row.size): row.over_floor
-        for row in table("h200", file)
-        if (row.stage, row.library) == ("forward", "kvision")
-    }
-    return [(case, [of.get((case, size)) for size in GPU_SIZES]) for case in dict.fromkeys(case for case, _ in of)]
-
-
-def speedup(machine: str, files: Sequence[str], peer: str, sizes: Sequence[str], without: str | None = None) -> Cases:
-    """The peer's time over kvision's of the same run, forward; without the cases of another file.
-
-    Medians on the GPU and minima on the CPU, as benchmarks/README.md says.
-    """
-    ratio: dict[tuple[str, str], float] = {}
-    for file in files:
-        forward = [row for row in table(machine, file) if row.stage == "forward"]
-        times = {(row.case, row.size, row.library): row.median if machine == "h200" else row.minimum for row in forward}
-        for (case, size, library), time in times.items():
-            if library == peer:
-                ratio[case, size] = time / times[case, size, "kvision"]
-    left_out = {row.case for row in table(machine, without)} if without else set()
-    cases = dict.fromkeys(case for case, _ in ratio if case not in left_out)
-    return [(case, [ratio.get((case, size)) for size in sizes]) for case in cases]
+def quotients(machine: str, modules: Sequence[str], sizes: Sequence[str], above: str, below: str) -> Cases:
+    """One column over another for every float32 case of the modules that has both, at these sizes."""
+    names = {case.name for module in modules for case in getattr(cases, module).CASES}
+    values: dict[str, dict[str, float]] = {}
+    for row in table(machine, "cases"):
+        if row["case"] in names and row["dtype"] == "float32" and row["size"] in sizes and row[above] and row[below]:
+            values.setdefault(row["case"], {})[row["size"]] = float(row[above]) / float(row[below])
+    order = [case.name for module in modules for case in getattr(cases, module).CASES if case.name in values]
+    return [(name, [values[name].get(size) for size in sizes]) for name in order]
 
 
 def batches() -> dict[str, list[tuple[int, float]]]:
     """Batch size and milliseconds a batch of every library of the Sobel figure."""
     curves: dict[str, list[tuple[int, float]]] = {}
-    with (RESULTS / "h200" / "sobel_figure" / "sobel.csv").open(newline="") as file:
-        for row in csv.DictReader(file):
-            curves.setdefault(row["library"], []).append((int(row["batch"]), float(row["ms"])))
+    for row in table("h200", "sobel_figure"):
+        curves.setdefault(row["library"], []).append((int(row["batch"]), float(row["ms"])))
     return curves
 
 
@@ -186,15 +140,15 @@ def dots(path: Path, groups: Sequence[tuple[str, Cases]], sizes: Sequence[str], 
 
 
 def main() -> int:
-    dots(PICTURES / "h200_floor.svg", [(title, over_floor(file)) for title, file in H200], GPU_SIZES, "time / floor")
-    kornia = [
-        ("Filters", speedup("h200", ["filters"], "kornia", GPU_SIZES)),
-        ("Color and enhance", speedup("h200", ["all", "histogram"], "kornia", GPU_SIZES, without="filters")),
-        ("Warps and sizes", speedup("h200", ["geometry"], "kornia", GPU_SIZES)),
-        ("Losses, morphology", speedup("h200", ["losses"], "kornia", GPU_SIZES)),
-    ]
+    def panels(machine: str, sizes: Sequence[str], above: str, below: str) -> list[tuple[str, Cases]]:
+        groups = [(title, quotients(machine, modules, sizes, above, below)) for title, modules in PANELS]
+        return [(title, of_group) for title, of_group in groups if of_group]
+
+    floor = panels("h200", GPU_SIZES, "forward", "forward floor")
+    dots(PICTURES / "h200_floor.svg", floor, GPU_SIZES, "time / floor")
+    kornia = panels("h200", GPU_SIZES, "kornia forward", "forward")
     dots(PICTURES / "h200_kornia.svg", kornia, GPU_SIZES, "Kornia's time / kvision's")
-    opencv = [(title, speedup("epyc", files, "opencv", CPU_SIZES)) for title, files in EPYC]
+    opencv = panels("epyc", CPU_SIZES, "opencv forward", "forward")
     dots(PICTURES / "epyc_opencv.svg", opencv, CPU_SIZES, "OpenCV's time / kvision's")
     curves(PICTURES / "sobel_batches.svg", batches(), "milliseconds a batch")
     return 0

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benchmarks import awkward, bars, machine, table
+from benchmarks import awkward, bars, machine, results, table
 from benchmarks.case import Size
 from benchmarks.cases import ALL
 from benchmarks.measure import FORWARD, KVISION, Row, measure, name_of, size_name
@@ -67,6 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print("", table.summary(checked, lost), sep="\n")
     if ratios:
         print(table.ratios(ratios))
+    if options.csv:
+        results.merge_cases(options.csv, rows, about)
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         report = {
@@ -103,6 +105,9 @@ def parser() -> argparse.ArgumentParser:
     parse.add_argument("--threads", type=int, default=1, help="of torch and OpenCV on the CPU (default 1)")
     parse.add_argument("--seconds", type=float, default=0.5, help="time for one figure (default 0.5)")
     parse.add_argument("--json", type=Path, metavar="FILE", help="write everything there too")
+    parse.add_argument(
+        "--csv", type=Path, metavar="FILE", help="replace these cases in a committed table, results/MACHINE/cases.csv"
+    )
     return parse
 
 

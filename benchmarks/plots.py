@@ -5,15 +5,13 @@ Nothing is measured here. Every number comes from a table in benchmarks/results.
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks import cases
+from benchmarks import cases, results
 
 ROOT = Path(__file__).parents[1]
-RESULTS = ROOT / "benchmarks" / "results"
 PICTURES = ROOT / "docs" / "pictures"
 
 # Titles of panels, and the modules of benchmarks/cases that they show.
@@ -31,9 +29,7 @@ Cases = list[tuple[str, list[float | None]]]  # a case and its value at each siz
 
 
 def table(machine: str, name: str) -> list[dict[str, str]]:
-    """The rows of a table of results, by column; lines that begin with # say how it was made."""
-    with (RESULTS / machine / f"{name}.csv").open(newline="") as file:
-        return list(csv.DictReader(line for line in file if line[0] != "#"))
+    return results.read(results.FOLDER / machine / f"{name}.csv")[1]
 
 
 def quotients(machine: str, modules: Sequence[str], sizes: Sequence[str], above: str, below: str) -> Cases:

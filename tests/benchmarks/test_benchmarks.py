@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from benchmarks import __main__ as command
-from benchmarks import awkward, kernels, overhead, scaling, sift_cpu, sobel_figure, threads
+from benchmarks import awkward, kernels, overhead, results, scaling, sift_cpu, sobel_figure, threads
 from benchmarks.bars import EXTRA, check, losses
 from benchmarks.case import Bars, Case, dead_leaves, nonlinear_backward, photographs
 from benchmarks.cases import ALL
@@ -217,6 +217,20 @@ def test_command_line_measures_awkward_sizes_and_their_neighbors(tmp_path, capsy
 
 
 # -- what is printed and written
+
+
+def test_committed_tables_are_small_and_take_new_figures(tmp_path):
+    tables = list(results.FOLDER.glob("*/*.csv"))
+    assert tables and sum(len(path.read_text().splitlines()) for path in tables) <= 4000
+    path, machine = (
+        tmp_path / "cases.csv",
+        {"date": "2026-11-28T01:02:03", "commit": "abc", "hardware": "X", "torch": "2"},
+    )
+    results.merge_cases(path, [row(KVISION, value=2e-3, floor=1e-3), row("opencv", value=4e-3, floor=1e-3)], machine)
+    results.merge_cases(path, [row(KVISION, value=3e-3, floor=1e-3)], machine)
+    about, (merged,) = results.read(path)
+    assert about == ["# X, torch 2: ms"] and merged["case"] == "work" and merged["commit"] == "abc"
+    assert (merged["forward"], merged["forward floor"], merged["opencv forward"]) == ("3", "1", "4")
 
 
 @pytest.mark.parametrize("cuda", [False, True])

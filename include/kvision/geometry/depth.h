@@ -33,11 +33,14 @@ inline Tensor depth_from_plane_equation(Tensor const& plane_normals, Tensor cons
 }
 
 // The source where the pixels of the depth of the destination are seen in it, by the motion (B, 4, 4) between the two.
+// Its camera is that of the destination unless it is given.
 inline Tensor warp_frame_depth(Tensor const& image_src, Tensor const& depth_dst, Tensor const& src_trans_dst,
-                               Tensor const& camera_matrix) {
+                               Tensor const& camera_matrix,
+                               std::optional<Tensor> const& camera_matrix_src = std::nullopt) {
   Tensor const x = detail::floats(detail::images("warp_frame_depth", "image_src", image_src));
   Tensor const camera = detail::computed(camera_matrix, x);
-  Tensor const projection = ops::reprojection(camera, detail::computed(src_trans_dst, x), camera, {}, true);
+  Tensor const camera_src = detail::computed(camera_matrix_src.value_or(camera_matrix), x);
+  Tensor const projection = ops::reprojection(camera_src, detail::computed(src_trans_dst, x), camera, {}, true);
   return ops::depth_warp(x, detail::computed(depth_dst, x), projection, int64_t(Interpolation::bilinear),
                          detail::padding_number(PaddingMode::zeros), true);
 }

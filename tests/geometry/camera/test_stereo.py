@@ -68,6 +68,25 @@ def test_stereo_depth(device):
     assert (result - point[0]).abs().max() < 0.5 * 4 / 90
 
 
+def test_principal_points_of_a_pair_may_differ(device):
+    """Z = f b / (d + cx_right - cx_left), as of the pairs of Middlebury."""
+    left, right = (c.to(device) for c in cameras(2))
+    right[:, 0, 2] += torch.tensor([3.0, -5.5], device=device)
+    disparity = (10 + 5 * rand(2, 4, 5, 1)).to(device)
+    ours = G.StereoCamera(left, right)
+    z = (ours.fx * ours.tx)[:, None, None, None] / (disparity + (right - left)[:, 0, 2, None, None, None])
+    result = ours.reproject_disparity_to_3D(disparity)
+    assert_close(result[..., 2:], z)
+    # Both cameras see the points at pixels that are as far apart as the disparity says.
+    seen = [
+        G.project_points(result, camera[:, None, None, :, :3]) + camera[:, None, None, :2, 3] / result[..., 2:]
+        for camera in (left, right)
+    ]
+    assert_close(seen[0] - seen[1], torch.cat([disparity, torch.zeros_like(disparity)], -1), 1e-9, 1e-9)
+    columns = torch.arange(5, dtype=torch.float64, device=device).expand(2, 4, 5)
+    assert_close(seen[0][..., 0], columns, 1e-9, 1e-9)
+
+
 LEFT, RIGHT = cameras(1)
 BAD = [
     (lambda: G.StereoCamera(LEFT[0], RIGHT[0]), ValueError, "StereoCamera: expected rectified_left_camera of shape"),

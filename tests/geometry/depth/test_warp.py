@@ -80,6 +80,24 @@ def test_what_is_behind_the_camera_is_outside_and_has_no_gradient(device):
     assert not d.grad[..., :5].any()
 
 
+def test_cameras_of_other_views(device):
+    """The source's own camera: the same view, enlarged about its first pixel and moved."""
+    image = torch.rand(2, 2, 6, 7, device=device)
+    d = 1 + torch.rand(2, 1, 6, 7, device=device)
+    here = torch.tensor([[[20.0, 0, 3], [0, 20, 2.5], [0, 0, 1]]], device=device)
+    there = here.repeat(2, 1, 1)
+    there[1, :2, 2] += torch.tensor([1.0, -2], device=device)
+    still = torch.eye(4, device=device)[None]
+    result = G.warp_frame_depth(image, d, still, here, camera_matrix_src=there)
+    assert_close(result[0], image[0])
+    assert_close(result[1, :, 2:, :-1], image[1, :, :-2, 1:])
+    moved = motion(image).to(image)
+    expected = G.warp_frame_depth(image, d, moved, here)
+    assert_close(G.warp_frame_depth(image, d, moved, here, camera_matrix_src=here), expected)
+    with pytest.raises(ValueError, match=r"warp_frame_depth: .*\(3,\) of camera_matrix_src"):
+        G.warp_frame_depth(image, d, moved, here, camera_matrix_src=here.repeat(3, 1, 1))
+
+
 def test_singular_cameras_are_harmless(device):
     image = torch.rand(1, 2, 6, 7, device=device, requires_grad=True)
     d = torch.ones(1, 1, 6, 7, device=device, requires_grad=True)

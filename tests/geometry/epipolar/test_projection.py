@@ -50,6 +50,38 @@ class TestProjectionOperators(PointOpTests):
     }
 
 
+@pytest.mark.parametrize("factor", [0.3, 0.5, 1.0, 1.5, 3.0])
+def test_scaled_cameras_see_resized_images(factor, device):
+    """The pixel at which a camera of the resized image sees a point shows what the pixel of the first one shows."""
+    y, x = (v.double() for v in torch.meshgrid(torch.arange(40), torch.arange(60), indexing="ij"))
+    ramps = torch.stack([x, y])[None].to(device)  # each pixel shows its coordinates
+    camera = torch.tensor([[50.0, 2, 28.3], [0, 45, 21.7], [0, 0, 1]], dtype=torch.float64, device=device)
+    points = torch.tensor([[0.1, -0.05, 1.0], [-0.3, 0.2, 1.5]], dtype=torch.float64, device=device)
+    small = G.resize(ramps, (round(40 * factor), round(60 * factor)))
+
+    def shown(camera):
+        pixels = G.convert_points_from_homogeneous(points @ camera.mT)
+        return G.remap(small, *(pixels[None, None, :, i] for i in (0, 1)), align_corners=True)[0, :, 0].mT
+
+    truth = G.convert_points_from_homogeneous(points @ camera.mT)
+    scaled = G.scale_intrinsics(camera, factor, pixel_centers=True)
+    assert_close(shown(scaled), truth, 0, 1e-6)
+    each = torch.tensor([factor, 1.0], device=device)
+    assert_close(G.scale_intrinsics(camera[None], each, pixel_centers=True)[0], scaled, 0, 1e-5)
+    intrinsics = torch.eye(4, dtype=torch.float64, device=device)[None].repeat(2, 1, 1)
+    intrinsics[:, :3, :3] = camera
+    size = intrinsics.new_full((2,), 40)
+    pinhole = G.PinholeCamera(intrinsics, intrinsics, size, size)
+    assert_close(pinhole.scale(factor, pixel_centers=True).camera_matrix[1], scaled)
+    assert_close(pinhole.scale(each.double(), pixel_centers=True).camera_matrix[1], camera)
+    # The center of an image stays its center.
+    centers = (G.intrinsics_like(1.0, image, pixel_centers=True)[0, :2, 2] for image in (ramps, small))
+    center, resized = centers
+    moved = torch.eye(3, dtype=torch.float64, device=device)
+    moved[:2, 2] = center
+    assert_close(G.scale_intrinsics(moved, factor, pixel_centers=True)[:2, 2], resized, 0, 1e-6)
+
+
 def test_focal_lengths_of_images(device):
     """A tensor of one number or one a sample, with gradient, from any device; a number where all agree."""
     images = torch.zeros(2, 3, 20, 30, dtype=torch.float64, device=device)

@@ -179,15 +179,33 @@ class PinholeCamera:
         inverse = with_kernel_casts(inverse3x3)(self.camera_matrix)
         return homogeneous(torch.cat([inverse, torch.zeros_like(inverse[..., :1])], -1))
 
-    def scale(self, scale_factor: Tensor | float) -> PinholeCamera:
-        """Cameras for images of another size: camera matrix, height and width by a factor, a number for all or (B,)."""
-        return self.clone().scale_(scale_factor)
+    def scale(self, scale_factor: Tensor | float, pixel_centers: bool = False) -> PinholeCamera:
+        """Cameras for images of another size: camera matrix, height and width by a factor.
 
-    def scale_(self, scale_factor: Tensor | float) -> PinholeCamera:
+        Args:
+            scale_factor: a number for all or (B,).
+            pixel_centers: give the cameras of images after :func:`resize`; see :func:`scale_intrinsics`.
+
+        Example:
+            >>> import torch, kvision as K
+            >>> image = torch.rand(1, 3, 48, 64)
+            >>> intrinsics = torch.eye(4)[None].clone()
+            >>> intrinsics[:, :3, :3] = K.geometry.intrinsics_like(50.0, image, pixel_centers=True)
+            >>> camera = K.geometry.PinholeCamera(intrinsics, torch.eye(4)[None], torch.tensor([48]), torch.tensor([64]))
+            >>> half = camera.scale(0.5, pixel_centers=True)  # of resize(image, (24, 32))
+            >>> half.cx, half.scale(2, pixel_centers=True).cx
+            (tensor([15.5000]), tensor([31.5000]))
+        """
+        return self.clone().scale_(scale_factor, pixel_centers)
+
+    def scale_(self, scale_factor: Tensor | float, pixel_centers: bool = False) -> PinholeCamera:
         """:meth:`scale` of these cameras themselves."""
+        _check.flag(f"{type(self).__name__}.scale", "pixel_centers", pixel_centers)
         factor = scale_factor[..., None, None] if isinstance(scale_factor, Tensor) else scale_factor
         self._intrinsics = self._intrinsics.clone()
         self._intrinsics[:, :2, :3] *= factor
+        if pixel_centers:
+            self._intrinsics[:, :2, :3] += self._intrinsics[:, 2:3, :3] * ((factor - 1) / 2)
         self.height = self.height * scale_factor
         self.width = self.width * scale_factor
         return self

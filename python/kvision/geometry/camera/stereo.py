@@ -15,13 +15,15 @@ __all__ = ["StereoCamera"]
 
 
 class StereoCamera:
-    """Rectified stereo pairs: two cameras that differ by a horizontal translation.
+    """Rectified stereo pairs: two cameras that differ by a horizontal translation, and in the columns of principal points.
+
+    A point of disparity d has depth Z = fx tx / (d + cx_right - cx_left).
 
     Args:
         rectified_left_camera: projection matrices (B, 3, 4).
-        rectified_right_camera: projection matrices (B, 3, 4), equal but for the last column, whose first entry, -fx times
-            the distance of the cameras, is negative. Cameras on other devices than the CPU are not read to see whether
-            that is so, because it would wait for them.
+        rectified_right_camera: projection matrices (B, 3, 4), equal but for the columns of the principal points and the last
+            column, whose first entry, -fx times the distance of the cameras, is negative. Cameras on other devices than the
+            CPU are not read to see whether that is so, because it would wait for them.
 
     Raises:
         TypeError: `rectified_left_camera` or `rectified_right_camera` is not a floating-point tensor, or the types differ.
@@ -46,8 +48,12 @@ class StereoCamera:
         if left.dtype != right.dtype:
             raise TypeCheckError(f"{op}: expected cameras of one type, got {left.dtype} and {right.dtype}")
         if _check.values_are_readable(left):
-            if not torch.equal(left[..., :3], right[..., :3]):
-                raise ValueCheckError(f"{op}: expected cameras that are equal but for their last column")
+            differs = left[..., :3] != right[..., :3]
+            differs[:, 0, 2] = False
+            if differs.any():
+                raise ValueCheckError(
+                    f"{op}: expected cameras that are equal but for [:, 0, 2] and their last column, got others"
+                )
             if not (right[:, 0, 3] < 0).all():
                 raise ValueCheckError(
                     f"{op}: expected rectified_right_camera[:, 0, 3] to be negative, -fx times a distance"

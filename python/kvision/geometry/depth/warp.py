@@ -190,6 +190,7 @@ def warp_frame_depth(
     src_trans_dst: Tensor,
     camera_matrix: Tensor,
     normalize_points: bool = False,
+    camera_matrix_src: Tensor | None = None,
 ) -> Tensor:
     """Warp images of a source camera into a destination camera, by the destination's depth map.
 
@@ -201,6 +202,7 @@ def warp_frame_depth(
         src_trans_dst: (B, 4, 4), points of the destination's frame to the source's.
         camera_matrix: (B, 3, 3), of both cameras; its focal lengths and principal point are used.
         normalize_points: depth is the distance from the camera, not z.
+        camera_matrix_src: (B, 3, 3), of the source's camera where it is another; `camera_matrix` is then the destination's.
 
     Returns:
         (B, C, h, w), of the type of `image_src`.
@@ -223,6 +225,8 @@ def warp_frame_depth(
     _check.shape(op, "src_trans_dst", src_trans_dst, "B", 4, 4)
     _check.shape(op, "camera_matrix", camera_matrix, "B", 3, 3)
     _check.flag(op, "normalize_points", normalize_points)
+    if camera_matrix_src is not None:
+        _check.shape(op, "camera_matrix_src", camera_matrix_src, "B", 3, 3)
     _check.same_device(op, image_src=image_src, depth_dst=depth_dst)
     dtype = compute_dtype(image_src)
     motion, camera = (
@@ -231,13 +235,20 @@ def warp_frame_depth(
     )
     if motion.shape[0] != 1:
         camera = sampling.cast_to_image(op, motion, "camera_matrix", camera)
+    camera_src = camera
+    if camera_matrix_src is not None:
+        camera_src = as_dtype(
+            _check.to_device_of(op, image_src, "camera_matrix_src", camera_matrix_src, of="image_src"), dtype
+        )
+        batches = {"src_trans_dst": motion, "camera_matrix": camera, "camera_matrix_src": camera_src}
+        _check.broadcastable(op, **{name: x.shape[:1] for name, x in batches.items()})
     if normalize_points:
         depth_dst = depth_dst.to(dtype)
         if depth_dst.shape[0] == 1:
             depth_dst = depth_dst.expand(camera.shape[0], -1, -1, -1)
         cameras = sampling.cast_to_image(op, depth_dst, "camera_matrix", camera)
         depth_dst = depth_points(depth_dst, cameras, True, False)[:, 2:]
-    projection = _reprojection(camera, motion, camera, None, True)
+    projection = _reprojection(camera_src, motion, camera, None, True)
     return _warped(op, image_src, depth_dst, projection, "bilinear", "zeros", True)
 
 

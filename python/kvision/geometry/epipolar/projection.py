@@ -209,12 +209,14 @@ def projections_from_fundamental(F_mat: Tensor) -> Tensor:
 # --- camera matrices ------------------------------------------------------------------------------------------------
 
 
-def intrinsics_like(focal: float | Tensor, input: Tensor) -> Tensor:
+def intrinsics_like(focal: float | Tensor, input: Tensor, pixel_centers: bool = False) -> Tensor:
     """Make the camera matrix of a focal length for each image, with the principal point at half of width and height.
 
     Args:
         focal: in pixels, above 0: a number, or a tensor () or (B,), which gets a gradient and is not checked by value.
         input: images (B, C, H, W), floating point; they give sizes, device and dtype.
+        pixel_centers: put the principal point at half of width - 1 and height - 1, the center of the image where the center of
+            the first pixel is (0, 0), as :func:`resize` and warps have it. False is Kornia's.
 
     Returns:
         (B, 3, 3).
@@ -230,10 +232,15 @@ def intrinsics_like(focal: float | Tensor, input: Tensor) -> Tensor:
         tensor([[[100.,   0.,  15.],
                  [  0., 100.,  10.],
                  [  0.,   0.,   1.]]])
+        >>> K.geometry.intrinsics_like(100.0, torch.zeros(1, 3, 20, 30), pixel_centers=True)[0, :2, 2]
+        tensor([14.5000,  9.5000])
     """
     _check.images("intrinsics_like", "input", input)
     _check.floating("intrinsics_like", "input", input)
+    _check.flag("intrinsics_like", "pixel_centers", pixel_centers)
     b, _, h, w = input.shape
+    if pixel_centers:
+        h, w = h - 1, w - 1
     if isinstance(focal, Tensor):
         _check.numbers("intrinsics_like", "focal", focal)
         if focal.shape not in ((), (1,), (b,)):
@@ -280,12 +287,15 @@ def random_intrinsics(low: float | Tensor, high: float | Tensor) -> Tensor:
     return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, zero + 1]).reshape(1, 3, 3)
 
 
-def scale_intrinsics(camera_matrix: Tensor, scale_factor: float | Tensor) -> Tensor:
+def scale_intrinsics(camera_matrix: Tensor, scale_factor: float | Tensor, pixel_centers: bool = False) -> Tensor:
     """Multiply focal lengths and principal points of camera matrices.
 
     Args:
         camera_matrix: (*, 3, 3), floating point.
         scale_factor: a number, or a tensor (*) or of one number.
+        pixel_centers: give the cameras of images after :func:`resize` to `scale_factor` times their size, which maps the
+            coordinate x of a pixel center to (x + 0.5) `scale_factor` - 0.5. False is Kornia's, which maps x to x
+            `scale_factor`, as for coordinates that begin at the edge of the image, and leaves a skew.
 
     Returns:
         (*, 3, 3).
@@ -300,11 +310,22 @@ def scale_intrinsics(camera_matrix: Tensor, scale_factor: float | Tensor) -> Ten
         tensor([[[2., 1., 2.],
                  [1., 2., 2.],
                  [1., 1., 1.]]])
+        >>> camera = torch.tensor([[50.0, 0, 31.5], [0, 50, 23.5], [0, 0, 1]])  # of images 64 by 48
+        >>> K.geometry.scale_intrinsics(camera, 0.5, pixel_centers=True)  # of resize(images, (24, 32))
+        tensor([[25.0000,  0.0000, 15.5000],
+                [ 0.0000, 25.0000, 11.5000],
+                [ 0.0000,  0.0000,  1.0000]])
     """
     _check.floating_trailing_shape("scale_intrinsics", "camera_matrix", camera_matrix, 3, 3)
     if not isinstance(scale_factor, Tensor):
         scale_factor = _check.number("scale_intrinsics", "scale_factor", scale_factor)
-    scaled = camera_matrix * (scale_factor[..., None, None] if isinstance(scale_factor, Tensor) else scale_factor)
+    _check.flag("scale_intrinsics", "pixel_centers", pixel_centers)
+    factor = scale_factor[..., None, None] if isinstance(scale_factor, Tensor) else scale_factor
+    if pixel_centers:
+        top, last = camera_matrix.split((2, 1), -2)
+        top = top * factor + last * ((factor - 1) / 2)
+        return torch.cat([top, last.to(top.dtype).expand(*top.shape[:-2], 1, 3)], -2)
+    scaled = camera_matrix * factor
     k = camera_matrix.to(scaled.dtype).expand_as(scaled).flatten(-2).unbind(-1)
     s = scaled.flatten(-2).unbind(-1)
     # Of these entries, not by a mask: making one on the GPU would wait for it.

@@ -103,21 +103,21 @@ def dots(path: Path, groups: Sequence[tuple[str, Cases]], sizes: Sequence[str], 
     import matplotlib.pyplot as plt
     from matplotlib.ticker import FuncFormatter, NullFormatter
 
-    longest = max(len(cases) for _, cases in groups)
+    longest = max(len(rows) for _, rows in groups)
     figure, axes = plt.subplots(
         1, len(groups), figsize=(2.6 * len(groups), 1.1 + 0.15 * longest), squeeze=False, layout="constrained"
     )
-    for axis, (title, cases) in zip(axes[0], groups):
+    for axis, (title, rows) in zip(axes[0], groups):
         for i, (size, color) in enumerate(zip(sizes, COLORS)):
-            points = [(values[i], y) for y, (_, values) in enumerate(cases) if values[i] is not None]
+            points = [(values[i], y) for y, (_, values) in enumerate(rows) if values[i] is not None]
             axis.scatter([x for x, _ in points], [y for _, y in points], 14, color, label=size, zorder=3)
-        axis.set_yticks(range(len(cases)), [case for case, _ in cases])
+        axis.set_yticks(range(len(rows)), [case for case, _ in rows])
         axis.set_ylim(longest - 0.5, -0.8)
         axis.set_xscale("log")
         axis.axvline(1, color="#8a8a8a", linewidth=0.8)
         axis.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         axis.xaxis.set_minor_formatter(NullFormatter())
-        values = [value for _, pair in cases for value in pair if value is not None]
+        values = [value for _, pair in rows for value in pair if value is not None]
         ticks = [
             t
             for t in (0.5, 1, 2, 3, 5, 10, 20, 50, 100, 200, 500, 1000, 3000)

@@ -69,10 +69,9 @@ from kvision.augmentation.random_noise import RandomGaussianNoise, RandomSaltAnd
 from kvision.augmentation.resize import LongestMaxSize, PadTo, Resize, SmallestMaxSize
 from kvision.augmentation.sheet import preview
 from kvision.augmentation.transplantation import RandomTransplantation, RandomTransplantation3D
+from kvision.augmentation.volume_crops import CenterCrop3D, RandomCrop3D
 from kvision.augmentation.volumes import (
-    CenterCrop3D,
     RandomAffine3D,
-    RandomCrop3D,
     RandomDepthicalFlip3D,
     RandomEqualize3D,
     RandomHorizontalFlip3D,

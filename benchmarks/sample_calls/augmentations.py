@@ -107,6 +107,8 @@ GEOMETRIC3D = [
     Augmentation("RandomPerspective3D", (0.5,), warps=True),
     Augmentation("RandomCrop3D", ((4, 5, 5),), {"padding": 1}, large=((4, 32, 40),), changes_size=True),
     Augmentation("CenterCrop3D", ((4, 5, 5),), large=((4, 32, 40),), **SIZED),
+    Augmentation("RandomResizedCrop3D", ((4, 5, 5),), large=((4, 32, 40),), changes_size=True, warps=True),
+    Augmentation("Resize3D", ((4, 5, 5),), large=((4, 32, 40),), warps=True, **SIZED),
     *FLIPS3D,
 ]
 VOLUMES = [

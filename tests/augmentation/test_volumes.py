@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import inspect
 import pickle
 from typing import Any
@@ -20,6 +21,7 @@ from op_tests import does_not_wait
 SIZE = (6, 7, 8)
 cases = pytest.mark.parametrize("case", VOLUMES, ids=lambda case: case.name)
 geometric = pytest.mark.parametrize("case", GEOMETRIC3D, ids=lambda case: case.name)
+OURS = ("RandomResizedCrop3D", "Resize3D")  # which Kornia has not
 
 
 def volumes(device: Any = "cpu", batch: int = 5, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -239,6 +241,69 @@ def test_crops_are_exact(mode: str, torch_mode: str, fill: float, device: torch.
     assert torch.equal(crop.transform_matrix[:, :3, 3].cpu(), torch.tensor([1.0, 3, 2]) - crop._params["src"][:, 0])
 
 
+@pytest.mark.parametrize("align_corners", [True, False])
+@pytest.mark.parametrize("mode", ["nearest", "bilinear"])
+def test_resized_boxes_are_those_of_interpolate(mode: str, align_corners: bool, device: torch.device) -> None:
+    x, size = volumes(device).double(), (10, 5, 16)  # no position in the middle of two voxels
+    crop, resize = (
+        make(size, resample=mode, align_corners=align_corners) for make in (A.RandomResizedCrop3D, A.Resize3D)
+    )
+    y = crop(x, seed=1)
+    torch_mode = {"nearest": "nearest-exact", "bilinear": "trilinear"}[mode]
+    options = {"align_corners": align_corners} if mode == "bilinear" else {}
+    if mode == "bilinear" or not align_corners:  # nearest-exact reads between edges
+        torch.testing.assert_close(resize(x), torch.nn.functional.interpolate(x, size, mode=torch_mode, **options))
+    src = crop._params["src"].long()
+    sides = src[:, 6] - src[:, 0] + 1
+    for i, ((left, top, front), (w, h, d)) in enumerate(zip(src[:, 0].tolist(), sides.tolist())):
+        box = x[i : i + 1, :, front : front + d, top : top + h, left : left + w]
+        # What is next to a box is read between its edges, and resized boxes end there.
+        inner = (..., *[slice(2, -2)] * 3) if not align_corners else ...
+        torch.testing.assert_close(y[i : i + 1][inner], resize(box)[inner])
+
+
+def test_boxes_have_the_volume_and_the_aspect_that_are_asked_for() -> None:
+    crop = A.RandomResizedCrop3D(4, (0.2, 0.4), (0.5, 2.0))
+    whole = torch.tensor([200.0, 100.0, 50.0])
+    params = crop.forward_parameters((2000, 1, 50, 100, 200))
+    src = params["src"]
+    fractions = (src[:, 6] - src[:, 0] + 1) / whole
+    assert (src >= 0).all() and (src[:, 6] <= whole - 1).all()
+    kept = (fractions < 1).all(1)  # sides end at those of the volume
+    scale, (w, h, d) = fractions.prod(1)[kept], fractions[kept].unbind(1)
+    assert 0.19 < scale.min() < 0.21 and 0.39 < scale.max() < 0.41 and abs(scale.mean() - 0.3) < 0.01
+    for ratio in (w / h, d / (w * h).sqrt()):
+        assert 0.48 < ratio.min() < 0.54 and 1.85 < ratio.max() < 2.1 and abs(ratio.log().mean()) < 0.03
+
+
+@geometric
+def test_what_enters_volumes_is_the_fill_value(case: Augmentation, device: torch.device) -> None:
+    """-1000 in images of computed tomography and 255 in masks; where nothing enters no bit changes."""
+    x = volumes(device) * 2000 - 1000
+    if case.name == "CenterCrop3D":
+        case = dataclasses.replace(case, args=((7, 9, 9),))
+    fill = {"fill": -1000.0} if case.name == "RandomCrop3D" else {"fill_value": -1000.0}
+    enters = fill.keys() & inspect.signature(getattr(A, case.name)).parameters.keys()
+    plain, filled = (case.make(p=1.0, **kwargs) for kwargs in ({}, fill if enters else {}))
+    keys = ["input", "mask"]
+    extra_args = {"mask": {"resample": "nearest", "fill_value": 255}}
+    mask = torch.ones_like(x[:, :1], dtype=torch.uint8)
+    y, masks = A.AugmentationSequential(filled, data_keys=keys, extra_args=extra_args)(x, mask, seed=1)
+    zeros, known = A.AugmentationSequential(plain, data_keys=keys)(x, mask, seed=1)
+    assert set(masks.unique().tolist()) == ({1, 255} if enters else {1})
+    assert torch.equal(masks == 1, known == 1)
+    inside = A.AugmentationSequential(plain)(torch.ones_like(x), seed=1)
+    whole, outside = inside > 1 - 1e-6, inside == 0
+    assert torch.equal(y[whole], zeros[whole]) and (y[outside] == -1000).all() and bool(outside.any()) == bool(enters)
+    torch.testing.assert_close(y, zeros - 1000 * (1 - inside), rtol=0, atol=2e-3)
+    if enters:  # another value of each channel, and of bytes in [0, 1]
+        channels = case.make(p=1.0, **{name: (0.2, 1.0) for name in fill})
+        values = torch.tensor([0.2, 1.0], device=device)[:, None, None, None]
+        far = outside[:, :1].expand_as(y)
+        assert torch.equal(channels(x, seed=1)[far], values.expand_as(y)[far])
+        assert torch.equal(channels((x > 0).byte(), seed=1)[far], (255 * values).byte().expand_as(y)[far])
+
+
 def test_crops_pad_small_volumes() -> None:
     x = torch.ones(2, 1, 2, 9, 9)
     y = A.RandomCrop3D((4, 5, 5), pad_if_needed=True)(x)
@@ -292,7 +357,13 @@ def test_inverse_undoes(case: Augmentation, device: torch.device) -> None:
     # Of a smooth volume, in the middle that no transform loses.
     axes = torch.meshgrid(*(torch.linspace(-1, 1, n, device=device) for n in (24, 26, 28)), indexing="ij")
     x = torch.exp(-4 * sum(a * a for a in axes)).expand(3, 1, -1, -1, -1)
-    sizes = {"RandomCrop3D": ((22, 24, 26),), "CenterCrop3D": ((22, 24, 26),), "RandomPerspective3D": (0.2,)}
+    sizes = {
+        "RandomCrop3D": ((22, 24, 26),),
+        "CenterCrop3D": ((22, 24, 26),),
+        "RandomPerspective3D": (0.2,),
+        "RandomResizedCrop3D": ((40, 42, 44), (0.9, 1.0), (0.9, 1.1)),
+        "Resize3D": ((40, 42, 44),),
+    }
     augment = getattr(A, case.name)(*sizes.get(case.name, case.args), **case.kwargs, p=1.0)
     y = augment(x)
     params = augment._params
@@ -313,7 +384,7 @@ def test_axes_of_one_voxel() -> None:
 
 
 @pytest.mark.tracing
-@pytest.mark.parametrize("case", [VOLUMES[0], VOLUMES[5], VOLUMES[9]], ids=lambda case: case.name)
+@pytest.mark.parametrize("case", [VOLUMES[0], VOLUMES[5], FLIPS3D[0], VOLUMES[11]], ids=lambda case: case.name)
 def test_compiles(case: Augmentation) -> None:
     kwargs = {"p": 0.7}
     augment = A.RandomMotionBlur3D(3, 20.0, 0.5, **kwargs) if case.one_kernel else case.make(**kwargs)
@@ -325,7 +396,7 @@ def test_compiles(case: Augmentation) -> None:
 # --- Kornia ---------------------------------------------------------------------------------------------------------
 
 
-@cases
+@pytest.mark.parametrize("case", [c for c in VOLUMES if c.name not in OURS], ids=lambda case: case.name)
 def test_the_parameters_of_kornia_give_its_volumes(case: Augmentation) -> None:
     theirs_of = pytest.importorskip("kornia.augmentation")
     # Kornia's warps leave their matrix where align_corners is False (docs/differences.md).
@@ -350,7 +421,7 @@ def test_shears_are_those_of_kornia_about_the_center() -> None:
     torch.testing.assert_close(transform_points(matrix, center), center)
 
 
-@pytest.mark.parametrize("case", [c for c in VOLUMES if not c.fixed], ids=lambda case: case.name)
+@pytest.mark.parametrize("case", [c for c in VOLUMES if not c.fixed and c.name not in OURS], ids=lambda case: case.name)
 def test_parameters_have_the_shapes_of_kornia(case: Augmentation) -> None:
     theirs_of = pytest.importorskip("kornia.augmentation")
     x = volumes()

@@ -69,7 +69,7 @@ from kvision.augmentation.random_noise import RandomGaussianNoise, RandomSaltAnd
 from kvision.augmentation.resize import LongestMaxSize, PadTo, Resize, SmallestMaxSize
 from kvision.augmentation.sheet import preview
 from kvision.augmentation.transplantation import RandomTransplantation, RandomTransplantation3D
-from kvision.augmentation.volume_crops import CenterCrop3D, RandomCrop3D
+from kvision.augmentation.volume_crops import CenterCrop3D, RandomCrop3D, RandomResizedCrop3D, Resize3D
 from kvision.augmentation.volumes import (
     RandomAffine3D,
     RandomDepthicalFlip3D,
@@ -150,6 +150,7 @@ __all__ = [
     "RandomRGBShift",
     "RandomRain",
     "RandomResizedCrop",
+    "RandomResizedCrop3D",
     "RandomRotation",
     "RandomRotation3D",
     "RandomRotation90",
@@ -166,6 +167,7 @@ __all__ = [
     "RandomVerticalFlip",
     "RandomVerticalFlip3D",
     "Resize",
+    "Resize3D",
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",
     "SmallestMaxSize",

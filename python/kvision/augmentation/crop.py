@@ -34,7 +34,8 @@ def padding_resampling(op: str, padding_mode: str, fill: Any) -> Resampling:
     if padding_mode not in _PADDING:
         raise ValueCheckError(f"{op}: expected padding_mode to be one of {', '.join(_PADDING)}, got {padding_mode!r}")
     padding, align_corners = _PADDING[padding_mode]
-    return Resampling("nearest", padding, align_corners, fill if padding == "fill" and fill != 0 else None)
+    is_zero = isinstance(fill, (int, float)) and fill == 0
+    return Resampling("nearest", padding, align_corners, fill if padding == "fill" and not is_zero else None)
 
 
 class RandomCrop(GeometricAugmentationBase2D):

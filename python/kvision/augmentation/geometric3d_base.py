@@ -9,8 +9,10 @@ from torch import Tensor
 
 from kvision.augmentation.base import Execution, Params, RigidAffineAugmentationBase3D
 from kvision.augmentation.geometric_base import GeometricAugmentation, Resampling
+from kvision.augmentation.warp_and_color import fill_of_images
 from kvision.constants import Resample
-from kvision.geometry.transform import warp3d
+from kvision.core.exceptions import ValueCheckError
+from kvision.geometry.transform import sampling, warp3d
 
 __all__ = ["GeometricAugmentationBase3D"]
 
@@ -50,10 +52,12 @@ class GeometricAugmentationBase3D(GeometricAugmentation, RigidAffineAugmentation
 
     def resampling(self, flags: dict[str, Any]) -> Resampling:
         """How volumes are read."""
+        fill = flags.get("fill_value")
+        padding = "zeros" if fill is None else "fill"
         if self.moves_whole_voxels:
-            return Resampling("nearest")
+            return Resampling("nearest", padding, fill=fill)
         mode = Resample.get(flags.get("resample", Resample.BILINEAR)).name.lower()
-        return Resampling(mode, align_corners=bool(flags.get("align_corners", True)))
+        return Resampling(mode, padding, bool(flags.get("align_corners", True)), fill)
 
     # --- execution, masks and inverse ---
 
@@ -65,24 +69,35 @@ class GeometricAugmentationBase3D(GeometricAugmentation, RigidAffineAugmentation
     ) -> Tensor:
         if transform is None:
             transform = self.compute_transformation(input, params, flags)
-        return self._warp(input, transform, self.output_size(tuple(input.shape), flags), self.resampling(flags))
+        resampling = self.resampling(flags)
+        resampling = resampling._replace(fill=fill_of_images(input, resampling.fill))
+        return self._warp(input, transform, self.output_size(tuple(input.shape), flags), resampling)
 
     def _warp(
         self, x: Tensor, matrix: Tensor, size: tuple[int, ...], resampling: Resampling, inverse: bool = True
     ) -> Tensor:
         """Resample volumes of any type: float64 holds all integers up to 2^53."""
-        mode, padding, align_corners, *_ = resampling
+        mode, padding, align_corners, fill, _ = resampling
         small = (torch.bool, torch.uint8, torch.int8, torch.int16)
         exact = x if x.is_floating_point() else x.to(torch.float32 if x.dtype in small else torch.float64)
-        op = type(self).__name__
-        y = warp3d.by_matrix(op, exact, matrix.to(x.device), tuple(size), mode, padding, align_corners, inverse)
+        op, matrix = type(self).__name__, matrix.to(x.device)
+        padding = "zeros" if padding == "fill" else padding
+        options = (matrix, tuple(size), mode, padding, align_corners, inverse)
+        y = warp3d.by_matrix(op, exact, *options)
+        if fill is not None:
+            # What is read of a volume of ones is how much of a voxel is inside; whole voxels keep their bits.
+            inside = warp3d.by_matrix(op, exact.new_ones(1).expand(x.shape[0], 1, *x.shape[2:]), *options)
+            _, value = sampling.padding_and_fill(op, exact, "fill", fill)
+            if value is not None:
+                y = torch.where(inside > 1 - 1e-5, y, y + (1 - inside) * value[..., None, None, None].to(y.dtype))
         return y if x.is_floating_point() else y.round().to(x.dtype)
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:
             return masks
         size = self.output_size(execution.shape, flags)
-        return self._warp(masks, self._matrix(execution), size, self.resampling(flags))
+        resampling = self.resampling(flags).for_labels(fill=flags.get("mask_fill"))
+        return self._warp(masks, self._matrix(execution), size, resampling)
 
     def inverse_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:
@@ -92,3 +107,11 @@ class GeometricAugmentationBase3D(GeometricAugmentation, RigidAffineAugmentation
 
     def inverse_transform(self, input: Tensor, flags: dict[str, Any], transform: Tensor, size: Any) -> Tensor:
         return self._warp(input, transform, tuple(size), self.resampling(flags).for_inverse(), inverse=False)
+
+
+def parse_resample(op: str, resample: str | int | Resample) -> Resample:
+    """How volumes are read, if warps of volumes have that."""
+    mode = Resample.get(resample)
+    if mode not in (Resample.NEAREST, Resample.BILINEAR):
+        raise ValueCheckError(f"{op}: expected resample to be 'nearest' or 'bilinear', got {resample!r}")
+    return mode

@@ -1,4 +1,4 @@
-"""Crops of volumes (B, C, D, H, W). Points and matrices are (x, y, z), sizes (depth, height, width)."""
+"""Crops and resizing of volumes (B, C, D, H, W). Points and matrices are (x, y, z), sizes (depth, height, width)."""
 
 from __future__ import annotations
 
@@ -6,19 +6,27 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from kvision._constants import constant
+from kvision._dtype import compute_dtype
 from kvision.augmentation.base import Params, Shape
 from kvision.augmentation.crop import padding_resampling
-from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D
+from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D, parse_resample
 from kvision.augmentation.geometric_base import Resampling
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
-from kvision.augmentation.random_generator.volumes import CropGenerator3D, box_params3d, center_corner, parse_size3d
+from kvision.augmentation.random_generator.volumes import (
+    CropGenerator3D,
+    ResizedCropGenerator3D,
+    ResizeGenerator3D,
+    box_params3d,
+    center_corner,
+    parse_size3d,
+)
 from kvision.constants import Resample
 from kvision.core.exceptions import TypeCheckError
 
-__all__ = ["CenterCrop3D", "RandomCrop3D"]
+__all__ = ["CenterCrop3D", "RandomCrop3D", "RandomResizedCrop3D", "Resize3D"]
 
 
 class RandomCrop3D(GeometricAugmentationBase3D):
@@ -29,7 +37,7 @@ class RandomCrop3D(GeometricAugmentationBase3D):
         padding: voxels around the volume: a number, three for left and right, top and bottom, front and back, or left,
             right, top, bottom, front, back.
         pad_if_needed: pad smaller volumes on both sides.
-        fill: value of padded voxels.
+        fill: value of padded voxels, in [0, 1] for bytes: a number, or one of each channel.
         padding_mode: 'constant', 'reflect', 'replicate' or 'symmetric'.
         resample: accepted for code written for Kornia: boxes begin at voxels, so that nothing is interpolated.
         same_on_batch: all samples get the same box.
@@ -54,7 +62,7 @@ class RandomCrop3D(GeometricAugmentationBase3D):
         size: int | tuple[int, int, int],
         padding: int | tuple[int, ...] | None = None,
         pad_if_needed: bool | None = False,
-        fill: float = 0,
+        fill: Any = 0,
         padding_mode: str = "constant",
         resample: str | int | Resample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
@@ -94,24 +102,11 @@ class RandomCrop3D(GeometricAugmentationBase3D):
         return self.size
 
     def resampling(self, flags: dict[str, Any]) -> Resampling:
-        # `apply_transform` pads with the fill value, since warps of volumes fill with 0 only.
-        return padding_resampling("RandomCrop3D", flags["padding_mode"], flags["fill"]).for_labels()
+        return padding_resampling("RandomCrop3D", flags["padding_mode"], flags["fill"])
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         before = constant(self.compute_padding(tuple(input.shape))[::2], input, torch.float32)
         return _translation(before - params["src"][:, 0])
-
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        if transform is None:
-            transform = self.compute_transformation(input, params, flags)
-        if flags["padding_mode"] == "constant" and flags["fill"] != 0:
-            padding = self.compute_padding(tuple(input.shape))
-            before = constant(tuple(padding[::2]), input, torch.float32)[None]
-            input = nn.functional.pad(input, padding, value=flags["fill"])
-            transform = transform @ _translation(-before).to(transform)
-        return super().apply_transform(input, params, flags, transform)
 
 
 class _CenterGenerator3D(RandomGeneratorBase):
@@ -133,7 +128,7 @@ class _CenterGenerator3D(RandomGeneratorBase):
 
 
 class CenterCrop3D(GeometricAugmentationBase3D):
-    """Cut the box of a size out of the middle of volumes; smaller volumes are surrounded by 0.
+    """Cut the box of a size out of the middle of volumes; smaller volumes are surrounded by the fill value.
 
     Args:
         size: depth, height and width of the box; an int for all.
@@ -141,6 +136,7 @@ class CenterCrop3D(GeometricAugmentationBase3D):
         resample: accepted for code written for Kornia: the box begins at a voxel.
         p: probability that a batch is cropped.
         keepdim: a volume (C, D, H, W) gives a volume (C, d, h, w) instead of a batch of one.
+        fill_value: value of voxels from outside, in [0, 1] for bytes: a number, or one of each channel; None for 0.
 
     Raises:
         TypeError: `size` is not one or three ints.
@@ -161,12 +157,18 @@ class CenterCrop3D(GeometricAugmentationBase3D):
         resample: str | int | Resample = Resample.BILINEAR.name,
         p: float = 1.0,
         keepdim: bool = False,
+        fill_value: Any = None,
         **options: Any,
     ) -> None:
         super().__init__(p=1.0, p_batch=p, same_on_batch=True, keepdim=keepdim, **options)
         self.size = parse_size3d("CenterCrop3D", size)
         self._param_generator = _CenterGenerator3D(self.size)
-        self.flags = {"size": self.size, "align_corners": align_corners, "resample": Resample.get(resample)}
+        self.flags = {
+            "size": self.size,
+            "align_corners": align_corners,
+            "resample": Resample.get(resample),
+            "fill_value": fill_value,
+        }
 
     def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int, int]:
         return self.size
@@ -174,6 +176,125 @@ class CenterCrop3D(GeometricAugmentationBase3D):
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         first = constant(tuple(center_corner(tuple(input.shape), self.size)), input, torch.float32)
         return _translation(-first.expand(input.shape[0], 3))
+
+
+class _ResizedBox3D(GeometricAugmentationBase3D):
+    """A box of volumes, by the corners of its parameters, that becomes all of the result."""
+
+    whole_batch = True
+    size: tuple[int, int, int]
+
+    def _corners(self, input: Tensor, params: Params) -> tuple[Tensor, Tensor]:
+        """The first and the last voxel (x, y, z) of each box, (B, 3)."""
+        return params["src"][:, 0], params["src"][:, 6]
+
+    def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int, int]:
+        return self.size
+
+    def resampling(self, flags: dict[str, Any]) -> Resampling:
+        return super().resampling(flags)._replace(padding="border", fill=None)
+
+    def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
+        dtype = compute_dtype(input)
+        first, last = (corner.to(dtype) for corner in self._corners(input, params))
+        result = constant(tuple(reversed(self.size)), input, dtype)
+        if flags["align_corners"]:  # instead of a side of one voxel one whose ends differ, so that there is an inverse
+            scale, half = (result - 1).clamp(min=_SIDE) / (last - first).clamp(min=_SIDE), 0.0
+        else:  # the first voxel's center is half a voxel from the edge
+            scale, half = result / (last - first + 1), 0.5
+        matrix = torch.diag_embed(torch.cat([scale, scale.new_ones(len(scale), 1)], 1))
+        matrix[:, :3, 3] = (half - first) * scale - half
+        return matrix
+
+
+class RandomResizedCrop3D(_ResizedBox3D):
+    """Cut boxes of random volume and aspect out of volumes and resize them.
+
+    Args:
+        size: depth, height and width of the result; an int for all.
+        scale: range of the volume of a box, as a fraction of the whole.
+        ratio: range of width / height of a box, and of depth / sqrt(width * height), each as fractions of the volume's.
+        resample: 'nearest' or 'bilinear', in all three directions.
+        same_on_batch: all samples get the same box.
+        align_corners: the centers of the outermost voxels of the box go to those of the result; False: their edges.
+        p: probability that a batch is cropped.
+        keepdim: a volume (C, D, H, W) gives a volume (C, d, h, w) instead of a batch of one.
+
+    Raises:
+        TypeError: `size` is not one or three ints.
+        ValueError: a size below 1; a range does not have the form in Args, or is not above 0; `scale` is above 1; an unknown
+            `resample`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> crop = K.augmentation.RandomResizedCrop3D((2, 3, 4), scale=(0.2, 0.5))
+        >>> crop(torch.rand(2, 1, 8, 8, 8)).shape
+        torch.Size([2, 1, 2, 3, 4])
+    """
+
+    def __init__(
+        self,
+        size: int | tuple[int, int, int],
+        scale: Any = (0.08, 1.0),
+        ratio: Any = (3.0 / 4.0, 4.0 / 3.0),
+        resample: str | int | Resample = Resample.BILINEAR.name,
+        same_on_batch: bool = False,
+        align_corners: bool = True,
+        p: float = 1.0,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=1.0, p_batch=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        generator = ResizedCropGenerator3D(size, scale, ratio)
+        self._param_generator, self.size = generator, generator.output_size
+        mode = parse_resample("RandomResizedCrop3D", resample)
+        self.flags = {"size": self.size, "resample": mode, "align_corners": align_corners}
+
+
+class Resize3D(_ResizedBox3D):
+    """Resize volumes.
+
+    Args:
+        size: depth, height and width of the result; an int for all.
+        resample: 'nearest' or 'bilinear', in all three directions.
+        align_corners: the centers of the outermost voxels of volume and result correspond; False: their edges.
+        p: probability that a batch is resized.
+        keepdim: a volume (C, D, H, W) gives a volume (C, d, h, w) instead of a batch of one.
+
+    Raises:
+        TypeError: `size` is not one or three ints.
+        ValueError: a size below 1; an unknown `resample`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.Resize3D((1, 1, 3))(torch.tensor([1.0, 2.0]).reshape(1, 1, 1, 1, 2)).flatten()
+        tensor([1.0000, 1.5000, 2.0000])
+    """
+
+    def __init__(
+        self,
+        size: int | tuple[int, int, int],
+        resample: str | int | Resample = Resample.BILINEAR.name,
+        align_corners: bool = True,
+        p: float = 1.0,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=1.0, p_batch=p, same_on_batch=True, keepdim=keepdim, **options)
+        generator = ResizeGenerator3D(size)
+        self._param_generator, self.size = generator, generator.size
+        self.flags = {
+            "size": self.size,
+            "resample": parse_resample("Resize3D", resample),
+            "align_corners": align_corners,
+        }
+
+    def _corners(self, input: Tensor, params: Params) -> tuple[Tensor, Tensor]:
+        last = constant(tuple(n - 1 for n in reversed(input.shape[2:])), input, torch.float32).expand(len(input), 3)
+        return torch.zeros_like(last), last
+
+
+_SIDE = 2.0**-20
 
 
 def _translation(shift: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision import enhance, filters
 from kvision.augmentation.base import Params
 from kvision.augmentation.filters import OneKernelSize, border_name
-from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D
+from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D, parse_resample
 from kvision.augmentation.intensity_base import IntensityAugmentationBase3D
 from kvision.augmentation.random_generator.volumes import (
     AffineGenerator3D,
@@ -19,7 +19,6 @@ from kvision.augmentation.random_generator.volumes import (
     RotationGenerator3D,
 )
 from kvision.constants import BorderType, Resample
-from kvision.core.exceptions import ValueCheckError
 from kvision.geometry.transform import get_affine_matrix3d, matrices
 
 __all__ = [
@@ -38,7 +37,7 @@ __all__ = [
 
 
 class RandomAffine3D(GeometricAugmentationBase3D):
-    """Shear, scale, rotate and shift volumes about their center; voxels outside of the volume are 0.
+    """Shear, scale, rotate and shift volumes about their center; voxels from outside of the volume are the fill value.
 
     The three angles are one axis of rotation times the angle, not three rotations one after another. A positive angle about z
     rotates a displayed slice counter-clockwise, opposite to :class:`RandomRotation3D`.
@@ -53,6 +52,7 @@ class RandomAffine3D(GeometricAugmentationBase3D):
         align_corners: accepted for code written for Kornia.
         p: probability that a sample is augmented.
         keepdim: a volume (C, D, H, W) gives a volume (C, D, H, W) instead of a batch of one.
+        fill_value: value of voxels from outside, in [0, 1] for bytes: a number, or one of each channel; None for 0.
 
     Raises:
         TypeError, ValueError: a range does not have the form in Args, or is out of bounds; an unknown `resample`.
@@ -75,11 +75,16 @@ class RandomAffine3D(GeometricAugmentationBase3D):
         align_corners: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
+        fill_value: Any = None,
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator = AffineGenerator3D(degrees, translate, scale, shears)
-        self.flags = {"resample": _resample("RandomAffine3D", resample), "align_corners": align_corners}
+        self.flags = {
+            "resample": parse_resample("RandomAffine3D", resample),
+            "align_corners": align_corners,
+            "fill_value": fill_value,
+        }
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         placement = [params[name] for name in ("translations", "center", "scale", "angles")]
@@ -88,7 +93,7 @@ class RandomAffine3D(GeometricAugmentationBase3D):
 
 
 class RandomRotation3D(GeometricAugmentationBase3D):
-    """Rotate volumes about their center; voxels outside of the volume are 0.
+    """Rotate volumes about their center; voxels from outside of the volume are the fill value.
 
     Yaw, pitch and roll are the axis of rotation times the angle along x, y and z, not three rotations one after another. A
     positive roll rotates a displayed slice clockwise, as `geometry.rotate3d` does.
@@ -100,6 +105,7 @@ class RandomRotation3D(GeometricAugmentationBase3D):
         align_corners: accepted for code written for Kornia.
         p: probability that a sample is augmented.
         keepdim: a volume (C, D, H, W) gives a volume (C, D, H, W) instead of a batch of one.
+        fill_value: value of voxels from outside, in [0, 1] for bytes: a number, or one of each channel; None for 0.
 
     Raises:
         TypeError, ValueError: `degrees` does not have the form in Args, or is not within -360 and 360; an unknown `resample`.
@@ -120,11 +126,16 @@ class RandomRotation3D(GeometricAugmentationBase3D):
         align_corners: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
+        fill_value: Any = None,
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator = RotationGenerator3D(degrees)
-        self.flags = {"resample": _resample("RandomRotation3D", resample), "align_corners": align_corners}
+        self.flags = {
+            "resample": parse_resample("RandomRotation3D", resample),
+            "align_corners": align_corners,
+            "fill_value": fill_value,
+        }
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         center = [(n - 1) / 2 for n in reversed(input.shape[2:])]
@@ -134,7 +145,7 @@ class RandomRotation3D(GeometricAugmentationBase3D):
 
 
 class RandomPerspective3D(GeometricAugmentationBase3D):
-    """Move the corners of volumes, which changes the perspective; voxels outside of the volume are 0.
+    """Move the corners of volumes, which changes the perspective; voxels from outside of the volume are the fill value.
 
     Args:
         distortion_scale: how far a corner moves inward at most, as a fraction of half of width, height and depth.
@@ -143,6 +154,7 @@ class RandomPerspective3D(GeometricAugmentationBase3D):
         align_corners: accepted for code written for Kornia.
         p: probability that a sample is augmented.
         keepdim: a volume (C, D, H, W) gives a volume (C, D, H, W) instead of a batch of one.
+        fill_value: value of voxels from outside, in [0, 1] for bytes: a number, or one of each channel; None for 0.
 
     Raises:
         TypeError: `distortion_scale` is not a number.
@@ -162,11 +174,16 @@ class RandomPerspective3D(GeometricAugmentationBase3D):
         align_corners: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
+        fill_value: Any = None,
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator = PerspectiveGenerator3D(distortion_scale)
-        self.flags = {"resample": _resample("RandomPerspective3D", resample), "align_corners": align_corners}
+        self.flags = {
+            "resample": parse_resample("RandomPerspective3D", resample),
+            "align_corners": align_corners,
+            "fill_value": fill_value,
+        }
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         start, end = params["start_points"], params["end_points"]
@@ -175,13 +192,6 @@ class RandomPerspective3D(GeometricAugmentationBase3D):
             order = [0, 4, 7, 3, 1, 5, 6, 2] if input.shape[-3] > 1 else [0, 3, 2, 1, 4, 7, 6, 5]
             start, end = start[:, order], end[:, order]
         return matrices.perspective_matrix3d(start.contiguous(), end.contiguous(), 0.0, 0.0, 0.0)
-
-
-def _resample(op: str, resample: str | int | Resample) -> Resample:
-    mode = Resample.get(resample)
-    if mode not in (Resample.NEAREST, Resample.BILINEAR):
-        raise ValueCheckError(f"{op}: expected resample to be 'nearest' or 'bilinear', got {resample!r}")
-    return mode
 
 
 # --- flips ----------------------------------------------------------------------------------------------------------

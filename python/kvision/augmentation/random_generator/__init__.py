@@ -46,6 +46,8 @@ from kvision.augmentation.random_generator.volumes import (
     CropGenerator3D,
     MotionBlurGenerator3D,
     PerspectiveGenerator3D,
+    ResizedCropGenerator3D,
+    ResizeGenerator3D,
     RotationGenerator3D,
     center_crop_generator3d,
 )
@@ -84,7 +86,9 @@ __all__ = [
     "RandomGeneratorBase",
     "RectangleEraseGenerator",
     "ResizeGenerator",
+    "ResizeGenerator3D",
     "ResizedCropGenerator",
+    "ResizedCropGenerator3D",
     "RotationGenerator3D",
     "SaltAndPepperGenerator",
     "ShearGenerator",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,6 +23,8 @@ __all__ = [
     "CropGenerator3D",
     "MotionBlurGenerator3D",
     "PerspectiveGenerator3D",
+    "ResizeGenerator3D",
+    "ResizedCropGenerator3D",
     "RotationGenerator3D",
     "center_crop_generator3d",
 ]
@@ -177,10 +180,11 @@ def parse_size3d(op: str, size: Any) -> tuple[int, int, int]:
     return sides[0], sides[1], sides[2]
 
 
-def box_params3d(first: Tensor, size: Sequence[int], output_size: Sequence[int]) -> dict[str, Tensor]:
+def box_params3d(first: Tensor, size: Sequence[int] | Tensor, output_size: Sequence[int]) -> dict[str, Tensor]:
     """Boxes of a size by their corners, both ends inclusive: `src` in the volume, `dst` in the result.
 
-    `first` (B, 3) are the first voxels as (x, y, z), the sizes are (depth, height, width).
+    `first` (B, 3) are the first voxels as (x, y, z), the sizes are (depth, height, width); those of each box are (B, 3) as (x,
+    y, z).
     """
 
     def last(sides: Sequence[int]) -> Tensor:
@@ -188,7 +192,7 @@ def box_params3d(first: Tensor, size: Sequence[int], output_size: Sequence[int])
 
     zero = torch.zeros_like(first)
     return {
-        "src": bbox.corners(first, first + last(size)),
+        "src": bbox.corners(first, first + (size - 1 if isinstance(size, Tensor) else last(size))),
         "dst": bbox.corners(zero, zero + last(output_size)),
         "output_size": constant(tuple(output_size), first, torch.int64).repeat(first.shape[0], 1),
     }
@@ -239,6 +243,86 @@ class CropGenerator3D(RandomGeneratorBase):
 
     def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
         return params["src"][:, 0]
+
+
+class ResizedCropGenerator3D(RandomGeneratorBase):
+    """Draws the parameters of :class:`RandomResizedCrop3D`.
+
+    Args:
+        output_size: depth, height and width of the result; an int for all.
+        scale: range of the volume of a box, as a fraction of the whole.
+        ratio: range of width / height of a box, and of depth / sqrt(width * height), each as fractions of the volume's.
+
+    Returns:
+        src and dst (B, 8, 3), corners with both ends inclusive; output_size (B, 3).
+
+    Raises:
+        TypeError: `output_size` is not one or three ints.
+        ValueError: a size below 1; a range does not have the form in Args, or is not above 0; `scale` is above 1.
+
+    Example:
+        >>> import kvision as K
+        >>> draw = K.augmentation.random_generator.ResizedCropGenerator3D(2, (0.125, 0.125), (1.0, 1.0))
+        >>> src = draw((1, 1, 4, 6, 8))["src"][0]
+        >>> src[6] - src[0]
+        tensor([3., 2., 1.])
+    """
+
+    def __init__(self, output_size: Any, scale: Any = (0.08, 1.0), ratio: Any = (3.0 / 4.0, 4.0 / 3.0)) -> None:
+        super().__init__()
+        op = "RandomResizedCrop3D"
+        self.output_size = parse_size3d(op, output_size)
+        self.scale = ranges.parse(op, "scale", scale, bounds=(0.0, 1.0))
+        self.ratio = ranges.parse(op, "ratio", ratio, bounds=(0.0, float("inf")))
+        if self.ratio.low <= 0:
+            raise ValueCheckError(f"{op}: expected ratio above 0, got {ratio}")
+
+    def draws(self, shape: Shape) -> Sequence[Draw]:
+        aspect = Draw("exponential_of_uniform", (math.log(self.ratio.low), math.log(self.ratio.high), 1.0))
+        return [uniform(self.scale.low, self.scale.high, 1.0), aspect, aspect, *[uniform(0.0, 1.0)] * 3]
+
+    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
+        # In float64, so that devices round to the same voxels.
+        volume, across, along, *_ = columns.double().unbind(1)
+        side = (volume / along) ** (1 / 3)
+        fractions = torch.stack([side * across.sqrt(), side / across.sqrt(), side * along], 1)
+        whole = constant(tuple(reversed(shape[-3:])), columns, torch.float64)
+        sides = torch.minimum((fractions * whole).round().clamp(min=1), whole)
+        first = torch.minimum((columns[:, 3:].double() * (whole - sides + 1)).floor(), whole - sides)
+        return box_params3d(first.to(columns.dtype), sides.to(columns.dtype), self.output_size)
+
+
+class ResizeGenerator3D(RandomGeneratorBase):
+    """The parameters of :class:`Resize3D`, which draws nothing.
+
+    Args:
+        size: depth, height and width of the result; an int for all.
+
+    Returns:
+        src and dst (B, 8, 3), corners with both ends inclusive; output_size (B, 3).
+
+    Raises:
+        TypeError: `size` is not one or three ints.
+        ValueError: a size below 1.
+
+    Example:
+        >>> import kvision as K
+        >>> K.augmentation.random_generator.ResizeGenerator3D(2)((1, 1, 4, 6, 8))["src"][0, 6]
+        tensor([7., 5., 3.])
+    """
+
+    def __init__(self, size: Any) -> None:
+        super().__init__()
+        self.size = parse_size3d("Resize3D", size)
+
+    def draws(self, shape: Shape) -> Sequence[Draw]:
+        return []
+
+    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return box_params3d(columns.new_zeros(shape[0], 3), tuple(shape[-3:]), self.size)
+
+    def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
+        return torch.empty(shape[0], 0)
 
 
 def center_crop_generator3d(

@@ -28,6 +28,8 @@ from hypothesis import given
 from torch import Tensor
 
 import kvision as K
+from benchmarks.sample_calls import filters
+from benchmarks.sample_calls.tensors import VOLUME as VOLUME_AXES
 from kvision.core.exceptions import BaseError
 
 pytestmark = pytest.mark.interface
@@ -269,185 +271,155 @@ def rows_3d(a: Any) -> int:
 # ------------------------------------------------------------------------------------------------------- the functions
 
 
+# Parameters that are alike in all functions that have them, but for those that FUNCTIONS names.
+SIGMA = sigmas(2).but(refused=(meta(2, 2), filled(3, 2)))
+KINDS = {
+    **dict(input=IMAGE, guidance=IMAGE, kernel_x=ROW, kernel_y=ROW, border_type=BORDER, padding=names("same", "valid")),
+    **dict(normalized=FLAG, behaviour=names("corr", "conv"), kernel_size=ODD_SIZE, sigma=SIGMA, sigma_space=SIGMA),
+    **dict(
+        sigma_color=PER_IMAGE, color_distance_type=names("l1", "l2"), eps=EPS, epsilon=EPS, order=ORDER, stride=STEP
+    ),
+    **dict(
+        subsample=STEP, angle=ANGLE, direction=ANGLE, hysteresis=FLAG, return_mask=FLAG, slow_and_differentiable=FLAG
+    ),
+    **dict(
+        separable=UNREAD, force_even=FLAG, window_size=LENGTH, device=DEVICE, dtype=REAL, lower=LIMITS, upper=LIMITS
+    ),
+}
+
+
 @dataclass(frozen=True)
 class Function:
     shapes: Callable[[Any], Shapes]  # of the results, from the arguments
     kinds: dict[str, Kind]  # parameter by parameter
 
 
-def function(shapes: Callable[[Any], Shapes], **kinds: Kind) -> Function:
-    return Function(shapes, kinds)
+CALLS = {call.name.partition(".")[2]: call for call in filters.CALLS}
+FUNCTIONS: dict[str, Function] = {}
 
 
-FILTER = dict(border_type=BORDER, normalized=FLAG)
-FILTER_2D = dict(input=IMAGE, kernel=KERNEL, **FILTER, padding=names("same", "valid"))
-FILTER_3D = dict(input=VOLUME, kernel=KERNEL_3D, **FILTER)
-BEHAVIOUR = dict(behaviour=names("corr", "conv"))
-SIGMA = sigmas(2).but(refused=(meta(2, 2), filled(3, 2)))
-GAUSSIAN = dict(kernel_size=ODD_SIZE, sigma=SIGMA, border_type=BORDER)
-BILATERAL = dict(
-    kernel_size=WINDOW,
-    sigma_color=PER_IMAGE,
-    sigma_space=SIGMA,
-    border_type=BORDER,
-    color_distance_type=names("l1", "l2"),
-)
-MOTION = dict(kernel_size=ODD_LENGTH.but(refused=(1,)), angle=ANGLE, direction=ANGLE, mode=MODE)
-MOTION_3D = dict(kernel_size=Kind((3, 5), (*ODD_LENGTH.refused, 1), (21,)), angle=ANGLES, direction=ANGLE, mode=MODE_3D)
-FACTORY = dict(device=DEVICE, dtype=FLOATING)
-REAL_FACTORY = dict(device=DEVICE, dtype=REAL)
+def functions(of: str, shapes: Callable[[Any], Shapes], **kinds: Kind) -> None:
+    """Functions with these results, and the kinds of their parameters that are not those of KINDS."""
+    for name in of.split():
+        axes = CALLS[name].axes.get("input")
+        by_name = KINDS | ({"input": VOLUME} if axes is VOLUME_AXES else {}) | kinds
+        parameters = inspect.signature(getattr(K.filters, name)).parameters
+        FUNCTIONS[name] = Function(shapes, {parameter: by_name[parameter] for parameter in parameters})
 
 
-def shape_2d(a: Any) -> Shapes:
+def filtered(a: Any) -> Shapes:
     return within(a, *a.kernel.shape[1:])
 
 
-FUNCTIONS = {
-    "filter2d": function(shape_2d, **FILTER_2D, **BEHAVIOUR),
-    "correlate2d": function(shape_2d, **FILTER_2D),
-    "convolve2d": function(shape_2d, **FILTER_2D),
-    "fft_conv": function(shape_2d, **FILTER_2D, **BEHAVIOUR),
-    "filter2d_separable": function(
-        lambda a: within(a, a.kernel_y.shape[1], a.kernel_x.shape[1]),
-        input=IMAGE,
-        kernel_x=ROW,
-        kernel_y=ROW,
-        **FILTER,
-        padding=names("same", "valid"),
-    ),
-    "filter3d": function(same, **FILTER_3D, **BEHAVIOUR),
-    "correlate3d": function(same, **FILTER_3D),
-    "convolve3d": function(same, **FILTER_3D),
-    "gaussian_blur2d": function(same, input=IMAGE, **GAUSSIAN, separable=UNREAD),
-    "unsharp_mask": function(same, input=IMAGE, **GAUSSIAN),
-    "box_blur": function(same, input=IMAGE, kernel_size=SIZE, border_type=BORDER, separable=UNREAD),
-    "median_blur": function(same, input=IMAGE, kernel_size=MEDIAN_WINDOW, border_type=BORDER),
-    "laplacian": function(same, input=IMAGE, kernel_size=ODD_SIZE.but(refused=(1, (1, 1))), **FILTER),
-    "sobel": function(same, input=IMAGE, normalized=FLAG, eps=EPS),
-    "spatial_gradient": function(
-        lambda a: derived(a, 2, 3), input=IMAGE, mode=DERIVATIVE, order=ORDER, normalized=FLAG
-    ),
-    "spatial_gradient3d": function(lambda a: derived(a, 3, 6), input=VOLUME, mode=DERIVATIVE_3D, order=ORDER),
-    "canny": function(
-        lambda a: 2 * [(a.input.shape[0], 1, *a.input.shape[2:])],
-        input=IMAGE,
-        low_threshold=ABOVE_0.but(good=(0.1,), refused=(5, (0.1,)), odd=(2, INF)),
-        high_threshold=ABOVE_0.but(refused=(0.001, (0.2,), 1e-300)),
-        kernel_size=ODD_SIZE,
-        sigma=SIGMA,
-        hysteresis=FLAG,
-        eps=EPS,
-    ),
-    "bilateral_blur": function(same, input=IMAGE, **BILATERAL),
-    "joint_bilateral_blur": function(same, input=IMAGE, guidance=IMAGE, **BILATERAL),
-    "guided_blur": function(
-        same,
-        guidance=IMAGE,
-        input=IMAGE,
-        kernel_size=SIZE,
-        eps=PER_IMAGE,
-        border_type=BORDER,
-        subsample=STEP,
-        separable=UNREAD,
-    ),
-    "motion_blur": function(same, input=IMAGE, **MOTION, border_type=BORDER),
-    "motion_blur3d": function(same, input=VOLUME, **MOTION_3D, border_type=BORDER),
-    "blur_pool2d": function(pooled, input=IMAGE, kernel_size=SIZE, stride=STEP),
-    "max_blur_pool2d": function(
-        lambda a: pooled(a, a.max_pool_size),
-        input=IMAGE,
-        kernel_size=SIZE,
-        stride=STEP,
-        max_pool_size=STEP.but(refused=(7, 501)),
-        ceil_mode=UNREAD.but(good=(None,), odd=(True,)),
-    ),
-    "edge_aware_blur_pool2d": function(
-        same,
-        input=IMAGE,
-        kernel_size=SIZE,
-        edge_threshold=ABOVE_0.but(good=(1.25,), refused=(0.5, 1), odd=(2,)),
-        edge_dilation_kernel_size=ODD_LENGTH,
-        epsilon=EPS,
-    ),
-    "in_range": function(
-        masked,
-        input=IMAGE.but(odd=(*ANY_RANK, *WITHOUT_PIXELS)),
-        lower=LIMITS,
-        upper=LIMITS,
-        return_mask=FLAG,
-    ),
-    "otsu_threshold": function(
-        lambda a: [tuple(a.x.shape), (math.prod(a.x.shape[:-2]),)],
-        x=IMAGE.but(odd=(*ANY_RANK, *(filled(*(1,) * rank) for rank in range(6)), (3 * filled(2, 3, 6, 7)).bool())),
-        nbins=LENGTH.but(good=(256, 2), refused=(1,)),
-        slow_and_differentiable=FLAG,
-        return_mask=FLAG,
-    ),
-    "gaussian": function(
-        lambda a: [(rows(a.sigma, a.mean), a.window_size)],
-        window_size=LENGTH,
-        sigma=sigmas(1, zero=True),
-        mean=MEAN,
-        **FACTORY,
-    ),
-    **{
-        f"get_gaussian_kernel{axes}d": function(
-            lambda a, axes=axes: [(rows(a.sigma), *along(axes, a.kernel_size))],
-            kernel_size=size,
-            sigma=sigmas(axes, zero=True),
-            force_even=FLAG,
-            **FACTORY,
-        )
-        for axes, size in (
-            (1, LENGTH.but(odd=((3,),))),
-            (2, SIZE),
-            (3, Kind((3, (3, 1, 5)), (*LENGTH.refused, (3, 3)), (1, 2, 21))),
-        )
-    },
-    "get_gaussian_discrete_kernel1d": function(
-        lambda a: [(rows(a.sigma), a.kernel_size)],
-        kernel_size=ODD_LENGTH,
-        sigma=sigmas(1, zero=True),
-        force_even=UNREAD,
-        **FACTORY,
-    ),
-    "get_gaussian_erf_kernel1d": function(
-        lambda a: [(rows(a.sigma), a.kernel_size)], kernel_size=LENGTH, sigma=sigmas(1), force_even=FLAG, **FACTORY
-    ),
-    "get_laplacian_kernel1d": function(
-        lambda a: [(a.kernel_size,)], kernel_size=ODD_LENGTH.but(refused=(1,)), **REAL_FACTORY
-    ),
-    "get_laplacian_kernel2d": function(
-        lambda a: [along(2, a.kernel_size)], kernel_size=ODD_SIZE.but(refused=(1, (1, 1))), **REAL_FACTORY
-    ),
-    "laplacian_1d": function(lambda a: [(a.window_size,)], window_size=LENGTH, **REAL_FACTORY),
-    "get_box_kernel1d": function(lambda a: [(1, a.kernel_size)], kernel_size=LENGTH, **FACTORY),
-    "get_box_kernel2d": function(lambda a: [(1, *along(2, a.kernel_size))], kernel_size=SIZE, **FACTORY),
-    "get_binary_kernel2d": function(
-        lambda a: [(math.prod(along(2, a.window_size)), 1, *along(2, a.window_size))],
-        window_size=Kind(SIZE.good, SIZE.refused, (1, 2, 31, (1, 101))),  # as much memory as taps squared
-        **REAL_FACTORY,
-    ),
-    "get_hanning_kernel1d": function(lambda a: [(a.kernel_size,)], kernel_size=LENGTH.but(refused=(1, 2)), **FACTORY),
-    "get_hanning_kernel2d": function(
-        lambda a: [along(2, a.kernel_size)],
-        kernel_size=SIZE.but(good=((3, 3), (4, 5)), refused=(1, 2, (1, 5), [3, 1], (1, 501))),
-        **FACTORY,
-    ),
-    "get_sobel_kernel2d": function(lambda a: [(2, 3, 3)], **REAL_FACTORY),
-    "get_diff_kernel2d": function(lambda a: [(2, 3, 3)], **REAL_FACTORY),
-    "get_spatial_gradient_kernel2d": function(
-        lambda a: [(2, 3, 3) if a.order == 1 else (3, 5, 5) if a.mode == "sobel" else (3, 3, 3)],
-        mode=DERIVATIVE,
-        order=ORDER,
-        **REAL_FACTORY,
-    ),
-    "get_spatial_gradient_kernel3d": function(
-        lambda a: [((3, 6)[a.order - 1], 1, 3, 3, 3)], mode=DERIVATIVE_3D, order=ORDER, **FACTORY
-    ),
-    "get_motion_kernel2d": function(lambda a: [(rows(a.angle, a.direction), *along(2, a.kernel_size))], **MOTION),
-    "get_motion_kernel3d": function(lambda a: [(rows_3d(a), *along(3, a.kernel_size))], **MOTION_3D),
-}
+def kernel_1d(a: Any) -> Shapes:
+    return [(a.kernel_size,)]
+
+
+def kernel_2d(a: Any) -> Shapes:
+    return [along(2, a.kernel_size)]
+
+
+WITHOUT_ONE = ODD_LENGTH.but(refused=(1,))
+MOTION = dict(kernel_size=WITHOUT_ONE, mode=MODE)
+MOTION_3D = dict(kernel_size=Kind((3, 5), (*ODD_LENGTH.refused, 1), (21,)), angle=ANGLES, mode=MODE_3D)
+SIGMA_1D = dict(sigma=sigmas(1, zero=True), dtype=FLOATING)
+
+functions("filter2d correlate2d convolve2d fft_conv", filtered, kernel=KERNEL)
+functions("filter2d_separable", lambda a: within(a, a.kernel_y.shape[1], a.kernel_x.shape[1]))
+functions("filter3d correlate3d convolve3d", same, kernel=KERNEL_3D)
+functions("gaussian_blur2d unsharp_mask sobel", same)
+functions("box_blur", same, kernel_size=SIZE)
+functions("median_blur", same, kernel_size=MEDIAN_WINDOW)
+functions("laplacian", same, kernel_size=ODD_SIZE.but(refused=(1, (1, 1))))
+functions("spatial_gradient", lambda a: derived(a, 2, 3), mode=DERIVATIVE)
+functions("spatial_gradient3d", lambda a: derived(a, 3, 6), mode=DERIVATIVE_3D)
+functions(
+    "canny",
+    lambda a: 2 * [(a.input.shape[0], 1, *a.input.shape[2:])],
+    low_threshold=ABOVE_0.but(good=(0.1,), refused=(5, (0.1,)), odd=(2, INF)),
+    high_threshold=ABOVE_0.but(refused=(0.001, (0.2,), 1e-300)),
+)
+functions("bilateral_blur joint_bilateral_blur", same, kernel_size=WINDOW)
+functions("guided_blur", same, kernel_size=SIZE, eps=PER_IMAGE)
+functions("motion_blur", same, **MOTION)
+functions("motion_blur3d", same, **MOTION_3D)
+functions("blur_pool2d", pooled, kernel_size=SIZE)
+functions(
+    "max_blur_pool2d",
+    lambda a: pooled(a, a.max_pool_size),
+    kernel_size=SIZE,
+    max_pool_size=STEP.but(refused=(7, 501)),
+    ceil_mode=UNREAD.but(good=(None,), odd=(True,)),
+)
+functions(
+    "edge_aware_blur_pool2d",
+    same,
+    kernel_size=SIZE,
+    edge_threshold=ABOVE_0.but(good=(1.25,), refused=(0.5, 1), odd=(2,)),
+    edge_dilation_kernel_size=ODD_LENGTH,
+)
+functions("in_range", masked, input=IMAGE.but(odd=(*ANY_RANK, *WITHOUT_PIXELS)))
+functions(
+    "otsu_threshold",
+    lambda a: [tuple(a.x.shape), (math.prod(a.x.shape[:-2]),)],
+    x=IMAGE.but(odd=(*ANY_RANK, *(filled(*(1,) * rank) for rank in range(6)), (3 * filled(2, 3, 6, 7)).bool())),
+    nbins=LENGTH.but(good=(256, 2), refused=(1,)),
+)
+functions("gaussian", lambda a: [(rows(a.sigma, a.mean), a.window_size)], mean=MEAN, **SIGMA_1D)
+for axes, size in (
+    (1, LENGTH.but(odd=((3,),))),
+    (2, SIZE),
+    (3, Kind((3, (3, 1, 5)), (*LENGTH.refused, (3, 3)), (1, 2, 21))),
+):
+    functions(
+        f"get_gaussian_kernel{axes}d",
+        lambda a, axes=axes: [(rows(a.sigma), *along(axes, a.kernel_size))],
+        kernel_size=size,
+        sigma=sigmas(axes, zero=True),
+        dtype=FLOATING,
+    )
+functions(
+    "get_gaussian_discrete_kernel1d",
+    lambda a: [(rows(a.sigma), a.kernel_size)],
+    kernel_size=ODD_LENGTH,
+    force_even=UNREAD,
+    **SIGMA_1D,
+)
+functions(
+    "get_gaussian_erf_kernel1d",
+    lambda a: [(rows(a.sigma), a.kernel_size)],
+    kernel_size=LENGTH,
+    sigma=sigmas(1),
+    dtype=FLOATING,
+)
+functions("get_laplacian_kernel1d", kernel_1d, kernel_size=WITHOUT_ONE)
+functions("get_laplacian_kernel2d", kernel_2d, kernel_size=ODD_SIZE.but(refused=(1, (1, 1))))
+functions("laplacian_1d", lambda a: [(a.window_size,)])
+functions("get_box_kernel1d", lambda a: [(1, a.kernel_size)], kernel_size=LENGTH, dtype=FLOATING)
+functions("get_box_kernel2d", lambda a: [(1, *along(2, a.kernel_size))], kernel_size=SIZE, dtype=FLOATING)
+functions(
+    "get_binary_kernel2d",
+    lambda a: [(math.prod(along(2, a.window_size)), 1, *along(2, a.window_size))],
+    window_size=Kind(SIZE.good, SIZE.refused, (1, 2, 31, (1, 101))),  # as much memory as taps squared
+)
+functions("get_hanning_kernel1d", kernel_1d, kernel_size=LENGTH.but(refused=(1, 2)), dtype=FLOATING)
+functions(
+    "get_hanning_kernel2d",
+    kernel_2d,
+    kernel_size=SIZE.but(good=((3, 3), (4, 5)), refused=(1, 2, (1, 5), [3, 1], (1, 501))),
+    dtype=FLOATING,
+)
+functions("get_sobel_kernel2d get_diff_kernel2d", lambda a: [(2, 3, 3)])
+functions(
+    "get_spatial_gradient_kernel2d",
+    lambda a: [(2, 3, 3) if a.order == 1 else (3, 5, 5) if a.mode == "sobel" else (3, 3, 3)],
+    mode=DERIVATIVE,
+)
+functions(
+    "get_spatial_gradient_kernel3d", lambda a: [((3, 6)[a.order - 1], 1, 3, 3, 3)], mode=DERIVATIVE_3D, dtype=FLOATING
+)
+functions("get_motion_kernel2d", lambda a: [(rows(a.angle, a.direction), *along(2, a.kernel_size))], **MOTION)
+functions("get_motion_kernel3d", lambda a: [(rows_3d(a), *along(3, a.kernel_size))], **MOTION_3D)
 
 
 def call(name: str, arguments: dict[str, Any], device: torch.device) -> BaseError | None:
@@ -506,10 +478,8 @@ def shown(value: Any) -> str:
     return repr(value)
 
 
-def test_the_table_has_every_function_and_parameter():
-    public = {name: f for name, f in vars(K.filters).items() if inspect.isfunction(f)}
-    parameters = {name: {*inspect.signature(f).parameters} for name, f in public.items()}
-    assert parameters == {name: {*f.kinds} for name, f in FUNCTIONS.items()}
+def test_every_function_is_called():
+    assert set(FUNCTIONS) == {name for name, f in vars(K.filters).items() if inspect.isfunction(f)}
 
 
 PARAMETERS = [(name, parameter) for name, f in FUNCTIONS.items() for parameter in f.kinds]

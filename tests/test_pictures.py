@@ -1,7 +1,7 @@
 """Photographs through kvision and through OpenCV, SciPy, scikit-image and Kornia.
 
-PARITY is the table of parity with other libraries: which call equals which, and the tolerance. docs/differences.md
-lists what differs by definition. The tests of each filter cover borders and sizes.
+Which calls equal which is said once: of Kornia by the table of sample calls, of the others by the cases of benchmarks, and
+by PARITY where the arguments or the tolerance are others. docs/differences.md lists what differs by definition.
 """
 
 from __future__ import annotations
@@ -21,6 +21,10 @@ import torch
 from torch import Tensor
 
 import kvision as K
+from benchmarks.cases.filters import CASES as FILTERS
+from benchmarks.peers import PEERS
+from benchmarks.sample_calls import SampleCall, filters
+from benchmarks.sample_calls.windows import WINDOWS
 from op_tests import TOLERANCES
 
 pytestmark = pytest.mark.interface
@@ -29,11 +33,12 @@ F = K.filters
 MIRROR, REPLICATE = cv2.BORDER_REFLECT_101, cv2.BORDER_REPLICATE  # "reflect" and "replicate" here
 FLOAT, EXACT = TOLERANCES[torch.float32], (0, 0)
 A_LEVEL = (0, 1)  # of 255
+CASES = {case.name: case for case in FILTERS}
 
 
 class Parity(NamedTuple):
     ours: Callable[[Tensor], Tensor]  # of (1, C, H, W)
-    theirs: Callable[[Any], Any]  # of (H, W, C); of (1, C, H, W) for Kornia
+    theirs: Callable[[Any], Any]  # of (H, W, C)
     dtype: type = np.float32  # values in [0, 1], or bytes
     tolerance: tuple[float, float] = FLOAT  # relative, absolute
     outliers: float = 0.0  # the fraction of pixels that may exceed the tolerance
@@ -76,66 +81,20 @@ PARITY = {
     ),
     "sobel, SciPy": Parity(sobel, planes(hypot_of(lambda p, x, y: scipy.ndimage.sobel(p, x, mode="nearest") / 8))),
     "sobel, scikit-image": Parity(sobel, planes(lambda p: skimage.filters.sobel(p, mode="nearest") / np.sqrt(2))),
-    "sobel, Kornia": Parity(F.sobel, kornia.filters.sobel),
-    "gaussian 5, OpenCV": Parity(
-        lambda x: F.gaussian_blur2d(x, 5, 1.5), lambda p: cv2.GaussianBlur(p, (5, 5), 1.5, borderType=MIRROR)
-    ),
-    "gaussian 31, OpenCV": Parity(
-        lambda x: F.gaussian_blur2d(x, 31, 5.0), lambda p: cv2.GaussianBlur(p, (31, 31), 5.0, borderType=MIRROR)
-    ),
     "gaussian 5 of bytes, OpenCV": Parity(  # OpenCV computes it in fixed point
         lambda x: F.gaussian_blur2d(x, 5, 1.5),
         lambda p: cv2.GaussianBlur(p, (5, 5), 1.5, borderType=MIRROR),
         np.uint8,
         A_LEVEL,
     ),
-    "gaussian 9, SciPy": Parity(
-        lambda x: F.gaussian_blur2d(x, 9, 1.0),
-        planes(lambda p: scipy.ndimage.gaussian_filter(p, 1.0, radius=4, mode="mirror")),
-    ),
-    "gaussian 9, scikit-image": Parity(
-        lambda x: F.gaussian_blur2d(x, 9, 1.0),
-        lambda p: skimage.filters.gaussian(p, 1.0, mode="mirror", truncate=4, channel_axis=2),
-    ),
-    "gaussian 7, Kornia": Parity(
-        lambda x: F.gaussian_blur2d(x, 7, (1.0, 2.0)), lambda x: kornia.filters.gaussian_blur2d(x, 7, (1.0, 2.0))
-    ),
-    "box 5, OpenCV": Parity(lambda x: F.box_blur(x, 5), lambda p: cv2.blur(p, (5, 5), borderType=MIRROR)),
-    "box 31, OpenCV": Parity(lambda x: F.box_blur(x, 31), lambda p: cv2.blur(p, (31, 31), borderType=MIRROR)),
     "box 5 of bytes, OpenCV": Parity(
         lambda x: F.box_blur(x, 5), lambda p: cv2.blur(p, (5, 5), borderType=MIRROR), np.uint8, EXACT
     ),
-    "box 5, SciPy": Parity(
-        lambda x: F.box_blur(x, 5), planes(lambda p: scipy.ndimage.uniform_filter(p, 5, mode="mirror"))
-    ),
-    "box 5, Kornia": Parity(lambda x: F.box_blur(x, 5), lambda x: kornia.filters.box_blur(x, 5)),
     "median 3 of bytes, OpenCV": Parity(
         lambda x: F.median_blur(x, 3, "replicate"), lambda p: cv2.medianBlur(p, 3), np.uint8, EXACT
     ),
     "median 5 of bytes, OpenCV": Parity(
         lambda x: F.median_blur(x, 5, "replicate"), lambda p: cv2.medianBlur(p, 5), np.uint8, EXACT
-    ),
-    "median 5, OpenCV": Parity(
-        lambda x: F.median_blur(x, 5, "replicate"), lambda p: cv2.medianBlur(p, 5), tolerance=EXACT
-    ),
-    "median 3, SciPy": Parity(
-        lambda x: F.median_blur(x, 3),
-        planes(lambda p: scipy.ndimage.median_filter(p, 3, mode="mirror")),
-        tolerance=EXACT,
-    ),
-    "median 3, scikit-image": Parity(
-        lambda x: F.median_blur(x, 3, "replicate"),
-        planes(lambda p: skimage.filters.median(p, np.ones((3, 3)), mode="nearest")),
-        np.uint8,
-        EXACT,
-    ),
-    "median 3, Kornia": Parity(
-        lambda x: F.median_blur(x, 3), lambda x: kornia.filters.median_blur(x, 3), tolerance=EXACT
-    ),
-    "laplacian 3, OpenCV": Parity(
-        lambda x: F.laplacian(x, 3, normalized=False),
-        lambda p: cv2.filter2D(p, -1, laplacian_kernel(3), borderType=MIRROR),
-        tolerance=(2e-5, 1e-5),  # sums of nine numbers that nearly cancel
     ),
     "laplacian 3 of bytes, OpenCV": Parity(
         lambda x: F.laplacian(x, 3, normalized=False),
@@ -143,38 +102,26 @@ PARITY = {
         np.uint8,
         EXACT,
     ),
-    "laplacian 5, SciPy": Parity(
-        lambda x: F.laplacian(x, 5),
-        planes(lambda p: scipy.ndimage.convolve(p, laplacian_kernel(5) / 48, mode="mirror")),
-    ),
-    "laplacian 5, Kornia": Parity(lambda x: F.laplacian(x, 5), lambda x: kornia.filters.laplacian(x, 5)),
     "bilateral 9, OpenCV": Parity(  # OpenCV has a disc, so corners must not count, and a table of weights
         lambda x: F.bilateral_blur(x, 9, 0.3, (0.8, 0.8)),
         lambda p: cv2.bilateralFilter(p, d=9, sigmaColor=0.3, sigmaSpace=0.8, borderType=MIRROR),
         tolerance=(0, 2e-4),
     ),
-    "bilateral 5, Kornia": Parity(
-        lambda x: F.bilateral_blur(x, 5, 0.1, (1.5, 1.5)),
-        lambda x: kornia.filters.bilateral_blur(x, 5, 0.1, (1.5, 1.5)),
-    ),
-    "unsharp mask 5, Kornia": Parity(
-        lambda x: F.unsharp_mask(x, 5, (1.5, 1.5)), lambda x: kornia.filters.unsharp_mask(x, (5, 5), (1.5, 1.5))
-    ),
-    "spatial gradient 2, Kornia": Parity(
-        lambda x: F.spatial_gradient(x, order=2)[0], lambda x: kornia.filters.spatial_gradient(x, order=2)[0]
-    ),
-    "motion 7, Kornia": Parity(
-        lambda x: F.motion_blur(x, 7, 30.0, 0.5), lambda x: kornia.filters.motion_blur(x, 7, 30.0, 0.5)
-    ),
-    "guided 5, Kornia": Parity(
-        lambda x: F.guided_blur(gray(x), x, 5, 0.01),
-        lambda x: kornia.filters.guided_blur(gray(x), x, 5, 0.01),
-    ),
     "canny, OpenCV": Parity(lambda x: F.canny(gray(x), 0.2, 0.5)[1], canny_of_opencv, tolerance=EXACT, outliers=5e-4),
-    "canny, Kornia": Parity(  # rounding decides a few ridges, and hysteresis follows them
-        lambda x: F.canny(x)[1], lambda x: kornia.filters.canny(x)[1], tolerance=EXACT, outliers=5e-4
-    ),
 }
+
+NAMES = """sobel spatial_gradient laplacian canny gaussian_blur2d box_blur median_blur unsharp_mask bilateral_blur guided_blur
+motion_blur""".split()
+# The filters of benchmarks whose peers compute the same.
+PEERS_OF_CASES = [
+    *((case, peer) for case in ("gauss5", "gauss31", "median3") for peer in ("opencv", "scipy", "skimage")),
+    *((case, peer) for case in ("box5", "box31", "laplacian3", "unsharp5") for peer in ("opencv", "scipy")),
+    ("median5", "opencv"),
+]
+SAME_IN_KORNIA = [
+    *(call for call in filters.CALLS if call.name.removeprefix("filters.") in NAMES),
+    *(window.call for window in WINDOWS if str(window) == "spatial_gradient order=2"),
+]
 
 
 @pytest.fixture(scope="module", params=["astronaut", "camera", "chelsea", "coffee", "kodim08"])
@@ -188,14 +135,50 @@ def photo(request: pytest.FixtureRequest) -> np.ndarray:
 
 @pytest.mark.parametrize("row", PARITY)
 def test_parity(row: str, photo: np.ndarray, device: torch.device) -> None:
-    ours, theirs, dtype, (rtol, atol), outliers = PARITY[row]
+    ours, theirs, dtype, tolerance, outliers = PARITY[row]
     picture = photo if dtype is np.uint8 else photo.astype(np.float32) / 255
-    x = torch.from_numpy(picture).permute(2, 0, 1)[None]
-    actual = ours(x.to(device)).cpu()
-    if row.endswith("Kornia"):
-        expected = theirs(x)
+    expected = torch.from_numpy(np.atleast_3d(theirs(picture))).permute(2, 0, 1)[None]
+    actual = ours(tensor(picture).to(device))
+    assert actual.dtype == tensor(picture).dtype
+    assert_agree(actual, expected, tolerance, outliers)
+
+
+@pytest.mark.parametrize("case, peer", PEERS_OF_CASES)
+def test_peers_of_benchmarks(case: str, peer: str, photo: np.ndarray, device: torch.device) -> None:
+    if peer == "skimage" and photo.shape[2] == 1:
+        pytest.skip("takes the columns of a gray image for channels")
+    x, case = tensor(photo.astype(np.float32) / 255), CASES[case]
+    expected, actual = PEERS[peer].bind(case.peers[peer], [x], case.result).result(), case.call(x.to(device))
+    if case.name.startswith("median") and peer == "opencv":  # replicates the border
+        actual, expected = (y[..., case.border : -case.border, case.border : -case.border] for y in (actual, expected))
+    assert_agree(actual, expected, (2e-5, 1e-5))  # a Laplacian sums numbers that nearly cancel
+
+
+@pytest.mark.parametrize(
+    "call", SAME_IN_KORNIA, ids=lambda call: "-".join([call.name, *map(str, call.others.values())])
+)
+def test_kornia(call: SampleCall, photo: np.ndarray, device: torch.device) -> None:
+    x = tensor(photo.astype(np.float32) / 255)
+    images = {name: gray(x) if name == "guidance" else x for name in call.axes}
+    actual, expected = (call.call(library, to) for library, to in ((K, on(images, device)), (kornia, images)))
+    if "canny" in call.name:  # rounding decides a few ridges, and hysteresis follows them
+        assert_agree(actual[1], expected[1], EXACT, 5e-4)
     else:
-        expected = torch.from_numpy(np.atleast_3d(theirs(picture))).permute(2, 0, 1)[None]
-    assert actual.shape == expected.shape and actual.dtype == x.dtype
-    off = ~torch.isclose(actual.double(), expected.double(), rtol, atol)
-    assert off.double().mean() <= outliers, float((actual.double() - expected.double()).abs().max())
+        assert_agree(actual, expected)
+
+
+def tensor(picture: np.ndarray) -> Tensor:
+    return torch.from_numpy(picture).permute(2, 0, 1)[None]
+
+
+def on(tensors: dict[str, Tensor], device: torch.device) -> dict[str, Tensor]:
+    return {name: x.to(device) for name, x in tensors.items()}
+
+
+def assert_agree(
+    actual: Tensor, expected: Tensor, tolerance: tuple[float, float] = FLOAT, outliers: float = 0.0
+) -> None:
+    assert actual.shape == expected.shape
+    actual, expected = actual.cpu().double(), expected.double()
+    off = ~torch.isclose(actual, expected, *tolerance)
+    assert off.double().mean() <= outliers, float((actual - expected).abs().max())

@@ -115,13 +115,15 @@ class SampleCall:
         module, name = self.name.split(".")
         return getattr(getattr(library, module, None), name, None)
 
+    def arguments(self, library: ModuleType | Any, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
+        others = {k: v.make(library, tensors) if isinstance(v, Derived) else v for k, v in self.others.items()}
+        return {k: v for k, v in tensors.items() if k[0] != "_"} | others
+
     def call(self, library: ModuleType | Any, tensors: Mapping[str, Tensor]) -> Any:
         function = self.function(library)
         if inspect.isclass(function):
             return self.module(library, next(iter(tensors.values())).device)(*tensors.values())
-        others = {k: v.make(library, tensors) if isinstance(v, Derived) else v for k, v in self.others.items()}
-        arguments = {k: v for k, v in tensors.items() if k[0] != "_"}
-        return function(**arguments, **others)
+        return function(**self.arguments(library, tensors))
 
     def module(self, library: ModuleType | Any, device: torch.device) -> Any:
         """The module of a class, made once for each library and device."""

@@ -204,6 +204,8 @@ def renew_descriptions(page: Path) -> None:
         value = getattr(module, row[2], None)
         summary = " ".join((inspect.getdoc(value) or "").split("\n\n")[0].split())
         hand_written = not summary or ":math:" in summary or (inspect.isclass(value) and issubclass(value, Enum))
+        # A method of a class on the page that has the name of a function.
+        hand_written |= inspect.isfunction(value) and "()" in row[1] and bool(inspect.signature(value).parameters)
         return row[0] if hand_written else row[1] + re.sub(r":\w+:(`[^`]+`)", r"\1", summary) + " |"
 
     page.write_text(re.sub(r"^(\| `(\w+)(?:\([^\n]*?\))?` \| )(.*) \|$", renewed, page.read_text(), flags=re.MULTILINE))

@@ -32,11 +32,31 @@ COMPUTED = FLOATING.union(
 def is_tensor(op: str, name: str, x: Any) -> None:
     """Raise TypeCheckError unless `x` is a dense tensor of real numbers."""
     if not isinstance(x, Tensor):
-        raise TypeCheckError(f"{op}: expected {name} to be a Tensor, got {type(x).__name__}", actual_type=type(x))
+        raise TypeCheckError(f"{op}: expected {name} to be a Tensor, got {described(x)}", actual_type=type(x))
     if x.dtype.is_complex:
         raise TypeCheckError(f"{op}: expected {name} to be real, got {x.dtype}", actual_type=x.dtype)
     if x.layout is not torch.strided:
         raise TypeCheckError(f"{op}: expected {name} to be dense, got {x.layout}", actual_type=x.layout)
+
+
+def described(x: Any) -> str:
+    """The type of what is no tensor, and the call that makes one of it."""
+    kind = type(x).__name__
+    if isinstance(x, (list, tuple)) and x and (isinstance(x[0], Tensor) or is_pil(x[0]) or is_array(x[0])):
+        return f"a {kind} of {len(x)} images; stack them, as kvision.to_tensor does"
+    if is_pil(x):
+        return f"{kind}; kvision.to_tensor converts PIL images"
+    return f"{kind}; kvision.to_tensor converts images, torch.from_numpy other arrays" if is_array(x) else kind
+
+
+def is_pil(x: Any) -> bool:
+    """Whether `x` is a PIL image, without importing PIL, which is optional."""
+    return type(x).__module__.startswith("PIL.")
+
+
+def is_array(x: Any) -> bool:
+    """Whether `x` is a NumPy array."""
+    return type(x).__module__ == "numpy" and type(x).__name__ == "ndarray"
 
 
 def numbers(op: str, name: str, x: Any) -> None:

@@ -29,7 +29,7 @@ class _Statistics(IntensityAugmentationBase2D):
         self.flags = {name: _tensor(op, name, value) for name, value in (("mean", mean), ("std", std))}
         self._known = {name: (x, x.flatten().tolist()) for name, x in self.flags.items()}
 
-    def result_dtype(self, dtype: torch.dtype) -> torch.dtype:
+    def _result_dtype(self, dtype: torch.dtype) -> torch.dtype:
         if dtype != torch.uint8:
             return dtype
         mean = self._numbers(self.flags, "mean")

@@ -12,7 +12,6 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from kvision import _check
-from kvision.augmentation.base import image_and_matrix
 from kvision.augmentation.container import AugmentationSequential, ImageSequentialBase
 from kvision.augmentation.labels import BOX_FORMATS, box_corners, parse_data_keys
 from kvision.augmentation.normalize import Denormalize, Normalize
@@ -115,7 +114,8 @@ def draw_samples(
         results = pipeline(*(_repeated(value, batch, count) for value in batches), data_keys=keys, seed=seed)
     results = [results] if len(keys) == 1 else results
     image_at = keys.index(DataKey.INPUT)
-    results[image_at], _ = image_and_matrix(results[image_at])
+    if isinstance(results[image_at], tuple):  # with its matrix
+        results[image_at], _ = results[image_at]
     undo = _undo(augment)
     cells = [_drawn(keys, batches, 0, size, lambda x: x)]
     _frame(cells[0], max(2, size // 64))

@@ -6,16 +6,14 @@ import inspect
 import os
 from collections.abc import Callable, Sequence
 from functools import wraps
-from itertools import chain
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor, nn
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
-from kvision.core.pixels import to_uint8, to_unit
+from kvision.core.pixels import to_uint8
 
 __all__ = ["ImageModule", "ImageModuleMixIn", "ImageSequential"]
 
@@ -69,28 +67,9 @@ class ImageModuleMixIn:
             TypeCheckError: `x` is none of these.
             OSError, ImageError: the file cannot be read.
         """
-        from kvision.image import image_to_tensor
-        from kvision.io import ImageLoadType, load_image
+        from kvision.image.adapter import module_image
 
-        if isinstance(x, Tensor):
-            return x
-        if isinstance(x, (str, os.PathLike)):
-            image = load_image(x, ImageLoadType.UNCHANGED)
-        elif isinstance(x, np.ndarray):
-            image = image_to_tensor(x)
-        elif _is_pil(x):
-            if x.mode in ("P", "PA"):  # numbers of colors, not brightness
-                x = x.convert("RGBA" if x.mode == "PA" or "transparency" in x.info else "RGB")
-            image = image_to_tensor(np.array(x))
-        else:
-            raise TypeCheckError(
-                f"to_tensor: expected x to be a Tensor, an array, a PIL image or a path, got {type(x).__name__}",
-                actual_type=type(x),
-            )
-        image = to_unit(image)
-        state = chain(self.parameters(), self.buffers()) if isinstance(self, nn.Module) else ()
-        like = next((p for p in state if p.is_floating_point()), None)
-        return image if like is None else image.to(like)
+        return x if isinstance(x, Tensor) else module_image(self, x)
 
     def to_numpy(self, x: Any) -> np.ndarray[Any, Any]:
         """A tensor as an array with the channels last (where it has three or four axes); an array as it is.
@@ -98,37 +77,25 @@ class ImageModuleMixIn:
         Raises:
             TypeCheckError: `x` is neither of these, nor a PIL image.
         """
+        from kvision.image.adapter import channels_last
+
         if isinstance(x, Tensor):
-            x = x.detach().cpu()
-            x = (x.float() if x.dtype == torch.bfloat16 else x).numpy()
-            return np.ascontiguousarray(np.moveaxis(x, -3, -1)) if x.ndim in (3, 4) else x
-        if isinstance(x, np.ndarray) or _is_pil(x):
+            return channels_last(x)
+        if isinstance(x, np.ndarray) or _check.is_pil(x):
             return np.asarray(x)
         raise TypeCheckError(
             f"to_numpy: expected x to be a Tensor, an array or a PIL image, got {type(x).__name__}", actual_type=type(x)
         )
 
     def to_pil(self, x: Any) -> Any:
-        """A tensor (C, H, W) as a PIL image in 8 bits, one of (B, C, H, W) as a list of them; a PIL image as it is.
+        """Images as :func:`kvision.to_pil` gives them.
 
         Raises:
-            TypeCheckError: `x` is neither of these.
-            ShapeError: a shape is not as in Args.
+            TypeCheckError, ShapeError, ValueCheckError: as there.
         """
-        import PIL.Image
+        from kvision.image import to_pil
 
-        from kvision.image import tensor_to_image
-
-        if _is_pil(x):
-            return x
-        _check.is_tensor("to_pil", "x", x)
-        if x.dim() == 4:
-            return [self.to_pil(image) for image in x]
-        if x.dim() != 3:
-            raise ShapeError(
-                f"to_pil: expected x of shape (C, H, W) or (B, C, H, W), got {tuple(x.shape)}", actual_shape=x.shape
-            )
-        return PIL.Image.fromarray(tensor_to_image(to_uint8(x.detach()), force_contiguous=True))
+        return to_pil(x)
 
     def show(self, n_row: int | None = None, backend: str = "pil", display: bool = True) -> Any:
         """The last result as a PIL image, a batch as a grid; displayed, or returned where `display` is False.
@@ -178,7 +145,7 @@ class ImageModuleMixIn:
 
     def _admit(self, arg: Any, first: bool) -> Any:
         """`arg` as a tensor if it looks like an image; only the first argument may be the name of a file."""
-        is_image = isinstance(arg, np.ndarray) or _is_pil(arg) or (first and isinstance(arg, (str, os.PathLike)))
+        is_image = isinstance(arg, np.ndarray) or _check.is_pil(arg) or (first and isinstance(arg, (str, os.PathLike)))
         return self.to_tensor(arg) if is_image else arg
 
     def _release(self, output: Any, output_type: str, cache_output: bool) -> Any:
@@ -248,10 +215,6 @@ class ImageSequential(_ImageCalls, nn.Sequential):
         >>> K.core.ImageSequential(torch.nn.ReLU())(torch.rand(3, 4, 5), output_type="pil").size
         (5, 4)
     """
-
-
-def _is_pil(x: Any) -> bool:
-    return type(x).__module__.startswith("PIL.")  # without importing it: PIL is optional
 
 
 def _map_tensors(f: Callable[[Tensor], Any], output: Any) -> Any:

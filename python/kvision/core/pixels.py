@@ -6,13 +6,23 @@ import torch
 from torch import Tensor
 
 
-def to_unit(x: Tensor) -> Tensor:
-    """`x` as floating point: integers divided by the largest number of their type, floats as they are."""
+def to_unit(x: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
+    """`x` as floating point: integers divided in `dtype` by the largest number of their type, floats as they are."""
     if x.is_floating_point():
         return x
     if x.dtype == torch.bool:
-        return x.float()
-    return x.float() / torch.iinfo(x.dtype).max
+        return x.to(dtype)
+    return x.to(dtype) / torch.iinfo(x.dtype).max
+
+
+def to_dtype(x: Tensor, dtype: torch.dtype | None) -> Tensor:
+    """`x` in a floating-point type or uint8, scaled from the range of its type to that of the other; None: as it is."""
+    if dtype is None or x.dtype == dtype:
+        return x
+    if dtype == torch.uint8:
+        return to_uint8(x)
+    # Half types cannot hold the largest integers.
+    return to_unit(x, torch.float64 if dtype == torch.float64 else torch.float32).to(dtype)
 
 
 def to_uint8(x: Tensor) -> Tensor:

@@ -1,6 +1,7 @@
 """Images as tensors: conversion from and to NumPy, grids, drawing, printing."""
 
 from kvision import _torch_compat
+from kvision.image.adapter import to_numpy, to_pil, to_tensor
 from kvision.image.convert import ImageToTensor, image_list_to_tensor, image_to_tensor, tensor_to_image
 from kvision.image.draw import draw_convex_polygon, draw_line, draw_point2d, draw_rectangle
 from kvision.image.grid import make_grid
@@ -28,6 +29,9 @@ __all__ = [
     "perform_keep_shape_video",
     "print_image",
     "tensor_to_image",
+    "to_numpy",
+    "to_pil",
+    "to_tensor",
 ]
 
 _torch_compat.refuse_script(globals())

@@ -14,7 +14,7 @@ from torch import Generator, Tensor, nn
 
 import kvision.augmentation as A
 from kvision import _check
-from kvision.augmentation.base import AugmentationBase2D, Params, image_and_matrix, with_matrix
+from kvision.augmentation.base import AugmentationBase2D, Params, with_matrix
 from kvision.augmentation.base.execution import check_batch_of_params
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.configuration import Plans
@@ -22,6 +22,7 @@ from kvision.augmentation.container.image import ImageSequential
 from kvision.augmentation.container.runs import Randomness
 from kvision.augmentation.container.stages import Applied, Stage
 from kvision.augmentation.draws import Request, uniform
+from kvision.augmentation.inputs import check_matrix, image_and_matrix
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.core.pixels import to_unit
@@ -228,8 +229,10 @@ class OperationBase(nn.Module):
         Returns:
             Images of the shape of `input`; with `return_transform` a pair of them and the matrices (B, 3, 3).
         """
-        image, before = image_and_matrix(input)
+        image, before = image_and_matrix(self, input)
         x = self.op.transform_tensor(image)
+        if before is not None:
+            check_matrix(self, before, x)
         if params is None:
             params = self.forward_parameters(tuple(x.shape), seed=seed, generator=generator)
         y = self._augment(x, params)

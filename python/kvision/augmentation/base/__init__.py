@@ -26,7 +26,6 @@ from kvision.augmentation.base.augmentation import (
 )
 from kvision.augmentation.base.execution import Execution, Params, Shape, matrix_type
 from kvision.augmentation.base.samples import (
-    image_and_matrix,
     is_known,
     known_everywhere,
     per_sample,
@@ -44,7 +43,6 @@ __all__ = [
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",
     "Shape",
-    "image_and_matrix",
     "is_known",
     "known_everywhere",
     "matrix_type",

@@ -11,16 +11,16 @@ from torch import Generator, Tensor
 from kvision.augmentation.base.execution import Execution, Params
 from kvision.augmentation.base.one_pass import OnePass
 from kvision.augmentation.base.samples import (
-    image_and_matrix,
     is_known,
     known_everywhere,
     where_chosen,
     with_matrix,
     without_added_axes,
 )
+from kvision.augmentation.inputs import check_image, check_matrix, image_and_matrix
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.maps import exact
-from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.core.exceptions import ShapeError
 
 __all__ = [
     "AugmentationBase",
@@ -37,10 +37,7 @@ class AugmentationBase(OnePass):
     def validate_tensor(self, input: Tensor) -> None:
         """Raise unless `input` is a tensor of a floating-point type or uint8 with at most a batch of images that have pixels."""
         axes, op = self.axes, type(self).__name__
-        if not isinstance(input, Tensor):
-            raise TypeCheckError(f"{op}: expected input to be a Tensor, got {type(input).__name__}")
-        if not input.is_floating_point() and input.dtype != torch.uint8:
-            raise TypeCheckError(f"{op}: expected input of a floating-point type or uint8, got {input.dtype}")
+        check_image(self, input)
         if not axes - 1 <= input.dim() <= axes + 1:
             layout = ("(H, W), (C, H, W) or (B, C, H, W)", "(D, H, W), (C, D, H, W) or (B, C, D, H, W)")[axes - 3]
             raise ShapeError(f"{op}: expected input of shape {layout}, got {tuple(input.shape)}")
@@ -83,11 +80,13 @@ class AugmentationBase(OnePass):
             `return_transform` a pair of them and the matrices (B, 3, 3).
 
         Raises:
-            TypeError: `input` is not a tensor of a floating-point type or uint8.
-            ValueError: `input` has another number of axes.
+            TypeError: `input` is not a tensor of a floating-point type or uint8, nor a tuple of one and of matrices.
+            ValueError: `input` has another number of axes; matrices have another shape.
         """
-        image, before = image_and_matrix(input)
+        image, before = image_and_matrix(self, input)
         x = self.transform_tensor(image)
+        if before is not None:
+            check_matrix(self, before, x)
         flags = self._flags_of(kwargs)
         if params is None:
             y, execution = self._draw_and_run(x, seed, generator, flags)

@@ -144,7 +144,7 @@ class Declaration(_KeepsArguments):
         """The shape of the results for images of a shape."""
         return shape
 
-    def result_dtype(self, dtype: torch.dtype) -> torch.dtype:
+    def _result_dtype(self, dtype: torch.dtype) -> torch.dtype:
         """The type of the results for images of a type; float32 for uint8 where values leave [0, 1]."""
         return dtype
 

@@ -225,7 +225,7 @@ class Engine(Declaration):
         """Execute on images (B, C, H, W): by the methods that users override."""
         if not execution.applied:
             return x
-        stored, result = x.dtype, self.result_dtype(x.dtype)
+        stored, result = x.dtype, self._result_dtype(x.dtype)
         transform: Tensor | None = None
         if self._needs_no_matrix():
             params = self._params_on_device(x, execution, for_users=False)

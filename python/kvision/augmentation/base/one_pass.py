@@ -46,7 +46,7 @@ class OnePass(Engine):
 
     def _pass_of(self, dtype: torch.dtype, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
         """The pass that executes this augmentation by columns on images of a type."""
-        image_pass, result = self._pass(shape, span, flags), self.result_dtype(dtype)
+        image_pass, result = self._pass(shape, span, flags), self._result_dtype(dtype)
         return image_pass if image_pass is None or result == dtype else image_pass.giving(result)
 
     def _kept_pass(self, dtype: torch.dtype, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:

@@ -15,13 +15,6 @@ def without_added_axes(y: Tensor, input: Tensor) -> Tensor:
     return y.reshape(y.shape[y.dim() - input.dim() :]) if y.dim() > input.dim() else y
 
 
-def image_and_matrix(input: Any) -> tuple[Any, Tensor | None]:
-    """An input that may be a pair of images and their matrices, as chains with `return_transform` pass it on."""
-    if isinstance(input, (tuple, list)) and len(input) == 2 and all(isinstance(x, Tensor) for x in input):
-        return input[0], input[1]
-    return input, None
-
-
 def with_matrix(y: Any, before: Tensor | None, transform: Tensor | None) -> Any:
     """A result, with its matrix behind the one that came with the images; `transform` is None if it is not asked for."""
     if transform is None:

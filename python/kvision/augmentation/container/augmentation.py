@@ -9,7 +9,6 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision.augmentation import labels
-from kvision.augmentation.base import image_and_matrix
 from kvision.augmentation.container.image import ImageSequential, ParamItem
 from kvision.augmentation.container.runs import Randomness, execute
 from kvision.augmentation.container.stages import (
@@ -25,6 +24,17 @@ from kvision.augmentation.container.stages import (
     move_points_back,
 )
 from kvision.augmentation.container.video import VideoLayout, VideoSequential
+from kvision.augmentation.inputs import (
+    Entries,
+    as_output_type,
+    check_matrix,
+    check_output_type,
+    image_and_matrix,
+    image_of,
+    label_of,
+    parse_entries,
+    parse_names,
+)
 from kvision.augmentation.keys import Seed
 from kvision.constants import DataKey, Resample
 from kvision.core.exceptions import ShapeError, ValueCheckError
@@ -51,8 +61,7 @@ class AugmentationSequential(ImageSequential):
     Args:
         *args: augmentations, other containers, or any modules of images.
         data_keys: what the arguments of a call are, the image first: "input" or "image", "mask", "bbox", "bbox_xyxy",
-            "bbox_xyxy_plus", "bbox_xywh", "keypoints", "class"; any of them several times. None: calls take one dict with such
-            keys, to which suffixes may be appended ("mask_2").
+            "bbox_xyxy_plus", "bbox_xywh", "keypoints", "class"; any of them several times. None: calls take one dict.
         same_on_batch: if not None, that of all children.
         keepdim: if not None, that of all children.
         random_apply: False runs all children in order; True a random number of them in random order; n that many; (n, m) at
@@ -72,9 +81,10 @@ class AugmentationSequential(ImageSequential):
         output_dtype: type of the results; default: that of the images. Floating-point types have uint8 images in [0, 1].
         memory_format: `torch.channels_last` or `torch.contiguous_format` for the results; default: that of the images.
         return_transform: the first image of a result is a pair of it and the product of the matrices.
+        keys: data keys of further names in dicts, such as {"boxes": "bbox_xyxy", "labels": "class", "pixel_values": "image"}.
 
     Raises:
-        TypeError: a child is not a module.
+        TypeError: a child is not a module; `keys` is not a dict with names.
         ValueError: a key is unknown, or the first is not the image's; `min_box_area` is negative, or `min_box_visibility` not
             within 0 and 1.
 
@@ -115,6 +125,7 @@ class AugmentationSequential(ImageSequential):
         output_dtype: torch.dtype | None = None,
         memory_format: torch.memory_format | None = None,
         return_transform: bool | None = None,
+        keys: Mapping[str, str | int | DataKey] | None = None,
     ) -> None:
         super().__init__(
             *args,
@@ -144,6 +155,8 @@ class AugmentationSequential(ImageSequential):
             raise ValueCheckError(
                 f"AugmentationSequential: expected min_box_visibility within 0 and 1, got {min_box_visibility}"
             )
+        self._names = parse_names("AugmentationSequential", keys)
+        self._warned: set[str] = set()  # names of entries that pass through
         self.box_filter = labels.BoxFilter(clip_boxes, min_box_area, min_box_visibility)
         self.transformation_matrix_mode = transformation_matrix_mode
         self.extra_args = {DataKey.MASK: {"resample": "nearest"}} if extra_args is None else extra_args
@@ -156,52 +169,84 @@ class AugmentationSequential(ImageSequential):
         seed: Seed = None,
         generator: Generator | None = None,
         return_transform: bool | None = None,
+        output_type: str = "pt",
     ) -> Any:
         """Augment images with what belongs to them.
 
+        In a dict, entries are data whose names are those of data keys, "masks", or names of `keys`. A name with a suffix, "mask_2"
+        or "image-left", is data if its value is of that kind and the suffix does not end in id, name, path or size. Everything
+        else passes through; a tensor that does although its size or name is like that of data is warned about once.
+
         Args:
-            *args: images and labels in the order of the data keys; or one dict. The first image may be a pair of it and
-                matrices (B, 3, 3), which are passed on, as chains with `return_transform` do.
+            *args: images and labels in the order of the data keys; or one dict. The first image may be a tuple of it and
+                matrices (B, 3, 3), which are passed on, as chains with `return_transform` do. Images of NumPy and PIL and files
+                become floating point in [0, 1]; masks of NumPy and PIL, also those with a palette, keep their values.
             params: the `_params` of an earlier call, to repeat it on these images.
             data_keys: keys of this call; default: those of the constructor.
             seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
             generator: draws the keys of this call; default: that of the constructor, or torch's.
             return_transform: also return the matrices; default: as the constructor says.
+            output_type: "pt" for tensors, "numpy" for arrays, images and masks with the channels last, "pil" for images and
+                masks as lists of PIL images.
 
         Returns:
             What was given, moved: one tensor for one key, else a list; a dict for a dict. With `return_transform` the first
             image is a pair of it and the matrices (B, 3, 3).
 
         Raises:
-            TypeError: an input has another type than its key says.
+            TypeError: an input has another type than its key says; images are a list.
             ValueError: the number of inputs is not that of the keys; no key is the image's; an input has another shape.
         """
-        if len(args) == 1 and not isinstance(args[0], Tensor) and isinstance(args[0], Mapping):
-            names = list(args[0])
-            keys: list[DataKey] | None = [DataKey.get(_without_suffix(name)) for name in names]
-            values = list(args[0].values())
+        check_output_type(self, output_type)
+        entries = self._entries(args)
+        if entries is None:
+            keys = self._keys_of(args, data_keys)
+            values = list(args)
         else:
-            names, values = None, list(args)
-            keys = self.data_keys if data_keys is None else labels.parse_data_keys("AugmentationSequential", data_keys)
-        if keys is None:
-            raise ValueCheckError("AugmentationSequential: without data_keys, expected one dict")
-        if len(keys) != len(values):
-            raise ValueCheckError(
-                f"AugmentationSequential: expected {len(keys)} inputs for {[k.name.lower() for k in keys]}, got {len(values)}"
-            )
+            keys, values = entries.keys, entries.values
         image = keys.index(DataKey.INPUT) if DataKey.INPUT in keys else None
         before = None
         if image is not None:
-            values[image], before = image_and_matrix(values[image])
-        outputs = self._call(keys, values, params, seed, generator)
+            values[image], before = image_and_matrix(self, image_of(self, values[image]))
+        for i, (key, value) in enumerate(zip(keys, values)):
+            if not isinstance(value, Tensor):
+                like = None if image is None else values[image]
+                is_image = key == DataKey.INPUT
+                values[i] = image_of(self, value) if is_image else label_of(key, value, like, self._keeps_axes())
+        outputs = self._call(keys, values, params, seed, generator, before)
         if image is not None:
             outputs[image] = self._with_matrix(outputs[image], before, return_transform)
-        if names is not None:
-            return dict(zip(names, outputs))
+        if output_type != "pt":
+            outputs = [as_output_type(output, output_type, key) for output, key in zip(outputs, keys)]
+        if entries is not None:
+            return entries.merged(args[0], outputs)
         return outputs[0] if len(outputs) == 1 else outputs
 
+    def _entries(self, args: Sequence[Any]) -> Entries | None:
+        """What follows the images among the entries of a dict, if that is the argument."""
+        if len(args) != 1 or isinstance(args[0], Tensor) or not isinstance(args[0], Mapping):
+            return None
+        return parse_entries("AugmentationSequential", args[0], self._names, self, self._warned)
+
+    def _keys_of(self, args: Sequence[Any], data_keys: Sequence[str | int | DataKey] | None) -> list[DataKey]:
+        """The keys of arguments: those of the call, or else of the constructor."""
+        op = "AugmentationSequential"
+        keys = self.data_keys if data_keys is None else labels.parse_data_keys(op, data_keys)
+        if keys is None:
+            raise ValueCheckError(f"{op}: without data_keys, expected one dict")
+        if len(keys) != len(args):
+            names = [key.name.lower() for key in keys]
+            raise ValueCheckError(f"{op}: expected {len(keys)} inputs for {names}, got {len(args)}")
+        return keys
+
     def _call(
-        self, keys: list[DataKey], inputs: list[Any], params: Any, seed: Seed, generator: Generator | None
+        self,
+        keys: list[DataKey],
+        inputs: list[Any],
+        params: Any,
+        seed: Seed,
+        generator: Generator | None,
+        before: Tensor | None,
     ) -> list[Any]:
         if DataKey.INPUT not in keys:
             if self._shape is None and params is None:
@@ -215,6 +260,8 @@ class AugmentationSequential(ImageSequential):
         state["_boxes"] = next((value.shape[1] for value in of_boxes if isinstance(value, Tensor)), None)
         image = inputs[first]
         x = self.transform_tensor(image)
+        if before is not None:
+            check_matrix(self, before, x)
         y = self._execute(x, params, self._source(seed, generator, has_labels=len(keys) > 1))
         state["_result_size"] = tuple(y.shape[2:])
         outputs = []
@@ -421,10 +468,9 @@ class AugmentationSequential(ImageSequential):
         Returns:
             What was given, moved back to the images before the call; one tensor for one key, else a list or a dict.
         """
-        if len(args) == 1 and isinstance(args[0], Mapping):
-            names = list(args[0])
-            values = self._invert_all([DataKey.get(_without_suffix(n)) for n in names], list(args[0].values()), params)
-            return dict(zip(names, values))
+        entries = self._entries(args)
+        if entries is not None:
+            return entries.merged(args[0], self._invert_all(entries.keys, entries.values, params))
         keys = self.data_keys if data_keys is None else labels.parse_data_keys("AugmentationSequential", data_keys)
         outputs = self._invert_all(keys or [DataKey.INPUT], list(args), params)
         return outputs[0] if len(outputs) == 1 else outputs
@@ -462,14 +508,3 @@ class AugmentationSequential(ImageSequential):
         videos = self._video_layout(output)
         known = super().known_pixels(output if videos is None else videos.frames(output), params)
         return known if videos is None else videos.videos(known)
-
-
-def _without_suffix(name: str) -> str:
-    """The key of a dict's entry: the longest known key that its name begins with."""
-    known = sorted((name.lower() for name in DataKey.__members__), key=len, reverse=True)
-    for key in known:
-        if name.lower() == key or name.lower().startswith((f"{key}_", f"{key}-")):
-            return key
-    raise ValueCheckError(
-        f"AugmentationSequential: expected keys that begin with one of {', '.join(known)}, got {name!r}"
-    )

@@ -6,7 +6,9 @@ from typing import Any
 
 from torch import nn
 
+from kvision.augmentation.base import AugmentationBase
 from kvision.augmentation.container.augmentation import AugmentationSequential
+from kvision.augmentation.container.image import ImageSequential
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = ["ManyToManyAugmentationDispather", "ManyToOneAugmentationDispather"]
@@ -82,4 +84,6 @@ def _modules(op: str, augmentations: tuple[Any, ...]) -> nn.ModuleList:
 
 
 def _call(augment: nn.Module, x: Any) -> Any:
-    return augment(*x) if isinstance(x, (tuple, list)) else augment(x)
+    """Hand an input over; one that is several inputs to what takes several. Of images, a tuple is a pair with matrices."""
+    takes_one = isinstance(augment, (AugmentationBase, ImageSequential)) and not hasattr(augment, "data_keys")
+    return augment(*x) if isinstance(x, (tuple, list)) and not takes_one else augment(x)

@@ -12,7 +12,6 @@ from torch import Generator, Tensor, nn
 from kvision._ops import FLOATS
 from kvision.augmentation.base import (
     AugmentationBase,
-    image_and_matrix,
     is_known,
     known_everywhere,
     with_matrix,
@@ -22,6 +21,14 @@ from kvision.augmentation.configuration import Plans
 from kvision.augmentation.container.runs import Child, Randomness, execute
 from kvision.augmentation.container.stages import Applied, Stage, forget_coordinates, invert, move_masks, product
 from kvision.augmentation.draws import philox, unit
+from kvision.augmentation.inputs import (
+    as_output_type,
+    check_image,
+    check_matrix,
+    check_output_type,
+    image_and_matrix,
+    image_of,
+)
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
 from kvision.augmentation.keys import Seed, draw_keys, refuse_capture
 from kvision.augmentation.warp_and_color import SAME, Output
@@ -276,8 +283,7 @@ class ImageSequential(ImageSequentialBase):
 
     def transform_tensor(self, input: Tensor) -> Tensor:
         """The input as a batch: (H, W) and (C, H, W) become (1, C, H, W)."""
-        if not isinstance(input, Tensor):
-            raise TypeCheckError(f"{type(self).__name__}: expected input to be a Tensor, got {type(input).__name__}")
+        check_image(self, input)
         axes: int | None = self._plans.get("axes")
         if axes is None:
             axes = max([3, *(m.axes for m in self.modules() if isinstance(m, AugmentationBase))])
@@ -288,10 +294,6 @@ class ImageSequential(ImageSequentialBase):
             )
         if not input.numel() and 0 in input.shape[1 - axes :]:
             raise ShapeError(f"{type(self).__name__}: expected input with pixels, got {tuple(input.shape)}")
-        if not input.is_floating_point() and input.dtype != torch.uint8:
-            raise TypeCheckError(
-                f"{type(self).__name__}: expected input of a floating-point type or uint8, got {input.dtype}"
-            )
         while input.dim() < axes + 1:
             input = input[None]
         return input
@@ -349,30 +351,37 @@ class ImageSequential(ImageSequentialBase):
         seed: Seed = None,
         generator: Generator | None = None,
         return_transform: bool | None = None,
+        output_type: str = "pt",
     ) -> Any:
         """Augment images.
 
         Args:
-            input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8. A pair of images and matrices
-                (B, 3, 3) passes the matrices on, as chains with `return_transform` do.
+            input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8. A tuple of images and matrices
+                (B, 3, 3) passes the matrices on, as chains with `return_transform` do. Images of NumPy and PIL and files become
+                floating point in [0, 1].
             params: the `_params` of an earlier call, to repeat it on these images.
             extra_args: accepted for code written for Kornia.
             seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
             generator: draws the keys of this call; default: that of the constructor, or torch's.
             return_transform: also return the matrices; default: as the constructor says.
+            output_type: "pt" for tensors, "numpy" for arrays with the channels last, "pil" for a list of PIL images.
 
         Returns:
             Images (B, C, h, w) of the type of `input`; with `return_transform` a pair of them and the matrices (B, 3, 3).
 
         Raises:
-            TypeError: `input` is not a tensor of a floating-point type or uint8.
-            ValueError: `input` has another number of axes; `params` names a child that there is not.
+            TypeError: `input` is not a tensor of a floating-point type or uint8, nor what becomes one; it is a list.
+            ValueError: `input` has another number of axes; `params` names a child that there is not; matrices have another
+                shape; `output_type` is unknown.
         """
-        image, before = image_and_matrix(input)
+        check_output_type(self, output_type)
+        image, before = image_and_matrix(self, image_of(self, input))
         x = self.transform_tensor(image)
+        if before is not None:
+            check_matrix(self, before, x)
         y = self._execute(x, params, self._source(seed, generator))
         forget_coordinates(self._stages)
-        return self._with_matrix(self._restored(y, image), before, return_transform)
+        return as_output_type(self._with_matrix(self._restored(y, image), before, return_transform), output_type)
 
     def _with_matrix(self, y: Tensor, before: Tensor | None, return_transform: bool | None) -> Any:
         """The result of a call, with its matrix if that is asked for."""
@@ -381,13 +390,14 @@ class ImageSequential(ImageSequentialBase):
         return with_matrix(y, before, None if transform is None else transform.to(y.device))
 
     def _restored(self, y: Tensor, input: Tensor) -> Tensor:
-        if y.dim() <= input.dim():
-            return y
-        keeps = self.keepdim
-        if keeps is None:
-            augmentations = [m for m in self.children() if isinstance(m, AugmentationBase)]
-            keeps = bool(augmentations) and all(m.keepdim for m in augmentations)
-        return without_added_axes(y, input) if keeps else y
+        return without_added_axes(y, input) if y.dim() > input.dim() and self._keeps_axes() else y
+
+    def _keeps_axes(self) -> bool:
+        """Whether results have no more axes than the images."""
+        if self.keepdim is not None:
+            return self.keepdim
+        augmentations = [m for m in self.children() if isinstance(m, AugmentationBase)]
+        return bool(augmentations) and all(m.keepdim for m in augmentations)
 
     # --- matrices and the inverse ---
 

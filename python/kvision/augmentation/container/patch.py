@@ -157,6 +157,7 @@ class PatchSequential(ImageSequential):
         seed: Seed = None,
         generator: Generator | None = None,
         return_transform: bool | None = None,
+        output_type: str = "pt",
     ) -> Any:
         """Augment the cells of images.
 
@@ -167,6 +168,7 @@ class PatchSequential(ImageSequential):
             seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
             generator: draws the keys of this call; default: that of the constructor, or torch's.
             return_transform: also return the matrices; default: as the constructor says.
+            output_type: "pt" for tensors, "numpy" for arrays with the channels last, "pil" for a list of PIL images.
 
         Returns:
             Images of the size of `input`, cropped to a multiple of the grid with padding 'valid'; with `return_transform` a pair
@@ -177,7 +179,7 @@ class PatchSequential(ImageSequential):
             ValueError: `input` has another number of axes; an augmentation changes the size of a cell.
         """
         options: dict[str, Any] = {"seed": seed, "generator": generator, "return_transform": return_transform}
-        return super().forward(input, params, extra_args, **options)  # type: ignore[arg-type]
+        return super().forward(input, params, extra_args, output_type=output_type, **options)  # type: ignore[arg-type]
 
     def _execute(self, x: Tensor, params: Any, source: Randomness) -> Tensor:
         pad = self.compute_padding(x, self.padding)

@@ -500,7 +500,7 @@ class _Pending:
         if not execution.applied:
             return
         span = None if execution.columns is None else execution.columns.span
-        result = module.result_dtype(self.dtype)
+        result = module._result_dtype(self.dtype)
         customized = module._is_customized()
         if len(execution.shape) != module.axes + 1 and not customized:
             _check_takes_volumes(module, execution.shape)

@@ -9,10 +9,10 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision import _check
-from kvision.augmentation.base import image_and_matrix
 from kvision.augmentation.container.image import ImageSequential, ParamItem, invert
 from kvision.augmentation.container.runs import Randomness, Stage
 from kvision.augmentation.container.stages import forget_coordinates
+from kvision.augmentation.inputs import as_output_type, check_matrix, check_output_type, image_and_matrix
 from kvision.augmentation.keys import Seed
 from kvision.core.exceptions import ShapeError, ValueCheckError
 
@@ -134,6 +134,7 @@ class VideoSequential(ImageSequential):
         seed: Seed = None,
         generator: Generator | None = None,
         return_transform: bool | None = None,
+        output_type: str = "pt",
     ) -> Any:
         """Augment videos.
 
@@ -145,6 +146,7 @@ class VideoSequential(ImageSequential):
             seed: an int, or int64 (B,) with one of a video, from which all parameters follow.
             generator: draws the keys of this call; default: that of the constructor, or torch's.
             return_transform: also return the matrices; default: as the constructor says.
+            output_type: "pt" for tensors, "numpy" for arrays of the same axes.
 
         Returns:
             Videos of the type and the order of axes of `input`; with `return_transform` a pair of them and the matrices
@@ -153,12 +155,15 @@ class VideoSequential(ImageSequential):
         Raises:
             ValueError: `input` has another number of axes.
         """
-        videos, before = image_and_matrix(input)
+        check_output_type(self, output_type)
+        videos, before = image_and_matrix(self, input)
         layout = self._layout(videos)
-        source = self._of_frames(self._source(seed, generator), layout.sizes[1])
-        frames = self._execute(layout.frames(videos), params, source)
+        x = layout.frames(videos)
+        if before is not None:
+            check_matrix(self, before, x)
+        frames = self._execute(x, params, self._of_frames(self._source(seed, generator), layout.sizes[1]))
         forget_coordinates(self._stages)
-        return self._with_matrix(layout.videos(frames), before, return_transform)
+        return as_output_type(self._with_matrix(layout.videos(frames), before, return_transform), output_type)
 
     def _of_frames(self, source: Randomness, time: int) -> Randomness:
         return source._replace(frames=time if self.same_on_frame else 1, time=time)

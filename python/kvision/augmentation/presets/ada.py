@@ -17,6 +17,7 @@ from kvision.augmentation.draws import Request, uniform
 from kvision.augmentation.keys import Seed, draw_keys
 from kvision.constants import DataKey
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.core.pixels import to_unit
 
 __all__ = ["AdaptiveDiscriminatorAugmentation"]
 
@@ -119,6 +120,7 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         seed: Seed = None,
         generator: Generator | None = None,
         return_transform: bool | None = None,
+        output_type: str = "pt",
     ) -> Any:
         """Augment a fraction of the samples.
 
@@ -130,6 +132,8 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
             seed: an int from which all parameters follow.
             generator: draws the keys of this call; default: that of the constructor, or torch's.
             return_transform: also return the matrices; default: as the constructor says.
+            output_type: "pt" for tensors, "numpy" for arrays, images and masks with the channels last, "pil" for images and
+                masks as lists of PIL images.
 
         Returns:
             What was given, with a fraction of the samples augmented. With `return_transform` the first image is a pair of it
@@ -142,10 +146,16 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         if real_acc is not None:
             self.update(real_acc)
         options: dict[str, Any] = {"seed": seed, "generator": generator, "return_transform": return_transform}
-        return super().forward(*inputs, params=params, data_keys=data_keys, **options)
+        return super().forward(*inputs, params=params, data_keys=data_keys, output_type=output_type, **options)
 
     def _call(
-        self, keys: list[DataKey], inputs: list[Any], params: Any, seed: Seed, generator: Generator | None
+        self,
+        keys: list[DataKey],
+        inputs: list[Any],
+        params: Any,
+        seed: Seed,
+        generator: Generator | None,
+        before: Tensor | None,
     ) -> list[Any]:
         op = type(self).__name__
         images = next((x for x in inputs if isinstance(x, Tensor)), None)
@@ -159,7 +169,7 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
             request, position = Request([uniform(0.0, 1.0)]), _CHOICE if own.one_key else 0
             (columns,) = draw_columns(torch.empty(images.shape[0]), own, [request], position)
             chosen = columns.values[:, 0] < self.p
-        outputs = super()._call(keys, inputs, params, seed, generator)
+        outputs = super()._call(keys, inputs, params, seed, generator, before)
         self._param_items = [*self._params, ParamItem("share", {"batch_prob": chosen.float()})]
         return [_where(chosen, new, old) for new, old in zip(outputs, inputs)]
 
@@ -200,4 +210,4 @@ def _where(chosen: Tensor, new: Any, old: Any) -> Any:
             f"AdaptiveDiscriminatorAugmentation: expected augmentations that keep sizes, got {tuple(new.shape)} "
             f"from {tuple(old.shape)}"
         )
-    return where_chosen(chosen, new, old)
+    return where_chosen(chosen, new, old if old.dtype == new.dtype else to_unit(old))

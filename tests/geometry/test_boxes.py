@@ -2,6 +2,7 @@
 
 import itertools
 import pickle
+import warnings
 from types import SimpleNamespace
 
 import pytest
@@ -106,6 +107,81 @@ def theirs():
     from kornia.geometry import bbox, boxes
 
     return SimpleNamespace(**vars(bbox) | vars(boxes))
+
+
+NORMALIZED = [[0.1, 0.1, 0.6, 0.9], [0.0, 0.25, 1.0, 0.5]]
+
+
+def in_every_mode(near: Tensor, far: Tensor, modes: tuple[str, ...]) -> dict[str, Tensor]:
+    """Boxes of edges in all modes: there is no last pixel."""
+    vertices = G.bbox.corners(near, far)
+    return dict(zip(modes, (*[torch.cat([near, far], -1)] * 2, torch.cat([near, far - near], -1), *[vertices] * 2)))
+
+
+@pytest.mark.parametrize("kind, modes", [(G.Boxes, MODES), (G.Boxes3D, MODES3D)])
+@pytest.mark.parametrize("batch", [(), (2,)], ids=["one", "batch"])
+def test_normalized_boxes_are_edges(kind, modes, batch, device):
+    axes = kind.item[-1]
+    near = rand(*batch, 5, axes).to(device) / 2
+    far = near + rand(*batch, 5, axes, seed=8).to(device) / 2
+    forms = in_every_mode(near, far, modes)
+    half = torch.diag(torch.tensor([0.5] * axes + [1.0], dtype=torch.float64, device=device))
+    for mode, form in forms.items():
+        boxes = kind.from_tensor(form, mode, normalized=True)
+        assert_close(boxes.data, forms["vertices"])
+        moved, one = boxes.clone().transform_boxes(half), boxes[1:]
+        assert_close(moved.to_tensor(mode), form / 2)
+        assert_close(one.to_tensor(mode), form[1:])
+        assert boxes.normalized and moved.normalized and one.normalized
+    assert_close(torch.stack(boxes.get_boxes_shape()[::-1], -1), far - near)
+    with pytest.raises(ValueError, match=f"{kind.__name__}: expected boxes that are all normalized, or none"):
+        boxes.index_put((torch.tensor([0], device=device),), kind(boxes.data)[:1])
+
+
+def test_area_masks_and_overlap_of_normalized_boxes(device):
+    boxes = G.Boxes.from_tensor(torch.tensor(NORMALIZED, device=device), normalized=True)
+    assert_close(boxes.compute_area(), torch.tensor([0.4, 0.25], device=device))
+    mask = boxes.to_mask(10, 20)
+    expected = torch.zeros(2, 10, 20, device=device)
+    expected[0, 1:9, 2:12] = 1
+    expected[1, 2:5] = 1  # 2.5 is rounded to even
+    assert_close(mask, expected)
+    iou = K.metrics.mean_iou_bbox(boxes.to_tensor(), boxes.to_tensor())
+    assert_close(iou[0, 1], torch.tensor(0.125 / 0.525, device=device))
+    lists = G.Boxes.from_tensor([torch.tensor(NORMALIZED[:1], device=device), boxes.to_tensor()], normalized=True)
+    assert_close(lists.to_tensor()[1], boxes.to_tensor())
+    both = boxes.merge(boxes)
+    assert both.normalized and both.shape[0] == 4
+    with pytest.raises(ValueError, match="Boxes: expected boxes that are all normalized, or none, got both"):
+        boxes.merge(G.Boxes(boxes.data))
+    corners = boxes.to_tensor("vertices").reshape(2, 1, 1, 4, 2)
+    video = G.VideoBoxes.from_tensor(corners, normalized=True)
+    assert video.normalized and video[0].normalized
+    assert_close(video.to_tensor("xyxy").reshape(2, 4), boxes.to_tensor())
+    cubes = G.Boxes3D.from_tensor(torch.tensor([[0.1, 0.1, 0, 0.6, 0.9, 1]], device=device), normalized=True)
+    assert_close(cubes.to_mask(4, 10, 20)[0], expected[0].expand(4, -1, -1))
+    with pytest.raises(ValueError, match="expected boxes in pixels, got normalized ones"):
+        augment = K.augmentation.AugmentationSequential(
+            K.augmentation.RandomHorizontalFlip(p=1.0), data_keys=["input", "bbox"]
+        )
+        augment(torch.zeros(1, 1, 4, 4, device=device), boxes)
+
+
+@pytest.mark.parametrize("kind, modes", [(G.Boxes, MODES), (G.Boxes3D, MODES3D)])
+def test_sides_below_1_are_warned_of(kind, modes):
+    near = torch.full((1, kind.item[-1]), 0.1)
+    forms = in_every_mode(near, near + 0.5, modes)
+    for mode in (modes[0], modes[2], modes[3]):
+        with pytest.warns(
+            UserWarning, match=f"{kind.__name__}.from_tensor: .* side below 1.*normalized=True"
+        ) as caught:
+            kind.from_tensor(forms[mode], mode)
+        assert [w.filename for w in caught] == [__file__]
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            kind.from_tensor(forms[mode], mode, validate_boxes=False)
+            kind.from_tensor(forms[mode], mode, normalized=True)
+            kind.from_tensor(2 * forms[mode], mode)  # a side of 1 pixel
 
 
 @pytest.mark.parametrize("batch", [(), (2,)], ids=["one", "batch"])

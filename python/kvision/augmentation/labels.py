@@ -94,6 +94,8 @@ def move_boxes(boxes: Any, mode: str, move: Mover, points_of_side: int = 1) -> A
         moved = move_boxes(padded, mode, move, points_of_side)
         return type(boxes)(m[:n] for m, n in zip(moved, sizes))
     if hasattr(boxes, "transform_boxes"):  # kvision.geometry.boxes.Boxes
+        if getattr(boxes, "normalized", False):
+            raise ValueCheckError("AugmentationSequential: expected boxes in pixels, got normalized ones")
         moved = boxes.clone()
         moved._data = move_boxes(boxes._data, "vertices", move, points_of_side)
         return moved

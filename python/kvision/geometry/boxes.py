@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import torch
 from torch import Tensor
@@ -17,9 +18,11 @@ from kvision.geometry.collection import Collection
 
 __all__ = ["Boxes", "Boxes3D", "VideoBoxes"]
 
+Self = TypeVar("Self", bound="_Boxes")
+
 
 class _Boxes(Collection):
-    """Boxes by their corners, both ends included, in two or three dimensions."""
+    """Boxes by their corners, both ends included, in two or three dimensions; normalized ones by their edges."""
 
     # Two corners with an exclusive end, two corners, corner and size, all corners with an exclusive end, all corners.
     modes: ClassVar[tuple[str, str, str, str, str]]
@@ -27,6 +30,7 @@ class _Boxes(Collection):
     def __init__(self, boxes: Tensor | Sequence[Tensor], raise_if_not_floating_point: bool, mode: str) -> None:
         super().__init__("boxes", boxes, raise_if_not_floating_point)
         self._mode = self._known(mode)
+        self._normalized = False
 
     @classmethod
     def _known(cls, mode: Any) -> str:
@@ -37,8 +41,16 @@ class _Boxes(Collection):
 
     def _like(self, data, valid, counts):
         other = super()._like(data, valid, counts)
-        other._mode = self._mode
+        other._mode, other._normalized = self._mode, self._normalized
         return other
+
+    def _put(self, value, write):
+        self._check_units(value)
+        return super()._put(value, write)
+
+    def _check_units(self, other: _Boxes) -> None:
+        if self._normalized != other._normalized:
+            raise ValueCheckError(f"{type(self).__name__}: expected boxes that are all normalized, or none, got both")
 
     @classmethod
     def _exclusive(cls) -> tuple[str, str]:
@@ -50,9 +62,27 @@ class _Boxes(Collection):
         """The mode of the boxes that the constructor took."""
         return self._mode
 
+    @property
+    def normalized(self) -> bool:
+        """Whether the corners are edges in fractions of the image's sizes, not the centers of pixels."""
+        return self._normalized
+
     @classmethod
-    def _vertices(cls, boxes: Tensor, mode: str, validate_boxes: bool) -> Tensor:
-        """Convert boxes of a mode to corners, both ends included."""
+    def _from_tensor(
+        cls: type[Self], boxes: Tensor | Sequence[Tensor], mode: str, validate: bool, is_normalized: bool
+    ) -> Self:
+        """Boxes of a mode, of one tensor or of a list with one for each image."""
+        _check.flag(cls.__name__, "normalized", is_normalized)
+        vertices = []
+        for part in [boxes] if isinstance(boxes, Tensor) else boxes:
+            vertices.append(cls._vertices(part, mode, validate, 0 if is_normalized else 1))
+        made = cls(vertices[0] if isinstance(boxes, Tensor) else vertices, False, mode)
+        made._normalized = is_normalized
+        return made
+
+    @classmethod
+    def _vertices(cls, boxes: Tensor, mode: str, validate_boxes: bool, pixel: int) -> Tensor:
+        """Convert boxes of a mode to corners: both ends included with a `pixel` of 1, edges with one of 0."""
         axes = cls.item[-1]
         of_corners = mode.startswith("vertices")
         last = cls.item if of_corners else (2 * axes,)
@@ -69,26 +99,41 @@ class _Boxes(Collection):
         if check_values and not boxes.isfinite().all():
             raise ValueCheckError(f"{cls.__name__}: expected boxes that are finite")
         if of_corners:
-            return (
-                boxes - corners(boxes.new_zeros(axes), boxes.new_ones(axes))
-                if mode in cls._exclusive()
-                else boxes.clone()
-            )
+            if not (pixel and mode in cls._exclusive()):
+                return boxes.clone()
+            if check_values:
+                cls._warn_of_sides_below_1(boxes.amax(-2) - boxes.amin(-2))
+            return boxes - corners(boxes.new_zeros(axes), boxes.new_ones(axes))
         near, far = boxes.split(axes, -1)
         if mode == cls.modes[2]:
-            far = near + far - 1
+            far = near + far - pixel
         elif mode in cls._exclusive():
-            far = far - 1
-        if check_values and not (far > near - 1).all():
-            raise ValueCheckError(f"{cls.__name__}: expected boxes of positive size")
+            far = far - pixel
+        if check_values:
+            sides = far - near + pixel
+            if not (sides > 0).all():
+                raise ValueCheckError(f"{cls.__name__}: expected boxes of positive size")
+            if pixel:
+                cls._warn_of_sides_below_1(sides)
         return corners(near, far)
+
+    @classmethod
+    def _warn_of_sides_below_1(cls, sides: Tensor) -> None:
+        """Such a side has its last pixel before its first one, so that it comes back as another."""
+        if (sides < 1).any():
+            warnings.warn(
+                f"{cls.__name__}.from_tensor: got boxes with a side below 1, which become others: they are in pixels unless "
+                "normalized=True says that they are in fractions of the image",
+                stacklevel=5,
+            )
 
     def _in_mode(self, mode: str) -> Tensor:
         near, far = self._data.amin(-2), self._data.amax(-2)
+        pixel = 0 if self._normalized else 1
         if mode in self._exclusive():
-            far = far + 1
+            far = far + pixel
         elif mode == self.modes[2]:
-            far = far - near + 1
+            far = far - near + pixel
         boxes = corners(near, far) if mode.startswith("vertices") else torch.cat([near, far], -1)
         if self._valid is None:
             return boxes
@@ -101,7 +146,10 @@ class _Boxes(Collection):
     def _mask_of(self, **sizes: int) -> Tensor:
         for name, size in sizes.items():
             _check.ints(f"{type(self).__name__}.to_mask", name, size, 1)
-        near, end = self._in_mode(self.modes[0]).detach().round().split(self.item[-1], -1)
+        boxes = self._in_mode(self.modes[0]).detach()
+        if self._normalized:
+            boxes = torch.stack([x * n for x, n in zip(boxes.unbind(-1), 2 * [*reversed(sizes.values())])], -1)
+        near, end = boxes.round().split(self.item[-1], -1)
         return mask_between(near, end - 1, tuple(sizes.values())).to(self.dtype)
 
 
@@ -142,7 +190,9 @@ class Boxes(_Boxes):
         super().__init__(boxes, raise_if_not_floating_point, mode)
 
     @classmethod
-    def from_tensor(cls, boxes: Tensor | Sequence[Any], mode: str = "xyxy", validate_boxes: bool = True) -> Boxes:
+    def from_tensor(
+        cls, boxes: Tensor | Sequence[Any], mode: str = "xyxy", validate_boxes: bool = True, normalized: bool = False
+    ) -> Boxes:
         """Boxes from one of their forms.
 
         Args:
@@ -151,21 +201,27 @@ class Boxes(_Boxes):
             mode: 'xyxy' for first and last corner whose difference is the size, 'xyxy_plus' for the same with both ends
                 included, 'xywh' for the first corner and the size, 'vertices' for the corners of the first, 'vertices_plus'
                 for those of the second.
-            validate_boxes: refuse what is not finite or, but for corners, has no positive size. Boxes on other devices than
-                the CPU are not read, because that would wait for them.
+            validate_boxes: refuse what is not finite or, but for corners, has no positive size, and warn of sides below 1.
+                Boxes on other devices than the CPU are not read, because that would wait for them.
+            normalized: `boxes` are edges in fractions of the width and height of the image. They are kept as they are, without
+                the 1 of a last pixel, and every mode gives them back; :meth:`to_mask` multiplies them by its sizes.
 
         Raises:
             TypeError: not of tensors or numbers.
             ValueError: `boxes` is not of a shape of Args, an unknown mode, or bad boxes.
+
+        Example:
+            >>> import torch, kvision as K
+            >>> boxes = K.geometry.Boxes.from_tensor(torch.tensor([[0.1, 0.2, 0.6, 0.8]]), normalized=True)
+            >>> boxes.to_tensor("xywh"), boxes.to_mask(10, 10).sum()
+            (tensor([[0.1000, 0.2000, 0.5000, 0.6000]]), tensor(30.))
         """
         mode = cls._known(mode)
-        if isinstance(boxes, Tensor):
-            return cls(cls._vertices(boxes, mode, validate_boxes), False, mode)
-        if not isinstance(boxes, (list, tuple)):
+        if not isinstance(boxes, (Tensor, list, tuple)):
             raise TypeCheckError(f"{cls.__name__}: expected boxes to be a Tensor or a list, got {type(boxes).__name__}")
-        if not boxes or isinstance(boxes[0], Tensor):
-            return cls([cls._vertices(part, mode, validate_boxes) for part in boxes], False, mode)
-        return cls(cls._vertices(torch.tensor(boxes), mode, validate_boxes), False, mode)
+        if not isinstance(boxes, Tensor) and boxes and not isinstance(boxes[0], Tensor):
+            boxes = torch.tensor(boxes)
+        return cls._from_tensor(boxes, mode, validate_boxes, normalized)
 
     def to_tensor(self, mode: str | None = None, as_padded_sequence: bool = False) -> Tensor | list[Tensor]:
         """The axis-aligned bounding boxes of the corners, in one of the forms of :meth:`from_tensor`.
@@ -192,7 +248,7 @@ class Boxes(_Boxes):
     def compute_area(self) -> Tensor:
         """The areas (N,) or (B, N) of the quadrangles between the centers of the corner pixels.
 
-        So an upright box of width w and height h has (w - 1) (h - 1), as in Kornia.
+        So an upright box of width w and height h has (w - 1) (h - 1), as in Kornia; a normalized one has w h.
         """
         a, b, c, d = self._data.unbind(-2)
         x, y = c - a, d - b  # the diagonals
@@ -205,6 +261,7 @@ class Boxes(_Boxes):
             raise TypeCheckError(
                 f"{op}: expected boxes to be Boxes, got {type(boxes).__name__}", actual_type=type(boxes)
             )
+        self._check_units(boxes)
         if self._data.shape[:-3] != boxes._data.shape[:-3]:
             raise ShapeError(
                 f"{op}: expected boxes of as many images, got {tuple(self.shape)} and {tuple(boxes.shape)}"
@@ -336,10 +393,12 @@ class VideoBoxes(Boxes):
     temporal_channel_size: int  # (B, T, ...): frames of a video
 
     @classmethod
-    def from_tensor(cls, boxes: Tensor, validate_boxes: bool = True) -> VideoBoxes:  # type: ignore[override]
-        """Boxes from corners (B, T, N, 4, 2), both ends included; see :meth:`Boxes.from_tensor`."""
+    def from_tensor(  # type: ignore[override]
+        cls, boxes: Tensor, validate_boxes: bool = True, normalized: bool = False
+    ) -> VideoBoxes:
+        """Boxes from corners (B, T, N, 4, 2), both ends included, or edges if normalized; see :meth:`Boxes.from_tensor`."""
         _check.shape(cls.__name__, "boxes", boxes, "B", "T", "N", 4, 2)
-        video_boxes = cls(cls._vertices(boxes.flatten(0, 1), "vertices_plus", validate_boxes), False)
+        video_boxes = cls._from_tensor(boxes.flatten(0, 1), "vertices_plus", validate_boxes, normalized)
         video_boxes.temporal_channel_size = boxes.shape[1]
         return video_boxes
 
@@ -403,7 +462,9 @@ class Boxes3D(_Boxes):
         super().__init__(boxes, raise_if_not_floating_point, mode)
 
     @classmethod
-    def from_tensor(cls, boxes: Tensor, mode: str = "xyzxyz", validate_boxes: bool = True) -> Boxes3D:
+    def from_tensor(
+        cls, boxes: Tensor, mode: str = "xyzxyz", validate_boxes: bool = True, normalized: bool = False
+    ) -> Boxes3D:
         """Boxes from one of their forms.
 
         Args:
@@ -412,13 +473,15 @@ class Boxes3D(_Boxes):
                 included, 'xyzwhd' for the first corner and the size, 'vertices' for the corners of the first,
                 'vertices_plus' for those of the second.
             validate_boxes: see :meth:`Boxes.from_tensor`.
+            normalized: `boxes` are edges in fractions of width, height and depth; see :meth:`Boxes.from_tensor`.
 
         Raises:
             TypeError: `boxes` is not a tensor of real numbers.
             ValueError: `boxes` is not of a shape of Args, an unknown mode, or bad boxes.
         """
         mode = cls._known(mode)
-        return cls(cls._vertices(boxes, mode, validate_boxes), False, mode)
+        _check.is_tensor(cls.__name__, "boxes", boxes)
+        return cls._from_tensor(boxes, mode, validate_boxes, normalized)
 
     def to_tensor(self, mode: str = "xyzxyz") -> Tensor:
         """Axis-aligned bounding boxes of the corners, (N, 6) or (B, N, 6), in one of the forms of :meth:`from_tensor`."""

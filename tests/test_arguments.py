@@ -41,8 +41,6 @@ OTHER_KINDS = {
     "print_image": "takes the path of a file, too",
     "Lambda.forward": "passes what it gets to the user's function",
     "ImageSequential.forward": "takes arrays, PIL images and paths, and passes on what else it gets",
-    "AugmentationSequential.forward": "takes arrays and PIL images",
-    "PatchSequential.forward": "takes arrays, PIL images and paths",
     "to_numpy": "takes arrays, PIL images and paths, and lists of them",
     "to_pil": "takes arrays, PIL images and paths, and lists of them",
     "to_tensor": "takes arrays, PIL images and paths, and lists of them",
@@ -50,6 +48,11 @@ OTHER_KINDS = {
     "Affine": "takes None for an angle",
     "RandomFisheye": "takes pairs of numbers, too",
 }
+for home in (K.augmentation, K.augmentation.auto, K.augmentation.auto.operations, K.augmentation.presets.ada):
+    for name, value in vars(home).items():
+        is_container = isinstance(value, type) and issubclass(value, K.augmentation.ImageSequential)
+        if is_container and not issubclass(value, K.augmentation.VideoSequential):
+            OTHER_KINDS[f"{name}.forward"] = "takes arrays, PIL images and paths"
 
 
 # Their examples write files that are gone when the call is made again.

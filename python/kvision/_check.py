@@ -72,7 +72,7 @@ def shape(op: str, name: str, x: Any, *expected: str | int) -> None:
     if not _fits(x.shape, expected, 0):
         listed = ", ".join(map(str, expected)) + ("," if len(expected) == 1 else "")
         raise ShapeError(
-            f"{op}: expected {name} of shape ({listed}), got {tuple(x.shape)}",
+            f"{op}: expected {name} of shape ({listed}), got {tuple(x.shape)}{_advice_on_axes(expected, x)}",
             actual_shape=x.shape,
             expected_shape=expected,
         )
@@ -83,7 +83,8 @@ def trailing_shape(op: str, name: str, x: Any, *expected: str | int) -> None:
     numbers(op, name, x)
     if not _fits(x.shape, expected, x.dim() - len(expected)):
         raise ShapeError(
-            f"{op}: expected {name} of shape (*, {', '.join(map(str, expected))}), got {tuple(x.shape)}",
+            f"{op}: expected {name} of shape (*, {', '.join(map(str, expected))}), got {tuple(x.shape)}"
+            f"{_advice_on_axes(expected, x)}",
             actual_shape=x.shape,
         )
 
@@ -139,7 +140,10 @@ def images(op: str, name: str, x: Any) -> None:
     """Raise unless `x` is a (B, C, H, W) tensor with at least one pixel an image."""
     numbers(op, name, x)
     if x.dim() != 4:
-        raise ShapeError(f"{op}: expected {name} of shape (B, C, H, W), got {tuple(x.shape)}", actual_shape=x.shape)
+        raise ShapeError(
+            f"{op}: expected {name} of shape (B, C, H, W), got {tuple(x.shape)}{channels_advice(x.shape)}",
+            actual_shape=x.shape,
+        )
     sizes = x.shape
     if sizes[2] == 0 or sizes[3] == 0:
         raise ShapeError(f"{op}: expected {name} with H, W of at least 1, got {tuple(sizes)}", actual_shape=sizes)
@@ -149,7 +153,22 @@ def channels(op: str, name: str, x: Any, count: int, error: type[Exception] = Sh
     """Raise unless `x` is a (*, C, H, W) tensor with `count` channels; `error` is the class for another shape."""
     numbers(op, name, x)
     if x.dim() < 3 or x.shape[-3] != count:
-        raise error(f"{op}: expected {name} of shape (*, {count}, H, W), got {tuple(x.shape)}")
+        raise error(
+            f"{op}: expected {name} of shape (*, {count}, H, W), got {tuple(x.shape)}{channels_advice(x.shape)}"
+        )
+
+
+def channels_advice(shape: Sequence[int]) -> str:
+    """The end of an error about channels, for images whose last axis seems to have them, as in NumPy; else nothing."""
+    axes = len(shape)
+    if axes < 3 or shape[-1] not in (3, 4) or shape[-3] in (1, 3, 4):
+        return ""
+    order = (*range(axes - 3), axes - 1, axes - 3, axes - 2)
+    return f"; permute({', '.join(map(str, order))}) puts channels first"
+
+
+def _advice_on_axes(expected: Sequence[str | int], x: Tensor) -> str:
+    return channels_advice(x.shape) if tuple(expected[-2:]) == ("H", "W") else ""
 
 
 def volumes(op: str, name: str, x: Any) -> None:

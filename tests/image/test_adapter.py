@@ -144,6 +144,10 @@ def test_pil_keeps_the_values_of_masks() -> None:
         (lambda: K.to_pil(torch.full((1, 2, 2), 2**31)), ValueError, "to_pil: expected integers of at most 32 bits"),
         (lambda: K.filters.sobel(PHOTO), TypeError, "sobel: .* got ndarray; kvision.to_tensor converts images"),
         (lambda: K.filters.sobel(K.to_pil(PHOTO)), TypeError, "sobel: .* got Image; kvision.to_tensor converts PIL"),
+        (lambda: K.color.rgb_to_hsv(torch.rand(2, 5, 7, 3)), ValueError, r"; permute\(0, 3, 1, 2\) puts channels first$"),
+        (lambda: K.filters.sobel(torch.rand(5, 7, 4)), ValueError, r"got \(5, 7, 4\); permute\(2, 0, 1\) puts channels"),
+        (lambda: K.color.rgb_to_hsv(torch.rand(2, 4, 5, 3)), ValueError, r"got \(2, 4, 5, 3\)$"),
+        (lambda: K.augmentation.RandomPlanckianJitter(p=1.0)(torch.rand(1, 5, 7, 3)), ValueError, r"; permute\(0, 3, 1, 2\)"),
         (lambda: K.filters.sobel([FIRST]), TypeError, "sobel: .* got a list of 1 images; stack them, as kvision.to_tensor"),
     ],
 )  # fmt: skip

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision._constants import constant
 from kvision.augmentation.base import Params, Shape
 from kvision.augmentation.intensity_base import ColorStep, ColorSteps, IntensityAugmentationBase2D
@@ -413,6 +414,9 @@ class RandomGrayscale(IntensityAugmentationBase2D):
         if self._weights is None:
             return input.mean(1, keepdim=True).expand_as(input)
         if len(self._weights) != channels:
-            raise ShapeError(f"RandomGrayscale: expected {len(self._weights)} channels, got {tuple(input.shape)}")
+            raise ShapeError(
+                f"RandomGrayscale: expected {len(self._weights)} channels, got {tuple(input.shape)}"
+                f"{_check.channels_advice(input.shape)}"
+            )
         weights = constant(tuple(self._weights), input)
         return (input * weights.reshape(-1, *[1] * (input.dim() - 2))).sum(1, keepdim=True).expand_as(input)

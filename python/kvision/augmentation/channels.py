@@ -167,6 +167,9 @@ class RandomPlanckianJitter(IntensityAugmentationBase2D):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         if input.shape[1] != 3:
-            raise ShapeError(f"RandomPlanckianJitter: expected images with 3 channels, got {tuple(input.shape)}")
+            raise ShapeError(
+                f"RandomPlanckianJitter: expected images with 3 channels, got {tuple(input.shape)}"
+                f"{_check.channels_advice(input.shape)}"
+            )
         gains = constant(self._gains, input, torch.float32)[params["idx"]].to(input.dtype)
         return (input * gains[..., None, None]).clamp(0, 1)

@@ -36,7 +36,7 @@ def image_and_matrix(module: Any, input: Any) -> tuple[Any, Tensor | None]:
         described = _check.described(input)
         got = described if " of " in described else f"a {described} of {len(input)}"
         op = type(module).__name__
-        raise TypeCheckError(f"{op}: expected input to be images, or a tuple of images and matrices, got {got}")
+        raise TypeCheckError(f"{op}: expected input to be a Tensor, or a tuple of one and of matrices, got {got}")
     return input, None
 
 

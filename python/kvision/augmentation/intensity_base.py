@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision.augmentation.base import (
     Execution,
     Params,
@@ -75,7 +76,9 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
             return steps
         served = [_NOTHING if step.name in _OF_COLORS else step for step in steps.steps]
         if any(STEPS[step.name].domain == "rgb" for step in served):
-            raise ShapeError(f"{type(self).__name__}: expected images of 3 channels, got {tuple(shape)}")
+            raise ShapeError(
+                f"{type(self).__name__}: expected images of 3 channels, got {tuple(shape)}{_check.channels_advice(shape)}"
+            )
         return steps._replace(steps=served)
 
     def _request(self, shape: Shape) -> Request | None:

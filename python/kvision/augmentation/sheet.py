@@ -141,6 +141,8 @@ def _undo(augment: nn.Module) -> Callable[[Tensor], Tensor]:
 def _as_batch(key: DataKey, value: Any, alone: bool) -> Any:
     """An input with the axis of the batch, which those of one image may lack."""
     if not isinstance(value, Tensor):
+        if not isinstance(value, (list, tuple)) and key in (DataKey.MASK, DataKey.KEYPOINTS, *BOX_FORMATS):
+            _check.is_tensor("preview", key.name.lower(), value)
         return value
     if key == DataKey.MASK:
         if value.dim() == 2:

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision.augmentation.base import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
@@ -125,7 +126,9 @@ class RandomSnow(IntensityAugmentationBase2D):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         if input.shape[1] != 3:
-            raise ShapeError(f"RandomSnow: expected images with 3 channels, got {tuple(input.shape)}")
+            raise ShapeError(
+                f"RandomSnow: expected images with 3 channels, got {tuple(input.shape)}{_check.channels_advice(input.shape)}"
+            )
         hue, lightness, saturation = rgb_to_hls(input.clamp(0, 1)).unbind(1)
         limit, factor = (params[name].to(input.dtype)[:, None, None] for name in ("snow_coefficient", "brightness"))
         lighter = torch.where(lightness < limit, (lightness * factor).clamp(0, 1), lightness)

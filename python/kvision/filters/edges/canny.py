@@ -134,7 +134,9 @@ def canny(
     """
     _check.images("canny", "input", input)
     if input.shape[1] not in (1, 3):
-        raise ImageError(f"canny: expected input with 1 or 3 channels, got {tuple(input.shape)}")
+        raise ImageError(
+            f"canny: expected input with 1 or 3 channels, got {tuple(input.shape)}{_check.channels_advice(input.shape)}"
+        )
     low_threshold = _check.number("canny", "low_threshold", low_threshold)
     high_threshold = _check.number("canny", "high_threshold", high_threshold)
     if not 0 < low_threshold <= high_threshold:

@@ -146,3 +146,16 @@ def test_decorator():
 def test_errors(call, error, text):
     with pytest.raises(error, match=text):
         call()
+
+
+def test_filters_take_images_that_are_converted(tmp_path):
+    path = tmp_path / "image.png"
+    PIL.Image.fromarray(ARRAY).save(path)
+    blur = K.filters.GaussianBlur2d((3, 3), (1.0, 1.0))
+    module = ImageSequential(blur, K.filters.Sobel())
+    expected = module(torch.from_numpy(ARRAY).permute(2, 0, 1)[None] / 255)[0]
+    for image in (ARRAY, PIL.Image.fromarray(ARRAY), str(path), path):
+        torch.testing.assert_close(module(image), expected)
+        assert ImageSequential(blur)(image, output_type="numpy").shape == ARRAY.shape
+    batch = np.stack([ARRAY, ARRAY])
+    assert module(batch).shape == (2, *expected.shape)

@@ -26,7 +26,7 @@ __all__ = ["RandomElasticTransform", "RandomFisheye", "RandomThinPlateSpline"]
 class MapAugmentation(AugmentationBase2D):
     """A deformation by a map: where each pixel of the result reads the image."""
 
-    accepts_bytes = True
+    accepts_bytes = accepts_wide_integers = True
     keeps_lines = moves_whole_pixels = permutes_pixels = False
 
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
@@ -259,15 +259,19 @@ class RandomThinPlateSpline(MapAugmentation):
         return (moved - grid) * _half_sizes(height, width, align_corners, like)
 
 
+_NEAREST = 2.0**-10
+
+
 class RandomFisheye(MapAugmentation):
     """Deform images as a fisheye lens does: pixels read the image farther from a center, more so at larger distances.
 
-    The pixel at g, in coordinates from -1 to 1, reads the image at g (1 + |g - center| ** gamma).
+    The pixel at g, in coordinates from -1 to 1, reads the image at g (1 + |g - center| ** gamma). With a negative gamma it is
+    those near the center that read far away.
 
     Args:
         center_x: range of the center along x, in coordinates from -1 to 1.
         center_y: range of the center along y.
-        gamma: range of the exponent, at least 0.
+        gamma: range of the exponent.
         same_on_batch: all samples get the same deformation.
         p: probability that a sample is augmented.
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
@@ -301,5 +305,9 @@ class RandomFisheye(MapAugmentation):
         grid = _grid(height, width, like)
         center = torch.cat([params["center_x"], params["center_y"]], 1).to(like)[:, :, None, None]
         radius = root((grid - center).square().sum(1, keepdim=True))
-        displaced = grid * radius ** params["gamma"].to(like)[:, :, None, None]
+        gamma = params["gamma"].to(like)[:, :, None, None]
+        radius = torch.where(
+            gamma < 0, radius.clamp(min=_NEAREST), radius
+        )  # so that the center reads a finite position
+        displaced = grid * radius**gamma
         return displaced * _half_sizes(height, width, True, like)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from kvision import enhance, filters
@@ -296,7 +297,7 @@ class RandomEqualize(IntensityAugmentationBase2D):
 
 
 class RandomAutoContrast(IntensityAugmentationBase2D):
-    """Stretch the values of each image to 0 and 1.
+    """Stretch the values of each channel to 0 and 1; those of one value stay.
 
     Args:
         clip_output: clamp the result to 0 and 1.
@@ -332,7 +333,14 @@ class RandomAutoContrast(IntensityAugmentationBase2D):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         stretched = enhance.normalize_min_max(input)
-        return stretched.clamp(0, 1) if self.clip_output else stretched
+        stretched = stretched.clamp(0, 1) if self.clip_output else stretched
+        return torch.where(has_range(input), stretched, input)
+
+
+def has_range(x: Tensor) -> Tensor:
+    """(*, 1, 1), whether a channel (H, W) has more than one value."""
+    lowest, highest = x.detach().flatten(-2).aminmax(dim=-1)
+    return (lowest != highest)[..., None, None]
 
 
 class RandomClahe(IntensityAugmentationBase2D):

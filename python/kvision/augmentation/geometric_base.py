@@ -26,6 +26,8 @@ __all__ = ["GeometricAugmentationBase2D"]
 class GeometricAugmentation(AugmentationBase):
     """What geometric augmentations of images and of volumes share: points and inverse from the matrix of a call."""
 
+    accepts_wide_integers = True
+
     def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, ...]:
         """Height and width, of volumes depth, height and width, of the results for images of a shape."""
         return shape[2:]

@@ -18,6 +18,7 @@ from kvision.augmentation.labels import BOX_FORMATS
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
+WIDE_INTEGERS = (torch.int16, torch.uint16)  # whose values float32 holds
 OUTPUT_TYPES = ("pt", "numpy", "pil")
 
 # --- images and pairs -----------------------------------------------------------------------------------------------
@@ -44,10 +45,21 @@ def check_image(module: Any, x: Any) -> None:
     """Raise unless a module takes images of this type."""
     if not isinstance(x, Tensor):
         raise TypeCheckError(f"{type(module).__name__}: expected input to be a Tensor, got {_check.described(x)}")
-    if not is_image_type(x.dtype):
+    if not is_image_type(x.dtype) and not (
+        x.dtype in WIDE_INTEGERS and getattr(module, "accepts_wide_integers", False)
+    ):
+        more = ", or of int16 or uint16 for geometric classes" if x.dtype in WIDE_INTEGERS else ""
         raise TypeCheckError(
-            f"{type(module).__name__}: expected input of a floating-point type or uint8, got {x.dtype}"
+            f"{type(module).__name__}: expected input of a floating-point type or uint8{more}, got {x.dtype}"
         )
+
+
+def in_type_of(y: Tensor, input: Tensor) -> Tensor:
+    """A result in the type of integers of 16 bits that it was computed for; others as they are."""
+    if input.dtype not in WIDE_INTEGERS:
+        return y
+    bounds = torch.iinfo(input.dtype)
+    return y.round().clamp(bounds.min, bounds.max).to(input.dtype)
 
 
 def is_image_type(dtype: torch.dtype) -> bool:

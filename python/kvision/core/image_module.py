@@ -160,6 +160,7 @@ class _ImageCalls(ImageModuleMixIn):
     """The call of `ImageModule` and `ImageSequential`, which stands in front of the one of their torch class."""
 
     _disable_features = False
+    _takes_batches = False  # an image that is converted is a batch of one on the way
 
     @property
     def disable_features(self) -> bool:
@@ -184,8 +185,12 @@ class _ImageCalls(ImageModuleMixIn):
             return call(*inputs, **kwargs)
         _check.choice(type(self).__name__, "output_type", output_type, _OUTPUT_TYPES)
         forward = self.forward  # type: ignore[attr-defined]  # nn.Module's
-        inputs, kwargs = self._admit_all(forward, inputs, kwargs, input_names_to_handle)
-        return self._release(call(*inputs, **kwargs), output_type, cache_output=True)
+        admitted, kwargs = self._admit_all(forward, inputs, kwargs, input_names_to_handle)
+        if self._takes_batches and admitted and admitted[0] is not inputs[0] and admitted[0].dim() == 3:
+            output = _map_tensors(lambda y: y[0], call(admitted[0][None], *admitted[1:], **kwargs))
+        else:
+            output = call(*admitted, **kwargs)
+        return self._release(output, output_type, cache_output=True)
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if k != "_output_image"}
@@ -210,11 +215,15 @@ class ImageModule(_ImageCalls, nn.Module):
 class ImageSequential(_ImageCalls, nn.Sequential):
     """An `nn.Sequential` from image to image, with the conversions of `ImageModule`.
 
+    An array, PIL image or file goes through the modules as a batch of one, as filters take it, and comes out without it.
+
     Example:
         >>> import torch, kvision as K
         >>> K.core.ImageSequential(torch.nn.ReLU())(torch.rand(3, 4, 5), output_type="pil").size
         (5, 4)
     """
+
+    _takes_batches = True
 
 
 def _map_tensors(f: Callable[[Tensor], Any], output: Any) -> Any:

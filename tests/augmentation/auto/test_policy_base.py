@@ -476,8 +476,8 @@ def test_gradients_of_a_mixture(device: torch.device) -> None:
         (lambda: PolicyAugmentBase([[("invert", 1, 0, 0)]], count=0), ValueError, "count of at least 1, got 0"),
         (lambda: PolicyAugmentBase([[("invert", 1, 0, 0)]], count=1.5), TypeError, "count to be an int, got 1.5"),
         (lambda: AutoAugment(transformation_matrix_mode="loud"), ValueError, "got 'loud'"),
-        (lambda: RandAugment(2, 0), ValueError, "between 0 and 30"),
-        (lambda: RandAugment(2, 30), ValueError, "between 0 and 30"),
+        (lambda: RandAugment(2, -0.1), ValueError, "within 0 and 30"),
+        (lambda: RandAugment(2, 30.1), ValueError, "within 0 and 30"),
         (lambda: RandAugment(0, 3), ValueError, "n of at least 1"),
         (lambda: RandAugment(1.5, 3), TypeError, "n to be an int"),
         (lambda: RandAugment(1, 3, [[("rotate", 0, 1), ("invert", 0, 1)]]), TypeError, "one entry"),
@@ -509,3 +509,10 @@ def test_gradients_of_a_mixture(device: torch.device) -> None:
 def test_errors(make: Callable[[], Any], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         make()
+
+
+def test_the_highest_and_the_lowest_level_of_rand_augment() -> None:
+    policy = [[("brightness", 1.0, 1.9)]]
+    for m, factor in ((0, 1.0), (30, 1.9)):
+        magnitude = RandAugment(1, m, policy).forward_parameters((64, 3, 8, 8))[0].data["magnitude"]
+        assert set(magnitude.tolist()) == set(torch.tensor([factor, 2 - factor]).tolist())

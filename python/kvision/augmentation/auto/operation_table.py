@@ -23,6 +23,7 @@ from kvision._ops import FastPath, behind_grad, flatten_batch, register, size_be
 from kvision.augmentation import transforms
 from kvision.augmentation.container.stages import Stage, Warp
 from kvision.augmentation.drawn_pass import COMPUTED_IN_FLOAT32
+from kvision.augmentation.filters import has_range
 from kvision.augmentation.geometric_base import warp
 from kvision.augmentation.transforms import transform_matrix
 from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Pass, Resampling, make_pass
@@ -216,7 +217,7 @@ def execute_step(x: Tensor, names: tuple[str, ...], operation: Tensor, value: Te
             chosen = is_one(operation, name)
             changes = chosen[:, None, None, None]
             if name == "auto_contrast":
-                changes = changes & _has_range(x)
+                changes = changes & has_range(x)
             x = torch.where(changes, _on_floats(function, x, chosen, value), x)
     return x, stages
 
@@ -283,12 +284,6 @@ def _equalize(x: Tensor, chosen: Tensor, value: Tensor) -> Tensor:
 
 def _auto_contrast(x: Tensor, chosen: Tensor, value: Tensor) -> Tensor:
     return enhance.normalize_min_max(x)
-
-
-def _has_range(x: Tensor) -> Tensor:
-    """(B, C, 1, 1), whether a channel has more than one value."""
-    lowest, highest = x.detach().flatten(-2).aminmax(dim=-1)
-    return (lowest != highest)[..., None, None]
 
 
 _ALONE = {"sharpness": _sharpness, "equalize": _equalize, "auto_contrast": _auto_contrast}

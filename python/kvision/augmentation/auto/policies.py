@@ -148,7 +148,7 @@ class AutoAugment(PolicyAugmentBase):
     Args:
         policy: 'imagenet', 'cifar10', 'svhn', or a list of sub-policies: lists of entries (name, probability, level), with a
             level from 0 to 9, or None for operations without a magnitude.
-        transformation_matrix_mode: accepted for code written for Kornia.
+        transformation_matrix_mode: 'skip' for a `transform_matrix` of None; else 'silent' or 'rigid'.
         same_on_batch: all samples get the same operations and values.
         generator: draws the keys of each call; default: torch's generator.
         return_transform: calls return the images and the product of the matrices.
@@ -195,10 +195,10 @@ class RandAugment(PolicyAugmentBase):
 
     Args:
         n: how many operations each image gets; an operation may come again.
-        m: the level, above 0 and below 30.
+        m: the level, within 0 and 30.
         policy: lists of one entry (name, low, high), the values at levels 0 and 30; None for `default_policy`, the
             operations and ranges of the paper.
-        transformation_matrix_mode: accepted for code written for Kornia.
+        transformation_matrix_mode: 'skip' for a `transform_matrix` of None; else 'silent' or 'rigid'.
         same_on_batch: all samples get the same operations and values.
         generator: draws the keys of each call; default: torch's generator.
         return_transform: calls return the images and the product of the matrices.
@@ -231,8 +231,8 @@ class RandAugment(PolicyAugmentBase):
         if n < 1:
             raise ValueCheckError(f"RandAugment: expected n of at least 1, got {n}")
         m = _check.scalar("RandAugment", "m", m)
-        if not 0 < _check.number("RandAugment", "m", m) < LEVELS:
-            raise ValueCheckError(f"RandAugment: expected m between 0 and {LEVELS}, got {m}")
+        if not 0 <= _check.number("RandAugment", "m", m) <= LEVELS:
+            raise ValueCheckError(f"RandAugment: expected m within 0 and {LEVELS}, got {m}")
         entries = []
         for name, low, high in _single("RandAugment", self.default_policy if policy is None else policy):
             value = low + (high - low) * m / LEVELS
@@ -250,7 +250,7 @@ class TrivialAugment(PolicyAugmentBase):
 
     Args:
         policy: lists of one entry (name, low, high), the values at levels 0 and 30; None for the wide ranges of the paper.
-        transformation_matrix_mode: accepted for code written for Kornia.
+        transformation_matrix_mode: 'skip' for a `transform_matrix` of None; else 'silent' or 'rigid'.
         same_on_batch: all samples get the same operation and value.
         generator: draws the keys of each call; default: torch's generator.
         return_transform: calls return the images and the product of the matrices.

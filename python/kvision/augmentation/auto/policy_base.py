@@ -59,7 +59,8 @@ class PolicyAugmentBase(ImageSequential):
     Args:
         policy: sub-policies: lists of entries (name, probability, low, high). A level between 0 and 30 is drawn for each
             sample, and the value is `low` at level 0 and `high` at level 30.
-        transformation_matrix_mode: accepted for code written for Kornia.
+        transformation_matrix_mode: 'skip' for a `transform_matrix` of None; 'silent' and 'rigid' are the same, as all operations
+            have matrices.
         count: how many sub-policies each sample gets, each drawn for itself.
         same_on_batch: all samples get the same operations and values.
         generator: draws the keys of each call; default: torch's generator.

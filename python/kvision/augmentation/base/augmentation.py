@@ -17,7 +17,7 @@ from kvision.augmentation.base.samples import (
     with_matrix,
     without_added_axes,
 )
-from kvision.augmentation.inputs import check_image, check_matrix, image_and_matrix
+from kvision.augmentation.inputs import WIDE_INTEGERS, check_image, check_matrix, image_and_matrix, in_type_of
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.maps import exact
 from kvision.core.exceptions import ShapeError
@@ -35,7 +35,7 @@ class AugmentationBase(OnePass):
     """What augmentations of images and of volumes share; see the package."""
 
     def validate_tensor(self, input: Tensor) -> None:
-        """Raise unless `input` is a tensor of a floating-point type or uint8 with at most a batch of images that have pixels."""
+        """Raise unless `input` is a tensor of a type of images with at most a batch of images that have pixels."""
         axes, op = self.axes, type(self).__name__
         check_image(self, input)
         if not axes - 1 <= input.dim() <= axes + 1:
@@ -45,11 +45,11 @@ class AugmentationBase(OnePass):
             raise ShapeError(f"{op}: expected input with pixels, got {tuple(input.shape)}")
 
     def transform_tensor(self, input: Tensor, **_: Any) -> Tensor:
-        """The input as a batch: (H, W) and (C, H, W) become (1, C, H, W)."""
+        """The input as a batch: (H, W) and (C, H, W) become (1, C, H, W); integers of 16 bits become float32."""
         self.validate_tensor(input)
         while input.dim() < self.axes + 1:
             input = input[None]
-        return input
+        return input.float() if input.dtype in WIDE_INTEGERS else input
 
     def _flags_of(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
         return {**self.flags, **overrides} if overrides else self.flags
@@ -93,7 +93,7 @@ class AugmentationBase(OnePass):
         else:
             execution = self._execution = self._from_params(params, x)  # before it runs, as in _draw_and_run
             y = self._run(x, execution, flags)
-        if self.keepdim:
+        if self.keepdim or image.dtype in WIDE_INTEGERS:
             y = self._restored(y, image)
         returns = self.return_transform if return_transform is None else return_transform
         return with_matrix(y, before, self._matrix(execution).to(y.device) if returns else None)
@@ -185,7 +185,8 @@ class AugmentationBase(OnePass):
         return is_known(self.inverse(moved, params).reshape(ones.shape))
 
     def _restored(self, y: Tensor, input: Tensor) -> Tensor:
-        """A result with as many axes as the input if `keepdim` is True."""
+        """A result of the type of the input, and with as many axes if `keepdim` is True."""
+        y = in_type_of(y, input)
         return without_added_axes(y, input) if self.keepdim else y
 
     def _call_to_invert(self, output: Tensor, params: Params | None, flags: dict[str, Any]) -> tuple[Tensor, Execution]:

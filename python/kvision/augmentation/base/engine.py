@@ -88,12 +88,12 @@ class Engine(Declaration):
                 if columns.chosen is not None:
                     chosen = columns.chosen.detach().cpu() * chosen
                 values = columns.values.detach()
-            else:
-                values = torch.empty(shape[0], 0)
-            is_drawn = columns is not None or request is None or not request.draws
-            if self._param_generator is not None and is_drawn and not self._draws_by_name:
+            else:  # nothing was drawn, as at p = 0: what stands for samples that are not chosen
+                values = self._identity_columns(shape)
+            if self._param_generator is not None and not self._draws_by_name:
                 params = self._param_generator.to_params(values, shape)
-                if self._param_generator.per_pixel and redraw is not None:
+                if self._param_generator.per_pixel:
+                    redraw = redraw or (draw_keys(type(self).__name__, 1, values.device, 0, None), 0)
                     noise = PixelNoise(*redraw, self.same_on_batch, values.device)
                     params.update(self._pixel_params(values, execution, noise))
             params["batch_prob"] = chosen
@@ -103,6 +103,13 @@ class Engine(Declaration):
                 for name, x in params.items()
             }
         return execution.params
+
+    def _identity_columns(self, shape: Shape) -> Tensor:
+        """The columns (B, P) of samples of which none is chosen."""
+        if self._param_generator is None or self._draws_by_name:
+            return torch.empty(shape[0], 0)
+        values = identity_values(list(self._param_generator.draws(shape)))
+        return torch.tensor(values, dtype=torch.float32).expand(shape[0], len(values))
 
     def _first_value_on_host(self, execution: Execution) -> Tensor:
         """The first value of the first sample, for decisions of the host, without waiting for what the device has drawn."""

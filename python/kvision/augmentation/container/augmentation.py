@@ -9,6 +9,7 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision.augmentation import labels
+from kvision.augmentation.base import RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D
 from kvision.augmentation.container.image import ImageSequential, ParamItem
 from kvision.augmentation.container.runs import Randomness, execute
 from kvision.augmentation.container.stages import (
@@ -37,7 +38,7 @@ from kvision.augmentation.inputs import (
 )
 from kvision.augmentation.keys import Seed
 from kvision.constants import DataKey, Resample
-from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.core.exceptions import BaseError, ShapeError, ValueCheckError
 
 __all__ = ["AugmentationSequential"]
 
@@ -67,7 +68,8 @@ class AugmentationSequential(ImageSequential):
         random_apply: False runs all children in order; True a random number of them in random order; n that many; (n, m) at
             least n and fewer than m.
         random_apply_weights: relative probabilities of the children with `random_apply`.
-        transformation_matrix_mode: accepted for code written for Kornia.
+        transformation_matrix_mode: 'silent' leaves children without a matrix out of the product; 'rigid' refuses them in a
+            call; 'skip' has no product: `transform_matrix` is None.
         extra_args: flags of masks: {"mask": {"resample": "nearest", "fill_value": 255}} gives pixels that enter, or are erased,
             the value that a loss ignores; default: 0. {} interpolates masks as the images.
         resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones,
@@ -252,6 +254,8 @@ class AugmentationSequential(ImageSequential):
             if self._shape is None and params is None:
                 raise ValueCheckError("AugmentationSequential: expected one of data_keys to be 'input'")
             return self._move_alone(keys, inputs, params)
+        if self.transformation_matrix_mode == "rigid":
+            _check_rigid(self)
         first = keys.index(DataKey.INPUT)
         state = self.__dict__  # faster than Module.__setattr__, which looks for parameters
         state["_videos"] = self._video_layout(inputs[first])
@@ -508,3 +512,19 @@ class AugmentationSequential(ImageSequential):
         videos = self._video_layout(output)
         known = super().known_pixels(output if videos is None else videos.frames(output), params)
         return known if videos is None else videos.videos(known)
+
+
+class _NotRigidError(BaseError, RuntimeError):
+    """Kornia raises a RuntimeError."""
+
+
+def _check_rigid(container: nn.Module) -> None:
+    """Raise unless all children have matrices."""
+    for child in container.children():
+        if isinstance(child, ImageSequential):
+            _check_rigid(child)
+        elif not isinstance(child, (RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D)):
+            raise _NotRigidError(
+                "AugmentationSequential: expected children with matrices for transformation_matrix_mode 'rigid', got "
+                f"{type(child).__name__}"
+            )

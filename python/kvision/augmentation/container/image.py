@@ -22,12 +22,14 @@ from kvision.augmentation.container.runs import Child, Randomness, execute
 from kvision.augmentation.container.stages import Applied, Stage, forget_coordinates, invert, move_masks, product
 from kvision.augmentation.draws import philox, unit
 from kvision.augmentation.inputs import (
+    WIDE_INTEGERS,
     as_output_type,
     check_image,
     check_matrix,
     check_output_type,
     image_and_matrix,
     image_of,
+    in_type_of,
 )
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
 from kvision.augmentation.keys import Seed, draw_keys, refuse_capture
@@ -175,6 +177,13 @@ class ImageSequential(ImageSequentialBase):
         tensor([[[[2., 1., 0.]]]])
     """
 
+    transformation_matrix_mode = "silent"
+
+    @property
+    def accepts_wide_integers(self) -> bool:
+        """Whether all children move pixels and nothing else, so that images may be int16 or uint16."""
+        return len(self) > 0 and all(getattr(child, "accepts_wide_integers", False) for child in self.children())
+
     def __init__(
         self,
         *args: nn.Module,
@@ -282,7 +291,7 @@ class ImageSequential(ImageSequentialBase):
     # --- execution ---
 
     def transform_tensor(self, input: Tensor) -> Tensor:
-        """The input as a batch: (H, W) and (C, H, W) become (1, C, H, W)."""
+        """The input as a batch: (H, W) and (C, H, W) become (1, C, H, W); integers of 16 bits become float32."""
         check_image(self, input)
         axes: int | None = self._plans.get("axes")
         if axes is None:
@@ -294,6 +303,7 @@ class ImageSequential(ImageSequentialBase):
             )
         if not input.numel() and 0 in input.shape[1 - axes :]:
             raise ShapeError(f"{type(self).__name__}: expected input with pixels, got {tuple(input.shape)}")
+        input = input.float() if input.dtype in WIDE_INTEGERS else input
         while input.dim() < axes + 1:
             input = input[None]
         return input
@@ -390,6 +400,7 @@ class ImageSequential(ImageSequentialBase):
         return with_matrix(y, before, None if transform is None else transform.to(y.device))
 
     def _restored(self, y: Tensor, input: Tensor) -> Tensor:
+        y = in_type_of(y, input) if self.output_dtype is None else y
         return without_added_axes(y, input) if y.dim() > input.dim() and self._keeps_axes() else y
 
     def _keeps_axes(self) -> bool:
@@ -403,8 +414,10 @@ class ImageSequential(ImageSequentialBase):
 
     @property
     def transform_matrix(self) -> Tensor | None:
-        """The product (B, 3, 3) of the matrices of the last call; None before the first one."""
-        return None if self._shape is None else product(identity_of(self._shape), self._stages)
+        """The product (B, 3, 3) of the matrices of the last call; None before the first one, and where these are skipped."""
+        if self._shape is None or self.transformation_matrix_mode == "skip":
+            return None
+        return product(identity_of(self._shape), self._stages)
 
     def get_transformation_matrix(
         self,

@@ -63,7 +63,7 @@ class FisheyeGenerator(RandomGeneratorBase):
         self._ranges = [
             ranges.parse(op, "center_x", center_x),
             ranges.parse(op, "center_y", center_y),
-            ranges.parse(op, "gamma", gamma, bounds=(0.0, float("inf"))),
+            ranges.parse(op, "gamma", gamma),
         ]
 
     def draws(self, shape: Shape) -> Sequence[Any]:

@@ -1,0 +1,131 @@
+"""Settings and types of images that Kornia or torchvision take."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+import kvision.augmentation as A
+from benchmarks.sample_calls.augmentations import GEOMETRIC, GEOMETRIC3D, IMAGES, MAPS, VOLUMES, Augmentation
+
+pytestmark = pytest.mark.interface
+
+
+def images(device: Any = "cpu", batch: int = 4) -> Tensor:
+    return torch.rand(batch, 3, 16, 20, generator=torch.Generator().manual_seed(0)).to(device)
+
+
+def volumes(device: Any = "cpu") -> Tensor:
+    return torch.rand(2, 2, 6, 7, 8, generator=torch.Generator().manual_seed(0)).to(device)
+
+
+@pytest.mark.parametrize("case", [c for c in (*IMAGES, *VOLUMES) if c.name != "PadTo"], ids=lambda case: case.name)
+def test_params_at_p_0_have_all_names(case: Augmentation) -> None:
+    x = volumes() if case in VOLUMES else images()
+    never, always = case.make(p=0.0), case.make(p=1.0)
+    assert torch.equal(never(x), x)
+    always(x)
+    none, drawn = never._params, always._params
+    assert {name: (p.shape, p.dtype) for name, p in none.items()} == {
+        name: (p.shape, p.dtype) for name, p in drawn.items()
+    }
+    assert not none["batch_prob"].any()
+    assert torch.equal(never(x, params=none), x)
+    if not case.changes_size:
+        assert torch.equal(case.make(p=0.5)(x, params=none), x)
+
+
+@pytest.mark.parametrize("name", ["RandomMixUpV2", "RandomCutMixV2", "PatchMix", "RandomJigsaw", "RandomMosaic"])
+def test_params_of_mixes_at_p_0_mix_nothing(name: str) -> None:
+    x = images()
+    never, always = getattr(A, name)(p=0.0), getattr(A, name)(p=1.0)
+    never(x), always(x)
+    assert never._params.keys() == always._params.keys()
+    assert torch.equal(always(x, params=never._params), x)
+
+
+@pytest.mark.parametrize("dtype", [torch.int16, torch.uint16], ids=str)
+@pytest.mark.parametrize("case", [*GEOMETRIC, *MAPS, *GEOMETRIC3D], ids=lambda case: case.name)
+def test_geometric_classes_take_integers_of_16_bits(
+    case: Augmentation, dtype: torch.dtype, device: torch.device
+) -> None:
+    values = (volumes if case in GEOMETRIC3D else images)(device) * 60000 - (30000 if dtype == torch.int16 else 0)
+    x, augment = values.to(dtype), case.make(p=1.0)
+    y = augment(x, seed=3)
+    assert y.dtype == dtype
+    assert torch.equal(y, augment(x.float(), seed=3).round().clamp(-32768, 65535).to(dtype))
+    assert torch.equal(augment(x, params=augment._params), y)
+    back = augment.inverse(y)
+    assert back.dtype == dtype and torch.equal(back, augment.inverse(y.float()).round().to(dtype))
+    container = A.AugmentationSequential(A.ImageSequential(augment), data_keys=["input", "input"])
+    one, other = container(x, x, seed=2)
+    assert one.dtype == dtype and torch.equal(one, other)
+    assert torch.equal(one, container(x.float(), x.float(), seed=2)[0].round().to(dtype))
+    assert container.inverse(one, one)[0].dtype == dtype
+
+
+def test_classes_of_values_refuse_integers_of_16_bits() -> None:
+    x = images().to(torch.int16)
+    for augment in (A.ColorJitter(0.1), A.ImageSequential(A.RandomAffine(3.0), A.ColorJitter(0.1))):
+        with pytest.raises(TypeError, match=f"{type(augment).__name__}: expected input of a floating-point type"):
+            augment(x)
+
+
+def test_modes_of_the_matrix_of_containers() -> None:
+    flip, elastic = A.RandomHorizontalFlip(p=1.0), A.RandomElasticTransform(p=1.0)
+    x = images()
+    for children, rigid in (((flip, A.ColorJitter(0.1)), True), ((flip, elastic), False)):
+        silent, mode, skip = (
+            A.AugmentationSequential(*children, transformation_matrix_mode=name) for name in ("silent", "rigid", "skip")
+        )
+        y = silent(x, seed=1)
+        assert torch.equal(skip(x, seed=1), y) and skip.transform_matrix is None
+        if rigid:
+            mode(x)
+            assert torch.equal(mode.transform_matrix, silent.transform_matrix)
+    nested = A.AugmentationSequential(A.ImageSequential(elastic), transformation_matrix_mode="rigid")
+    for augment in (mode, nested):
+        with pytest.raises(RuntimeError, match="matrices for .* 'rigid', got RandomElasticTransform"):
+            augment(x)
+    policy = A.auto.RandAugment(2, 9, transformation_matrix_mode="skip")
+    policy(x)
+    assert policy.transform_matrix is None
+
+
+@pytest.mark.parametrize("container", [A.ImageSequential, A.AugmentationSequential, A.VideoSequential])
+def test_random_apply_of_one_number_is_that_many_to_all(container: Any) -> None:
+    children = [A.RandomInvert(p=1.0), A.RandomHorizontalFlip(p=1.0), A.RandomVerticalFlip(p=1.0)]
+    augment = container(*children, random_apply=(2,))
+    x = images()[:, None].expand(-1, 3, -1, -1, -1) if container is A.VideoSequential else images()
+    counts = set()
+    for seed in range(20):
+        augment(x, seed=seed)
+        counts.add(len(augment._params))
+    assert counts == {2, 3}
+
+
+def test_constant_channels_keep_their_value_in_auto_contrast(device: torch.device) -> None:
+    x = torch.tensor([77, 77, 10, 200], dtype=torch.uint8, device=device).reshape(1, 2, 1, 2).expand(3, 2, 4, 2)
+    expected = torch.tensor([77, 77, 0, 255], dtype=torch.uint8, device=device).reshape(1, 2, 1, 2).expand(3, 2, 4, 2)
+    assert torch.equal(A.RandomAutoContrast(p=1.0)(x), expected)
+    y = A.RandomAutoContrast(p=1.0)(x[:, :1] / 255)
+    assert torch.equal(y, x[:, :1] / 255)
+
+
+@pytest.mark.parametrize("gamma", [-0.4, -1.5])
+def test_fisheyes_with_negative_exponents(gamma: float, device: torch.device) -> None:
+    """An image of two ramps reads the position that the formula gives."""
+    size = 33
+    ramp = torch.linspace(-1, 1, size, device=device)
+    x = torch.stack([ramp.expand(size, size), ramp[:, None].expand(size, size)])[None].double()
+    fisheye = A.RandomFisheye((0.25, 0.25), (-0.25, -0.25), (gamma, gamma), p=1.0)
+    y = fisheye(x)
+    center = torch.tensor([0.25, -0.25], device=device, dtype=torch.float64)[:, None, None]
+    source = x[0] * (1 + (x[0] - center).norm(dim=0).clamp(min=2.0**-10) ** gamma)
+    inside = (source.abs() <= 1).all(0)
+    assert y.isfinite().all() and 20 < inside.sum() < size**2 - 20
+    torch.testing.assert_close(y[0][:, inside], source[:, inside], rtol=1e-5, atol=1e-5)
+    assert (y[0][:, (source.abs() > 1 + 2 / (size - 2)).any(0)] == 0).all()

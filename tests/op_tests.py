@@ -6,8 +6,9 @@
         operators = ("sobel", "sobel_backward")
         variants = [{}, {"normalized": False}]
 
-A variant is a dict of keyword arguments. A callable value is called with the input and returns a tensor, for example
-`"kernel": lambda x: torch.rand(x.shape[0], 3, 3)`; it is moved to the input's device and takes part in the gradient tests.
+A variant is a dict of keyword arguments; those of filters are in the table of sample calls, where other tests read them, too.
+A tensor is given by its axes, `"kernel": rand("B 3 3")`, or by a function of the input, `"img2": lambda x: x.flip(-1)`. It is
+moved to the input's device and takes part in the gradient tests.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 import kvision as K
 import raw_calls
+from benchmarks.sample_calls.model import Axes, Size
 from kvision import _ops
 
 # The one table of tolerances: (relative, absolute) by the type results are stored in.
@@ -140,7 +142,7 @@ class OpTests:
         def made(value: Any) -> Any:
             if not callable(value):
                 return value
-            tensor = value(x)
+            tensor = value(Size(*x.shape[:2], *x.shape[-2:])) if isinstance(value, Axes) else value(x)
             wide = tensor.to(torch.float64 if x.dtype == torch.float64 else torch.float32)
             return (wide if tensor.is_floating_point() else tensor).to(x.device)
 

@@ -28,6 +28,7 @@ class Window:
     changed: dict[str, Any]
     channels: bool = False  # whether it is seen by the other channels, too
     large: bool = False
+    suite: bool = False  # a variant of the function's inherited tests
     gray: bool = False  # takes one channel, which is the first one of an image
 
     def __str__(self) -> str:
@@ -47,7 +48,13 @@ class Window:
 
 
 def window(
-    name: str, *reach: int, large: bool = False, channels: bool = False, gray: bool = False, **changed: Any
+    name: str,
+    *reach: int,
+    channels: bool = False,
+    large: bool = False,
+    suite: bool = False,
+    gray: bool = False,
+    **changed: Any,
 ) -> Window:
     """A call with some arguments changed. Without a reach, it is half of the kernel's size."""
     call = CALLS[name]
@@ -57,7 +64,7 @@ def window(
     if not reach:
         size = others["kernel_size"]
         reach = tuple(n // 2 for n in ((size, size) if isinstance(size, int) else size))
-    return Window(replace(call, axes=axes, others=others), reach, changed, channels, large, gray)
+    return Window(replace(call, axes=axes, others=others), reach, changed, channels, large, suite, gray)
 
 
 def itself(x: Tensor) -> Tensor:
@@ -68,6 +75,14 @@ def upside_down(x: Tensor) -> Tensor:
     return x.flip(-2)
 
 
+def suite(name: str, *reach: int, **changed: Any) -> Window:
+    return window(name, *reach, suite=True, **changed)
+
+
+def bilateral(**changed: Any) -> Window:
+    return suite("filters.bilateral_blur", channels=True, **{"sigma_color": 0.3, "sigma_space": 1.5, **changed})
+
+
 def pointwise(name: str, **changed: Any) -> Window:
     return window(name, 0, 0, large=True, **changed)
 
@@ -76,34 +91,72 @@ def inverted(x: Tensor) -> Tensor:
     return 1 - x.detach()
 
 
-EACH = rand("B", 0.5, 1.5)
+EACH, SIGMAS = rand("B", 0.5, 1.5), rand("B 2", 0.5, 1.5)
+ONE_SIGMA = made("1 2", lambda _: torch.tensor([[0.8, 1.7]]))
 PINHOLE = made("B 3 3", lambda s: torch.tensor([[400.0, 0, 250], [0, 410, 160], [0, 0, 1]]).repeat(s.b, 1, 1))
 DEPTH = dict(camera_matrix=PINHOLE, channels=True, gray=True)
 SIGNED = rand("1 3 3", -0.4, 0.6)
 WINDOWS = [
-    window("filters.sobel", 1, 1, large=True),
-    window("filters.spatial_gradient", 1, 1, large=True),
-    window("filters.spatial_gradient", 2, 2, large=True, order=2),
-    window("filters.spatial_gradient", 1, 1, mode="diff"),
-    window("filters.spatial_gradient3d", 1, 1, 1, order=2),
-    window("filters.laplacian", kernel_size=3, large=True),
-    window("filters.laplacian", kernel_size=(5, 9), border_type="replicate"),
+    suite("filters.sobel", 1, 1, large=True),
+    suite("filters.sobel", 1, 1, normalized=False),
+    suite("filters.sobel", 1, 1, eps=1e-2),
+    suite("filters.spatial_gradient", 1, 1, large=True),
+    suite("filters.spatial_gradient", 2, 2, large=True, order=2),
+    suite("filters.spatial_gradient", 1, 1, mode="diff"),
+    suite("filters.spatial_gradient", 2, 2, mode="diff", order=2, normalized=False),
+    suite("filters.spatial_gradient", 2, 2, order=2, normalized=False),
+    suite("filters.spatial_gradient3d", 1, 1, 1),
+    suite("filters.spatial_gradient3d", 1, 1, 1, order=2),
+    suite("filters.laplacian", large=True, kernel_size=3),
+    suite("filters.laplacian", kernel_size=3, normalized=False, border_type="replicate"),
+    suite("filters.laplacian", kernel_size=5, border_type="circular"),
+    suite("filters.laplacian", kernel_size=(1, 9)),
+    suite("filters.laplacian", kernel_size=(11, 3), border_type="constant"),
+    suite("filters.laplacian", kernel_size=(9, 11), border_type="replicate"),
     window("filters.canny", 4, 4, channels=True, low_threshold=0.01, high_threshold=0.02, hysteresis=False),
-    window("filters.box_blur", kernel_size=3, large=True),
+    # Every border, odd and even windows, summed one by one and in blocks; 3 and 5 squared have kernels of their own.
+    suite("filters.box_blur", large=True, kernel_size=3),
+    suite("filters.box_blur", kernel_size=5, border_type="circular"),
+    suite("filters.box_blur", kernel_size=5, border_type="constant"),
+    suite("filters.box_blur", kernel_size=(2, 6)),
+    suite("filters.box_blur", kernel_size=(7, 9)),
+    suite("filters.box_blur", kernel_size=(1, 8), border_type="constant"),
+    suite("filters.box_blur", kernel_size=(4, 3), border_type="circular"),
+    suite("filters.box_blur", kernel_size=(21, 11), border_type="replicate"),
+    suite("filters.box_blur", kernel_size=(6, 5), border_type="replicate"),
     window("filters.box_blur", kernel_size=(5, 13), border_type="circular"),
-    window("filters.box_blur", kernel_size=11, large=True),
+    window("filters.box_blur", large=True, kernel_size=11),
     window("filters.box_blur", kernel_size=31, border_type="constant"),
-    window("filters.gaussian_blur2d", large=True),
+    suite("filters.gaussian_blur2d", large=True, kernel_size=5, sigma=(1.0, 1.5)),
+    suite("filters.gaussian_blur2d", kernel_size=(3, 7), sigma=ONE_SIGMA),
+    suite("filters.gaussian_blur2d", kernel_size=5, sigma=SIGMAS, border_type="replicate"),
+    suite("filters.gaussian_blur2d", kernel_size=(7, 1), sigma=2.0, border_type="constant"),
+    suite("filters.gaussian_blur2d", large=True, kernel_size=9, sigma=(1.5, 0.5), border_type="circular"),
     window("filters.gaussian_blur2d", large=True, border_type="constant"),
     window("filters.gaussian_blur2d", large=True, border_type="replicate"),
     window("filters.gaussian_blur2d", kernel_size=(3, 11), sigma=(0.8, 3.0), border_type="constant"),
-    window("filters.gaussian_blur2d", large=True, kernel_size=9, sigma=(2.0, 2.0), border_type="circular"),
     window("filters.gaussian_blur2d", large=True, kernel_size=31, sigma=(5.0, 5.0)),
-    window("filters.unsharp_mask", large=True),
-    window("filters.median_blur", large=True, kernel_size=3),
-    window("filters.median_blur", large=True, kernel_size=5),
+    suite("filters.unsharp_mask", large=True, kernel_size=5, sigma=(1.0, 1.5)),
+    suite("filters.unsharp_mask", kernel_size=(3, 7), sigma=SIGMAS, border_type="replicate"),
+    suite("filters.unsharp_mask", kernel_size=9, sigma=ONE_SIGMA, border_type="constant"),
+    suite("filters.unsharp_mask", kernel_size=3, sigma=1.0, border_type="circular"),
+    suite("filters.median_blur", large=True, kernel_size=3),
+    suite("filters.median_blur", kernel_size=3, border_type="constant"),
+    suite("filters.median_blur", large=True, kernel_size=5),
+    suite("filters.median_blur", kernel_size=5, border_type="circular"),
+    suite("filters.median_blur", kernel_size=5, border_type="replicate"),
+    suite("filters.median_blur", kernel_size=(3, 5), border_type="replicate"),
+    suite("filters.median_blur", kernel_size=4),
+    suite("filters.median_blur", kernel_size=(2, 5), border_type="circular"),
+    suite("filters.median_blur", kernel_size=7, border_type="constant"),
     window("filters.median_blur", kernel_size=(3, 9)),
-    window("filters.bilateral_blur", channels=True, sigma_color=0.2),
+    bilateral(kernel_size=5, sigma_space=(1.5, 1.0)),
+    bilateral(kernel_size=(3, 5), color_distance_type="l2"),
+    bilateral(kernel_size=(5, 3), border_type="replicate"),
+    bilateral(kernel_size=3, border_type="constant"),
+    bilateral(kernel_size=(3, 7), border_type="circular"),
+    bilateral(kernel_size=(9, 7), sigma_color=0.5, sigma_space=3.0, border_type="replicate"),
+    bilateral(kernel_size=3, sigma_color=rand("B", 0.2, 0.5), sigma_space=ONE_SIGMA),
     window("filters.joint_bilateral_blur", channels=True, guidance=itself, sigma_color=0.2, border_type="replicate"),
     window("filters.guided_blur", 2, 2, channels=True, input=itself, kernel_size=3),
     window("filters.motion_blur", kernel_size=5),
@@ -140,3 +193,9 @@ WINDOWS = [
     pointwise("geometry.depth_to_3d", **DEPTH),
     pointwise("geometry.depth_to_3d", normalize_points=True, **DEPTH),
 ]
+
+
+def variants(name: str) -> list[dict[str, Any]]:
+    """The arguments of a function of filters, besides the image, with which its inherited tests call it."""
+    calls = [window.call for window in WINDOWS if window.suite and window.call.name == f"filters.{name}"]
+    return [{**call.others, **dict(list(call.axes.items())[1:])} for call in calls]

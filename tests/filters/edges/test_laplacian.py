@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import kvision as K
+from benchmarks.sample_calls.windows import variants
 from kvision import _check
 from op_tests import OpTests, assert_close
 
@@ -15,14 +16,7 @@ class TestLaplacian(OpTests):
     module = K.filters.Laplacian
     operators = ("laplacian", "laplacian_backward")
     bytes = True
-    variants = [
-        {"kernel_size": 3},
-        {"kernel_size": 3, "normalized": False, "border_type": "replicate"},
-        {"kernel_size": 5, "border_type": "circular"},
-        {"kernel_size": (1, 9)},
-        {"kernel_size": (11, 3), "border_type": "constant"},
-        {"kernel_size": (9, 11), "border_type": "replicate"},
-    ]
+    variants = variants("laplacian")
     # Unnormalized, the sum of up to 31 x 31 pixels is near n times the center, and their rounding is left.
     tolerances = {torch.float32: (2e-5, 2e-4)}
     errors = [

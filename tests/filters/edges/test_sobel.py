@@ -7,6 +7,7 @@ import skimage.filters
 import torch
 
 import kvision as K
+from benchmarks.sample_calls.windows import variants
 from op_tests import OpTests, assert_close
 
 
@@ -14,7 +15,7 @@ class TestSobel(OpTests):
     function = staticmethod(K.filters.sobel)
     module = K.filters.Sobel
     operators = ("sobel", "sobel_backward")
-    variants = [{}, {"normalized": False}, {"eps": 1e-2}]
+    variants = variants("sobel")
     # Where both gradients nearly vanish, rounding decides their direction, and the gradient follows it.
     tolerances = {torch.float32: (5e-4, 5e-6)}
 

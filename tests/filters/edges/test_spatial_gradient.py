@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import kvision as K
+from benchmarks.sample_calls.windows import variants
 from op_tests import OpTests, assert_close
 
 
@@ -11,13 +12,7 @@ class TestSpatialGradient(OpTests):
     function = staticmethod(K.filters.spatial_gradient)
     module = K.filters.SpatialGradient
     operators = ("spatial_gradient", "spatial_gradient_backward")
-    variants = [
-        {},
-        {"order": 2},
-        {"mode": "diff"},
-        {"mode": "diff", "order": 2, "normalized": False},
-        {"order": 2, "normalized": False},
-    ]
+    variants = variants("spatial_gradient")
     errors = [
         ({"mode": "scharr"}, ValueError, "mode must be one of sobel, diff"),
         ({"order": 3}, ValueError, "order must be one of 1, 2"),
@@ -72,7 +67,7 @@ class TestSpatialGradient3d(OpTests):
     function = staticmethod(K.filters.spatial_gradient3d)
     module = K.filters.SpatialGradient3d
     operators = ("spatial_gradient3d", "spatial_gradient3d_backward")
-    variants = [{}, {"order": 2}]
+    variants = variants("spatial_gradient3d")
     errors = [
         ({"order": 0}, ValueError, "order must be one of 1, 2"),
         ({"mode": "sobel"}, NotImplementedError, "not implemented in 3-D"),

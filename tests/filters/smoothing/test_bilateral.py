@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
+from benchmarks.sample_calls.windows import variants
 from op_tests import OpTests, assert_close
 
 OPERATORS = ("bilateral_blur", "bilateral_blur_backward", "bilateral_blur_sigma_sums")
@@ -26,15 +27,7 @@ class TestBilateralBlur(OpTests):
     bytes = True
     max_size = 17  # two vectors of AVX2 and one pixel; windows reach four pixels
     tolerances = {torch.uint8: (0, 1)}  # a sum in another order may fall on the other side of a half
-    variants = [
-        {"kernel_size": 5, "sigma_color": 0.3, "sigma_space": (1.5, 1.0)},
-        {"kernel_size": (3, 5), "sigma_color": 0.3, "sigma_space": 1.5, "color_distance_type": "l2"},
-        {"kernel_size": (5, 3), "sigma_color": 0.3, "sigma_space": 1.5, "border_type": "replicate"},
-        {"kernel_size": 3, "sigma_color": 0.3, "sigma_space": 1.5, "border_type": "constant"},
-        {"kernel_size": (3, 7), "sigma_color": 0.3, "sigma_space": 1.5, "border_type": "circular"},
-        {"kernel_size": (9, 7), "sigma_color": 0.5, "sigma_space": 3.0, "border_type": "replicate"},
-        {"kernel_size": 3, "sigma_color": sigma_color, "sigma_space": sigma_space},
-    ]
+    variants = variants("bilateral_blur")
     errors = [
         ({"kernel_size": 4}, ValueError, "kernel_size to be odd"),
         ({"kernel_size": "5"}, TypeError, "kernel_size"),

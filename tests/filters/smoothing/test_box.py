@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import kvision as K
+from benchmarks.sample_calls.windows import variants
 from kvision import _check
 from op_tests import OpTests, assert_close
 
@@ -15,18 +16,7 @@ class TestBoxBlur(OpTests):
     module = K.filters.BoxBlur
     operators = ("box_blur", "box_blur_backward")
     bytes = True
-    # Every border, odd and even windows, summed one by one and in blocks; 3 and 5 squared have kernels of their own.
-    variants = [
-        {"kernel_size": 3},
-        {"kernel_size": 5, "border_type": "circular"},
-        {"kernel_size": 5, "border_type": "constant"},
-        {"kernel_size": (2, 6)},
-        {"kernel_size": (7, 9)},
-        {"kernel_size": (1, 8), "border_type": "constant"},
-        {"kernel_size": (4, 3), "border_type": "circular"},
-        {"kernel_size": (21, 11), "border_type": "replicate"},
-        {"kernel_size": (6, 5), "border_type": "replicate"},
-    ]
+    variants = variants("box_blur")
     errors = [
         ({"kernel_size": 0}, ValueError, "expected kernel_size"),
         ({"kernel_size": (3, -1)}, ValueError, "expected kernel_size"),

@@ -6,6 +6,7 @@ import scipy.ndimage
 import torch
 
 import kvision as K
+from benchmarks.sample_calls.windows import variants
 from kvision.filters.smoothing.gaussian import gaussian_levels
 from op_tests import OpTests, assert_close
 
@@ -36,13 +37,7 @@ class TestGaussianBlur2d(OpTests):
     bytes = True
     small = (1, 2, 5, 6)
     tolerances = {torch.uint8: (0, 1)}  # a sum in another order may fall on the other side of a half
-    variants = [
-        {"kernel_size": 5, "sigma": (1.0, 1.5)},
-        {"kernel_size": (3, 7), "sigma": lambda x: torch.tensor([[0.8, 1.7]])},
-        {"kernel_size": 5, "sigma": lambda x: 0.5 + torch.rand(x.shape[0], 2), "border_type": "replicate"},
-        {"kernel_size": (7, 1), "sigma": 2.0, "border_type": "constant"},
-        {"kernel_size": 9, "sigma": (1.5, 0.5), "border_type": "circular"},
-    ]
+    variants = variants("gaussian_blur2d")
     errors = [
         ({"kernel_size": 4}, ValueError, "expected kernel_size to be odd"),
         ({"kernel_size": 0}, ValueError, "ints of at least 1"),

@@ -6,6 +6,7 @@ import scipy.ndimage
 import torch
 
 import kvision as K
+from benchmarks.sample_calls.windows import variants
 from op_tests import OpTests, assert_close
 
 BORDERS = {"reflect": "mirror", "replicate": "nearest", "circular": "wrap", "constant": "constant"}
@@ -16,17 +17,7 @@ class TestMedianBlur(OpTests):
     module = K.filters.MedianBlur
     operators = ("median_blur", "median_blur_backward")
     bytes = True
-    variants = [
-        {"kernel_size": 3},
-        {"kernel_size": 3, "border_type": "constant"},
-        {"kernel_size": 5},
-        {"kernel_size": 5, "border_type": "circular"},
-        {"kernel_size": 5, "border_type": "replicate"},
-        {"kernel_size": (3, 5), "border_type": "replicate"},
-        {"kernel_size": 4},
-        {"kernel_size": (2, 5), "border_type": "circular"},
-        {"kernel_size": 7, "border_type": "constant"},
-    ]
+    variants = variants("median_blur")
     errors = [
         ({"kernel_size": 0}, ValueError, "at least 1"),
         ({"kernel_size": 3.0}, TypeError, "kernel_size to be an int or 2 ints"),

@@ -2,6 +2,7 @@ import kornia
 import torch
 
 import kvision as K
+from benchmarks.sample_calls.windows import variants
 from op_tests import OpTests, assert_close
 
 
@@ -12,12 +13,7 @@ class TestUnsharpMask(OpTests):
     bytes = True
     small = (1, 2, 5, 6)
     tolerances = {torch.uint8: (0, 1)}  # a sum in another order may fall on the other side of a half
-    variants = [
-        {"kernel_size": 5, "sigma": (1.0, 1.5)},
-        {"kernel_size": (3, 7), "sigma": lambda x: 0.5 + torch.rand(x.shape[0], 2), "border_type": "replicate"},
-        {"kernel_size": 9, "sigma": lambda x: torch.tensor([[0.8, 1.7]]), "border_type": "constant"},
-        {"kernel_size": 3, "sigma": 1.0, "border_type": "circular"},
-    ]
+    variants = variants("unsharp_mask")
     errors = [
         ({"kernel_size": (3, 2)}, ValueError, "expected kernel_size to be odd"),
         ({"sigma": -1.0}, ValueError, "positive"),

@@ -522,6 +522,40 @@ class OpTests:
             expected = torch.autograd.functional.hessian(loss, x)
         assert_close(torch.func.hessian(loss)(x), expected, 1e-6, 1e-7)
 
+    @pytest.mark.derivatives
+    @pytest.mark.parametrize("batch", [0, 1, 2])
+    def test_jacobians(self, variant, batch, device):
+        """torch.func's Jacobians of a few sums of the results by all tensors, in both modes, are autograd's."""
+        self.needs_gradient()
+        x, kwargs = self.setup(variant, device, shape=(batch, *self.small[1:]))
+        names, values = self.tensors(x, kwargs)
+        f = self.of_tensors(kwargs, names)
+
+        def sums(*values: Tensor) -> Tensor:
+            return torch.cat([weighted_sums(y) for y in as_tuple(f(*values))])
+
+        leaves = [v.clone().requires_grad_() for v in values]
+        rows = [torch.autograd.grad(y, leaves, retain_graph=True) for y in sums(*leaves)]
+        expected = tuple(torch.stack(parts) for parts in zip(*rows))
+        # Of an empty tensor, forward mode maps over no tangents, which some of torch's operators do not take.
+        for jacobian in (torch.func.jacrev, torch.func.jacfwd) if batch else (torch.func.jacrev,):
+            assert_close(jacobian(sums, tuple(range(len(values))))(*values), expected, 1e-7, 1e-7)
+
+    @pytest.mark.derivatives
+    @pytest.mark.parametrize("batch", [0, 1, 2])
+    def test_nested_vmap(self, variant, batch, device):
+        x, kwargs = self.setup(variant, device, shape=(batch, *self.small[1:]))
+        names, values = self.tensors(x, kwargs)
+        f = self.of_tensors(kwargs, names)
+        factors = torch.tensor([[1, 0.9], [0.8, 0.7]], dtype=x.dtype, device=device)
+        mapped = [factors.view(2, 2, *[1] * v.dim()) * v for v in values]
+        torch.manual_seed(1)
+        actual = torch.func.vmap(torch.func.vmap(f, randomness="same"), randomness="same")(*mapped)
+        for i, j in itertools.product(range(2), repeat=2):
+            torch.manual_seed(1)
+            expected = f(*(v[i, j] for v in mapped))
+            self.check(tuple(y[i, j] for y in as_tuple(actual)), as_tuple(expected))
+
     @pytest.mark.interface
     def test_autocast_changes_nothing(self, variant, device):
         x, kwargs = self.setup(variant, device, torch.float32)
@@ -669,6 +703,12 @@ class OpTests:
             self.check(self.call(x, kwargs), expected)
 
         run()
+
+
+def weighted_sums(y: Tensor) -> Tensor:
+    """A few sums of all elements with weights of both signs: enough of a result to tell its derivatives by."""
+    angles = torch.arange(y.numel(), dtype=y.dtype, device=y.device)[:, None] * y.new_tensor([1.0, 2.0, 0.7])
+    return (y.reshape(y.numel(), 1) * angles.cos()).sum(0)
 
 
 def gradient_like(y: Tensor, layout: str) -> Tensor:

@@ -156,6 +156,23 @@ def test_functional_transforms_compose(device):
     assert jacobian.shape == (3, 1, 1, 4, 4, 1, 1, 4, 4)
 
 
+def test_jacobians_of_no_images(device):
+    x = torch.rand(0, 1, 4, 4, device=device)
+    for jacobian in (torch.func.jacrev, torch.func.jacfwd):
+        assert jacobian(K.filters.sobel)(x).shape == (0, 1, 4, 4, 0, 1, 4, 4)
+
+
+def test_vmap_of_one_row_for_a_batch(device):
+    """The gradient of what all samples share has one row, however many samples there are, so each element is a call."""
+    x, grad = torch.rand(2, 1, 5, 5, device=device), torch.rand(3, 2, 1, 5, 5, device=device)
+    kernel = torch.rand(1, 3, 3, device=device)
+
+    def gradient(g):
+        return torch.func.vjp(lambda k: K.filters.filter2d(x, k), kernel)[1](g)[0]
+
+    assert torch.allclose(torch.func.vmap(gradient)(grad), torch.stack([gradient(g) for g in grad]))
+
+
 def test_a_constant_result_carries_no_gradient(device):
     x = torch.rand(1, 1, 6, 6, device=device, requires_grad=True)
     magnitude, edges = K.filters.canny(x)

@@ -138,7 +138,7 @@ class Operator:
             second run. Under torch.use_deterministic_algorithms the reference then serves, whose own operators raise
             or warn if they are not deterministic either.
         flatten: the rule of vmap where not all tensors have the same axis 0: `flatten(n, in_dims, args)` returns the
-            arguments of one call for all n of them, and the batch that each of them gives. Default: flatten_batches.
+            arguments of one call for all n of them, or None where there is none. Default: flatten_batches.
     """
 
     def __init__(
@@ -159,7 +159,7 @@ class Operator:
         casts_outputs: bool = False,
         supports: Callable[..., str | None] | None = None,
         nondeterministic: bool | Callable[..., bool] = False,
-        flatten: Callable[[int, tuple[Any, ...], tuple[Any, ...]], tuple[list[Any], int]] | None = None,
+        flatten: Callable[[int, tuple[Any, ...], tuple[Any, ...]], list[Any] | None] | None = None,
     ) -> None:
         self.name = name
         self.definition = reference
@@ -263,7 +263,7 @@ class Operator:
         qualified = f"kvision::{self.name}"
         kernel = find_operator("kvision", self.name).default
         torch.library.register_fake(qualified, self._fake)
-        torch.library.register_vmap(qualified, functools.partial(_vmap, kernel, self._flatten))
+        torch.library.register_vmap(qualified, functools.partial(self._vmap, kernel))
         torch.library.register_autograd(qualified, self._backward, setup_context=self._setup_context)
         return kernel
 
@@ -279,16 +279,42 @@ class Operator:
             "setup_context": self._setup_context,
             "backward": self._backward,
             "jvp": self._jvp,
-            "vmap": functools.partial(_vmap, self, self._flatten),
+            "vmap": functools.partial(self._vmap, self),
         }
         return type(self.name, (torch.autograd.Function,), {k: staticmethod(v) for k, v in rules.items()})
 
     def _fake(self, *args: Any) -> Any:
-        x = args[self._layout_of]
-        sizes = args[0].shape if self._fake_sizes is None else self._fake_sizes(*args)
+        x, sizes = args[self._layout_of], self._sizes(*args)
         if isinstance(sizes, list):
             return tuple(_empty(x, s) for s in sizes)
         return _empty(x, sizes)
+
+    def _sizes(self, *args: Any) -> Any:
+        return args[0].shape if self._fake_sizes is None else self._fake_sizes(*args)
+
+    def _vmap(self, call: Callable[..., Any], info: Any, in_dims: tuple[Any, ...], *args: Any) -> tuple[Any, Any]:
+        """One call for all n elements if it gives their results one after the other, else a call for each."""
+        n = info.batch_size
+
+        def element(i: int) -> list[Any]:
+            if n == 0:  # the Jacobian of an empty tensor
+                return [a.sum(dim, dtype=a.dtype) if isinstance(dim, int) else a for a, dim in zip(args, in_dims)]
+            return [a.select(dim, i) if isinstance(dim, int) else a for a, dim in zip(args, in_dims)]
+
+        sizes, flattened = self._result_sizes(element(0)), self._flatten(n, in_dims, args)
+        if flattened is not None and self._result_sizes(flattened) == [(n * size[0], *size[1:]) for size in sizes]:
+            output = call(*flattened)
+            mapped = [y.reshape(n, *size) for y, size in zip(_as_tuple(output), sizes)]
+        else:
+            outputs = [call(*element(i)) for i in range(max(n, 1))]
+            output = outputs[0]
+            mapped = [torch.stack(results)[:n] for results in zip(*map(_as_tuple, outputs))]
+        return (tuple(mapped), (0,) * len(mapped)) if isinstance(output, (tuple, list)) else (mapped[0], 0)
+
+    def _result_sizes(self, args: Sequence[Any]) -> list[tuple[int, ...]]:
+        sizes = self._sizes(*args)
+        listed = sizes if isinstance(sizes, list) else [sizes]
+        return [tuple(s.shape) if isinstance(s, Tensor) else tuple(s) for s in listed]
 
     # --- derivatives ---
 
@@ -606,16 +632,22 @@ def _stored(y: Tensor, dtype: torch.dtype, like: Tensor) -> Tensor:
     return match_layout(y, like)
 
 
-def flatten_batches(n: int, in_dims: tuple[Any, ...], args: tuple[Any, ...]) -> tuple[list[Any], int]:
-    """The mapped axis joins the batch, which every tensor has in front."""
+def flatten_batches(n: int, in_dims: tuple[Any, ...], args: tuple[Any, ...]) -> list[Any] | None:
+    """The mapped axis joins the batch, which every tensor has in front.
+
+    A tensor of one row for all samples stays one. Of a batch of one it cannot be told apart, and becomes a row for each.
+    """
     tensors = [i for i, a in enumerate(args) if isinstance(a, Tensor)]
-    batch = max(size_below_vmap(args[i], in_dims[i]) for i in tensors)
+    sizes = [size_below_vmap(args[i], in_dims[i]) for i in tensors]
+    batch = next((size for size in sizes if size != 1), 1)
     flattened = list(args)
-    for i in tensors:
-        if in_dims[i] is None and args[i].shape[0] == 1 and i != tensors[0]:
-            continue  # one for all samples stays one for all
+    for i, size in zip(tensors, sizes):
+        if size not in (1, batch):
+            return None
+        if in_dims[i] is None and size != batch and i != tensors[0]:
+            continue
         flattened[i] = flatten_batch(args[i], in_dims[i], n, batch)
-    return flattened, batch
+    return flattened
 
 
 def size_below_vmap(x: Tensor, dim: int | None) -> int:
@@ -629,12 +661,3 @@ def flatten_batch(x: Tensor, dim: int | None, n: int, batch: int) -> Tensor:
     if x.shape[1] != batch:
         x = x.expand(n, batch, *x.shape[2:])
     return x.reshape(n * batch, *x.shape[2:])
-
-
-def _vmap(
-    operator: Callable[..., Any], flatten: Callable[..., Any], info: Any, in_dims: tuple[Any, ...], *args: Any
-) -> tuple[Any, Any]:
-    n = info.batch_size
-    flattened, batch = flatten(n, in_dims, args)
-    output = operator(*flattened)
-    return _map(lambda y: y.reshape(n, batch, *y.shape[1:]), output), _map(lambda y: 0, output)

@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from kvision import enhance
 from kvision._constants import constant
-from kvision._ops import FastPath, behind_grad, flatten_batch, register, size_below_vmap, vjp
+from kvision._ops import FastPath, behind_grad, register, vjp
 from kvision.augmentation import transforms
 from kvision.augmentation.container.stages import Stage, Warp
 from kvision.augmentation.drawn_pass import COMPUTED_IN_FLOAT32
@@ -149,12 +149,6 @@ def _supports(x: Tensor, operation: Tensor, value: Tensor) -> str | None:
     return None
 
 
-def _flatten(n: int, in_dims: tuple[Any, ...], args: tuple[Any, ...]) -> tuple[list[Any], int]:
-    """Numbers and values of one sample do not stay one for all, which the kernel does not take."""
-    batch = size_below_vmap(args[0], in_dims[0])
-    return [flatten_batch(x, dim, n, batch) for x, dim in zip(args, in_dims)], batch
-
-
 def _backward(needs, grad, _, x, operation, value):
     if needs[2]:
         return _apply_operation.differentiate_reference(needs, grad, _, x, operation, value)
@@ -169,7 +163,6 @@ _apply_operation = register(
     non_differentiable=(1,),
     casts_outputs=True,
     supports=_supports,
-    flatten=_flatten,
 )
 _apply_operation_backward = register(
     "apply_operation_backward",
@@ -177,7 +170,6 @@ _apply_operation_backward = register(
     fake=lambda grad, x, *_: x.new_empty(x.shape),
     casts_outputs=True,
     supports=behind_grad(_supports),
-    flatten=_flatten,
 )
 
 # --- the parts of a step --------------------------------------------------------------------------------------------

@@ -178,7 +178,7 @@ def _flatten_samples(image: int | None, image_index: int) -> Any:
     Without such a tensor, the argument behind `image_index` is the size of the images, which starts with their number.
     """
 
-    def flatten(n: int, in_dims: tuple[Any, ...], args: tuple[Any, ...]) -> tuple[list[Any], int]:
+    def flatten(n: int, in_dims: tuple[Any, ...], args: tuple[Any, ...]) -> list[Any]:
         flattened = list(args)
         is_mapped = image is None or in_dims[image] is not None
         images = args[image_index + 1][0] if image is None else size_below_vmap(args[image], in_dims[image])
@@ -201,14 +201,14 @@ def _flatten_samples(image: int | None, image_index: int) -> Any:
                 index = _offset_index(index, images, n)
             flattened[image_index] = index.expand(n, samples).reshape(-1)
         for i in rows:
-            if in_dims[i] is not None or rows[i] != 1 or i == 0:
+            if in_dims[i] is not None or rows[i] == samples or i == 0:  # else one for all of them
                 flattened[i] = flatten_batch(args[i], in_dims[i], n, samples)
         if image is None:
             flattened[image_index + 1] = [n * images, *args[image_index + 1][1:]]
-            return flattened, images
+            return flattened
         if is_mapped:
             flattened[image] = flatten_batch(args[image], in_dims[image], n, images)
-        return flattened, samples
+        return flattened
 
     return flatten
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor, nn
 
-from kvision._torch_compat import LoadedModule, in_forward_ad, in_function_transform
+from kvision._torch_compat import LoadedModule, carry_tangents, in_function_transform
 
 
 class FunctionModule(nn.Module):
@@ -84,6 +84,6 @@ def _keeps_its_graph(x: Tensor) -> bool:
         or isinstance(x, nn.Parameter)
         or not (x.is_floating_point() or x.is_complex())
         or in_function_transform()
-        or in_forward_ad()
+        or carry_tangents(x)
         or torch.compiler.is_compiling()
     )

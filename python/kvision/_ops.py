@@ -30,8 +30,10 @@ from kvision._dtype import is_autocast_on
 from kvision._torch_compat import (
     before_first_lookup,
     below_autograd,
+    carry_tangents,
     find_operator,
     function_caller,
+    in_derivative_transform,
     in_forward_ad,
     in_function_transform,
     in_onnx_export,
@@ -182,6 +184,7 @@ class Operator:
         self.unserved = unserved_devices(name)
         self.kernel = self._bind()
         self.tensors = self._count_tensors()
+        self._is_constant = self.kernel is not None and len(non_differentiable) == len(schema_of(self.kernel).returns)
         self.function = self._make_function()
         self._apply = function_caller(self.function)
         self._call_kernel: Any = kernel_caller(self.kernel)
@@ -216,15 +219,23 @@ class Operator:
             for a in args[: self.tensors]:
                 if a is not None and a.requires_grad:
                     return self._apply(*args)
-        if in_forward_ad():
+        if in_forward_ad() and carry_tangents(*args[: self.tensors]):
             return self._apply(*args)
         with below_autograd():
             return self._call_kernel(*args)
 
     def _call_traced(self, args: Sequence[Any]) -> Any:
-        """What a graph is to hold: the operator, and for ONNX, which has no kernels, the operators of its reference."""
+        """What a graph is to hold: the operator, or the operators of its reference.
+
+        ONNX has no kernels. An operator of a graph has gradients, but no rule for the transforms of torch.func that
+        differentiate inside of the graph, nor for forward mode.
+        """
         if in_onnx_export():
             return self._call_reference("ONNX has no kernels of it", args)
+        if in_derivative_transform() or carry_tangents(*args[: self.tensors]):
+            if not self._is_constant:
+                return self.reference(*args)
+            args = [a.detach() if isinstance(a, Tensor) else a for a in args]
         return self.kernel(*args) if is_compiling() else self.kernel(*map(_recorded, args))
 
     # The one predicate on devices and types; `supports` is the one on all arguments.
@@ -371,11 +382,9 @@ class Operator:
             return self(tangents[0], *tensors[1:], *ctx.plain)
         args = (*tensors, *ctx.plain)
         indices = [i for i, t in enumerate(tangents) if t is not None]
-        # J t is the derivative of u -> J^T u. That works under every transform, also inside plain forward mode.
         f = self._reference_of_tensors(args, indices, self.non_differentiable)
-        output, vjp_fn = torch.func.vjp(f, *(args[i] for i in indices))
-        _, jvp_fn = torch.func.vjp(vjp_fn, _map(torch.zeros_like, output))
-        (output_tangents,) = jvp_fn(tuple(tangents[i] for i in indices))
+        _, jvp_fn = linearize(f, *(args[i] for i in indices))
+        output_tangents = jvp_fn(*(tangents[i] for i in indices))
         if not self.non_differentiable:
             return output_tangents
         rest = iter(output_tangents)
@@ -434,7 +443,7 @@ class FastPath:
             return False
         if x.dtype not in (self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()) or x.numel() == 0:
             return False
-        if in_function_transform() or in_forward_ad():
+        if in_function_transform() or carry_tangents(x):
             return False
         return not _backend.ask_backend or current_backend() != "reference"
 
@@ -485,6 +494,17 @@ def vjp(reference: Callable[..., Tensor]) -> Callable[..., Tensor]:
     return backward
 
 
+def linearize(f: Callable[..., Any], *tensors: Tensor) -> tuple[Any, Callable[..., Any]]:
+    """`f(*tensors)`, and the function from tangents of all tensors to those of the results.
+
+    J t is the derivative of u -> J^T u. So no level of forward mode is opened, which other threads would see and which
+    cannot be nested.
+    """
+    output, vjp_fn = torch.func.vjp(f, *tensors)
+    _, jvp_fn = torch.func.vjp(vjp_fn, _map(torch.zeros_like, output))
+    return output, lambda *tangents: jvp_fn(tangents)[0]
+
+
 # --- helpers --------------------------------------------------------------------------------------------------------
 
 
@@ -531,7 +551,7 @@ def _without_tf32() -> Iterator[None]:
 
 def wants_derivative(*tensors: Tensor | None) -> bool:
     """Whether the result of a call on these tensors may be differentiated, so that it must come from differentiable operators."""
-    if in_function_transform() or in_forward_ad():
+    if in_function_transform() or carry_tangents(*tensors):
         return True
     if is_grad_enabled():
         for t in tensors:

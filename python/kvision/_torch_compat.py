@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 from torch._C import _are_functorch_transforms_active, _AutoDispatchBelowAutograd
-from torch._C._functorch import get_unwrapped, is_functorch_wrapped_tensor
+from torch._C._functorch import TransformType, get_interpreter_stack, get_unwrapped, is_functorch_wrapped_tensor
 from torch._functorch.utils import unwrap_dead_wrappers
 from torch._ops import OpOverload
 from torch.autograd import forward_ad
@@ -27,11 +27,13 @@ __all__ = [
     "TorchDispatchMode",
     "before_first_lookup",
     "below_autograd",
+    "carry_tangents",
     "constant_in_graphs",
     "find_operator",
     "function_caller",
     "has_kernel",
     "hypot",
+    "in_derivative_transform",
     "in_forward_ad",
     "in_function_transform",
     "in_onnx_export",
@@ -106,8 +108,26 @@ class LoadedModule(nn.Module):
 
 
 def in_forward_ad() -> bool:
-    """Whether a level of forward-mode differentiation is open. Waits for a public predicate in torch.autograd.forward_ad."""
+    """Whether a level of forward-mode differentiation is open, in any thread.
+
+    Waits for a public predicate in torch.autograd.forward_ad.
+    """
     return forward_ad._current_level >= 0
+
+
+def carry_tangents(*tensors: Tensor | None) -> bool:
+    """Whether forward mode differentiates a call on `tensors`. The level that is open may be another thread's.
+
+    Waits for what in_forward_ad waits for. A graph shows no tangents, and is only used at the level that it was made at.
+    """
+    if not in_forward_ad():
+        return False
+    if is_compiling() or _in_transform(TransformType.Jvp):
+        return True
+    for x in tensors:
+        if x is not None and forward_ad.unpack_dual(without_transforms(x)).tangent is not None:
+            return True
+    return False
 
 
 def in_onnx_export() -> bool:
@@ -181,6 +201,17 @@ def constant_in_graphs(function: Callable[..., Any]) -> Callable[..., Any]:
     """
     function._dynamo_marked_constant = True  # type: ignore[attr-defined]
     return function
+
+
+@constant_in_graphs
+def _in_transform(*types: TransformType) -> bool:
+    """Whether one of torch.func's transforms that are active in this thread has one of these types."""
+    return any(transform.key() in types for transform in get_interpreter_stack() or ())
+
+
+def in_derivative_transform() -> bool:
+    """Whether torch.func.grad, vjp or jvp is active, and not only vmap. Waits for a public predicate in torch.func."""
+    return in_function_transform() and _in_transform(TransformType.Grad, TransformType.Jvp)
 
 
 def largest(*sizes: int) -> int:

@@ -114,8 +114,9 @@ def _approximate(x: Tensor, size: int, h: float) -> Tensor:
     total = torch.zeros_like(grown)
     changed = torch.ones((), dtype=torch.bool, device=x.device)
     # ONNX gets no loop: its body is traced as if it were for torch.
-    if is_compiling() and not in_onnx_export() and not (torch.is_grad_enabled() and x.requires_grad):
-        # A graph has loops of its own, whose length depends on sizes. The gradients through them are wrong in torch 2.13.
+    if is_compiling() and not in_onnx_export() and not wants_derivative(x):
+        # A graph has loops of its own, whose length depends on sizes. Their gradients are wrong in torch 2.13, and torch.func
+        # does not take them.
         steps = (largest(*sides) + radius - 1) // radius
         state = torch.zeros((), dtype=torch.int64, device=x.device), grown, total, changed
         return torch.while_loop(lambda step, *state: (step < steps) & state[-1], advance, state)[2]

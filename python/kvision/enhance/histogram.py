@@ -11,7 +11,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
-from kvision._ops import register, vjp
+from kvision._ops import linearize, register, vjp
 from kvision._torch_compat import in_function_transform, is_tracing
 from kvision.core.exceptions import ShapeError, ValueCheckError
 
@@ -54,11 +54,8 @@ class _Recomputed(torch.autograd.Function):
     @staticmethod
     def jvp(ctx: Any, _: None, __: None, *tangents: Tensor | None) -> Tensor:
         tensors = ctx.saved_tensors
-        full = tuple(torch.zeros_like(x) if t is None else t for x, t in zip(tensors, tangents))
-        # J t as the derivative of u -> J^T u: plain forward mode cannot be nested in itself.
-        output, vjp_fn = torch.func.vjp(ctx.f, *tensors)[:2]
-        jvp_fn = torch.func.vjp(vjp_fn, torch.zeros_like(output))[1]
-        return jvp_fn(full)[0]
+        jvp_fn = linearize(ctx.f, *tensors)[1]
+        return jvp_fn(*(torch.zeros_like(x) if t is None else t for x, t in zip(tensors, tangents)))
 
 
 def recomputed(f: Callable[..., Tensor], *tensors: Tensor, gradients: Gradients | None = None) -> Tensor:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._ops import register
-from kvision._torch_compat import in_forward_ad
+from kvision._torch_compat import carry_tangents
 from kvision.geometry._precision import in_full_precision, promoted
 from kvision.geometry.linalg import adjugate
 
@@ -111,9 +111,10 @@ def _backward(
     return grad_rows, None if weights is None else grad_weights
 
 
-def _supports(*_: Tensor | None) -> str | None:
+def _supports(*tensors: Tensor | None) -> str | None:
     """Forward mode is off: the kernel may choose another of several equally good vectors than the reference."""
-    return "forward mode differentiates the reference, which may choose another vector" if in_forward_ad() else None
+    other = "forward mode differentiates the reference, which may choose another vector"
+    return other if carry_tangents(*tensors) else None
 
 
 _null_vector = register(

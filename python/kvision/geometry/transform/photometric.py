@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._modes import INTERPOLATION, PADDING, PHOTOMETRIC_DISTANCE
-from kvision._ops import register
+from kvision._ops import linearize, register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform import sampling
 
@@ -111,22 +111,20 @@ _photometric = register(
 
 
 def _normal_reference(source, target, matrix, distance, eps, align_corners, normalized):
-    matrices = matrix.expand(source.shape[0], -1, -1).contiguous()  # jvp takes no views of one matrix
+    matrices = matrix.expand(source.shape[0], -1, -1)
     size, (*source_size,) = target.shape[2:], source.shape[2:]
 
-    def residuals(m: Tensor) -> Any:
-        coords = sampling.source_coords(m, size, source_size, align_corners, False, normalized)
-        residual = sampling.sample(source, coords, "bilinear", "fill", align_corners) - target
-        return residual.flatten(1), (residual, _is_between_pixels(coords, source))
+    def source_coords(m: Tensor) -> tuple[Tensor, Tensor]:
+        return sampling.source_coords(m, size, source_size, align_corners, False, normalized)
 
+    def residuals(m: Tensor) -> Tensor:
+        return sampling.sample(source, source_coords(m), "bilinear", "fill", align_corners) - target
+
+    residual, jvp_fn = linearize(residuals, matrices)
     # The derivatives by all entries of the matrix but the last.
-    columns = []
-    for i in range(8):
-        direction = torch.zeros_like(matrices)
-        direction[:, i // 3, i % 3] = 1
-        (_, (residual, valid)), (column, _) = torch.func.jvp(residuals, (matrices,), (direction,))
-        columns.append(column)
-    jacobian = torch.stack(columns, 1)
+    directions = torch.eye(9, dtype=matrix.dtype, device=matrix.device)[:8].view(8, 1, 3, 3)
+    jacobian = torch.stack([jvp_fn(d.expand_as(matrices)).flatten(1) for d in directions], 1)
+    valid = _is_between_pixels(source_coords(matrices), source)
     r, valid = residual.flatten(1), valid.expand_as(residual).flatten(1).to(matrix.dtype)
     if distance == PHOTOMETRIC_DISTANCE["l1"]:
         value, weight = r.abs(), 1 / r.abs().clamp_min(eps)

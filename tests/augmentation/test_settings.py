@@ -129,3 +129,29 @@ def test_fisheyes_with_negative_exponents(gamma: float, device: torch.device) ->
     assert y.isfinite().all() and 20 < inside.sum() < size**2 - 20
     torch.testing.assert_close(y[0][:, inside], source[:, inside], rtol=1e-5, atol=1e-5)
     assert (y[0][:, (source.abs() > 1 + 2 / (size - 2)).any(0)] == 0).all()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.uint8], ids=str)
+def test_erasing_with_a_color_and_with_noise(dtype: torch.dtype, device: torch.device) -> None:
+    x = torch.ones(40, 3, 16, 20, device=device) * (255 if dtype == torch.uint8 else 1)
+    x, full = x.to(dtype), 255 if dtype == torch.uint8 else 1
+    number, color, noise = (
+        A.RandomErasing((0.2, 0.3), value=value, p=0.7) for value in (0.0, (0.2, 0.4, 0.6), "random")
+    )
+    erased = number(x, seed=5) == 0
+    assert erased.any() and not erased.all()
+    values = torch.tensor([0.2, 0.4, 0.6], device=device).reshape(3, 1, 1) * full
+    assert torch.equal(color(x, seed=5), torch.where(erased, values.to(dtype), x))
+    assert torch.equal(color(x, params=color._params), color(x, seed=5))
+    y = noise(x, seed=5)
+    assert torch.equal(y[~erased], x[~erased]) and torch.equal(noise(x, params=noise._params), y)
+    drawn = y[erased].double() / full
+    assert abs(drawn.mean() - 0.5) < 0.01 and abs(drawn.std() - 12**-0.5) < 0.01
+    assert 0 <= drawn.min() < 0.01 and 0.99 < drawn.max() <= 1
+    per_channel = y.double()[:, 0][erased[:, 0]], y.double()[:, 1][erased[:, 1]]
+    assert abs(torch.corrcoef(torch.stack(per_channel))[0, 1]) < 0.05
+    with pytest.raises(ValueError, match="RandomErasing: expected value of 1 channels, got 3"):
+        color(x[:, :1])
+    for wrong in ("pixel", 2.0, (0.1, 2.0, 0.1)):
+        with pytest.raises(ValueError, match="RandomErasing: expected value"):
+            A.RandomErasing(value=wrong)

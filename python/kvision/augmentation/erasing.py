@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -22,7 +23,7 @@ class RandomErasing(IntensityAugmentationBase2D):
     Args:
         scale: pair of lowest and highest area, as fractions of the image's.
         ratio: pair of lowest and highest height to width.
-        value: the fill value, within 0 and 1.
+        value: the fill value, within 0 and 1: a number, one of each channel, or 'random' for uniform noise.
         same_on_batch: all samples get the same parameters.
         p: probability that a sample is augmented.
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
@@ -41,7 +42,7 @@ class RandomErasing(IntensityAugmentationBase2D):
         self,
         scale: Any = (0.02, 0.33),
         ratio: Any = (0.3, 3.3),
-        value: float = 0.0,
+        value: float | Sequence[float] | Tensor | str = 0.0,
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -56,7 +57,15 @@ class RandomErasing(IntensityAugmentationBase2D):
         values = params["values"].to(compute_dtype(input))
         if input.dtype == torch.uint8:
             values = values * 255
-        y: Tensor = erase_rectangles(input, self._param_generator.to_columns(params, tuple(input.shape)), values)
+        boxes = self._param_generator.to_columns(params, tuple(input.shape))
+        if values.dim() == 4:
+            noise = values.round() if input.dtype == torch.uint8 else values
+            return torch.where(is_erased(input, boxes), noise.to(input.dtype), input)
+        if values.dim() == 2:  # as images of one channel
+            boxes = boxes.repeat_interleave(input.shape[1], 0)
+            planes = erase_rectangles(input.flatten(0, 1)[:, None], boxes, values.flatten())
+            return planes.reshape(input.shape)
+        y: Tensor = erase_rectangles(input, boxes, values)
         return y
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:

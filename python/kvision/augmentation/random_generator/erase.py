@@ -8,9 +8,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._constants import constant
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
+from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+from kvision.core.exceptions import ShapeError, ValueCheckError
 
 __all__ = ["RectangleEraseGenerator"]
 
@@ -21,10 +24,10 @@ class RectangleEraseGenerator(RandomGeneratorBase):
     Args:
         scale: pair of lowest and highest area, as fractions of the image's.
         ratio: pair of lowest and highest height to width.
-        value: the fill value, within 0 and 1.
+        value: the fill value, within 0 and 1: a number, one of each channel, or 'random' for uniform noise.
 
     Returns:
-        widths, heights, xs, ys in pixels and values, (B,) each.
+        widths, heights, xs, ys in pixels, (B,) each; values (B,), (B, C) of channels, or (B, C, H, W) of noise.
 
     Raises:
         TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
@@ -36,20 +39,41 @@ class RectangleEraseGenerator(RandomGeneratorBase):
         (tensor([4.]), tensor([4.]))
     """
 
-    def __init__(self, scale: Any = (0.02, 0.33), ratio: Any = (0.3, 3.3), value: float = 0.0) -> None:
+    def __init__(self, scale: Any = (0.02, 0.33), ratio: Any = (0.3, 3.3), value: Any = 0.0) -> None:
         super().__init__()
         op, unbounded = "RandomErasing", (0.0, float("inf"))
         self._scale = ranges.parse(op, "scale", scale, bounds=unbounded)
         self._ratio = ranges.parse(op, "ratio", ratio, bounds=(1e-6, float("inf")))
-        self.value = ranges.parse(op, "value", (value, value), bounds=(0.0, 1.0)).low
+        self.per_pixel = isinstance(value, str) and value == "random"
+        if isinstance(value, str) and not self.per_pixel:
+            raise ValueCheckError(
+                f"{op}: expected value to be a number, one of each channel, or 'random', got {value!r}"
+            )
+        if isinstance(value, Tensor):
+            value = value.tolist()
+        self.value: float | list[float] | str = value
+        if not self.per_pixel:
+            each = list(value) if isinstance(value, Sequence) else [value]
+            numbers = [ranges.parse(op, "value", (number, number), bounds=(0.0, 1.0)).low for number in each]
+            self.value = numbers if isinstance(value, Sequence) else numbers[0]
 
     def draws(self, shape: Shape) -> Sequence[Any]:
+        if isinstance(self.value, list) and len(self.value) != shape[1]:
+            raise ShapeError(f"RandomErasing: expected value of {shape[1]} channels, got {len(self.value)}")
         numbers = (self._scale.low, self._scale.high, self._ratio.low, self._ratio.high)
         return [Draw("rectangle", (*numbers, float(shape[-2]), float(shape[-1])))]
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
         x, y, w, h = columns.unbind(1)
-        return {"widths": w, "heights": h, "xs": x, "ys": y, "values": torch.full_like(x, self.value)}
+        params = {"widths": w, "heights": h, "xs": x, "ys": y}
+        if isinstance(self.value, list):
+            params["values"] = constant(tuple(self.value), columns).repeat(len(columns), 1)
+        elif not isinstance(self.value, str):
+            params["values"] = torch.full_like(x, self.value)
+        return params
+
+    def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
+        return {"values": noise.uniform(shape).float()}
 
     def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
         return torch.stack([params[name] for name in ("xs", "ys", "widths", "heights")], 1)

@@ -314,3 +314,29 @@ def test_labels_are_of_the_images(name: str) -> None:
             mix(images(), labels)
     with pytest.raises(TypeError, match=f"{name}: expected label to be a Tensor, got list"):
         mix(images(), [0, 1, 2, 3, 4, 5])
+
+
+@pytest.mark.parametrize("name", ["RandomTransplantation", "RandomTransplantation3D"])
+@pytest.mark.parametrize("nested", [False, True], ids=["flat", "nested"])
+def test_transplantation_in_containers(name: str, nested: bool, device: torch.device) -> None:
+    """Masks say which pixels were pasted, whatever was done before and after."""
+    size = (3, 6, 8) if name.endswith("3D") else (6, 8)
+    flip = A.RandomHorizontalFlip3D(p=0.5) if name.endswith("3D") else A.RandomHorizontalFlip(p=0.5)
+    masks = torch.randint(0, 5, (8, *size), generator=torch.Generator().manual_seed(1)).to(device)
+    images = masks[:, None].float() + 10
+    transplant = getattr(A, name)(excluded_labels=[0], p=0.6)
+    children = [flip, A.ImageSequential(transplant, flip)] if nested else [flip, transplant, flip]
+    augment = A.AugmentationSequential(*children, data_keys=["input", "mask"])
+    for seed in (3, torch.arange(8), None):
+        y, moved = augment(images, masks, seed=seed)
+        assert torch.equal(y, moved[:, None].float() + 10) and not torch.equal(y, images)
+        again = augment(images, masks, params=augment._params)
+        assert torch.equal(again[0], y) and torch.equal(again[1], moved)
+        with_channel = augment(images, masks[:, None], params=augment._params)
+        assert torch.equal(with_channel[1][:, 0], moved)
+        assert torch.equal(augment(images, params=augment._params, data_keys=["input"]), y)
+    assert torch.equal(augment(images, masks, seed=3)[0], augment(images, masks, seed=3)[0])
+    with pytest.raises(ValueError, match=f"{name}: expected a mask among the data_keys"):
+        augment(images, data_keys=["input"])
+    with pytest.raises(NotImplementedError, match=f"{name}: labels cannot be mixed"):
+        augment(images, masks, torch.arange(8), data_keys=["input", "mask", "class"])

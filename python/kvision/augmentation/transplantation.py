@@ -32,7 +32,8 @@ class _WordGenerator(RandomGeneratorBase):
 class RandomTransplantation(MixAugmentationBaseV2):
     """Paste the region of a random label of one sample into the next one, in images and masks.
 
-    The donor of a sample is the one before it in the batch. All labels that the donor's mask has are equally likely.
+    The donor of a sample is the one before it in the batch. All labels that the donor's mask has are equally likely. In
+    containers the labels are those of the first mask.
     Source: Sellner and others, Semantic segmentation of surgical hyperspectral images under geometric domain shifts, MICCAI
     2023.
 
@@ -111,29 +112,52 @@ class RandomTransplantation(MixAugmentationBaseV2):
         masks = input[keys.index(DataKey.MASK)]
         execution = self._transplants(masks, params, seed, generator)
         self._execution = execution
-        drawn = self._read_params(execution)
-        donors, selection = drawn["donor_indices"].to(masks.device), drawn["selection"].to(masks.device)
-        acceptors = drawn["acceptor_indices"].to(masks.device)
-        outputs = []
-        is_next = execution.columns is not None and execution.applied  # every sample receives from the one before it
-        for key, x in zip(keys, input):
-            extra = x.dim() - masks.dim()
-            if x.shape[0] != masks.shape[0] or extra not in (0, 1) or x.shape[1 + extra :] != masks.shape[1:]:
-                raise ShapeError(
-                    f"{op}: expected {key.name.lower()} of the size of masks {tuple(masks.shape)}, got {tuple(x.shape)}"
-                )
-            chosen = selection[:, None] if extra else selection
-            if is_next:
-                outputs.append(torch.where(chosen, x.roll(1, 0), x))
-                continue
-            pasted = torch.where(chosen, x[donors], x[acceptors])
-            outputs.append(x.index_copy(0, acceptors, pasted) if acceptors.numel() else x)
+        outputs = [self._pasted(key, x, execution) for key, x in zip(keys, input)]
         return outputs[0] if len(outputs) == 1 else outputs
 
-    def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
-        raise NotImplementedError(
-            f"{type(self).__name__}: expected to be called by itself, on images and masks: containers augment images first"
-        )
+    def _pasted(self, key: DataKey, x: Tensor, execution: Execution) -> Tensor:
+        """Images or masks with the regions of an execution, whose shape is that of the masks."""
+        drawn, shape = self._read_params(execution), execution.shape
+        donors, selection = drawn["donor_indices"].to(x.device), drawn["selection"].to(x.device)
+        acceptors = drawn["acceptor_indices"].to(x.device)
+        extra = x.dim() - len(shape)
+        if x.shape[0] != shape[0] or extra not in (0, 1) or x.shape[1 + extra :] != shape[1:]:
+            raise ShapeError(
+                f"{type(self).__name__}: expected {key.name.lower()} of the size of masks {shape}, got {tuple(x.shape)}"
+            )
+        chosen = selection[:, None] if extra else selection
+        if execution.columns is not None and execution.applied:  # every sample receives from the one before it
+            return torch.where(chosen, x.roll(1, 0), x)
+        pasted = torch.where(chosen, x[donors], x[acceptors])
+        return x.index_copy(0, acceptors, pasted) if acceptors.numel() else x
+
+    # --- in containers, which hand over the masks as they are by then ---
+
+    needs_masks = True
+
+    def _run_with_masks(
+        self, x: Tensor, masks: Any, params: Params | None, seed: Seed, generator: Generator | None
+    ) -> tuple[Tensor, Execution]:
+        op = type(self).__name__
+        if masks is None and params is not None and "selection" in params:
+            masks = x[:, 0]  # of which only the size counts
+        if masks is None:
+            raise ValueCheckError(f"{op}: expected a mask among the data_keys of the container")
+        if not isinstance(masks, Tensor):
+            raise TypeCheckError(f"{op}: expected mask to be a Tensor, got {type(masks).__name__}")
+        if masks.dim() == x.dim() and masks.shape[1] == 1:
+            masks = masks[:, 0]
+        if masks.dim() != x.dim() - 1:
+            raise ShapeError(f"{op}: expected masks of one channel, got {tuple(masks.shape)}")
+        execution = self.__dict__["_execution"] = self._transplants(masks, params, seed, generator)
+        execution.params = {**self._read_params(execution), "forward_input_shape": torch.tensor(x.shape)}
+        return self._pasted(DataKey.INPUT, x, execution), execution
+
+    def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        return self._pasted(DataKey.MASK, masks, execution)
+
+    def _mixed_labels(self, key: DataKey, labels: Any, execution: Execution, boxes: int | None) -> Any:
+        raise self._refuse({DataKey.KEYPOINTS: "key points", DataKey.CLASS: "labels"}.get(key, "boxes"))
 
     def _transplants(self, masks: Tensor, params: Params | None, seed: Seed, generator: Generator | None) -> Execution:
         """An execution whose parameters say which pixels of which donors go where."""
@@ -220,3 +244,5 @@ class RandomTransplantation3D(RandomTransplantation):
         >>> [x.shape for x in K.augmentation.RandomTransplantation3D(p=1.0)(volumes, masks)]
         [torch.Size([2, 1, 2, 3, 4]), torch.Size([2, 2, 3, 4])]
     """
+
+    axes = 4

@@ -266,7 +266,12 @@ class AugmentationSequential(ImageSequential):
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
-        y = self._execute(x, params, self._source(seed, generator, has_labels=len(keys) > 1))
+        source = self._source(seed, generator, has_labels=len(keys) > 1)
+        if DataKey.MASK in keys:
+            masks = inputs[keys.index(DataKey.MASK)]
+            state["_shape"] = tuple(x.shape)  # with which masks are compared
+            source = source._replace(masks=lambda stages: self._moved(DataKey.MASK, masks, stages))
+        y = self._execute(x, params, source)
         state["_result_size"] = tuple(y.shape[2:])
         outputs = []
         for i, (key, value) in enumerate(zip(keys, inputs)):

@@ -16,7 +16,7 @@ decided once for them.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -78,6 +78,7 @@ class Randomness(NamedTuple):
     position: int = 0  # of the first child in the chain, under a seed
     time: int = 0  # how many neighboring samples are the frames of a video; 0 for images
     has_labels: bool = False  # which follow the images, so that maps are kept for them
+    masks: Callable[[Sequence[Stage]], Any] | None = None  # those of the images after stages, for what mixes by them
 
     @property
     def seed_of_samples(self) -> Seed:
@@ -100,11 +101,15 @@ def execute(
     runs = _runs(children, source.plans)
     for i, run in enumerate(runs):
         own = source if i == len(runs) - 1 else source._replace(output=SAME)
-        if isinstance(run[0].module, AugmentationBase):
+        if getattr(run[0].module, "needs_masks", False):
+            x, stage = _execute_with_masks(x, run[0], source, stages, position)
+            stages.append(stage)
+        elif isinstance(run[0].module, AugmentationBase):
             x, more = _execute_run(x, run, own, position)
             stages += more
         else:
-            x, stage = _execute_module(x, run[0], source._replace(position=_position_inside(position)))
+            inside = source._replace(position=_position_inside(position), masks=_masks_after(stages, source.masks))
+            x, stage = _execute_module(x, run[0], inside)
             if own.output != SAME:
                 x, _ = make_pass(None, output=own.output).run(x, None)
             stages.append(stage)
@@ -114,6 +119,25 @@ def execute(
     return x, stages
 
 
+def _masks_after(stages: Sequence[Stage], masks: Any) -> Any:
+    """The masks for a container inside, whose stages follow those before it."""
+    before = list(stages)
+    return None if masks is None else lambda inside: masks([*before, *inside])
+
+
+def _execute_with_masks(
+    x: Tensor, child: Child, source: Randomness, stages: Sequence[Stage], position: int
+) -> tuple[Tensor, Stage]:
+    """An augmentation of images by their masks."""
+    module: Any = child.module
+    masks = None if source.masks is None else source.masks(stages)
+    seed = source.seed_of_samples
+    if seed is not None:
+        seed = seed + ((position + 1) << 32)  # as a seed is that of a chain of one
+    y, child.execution = module._run_with_masks(x, masks, child.params, seed, source.generator)
+    return y, Applied(module, child.execution, module.flags)
+
+
 def _position_inside(position: int) -> int:
     """Where the chain of a container begins that is a child at a position, so that its draws are not those of others."""
     return (position + 1) * 256 % (1 << 20)
@@ -121,7 +145,7 @@ def _position_inside(position: int) -> int:
 
 def _key(x: Tensor, children: Sequence[Child], source: Randomness, position: int) -> Hashable:
     """The key of the plan of a run: all that it depends on besides the settings of modules."""
-    _, seed, _, once, _, output, frames, _, time, _ = source
+    _, seed, _, once, _, output, frames, _, time, *_ = source
     modules = [(id(child.module), child.params is None) for child in children]
     return (x.shape, x.dtype, position, seed is None, once, output, frames, time, *modules)
 
@@ -159,7 +183,8 @@ def _lengths_of_runs(children: Sequence[Child]) -> list[int]:
 
 def _has_known_size(child: Child) -> bool:
     """Whether the size of the result is known before the augmentation runs."""
-    return isinstance(child.module, AugmentationBase) and not child.module._is_customized()
+    module = child.module
+    return isinstance(module, AugmentationBase) and not module._is_customized() and not hasattr(module, "needs_masks")
 
 
 def _execute_module(x: Tensor, child: Child, source: Randomness) -> tuple[Tensor, Stage]:

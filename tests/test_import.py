@@ -76,8 +76,10 @@ K.utils.eye_like(3, x)
 """
 
 
-def test_first_calls_load_no_compiler_and_take_little() -> None:
+def test_first_calls_load_no_compiler_and_take_little(device: torch.device) -> None:
     """Filters promise .15 s of CPU over torch, everything .9 s; the test allows half as much again, for slow machines."""
+    if device.type == "cuda":
+        pytest.skip("the library of CUDA kernels takes as long again")
     filters = FIRST_CALLS[: FIRST_CALLS.index("K.color")]
     program = f"""
 import os, sys, time, torch

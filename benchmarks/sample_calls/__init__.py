@@ -58,6 +58,7 @@ WITHOUT_SAMPLE = {
         "reads and writes files",
     ),
     **dict.fromkeys(("image.image_to_tensor", "image.image_list_to_tensor"), "takes NumPy arrays"),
+    **dict.fromkeys(("image.to_tensor", "image.to_numpy", "image.to_pil"), "converts images of other libraries"),
     **dict.fromkeys(("image.perform_keep_shape_image", "image.perform_keep_shape_video"), "decorates functions"),
     "image.print_image": "prints",
     "image.image_to_string": "gives a string",

@@ -29,8 +29,11 @@ inline bool is_contiguous_row(Tensor const& x) {
 
 inline std::string extent_text(Extent extent) {
   std::string text = "(B";
-  if (extent.rows) text += ", " + std::to_string(extent.rows);
-  if (extent.columns) text += ", " + std::to_string(extent.columns);
+  for (auto const number : {extent.rows, extent.columns})
+    if (number) {
+      text += ", ";
+      text += std::to_string(number);
+    }
   return text + ")";
 }
 

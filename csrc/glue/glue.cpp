@@ -62,10 +62,8 @@ int64_t bytes_of(ScalarType type) {
 
 }  // namespace
 
-MessagePart::MessagePart(double number) {
-  char digits[32];
-  snprintf(digits, sizeof digits, "%g", number);
-  text = digits;
+MessagePart::MessagePart(double number) : text(32, '\0') {
+  text.resize(snprintf(text.data(), text.size(), "%g", number));
 }
 
 void fail(std::initializer_list<MessagePart> message) {

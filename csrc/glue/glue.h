@@ -20,7 +20,8 @@ using torch::stable::Tensor;
 
 // --- checks ----------------------------------------------------------------------------------------------------------
 
-// A word, a number or a name in a message.
+// A word, a number or a name in a message. Strings are made and appended to, but not assigned or inserted into, here
+// and wherever else the libraries have them: what GCC 13 compiles of that needs its own libstdc++.
 struct MessagePart {
   std::string text;
   MessagePart(char const* text) : text(text) {}

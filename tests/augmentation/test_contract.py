@@ -288,7 +288,7 @@ def test_gradient_of_images(case: Augmentation) -> None:
 @names
 def test_wrong_inputs(case: Augmentation) -> None:
     augment = case.make()
-    with pytest.raises(TypeError, match=f"{case.name}: expected input to be a Tensor, got list"):
+    with pytest.raises(TypeError, match=f"{case.name}: expected input to be .*, got a list of 1"):
         augment([1.0])
     with pytest.raises(TypeError, match=f"{case.name}: .*int64"):
         augment(torch.zeros(1, 3, 8, 8, dtype=torch.int64))

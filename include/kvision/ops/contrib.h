@@ -9,6 +9,8 @@ inline constexpr Operator<"connected_components", Tensor(Tensor input)> connecte
 inline constexpr Operator<"distance_transform_step",
                           Two(Tensor grown, Tensor total, Tensor kernel, double distance, double h)>
     distance_transform_step{no_gradient};
+inline constexpr Operator<"distance_transform_exact", Tensor(Tensor input)> distance_transform_exact{
+    non_differentiable};
 
 namespace detail {
 

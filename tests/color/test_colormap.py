@@ -50,6 +50,13 @@ def test_levels_map_to_colors(device):
     assert (shown[0, 0, 0] * 4).tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4]
 
 
+def test_no_gradient_goes_to_the_image():
+    table, x = C.ColorMap("jet"), torch.rand(1, 1, 4, 5, requires_grad=True)
+    assert not C.apply_colormap(x, table).requires_grad
+    table.colors.requires_grad_()
+    assert C.apply_colormap(x, table).requires_grad
+
+
 def test_range_is_decided_channel_by_channel(device):
     table = C.ColorMap("jet", device=device)
     x = torch.rand(2, 2, 4, 5, device=device)

@@ -140,8 +140,12 @@ def test_kmeans(kornia, dtype):
     kmeans = C.KMeans(3, None, tolerance=None, max_iterations=3, seed=0)
     with pytest.raises(TypeError, match="after fit"):
         _ = kmeans.cluster_centers
+    state = torch.get_rng_state()
     kmeans.fit(points)
     assert kmeans.cluster_centers.shape == (3, 2)
+    first = kmeans.cluster_centers
+    kmeans.fit(points)
+    assert torch.equal(kmeans.cluster_centers, first) and torch.equal(torch.get_rng_state(), state)
 
 
 @pytest.mark.parametrize(

@@ -187,7 +187,7 @@ def _apply(x: Tensor, colors: Tensor) -> Tensor:
             actual_shape=x.shape,
         )
     colors = _check.to_device_of("apply_colormap", x, "colormap", colors, of="input_tensor")
-    x = x if x.dim() == 4 else x[None]
+    x = (x if x.dim() == 4 else x[None]).detach()  # the gradient goes to the colors
     if x.is_floating_point():
         x = x if x.dtype == torch.float64 else x.float()
         white = torch.where((x > 1).flatten(2).any(2), 255.0, 1.0).to(x.dtype)

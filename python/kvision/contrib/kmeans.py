@@ -17,7 +17,8 @@ class KMeans:
         cluster_centers: first centers (num_clusters, D); None for that many of the points, drawn at random.
         tolerance: stop when the square of the summed movements of the centers is at most this; None for no such limit.
         max_iterations: stop after that many rounds; 0 for no such limit, which needs a tolerance.
-        seed: set torch's generator, which draws the first centers and new ones for centers without points; None does not.
+        seed: of the generator that draws the first centers and new ones for centers without points, in every fit;
+            None for torch's.
 
     Raises:
         TypeCheckError: arguments of the wrong type.
@@ -53,8 +54,7 @@ class KMeans:
         self._first_centers = cluster_centers
         self._centers = cluster_centers
         self._assignments: Tensor | None = None
-        if seed is not None:
-            torch.manual_seed(seed)
+        self._seed = seed
 
     @property
     def cluster_centers(self) -> Tensor:
@@ -100,11 +100,12 @@ class KMeans:
         if X.shape[0] == 0:
             raise ShapeError("KMeans: expected X with at least one point, got none", actual_shape=X.shape)
         n = self.num_clusters
+        generator = None if self._seed is None else torch.Generator(X.device).manual_seed(self._seed)
         centers = self._first_centers
         if centers is None:
             if X.shape[0] < n:
                 raise ShapeError(f"KMeans: expected X of at least {n} points, got {tuple(X.shape)}")
-            centers = X[torch.randperm(X.shape[0], device=X.device)[:n]]
+            centers = X[torch.randperm(X.shape[0], generator=generator, device=X.device)[:n]]
         self._check_columns(X, centers)
         # With a tolerance every round waits for the device, so this look at the points costs nothing more.
         if (self.tolerance is not None or X.is_cpu) and not X.isfinite().all():
@@ -116,7 +117,7 @@ class KMeans:
             members.scatter_(0, nearest[None], 1)
             counts = members.sum(1, keepdim=True)
             means = members @ points / counts.clamp_min(1)
-            spare = points[torch.randint(X.shape[0], (n,), device=X.device)]
+            spare = points[torch.randint(X.shape[0], (n,), generator=generator, device=X.device)]
             previous, centers = centers, torch.where(counts == 0, spare, means).to(X.dtype)
             rounds += 1
             moved = (_promoted(centers) - _promoted(previous)).norm(dim=1).sum()

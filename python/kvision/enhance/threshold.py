@@ -66,7 +66,7 @@ def threshold(
         type: a :class:`ThresholdType` or its number.
 
     Returns:
-        A tensor of the input's shape and type. Integers saturate.
+        A tensor of the input's shape and type, differentiable in what is taken over into it. Integers saturate.
 
     Raises:
         TypeCheckError: input is not a real tensor; thresh or maxval is neither number nor tensor; type is not an int.
@@ -93,9 +93,12 @@ def threshold(
         raise NotImplementedError("threshold: THRESH_OTSU is kvision.filters.otsu_threshold")
     _check.choice("threshold", "type", int(type), [int(t) for t in ThresholdType if t < ThresholdType.THRESH_OTSU])
     if input.is_floating_point():
-        values = _values(type, thresh, maxval)
-        slots = [broadcast(v, input) if isinstance(v, Tensor) else v for v in values]
-        return shaped(_threshold(as_batch(input), *slots, *_kept(type)), input)
+        limit, *results = _values(type, thresh, maxval)
+        # Neither the comparison nor an image that is only compared has a gradient.
+        limit = limit.detach() if isinstance(limit, Tensor) else limit
+        slots = [broadcast(v, input) if isinstance(v, Tensor) else v for v in (limit, *results)]
+        x = input if any(_kept(type)) else input.detach()
+        return shaped(_threshold(as_batch(x), *slots, *_kept(type)), input)
     if input.dtype == torch.uint8 and not isinstance(thresh, Tensor) and not isinstance(maxval, Tensor):
         level = math.floor(max(-1.0, min(thresh, 255.0)))
         above, below = (math.floor(max(0.0, min(v, 255.0))) / 255 for v in _values(type, level, maxval)[1:])

@@ -419,6 +419,15 @@ class OpTests:
         x, kwargs = self.setup(variant, device, torch.float32)
         self.check_gradients(with_layout(x, layout) if x.dim() == 4 else x, kwargs)
 
+    @pytest.mark.native
+    def test_gradient_at_ties_and_bounds(self, variant, device):
+        """Values of exactly 0, 1/2 and 1, half of them the same in all channels: kernels and references follow one rule."""
+        self.needs_gradient()
+        x, kwargs = self.setup(variant, device)
+        x = (2 * x).round() / 2
+        x[..., : x.shape[-1] // 2] = x[:, :1, ..., : x.shape[-1] // 2]
+        self.check_gradients(x, kwargs)
+
     @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16], ids=str)
     def test_gradient_in_half(self, variant, dtype, device):
         self.needs_gradient()

@@ -42,7 +42,7 @@ template <class V>
 KV_HD void hsv_u8(V (&c)[3]) {
   using F = Scalar<V>;
   for (int i = 0; i < 3; ++i) c[i] = floor_value(c[i] * F(255) + F(0.5));
-  V const v = nan_max(nan_max(c[0], c[1]), c[2]), range = v - nan_min(nan_min(c[0], c[1]), c[2]);
+  V const v = largest(c), range = v - smallest(c);
   V const inverse_v = floor_value(reciprocal(clamp_min(v, F(1))) * F(255 * 4096) + F(0.5));
   V const inverse_range = floor_value(reciprocal(clamp_min(range, F(1))) * F(30 * 4096) + F(0.5));
   V const high = floor_value(inverse_v * F(1. / 4096)),
@@ -80,14 +80,14 @@ KV_HD V saturation_limit(ChannelRange<V> const& s) {
   using F = Scalar<V>;
   auto const gray = s.range == F(0);
   V const one = constant<V>(F(1));
-  return select(gray, one, clamp_min(s.maximum, F(0)) / select(gray, one, s.range));
+  return select(gray, one, quotient(clamp_min(s.maximum, F(0)), select(gray, one, s.range)));
 }
 template <class V, class U>
 KV_HD void adjust_saturation(V (&c)[3], U const& factor) {
   using F = Scalar<V>;
   ChannelRange<V> const s(c);
   V const requested = clamp_min(promote<V>(factor), F(0)), limit = saturation_limit(s);
-  V const scale = select(limit > requested, requested, limit);
+  V const scale = select(limit < requested, limit, requested);
   for (int i = 0; i < 3; ++i) c[i] = s.maximum - (s.maximum - c[i]) * scale;
 }
 template <class V>
@@ -95,15 +95,17 @@ KV_HD void adjust_saturation_vjp(V const (&c)[3], V (&g)[3], Scalar<V> factor) {
   using F = Scalar<V>;
   ChannelRange<V> const s(c);
   V const requested = constant<V>(factor > F(0) ? factor : F(0)), limit = saturation_limit(s), zero = constant<V>(F(0));
-  V const scale = select(limit > requested, requested, limit), total = g[0] + g[1] + g[2];
-  V grad_limit = zero, grad_colors[3];
-  for (int i = 0; i < 3; ++i) grad_limit = grad_limit - g[i] * (s.maximum - c[i]);
+  auto const limited = limit < requested;
+  V const scale = select(limited, limit, requested), total = g[0] + g[1] + g[2];
+  V weighted = zero;
+  for (int i = 0; i < 3; ++i) weighted = weighted - g[i] * (s.maximum - c[i]);
   auto const gray = s.range == F(0);
-  V const inverse_range = reciprocal(select(gray, constant<V>(F(1)), s.range));
-  grad_limit = select(limit > requested, zero, select(gray, zero, grad_limit * inverse_range));
-  V const grad_maximum = total - total * scale + select(s.maximum < F(0), zero, grad_limit);
-  channel_range_vjp(c, grad_colors, s, F(0), grad_maximum, V(-grad_limit * limit), zero);
-  for (int i = 0; i < 3; ++i) g[i] = g[i] * scale + grad_colors[i];
+  // limit is clamp(maximum) / range
+  V const grad_clamped = select(limited, quotient(weighted, select(gray, constant<V>(F(1)), s.range)), zero);
+  V const grad_range = select(limited, -grad_clamped * limit, zero);
+  V const grad_maximum = total - total * scale + select(s.maximum < F(0), zero, grad_clamped) + grad_range;
+  for (auto& x : g) x = x * scale;
+  channel_range_vjp(c, g, s, grad_maximum, V(-grad_range));
 }
 
 template <class V, class G, class U>
@@ -145,15 +147,19 @@ template <class V, class U>
 KV_HD void adjust_hue(V (&c)[3], U const& angle) {
   using F = Scalar<V>;
   ChannelRange<V> const s(c);
-  V const sixths = hue_sixths(c, s, F(0)) + angle * F(6 / kTwoPi);
+  V const sixths = hue_sixths(c, s, hue_offset(c, s, F(0))) + angle * F(6 / kTwoPi);
   hue_to_rgb(c, sixths, s.maximum, s.range);
 }
+// The gradient of the hue is divided by the range, and that of hue_to_rgb multiplied by it: neither is needed.
 template <class V>
 KV_HD void adjust_hue_vjp(V const (&c)[3], V (&g)[3], Scalar<V> angle) {
   using F = Scalar<V>;
   ChannelRange<V> const s(c);
-  HueToRgbVjp<V> const vjp(g, V(hue_sixths(c, s, F(0)) + angle * F(6 / kTwoPi)), s.range);
-  channel_range_vjp(c, g, s, F(0), vjp.v, vjp.chroma, vjp.sixths);
+  V const offset = hue_offset(c, s, F(0));
+  HueToRgbVjp<V> const vjp(g, V(hue_sixths(c, s, offset) + angle * F(6 / kTwoPi)));
+  V const grad_difference = select(s.range == F(0), constant<V>(F(0)), vjp.sixths);
+  hue_vjp(c, g, s, grad_difference, offset);
+  channel_range_vjp(c, g, s, V(vjp.v + vjp.chroma), V(grad_difference * offset - vjp.chroma));
 }
 
 // In [0, 2 pi), also after rounding.
@@ -176,15 +182,45 @@ KV_HD V standardize(V const& x, U const& mean, U const& deviation) {
   return (x - mean) * reciprocal(deviation);
 }
 
-// gain x^exponent. Black has no finite derivative for exponents below 1, so its derivative is 0. It stays black unless
-// the exponent is 0.
-template <class V, class U>
-KV_HD V gamma(V const& x, U const& exponent, U const& gain) {
+// The logarithm of positive numbers, denormal ones included.
+template <class V>
+KV_HD V log2_of_denormal(V const& x) {
   using F = Scalar<V>;
-  V const e = promote<V>(exponent), one = constant<V>(F(1));
-  auto const dark = x <= F(0);  // false for NaN, which stays
-  V const black = select(e > F(0), constant<V>(F(0)), select(e < F(0), constant<V>(F(2)), one));
-  return select(dark, black, exp2_of(log2_of(select(dark, one, x)) * e)) * gain;
+  constexpr F normal = sizeof(F) == 4 ? F(0x1p-126) : F(0x1p-1022), up = sizeof(F) == 4 ? F(0x1p24) : F(0x1p53);
+  auto const denormal = x < normal;
+  V const y = log2_of(select(denormal, x * up, x));
+  return select(denormal, y - F(sizeof(F) == 4 ? 24 : 53), y);
+}
+// x^exponent, where numbers below 0 count as 0. The slope is at most 2^100, and 0 at 0 for exponents below 1.
+template <class V, class U>
+KV_HD V power_from_zero(V const& x, U const& exponent) {
+  using F = Scalar<V>;
+  if constexpr (kIsDual<V>) {
+    using Value = decltype(x.value);
+    Value e;
+    if constexpr (kIsDual<U>)
+      e = exponent.value;
+    else
+      e = promote<Value>(exponent);
+    Value const zero = constant<Value>(F(0)), one = constant<Value>(F(1));
+    auto const dark = x.value <= F(0);
+    Value const log = log2_of_denormal(select(dark, one, x.value));
+    Value const slope = select(dark, select((x.value == F(0)) & (e == F(1)), one, zero),
+                               exp2_of(clamp_max(Value((e - F(1)) * log), F(100))) * e);
+    V y = x;
+    y.value = power_from_zero(x.value, e);
+    for (auto& d : y.d) d = d * slope;
+    if constexpr (kIsDual<U>) {
+      Value const by_exponent = select(dark, zero, y.value * log * F(0.69314718055994530942));
+      for (int i = 0; i < int(sizeof(y.d) / sizeof(y.d[0])); ++i) y.d[i] = y.d[i] + exponent.d[i] * by_exponent;
+    }
+    return y;
+  } else {
+    V const e = promote<V>(exponent), zero = constant<V>(F(0)), one = constant<V>(F(1));
+    auto const dark = x <= F(0);  // false for NaN, which stays
+    V const black = select(e > F(0), zero, select(e < F(0), constant<V>(F(2)), one));
+    return select(dark, black, exp2_of(log2_of_denormal(select(dark, one, x)) * e));
+  }
 }
 
 template <class V, class U>

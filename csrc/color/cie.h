@@ -156,7 +156,7 @@ KV_HD void rgb_to_luv(V (&c)[3], Scalar<V> eps) {
   linear_to_xyz(c);
   V const l = map_scalar(c[1], Lightness());
   V const total = c[0] + c[1] * F(15) + c[2] * F(3) + eps;
-  V const scale = reciprocal(select(total == F(0), constant<V>(F(1)), total));
+  V const scale = reciprocal(select(absolute(total) < F(0x1p-100), constant<V>(F(1)), total));
   V const u = c[0] * F(4) * scale, v = c[1] * F(9) * scale;
   c[0] = l;
   c[1] = l * (u - F(kWhiteU)) * F(13);

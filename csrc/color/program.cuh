@@ -8,12 +8,17 @@
 #include "core/block_reduce.cuh"
 #include "core/launch.cuh"
 #include "core/nan_min_max.cuh"
+#include "core/reciprocal.cuh"
 
 namespace kv::color {
 
 // The functions of numbers that steps.h uses. In double, logarithms and powers are not inlined: inlined, they take
 // longer to compile than everything else.
-__device__ __forceinline__ float log2_of(float x) { return fast_log2(x); }
+__device__ __forceinline__ float log2_of(float x) {
+  float y;
+  asm("lg2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return y;
+}
 __device__ __forceinline__ float exp2_of(float x) { return fast_exp2(x); }
 inline __device__ __noinline__ double log2_of(double x) { return fast_log2(x); }
 inline __device__ __noinline__ double exp2_of(double x) { return fast_exp2(x); }
@@ -28,6 +33,12 @@ __device__ __forceinline__ float reciprocal(float x) {
   return y;
 }
 __device__ __forceinline__ double reciprocal(double x) { return 1 / x; }
+// The instruction takes denormal numbers for 0: where b is so small, both are scaled first.
+__device__ __forceinline__ float quotient(float a, float b) {
+  float const scale = fabsf(b) < 0x1p-100f ? 0x1p100f : 1.f;
+  return a * scale * fast_reciprocal(b * scale);
+}
+__device__ __forceinline__ double quotient(double a, double b) { return a / b; }
 using kv::nan_max;
 using kv::nan_min;
 // Minimum, maximum and comparisons take twice as long as sums and products, which saturate for free. Saturated, NaN is

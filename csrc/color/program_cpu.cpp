@@ -48,6 +48,10 @@ template <class V, class F = decltype(V{}[0] + 0)>
 KV_HD V reciprocal(V x) {
   return 1 / x;
 }
+template <class V, class F = decltype(V{}[0] + 0)>
+KV_HD V quotient(V a, V b) {
+  return a / b;
+}
 // min and max keep a first operand that is NaN.
 template <class V, class F = decltype(V{}[0] + 0)>
 KV_HD V nan_max(V a, V b) {

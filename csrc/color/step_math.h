@@ -1,6 +1,6 @@
 // The functions that formulas of color steps use: functions of Duals, clipping, powers, affine maps. Included by
-// steps.h and the files of formulas, after log2_of, exp2_of, floor_of, absolute, reciprocal, nan_max and nan_min of
-// numbers and Lanes.
+// steps.h and the files of formulas, after log2_of, exp2_of, floor_of, absolute, reciprocal, quotient, nan_max and
+// nan_min of numbers and Lanes.
 #pragma once
 
 #include "core/dual.h"
@@ -29,6 +29,21 @@ KV_HD Dual<V, N> reciprocal(Dual<V, N> a) {
   for (int i = 0; i < N; ++i) a.d[i] = a.d[i] * derivative;
   return a;
 }
+// 1 / b in derivatives, which stay finite: no more than a sixteenth of the largest number.
+template <class V>
+KV_HD V finite_reciprocal(V const& b) {
+  using F = Scalar<V>;
+  constexpr F smallest = sizeof(F) == 4 ? F(0x1p-124) : F(0x1p-1020);
+  return reciprocal(select(absolute(b) < smallest, constant<V>(smallest), b));
+}
+template <class V, int N>
+KV_HD Dual<V, N> quotient(Dual<V, N> const& a, Dual<V, N> const& b) {
+  Dual<V, N> c;
+  c.value = quotient(a.value, b.value);
+  V const inverse = finite_reciprocal(b.value);
+  for (int i = 0; i < N; ++i) c.d[i] = (a.d[i] - c.value * b.d[i]) * inverse;
+  return c;
+}
 template <class V, int N>
 KV_HD Dual<V, N> absolute(Dual<V, N> const& a) {
   return select(a.value < Scalar<V>(0), -a, a);
@@ -39,17 +54,55 @@ KV_HD V floor_of(Dual<V, N> const& a) {
   return floor_of(a.value);
 }
 
+// Where arguments tie, the derivative is split evenly among them.
 template <class V, int N>
 KV_HD Dual<V, N> nan_max(Dual<V, N> const& a, Dual<V, N> const& b) {
-  Dual<V, N> c = select(b.value <= a.value, a, b);
+  Dual<V, N> c = select(a.value > b.value, a, select(b.value > a.value, b, (a + b) * Scalar<V>(0.5)));
   c.value = nan_max(a.value, b.value);
   return c;
 }
 template <class V, int N>
 KV_HD Dual<V, N> nan_min(Dual<V, N> const& a, Dual<V, N> const& b) {
-  Dual<V, N> c = select(b.value >= a.value, a, b);
-  c.value = nan_min(a.value, b.value);
-  return c;
+  return -nan_max(-a, -b);
+}
+// 1 / n for each of the n channels that equal `extreme`, and 0 for the others.
+template <class V>
+struct TieWeights {
+  V weight[3];
+  KV_HD TieWeights(V const (&c)[3], V const& extreme) {
+    using F = Scalar<V>;
+    V const zero = constant<V>(F(0)), one = constant<V>(F(1));
+    V count = zero;
+    for (auto const& x : c) count = count + select(x == extreme, one, zero);
+    V const each = select(count > F(2), constant<V>(F(1. / 3)), select(count > F(1), constant<V>(F(0.5)), one));
+    for (int i = 0; i < 3; ++i) weight[i] = select(c[i] == extreme, each, zero);
+  }
+};
+template <class V>
+KV_HD V largest(V const (&c)[3]) {
+  return nan_max(nan_max(c[0], c[1]), c[2]);
+}
+template <class V>
+KV_HD V smallest(V const (&c)[3]) {
+  return nan_min(nan_min(c[0], c[1]), c[2]);
+}
+template <class V, int N>
+KV_HD Dual<V, N> with_even_derivatives(V const& extreme, V const (&values)[3], Dual<V, N> const (&c)[3]) {
+  TieWeights<V> const ties(values, extreme);
+  Dual<V, N> y{extreme, {}};
+  for (int i = 0; i < N; ++i)
+    y.d[i] = c[0].d[i] * ties.weight[0] + c[1].d[i] * ties.weight[1] + c[2].d[i] * ties.weight[2];
+  return y;
+}
+template <class V, int N>
+KV_HD Dual<V, N> largest(Dual<V, N> const (&c)[3]) {
+  V const values[3] = {c[0].value, c[1].value, c[2].value};
+  return with_even_derivatives(largest(values), values, c);
+}
+template <class V, int N>
+KV_HD Dual<V, N> smallest(Dual<V, N> const (&c)[3]) {
+  V const values[3] = {c[0].value, c[1].value, c[2].value};
+  return with_even_derivatives(smallest(values), values, c);
 }
 // Clamps a; NaN stays NaN.
 template <class V, class F = Scalar<V>>

@@ -1,10 +1,12 @@
 // The steps of color programs. Their formulas are in hue.h, cie.h and adjustments.h, by subject. They take a pixel c of
 // a value type V: a number, Lanes, or Duals of either, whose derivatives are those of the step. Parameters that can be
 // learned have a type U: a number, or V to differentiate along one of them. Included by program_cpu.cpp and
-// program.cuh, which first define, for numbers and Lanes, log2_of, exp2_of, floor_of, absolute, reciprocal, and nan_max
-// and nan_min, which return NaN if either argument is NaN.
+// program.cuh, which first define, for numbers and Lanes, log2_of and exp2_of of normal numbers, floor_of, absolute,
+// reciprocal, quotient, and nan_max and nan_min, which return NaN if either argument is NaN.
 //
-// Derivatives stay finite: in a branch that is not taken, divisors and bases of powers are replaced first.
+// Results and derivatives stay finite, also of denormal numbers: `quotient` divides by them, and in a branch that is
+// not taken, divisors and bases of powers are replaced first. Derivatives follow the rules of docs/conventions.md for
+// ties and for bounds.
 //
 // The Jacobian of three channels by Duals contains many zeros. The steps used most have a vjp right below their
 // formula: f_vjp(c, g) turns g, the gradient of the result of f(c), into that of c.
@@ -83,7 +85,7 @@ KV_HD void run_step(Step step, P& pixels) {
   }
   if constexpr (!takes_frequent_steps_only<P>()) {
     switch (step) {
-      KV_VALUES(gamma, clip(gamma(x, p[0], p[1]), true))
+      KV_VALUES(gamma, clip(power_from_zero(x, p[0]) * p[1], true))
       KV_VALUES(log, clip(logarithm(x, p[0], n[1] != 0), n[2] != 0))
       KV_VALUES(sigmoid, sigmoid(x, p[0], p[1], n[2] != 0))
       KV_VALUES(solarize, solarize(x, p[0], p[1], n[2] != 0))

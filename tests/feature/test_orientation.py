@@ -168,6 +168,8 @@ class TestSeveralOrientations(SquarePatchTests):
     variants = [{"count": 2}, {"count": 3, "threshold": 0.2}]
     tolerances = {torch.float32: (1e-4, 5e-5), torch.float16: (1e-2, 1e-2)}
 
+    test_gradient_at_ties_and_bounds = None  # which of equal peaks counts
+
     def input(self, shape, dtype, device):
         """Patches that grow to the right, and, half as wide, almost as much downwards."""
         if dtype == torch.uint8 or shape[-1] != shape[-2]:

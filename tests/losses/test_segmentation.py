@@ -101,6 +101,8 @@ class TestLovasz(Segmentation):
     ]
     errors = [({"target": None}, TypeError, "expected target")]
 
+    test_gradient_at_ties_and_bounds = None  # the order of errors that differ by rounding
+
     def input(self, shape, dtype, device):  # no two errors are equal but for how they were rounded
         return (6 * torch.rand(shape, dtype=torch.float64) - 3).to(dtype).to(device)
 

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision.augmentation.base import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
@@ -172,4 +173,4 @@ class RandomPlanckianJitter(IntensityAugmentationBase2D):
                 f"{_check.channels_advice(input.shape)}"
             )
         gains = constant(self._gains, input, torch.float32)[params["idx"]].to(input.dtype)
-        return (input * gains[..., None, None]).clamp(0, 1)
+        return clamp(input * gains[..., None, None], 0, 1)

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import enhance, filters
+from kvision._clamp import clamp
 from kvision.augmentation.base import AugmentationBase, Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.filters import (
@@ -333,7 +334,7 @@ class RandomAutoContrast(IntensityAugmentationBase2D):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         stretched = enhance.normalize_min_max(input)
-        stretched = stretched.clamp(0, 1) if self.clip_output else stretched
+        stretched = clamp(stretched, 0, 1) if self.clip_output else stretched
         return torch.where(has_range(input), stretched, input)
 
 

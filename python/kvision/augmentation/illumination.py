@@ -6,6 +6,7 @@ from typing import Any
 
 from torch import Tensor
 
+from kvision._clamp import clamp
 from kvision.augmentation.base import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.illumination import (
@@ -142,4 +143,4 @@ class RandomLinearCornerIllumination(IntensityAugmentationBase2D):
 
 
 def _lit(image: Tensor, params: Params) -> Tensor:
-    return (image.clamp(0, 1) + params["gradient"]).clamp(0, 1)
+    return clamp(clamp(image, 0, 1) + params["gradient"], 0, 1)

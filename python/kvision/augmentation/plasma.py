@@ -9,6 +9,7 @@ from typing import Any
 
 from torch import Tensor
 
+from kvision._clamp import clamp
 from kvision.augmentation.base import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
@@ -55,7 +56,7 @@ class RandomPlasmaBrightness(IntensityAugmentationBase2D):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         change = (2 * params["plasma"] - 1) * params["intensity"][:, None, None, None]
-        return (input.clamp(0, 1) + change).clamp(0, 1)
+        return clamp(clamp(input, 0, 1) + change, 0, 1)
 
 
 class RandomPlasmaContrast(IntensityAugmentationBase2D):
@@ -92,7 +93,7 @@ class RandomPlasmaContrast(IntensityAugmentationBase2D):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        return ((input.clamp(0, 1) - 0.5) * (4 * params["plasma"]) + 0.5).clamp(0, 1)
+        return clamp((clamp(input, 0, 1) - 0.5) * (4 * params["plasma"]) + 0.5, 0, 1)
 
 
 class RandomPlasmaShadow(IntensityAugmentationBase2D):
@@ -142,4 +143,4 @@ class RandomPlasmaShadow(IntensityAugmentationBase2D):
     ) -> Tensor:
         intensity, quantity = (params[name][:, None, None, None] for name in ("shade_intensity", "shade_quantity"))
         shade = (params["plasma"] < quantity) * intensity
-        return (input.clamp(0, 1) + shade).clamp(0, 1)
+        return clamp(clamp(input, 0, 1) + shade, 0, 1)

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision.augmentation.base import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
@@ -129,7 +130,7 @@ class RandomSnow(IntensityAugmentationBase2D):
             raise ShapeError(
                 f"RandomSnow: expected images with 3 channels, got {tuple(input.shape)}{_check.channels_advice(input.shape)}"
             )
-        hue, lightness, saturation = rgb_to_hls(input.clamp(0, 1)).unbind(1)
+        hue, lightness, saturation = rgb_to_hls(clamp(input, 0, 1)).unbind(1)
         limit, factor = (params[name].to(input.dtype)[:, None, None] for name in ("snow_coefficient", "brightness"))
-        lighter = torch.where(lightness < limit, (lightness * factor).clamp(0, 1), lightness)
-        return hls_to_rgb(torch.stack([hue, lighter, saturation], 1)).clamp(0, 1)
+        lighter = torch.where(lightness < limit, clamp(lightness * factor, 0, 1), lightness)
+        return clamp(hls_to_rgb(torch.stack([hue, lighter, saturation], 1)), 0, 1)

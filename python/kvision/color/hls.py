@@ -8,16 +8,16 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import apply_on_batch
-from kvision.color.hue import hue, lack
+from kvision.color.hue import hue, lack, quotient
 from kvision.color.program import step
 
 
 def _reference(x: Tensor, eps: float) -> Tensor:
-    highest, lowest = x.amax(1), x.amin(1)
-    chroma, total = highest - lowest, highest + lowest
-    room = torch.where(total < 1, total, 2 - total)  # the largest chroma at this lightness
-    saturation = chroma / torch.where(room == 0, 1, room + eps)
-    return torch.stack([hue(x, highest, chroma, eps), total / 2, saturation], 1)
+    value, lowest = x.amax(1), x.amin(1)
+    total = value + lowest
+    room = torch.minimum(total, 2 - total)  # the largest chroma at this lightness
+    saturation = quotient(value - lowest, torch.where(room == 0, 1, room + eps))
+    return torch.stack([hue(x, eps), total / 2, saturation], 1)
 
 
 def _inverse(x: Tensor) -> Tensor:

@@ -11,17 +11,16 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import apply_on_batch
 from kvision._modules import FunctionModule
-from kvision.color.hue import hue, lack
+from kvision.color.hue import hue, lack, quotient
 from kvision.color.program import arguments, run, step
 from kvision.color.steps import STEPS
 from kvision.core.exceptions import TypeCheckError
 
 
 def _reference(x: Tensor, eps: float) -> Tensor:
-    value = x.amax(1)
-    chroma = value - x.amin(1)
-    saturation = chroma / torch.where(value == 0, 1, value + eps)
-    return torch.stack([hue(x, value, chroma), saturation, value], 1)
+    value, lowest = x.amax(1), x.amin(1)
+    saturation = quotient(value - lowest, torch.where(value == 0, 1, value + eps))
+    return torch.stack([hue(x), saturation, value], 1)
 
 
 def _inverse(x: Tensor) -> Tensor:

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._dtype import floats
 from kvision._leading import apply_on_batch
 from kvision.color.linear import decoded, encoded
@@ -18,7 +19,7 @@ DARKEST_ROOT = 0.2068966
 
 
 def _root(t: Tensor) -> Tensor:
-    return torch.where(t > DARKEST, t.clamp(min=DARKEST) ** (1 / 3), SLOPE * t + FOOT)
+    return torch.where(t > DARKEST, clamp(t, DARKEST) ** (1 / 3), SLOPE * t + FOOT)
 
 
 def _cube(t: Tensor) -> Tensor:
@@ -33,10 +34,10 @@ def _reference(x: Tensor) -> Tensor:
 def _inverse(x: Tensor, clip: bool) -> Tensor:
     lightness, a, b = x.unbind(1)
     fy = (lightness + 16) / 116
-    roots = (fy + a / 500, fy, (fy - b / 200).clamp(min=0))
+    roots = (fy + a / 500, fy, clamp(fy - b / 200, 0))
     xyz = torch.stack([_cube(f) * white for f, white in zip(roots, WHITE)], 1)
     rgb = encoded(rgb_of_xyz(xyz))
-    return rgb.clamp(0, 1) if clip else rgb
+    return clamp(rgb, 0, 1) if clip else rgb
 
 
 _rgb_to_lab = step("rgb_to_lab", _reference)

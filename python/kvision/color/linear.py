@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._dtype import floats
 from kvision._leading import apply_on_batch
 from kvision.color.program import step
@@ -15,13 +16,13 @@ from kvision.color.program import step
 
 def decoded(x: Tensor) -> Tensor:
     """sRGB values to linear light."""
-    bright = ((x.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4
+    bright = ((clamp(x, 0.04045) + 0.055) / 1.055) ** 2.4
     return torch.where(x > 0.04045, bright, x / 12.92)
 
 
 def encoded(x: Tensor) -> Tensor:
     """Linear light to sRGB values."""
-    bright = 1.055 * x.clamp(min=0.0031308) ** (1 / 2.4) - 0.055
+    bright = 1.055 * clamp(x, 0.0031308) ** (1 / 2.4) - 0.055
     return torch.where(x > 0.0031308, bright, 12.92 * x)
 
 

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._dtype import floats
 from kvision._leading import apply_on_batch
 from kvision.color.linear import decoded, encoded
@@ -21,9 +22,9 @@ WHITE_U, WHITE_V = 4 * WHITE[0] / _SUM, 9 * WHITE[1] / _SUM
 
 def _reference(rgb: Tensor, eps: float) -> Tensor:
     x, y, z = xyz_of_rgb(decoded(rgb)).unbind(1)
-    lightness = torch.where(y > DARKEST, 116 * y.clamp(min=DARKEST) ** (1 / 3) - 16, SLOPE * y)
+    lightness = torch.where(y > DARKEST, 116 * clamp(y, DARKEST) ** (1 / 3) - 16, SLOPE * y)
     total = x + 15 * y + 3 * z + eps
-    total = torch.where(total == 0, 1, total)
+    total = torch.where(total.abs() < 2.0**-100, 1, total)
     u = 13 * lightness * (4 * x / total - WHITE_U)
     v = 13 * lightness * (9 * y / total - WHITE_V)
     return torch.stack([lightness, u, v], 1)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from kvision._clamp import clamp
 from kvision.color.program import step
 
 Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
@@ -34,7 +35,7 @@ def inverse(m: Matrix) -> Matrix:
 def _affine(x: Tensor, *numbers: float) -> Tensor:
     a, b, c, d, e, f, g, h, i, *offset, clip = numbers
     y = mixed(x, ((a, b, c), (d, e, f), (g, h, i))) + x.new_tensor(offset)[:, None, None]
-    return y.clamp(0, 1) if clip else y
+    return clamp(y, 0, 1) if clip else y
 
 
 _step = step("affine", _affine)

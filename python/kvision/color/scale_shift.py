@@ -5,12 +5,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from kvision._clamp import clamp
 from kvision.color.program import step
 
 
 def _scale_shift_reference(x: Tensor, factor: float | Tensor, shift: float | Tensor, clip: float | Tensor) -> Tensor:
     y = x * factor + shift
-    return y.clamp(0, 1) if clip else y
+    return clamp(y, 0, 1) if clip else y
 
 
 def _scale_shift_rgb_reference(x: Tensor, *numbers: float | Tensor) -> Tensor:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import is_compiling, register, wants_derivative, with_kernel_casts
@@ -110,7 +111,7 @@ def _approximate(x: Tensor, size: int, h: float) -> Tensor:
         return step + 1, grown, total, reached.any()  # where none is, later steps reach none
 
     sides = x.shape[2:]
-    grown = x.clamp(0, 1).contiguous()
+    grown = clamp(x, 0, 1).contiguous()
     total = torch.zeros_like(grown)
     changed = torch.ones((), dtype=torch.bool, device=x.device)
     # ONNX gets no loop: its body is traced as if it were for torch.

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision._ops import register, with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -126,7 +127,7 @@ def _tables(counts: Tensor, limit: float | Tensor | None, pixels: int) -> Tensor
         level = torch.arange(LEVELS, device=counts.device)
         spared = (level % distance == 0) & (torch.div(level, distance, rounding_mode="floor") < rest)
         counts = counts.clamp(max=limit) + torch.div(excess - rest, LEVELS) + spared.to(counts.dtype)
-    return (counts.cumsum(1) * (255 / pixels)).clamp(0, 255)
+    return clamp(counts.cumsum(1) * (255 / pixels), 0, 255)
 
 
 def _smooth_counts(tiles: Tensor) -> Tensor:

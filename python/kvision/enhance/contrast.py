@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision._modules import FunctionModule
 from kvision.color import rgb_to_grayscale as luma
@@ -19,7 +20,7 @@ def _mean_gray(x: Tensor) -> Tensor:
 
 
 def _reference(x: Tensor, factor: float | Tensor, mean: Tensor) -> Tensor:
-    return (x * factor + mean * (1 - factor)).clamp(0, 1)
+    return clamp(x * factor + mean * (1 - factor), 0, 1)
 
 
 _around_mean = step("contrast", _reference, measure=_mean_gray)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._modules import FunctionModule
 from kvision.color.program import step
 from kvision.enhance.batch import as_batch, floats, parameter, shaped
@@ -16,12 +17,13 @@ def _power(x: Tensor, exponent: float | Tensor, gain: float | Tensor) -> Tensor:
     y = torch.where(bright, x, 1) ** exponent
     # Black has no finite slope below gamma 1, so it has none at all; only gamma 0 lifts it.
     black = 1 - torch.sign(exponent.detach()) if isinstance(exponent, Tensor) else float(exponent == 0)
-    return (gain * torch.where(bright, y, black)).clamp(0, 1)
+    dark = torch.where((x == 0) & (exponent == 1), x, black)  # the slope of gamma 1 is 1 everywhere
+    return clamp(gain * torch.where(bright, y, dark), 0, 1)
 
 
 def _log(x: Tensor, gain: float | Tensor, inv: float, clip: float) -> Tensor:
     y = gain * (torch.exp2(x) - 1 if inv else torch.log2(1 + x))
-    return y.clamp(0, 1) if clip else y
+    return clamp(y, 0, 1) if clip else y
 
 
 def _sigmoid(x: Tensor, cutoff: float | Tensor, gain: float | Tensor, inv: float) -> Tensor:

@@ -10,16 +10,17 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._ops import linearize, register, vjp
 from kvision._torch_compat import in_function_transform, is_tracing
 from kvision.core.exceptions import ShapeError, ValueCheckError
 
 _KERNELS: dict[str, Callable[[Tensor], Tensor]] = {
-    "triangular": lambda u: (1 - u).clamp(min=0),
+    "triangular": lambda u: clamp(1 - u, 0),
     "gaussian": lambda u: torch.exp(-0.5 * u * u),
     "uniform": lambda u: (u <= 1).to(u.dtype),
-    "epanechnikov": lambda u: (1 - u * u).clamp(min=0),
+    "epanechnikov": lambda u: clamp(1 - u * u, 0),
 }
 
 

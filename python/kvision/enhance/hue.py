@@ -19,7 +19,7 @@ _TWO_PI = 2 * math.pi
 def _reference(x: Tensor, angle: float | Tensor) -> Tensor:
     highest = x.amax(1)
     chroma = highest - x.amin(1)
-    rotated = hue(x, highest, chroma)[:, None] + angle
+    rotated = hue(x)[:, None] + angle
     return highest[:, None] - chroma[:, None] * lack(rotated[:, 0])
 
 

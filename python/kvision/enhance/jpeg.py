@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
@@ -88,7 +89,7 @@ def _table(standard: tuple[tuple[int, ...], ...], table: Tensor | None, x: Tenso
 
 def _percent(quality: Tensor) -> Tensor:
     """How libjpeg scales the tables, (B, 1, 1): 100% at quality 50, all ones at 100, and larger steps at lower qualities."""
-    q = quality.clamp(1, 100)
+    q = clamp(quality, 1, 100)
     return _soft_floor(torch.where(q < 50, 5000 / q, 200 - 2 * q))[:, None, None]
 
 
@@ -108,7 +109,7 @@ def _soft_floor(x: Tensor) -> Tensor:
 
 def _soft_clip(x: Tensor, low: float, high: float) -> Tensor:
     """Clip softly: values outside end at most 0.02 out of bounds and keep a nonzero gradient."""
-    inside = x.clamp(low, high)
+    inside = clamp(x, low, high)
     return inside + 0.02 * (torch.sign(x - inside) * (1 - torch.exp(-(x - inside).abs())))
 
 

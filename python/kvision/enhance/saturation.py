@@ -6,8 +6,10 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._modules import FunctionModule
 from kvision.color import rgb_to_grayscale as luma
+from kvision.color.hue import quotient
 from kvision.color.program import step
 from kvision.core.exceptions import ImageError
 from kvision.enhance.batch import as_batch, colors, per_pixel, shaped
@@ -19,19 +21,19 @@ def _reference(x: Tensor, factor: float | Tensor) -> Tensor:
     v = x.amax(1, keepdim=True)
     span = v - x.amin(1, keepdim=True)
     colorful = span > 0
-    most = torch.where(colorful, v.clamp(min=0) / torch.where(colorful, span, 1), 1)
-    f = factor.clamp(min=0) if isinstance(factor, Tensor) else max(factor, 0)
-    return v - (v - x) * most.clamp(max=f)
+    most = torch.where(colorful, quotient(clamp(v, 0), torch.where(colorful, span, 1)), 1)
+    f = clamp(factor, 0) if isinstance(factor, Tensor) else max(factor, 0)
+    return v - (v - x) * torch.where(most < f, most, f)
 
 
 def _in_hsv(x: Tensor, factor: float | Tensor) -> Tensor:
     h, s, v = x.split(1, 1)
-    return torch.cat([h, (s * factor).clamp(0, 1), v], 1)
+    return torch.cat([h, clamp(s * factor, 0, 1), v], 1)
 
 
 def _from_gray(x: Tensor, factor: float | Tensor) -> Tensor:
     gray = luma(x)
-    return (gray + (x - gray) * factor).clamp(0, 1)
+    return clamp(gray + (x - gray) * factor, 0, 1)
 
 
 _adjust_saturation = step("saturation", _reference)

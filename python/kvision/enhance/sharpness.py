@@ -6,6 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision._ops import match_layout, register, vjp, with_kernel_casts
 from kvision.enhance.batch import as_batch, images, parameter, shaped
@@ -13,14 +14,14 @@ from kvision.enhance.batch import as_batch, images, parameter, shaped
 
 def _sharpened(x: Tensor, factor: float | Tensor) -> Tensor:
     if min(x.shape[2:]) < 3:  # only border pixels: the gradient of the factor is 0
-        return x.clamp(0, 1) + 0 * factor
+        return clamp(x, 0, 1) + 0 * factor
     rows = x[..., :-2, :] + x[..., 1:-1, :] + x[..., 2:, :]
     inner = x[..., 1:-1, 1:-1]
     # | 1 1 1 |
     # | 1 5 1 | / 13
     # | 1 1 1 |
-    smooth = ((rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:] + 4 * inner) / 13).clamp(0, 1)
-    return (x + F.pad((inner - smooth) * (factor - 1), (1, 1, 1, 1))).clamp(0, 1)
+    smooth = clamp((rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:] + 4 * inner) / 13, 0, 1)
+    return clamp(x + F.pad((inner - smooth) * (factor - 1), (1, 1, 1, 1)), 0, 1)
 
 
 def _reference(x: Tensor, factor: Tensor | None, number: float) -> Tensor:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from kvision._clamp import clamp
 from kvision.color.program import step
 from kvision.core.exceptions import ValueCheckError
 from kvision.enhance.batch import as_batch, floats, parameter, shaped
@@ -12,7 +13,7 @@ from kvision.enhance.batch import as_batch, floats, parameter, shaped
 
 def _reference(x: Tensor, threshold: float | Tensor, addition: float | Tensor, adds: float) -> Tensor:
     if adds:
-        x = (x + addition).clamp(0, 1)
+        x = clamp(x + addition, 0, 1)
     return torch.where(x < threshold, x, 1 - x)
 
 

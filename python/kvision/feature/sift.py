@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torch.compiler import is_compiling
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._ops import behind_grad, register, vjp
@@ -49,7 +50,7 @@ def _grid(op: str, n: int, cells: int) -> tuple[int, int]:
 
 
 def _tent(distance: Tensor, width: int) -> Tensor:
-    return (1 - distance.abs() * (2 / width)).clamp(min=0)
+    return clamp(1 - distance.abs() * (2 / width), 0)
 
 
 def _pooling(n: int, cells: int, like: Tensor) -> Tensor:
@@ -63,7 +64,7 @@ def _pooling(n: int, cells: int, like: Tensor) -> Tensor:
 def _normalized(h: Tensor, clip: float, root: bool, dim: int = 1) -> Tensor:
     """Histograms as descriptors: L2, clipped, L2; RootSIFT. Empty ones stay empty and have no gradient."""
     empty = (h == 0).all(dim, keepdim=True)
-    h = F.normalize(torch.where(empty, 1, h), dim=dim).clamp(max=clip)
+    h = clamp(F.normalize(torch.where(empty, 1, h), dim=dim), high=clip)
     h = torch.where(empty, 0, F.normalize(h, dim=dim))
     return (h / h.sum(dim, keepdim=True).clamp(min=1e-12) + _EPSILON).sqrt() if root else h
 

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._dtype import compute_dtype, floats
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry._transform_points import transformed
@@ -404,7 +405,7 @@ def _overlap(a: Tensor, b: Tensor, threshold: float) -> Tensor:
     """Masks (N, M) of the pairs of `a` (N, 4) and `b` (M, 4) whose intersection over union exceeds a threshold."""
     low = torch.maximum(a[:, None, :2], b[:, :2])
     high = torch.minimum(a[:, None, 2:], b[:, 2:])
-    both = (high - low).clamp_min(0).prod(-1)
+    both = clamp(high - low, 0).prod(-1)
     areas = [(x[:, 2:] - x[:, :2]).prod(-1) for x in (a, b)]
     return both / (areas[0][:, None] + areas[1] - both) > threshold
 

@@ -25,7 +25,7 @@ def _reference(pred: Tensor, target: Tensor, alpha: float, k: int, summed: bool)
     bound = (pred - own.to(pred.dtype)).square() * counts[:, None]
     total = torch.zeros_like(bound)
     for i in range(1, k + 1):
-        bound = (_cross_mean(bound, axes) - 0.5).clamp_min(0)
+        bound = F.relu(_cross_mean(bound, axes) - 0.5)
         low = bound.amin(axes, keepdim=True)
         span = bound.amax(axes, keepdim=True) - low
         flat = span == 0

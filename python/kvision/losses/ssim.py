@@ -7,6 +7,7 @@ import math
 from torch import Tensor
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import with_kernel_casts
@@ -15,7 +16,7 @@ from kvision.metrics.ssim import VALID, checked, checked_volumes, dissimilarity,
 
 @with_kernel_casts
 def _dissimilarity(similarity: Tensor) -> Tensor:
-    return ((1 - similarity) / 2).clamp(0, 1)
+    return clamp((1 - similarity) / 2, 0, 1)
 
 
 def ssim_loss(

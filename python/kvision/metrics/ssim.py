@@ -19,6 +19,7 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modules import FunctionModule
 from kvision._ops import Operator, register, vjp
@@ -36,8 +37,8 @@ def _similarity(
 ) -> Tensor:
     mx, my = mean(x), mean(y)
     squares, apart = mx**2 + my**2, (mx - my) ** 2
-    variance = (mean(x**2 + y**2) - squares).clamp_min(0) + c2
-    different = (mean((x - y) ** 2) - apart).clamp_min(0)
+    variance = clamp(mean(x**2 + y**2) - squares, 0) + c2
+    different = clamp(mean((x - y) ** 2) - apart, 0)
     if not luminance:
         return (variance - different + eps) / (variance + eps)
     squares = squares + c1

@@ -14,6 +14,7 @@ from torch import Generator, Tensor, nn
 
 import kvision.augmentation as A
 from kvision import _check
+from kvision._clamp import clamp
 from kvision.augmentation.base import AugmentationBase2D, Params, with_matrix
 from kvision.augmentation.base.execution import check_batch_of_params
 from kvision.augmentation.columns import draw_columns
@@ -129,12 +130,12 @@ class OperationBase(nn.Module):
         """The magnitude within its range; None for an operation without one."""
         if self._factor_name is None:
             return None
-        return self._magnitude if self.magnitude_range is None else self._magnitude.clamp(*self.magnitude_range)
+        return self._magnitude if self.magnitude_range is None else clamp(self._magnitude, *self.magnitude_range)
 
     @property
     def probability(self) -> Tensor:
         """The probability, between 0 and 1."""
-        return self._probability.clamp(*self.probability_range)
+        return clamp(self._probability, *self.probability_range)
 
     @property
     def transform_matrix(self) -> Tensor | None:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
 from kvision._ops import no_derivative, register
@@ -153,7 +154,7 @@ _MODES = ("nearest", "bilinear", "bicubic")  # by the numbers of MotionTaps in c
 _TAPS = {"nearest": (0,), "bilinear": (0, 1), "bicubic": (-1, 0, 1, 2)}
 _WEIGHT = {
     "nearest": lambda d: (d == 0).to(d.dtype),
-    "bilinear": lambda d: (1 - d).clamp(min=0),
+    "bilinear": lambda d: clamp(1 - d, 0),
     "bicubic": lambda d: torch.where(
         d <= 1,
         (1.25 * d - 2.25) * d**2 + 1,
@@ -191,7 +192,7 @@ def _reference(angle: Tensor, direction: Tensor, size: int, taps: int) -> Tensor
     if mode == "nearest":
         along, *across = (_round_to_nearest(p, center) for p in (along, *across))
 
-    start = (direction.clamp(-1, 1) + 1).reshape(-1, *(1,) * axes) / 2
+    start = (clamp(direction, -1, 1) + 1).reshape(-1, *(1,) * axes) / 2
     kernel = torch.zeros_like(along)
     for offset in _TAPS[mode]:
         tap = along.floor() + offset

@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._dtype import compute_dtype, pixels
 from kvision._modes import BORDER, BORDER_NAMES, INTERPOLATION, INTERPOLATION_NAMES
 from kvision._modules import FunctionModule
@@ -86,7 +87,7 @@ def window_weight(window: str, x: Tensor, antialias: bool) -> Tensor:
     """The window at a distance x from its center."""
     x = x.abs()
     if window == "bilinear":
-        return (1 - x).clamp(min=0)
+        return clamp(1 - x, 0)
     if window == "lanczos":
         # The value is exactly 0 at integers other than 0.
         return torch.where(x == x.round(), (x == 0).to(x.dtype), torch.sinc(x) * torch.sinc(x / 3) * (x < 3))

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modes import INTERPOLATION_NAMES, PADDING, PADDING_NAMES, WARP_FORMULA
@@ -99,12 +100,12 @@ def _taps(
 def _near_image(x: Tensor, size: int, padding: str, align_corners: bool) -> Tensor:
     """Equivalent coordinates in or near the image, with the same sampled value. NaN is out of bounds, to the left."""
     if padding != "reflection":
-        return torch.where(x > -4, x, -4.0).clamp(max=size + 3)
+        return clamp(torch.where(x > -4, x, -4.0), high=size + 3)
     period = 2 * (size - 1 if align_corners else size)
     if period == 0:
         return 0 * x.nan_to_num()  # all coordinates read the only pixel
     reflected = x - period * (x.detach() / period).floor()
-    return torch.where(reflected.isfinite(), reflected, 0.0).clamp(0, period)
+    return clamp(torch.where(reflected.isfinite(), reflected, 0.0), 0, period)
 
 
 # --- sampling coordinates of a matrix -------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION_NAMES, PADDING_NAMES
 from kvision._ops import has_pixels, register
@@ -64,7 +65,7 @@ def _displaced(displacements: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Ten
 
 def _pair(x: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
     """The two pixels around a coordinate along an axis, and the weight of the second one."""
-    x = torch.where(x >= 0, x, 0.0).clamp(max=size - 1)  # NaN is at the first pixel
+    x = clamp(torch.where(x >= 0, x, 0.0), high=size - 1)  # NaN is at the first pixel
     first = x.detach().floor().clamp(max=max(size - 2, 0))
     return first.long(), (first.long() + 1).clamp(max=size - 1), x - first
 

@@ -21,13 +21,18 @@ struct DistanceScan {
   int* squared;
 };
 
+// A pixel whose parabola is in an envelope, and its squared distance without this axis.
+struct Member {
+  int at, squared;
+};
+
 // A pass along an axis with `length` pixels, between `outer` axes before and `inner` ones after it, dense.
 template <class T>
 struct DistanceEnvelope {
   int const* squared;
   int64_t outer, length, inner;
-  int* members;  // CUDA: of each line those pixels whose parabolas are in the envelope
-  int* next;     // squared distances, or null in the last pass, which writes
+  Member* members;  // CUDA: of each line those in the envelope
+  int* next;        // squared distances, or null in the last pass, which writes
   T* distance;
 };
 
@@ -42,54 +47,53 @@ KV_HD void store_distance(DistanceEnvelope<T> const& p, int64_t at, int squared)
     p.distance[at] = squared == kNoSource ? T(INFINITY) : T(::sqrt(double(squared)));
 }
 
-// Calls put(q, squared distance) for all q of a line. squared(i) is the distance without this axis; the envelope is
-// kept by set(k, i) and read by get(k).
+// Calls put(q, squared distance) for all q of a line. squared(i) is the distance without this axis; set(k, member)
+// keeps the envelope and get(k) reads it. kAhead values, at least 2, are loaded before they are needed: a thread of a
+// GPU waits for memory.
 //
 //   a, b, c: pixels with parabolas in this order. b is nowhere the lowest if it meets a after it meets c:
 //   (F(b) - F(a)) / (b - a) >= (F(c) - F(b)) / (c - b)  with  F(i) = squared(i) + i^2
-template <class Squared, class Get, class Set, class Put>
+template <int kAhead, class Squared, class Get, class Set, class Put>
 KV_HD void lower_envelope(int length, Squared const& squared, Get const& get, Set const& set, Put const& put) {
-  auto const F = [&](int i) { return int64_t(squared(i)) + int64_t(i) * i; };
-  int count = 0, top = 0, below = 0;
-  int64_t f_top = 0, f_below = 0;
-  for (int q = 0; q < length; ++q) {
-    int const own = squared(q);
-    if (own == kNoSource) continue;
-    int64_t const f = own + int64_t(q) * q;
-    while (count > 1 && (f_top - f_below) * (q - top) >= (f - f_top) * (top - below)) {
-      top = below;
-      f_top = f_below;
-      if (--count > 1) {
-        below = get(count - 2);
-        f_below = F(below);
+  auto const F = [](Member const& m) { return int64_t(m.squared) + int64_t(m.at) * m.at; };
+  int count = 0;
+  Member top{}, below{};
+  for (int q0 = 0; q0 < length; q0 += kAhead) {
+    int own[kAhead];
+#pragma unroll
+    for (int j = 0; j < kAhead; ++j) own[j] = q0 + j < length ? squared(q0 + j) : kNoSource;
+#pragma unroll
+    for (int j = 0; j < kAhead; ++j) {
+      if (own[j] == kNoSource) continue;
+      Member const m{q0 + j, own[j]};
+      while (count > 1 && (F(top) - F(below)) * (m.at - top.at) >= (F(m) - F(top)) * (top.at - below.at)) {
+        top = below;
+        if (--count > 1) below = get(count - 2);
       }
+      set(count++, m);
+      below = top;
+      top = m;
     }
-    set(count++, q);
-    below = top;
-    f_below = f_top;
-    top = q;
-    f_top = f;
   }
   if (count == 0) {
     for (int q = 0; q < length; ++q) put(q, kNoSource);
     return;
   }
-  int k = 1, member = get(0), offset = squared(member);
-  int next = count > 1 ? get(1) : 0, next_offset = count > 1 ? squared(next) : 0;
+  Member next[kAhead];  // the member whose turn it is, and those after it
+#pragma unroll
+  for (int j = 0; j < kAhead; ++j)
+    if (j < count) next[j] = get(j);
+  int k = 0;
   for (int q = 0; q < length; ++q) {
-    int value = offset + (q - member) * (q - member);
-    while (k < count) {
-      int const beyond = next_offset + (q - next) * (q - next);
-      if (beyond > value) break;
-      value = beyond;
-      member = next;
-      offset = next_offset;
-      if (++k < count) {
-        next = get(k);
-        next_offset = squared(next);
-      }
+    auto const value = [&](Member const& m) { return m.squared + (q - m.at) * (q - m.at); };
+    int lowest = value(next[0]);
+    while (k + 1 < count && value(next[1]) <= lowest) {
+      lowest = value(next[1]);
+#pragma unroll
+      for (int j = 0; j + 1 < kAhead; ++j) next[j] = next[j + 1];
+      if (++k + kAhead - 1 < count) next[kAhead - 1] = get(k + kAhead - 1);
     }
-    put(q, value);
+    put(q, lowest);
   }
 }
 

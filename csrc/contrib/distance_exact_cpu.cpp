@@ -29,7 +29,8 @@ void distance_scan(DistanceScan<T> const& p, int64_t begin, int64_t end) {
 template <class T>
 void distance_envelope(DistanceEnvelope<T> const& p, int64_t begin, int64_t end) {
   int const length = int(p.length);
-  Scratch<int> const tile(kLines * p.length), result(kLines * p.length), members(p.length);
+  Scratch<int> const tile(kLines * p.length), result(kLines * p.length);
+  Scratch<Member> const members(p.length);
   int64_t const tiles = ceil_div(p.inner, kLines);
   for (int64_t i = begin; i < end; ++i) {
     int64_t const first = i % tiles * kLines, at = i / tiles * p.length * p.inner + first;
@@ -39,9 +40,9 @@ void distance_envelope(DistanceEnvelope<T> const& p, int64_t begin, int64_t end)
     for (int line = 0; line < lines; ++line) {
       int const* const squared = tile.data + line * length;
       int* const out = result.data + line * length;
-      lower_envelope(
+      lower_envelope<2>(
           length, [&](int j) { return squared[j]; }, [&](int k) { return members.data[k]; },
-          [&](int k, int j) { members.data[k] = j; }, [&](int q, int value) { out[q] = value; });
+          [&](int k, Member m) { members.data[k] = m; }, [&](int q, int value) { out[q] = value; });
     }
     for (int q = 0; q < length; ++q)
       for (int line = 0; line < lines; ++line)

@@ -18,22 +18,25 @@ Tensor distance_transform_exact(Tensor const& input) {
       op, ": expected sides whose squares add up to less than 2^31");
   Tensor const x = dense(input), output = empty(input.sizes(), x);
   int64_t const planes = input.size(0) * input.size(1);
-  // The squared distances of a pass and of the next, and the members of envelopes, which only CUDA keeps in memory.
-  auto const integers = [&](bool needed) {
-    return needed ? empty(input.sizes(), x, Layout::planar, ScalarType::Int) : Tensor();
+  // The squared distances of a pass and of the next, and the members of envelopes, two numbers each, which only CUDA
+  // keeps in memory.
+  auto const integers = [&](bool needed, ScalarType type) {
+    return needed ? empty(input.sizes(), x, Layout::planar, type) : Tensor();
   };
-  Tensor const squared = integers(true), next = integers(is_volume), members = integers(x.is_cuda());
-  auto const data = [](Tensor const& t) { return t.defined() ? data_ptr<int>(t) : nullptr; };
+  Tensor const squared = integers(true, ScalarType::Int), next = integers(is_volume, ScalarType::Int),
+               kept = integers(x.is_cuda(), ScalarType::Long);
+  int* const between = is_volume ? data_ptr<int>(next) : nullptr;
+  Member* const members = x.is_cuda() ? reinterpret_cast<Member*>(data_ptr<int64_t>(kept)) : nullptr;
   auto const run = [&](auto type) {
     using T = typename decltype(type)::type;
-    DistanceScan<T> const scan{data_ptr<T const>(x), planes * depth * height, width, data(squared)};
+    DistanceScan<T> const scan{data_ptr<T const>(x), planes * depth * height, width, data_ptr<int>(squared)};
     KV_RUN(distance_scan, x, scan, scan.rows, width);
-    auto const pass = [&](int* from, int64_t outer, int64_t length, int64_t inner, int* to) {
-      DistanceEnvelope<T> const envelope{from, outer, length, inner, data(members), to, data_ptr<T>(output)};
+    auto const pass = [&](int const* from, int64_t outer, int64_t length, int64_t inner, int* to) {
+      DistanceEnvelope<T> const envelope{from, outer, length, inner, members, to, data_ptr<T>(output)};
       KV_RUN(distance_envelope, x, envelope, envelope.outer * ceil_div(inner, kLines), 8 * kLines * length);
     };
-    pass(data(squared), planes * depth, height, width, data(next));
-    if (is_volume) pass(data(next), planes, depth, height * width, nullptr);
+    pass(data_ptr<int>(squared), planes * depth, height, width, between);
+    if (is_volume) pass(between, planes, depth, height * width, nullptr);
   };
   if (is_double)
     run(Type<double>{});

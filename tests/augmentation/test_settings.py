@@ -155,3 +155,70 @@ def test_erasing_with_a_color_and_with_noise(dtype: torch.dtype, device: torch.d
     for wrong in ("pixel", 2.0, (0.1, 2.0, 0.1)):
         with pytest.raises(ValueError, match="RandomErasing: expected value"):
             A.RandomErasing(value=wrong)
+
+
+def test_rotations_fill_and_mirror(device: torch.device) -> None:
+    x = images(device)
+    plain, filled, border = (
+        A.RandomRotation(30.0, p=0.8, **k) for k in ({}, {"fill": 0.4}, {"padding_mode": "border"})
+    )
+    affine = A.RandomAffine(30.0, p=0.8, padding_mode="fill", fill_value=0.4)
+    y = filled(x, seed=2)
+    angle = {"angle": filled._params["degrees"], "batch_prob": filled._params["batch_prob"]}
+    affine(x)
+    torch.testing.assert_close(affine(x, params={**affine._params, **angle}), y, rtol=1e-4, atol=1e-4)
+    assert (plain(x, seed=2) == 0).any() and not (border(x, seed=2) == 0).any()
+    colors = A.RandomRotation((45.0, 45.0), p=1.0, fill=(0.2, 0.4, 0.6))((255 * x).byte())
+    assert colors[0, :, 0, 0].tolist() == [51, 102, 153]
+    with pytest.raises(ValueError, match="RandomRotation: expected padding_mode 'fill' with fill"):
+        A.RandomRotation(30.0, padding_mode="border", fill=0.4)
+
+
+def test_rotations_expand_to_the_largest_of_a_batch(device: torch.device) -> None:
+    x = images(device, 8)
+    turn = A.RandomRotation((90.0, 90.0), p=1.0, expand=True)
+    assert torch.equal(turn(x), x.rot90(1, (2, 3))) and turn(x[:0]).shape == (0, 3, 16, 20)
+    torch.testing.assert_close(turn.inverse(turn(x)), x)
+    rotate = A.RandomRotation(60.0, p=0.6, expand=True)
+    y = rotate(x, seed=5)
+    chosen = rotate._params["batch_prob"] > 0.5
+    angles = torch.deg2rad(rotate._params["degrees"][chosen].double())
+    cos, sin = angles.cos().abs(), angles.sin().abs()
+    height, width = (16 * cos + 20 * sin).ceil().max().int(), (16 * sin + 20 * cos).ceil().max().int()
+    assert 0 < chosen.sum() < 8 and y.shape == (8, 3, height, width)
+    top, left = (height - 16) // 2, (width - 20) // 2
+    inside = torch.nn.functional.pad(x, (left, width - 20 - left, top, height - 16 - top))
+    assert torch.equal(y[~chosen], inside[~chosen])  # whole pixels, in the middle
+    # Nothing of an image is lost: its sum stays, up to interpolation.
+    smooth = torch.nn.functional.avg_pool2d(x, 5, 1, 2, count_include_pad=False)
+    torch.testing.assert_close(rotate(smooth, seed=5).sum((2, 3)), smooth.sum((2, 3)), rtol=0.03, atol=0)
+    assert torch.equal(rotate(x, params=rotate._params), rotate(x, seed=5))
+
+
+@pytest.mark.parametrize("resample", ["each", "once"])
+def test_expanded_rotations_in_containers(resample: str, device: torch.device) -> None:
+    x = torch.zeros(6, 1, 32, 40, device=device)
+    x[:, :, 8:14, 20:32] = 1
+    boxes = torch.tensor([[[20.0, 8.0, 32.0, 14.0]]], device=device).repeat(6, 1, 1)
+    points = torch.tensor([[[25.5, 10.5]]], device=device).repeat(6, 1, 1)
+    augment = A.AugmentationSequential(
+        A.RandomHorizontalFlip(),
+        A.RandomRotation(50.0, p=0.7, expand=True),
+        A.RandomVerticalFlip(),
+        A.CenterCrop(48),
+        data_keys=["input", "mask", "bbox_xyxy", "keypoints"],
+        resample=resample,
+    )
+    for seed in (4, None):
+        y, mask, moved, at = augment(x, (x > 0).long(), boxes, points, seed=seed)
+        assert y.shape == (6, 1, 48, 48) == mask.shape and ((y > 0.5) != (mask > 0)).float().mean() < 0.002
+        for image, (left, top, right, bottom), (px, py) in zip(mask[:, 0], moved[:, 0].tolist(), at[:, 0].tolist()):
+            rows, columns = image.nonzero().unbind(1)
+            outline = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
+            assert all(abs(float(a) - b) < 1.01 for a, b in zip(outline, (left, top, right, bottom)))
+            assert abs(columns.double().mean() - px) < 0.5 and abs(rows.double().mean() - py) < 0.5
+        again = augment(x, (x > 0).long(), boxes, points, params=augment._params)
+        assert all(map(torch.equal, again, (y, mask, moved, at)))
+        back = augment.inverse(y, mask, moved, at)
+        assert back[0].shape == x.shape and (back[0] - x).abs().mean() < 0.01
+        torch.testing.assert_close(back[3], points, rtol=0, atol=1e-3)

@@ -5,14 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import torch
+from torch import Tensor
+
+from kvision._constants import constant
+from kvision._dtype import compute_dtype
 from kvision.augmentation import transforms
-from kvision.augmentation.base import Shape
+from kvision.augmentation.base import Execution, Shape
 from kvision.augmentation.draws import Draw
-from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
+from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp, warp_labels
 from kvision.augmentation.random_generator.affine import AffineGenerator, ShearGenerator, TranslateGenerator
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
-from kvision.augmentation.transforms import Transform
+from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.constants import Resample, SamplePadding
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
@@ -83,12 +88,16 @@ class RandomRotation(GeometricAugmentationBase2D):
         degrees: angle, positive counter-clockwise: a number s for -s to s, or a pair.
         resample: 'nearest', 'bilinear' or 'bicubic'.
         same_on_batch: all samples get the same parameters.
-        align_corners: accepted for code written for Kornia; pixels outside of the image are 0.
+        align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
         p: probability that a sample is augmented.
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+        padding_mode: values out of bounds: 'zeros', 'border' or 'reflection'.
+        fill: value out of bounds, in place of 0: a number, or one of each channel; in [0, 1] for bytes.
+        expand: results have the size of the largest rotated image of a batch, with the others in the middle.
 
     Raises:
-        TypeError, ValueError: `degrees` does not have the form in Args, or is not within -360 and 360.
+        TypeError, ValueError: `degrees` does not have the form in Args, or is not within -360 and 360; `fill` with another
+            `padding_mode` than 'zeros' or 'fill'.
 
     Example:
         >>> import torch, kvision as K
@@ -105,14 +114,71 @@ class RandomRotation(GeometricAugmentationBase2D):
         align_corners: bool = True,
         p: float = 0.5,
         keepdim: bool = False,
+        *,
+        padding_mode: str | int | SamplePadding = SamplePadding.ZEROS.name,
+        fill: Any = None,
+        expand: bool = False,
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator = PlainUniformGenerator((degrees, "degrees", 0.0, (-360.0, 360.0)), op="RandomRotation")
-        self.flags = {"resample": Resample.get(resample), "align_corners": align_corners}
+        self.flags = _flags(resample, padding_mode, align_corners)
+        if fill is not None:
+            if self.flags["padding_mode"] not in (SamplePadding.ZEROS, SamplePadding.FILL):
+                raise ValueCheckError(f"RandomRotation: expected padding_mode 'fill' with fill, got {padding_mode!r}")
+            self.flags.update(padding_mode=SamplePadding.FILL, fill_value=fill)
+        self.has_known_size = not expand
 
-    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform] | None:
+        return self._rotation(shape) if self.has_known_size else None
+
+    @staticmethod
+    def _rotation(shape: Shape) -> Sequence[Transform]:
         return [transforms.affine(transforms.center_of(shape), angle=0)]
+
+    # --- results of another size, which depends on the angles ---
+
+    def _canvas(self, execution: Execution) -> tuple[int, int]:
+        """The height and width of the largest rotated image, from angles that the host draws again."""
+        height, width = execution.shape[-2:]
+        angles = torch.deg2rad(self._read_params(execution)["degrees"].double())
+        if execution.chosen is not None:
+            angles = torch.where(execution.chosen.to(angles.device), angles, 0)
+        cos, sin = angles.cos().abs(), angles.sin().abs()
+        # Quarter turns are exact up to rounding.
+        sides = torch.stack([height * cos + width * sin, height * sin + width * cos], 1).sub(1e-6).ceil().int()
+        h, w = sides.amax(0).tolist() if len(sides) else (height, width)
+        return h, w
+
+    def _matrix_of(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if self.has_known_size:
+            return super()._matrix_of(x, execution, flags)
+        if execution.columns is None:
+            angles = self._params_on_device(x, execution)["degrees"][:, None]
+        else:
+            angles = execution.columns.values
+        dtype = compute_dtype(x) if execution.identity is None else execution.identity[1]
+        rotation = transform_matrix(angles.to(x.device, dtype), self._rotation(execution.shape))
+        (height, width), (h, w) = execution.shape[-2:], self._canvas(execution)
+        middle = constant(((w - width) / 2, (h - height) / 2), rotation)
+        moved = rotation + torch.nn.functional.pad(middle[:, None], (2, 0, 0, 1))
+        if execution.chosen is None:
+            return moved
+        whole = torch.eye(3, dtype=dtype, device=x.device)
+        whole = whole + torch.nn.functional.pad(middle.floor()[:, None], (2, 0, 0, 1))
+        return torch.where(execution.chosen[:, None, None], moved, whole)
+
+    def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if self.has_known_size or not execution.applied or self._is_customized():
+            return super()._run(x, execution, flags)
+        execution.matrix = self._matrix_of(x, execution, flags)
+        return warp(x, execution.matrix, self._canvas(execution), self.resampling(flags))
+
+    def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if self.has_known_size or not execution.applied:
+            return super().transform_masks(masks, execution, flags)
+        resampling = self.resampling(flags).for_labels(fill=flags.get("mask_fill"))
+        return warp_labels(masks, self._matrix(execution), self._canvas(execution), resampling)
 
 
 class RandomShear(GeometricAugmentationBase2D):

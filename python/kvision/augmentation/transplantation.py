@@ -134,6 +134,7 @@ class RandomTransplantation(MixAugmentationBaseV2):
     # --- in containers, which hand over the masks as they are by then ---
 
     needs_masks = True
+    has_known_size = False  # a run of its own
 
     def _run_with_masks(
         self, x: Tensor, masks: Any, params: Params | None, seed: Seed, generator: Generator | None

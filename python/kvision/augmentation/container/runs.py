@@ -184,7 +184,7 @@ def _lengths_of_runs(children: Sequence[Child]) -> list[int]:
 def _has_known_size(child: Child) -> bool:
     """Whether the size of the result is known before the augmentation runs."""
     module = child.module
-    return isinstance(module, AugmentationBase) and not module._is_customized() and not hasattr(module, "needs_masks")
+    return isinstance(module, AugmentationBase) and module.has_known_size and not module._is_customized()
 
 
 def _execute_module(x: Tensor, child: Child, source: Randomness) -> tuple[Tensor, Stage]:

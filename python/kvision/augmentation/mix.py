@@ -170,10 +170,9 @@ class MixAugmentationBaseV2(AugmentationBase2D):
         values = labels.to(torch.promote_types(stored, torch.float32))
         if not execution.applied:
             return values.to(stored)
-        partners = [(index.to(values.device), part.to(values)) for index, part in self._partners(params) or ()]
-        mixed = values * (1 - sum(part for _, part in partners))[:, None]
-        for index, part in partners:
-            mixed = mixed + values[index] * part[:, None]
+        mixed = values
+        for index, part in self._partners(params) or ():
+            mixed = mixed + (values[index.to(values.device)] - values) * part.to(values)[:, None]
         return where_chosen(execution.chosen, mixed, values).to(stored)
 
     def _check_labels(self, key: DataKey, labels: Any, count: int) -> None:

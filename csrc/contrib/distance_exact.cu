@@ -42,7 +42,7 @@ __global__ void __launch_bounds__(kThreads) envelope(__grid_constant__ DistanceE
   if (line >= p.outer * p.inner) return;
   int64_t const outer = line / p.inner, at = outer * p.length * p.inner + (line - outer * p.inner);
   int const* __restrict__ const squared = p.squared + at;
-  int* __restrict__ const members = p.members + at;
+  Member* __restrict__ const members = p.members + at;
   lower_envelope<8>(
       int(p.length), [&](int i) { return __ldg(squared + i * p.inner); }, [&](int k) { return members[k * p.inner]; },
       [&](int k, Member m) { members[k * p.inner] = m; },

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -32,7 +33,7 @@ class TestRotate(FormulaWarpTests):
     ]
     errors = [
         ({"angle": lambda x: torch.ones(3)}, ValueError, "expected angle with a batch size of 1 or 2"),
-        ({"angle": 3.0}, TypeError, "angle to be a Tensor"),
+        ({"angle": "3"}, TypeError, "angle to be a Tensor, or a number"),
         ({"center": lambda x: torch.ones(2, 3)}, ValueError, r"expected center of shape \(B, 2\)"),
         ({"mode": "linear"}, ValueError, "mode must be one of bilinear, nearest, bicubic; got 'linear'"),
     ]
@@ -141,6 +142,26 @@ def test_quarter_turns_are_exact(turns, device):
     assert torch.equal(G.rotate(x, torch.tensor([90.0 * turns], device=device)), x.rot90(turns, (2, 3)))
 
 
+def test_numbers_are_parameters_of_all_images(device: torch.device) -> None:
+    x = torch.rand(2, 3, 5, 6, dtype=torch.float64, device=device)
+
+    def rows(*numbers: float) -> torch.Tensor:
+        return torch.tensor([numbers], dtype=torch.float64, device=device)
+
+    assert torch.equal(G.rotate(x, 31.7), G.rotate(x, rows(31.7)[0]))
+    assert torch.equal(G.rotate(x, np.float32(30), (1, 2.5)), G.rotate(x, rows(30.0)[0], rows(1.0, 2.5)))
+    assert torch.equal(G.translate(x, (1.3, -2)), G.translate(x, rows(1.3, -2.0)))
+    assert torch.equal(G.scale(x, 1.7), G.scale(x, rows(1.7, 1.7)))
+    assert torch.equal(G.scale(x[0], [1.7, 0.8]), G.scale(x[0], rows(1.7, 0.8)))
+    assert torch.equal(G.shear(x, (0.3, 0.1)), G.shear(x, rows(0.3, 0.1)))
+    assert torch.equal(G.Rotate(31.7)(x.float()), G.rotate(x.float(), 31.7))
+    for module, call in (
+        (G.Scale(1.7), G.scale(x, 1.7)),
+        (G.Shear((0.3, 0.1)), G.shear(x, (0.3, 0.1), align_corners=True)),
+    ):
+        assert torch.equal(module.to(device)(x), call)
+
+
 def test_images_and_single_images(device):
     x = torch.rand(2, 3, 7, 8, device=device)
     one = torch.tensor([[1.5, -0.5]], device=device)
@@ -193,7 +214,11 @@ BAD = [
     (lambda: G.rotate(X[0, 0], torch.ones(1)), ValueError, r"rotate: expected tensor of shape \(B, C, H, W\)"),
     (lambda: G.rotate(X, torch.ones(3)), ValueError, "rotate: expected angle with a batch size of 1 or 2"),
     (lambda: G.translate(X, torch.ones(2, 3)), ValueError, r"translate: expected translation of shape \(B, 2\)"),
-    (lambda: G.scale(X, 2.0), TypeError, "scale: expected scale_factor to be a Tensor"),
+    (lambda: G.scale(X, "2"), TypeError, "scale: expected scale_factor to be a Tensor, or two numbers or one, got str"),
+    (lambda: G.rotate(X, [30.0]), TypeError, "rotate: expected angle to be a Tensor, or a number, got list"),
+    (lambda: G.rotate(X, True), TypeError, "rotate: expected angle to be a Tensor, or a number, got bool"),
+    (lambda: G.translate(X, 3.0), TypeError, "translate: expected translation to be a Tensor, or two numbers, got float"),
+    (lambda: G.shear(X, (1.0, "2")), TypeError, "shear: expected shear to be a Tensor, or two numbers, got tuple"),
     (lambda: G.shear(X, torch.ones(2, 2), "linear"), ValueError, "shear: mode must be one of"),
     (lambda: G.affine(X, torch.eye(3)[None]), ValueError, r"affine: expected matrix of shape \(B, 2, 3\)"),
     (lambda: G.Affine(), RuntimeError, "Affine: expected at least one of"),

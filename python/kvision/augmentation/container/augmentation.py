@@ -200,21 +200,16 @@ class AugmentationSequential(ImageSequential):
             ValueError: the number of inputs is not that of the keys; no key is the image's; an input has another shape.
         """
         check_output_type(self, output_type)
-        entries = self._entries(args)
+        entries, before = self._entries(args), None
         if entries is None:
-            keys = self._keys_of(args, data_keys)
-            values = list(args)
+            keys, values = self._keys_of(args, data_keys), list(args)
         else:
             keys, values = entries.keys, entries.values
         image = keys.index(DataKey.INPUT) if DataKey.INPUT in keys else None
-        before = None
-        if image is not None:
-            values[image], before = image_and_matrix(self, image_of(self, values[image]))
-        for i, (key, value) in enumerate(zip(keys, values)):
+        for value in values:
             if not isinstance(value, Tensor):
-                like = None if image is None else values[image]
-                is_image = key == DataKey.INPUT
-                values[i] = image_of(self, value) if is_image else label_of(key, value, like, self._keeps_axes())
+                before = self._convert(keys, values, image)
+                break
         outputs = self._call(keys, values, params, seed, generator, before)
         if image is not None:
             outputs[image] = self._with_matrix(outputs[image], before, return_transform)
@@ -223,6 +218,17 @@ class AugmentationSequential(ImageSequential):
         if entries is not None:
             return entries.merged(args[0], outputs)
         return outputs[0] if len(outputs) == 1 else outputs
+
+    def _convert(self, keys: Sequence[DataKey], values: list[Any], image: int | None) -> Tensor | None:
+        """Put tensors in place of values of NumPy and PIL, and of the first image; gives the matrices that came with it."""
+        before = like = None
+        if image is not None:
+            like, before = image_and_matrix(self, image_of(self, values[image]))
+            values[image] = like
+        for i, (key, value) in enumerate(zip(keys, values)):
+            is_image = key == DataKey.INPUT
+            values[i] = image_of(self, value) if is_image else label_of(key, value, like, self._keeps_axes())
+        return before
 
     def _entries(self, args: Sequence[Any]) -> Entries | None:
         """What follows the images among the entries of a dict, if that is the argument."""

@@ -385,7 +385,7 @@ class ImageSequential(ImageSequentialBase):
                 shape; `output_type` is unknown.
         """
         check_output_type(self, output_type)
-        image, before = image_and_matrix(self, image_of(self, input))
+        image, before = (input, None) if isinstance(input, Tensor) else image_and_matrix(self, image_of(self, input))
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -12,7 +13,7 @@ from kvision import _check
 from kvision._dtype import compute_dtype, pixels
 from kvision._modes import INTERPOLATION, WARP_FORMULA
 from kvision._modules import FunctionModule
-from kvision.core.exceptions import ShapeError
+from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.geometry.transform import sampling
 
 __all__ = ["Affine", "Rotate", "Scale", "Shear", "Translate", "affine", "rotate", "scale", "shear", "translate"]
@@ -57,8 +58,8 @@ def affine(
 
 def rotate(
     tensor: Tensor,
-    angle: Tensor,
-    center: Tensor | None = None,
+    angle: Tensor | float,
+    center: Tensor | Sequence[float] | None = None,
     mode: str = "bilinear",
     padding_mode: str = "zeros",
     align_corners: bool = True,
@@ -67,8 +68,8 @@ def rotate(
 
     Args:
         tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
-        angle: degrees, (B,), or one number (1,) or () for all images. Multiples of 90 degrees are exact.
-        center: (B, 2) or (1, 2) as (x, y); None for the center of the image.
+        angle: degrees, (B,), or a number, also (1,) or (), for all images. Multiples of 90 degrees are exact.
+        center: (B, 2) or (1, 2) as (x, y), or two numbers; None for the center of the image.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
         align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
@@ -77,13 +78,13 @@ def rotate(
         Images of the shape and dtype of `tensor`.
 
     Raises:
-        TypeError: `tensor`, `angle` or `center` is not a tensor of real numbers; `align_corners` is not a bool.
+        TypeError: `tensor`, `angle` or `center` is not a tensor of real numbers, nor numbers; `align_corners` is not a bool.
         ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `angle` is not (B,), (1,) or (); `center`
             is not (B, 2) or (1, 2); `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
-        >>> K.geometry.rotate(torch.tensor([[[1.0, 2], [3, 4]]]), torch.tensor(90.0))
+        >>> K.geometry.rotate(torch.tensor([[[1.0, 2], [3, 4]]]), 90.0)
         tensor([[[2., 4.],
                  [1., 3.]]])
     """
@@ -98,7 +99,7 @@ def rotate(
 
 def translate(
     tensor: Tensor,
-    translation: Tensor,
+    translation: Tensor | Sequence[float],
     mode: str = "bilinear",
     padding_mode: str = "zeros",
     align_corners: bool = True,
@@ -107,7 +108,7 @@ def translate(
 
     Args:
         tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
-        translation: pixels to the right and down, (B, 2), or (1, 2) for all images.
+        translation: pixels to the right and down, (B, 2), or (1, 2) or two numbers for all images.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
         align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
@@ -116,13 +117,13 @@ def translate(
         Images of the shape and dtype of `tensor`.
 
     Raises:
-        TypeError: `tensor` or `translation` is not a tensor of real numbers; `align_corners` is not a bool.
+        TypeError: `tensor` or `translation` is not a tensor of real numbers, nor numbers; `align_corners` is not a bool.
         ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `translation` is not (B, 2) or (1, 2);
             `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
-        >>> K.geometry.translate(torch.tensor([[[1.0, 2], [3, 4]]]), torch.tensor([[0.5, 1]]))
+        >>> K.geometry.translate(torch.tensor([[[1.0, 2], [3, 4]]]), (0.5, 1.0))
         tensor([[[0.0000, 0.0000],
                  [0.5000, 1.5000]]])
     """
@@ -135,8 +136,8 @@ def translate(
 
 def scale(
     tensor: Tensor,
-    scale_factor: Tensor,
-    center: Tensor | None = None,
+    scale_factor: Tensor | Sequence[float] | float,
+    center: Tensor | Sequence[float] | None = None,
     mode: str = "bilinear",
     padding_mode: str = "zeros",
     align_corners: bool = True,
@@ -145,8 +146,8 @@ def scale(
 
     Args:
         tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
-        scale_factor: (B, 2) along x and y, or (B, 1) or (B,) for both; one row serves all images.
-        center: (B, 2) or (1, 2) as (x, y); None for the center of the image.
+        scale_factor: (B, 2) along x and y, or (B, 1) or (B,) for both; one row, two numbers or one serve all images.
+        center: (B, 2) or (1, 2) as (x, y), or two numbers; None for the center of the image.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
         align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
@@ -155,7 +156,8 @@ def scale(
         Images of the shape and dtype of `tensor`.
 
     Raises:
-        TypeError: `tensor`, `scale_factor` or `center` is not a tensor of real numbers; `align_corners` is not a bool.
+        TypeError: `tensor`, `scale_factor` or `center` is not a tensor of real numbers, nor numbers; `align_corners` is
+            not a bool.
         ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `scale_factor` is not (B, 2), (B, 1) or
             (B,), with B or 1 rows; `center` is not (B, 2) or (1, 2); `mode` or `padding_mode` is unknown; the tensors
             are on different devices.
@@ -166,7 +168,7 @@ def scale(
         tensor([[[1.0000, 1.5000, 2.0000, 2.5000, 3.0000]]])
     """
     images = _images("scale", tensor)
-    _check.numbers("scale", "scale_factor", scale_factor)
+    scale_factor = _tensor("scale", "scale_factor", scale_factor, 2, one_for_both=True)
     if scale_factor.dim() < 2:
         scale_factor = scale_factor.reshape(-1, 1)
     if scale_factor.shape[-1] == 1:
@@ -179,14 +181,18 @@ def scale(
 
 
 def shear(
-    tensor: Tensor, shear: Tensor, mode: str = "bilinear", padding_mode: str = "zeros", align_corners: bool = False
+    tensor: Tensor,
+    shear: Tensor | Sequence[float],
+    mode: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool = False,
 ) -> Tensor:
     """Shear images about the center of their first pixel: (x, y) goes to (x + shear_x * y, y + shear_y * x).
 
     Args:
         tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
-        shear: (B, 2), or (1, 2) for all images: pixels by which a row moves against the row above, and a column against
-            the column to its left.
+        shear: (B, 2), or (1, 2) or two numbers for all images: pixels by which a row moves against the row above, and a column
+            against the column to its left.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
         align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
@@ -195,7 +201,7 @@ def shear(
         Images of the shape and dtype of `tensor`.
 
     Raises:
-        TypeError: `tensor` or `shear` is not a tensor of real numbers; `align_corners` is not a bool.
+        TypeError: `tensor` or `shear` is not a tensor of real numbers, nor numbers; `align_corners` is not a bool.
         ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `shear` is not (B, 2) or (1, 2); `mode`
             or `padding_mode` is unknown; the tensors are on different devices.
 
@@ -233,12 +239,33 @@ def _by_formula(op, tensor, images, mode, padding_mode, align_corners, formula, 
 
 def _vector(op: str, images: Tensor, name: str, x: Any, *axes: int) -> Tensor:
     """A parameter (B, *axes) in the compute dtype. A parameter of shape `axes` applies to all images."""
-    _check.numbers(op, name, x)
+    x = _tensor(op, name, x, axes[0] if axes else 1)
     if x.dim() == len(axes):
         x = x[None]
     if x.shape[1:] != axes:
         _check.shape(op, name, x, "B", *axes)
     return sampling.cast_to_image(op, images, name, x)
+
+
+def _tensor(op: str, name: str, x: Any, count: int = 1, one_for_both: bool = False) -> Tensor:
+    """A parameter: a tensor as it is, and `count` numbers as a tensor of one row for all images."""
+    if isinstance(x, Tensor):
+        _check.numbers(op, name, x)
+        return x
+    numbers = _check.scalars(op, name, x)
+    if count == 1 or (one_for_both and not isinstance(numbers, (tuple, list))):
+        numbers = [numbers] * count
+    if not isinstance(numbers, (tuple, list)) or len(numbers) != count or not all(map(_is_number, numbers)):
+        several = "two numbers or one" if one_for_both else "two numbers" if count == 2 else "a number"
+        raise TypeCheckError(
+            f"{op}: expected {name} to be a Tensor, or {several}, got {_check.described(x)}", actual_type=type(x)
+        )
+    row = torch.tensor([_check.number(op, name, n) for n in numbers], dtype=torch.float64)
+    return row if count == 1 else row[None]
+
+
+def _is_number(x: Any) -> bool:
+    return isinstance(x, (int, float)) and not isinstance(x, bool)
 
 
 def _center(op: str, images: Tensor, center: Any) -> tuple[Tensor | None, float, float]:
@@ -267,13 +294,13 @@ class Rotate(FunctionModule):
 
     def __init__(
         self,
-        angle: Tensor,
-        center: Tensor | None = None,
+        angle: Tensor | float,
+        center: Tensor | Sequence[float] | None = None,
         mode: str = "bilinear",
         padding_mode: str = "zeros",
         align_corners: bool = True,
     ) -> None:
-        _check.is_tensor("Rotate", "angle", angle)
+        angle = _tensor("Rotate", "angle", angle, 1)
         super().__init__(angle=angle, center=center, mode=mode, padding_mode=padding_mode, align_corners=align_corners)
 
     def forward(self, input: Tensor) -> Tensor:
@@ -291,12 +318,12 @@ class Translate(FunctionModule):
 
     def __init__(
         self,
-        translation: Tensor,
+        translation: Tensor | Sequence[float],
         mode: str = "bilinear",
         padding_mode: str = "zeros",
         align_corners: bool = True,
     ) -> None:
-        _check.is_tensor("Translate", "translation", translation)
+        translation = _tensor("Translate", "translation", translation, 2)
         super().__init__(translation=translation, mode=mode, padding_mode=padding_mode, align_corners=align_corners)
 
     def forward(self, input: Tensor) -> Tensor:
@@ -314,13 +341,13 @@ class Scale(FunctionModule):
 
     def __init__(
         self,
-        scale_factor: Tensor,
-        center: Tensor | None = None,
+        scale_factor: Tensor | Sequence[float] | float,
+        center: Tensor | Sequence[float] | None = None,
         mode: str = "bilinear",
         padding_mode: str = "zeros",
         align_corners: bool = True,
     ) -> None:
-        _check.is_tensor("Scale", "scale_factor", scale_factor)
+        scale_factor = _tensor("Scale", "scale_factor", scale_factor, 2, one_for_both=True)
         super().__init__(
             scale_factor=scale_factor, center=center, mode=mode, padding_mode=padding_mode, align_corners=align_corners
         )
@@ -339,9 +366,13 @@ class Shear(FunctionModule):
     """
 
     def __init__(
-        self, shear: Tensor, mode: str = "bilinear", padding_mode: str = "zeros", align_corners: bool = True
+        self,
+        shear: Tensor | Sequence[float],
+        mode: str = "bilinear",
+        padding_mode: str = "zeros",
+        align_corners: bool = True,
     ) -> None:
-        _check.is_tensor("Shear", "shear", shear)
+        shear = _tensor("Shear", "shear", shear, 2)
         super().__init__(shear=shear, mode=mode, padding_mode=padding_mode, align_corners=align_corners)
 
     def forward(self, input: Tensor) -> Tensor:

@@ -1,12 +1,13 @@
 """The model of the one table of sample calls. Tests, sweeps and benchmarks read the table; none guesses arguments.
 
 - An entry is the name of a function, or the names of several that take the same, and the arguments of its call by name.
-- A tensor is an `Axes`: its axes by name ("B C H W"), the range of its numbers, in which the function is smooth and defined,
-  and, where the numbers have a structure (a rotation, a camera), the function that makes it.
+- A tensor is an `Axes`: its axes by name ("B C H W"), the range of its numbers, all of which the function takes, and, where the
+  numbers have a structure (a rotation, a camera), the function that makes it.
 - The names stand for the numbers of a `Size`, which a reader chooses. An axis may be an expression of them ("H//2").
 - An argument that depends on the library or on the tensors of the call is `Derived`.
 - A class is an entry, too: its arguments are those that make it, and its call is that of the module on its tensors.
-- A `Window` is a further call of a filter, with the reach of a pixel; tests of borders, alignment and bad pixels read it.
+- A `Window` is a further call of a function, with the reach of a pixel. Tests of bad pixels and of alignment read it, and the
+  inherited suites of filters take their variants from it.
 - A class of augmentations says in `augmentations.py` what a test has to know of it.
 - `WITHOUT_SAMPLE` has the public functions that no sweep calls, and why.
 """

@@ -105,7 +105,7 @@ def test_known_pixels_of_crops_and_turns(device: torch.device) -> None:
 
 
 def test_visible_points(device: torch.device) -> None:
-    """Points that a crop cuts off are not visible; nor are those that a map folds away."""
+    """Points that a crop cuts off are not visible, also where a later shift brings their positions back."""
     image = smooth(device)
     points = torch.tensor([[[2.0, 2.0], [32.0, 24.0], [60.0, 45.0]]], device=device)
     crop = A.AugmentationSequential(A.CenterCrop((20, 20)), data_keys=["input", "keypoints"])
@@ -114,14 +114,7 @@ def test_visible_points(device: torch.device) -> None:
     crop(image, [points[0]])
     assert isinstance(crop.visible_points[0], list) and crop.visible_points[0][0].tolist() == [False, True, False]
 
-    wild = A.AugmentationSequential(
-        A.RandomElasticTransform((15, 15), (2.0, 2.0), (6.0, 6.0), p=1.0), data_keys=["input", "keypoints"]
-    )
-    grid = torch.stack(torch.meshgrid(torch.arange(4.0, 60, 4), torch.arange(4.0, 44, 4), indexing="xy"), -1)
-    grid = grid.reshape(1, -1, 2).to(device)
-    _, moved = wild(image, grid, seed=0)
-    visible = wild.visible_points[0]
-    assert 0 < visible.sum() < visible.numel()
-    back = wild.inverse(moved, data_keys=["keypoints"])
-    left = (moved < -0.5).any(-1) | (moved[..., 0] > W - 0.5) | (moved[..., 1] > H - 0.5)
-    assert torch.equal(visible, ~left & ((back - grid).abs().amax(-1) < 0.5)) and (~visible & ~left).any()
+    apart = [A.RandomTranslate((0.25, 0.25), p=1.0), A.RandomTranslate((-0.25, -0.25), p=1.0)]
+    back = A.AugmentationSequential(*apart, data_keys=["input", "keypoints"])
+    back(image, points)
+    assert back.visible_points[0].tolist() == [[True, True, False]]

@@ -104,4 +104,12 @@ inline constexpr Operator<"apply_operation", Two(Tensor images, Tensor operation
     },
     1};
 
+// Where a map of nodes reads the inside of quadrilaterals, and points. preimages.py says what the arguments are.
+inline constexpr Operator<"preimage_extents", Tensor(Tensor quads, Tensor directions, Tensor coordinates, Tensor kinds,
+                                                     Tensor x, Tensor y, int64_t margin)>
+    preimage_extents{non_differentiable};
+inline constexpr Operator<"preimage_points",
+                          Two(Tensor points, Tensor coordinates, Tensor kinds, Tensor x, Tensor y, int64_t margin)>
+    preimage_points{non_differentiable};
+
 }  // namespace kvision::ops

@@ -56,6 +56,15 @@ def blur_settings(kernel_size: Any, sigma: Any) -> tuple[int, int, Any, Any]:
     return ky, kx, sigma_y, sigma_x
 
 
+def scaled_blur(blur: tuple[int, int, Any, Any], scale_y: float, scale_x: float) -> tuple[int, int, Any, Any]:
+    """Blur settings for an image that is so many times as high and as wide."""
+    ky, kx, sigma_y, sigma_x = blur
+    ky, kx = (2 * max(round(k // 2 * scale), 1 if k > 1 else 0) + 1 for k, scale in ((ky, scale_y), (kx, scale_x)))
+    if sigma_x is None:
+        return ky, kx, sigma_y * vector(sigma_y, scale_y, scale_x), None
+    return ky, kx, sigma_y * scale_y, sigma_x * scale_x
+
+
 class NoiseField(NamedTuple):
     """Displacements that follow from the keys of a call: what a kernel needs to draw and to blur their noise."""
 

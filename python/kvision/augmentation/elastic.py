@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -11,7 +12,7 @@ from kvision._dtype import compute_dtype
 from kvision._ops import match_layout
 from kvision.augmentation import maps
 from kvision.augmentation.base import AugmentationBase2D, Execution, Params, where_chosen
-from kvision.augmentation.displacements import NoiseField, blur_settings, elastic_displacements
+from kvision.augmentation.displacements import NoiseField, blur_settings, elastic_displacements, scaled_blur
 from kvision.augmentation.maps import vector
 from kvision.augmentation.noise import PixelNoise, noise_plan
 from kvision.augmentation.random_generator.elastic import ElasticGenerator, FisheyeGenerator, ThinPlateSplineGenerator
@@ -19,6 +20,8 @@ from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample, SamplePadding
 from kvision.geometry import get_tps_transform, warp_points_tps
 from kvision.geometry.linalg import root
+
+_WINDOW_SIZE = 256  # pixels along each side of the images that windows of `scale_window` are for
 
 __all__ = ["RandomElasticTransform", "RandomFisheye", "RandomThinPlateSpline"]
 
@@ -82,12 +85,6 @@ class MapAugmentation(AugmentationBase2D):
         moved = maps.read_labels_displaced(masks, self.displacements_of(execution, flags, masks), resampling)
         return where_chosen(execution.chosen, moved, masks)
 
-    def transform_points(self, points: Tensor, execution: Execution) -> Tensor:
-        if not execution.applied or 0 in points.shape:
-            return points
-        moved = maps.find_positions(self.displacements_of(execution, self.flags, points), points)
-        return where_chosen(execution.chosen, moved, points)
-
     # --- inverse ---
 
     def inverse(self, output: Tensor, params: Params | None = None, **kwargs: Any) -> Tensor:
@@ -136,6 +133,10 @@ def _half_sizes(height: int, width: int, align_corners: bool, like: Tensor) -> T
 class RandomElasticTransform(MapAugmentation):
     """Deform images by smooth random displacements: noise after a Gaussian blur.
 
+    `alpha` scales with the image and the window of the blur does not, as in Kornia. So the default deforms a small image little,
+    and folds 13% of one of 1024x1024 pixels: there pixels read the image in reverse order. With `scale_window` the deformation
+    looks alike in all sizes.
+
     Args:
         kernel_size: height and width of the blur's window, odd.
         sigma: standard deviations of the blur along y and x.
@@ -146,6 +147,8 @@ class RandomElasticTransform(MapAugmentation):
         same_on_batch: all samples get the same deformation.
         p: probability that a sample is augmented.
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+        scale_window: `kernel_size` and `sigma` are those for images of 256x256 pixels, and scale with height and width. Images
+            of other sizes get the deformation of these, enlarged.
 
     Raises:
         TypeError, ValueError: in a call, as `filters.gaussian_blur2d`.
@@ -168,6 +171,7 @@ class RandomElasticTransform(MapAugmentation):
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
+        scale_window: bool = False,
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
@@ -179,6 +183,7 @@ class RandomElasticTransform(MapAugmentation):
             "align_corners": align_corners,
             "resample": Resample.get(resample),
             "padding_mode": padding_mode,
+            "scale_window": scale_window,
         }
 
     def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
@@ -190,7 +195,13 @@ class RandomElasticTransform(MapAugmentation):
     def _blur_and_scale(self, shape: tuple[int, ...], flags: dict[str, Any]) -> tuple[Any, tuple[float, float]]:
         less = 1 if flags["align_corners"] else 0
         scale_x, scale_y = (alpha * (n - less) / 2 for alpha, n in zip(flags["alpha"], (shape[-1], shape[-2])))
-        return blur_settings(flags["kernel_size"], flags["sigma"]), (scale_x, scale_y)
+        blur = blur_settings(flags["kernel_size"], flags["sigma"])
+        if flags["scale_window"]:
+            height, width = (n / _WINDOW_SIZE for n in shape[-2:])
+            blur = scaled_blur(blur, height, width)
+            more = math.sqrt(height * width)  # the mean of more noise is that much smaller
+            scale_x, scale_y = scale_x * more, scale_y * more
+        return blur, (scale_x, scale_y)
 
     def _noise_field(self, shape: tuple[int, ...], number: int, one_key: bool) -> NoiseField | None:
         blur, scale = self._blur_and_scale(shape, self.flags)

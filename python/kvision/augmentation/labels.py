@@ -19,14 +19,19 @@ BOX_FORMATS = {
     DataKey.BBOX_XYWH: "xywh",
 }
 
-# Boxes and points become points (B, M, 2) in coordinates of pixel centers, move with the image, and become boxes again.
-Mover = Callable[[Tensor], Tensor]
-CURVED = 16  # points on each side of a box that moves by a map, which bends its sides
+# Points (B, N, 2), (B, N, 3) of volumes, in coordinates of pixel centers, after a move.
+PointMover = Callable[[Tensor], Tensor]
+# The corners (B, N, 4, 2) of boxes after a move, and the visible fractions (B, N) of their areas or None. The second argument
+# says that they are to be upright.
+BoxMover = Callable[[Tensor, bool], tuple[Tensor, Tensor | None]]
 
 # How far the edges of a box are from its numbers, in coordinates of pixel centers. xyxy and xywh, as COCO has them, end at the
 # edges of pixels: the first pixel's center, 0, is half a pixel from its left edge, 0. xyxy_plus names the first and the last
 # pixel, which both belong to the box.
 _OFFSETS = {"xyxy": (-0.5, -0.5), "xywh": (-0.5, -0.5), "xyxy_plus": (-0.5, 0.5)}
+
+
+_UNSIGNED = (torch.uint8, torch.uint16, torch.uint32, torch.uint64, torch.bool)
 
 
 def parse_data_keys(op: str, keys: Any) -> list[DataKey]:
@@ -40,7 +45,7 @@ def parse_data_keys(op: str, keys: Any) -> list[DataKey]:
         raise type(error)(f"{op}: expected data_keys to be of {listed}; got {keys!r}") from None
 
 
-def move_points(points: Any, move: Mover, numbers: int = 2) -> Any:
+def move_points(points: Any, move: PointMover, numbers: int = 2) -> Any:
     """Key points (B, N, 2), (N, 2) or a list of (N, 2), of any floating-point type; those of volumes have 3 numbers."""
     if isinstance(points, (list, tuple)):
         if not points:
@@ -61,44 +66,35 @@ def move_points(points: Any, move: Mover, numbers: int = 2) -> Any:
     return _keeping_type(batch, move).reshape(points.shape)
 
 
-def visible_points(before: Any, after: Any, back: Mover, size: tuple[int, ...]) -> Any:
-    """Which moved points are inside images of a size (H, W) or (D, H, W), as they were before the move.
-
-    bool (B, N), or a list of (N,). A map that folds may show what was at a point nowhere; the point found for it is moved
-    back to another position.
-    """
-    if isinstance(after, (list, tuple)):
-        if not after:
-            return after
-        (padded, sizes), (start, _) = pad(after), pad(before)
-        return type(after)(row[:n] for row, n in zip(visible_points(start, padded, back, size), sizes))
-    if hasattr(after, "transform_keypoints"):
-        return visible_points(before._data, after._data, back, size)
-    points = after if after.dim() == 3 else after[None]
-    of_axes = [(x >= -0.5) & (x <= n - 0.5) for x, n in zip(points.unbind(-1), reversed(size))]
-    inside = torch.stack(of_axes).all(0)
-    miss = (_keeping_type(points, back) - before.reshape(points.shape)).abs().amax(-1)
-    return (inside & (miss < 0.5)).reshape(after.shape[:-1])
+def visible_points(points: Any, are_visible: Callable[[Tensor], Tensor]) -> Any:
+    """Which points are visible, as a function of points (B, N, 2) tells: bool (B, N), or a list of (N,)."""
+    if isinstance(points, (list, tuple)):
+        if not points:
+            return points
+        padded, sizes = pad(points)
+        return type(points)(row[:n] for row, n in zip(visible_points(padded, are_visible), sizes))
+    if hasattr(points, "transform_keypoints"):
+        return visible_points(points._data, are_visible)
+    return are_visible(points if points.dim() == 3 else points[None]).reshape(points.shape[:-1])
 
 
-def move_boxes(boxes: Any, mode: str, move: Mover, points_of_side: int = 1) -> Any:
-    """Boxes of a mode: vertices (B, N, 4, 2), or (B, N, 4); without the batch, or a list of those.
+def move_boxes(boxes: Any, mode: str, move: BoxMover) -> tuple[Any, Tensor | None]:
+    """Boxes of a mode, and the visible fractions (B, N) of their areas, with a list padded to the longest; None for all.
 
-    Upright boxes are the smallest around so many points on each side, of which the first is a corner. The sides of vertices
-    move outward until these points are inside.
+    Vertices are (B, N, 4, 2), other boxes (B, N, 4); without the batch, or a list of those.
     """
     if isinstance(boxes, (list, tuple)):
         if not boxes:
-            return boxes
+            return boxes, None
         padded, sizes = pad(boxes)
-        moved = move_boxes(padded, mode, move, points_of_side)
-        return type(boxes)(m[:n] for m, n in zip(moved, sizes))
+        moved, fraction = move_boxes(padded, mode, move)
+        return type(boxes)(m[:n] for m, n in zip(moved, sizes)), fraction
     if hasattr(boxes, "transform_boxes"):  # kvision.geometry.boxes.Boxes
         if getattr(boxes, "normalized", False):
             raise ValueCheckError("AugmentationSequential: expected boxes in pixels, got normalized ones")
         moved = boxes.clone()
-        moved._data = move_boxes(boxes._data, "vertices", move, points_of_side)
-        return moved
+        moved._data, fraction = move_boxes(boxes._data, "vertices", move)
+        return moved, fraction
     _check.is_tensor("AugmentationSequential", "boxes", boxes)
     trailing = (4, 2) if mode == "vertices" else (4,)
     if boxes.shape[-len(trailing) :] != trailing or boxes.dim() not in (1 + len(trailing), 2 + len(trailing)):
@@ -106,18 +102,11 @@ def move_boxes(boxes: Any, mode: str, move: Mover, points_of_side: int = 1) -> A
             f"AugmentationSequential: expected boxes of shape (B, N, {', '.join(map(str, trailing))}), "
             f"got {tuple(boxes.shape)}"
         )
+    if 0 in boxes.shape:
+        return boxes, None
     batch = boxes if boxes.dim() == 2 + len(trailing) else boxes[None]
-    values = batch if batch.is_floating_point() else batch.double()
-    corners = box_corners(values, mode)
-    along = torch.arange(points_of_side, dtype=corners.dtype, device=corners.device)[:, None] / points_of_side
-    sides = corners.roll(-1, -2) - corners
-    outline = corners[..., None, :] + along * sides[..., None, :] if points_of_side > 1 else corners[..., None, :]
-    b, n = batch.shape[:2]
-    moved = _keeping_type(outline.reshape(b, n * 4 * points_of_side, 2), move).reshape(b, n, 4, points_of_side, 2)
-    if mode == "vertices":
-        corners = moved[..., 0, :] if points_of_side == 1 else _quadrangles_around(moved)
-        return _as_type(_upright(corners), boxes)
-    return _as_type(_boxes_around(moved.flatten(-3, -2), mode), boxes)
+    corners, fraction = move(box_corners(_computed(batch), mode), mode != "vertices")
+    return _as_type(_upright(corners) if mode == "vertices" else _boxes_around(corners, mode), boxes), fraction
 
 
 def box_corners(boxes: Tensor, mode: str) -> Tensor:
@@ -139,29 +128,6 @@ def _boxes_around(corners: Tensor, mode: str) -> Tensor:
     return torch.cat([first, last - first if mode == "xywh" else last], -1)
 
 
-def _quadrangles_around(outline: Tensor) -> Tensor:
-    """The corners (..., 4, 2) of quadrangles around points on their bent sides (..., 4, M, 2), the first a corner each.
-
-    The sides are parallel to the lines between the corners, and as far outward as the points are.
-    """
-    corners = outline[..., 0, :]
-    along = corners.roll(-1, -2) - corners
-    after = along.roll(-1, -2)
-    area = (along[..., 0] * after[..., 1] - along[..., 1] * after[..., 0]).sum(-1, keepdim=True)
-    # A unit vector to the outside of each side: to the left of it, where the corners go clockwise on the screen.
-    normal = torch.stack([along[..., 1], -along[..., 0]], -1) * torch.where(area < 0, -1.0, 1.0)[..., None]
-    normal = normal / along.norm(dim=-1, keepdim=True).clamp(min=1e-6)
-    excess = ((outline - corners[..., None, :]) * normal[..., None, :]).sum(-1).amax(-1).clamp(min=0)
-    # A corner moves to where the lines of its two sides meet.
-    before, distance = normal.roll(1, -2), excess.roll(1, -1)
-    determinant = before[..., 0] * normal[..., 1] - before[..., 1] * normal[..., 0]
-    x = distance * normal[..., 1] - excess * before[..., 1]
-    y = excess * before[..., 0] - distance * normal[..., 0]
-    is_flat = determinant.abs() < 1e-3
-    step = torch.stack([x, y], -1) / torch.where(is_flat, 1.0, determinant)[..., None]
-    return corners + torch.where(is_flat[..., None], 0.0, step)
-
-
 class BoxFilter(NamedTuple):
     """Which boxes stay after they have moved, and whether they end at the edges of the image."""
 
@@ -174,29 +140,40 @@ class BoxFilter(NamedTuple):
         return not (self.clip or self.min_area > 0 or self.min_visibility > 0)
 
 
-def filter_boxes(boxes: Any, mode: str, size: tuple[int, ...], rule: BoxFilter) -> tuple[Any, Any]:
+def filter_boxes(
+    boxes: Any, mode: str, size: tuple[int, ...], rule: BoxFilter, fraction: Tensor | None = None
+) -> tuple[Any, Any]:
     """Boxes in images of a size (H, W) by a rule, and which of them stay: bool (B, N), or a list of (N,).
 
-    Lists become shorter; in tensors the boxes that do not stay are 0.
+    `fraction` (B, N) is the visible fraction of areas before these boxes were cut off, None for 1. Lists become shorter; in
+    tensors the boxes that do not stay are 0.
     """
     if isinstance(boxes, (list, tuple)):
-        pairs = [_filtered(part, mode, size, rule) for part in boxes]
+        rows = [None] * len(boxes) if fraction is None else [row[: len(p)] for row, p in zip(fraction, boxes)]
+        pairs = [_filtered(part, mode, size, rule, row) for part, row in zip(boxes, rows)]
         return type(boxes)(part[kept] for part, kept in pairs), [kept for _, kept in pairs]
     if hasattr(boxes, "transform_boxes"):  # kvision.geometry.boxes.Boxes
         filtered = boxes.clone()
-        filtered._data, kept = _filtered(boxes._data, "vertices", size, rule)
+        filtered._data, kept = _filtered(boxes._data, "vertices", size, rule, fraction)
         return filtered, kept
-    return _filtered(boxes, mode, size, rule)
+    return _filtered(boxes, mode, size, rule, fraction)
 
 
-def _filtered(boxes: Tensor, mode: str, size: tuple[int, ...], rule: BoxFilter) -> tuple[Tensor, Tensor]:
-    values = boxes if boxes.dtype == torch.float64 else boxes.float() if boxes.is_floating_point() else boxes.double()
+def _filtered(
+    boxes: Tensor, mode: str, size: tuple[int, ...], rule: BoxFilter, fraction: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    values = _computed(boxes)
     corners = box_corners(values, mode)
     margin = 0.5 if mode == "vertices" else 0.0  # from the centers of the outermost pixels to their edges
     first, last = corners.amin(-2) - margin, corners.amax(-2) + margin
     first_inside, last_inside = _inside(first, size), _inside(last, size)
     area, whole = (last_inside - first_inside).prod(-1), (last - first).prod(-1)
-    kept = (area > 0) & (area >= rule.min_area) & (area >= rule.min_visibility * whole)
+    kept = (area > 0) & (area >= rule.min_area)
+    if fraction is None:
+        kept = kept & (area >= rule.min_visibility * whole)
+    else:
+        before = fraction.reshape(area.shape).to(area)
+        kept = kept & (before > 0) & (area * before >= rule.min_visibility * whole)
     if rule.clip:
         center = (first_inside + last_inside) / 2
         x, y = (first_inside + margin).minimum(center).unbind(-1)
@@ -204,7 +181,7 @@ def _filtered(boxes: Tensor, mode: str, size: tuple[int, ...], rule: BoxFilter) 
         inside = torch.stack([x, y, right, y, right, bottom, x, bottom], -1).reshape(corners.shape)
         values = inside if mode == "vertices" else _boxes_around(inside, mode)
     axes = (..., *[None] * (boxes.dim() - kept.dim()))
-    return _as_type(torch.where(kept[axes], values, 0).to(values), boxes).to(boxes.dtype), kept
+    return _as_type(torch.where(kept[axes], values, 0), boxes), kept
 
 
 def _inside(points: Tensor, size: tuple[int, ...]) -> Tensor:
@@ -214,30 +191,126 @@ def _inside(points: Tensor, size: tuple[int, ...]) -> Tensor:
 
 
 def filter_labels(classes: Any, kept: Any) -> Any:
-    """The class labels of boxes that stay; in tensors, whose shape stays, -1 for the others.
+    """The class labels of boxes that stay; in tensors and arrays, whose shape stays, -1, "" or None for the others.
 
-    Labels that do not begin with the shape of the boxes are those of images, and stay.
+    Labels of images stay: scalars in a list, tensors of one axis or of fractions that do not begin with the shape of the boxes.
+
+    Args:
+        classes: a tensor or an array (B, N, ...), a list of sequences, arrays or tensors of the labels of each image; of one
+            image without the batch a sequence, an array or a tensor of N labels.
+        kept: which boxes stay, bool (B, N) or (N,), or a list of (N,).
+
+    Raises:
+        ValueError: there are more or fewer labels than boxes.
     """
+    is_single = isinstance(kept, Tensor) and kept.dim() == 1
+    rows: list[Tensor] = [kept] if is_single else list(kept)
     if isinstance(classes, (list, tuple)):
-        rows = kept if isinstance(kept, list) else list(kept)
-        if len(classes) != len(rows) or not all(isinstance(part, Tensor) for part in classes):
+        of_images = [_is_sequence(part) for part in classes]
+        if len(rows) == 1 and not any(of_images) and (is_single or len(classes) == len(rows[0]) > 1):
+            return _filtered_labels(classes, rows[0])
+        if len(classes) != len(rows):
+            raise _wrong_count(f"{len(rows)} images", f"those of {len(classes)}")
+        if not any(of_images):
             return classes
-        return type(classes)(
-            part[row.to(part.device)] if len(part) == len(row) else part for part, row in zip(classes, rows)
-        )
-    if isinstance(kept, list) or not isinstance(classes, Tensor) or classes.shape[: kept.dim()] != kept.shape:
+        return type(classes)(_filtered_labels(part, row) for part, row in zip(classes, rows))
+    if not _is_array(classes) or classes.ndim == 0:
         return classes
-    if classes.dtype in (torch.uint8, torch.uint16, torch.uint32, torch.uint64, torch.bool):
-        raise TypeCheckError(
-            f"AugmentationSequential: expected class of a signed type, as -1 marks removed boxes, got {classes.dtype}"
+    of_boxes = kept if isinstance(kept, Tensor) else _padded_rows(rows)
+    if is_single and (classes.ndim > 1 and tuple(classes.shape[:2]) == (1, len(kept))):
+        of_boxes = of_boxes[None]
+    shape = tuple(of_boxes.shape)
+    if tuple(classes.shape[: len(shape)]) == shape:
+        return _marked(classes, of_boxes)
+    if classes.ndim < len(shape) or _is_fraction(classes):
+        return classes
+    raise _wrong_count(f"shape {shape}", str(tuple(classes.shape)))
+
+
+def filter_masks(masks: Any, kept: Any) -> Any:
+    """The masks (N, H, W) of instances whose boxes stay, in a list of those of each image.
+
+    Masks of images stay: those of as many channels in all images, which are not those of the boxes.
+    """
+    if not isinstance(masks, (list, tuple)) or not masks:
+        return masks
+    rows = [kept] if isinstance(kept, Tensor) and kept.dim() == 1 else list(kept)
+    counts, boxes = [len(part) for part in masks], [len(row) for row in rows]
+    if counts == boxes:
+        return type(masks)(_filtered_labels(part, row) for part, row in zip(masks, rows))
+    if len(set(counts)) > 1:
+        raise ShapeError(
+            f"AugmentationSequential: expected masks of {boxes} instances, as there are boxes, got {counts}"
         )
-    axes = (..., *[None] * (classes.dim() - kept.dim()))
-    return torch.where(kept[axes].to(classes.device), classes, -1).to(classes.dtype)
+    return masks
+
+
+def _is_array(labels: Any) -> bool:
+    """Whether labels are a tensor or a NumPy array."""
+    return isinstance(labels, Tensor) or hasattr(labels, "__array_interface__")
+
+
+def _is_sequence(labels: Any) -> bool:
+    return isinstance(labels, (list, tuple)) or (_is_array(labels) and labels.ndim > 0)
+
+
+def _is_fraction(labels: Any) -> bool:
+    return labels.is_floating_point() if isinstance(labels, Tensor) else labels.dtype.kind == "f"
+
+
+def _wrong_count(expected: str, got: str) -> ShapeError:
+    return ShapeError(f"AugmentationSequential: expected class of {expected}, as there are boxes, got {got}")
+
+
+def _filtered_labels(labels: Any, row: Tensor) -> Any:
+    """Those of the labels of one image, or of its masks, whose boxes stay."""
+    if not _is_sequence(labels):
+        raise TypeCheckError(
+            f"AugmentationSequential: expected class of sequences for all images, got {type(labels).__name__}"
+        )
+    if len(labels) != len(row):
+        raise _wrong_count(f"{len(row)} labels", str(len(labels)))
+    if isinstance(labels, Tensor):
+        return labels[row.to(labels.device)]
+    if _is_array(labels):
+        return labels[row.cpu().numpy()]
+    return type(labels)(label for label, stays in zip(labels, row.tolist()) if stays)
+
+
+def _padded_rows(rows: Sequence[Tensor]) -> Tensor:
+    """Rows in one tensor, filled up with True: what is not there is not removed."""
+    longest = max((len(row) for row in rows), default=0)
+    if all(len(row) == longest for row in rows):
+        return torch.stack(list(rows)) if rows else torch.ones(0, 0, dtype=torch.bool)
+    return torch.stack([torch.cat([row, row.new_ones(longest - len(row))]) for row in rows])
+
+
+def _marked(classes: Any, kept: Tensor) -> Any:
+    """Labels in a tensor or an array, with -1, "" or None in place of those whose boxes do not stay."""
+    dtype = classes.dtype
+    is_tensor = isinstance(classes, Tensor)
+    if dtype in _UNSIGNED if is_tensor else dtype.kind in "ub":
+        raise TypeCheckError(
+            f"AugmentationSequential: expected class of a signed type, as -1 marks removed boxes, got {dtype}"
+        )
+    if is_tensor:
+        axes = (..., *[None] * (classes.ndim - kept.dim()))
+        return torch.where(kept[axes].to(classes.device), classes, -1).to(dtype)
+    marked = classes.copy()
+    marked[~kept.cpu().numpy()] = {"U": "", "S": b"", "O": None}.get(dtype.kind, -1)
+    return marked
+
+
+def _computed(boxes: Tensor) -> Tensor:
+    """Boxes in float32 or float64, which the formulas take."""
+    if not boxes.is_floating_point():
+        return boxes.double()
+    return boxes if boxes.dtype == torch.float64 else boxes.float()
 
 
 def _as_type(moved: Tensor, boxes: Tensor) -> Tensor:
     moved = moved.reshape(boxes.shape)
-    return moved if boxes.is_floating_point() else moved.round().to(boxes.dtype)
+    return (moved if boxes.is_floating_point() else moved.round()).to(boxes.dtype)
 
 
 def _upright(vertices: Tensor) -> Tensor:
@@ -273,7 +346,7 @@ def _floating(name: str, x: Any) -> None:
         raise TypeCheckError(f"AugmentationSequential: expected {name} of a floating-point type, got {x.dtype}")
 
 
-def _keeping_type(points: Tensor, move: Mover) -> Tensor:
+def _keeping_type(points: Tensor, move: PointMover) -> Tensor:
     """Move points in float32 or float64, which the formulas take."""
     if 0 in points.shape:
         return points

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -11,17 +12,16 @@ from torch import Generator, Tensor, nn
 from kvision.augmentation import labels
 from kvision.augmentation.base import RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D
 from kvision.augmentation.container.image import ImageSequential, ParamItem
+from kvision.augmentation.container.label_moves import LabelRecord, move_boxes_back, size_before
 from kvision.augmentation.container.runs import Randomness, execute
 from kvision.augmentation.container.stages import (
     Applied,
     Stage,
     forget_coordinates,
     invert,
-    keeps_lines,
     mixes,
     move_masks,
     move_masks_back,
-    move_points,
     move_points_back,
 )
 from kvision.augmentation.container.video import VideoLayout, VideoSequential
@@ -104,7 +104,7 @@ class AugmentationSequential(ImageSequential):
 
     # Of the last call.
     _kept_boxes: Sequence[Any] = ()
-    _points: Sequence[tuple[Any, Any]] = ()  # before and after
+    _points: Sequence[tuple[Any, Callable[[Tensor], Tensor]]] = ()  # moved ones, and which of them are visible
     _videos: VideoLayout | None = None
     _boxes: int | None = None  # how many an image has
     _result_size: tuple[int, ...] = (0, 0)
@@ -120,7 +120,7 @@ class AugmentationSequential(ImageSequential):
         transformation_matrix_mode: str = "silent",
         extra_args: dict[Any, dict[str, Any]] | None = None,
         resample: str = "each",
-        clip_boxes: bool = False,
+        clip_boxes: bool | str = False,
         min_box_area: float = 0.0,
         min_box_visibility: float = 0.0,
         generator: Generator | None = None,
@@ -159,7 +159,12 @@ class AugmentationSequential(ImageSequential):
             )
         self._names = parse_names("AugmentationSequential", keys)
         self._warned: set[str] = set()  # names of entries that pass through
-        self.box_filter = labels.BoxFilter(clip_boxes, min_box_area, min_box_visibility)
+        if clip_boxes not in (False, True, "each"):
+            raise ValueCheckError(
+                f"AugmentationSequential: expected clip_boxes to be a bool or 'each', got {clip_boxes!r}"
+            )
+        self.box_filter = labels.BoxFilter(bool(clip_boxes), min_box_area, min_box_visibility)
+        self._clips_each = clip_boxes == "each"
         self.transformation_matrix_mode = transformation_matrix_mode
         self.extra_args = {DataKey.MASK: {"resample": "nearest"}} if extra_args is None else extra_args
 
@@ -279,6 +284,7 @@ class AugmentationSequential(ImageSequential):
             source = source._replace(masks=lambda stages: self._moved(DataKey.MASK, masks, stages))
         y = self._execute(x, params, source)
         state["_result_size"] = tuple(y.shape[2:])
+        record = LabelRecord(self._clips_each)
         outputs = []
         for i, (key, value) in enumerate(zip(keys, inputs)):
             if i == first:
@@ -288,17 +294,17 @@ class AugmentationSequential(ImageSequential):
                 z = execute(self.transform_tensor(value), again, self._source(None, None))[0]
                 outputs.append(self._restored(z, value))
             else:
-                outputs.append(self._moved(key, value, self._stages))
-        return self._finished(keys, inputs, outputs, self._result_size)
+                outputs.append(record.kept(key, self._moved(key, value, self._stages, self._result_size, record)))
+        return self._finished(keys, outputs, self._result_size, record)
 
     def _finished(
-        self, keys: Sequence[DataKey], inputs: Sequence[Any], outputs: list[Any], size: tuple[int, ...]
+        self, keys: Sequence[DataKey], outputs: list[Any], size: tuple[int, ...], record: LabelRecord
     ) -> list[Any]:
         """Filtered results, with what `visible_points` needs kept, and the frames of videos as videos."""
-        points = [(x, y) for key, x, y in zip(keys, inputs, outputs) if key == DataKey.KEYPOINTS]
-        self.__dict__["_points"] = points
+        self.__dict__["_points"] = record.points
         forget_coordinates(self._stages)
-        return self._of_videos(self._filtered(keys, outputs, size))
+        record.forget_maps()
+        return self._of_videos(self._filtered(keys, outputs, size, record))
 
     # --- videos ---
 
@@ -348,7 +354,10 @@ class AugmentationSequential(ImageSequential):
         if params is not None:
             image, stages = self._replayed(torch.zeros(1), params)
             size = tuple(image.shape[2:])
-        return self._finished(keys, inputs, [self._moved(key, value, stages) for key, value in zip(keys, inputs)], size)
+        record = LabelRecord(self._clips_each)
+        moved = (self._moved(key, value, stages, size, record) for key, value in zip(keys, inputs))
+        outputs = [record.kept(key, value) for key, value in zip(keys, moved)]
+        return self._finished(keys, outputs, size, record)
 
     # --- labels ---
 
@@ -364,31 +373,34 @@ class AugmentationSequential(ImageSequential):
 
         Points outside of the result are not visible, nor are those that a map has folded away.
         """
-        visible = [
-            labels.visible_points(
-                before, after, lambda points: move_points_back(points, self._stages), self._result_size
-            )
-            for before, after in self._points
-        ]
+        visible = [labels.visible_points(points, are_visible) for points, are_visible in self._points]
         return visible if self._videos is None else [self._videos.labels_of_videos(kept) for kept in visible]
 
-    def _filtered(self, keys: Sequence[DataKey], values: list[Any], size: tuple[int, ...]) -> list[Any]:
-        """Moved boxes that the filter leaves, and their class labels."""
+    def _filtered(
+        self, keys: Sequence[DataKey], values: list[Any], size: tuple[int, ...], record: LabelRecord
+    ) -> list[Any]:
+        """Moved boxes that the filter leaves, and their class labels and masks."""
         self.__dict__["_kept_boxes"] = []
         if self.box_filter.does_nothing:
             return values
         kept: dict[int, Any] = {}
         for i, key in enumerate(keys):
             if key in labels.BOX_FORMATS:
-                values[i], kept[i] = labels.filter_boxes(values[i], labels.BOX_FORMATS[key], size, self.box_filter)
+                mode, fraction = labels.BOX_FORMATS[key], record.fractions[len(kept)]
+                values[i], kept[i] = labels.filter_boxes(values[i], mode, size, self.box_filter, fraction)
         self._kept_boxes = list(kept.values())
         for i, key in enumerate(keys):
-            if key == DataKey.CLASS and kept:
+            if key in (DataKey.CLASS, DataKey.MASK) and kept:
                 before = [at for at in kept if at < i]
-                values[i] = labels.filter_labels(values[i], kept[before[-1] if before else min(kept)])
+                of_boxes = kept[before[-1] if before else min(kept)]
+                filtered = labels.filter_labels if key == DataKey.CLASS else labels.filter_masks
+                values[i] = filtered(values[i], of_boxes)
         return values
 
-    def _moved(self, key: DataKey, value: Any, stages: Sequence[Stage]) -> Any:
+    def _moved(
+        self, key: DataKey, value: Any, stages: Sequence[Stage], size: tuple[int, ...], record: LabelRecord
+    ) -> Any:
+        """What belongs to images after stages, whose last result has a size."""
         if key == DataKey.MASK:
             return self._moved_masks(value, stages)
         for i, stage in enumerate(stages):
@@ -396,24 +408,23 @@ class AugmentationSequential(ImageSequential):
                 continue
             module: Any = stage.module
             if getattr(module, "mixes_samples", False):
-                before = self._moved(key, value, stages[:i])
-                return self._moved(
-                    key, module._mixed_labels(key, before, stage.execution, self._boxes), stages[i + 1 :]
-                )
+                before = self._moved(key, value, stages[:i], size_before(stages[i:], size), record)
+                mixed = module._mixed_labels(key, before, stage.execution, self._boxes)
+                return self._moved(key, mixed, stages[i + 1 :], size, record)
             if stage.stages and mixes(stage.stages):
-                nested = self._moved(key, self._moved(key, value, stages[:i]), stage.stages)
-                return self._moved(key, nested, stages[i + 1 :])
+                before = self._moved(key, value, stages[:i], size_before(stages[i:], size), record)
+                nested = self._moved(key, before, stage.stages, size_before(stages[i + 1 :], size), record)
+                return self._moved(key, nested, stages[i + 1 :], size, record)
         if key == DataKey.KEYPOINTS:
             self._check_batch("keypoints", value, 3)
-            return labels.move_points(value, lambda points: move_points(points, stages), self._numbers_of_points)
+            return record.move_points(value, stages, size, self._numbers_of_points)
         if key in labels.BOX_FORMATS:
             if self._numbers_of_points == 3:
                 raise NotImplementedError(
                     "AugmentationSequential: boxes of volumes cannot be moved; masks and key points can"
                 )
             self._check_batch(key.name.lower(), value, 4 if key == DataKey.BBOX else 3)
-            count = 1 if keeps_lines(stages) else labels.CURVED
-            return labels.move_boxes(value, labels.BOX_FORMATS[key], lambda points: move_points(points, stages), count)
+            return record.move_boxes(value, labels.BOX_FORMATS[key], stages, size)
         return value
 
     @property
@@ -497,7 +508,6 @@ class AugmentationSequential(ImageSequential):
         inputs = self._of_frames(keys, inputs)
         if params is not None:
             stages = self._stages_of(torch.zeros(1), params)
-        count = 1 if keeps_lines(stages) else labels.CURVED
         outputs = []
         for key, value in zip(keys, inputs):
             if key == DataKey.INPUT:
@@ -510,11 +520,8 @@ class AugmentationSequential(ImageSequential):
                     labels.move_points(value, lambda points: move_points_back(points, stages), self._numbers_of_points)
                 )
             elif key in labels.BOX_FORMATS:
-                outputs.append(
-                    labels.move_boxes(
-                        value, labels.BOX_FORMATS[key], lambda points: move_points_back(points, stages), count
-                    )
-                )
+                move = functools.partial(move_boxes_back, stages)
+                outputs.append(labels.move_boxes(value, labels.BOX_FORMATS[key], move)[0])
             else:
                 outputs.append(value)
         return self._of_videos(outputs)

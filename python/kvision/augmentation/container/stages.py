@@ -164,16 +164,14 @@ class Composed:
 
     def move_points(self, points: Tensor) -> Tensor:
         for link in self.links:
-            if isinstance(link, MapLink):
-                points = link.module.transform_points(points, link.execution)
-            else:
+            if isinstance(link, Tensor):
                 points = transform_points(link.to(points), points)
         return points
 
     def move_points_back(self, points: Tensor) -> Tensor:
-        for link in reversed(self.links):
+        for link, tensor in zip(reversed(self.links), reversed(self.tensors(points))):
             if isinstance(link, MapLink):
-                points = link.module.inverse_points(points, link.execution)
+                points = maps.read_positions(tensor, points)
             else:
                 points = transform_points(torch.linalg.inv(link).to(points), points)
         return points
@@ -252,7 +250,7 @@ Stage = Warp | Applied | Composed | Cells
 
 
 def move_points(points: Tensor, stages: Sequence[Stage]) -> Tensor:
-    """Points (B, N, 2) after all stages."""
+    """Points (B, N, 2) after all stages, where maps leave them; label_moves.py finds them in the results of maps."""
     for stage in stages:
         points = stage.move_points(points)
     return points

@@ -1,0 +1,352 @@
+"""How boxes and points follow the stages of a call.
+
+Through matrices they move stage by stage. A map says where a result reads the image, and not where the image is in the result:
+it may fold, so that a pixel of the image is in several positions. So if there are maps among the stages, the pixels of the last
+result are traced back through all of them: `preimages` finds the positions that read a point, or the inside of a box.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision.augmentation import labels
+from kvision.augmentation.base import Execution, where_chosen
+from kvision.augmentation.container.stages import (
+    Applied,
+    Composed,
+    MapLink,
+    Stage,
+    Warp,
+    keeps_lines,
+    move_points,
+    move_points_back,
+)
+from kvision.augmentation.elastic import MapAugmentation
+from kvision.augmentation.maps import vector
+from kvision.augmentation.preimages import EXACT, ResultMap, result_map
+from kvision.constants import DataKey
+
+_SIDE = 16  # points on each side of a box that moves through what bends its sides
+_REACH = 4  # sizes of images around a result in which boxes and points outside are found
+
+
+class LabelRecord:
+    """How the labels of one call moved.
+
+    Args:
+        clips: boxes end at the edges of the image after each stage.
+    """
+
+    def __init__(self, clips: bool) -> None:
+        self.clips = clips
+        # Of each input of key points: the moved ones, and a function of points that tells which are visible.
+        self.points: list[tuple[Any, Callable[[Tensor], Tensor]]] = []
+        self.fractions: list[Tensor | None] = []  # of each input of boxes, the visible parts of their areas
+        self._moves: dict[tuple[int, ...], LabelMoves] = {}
+        self._are_visible: Callable[[Tensor], Tensor] = torch.ones_like  # of the last points and boxes
+        self._fraction: Tensor | None = None
+
+    def move_points(self, points: Any, stages: Sequence[Stage], size: Sequence[int], numbers: int) -> Any:
+        """Key points after stages, whose last result has a size."""
+        moves, visible = self._moves_of(stages, size), None
+
+        def move(points: Tensor) -> Tensor:
+            nonlocal visible
+            moved, visible = moves.move_points(points)
+            return moved
+
+        moved = labels.move_points(points, move, numbers)
+        self._are_visible = moves.are_visible if visible is None else functools.partial(_constant, visible)
+        return moved
+
+    def move_boxes(self, boxes: Any, mode: str, stages: Sequence[Stage], size: Sequence[int]) -> Any:
+        """Boxes after stages, whose last result has a size."""
+        moved, self._fraction = labels.move_boxes(boxes, mode, self._moves_of(stages, size).move_boxes)
+        return moved
+
+    def kept(self, key: DataKey, moved: Any) -> Any:
+        """Keep what the last move of an input tells, and return the input after it."""
+        if key == DataKey.KEYPOINTS:
+            self.points.append((moved, self._are_visible))
+        elif key in labels.BOX_FORMATS:
+            self.fractions.append(self._fraction)
+        return moved
+
+    def forget_maps(self) -> None:
+        """Free what is as large as the images."""
+        self._moves.clear()
+
+    def _moves_of(self, stages: Sequence[Stage], size: Sequence[int]) -> LabelMoves:
+        key = tuple(id(stage) for stage in stages)
+        if key not in self._moves:
+            self._moves[key] = LabelMoves(stages, size, self.clips)
+        return self._moves[key]
+
+
+def _constant(value: Tensor, points: Tensor) -> Tensor:
+    return value
+
+
+class LabelMoves:
+    """Moves of boxes and points (B, ...) through the stages of a call.
+
+    Args:
+        stages: the stages.
+        size: height and width of the results; depth, height and width of volumes.
+        clips: boxes end at the edges of the image after each stage.
+    """
+
+    def __init__(self, stages: Sequence[Stage], size: Sequence[int], clips: bool = False) -> None:
+        self.stages, self.size, self.clips = list(_flat(stages)), tuple(size), clips
+        self._map: ResultMap | None = None
+        self._has_maps = any(_maps(stage) for stage in self.stages)
+
+    # --- points ---
+
+    def move_points(self, points: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Points (B, N, 2 or 3) of results, and which are visible, bool (B, N); None for those that `are_visible` tells."""
+        if not self._has_maps:
+            return move_points(points, self.stages), None
+        known = self._result_map(points)
+        positions, kinds = known.positions(points.detach().to(known.coordinates))
+        moved = self._refined(points, positions.to(points), kinds == EXACT)
+        by_matrices = move_points(points, self.stages)
+        is_mapped = self._is_mapped()
+        visible = where_chosen(is_mapped, kinds > 0, self.are_visible(by_matrices) if is_mapped is not None else False)
+        return where_chosen(is_mapped, moved, by_matrices), visible
+
+    def are_visible(self, moved: Tensor) -> Tensor:
+        """Which moved points (B, N, 2 or 3) are in the results, and were in those before: bool (B, N)."""
+        visible, size = _is_within(moved, self.size), self.size
+        for stage in reversed(self.stages):
+            moved = stage.move_points_back(moved)
+            if stage is not self.stages[0] and (size := _size_before(stage)) is not None:
+                visible = visible & _is_within(moved, size)
+        return visible
+
+    def _refined(self, points: Tensor, positions: Tensor, is_exact: Tensor) -> Tensor:
+        """Positions after a step of Newton's method, by which they have gradients and follow what is between nodes."""
+        step_x, step_y = vector(positions, 0.5, 0.0), vector(positions, 0.0, 0.5)
+        around = [positions, positions + step_x, positions - step_x, positions + step_y, positions - step_y]
+        at, right, left, below, above = move_points_back(torch.cat(around, 1), self.stages).chunk(5, 1)
+        along, down = (right - left).detach(), (below - above).detach()
+        miss = points - at
+        determinant = along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0]
+        step = torch.stack(
+            [
+                miss[..., 0] * down[..., 1] - miss[..., 1] * down[..., 0],
+                miss[..., 1] * along[..., 0] - miss[..., 0] * along[..., 1],
+            ],
+            -1,
+        )
+        is_small = is_exact & (step.detach().abs().amax(-1) < 0.25 * determinant.abs())
+        step = step / torch.where(is_small, determinant, 1.0)[..., None]
+        return positions + torch.where(is_small[..., None], step, 0.0)
+
+    # --- boxes ---
+
+    def move_boxes(self, corners: Tensor, is_upright: bool) -> tuple[Tensor, Tensor | None]:
+        """The corners (B, N, 4, 2) of moved boxes, and the visible fractions of their areas (B, N), None where not computed.
+
+        Upright boxes are the smallest ones around what they contained. The sides of others are parallel to the lines between
+        their moved corners, and outside of what they contained.
+        """
+        if not self._has_maps:
+            return self._clipped(corners) if self.clips else (self._moved_outlines(corners, is_upright), None)
+        known = self._result_map(corners)
+        quads = corners.detach().to(known.coordinates)
+        normals = vector(quads, 0, -1, 1, 0, 0, 1, -1, 0).reshape(4, 2)  # of top, right, bottom and left
+        if not is_upright:
+            outward, is_convex = _normals(self.move_points(quads.flatten(1, 2))[0].reshape(quads.shape))
+            normals = torch.where(is_convex[..., None, None], outward, normals)
+        shown, whole = known.extents(quads, normals).unbind(2)
+        is_shown, is_known = shown[..., 0].isfinite(), whole[..., 0].isfinite()
+        by_matrices = self._moved_outlines(corners, is_upright)
+        whole = _corners(normals, whole, by_matrices.to(quads))
+        moved = torch.where(is_shown[..., None, None], _corners(normals, shown, whole), whole)
+        fraction = torch.where(is_shown, _area(moved) / _area(whole).clamp(min=1e-9), 0.0).clamp(max=1)
+        moved = torch.where(is_known[..., None, None], moved.to(corners), by_matrices)
+        is_mapped = self._is_mapped()
+        return where_chosen(is_mapped, moved, by_matrices), where_chosen(is_mapped, fraction, 1.0)
+
+    def _moved_outlines(self, corners: Tensor, is_upright: bool) -> Tensor:
+        """Corners around the outlines of boxes, moved by all but maps."""
+        count = 1 if self._has_maps or keeps_lines(self.stages) else _SIDE
+        return _around_outlines(corners, is_upright, count, lambda points: move_points(points, self.stages))
+
+    def _clipped(self, corners: Tensor) -> tuple[Tensor, Tensor]:
+        """Rectangles around boxes whose parts outside of the image are cut off after each stage."""
+        polygons, fraction = corners, torch.ones_like(corners[..., 0, 0])
+        for i, stage in enumerate(self.stages):
+            polygons = stage.move_points(polygons.flatten(1, 2)).reshape(polygons.shape)
+            size = self.size if i == len(self.stages) - 1 else _size_before(self.stages[i + 1])
+            if size is not None:
+                whole = _area(polygons)
+                polygons, is_inside = clip_polygons(polygons, size)
+                fraction = torch.where(is_inside, fraction * (_area(polygons) / whole).nan_to_num(1.0), 0.0)
+        return _rectangle(polygons), fraction.clamp(max=1)
+
+    # --- maps ---
+
+    def _result_map(self, like: Tensor) -> ResultMap:
+        """Where the results read the images, in float32."""
+        if self._map is None or self._map.coordinates.device != like.device:
+            float_like = like.new_empty(0, dtype=torch.float32)
+            before = _size_before(self.stages[0]) or self.size
+            with torch.no_grad():
+                reach = _REACH * max(*self.size, *before)
+                self._map = result_map(self.size, reach, float_like, functools.partial(self._read, like.shape[0]))
+        return self._map
+
+    def _read(self, batch: int, nodes: Tensor, margin: int) -> tuple[Tensor, Tensor]:
+        """Where nodes (H, W, 2) of results read the images, (B, H, W, 2), and whether they are within the images in between."""
+        shape = (batch, *nodes.shape[:2])
+        reads = torch.ones(shape, dtype=torch.bool, device=nodes.device)
+        stages, positions = self.stages, nodes.reshape(1, -1, 2).expand(batch, -1, -1)
+        for i, stage in reversed(list(enumerate(stages))):
+            if i == len(stages) - 1 and isinstance(stage, Applied) and _maps(stage):  # its map is known at the nodes
+                displacements = stage.module.displacements_of(stage.execution, stage.flags, nodes)
+                displacements = torch.nn.functional.pad(displacements, 4 * [margin], mode="replicate")
+                positions = (nodes + displacements.movedim(1, -1)).flatten(1, 2)
+            else:
+                positions = stage.move_points_back(positions)
+            if i > 0 and (size := _size_before(stage)) is not None:
+                reads = reads & _is_within(positions, size, margin=1.0).reshape(shape)  # some of a pixel, interpolated
+        return positions.unflatten(1, shape[1:]), reads
+
+    def _is_mapped(self) -> Tensor | None:
+        """(B,) bool, the samples that a map has moved; None for all."""
+        any_chosen = None
+        for stage in self.stages:
+            for execution in _maps(stage):
+                if execution.chosen is None:
+                    return None
+                any_chosen = execution.chosen if any_chosen is None else any_chosen | execution.chosen
+        return any_chosen
+
+
+def _flat(stages: Sequence[Stage]) -> Iterator[Stage]:
+    """Stages, with those of containers in their order."""
+    for stage in stages:
+        if isinstance(stage, Applied) and stage.stages is not None:
+            yield from _flat(stage.stages)
+        else:
+            yield stage
+
+
+def _maps(stage: Stage) -> list[Execution]:
+    """The executions of the maps of a stage that were applied."""
+    if isinstance(stage, Composed):
+        executions = [link.execution for link in stage.links if isinstance(link, MapLink)]
+    else:
+        is_map = isinstance(stage, Applied) and isinstance(stage.module, MapAugmentation)
+        executions = [stage.execution] if is_map and stage.execution is not None else []
+    return [execution for execution in executions if execution.applied]
+
+
+def size_before(stages: Sequence[Stage], size: tuple[int, ...]) -> tuple[int, ...]:
+    """The size of the images that stages were executed on; `size` if none of them tells."""
+    return next((known for stage in _flat(stages) if (known := _size_before(stage)) is not None), size)
+
+
+def _size_before(stage: Stage) -> tuple[int, ...] | None:
+    """The size of the images that a stage was executed on, where it is known."""
+    if isinstance(stage, (Warp, Composed)):
+        return tuple(stage.source)
+    if isinstance(stage, Applied) and stage.execution is not None:
+        return tuple(stage.execution.shape[2:])
+    return None
+
+
+# --- rectangles and polygons ----------------------------------------------------------------------------------------
+
+
+def _is_within(points: Tensor, size: Sequence[int], margin: float = 0.5) -> Tensor:
+    """Whether points (..., 2 or 3) are in an image, or up to a margin away from the centers of its outermost pixels."""
+    of_axes = [(x >= -margin) & (x <= n - 1 + margin) for x, n in zip(points.unbind(-1), reversed(size))]
+    return torch.stack(of_axes).all(0)
+
+
+def _area(polygons: Tensor) -> Tensor:
+    """The areas of polygons (..., V, 2)."""
+    after = polygons.roll(-1, -2)
+    return (polygons[..., 0] * after[..., 1] - polygons[..., 1] * after[..., 0]).sum(-1).abs() / 2
+
+
+def _rectangle(points: Tensor) -> Tensor:
+    """The corners (..., 4, 2) of the smallest upright rectangles around points (..., M, 2)."""
+    (left, top), (right, bottom) = points.amin(-2).unbind(-1), points.amax(-2).unbind(-1)
+    return torch.stack([left, top, right, top, right, bottom, left, bottom], -1).unflatten(-1, (4, 2))
+
+
+def _normals(corners: Tensor) -> tuple[Tensor, Tensor]:
+    """Unit vectors (..., 4, 2) to the outside of the sides of quadrilaterals, and whether these are convex, (...,)."""
+    along = corners.roll(-1, -2) - corners
+    after = along.roll(-1, -2)
+    turn = along[..., 0] * after[..., 1] - along[..., 1] * after[..., 0]
+    is_convex = (turn > 0).all(-1) | (turn < 0).all(-1)
+    # To the left of each side, where the corners go clockwise on the screen.
+    normals = (
+        torch.stack([along[..., 1], -along[..., 0]], -1) * torch.where(turn.sum(-1) < 0, -1.0, 1.0)[..., None, None]
+    )
+    return normals / along.norm(dim=-1, keepdim=True).clamp(min=1e-6), is_convex
+
+
+def _corners(normals: Tensor, distances: Tensor, others: Tensor) -> Tensor:
+    """The corners (..., 4, 2) at which neighboring lines meet, each at a distance along its normal; `others` if they do not."""
+    before, distance = normals.roll(1, -2), distances.roll(1, -1)
+    determinant = before[..., 0] * normals[..., 1] - before[..., 1] * normals[..., 0]
+    x = distance * normals[..., 1] - distances * before[..., 1]
+    y = distances * before[..., 0] - distance * normals[..., 0]
+    meets = (determinant.abs() >= 1e-3) & x.isfinite() & y.isfinite()
+    corners = torch.stack([x, y], -1) / torch.where(meets, determinant, 1.0)[..., None]
+    return torch.where(meets[..., None], corners, others)
+
+
+def move_boxes_back(stages: Sequence[Stage], corners: Tensor, is_upright: bool) -> tuple[Tensor, None]:
+    """The corners (B, N, 4, 2) of boxes of results around what their outlines are before all stages."""
+    count = 1 if keeps_lines(stages) else _SIDE
+    return _around_outlines(corners, is_upright, count, lambda points: move_points_back(points, stages)), None
+
+
+def _around_outlines(corners: Tensor, is_upright: bool, count: int, move: Callable[[Tensor], Tensor]) -> Tensor:
+    """Corners (B, N, 4, 2) around moved points of the outlines of boxes, so many on each side, of which the first is a corner.
+
+    The sides of boxes that are not upright are parallel to the lines between their moved corners.
+    """
+    along = torch.arange(count, dtype=corners.dtype, device=corners.device)[:, None] / count
+    sides = corners.roll(-1, -2) - corners
+    outline = corners[..., None, :] + along * sides[..., None, :] if count > 1 else corners[..., None, :]
+    moved = move(outline.flatten(1, 3)).reshape(outline.shape)
+    if is_upright:
+        return _rectangle(moved.flatten(-3, -2))
+    corners = moved[..., 0, :]
+    if count == 1:
+        return corners
+    normals, _ = _normals(corners)
+    return _corners(normals, (moved @ normals[..., None])[..., 0].amax(-1), corners)
+
+
+def clip_polygons(polygons: Tensor, size: Sequence[int]) -> tuple[Tensor, Tensor]:
+    """The parts (..., V + 4, 2) of convex polygons (..., V, 2) inside images of a size (H, W), and where there is one.
+
+    Of V vertices and the line of an edge V + 1 vertices remain at most; the first one is repeated in place of those that do not.
+    """
+    is_inside = torch.ones_like(polygons[..., 0, 0], dtype=torch.bool)
+    for axis, edge, sign in ((0, -0.5, 1.0), (1, -0.5, 1.0), (0, size[1] - 0.5, -1.0), (1, size[0] - 0.5, -1.0)):
+        depth = sign * (polygons[..., axis] - edge)
+        other, after = depth.roll(-1, -1), polygons.roll(-1, -2)
+        crosses = (depth >= 0) != (other >= 0)
+        at = depth / torch.where(crosses, depth - other, 1.0)
+        points = torch.stack([polygons, polygons + at[..., None] * (after - polygons)], -2).flatten(-3, -2)
+        stays = torch.stack([depth >= 0, crosses], -1).flatten(-2)
+        order = (~stays).to(torch.uint8).sort(dim=-1, stable=True)[1][..., : polygons.shape[-2] + 1]
+        order = torch.where(stays.gather(-1, order), order, order[..., :1])
+        polygons = points.gather(-2, order[..., None].expand(*order.shape, 2))
+        is_inside = is_inside & stays.any(-1)
+    return polygons, is_inside

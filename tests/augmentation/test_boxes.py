@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -168,3 +169,75 @@ def test_labels_that_are_no_tensors_are_named(key: str, labels: Any) -> None:
     got = type(labels[0] if isinstance(labels, list) else labels).__name__
     with pytest.raises(TypeError, match=rf"AugmentationSequential: expected .* to be a Tensor, got {got}"):
         augment(torch.rand(2, 3, 8, 8), labels)
+
+
+def listed(values: Any) -> Any:
+    """Tensors and arrays in a result as lists."""
+    if isinstance(values, (list, tuple)):
+        return [listed(value) for value in values]
+    return values.tolist() if hasattr(values, "tolist") else values
+
+
+NAMES = [["a", "b", "c", "d"], ["e"]]
+NUMBERS = torch.tensor([[5, 6, 7, 8], [9, 0, 0, 0]])
+LISTS = [BOXES[0], BOXES[0, 2:3]]  # of which the first and the last stay, and none
+ALL = BOXES.expand(2, -1, -1)
+
+
+@pytest.mark.parametrize(
+    "boxes, classes, left",
+    [
+        (LISTS, NAMES, [["a", "d"], []]),
+        (LISTS, tuple(map(tuple, NAMES)), [["a", "d"], []]),
+        (LISTS, [[5, 6, 7, 8], [9]], [[5, 8], []]),
+        (LISTS, [np.array(row) for row in NAMES], [["a", "d"], []]),
+        (LISTS, [np.array([5, 6, 7, 8], np.uint8), np.array([9], np.uint8)], [[5, 8], []]),
+        (LISTS, [torch.eye(4), torch.ones(1, 4)], [[[1, 0, 0, 0], [0, 0, 0, 1]], []]),
+        (LISTS, NUMBERS, [[5, -1, -1, 8], [-1, 0, 0, 0]]),
+        (tuple(LISTS), NUMBERS.numpy(), [[5, -1, -1, 8], [-1, 0, 0, 0]]),
+        (ALL, [list("abcd"), list("efgh")], [["a", "d"], ["e", "h"]]),
+        (ALL, [torch.arange(4), torch.arange(4)], [[0, 3], [0, 3]]),
+        (ALL, np.array([list("abcd"), list("efgh")]), [["a", "", "", "d"], ["e", "", "", "h"]]),
+        (ALL, np.arange(8).reshape(2, 4), [[0, -1, -1, 3], [4, -1, -1, 7]]),
+        (BOXES[0], list("abcd"), ["a", "d"]),
+        (BOXES[0], NUMBERS[0], [5, -1, -1, 8]),
+        (BOXES[0], NUMBERS[:1], [[5, -1, -1, 8]]),
+        # of the images
+        (LISTS, ["x", "y"], ["x", "y"]),
+        (LISTS, torch.tensor([3, 4]), [3, 4]),
+        (ALL, torch.eye(2), [[1, 0], [0, 1]]),
+    ],
+)
+def test_labels_of_any_kind_are_filtered_with_their_boxes(boxes: Any, classes: Any, left: Any) -> None:
+    count = 1 if isinstance(boxes, Tensor) and boxes.dim() == 2 else 2
+    augment = container(min_box_visibility=0.4)
+    result = augment(IMAGE.expand(count, -1, -1, -1), boxes, classes)[2]
+    assert listed(result) == left and type(result) is type(classes)
+    assert listed(augment(boxes, classes, data_keys=["bbox_xyxy", "class"])[1]) == left
+
+
+@pytest.mark.parametrize(
+    "boxes, classes, message",
+    [
+        (LISTS, [["a"], ["e"]], "expected class of 4 labels, as there are boxes, got 1"),
+        (LISTS, [["a"] * 4], "expected class of 2 images, as there are boxes, got those of 1"),
+        (LISTS, NUMBERS[:, :3], r"expected class of shape \(2, 4\), as there are boxes, got \(2, 3\)"),
+        (ALL, NUMBERS[:, :3], r"expected class of shape \(2, 4\), as there are boxes, got \(2, 3\)"),
+        (ALL, [["a"] * 4, ["e"]], "expected class of 4 labels, as there are boxes, got 1"),
+    ],
+)
+def test_wrong_numbers_of_labels(boxes: Any, classes: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=f"AugmentationSequential: {message}"):
+        container(min_box_visibility=0.4)(IMAGE.expand(2, -1, -1, -1), boxes, classes)
+
+
+def test_masks_of_instances_are_filtered_with_their_boxes() -> None:
+    augment = container(keys=("image", "bbox_xyxy", "mask"), min_box_visibility=0.4)
+    images = IMAGE.expand(2, -1, -1, -1)
+    masks = [torch.arange(1, 5)[:, None, None].expand(4, 8, 10), torch.ones(1, 8, 10, dtype=torch.int64)]
+    result = augment(images, LISTS, masks)[2]
+    assert [mask.shape for mask in result] == [(2, 8, 10), (0, 8, 10)] and result[0].amax((1, 2)).tolist() == [1, 4]
+    of_images = augment(images, LISTS, [mask[:1] for mask in masks])[2]
+    assert [mask.shape for mask in of_images] == [(1, 8, 10)] * 2
+    with pytest.raises(ValueError, match=r"expected masks of \[4, 1\] instances, as there are boxes, got \[3, 1\]"):
+        augment(images, LISTS, [masks[0][:3], masks[1]])

@@ -118,16 +118,24 @@ def test_points_of_maps_have_gradients(device: torch.device) -> None:
     torch.testing.assert_close(gradient[..., 0], (shifted - moved.detach())[..., 0] * 4, rtol=0.03, atol=0.03)
 
 
+def displacements(elastic: Any, batch: int, size: int, device: torch.device) -> Tensor:
+    elastic(torch.zeros(batch, 1, size, size, device=device), seed=0)
+    return elastic.displacements_of(elastic._execution, elastic.flags, torch.zeros(1, device=device))
+
+
 def test_elastic_windows_that_scale_with_the_image(device: torch.device) -> None:
-    """Displacements are as large, relative to the image, and the deformation is as smooth in all sizes."""
-    extent, slope = [], []
-    for size in (64, 256, 512):
-        elastic = A.RandomElasticTransform(scale_window=True, p=1.0)
-        elastic(torch.zeros(8, 1, size, size, device=device), seed=0)
-        moved = elastic.displacements_of(elastic._execution, elastic.flags, torch.zeros(1, device=device))
-        extent.append(float(moved.std()) / size)
-        slope.append(float(moved.diff(dim=-1).std()))
-    assert max(extent) < 1.5 * min(extent) and max(slope) < 1.5 * min(slope)
+    """Displacements are as large, relative to the image, in all sizes; and large images do not fold."""
+    extent = [
+        float(displacements(A.RandomElasticTransform(scale_window=True, p=1.0), 8, size, device).std()) / size
+        for size in (64, 256, 512)
+    ]
+    assert max(extent) < 1.2 * min(extent)
+    folds = []
+    for scales in (True, False):
+        moved = displacements(A.RandomElasticTransform(scale_window=scales, p=1.0), 1, 1024, device)
+        (xx, xy), (yx, yy) = moved[0, :, :-1].diff(dim=-1), moved[0, ..., :-1].diff(dim=-2)
+        folds.append(float(((1 + xx) * (1 + yy) - xy * yx < 0).float().mean()))
+    assert folds[0] < 0.002 and 0.1 < folds[1] < 0.17, folds
     tensor = A.RandomElasticTransform(sigma=torch.tensor([[32.0, 32.0]]), scale_window=True, p=1.0)
     image = torch.rand(1, 1, 64, 80)
     expected = A.RandomElasticTransform(scale_window=True, p=1.0)(image, seed=1)

@@ -15,6 +15,7 @@ from kvision.augmentation.base import AugmentationBase2D, Execution, Params, whe
 from kvision.augmentation.displacements import NoiseField, blur_settings, elastic_displacements, scaled_blur
 from kvision.augmentation.maps import vector
 from kvision.augmentation.noise import PixelNoise, noise_plan
+from kvision.augmentation.preimages import find_positions
 from kvision.augmentation.random_generator.elastic import ElasticGenerator, FisheyeGenerator, ThinPlateSplineGenerator
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample, SamplePadding
@@ -84,6 +85,14 @@ class MapAugmentation(AugmentationBase2D):
         resampling = self.resampling(flags).for_labels(fill=flags.get("mask_fill"))
         moved = maps.read_labels_displaced(masks, self.displacements_of(execution, flags, masks), resampling)
         return where_chosen(execution.chosen, moved, masks)
+
+    def transform_points(self, points: Tensor, execution: Execution) -> Tensor:
+        if not execution.applied or 0 in points.shape:
+            return points
+        like = points.new_empty(0, dtype=torch.float32)
+        with torch.no_grad():
+            moved, _ = find_positions(self.displacements_of(execution, self.flags, like), points)
+        return where_chosen(execution.chosen, moved.to(points), points)
 
     # --- inverse ---
 

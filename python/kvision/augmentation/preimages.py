@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from kvision._ops import register
@@ -201,6 +202,22 @@ def result_map(
     is_shown[margin : height - margin, margin : width - margin] = INSIDE
     is_shown[margin + 1 : height - margin - 1, margin + 1 : width - margin - 1] = PIXEL
     return ResultMap(coordinates, is_shown * reads, x[None], y[None], margin)
+
+
+def at_nodes(nodes: Tensor, displacements: Tensor, margin: int) -> Tensor:
+    """What nodes (H, W, 2) read by a map, (B, H, W, 2); outside of it displacements are those of its border."""
+    return nodes + F.pad(displacements, 4 * [margin], mode="replicate").movedim(1, -1)
+
+
+def find_positions(displacements: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    """Where the pixels of a result are that read an image at points (B, N, 2), and the kinds of positions."""
+    size = displacements.shape[-2:]
+
+    def read(nodes: Tensor, margin: int) -> tuple[Tensor, Tensor]:
+        read_everywhere = torch.ones(len(displacements), *nodes.shape[:2], dtype=torch.bool, device=nodes.device)
+        return at_nodes(nodes, displacements, margin), read_everywhere
+
+    return result_map(size, 4 * max(size), displacements, read).positions(points.to(displacements))
 
 
 def _node_positions(pixels: int, margin: int, like: Tensor) -> Tensor:

@@ -49,15 +49,21 @@ class AugmentationSequential(ImageSequential):
     Masks are read at the nearest pixel, whatever their type. Boxes "bbox_xyxy" and "bbox_xywh" are (B, N, 4) with edges of
     pixels as COCO has them: a box over all of an image is (0, 0, W, H). "bbox_xyxy_plus" has the first and the last pixel, (0,
     0, W - 1, H - 1). "bbox" has four corners (B, N, 4, 2), and "keypoints" are (B, N, 2): the center of the first pixel is (0,
-    0). A moved box is the smallest upright one around what its outline became; corners move by themselves, and outward where a
-    map bends the sides between them. "class" is returned as it was given. `visible_points` says which points the results show.
+    0). A moved box is the smallest upright one around what its outline became; corners move by themselves. "class" is returned as
+    it was given. `visible_points` says which points the results show.
+
+    A map, elastic, thin-plate or fisheye, may fold, so that several pixels of the result read the same one of the image. A box is
+    then around all pixels that read from inside it, and corners move outward to be so too; only where none does, it is outside
+    of the image. A point is where the pixel is that reads nearest to it, or within 1.5 pixels of that, where it is read exactly.
 
     With a VideoSequential among the children, images are videos (B, T, C, H, W) as its `data_format` says, masks likewise, and
     labels have the axes (B, T) instead of B. Other children give each frame its own parameters.
 
     With `clip_boxes`, `min_box_area` or `min_box_visibility`, boxes without a part inside the image are removed as well. Lists
-    of boxes and of their classes become shorter. Tensors keep their shape: removed boxes are 0, their classes -1. `kept_boxes`
-    says which boxes stayed. "class" belongs to the boxes before it, or else to those after it, if it has one label of each.
+    of boxes, of their classes and of masks of instances, one of each box, become shorter. Tensors and arrays keep their shape:
+    removed boxes are 0, their classes -1, "" or None. `kept_boxes` says which boxes stayed. "class" and "mask" belong to the
+    boxes before them, or else to those after them. Another number of labels than of boxes is an error, but for labels of
+    images: one of each image, or fractions in a tensor.
 
     Args:
         *args: augmentations, other containers, or any modules of images.
@@ -76,7 +82,8 @@ class AugmentationSequential(ImageSequential):
             composes them with elastic, thin-plate and fisheye maps between them, and interpolates once. Pixels from outside
             are those of the first one that interpolates. With antialiased resizing among them, a pixel is the mean of what it
             covers where that is more than a pixel.
-        clip_boxes: cut moved boxes off at the edges of the image.
+        clip_boxes: cut moved boxes off at the edges of the image; "each" after each child, so that what has left the image does
+            not come back.
         min_box_area: moved boxes with fewer pixels inside the image are removed.
         min_box_visibility: moved boxes with a smaller fraction of their area inside the image are removed, 0 to 1.
         generator: draws the keys of each call; default: torch's generator.
@@ -87,8 +94,8 @@ class AugmentationSequential(ImageSequential):
 
     Raises:
         TypeError: a child is not a module; `keys` is not a dict with names.
-        ValueError: a key is unknown, or the first is not the image's; `min_box_area` is negative, or `min_box_visibility` not
-            within 0 and 1.
+        ValueError: a key is unknown, or the first is not the image's; `clip_boxes` is another string; `min_box_area` is
+            negative, or `min_box_visibility` not within 0 and 1.
 
     Example:
         >>> import torch, kvision as K
@@ -371,7 +378,7 @@ class AugmentationSequential(ImageSequential):
     def visible_points(self) -> list[Any]:
         """Which points of the last call are visible in its results: for each input of key points bool (B, N), or a list of (N,).
 
-        Points outside of the result are not visible, nor are those that a map has folded away.
+        Points outside of the result are not visible, nor are those that were outside of one before it.
         """
         visible = [labels.visible_points(points, are_visible) for points, are_visible in self._points]
         return visible if self._videos is None else [self._videos.labels_of_videos(kept) for kept in visible]

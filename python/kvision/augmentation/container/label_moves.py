@@ -28,7 +28,7 @@ from kvision.augmentation.container.stages import (
 )
 from kvision.augmentation.elastic import MapAugmentation
 from kvision.augmentation.maps import vector
-from kvision.augmentation.preimages import EXACT, ResultMap, result_map
+from kvision.augmentation.preimages import EXACT, ResultMap, at_nodes, result_map
 from kvision.constants import DataKey
 
 _SIDE = 16  # points on each side of a box that moves through what bends its sides
@@ -211,8 +211,7 @@ class LabelMoves:
         for i, stage in reversed(list(enumerate(stages))):
             if i == len(stages) - 1 and isinstance(stage, Applied) and _maps(stage):  # its map is known at the nodes
                 displacements = stage.module.displacements_of(stage.execution, stage.flags, nodes)
-                displacements = torch.nn.functional.pad(displacements, 4 * [margin], mode="replicate")
-                positions = (nodes + displacements.movedim(1, -1)).flatten(1, 2)
+                positions = at_nodes(nodes, displacements, margin).flatten(1, 2)
             else:
                 positions = stage.move_points_back(positions)
             if i > 0 and (size := _size_before(stage)) is not None:

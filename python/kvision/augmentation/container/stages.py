@@ -67,7 +67,7 @@ class Applied(NamedTuple):
     def move_points(self, points: Tensor) -> Tensor:
         if self.stages is not None:
             return move_points(points, self.stages)
-        if own := self._augmentation:
+        if (own := self._augmentation) and not isinstance(self.module, MapAugmentation):
             points = own[0].transform_points(points, own[1])
         return points
 

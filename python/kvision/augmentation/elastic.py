@@ -89,9 +89,8 @@ class MapAugmentation(AugmentationBase2D):
     def transform_points(self, points: Tensor, execution: Execution) -> Tensor:
         if not execution.applied or 0 in points.shape:
             return points
-        like = points.new_empty(0, dtype=torch.float32)
         with torch.no_grad():
-            moved, _ = find_positions(self.displacements_of(execution, self.flags, like), points)
+            moved, _ = find_positions(self.displacements_of(execution, self.flags, points), points)
         return where_chosen(execution.chosen, moved.to(points), points)
 
     # --- inverse ---

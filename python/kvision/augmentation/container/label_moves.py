@@ -79,7 +79,8 @@ class LabelRecord:
 
     def forget_maps(self) -> None:
         """Free what is as large as the images."""
-        self._moves.clear()
+        for moves in self._moves.values():
+            moves.forget_map()
 
     def _moves_of(self, stages: Sequence[Stage], size: Sequence[int]) -> LabelMoves:
         key = tuple(id(stage) for stage in stages)
@@ -122,7 +123,7 @@ class LabelMoves:
 
     def are_visible(self, moved: Tensor) -> Tensor:
         """Which moved points (B, N, 2 or 3) are in the results, and were in those before: bool (B, N)."""
-        visible, size = _is_within(moved, self.size), self.size
+        visible = _is_within(moved, self.size)
         for stage in reversed(self.stages):
             moved = stage.move_points_back(moved)
             if stage is not self.stages[0] and (size := _size_before(stage)) is not None:
@@ -184,7 +185,8 @@ class LabelMoves:
         polygons, fraction = corners, torch.ones_like(corners[..., 0, 0])
         for i, stage in enumerate(self.stages):
             polygons = stage.move_points(polygons.flatten(1, 2)).reshape(polygons.shape)
-            size = self.size if i == len(self.stages) - 1 else _size_before(self.stages[i + 1])
+            is_last = i == len(self.stages) - 1
+            size: tuple[int, ...] | None = self.size if is_last else _size_before(self.stages[i + 1])
             if size is not None:
                 whole = _area(polygons)
                 polygons, is_inside = clip_polygons(polygons, size)
@@ -192,6 +194,10 @@ class LabelMoves:
         return _rectangle(polygons), fraction.clamp(max=1)
 
     # --- maps ---
+
+    def forget_map(self) -> None:
+        """Free what is as large as the images. It can be computed again."""
+        self._map = None
 
     def _result_map(self, like: Tensor) -> ResultMap:
         """Where the results read the images, in float32."""
@@ -209,8 +215,9 @@ class LabelMoves:
         reads = torch.ones(shape, dtype=torch.bool, device=nodes.device)
         stages, positions = self.stages, nodes.reshape(1, -1, 2).expand(batch, -1, -1)
         for i, stage in reversed(list(enumerate(stages))):
-            if i == len(stages) - 1 and isinstance(stage, Applied) and _maps(stage):  # its map is known at the nodes
-                displacements = stage.module.displacements_of(stage.execution, stage.flags, nodes)
+            if i == len(stages) - 1 and (map_of_stage := _map(stage)) is not None:  # which is known at the nodes
+                module, execution = map_of_stage
+                displacements = module.displacements_of(execution, module.flags, nodes)
                 positions = at_nodes(nodes, displacements, margin).flatten(1, 2)
             else:
                 positions = stage.move_points_back(positions)
@@ -238,14 +245,20 @@ def _flat(stages: Sequence[Stage]) -> Iterator[Stage]:
             yield stage
 
 
+def _map(stage: Stage) -> tuple[MapAugmentation, Execution] | None:
+    """The augmentation and the execution of a stage that is a map by itself, and was applied."""
+    if not isinstance(stage, Applied) or stage.execution is None or not isinstance(stage.module, MapAugmentation):
+        return None
+    return (stage.module, stage.execution) if stage.execution.applied else None
+
+
 def _maps(stage: Stage) -> list[Execution]:
     """The executions of the maps of a stage that were applied."""
     if isinstance(stage, Composed):
         executions = [link.execution for link in stage.links if isinstance(link, MapLink)]
-    else:
-        is_map = isinstance(stage, Applied) and isinstance(stage.module, MapAugmentation)
-        executions = [stage.execution] if is_map and stage.execution is not None else []
-    return [execution for execution in executions if execution.applied]
+        return [execution for execution in executions if execution.applied]
+    own = _map(stage)
+    return [] if own is None else [own[1]]
 
 
 def size_before(stages: Sequence[Stage], size: tuple[int, ...]) -> tuple[int, ...]:

@@ -211,14 +211,15 @@ def _callables(theirs: Any, ours: Any) -> Iterator[tuple[Any, Any]]:
 
 @dataclass(frozen=True)
 class _Calls:
-    """The calls that a row of docs/differences.md is about: all, those with uint8 images, or those with some arguments.
+    """The calls that a row of docs/differences.md is about: all, those with images of a type, or those with some arguments.
 
-    A row of the second kind begins with "uint8", one of the third kind has `name=value` in its first cell.
+    A row of the second kind begins with "uint8 images" or "integer images", one of the third kind has `name=value` in its first
+    cell.
     """
 
     text: str
     all: bool
-    bytes: bool = False
+    images: str = ""
     arguments: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
     @classmethod
@@ -226,25 +227,29 @@ class _Calls:
         arguments: dict[str, tuple[Any, ...]] = {}
         for key, value in re.findall(r"\b(\w+)=((?:\"[^\"]*\")|\w+)", row.where):
             arguments[key] = (*arguments.get(key, ()), ast.literal_eval(value))
-        bytes = row.where.startswith("uint8")
+        images = next((kind for kind in ("uint8 images", "integer images") if row.where.startswith(kind)), "")
         kinds = [f"{key}={value!r}" for key, values in arguments.items() for value in values]
-        text = "uint8 images" if bytes else " or ".join(kinds) or f"{row.where}: {row.kornia} -> {row.kvision}"
-        return cls(text, not bytes and not arguments, bytes, arguments)
+        text = images or " or ".join(kinds) or f"{row.where}: {row.kornia} -> {row.kvision}"
+        return cls(text, not images and not arguments, images, arguments)
 
     def include(self, arguments: Mapping[str, Any]) -> bool:
-        if self.bytes:
-            first = next(iter(arguments.values()), None)
-            return isinstance(first, Tensor) and first.dtype == torch.uint8
+        if self.images:
+            return self.include_image(next(iter(arguments.values()), None))
         return any(arguments.get(key) in values for key, values in self.arguments.items())
+
+    def include_image(self, image: Any) -> bool:
+        if not isinstance(image, Tensor) or image.dtype.is_floating_point:
+            return False
+        return image.dtype == torch.uint8 or self.images == "integer images"
 
 
 def _choosing(theirs: Callable[..., Any], ours: Callable[..., Any], calls: Sequence[_Calls]) -> Callable[..., Any]:
     """kvision's function, but Kornia's for these calls."""
-    if all(c.bytes for c in calls):  # the common case, without looking at the other arguments
+    if all(c.images for c in calls):  # the common case, without looking at the other arguments
 
         def function(*args: Any, **kwargs: Any) -> Any:
             first = args[0] if args else next(iter(kwargs.values()), None)
-            return (theirs if isinstance(first, Tensor) and first.dtype == torch.uint8 else ours)(*args, **kwargs)
+            return (theirs if any(c.include_image(first) for c in calls) else ours)(*args, **kwargs)
 
     else:
         signature = inspect.signature(theirs)

@@ -66,6 +66,35 @@ def test_inliers_are_correct(model, dtype, device):
     assert inliers.sum() >= 0.98 * theirs.sum()
 
 
+@pytest.mark.parametrize("model", MODELS)
+def test_a_sample_alone_has_its_model(model, device):
+    """As many points as a sample give their model with its inliers, as in OpenCV; points without a model give none."""
+    ransac = K.geometry.RANSAC(model, 1e-2, seed=0)
+    n = ransac.minimal_sample_size
+    if model in ("homography", "affine", "homography_from_linesegments"):
+        H = homographies(1)
+        H[:, 2, :2] /= 5
+        if model == "affine":
+            H[:, 2] = torch.tensor([0.0, 0, 1])
+        corners = torch.tensor([[0.0, 0], [90, 5], [100, 80], [10, 110], [40, 30], [7, 60], [70, 20], [20, 5]]).double()
+        x = corners[: 2 * n if model.endswith("segments") else n]
+        y = moved(x[None], H)[0]
+        if model.endswith("segments"):
+            x, y = x.view(-1, 2, 2), y.view(-1, 2, 2)
+        result, inliers = ransac(x.to(device), y.to(device))
+        assert_close(result.cpu(), H[0] / H[0, 2, 2], 1e-6, 1e-6)
+    else:
+        scene = Scene(1, n, noise=0.0, seed=3)
+        x, y = (p[0] for p in (scene.normalized() if model == "essential" else (scene.x1, scene.x2)))
+        result, inliers = ransac(x.to(device), y.to(device))
+        error = K.geometry.sampson_epipolar_distance(x[None], y[None], result.cpu()[None])
+        assert result.any() and error.abs().max() < 1e-4
+    assert inliers.all()
+    if model in ("homography", "affine"):
+        same = torch.ones_like(x).to(device)
+        assert not any(part.any() for part in ransac(same, same))
+
+
 def test_seeds(device):
     x, y, _, threshold = (v.to(device) if isinstance(v, Tensor) else v for v in correspondences("homography"))
     state = torch.get_rng_state()

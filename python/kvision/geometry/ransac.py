@@ -279,7 +279,7 @@ class RANSAC(nn.Module):
 
         Returns:
             The model (3, 3) and its inliers, bool (N,). Zeros and no inliers where no model has more inliers than a sample
-            has points. There is no gradient.
+            has points, or as many if there are no more. There is no gradient.
 
         Raises:
             TypeCheckError: an argument is not a floating-point tensor.
@@ -328,7 +328,9 @@ class RANSAC(nn.Module):
         models, scores, weights = merge((models, scores), (models[:0], scores[:0]), softness, 1)
         for _ in range(self.refine_iters):
             models, scores, weights = merge(scored(self._fitted(kp1, kp2, weights)), (models, scores), softness, 1)
-        model, inliers = _finalize_model(models, weights, self.minimal_sample_size, number)
+        # Inliers of a sample alone say nothing for its model, but where these are all correspondences.
+        min_inliers = min(self.minimal_sample_size, len(kp1) - 1)
+        model, inliers = _finalize_model(models, weights, min_inliers, number)
         return model, inliers
 
     def _draws(

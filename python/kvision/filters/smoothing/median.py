@@ -10,6 +10,7 @@ from kvision._dtype import pixels
 from kvision._modes import BORDER, BORDER_NAMES
 from kvision._modules import FunctionModule
 from kvision._ops import register, vjp
+from kvision._torch_compat import in_onnx_export
 from kvision.filters.border import windows
 
 
@@ -40,12 +41,12 @@ def median_blur(input: Tensor, kernel_size: tuple[int, int] | int, border_type: 
     The gradient goes to the pixel that is the median; where several pixels of a window equal it, they share it evenly.
 
     Args:
-        input: image (B, C, H, W). uint8 gives uint8, other integers give float32.
+        input: image (B, C, H, W), floating point, integers or bool.
         kernel_size: size of the window, an int or (y, x); an even window reaches one pixel further right and down.
         border_type: 'constant' (zeros, which take part in the median), 'reflect', 'replicate' or 'circular'.
 
     Returns:
-        The filtered image; NaN where the window holds a NaN. Infinities are ordinary values.
+        The filtered image, in the type of `input`; NaN where the window holds a NaN. Infinities are ordinary values.
 
     Raises:
         TypeCheckError: input is not a real tensor; kernel_size is not of ints.
@@ -62,7 +63,22 @@ def median_blur(input: Tensor, kernel_size: tuple[int, int] | int, border_type: 
     ky, kx = _check.pair("median_blur", "kernel_size", kernel_size)
     _check.border("median_blur", border_type)
     _check.reflectable("median_blur", input, (ky // 2, kx // 2), border_type)
-    return _median_blur(pixels(input), ky, kx, BORDER[border_type])
+    if input.is_floating_point() or input.dtype in (torch.uint8, torch.uint64):
+        return _median_blur(pixels(input), ky, kx, BORDER[border_type])
+    if input.element_size() == 8 and not _fits_float64(input):
+        return windows(input, ky, kx, border_type).kthvalue((ky * kx + 1) // 2, 0).values
+    exact = input.double() if input.element_size() >= 4 else input.float()
+    return _median_blur(exact, ky, kx, BORDER[border_type]).to(input.dtype)
+
+
+def _fits_float64(x: Tensor) -> bool:
+    """Whether values of int64 can be read without waiting and are exact in float64."""
+    if in_onnx_export():
+        return True  # ONNX has no kthvalue; labels below 2^53 are exact
+    if x.numel() == 0 or not _check.values_are_readable(x):
+        return x.numel() == 0
+    low, high = x.aminmax()
+    return -(2**53) <= int(low) and int(high) <= 2**53
 
 
 class MedianBlur(FunctionModule):

@@ -17,6 +17,7 @@ from kvision.geometry.depth.points import depth_points
 from kvision.geometry.grid import create_meshgrid
 from kvision.geometry.linalg import adjugate, inverse3x3
 from kvision.geometry.transform import sampling
+from kvision.geometry.transform.nearest import as_values, of_values
 
 __all__ = ["DepthWarper", "depth_warp", "warp_frame_depth"]
 
@@ -173,7 +174,7 @@ _reprojection_backward_op = register(
 
 def _warped(op: str, image: Tensor, depth: Tensor, projection: Tensor, mode: str, padding: str, align: bool) -> Tensor:
     """Warp `image` (B, C, H, W) by `depth` (B, 1, h, w) and `projection` (B, 3, 4). Batches of 1 broadcast."""
-    image = floats(image)
+    source, image = image, floats(as_values(image, mode))
     batch = max(image.shape[0], depth.shape[0], projection.shape[0]) if image.shape[0] else 0
     if image.shape[0] == 1 and batch > 1:
         image = image.expand(batch, -1, -1, -1)
@@ -181,7 +182,7 @@ def _warped(op: str, image: Tensor, depth: Tensor, projection: Tensor, mode: str
     projection = sampling.cast_to_image(op, image, "projection", projection)
     number = PADDING["fill" if padding == "zeros" else padding]
     warped: Tensor = depth_warp_of(image, depth, projection, INTERPOLATION[mode], number, align)
-    return warped
+    return of_values(warped, source, mode)
 
 
 def warp_frame_depth(

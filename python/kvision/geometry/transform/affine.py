@@ -10,11 +10,12 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision import _check
-from kvision._dtype import compute_dtype, pixels
+from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION, WARP_FORMULA
 from kvision._modules import FunctionModule
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.geometry.transform import sampling
+from kvision.geometry.transform.nearest import as_values, of_values
 
 __all__ = ["Affine", "Rotate", "Scale", "Shear", "Translate", "affine", "rotate", "scale", "shear", "translate"]
 
@@ -25,7 +26,8 @@ def affine(
     """Warp images by affine maps, keeping their size.
 
     Args:
-        tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
+        tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         matrix: (B, 2, 3), or (1, 2, 3) for all images: image pixels (x, y) to result pixels. One image serves many matrices.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
@@ -67,7 +69,8 @@ def rotate(
     """Rotate images counter-clockwise as displayed, keeping their size.
 
     Args:
-        tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
+        tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         angle: degrees, (B,), or a number, also (1,) or (), for all images. Multiples of 90 degrees are exact.
         center: (B, 2) or (1, 2) as (x, y), or two numbers; None for the center of the image.
         mode: 'bilinear', 'nearest' or 'bicubic'.
@@ -107,7 +110,8 @@ def translate(
     """Translate images by pixels, keeping their size.
 
     Args:
-        tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
+        tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         translation: pixels to the right and down, (B, 2), or (1, 2) or two numbers for all images.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
@@ -145,7 +149,8 @@ def scale(
     """Scale images about a center, keeping their size.
 
     Args:
-        tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
+        tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         scale_factor: (B, 2) along x and y, or (B, 1) or (B,) for both; one row, two numbers or one serve all images.
         center: (B, 2) or (1, 2) as (x, y), or two numbers; None for the center of the image.
         mode: 'bilinear', 'nearest' or 'bicubic'.
@@ -190,7 +195,8 @@ def shear(
     """Shear images about the center of their first pixel: (x, y) goes to (x + shear_x * y, y + shear_y * x).
 
     Args:
-        tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
+        tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         shear: (B, 2), or (1, 2) or two numbers for all images: pixels by which a row moves against the row above, and a column
             against the column to its left.
         mode: 'bilinear', 'nearest' or 'bicubic'.
@@ -224,7 +230,7 @@ def _images(op: str, tensor: Any) -> Tensor:
     _check.numbers(op, "tensor", tensor)
     if tensor.dim() not in (3, 4) or 0 in tensor.shape[-2:]:
         raise ShapeError(f"{op}: expected tensor of shape (B, C, H, W) or (C, H, W), got {tuple(tensor.shape)}")
-    return pixels(tensor[None] if tensor.dim() == 3 else tensor)
+    return tensor[None] if tensor.dim() == 3 else tensor
 
 
 def _by_formula(op, tensor, images, mode, padding_mode, align_corners, formula, numbers, *inputs):
@@ -233,7 +239,9 @@ def _by_formula(op, tensor, images, mode, padding_mode, align_corners, formula, 
     six = inputs + (None,) * (6 - len(inputs))
     size = list(images.shape[2:])
     options = (size, INTERPOLATION[mode], padding, align_corners, True, False)
-    result = sampling.warp_by_formula(images, *six, None, WARP_FORMULA[formula], numbers, *options)
+    values = as_values(images, mode)
+    result = sampling.warp_by_formula(values, *six, None, WARP_FORMULA[formula], numbers, *options)
+    result = of_values(result, images, mode)
     return result[0] if tensor.dim() == 3 else result
 
 

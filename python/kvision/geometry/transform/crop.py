@@ -9,7 +9,6 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import pixels
 from kvision._modes import INTERPOLATION, WARP_FORMULA
 from kvision._modules import FunctionModule
 from kvision._ops import register
@@ -17,6 +16,7 @@ from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry._formula import batch_of, register_formula
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.matrices import crop_matrix
+from kvision.geometry.transform.nearest import as_values, of_values
 from kvision.geometry.transform.resize import resize
 from kvision.geometry.transform.warp import warp_affine, warp_perspective
 
@@ -77,7 +77,8 @@ def crop_and_resize(
     them, and neither is their gradient.
 
     Args:
-        input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         boxes: (N, 4, 2), one for each image or all of one image. (1, 4, 2) serves all images.
         size: height and width of the result.
         mode: 'bilinear', 'nearest' or 'bicubic'.
@@ -123,7 +124,8 @@ def crop_by_boxes(
     The size of the result is read from `dst_box`, which waits for the device; :func:`crop_and_resize` does not.
 
     Args:
-        input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         src_box: (B, 4, 2), or (1, 4, 2) for all images.
         dst_box: (B, 4, 2), or (1, 4, 2), boxes that all have the same size.
         mode: 'bilinear', 'nearest' or 'bicubic'.
@@ -175,7 +177,7 @@ def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corner
     _check.images(op, "input_tensor", input_tensor)
     _check.shape(op, "boxes", boxes, "N", 4, 2)
     sampling.check_options(op, mode, padding_mode, align_corners)
-    images = pixels(input_tensor)
+    images = as_values(input_tensor, mode)
     if box_indices is None:
         samples = sampling.count_samples(images, boxes)
     else:
@@ -190,10 +192,11 @@ def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corner
     options = (list(size), INTERPOLATION[mode], padding, align_corners, False, False)
     if _check.is_symbolic(h, w):
         matrix = crop_matrix.definition(boxes, first, across, down)
-        return sampling.warp(images, matrix, None, box_indices, *options)
+        return of_values(sampling.warp(images, matrix, None, box_indices, *options), input_tensor, mode)
     numbers = [float(across), float(down)]
     tensors = (boxes, first, *[None] * 4, box_indices)
-    return sampling.warp_by_formula(images, *tensors, WARP_FORMULA["crop_matrix"], numbers, *options)
+    result = sampling.warp_by_formula(images, *tensors, WARP_FORMULA["crop_matrix"], numbers, *options)
+    return of_values(result, input_tensor, mode)
 
 
 def _check_box_indices(op: str, images: Tensor, box_indices: Tensor, boxes: int) -> None:
@@ -223,7 +226,8 @@ def crop_by_transform_mat(
     This is :func:`warp_perspective` for matrices (B, 3, 3) and :func:`warp_affine` for (B, 2, 3).
 
     Args:
-        input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         transform: (B, 3, 3) or (B, 2, 3), from pixels (x, y) of the image to those of the result; one matrix serves all
             images.
         out_size: height and width of the result.
@@ -270,7 +274,8 @@ def center_crop(
     The crop lies between pixels, and is interpolated, where the sizes differ by an odd number.
 
     Args:
-        input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
+            but 'nearest' and crops at whole pixels keep them.
         size: height and width of the result.
         mode: 'bilinear', 'nearest' or 'bicubic', where the crop lies between pixels.
         padding_mode: 'zeros', 'border' or 'reflection', for sizes larger than the image.
@@ -293,19 +298,22 @@ def center_crop(
     _check.images("center_crop", "input_tensor", input_tensor)
     h, w = _check.ints("center_crop", "size", size, 2)
     sampling.check_options("center_crop", mode, padding_mode, align_corners)
-    images = pixels(input_tensor)
-    _, _, height, width = images.shape
+    _, _, height, width = input_tensor.shape
     y, x = height - h, width - w
     symbolic = _check.is_symbolic(y, x)  # their parity is unknown
     if not symbolic and y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
-        return _crop_pixels(images, [y // 2, x // 2], [h, w])
+        values = as_values(input_tensor, "nearest")
+        return of_values(_crop_pixels(values, [y // 2, x // 2], [h, w]), input_tensor, "nearest")
+    images = as_values(input_tensor, mode)
     padding, _ = sampling.padding_and_fill("center_crop", images, padding_mode, None)
     options = ([h, w], INTERPOLATION[mode], padding, align_corners, False, False)
     if symbolic:
         shift, numbers = sampling.symbolic_point(images, x / 2, y / 2), [0.0, 0.0]
     else:
         shift, numbers = None, [x / 2, y / 2]
-    return sampling.warp_by_formula(images, shift, *[None] * 6, WARP_FORMULA["translation_matrix2d"], numbers, *options)
+    formula = WARP_FORMULA["translation_matrix2d"]
+    result = sampling.warp_by_formula(images, shift, *[None] * 6, formula, numbers, *options)
+    return of_values(result, input_tensor, mode)
 
 
 def crop_by_indices(

@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry.bbox import corners
 from kvision.geometry.transform import sampling
@@ -25,7 +24,7 @@ def crop_and_resize3d(
     """Resample a box of each volume to a size; its corners go to the corner voxels of the result.
 
     Args:
-        tensor: volumes (B, C, D, H, W). Integers are computed in float32.
+        tensor: volumes (B, C, D, H, W). Integers are computed in float32, but 'nearest' keeps them.
         boxes: (B, 8, 3), or (1, 8, 3) for all volumes, larger than 0 along every axis.
         size: depth, height and width of the result.
         interpolation: 'bilinear', in all three directions, or 'nearest'.
@@ -62,7 +61,7 @@ def crop_by_boxes3d(
     The size of the result is read from `dst_box`, which waits for the device.
 
     Args:
-        tensor: volumes (B, C, D, H, W). Integers are computed in float32.
+        tensor: volumes (B, C, D, H, W). Integers are computed in float32, but 'nearest' keeps them.
         src_box: (B, 8, 3), or (1, 8, 3) for all volumes.
         dst_box: (B, 8, 3), or (1, 8, 3), boxes that all have the same size.
         interpolation: 'bilinear', in all three directions, or 'nearest'.
@@ -106,7 +105,7 @@ def crop_by_transform_mat3d(
     This is :func:`warp_perspective3d` for matrices (B, 4, 4) and :func:`warp_affine3d` for (B, 3, 4).
 
     Args:
-        tensor: volumes (B, C, D, H, W). Integers are computed in float32.
+        tensor: volumes (B, C, D, H, W). Integers are computed in float32, but 'nearest' keeps them.
         transform: (B, 4, 4) or (B, 3, 4), from voxels (x, y, z) of the volume to those of the result; one matrix serves
             all volumes.
         out_size: depth, height and width of the result.
@@ -146,7 +145,7 @@ def center_crop3d(
     The crop lies between voxels, and is interpolated, where the sizes differ by an odd number.
 
     Args:
-        tensor: volumes (B, C, D, H, W). Integers are computed in float32.
+        tensor: volumes (B, C, D, H, W). Integers are computed in float32, but 'nearest' keeps them.
         size: depth, height and width of the result.
         interpolation: 'bilinear', in all three directions, or 'nearest'.
         align_corners: no effect on the result: the padding is zeros.
@@ -177,7 +176,7 @@ def center_crop3d(
 def _crop(op, tensor, src_box, dst_box, size, interpolation, align_corners):
     """Resample the boxes `src_box` into the boxes `dst_box`; None stands for the whole result."""
     _check.shape(op, "src_box", src_box, "B", 8, 3)
-    volumes = floats(tensor)
+    volumes = tensor
     boxes = [sampling.cast_to_image(op, volumes, "src_box", src_box)]
     if dst_box is not None:
         boxes.append(sampling.cast_to_image(op, volumes, "dst_box", dst_box))

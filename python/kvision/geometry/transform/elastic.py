@@ -8,12 +8,13 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype, pixels
+from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.filters.smoothing.gaussian import _gaussian_blur2d as blur
 from kvision.filters.smoothing.gaussian import blur_arguments
 from kvision.geometry.transform import sampling
+from kvision.geometry.transform.nearest import as_values, of_values
 
 __all__ = ["elastic_transform2d"]
 
@@ -31,7 +32,8 @@ def elastic_transform2d(
     """Deform images by a smooth random displacement field: noise after a Gaussian blur.
 
     Args:
-        image: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        image: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         noise: displacements along x and y, (B, 2, H, W), in units of half the image's width and height.
         kernel_size: size of the blur's kernel, (y, x), odd.
         sigma: standard deviations of the blur in pixels, (y, x), positive; a tensor of one or two gets a
@@ -63,7 +65,7 @@ def elastic_transform2d(
     _check.images(op, "image", image)
     _check.shape(op, "noise", noise, "B", 2, *image.shape[2:])
     sampling.check_options(op, mode, padding_mode, align_corners)
-    images = pixels(image)
+    images = as_values(image, mode)
     _check.same_device(op, image=image, noise=noise)
     noise = sampling.cast_to_image(op, images, "noise", noise)
     if isinstance(sigma, Tensor) or not _are_numbers(sigma):
@@ -76,7 +78,8 @@ def elastic_transform2d(
         noise = noise * alpha[0]
     right, down = blur(noise, *arguments[1:]).unbind(1)
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
-    return sampling.remap(images, right, down, None, None, INTERPOLATION[mode], padding, align_corners, True, True)
+    options = (INTERPOLATION[mode], padding, align_corners, True, True)
+    return of_values(sampling.remap(images, right, down, None, None, *options), image, mode)
 
 
 def _are_numbers(x: Tensor | Sequence[float]) -> bool:

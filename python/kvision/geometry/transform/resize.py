@@ -10,13 +10,14 @@ from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._clamp import clamp
-from kvision._dtype import compute_dtype, pixels
+from kvision._dtype import compute_dtype
 from kvision._modes import BORDER, BORDER_NAMES, INTERPOLATION, INTERPOLATION_NAMES
 from kvision._modules import FunctionModule
 from kvision._ops import register, saturate_to_byte
 from kvision._torch_compat import is_tracing, largest, smallest
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters import gaussian_blur2d
+from kvision.geometry.transform.nearest import as_values, of_values
 
 __all__ = ["Rescale", "Resize", "rescale", "resize", "resize_to_be_divisible"]
 
@@ -149,7 +150,8 @@ def resize(
     """Resample images to a size.
 
     Args:
-        input: images (*, H, W), floating point or uint8. Other integers are computed in float32.
+        input: images (*, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         size: height and width, or one side; the other side then keeps the aspect ratio, rounded down.
         interpolation: 'bilinear', 'bicubic', 'nearest', 'nearest-exact' (the pixel with the nearest center, as OpenCV's
             INTER_NEAREST_EXACT), 'area' (means of whole pixels), or 'lanczos' (a kernel of 3 pixels to either side, as
@@ -202,13 +204,14 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
             images = _blurred(images.to(compute_dtype(images)), h / height, w / width)
         antialias = False
     result = resized(
-        pixels(images),
+        as_values(images, interpolation),
         [height, width],
         INTERPOLATION[interpolation],
         align_corners or False,
         antialias,
         BORDER["replicate"],
     )
+    result = of_values(result, images, interpolation)
     if input.dtype == torch.uint8 and result.dtype != torch.uint8:
         result = saturate_to_byte(result)
     if result.dim() != input.dim():
@@ -256,7 +259,8 @@ def rescale(
     """Resample images to a multiple of their size, rounded down.
 
     Args:
-        input: images (*, H, W), floating point or uint8. Other integers are computed in float32.
+        input: images (*, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         factor: one factor for both sides, or (height, width).
         interpolation: 'bilinear', 'bicubic', 'nearest', 'nearest-exact', 'area' or 'lanczos'; see :func:`resize`.
         align_corners: align the centers of the corner pixels, not the edges of the images; see :func:`resize`.
@@ -303,7 +307,8 @@ def resize_to_be_divisible(
     """Resample images so that both sides are the nearest multiples of a number, at least one multiple.
 
     Args:
-        input: images (*, H, W), floating point or uint8. Other integers are computed in float32.
+        input: images (*, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         divisible_factor: the number that divides both sides of the result, at least 1.
         interpolation: 'bilinear', 'bicubic', 'nearest', 'nearest-exact', 'area' or 'lanczos'; see :func:`resize`.
         align_corners: align the centers of the corner pixels, not the edges of the images; see :func:`resize`.

@@ -27,7 +27,7 @@ from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.pixels import by_axes
 from kvision.geometry.linalg import adjugate
-from kvision.geometry.transform import matrices
+from kvision.geometry.transform import matrices, nearest
 
 INTERPOLATIONS = ("bilinear", "nearest", "bicubic")
 PADDINGS = ("zeros", "border", "reflection", "fill")
@@ -515,14 +515,23 @@ def check_options(op: str, mode: Any, padding_mode: Any, align_corners: Any) -> 
 
 
 def padding_and_fill(
-    op: str, image: Tensor, padding_mode: str, fill_value: Any, samples: int | None = None
+    op: str,
+    image: Tensor,
+    padding_mode: str,
+    fill_value: Any,
+    samples: int | None = None,
+    interpolation: str | None = None,
 ) -> tuple[int, Tensor | None]:
     """The padding and the fill as the operators take them, for one sample of each image unless their number is given."""
     if padding_mode in ("border", "reflection"):
         return PADDING[padding_mode], None
     if padding_mode == "zeros" or fill_value is None:
         return PADDING["fill"], None
-    dtype = compute_dtype(image)
+    dtype = (
+        compute_dtype(image)
+        if interpolation is None or not nearest.moves_values(image, interpolation)
+        else torch.float64
+    )
     if not isinstance(fill_value, Tensor):
         fill_value = _check.scalars(op, "fill_value", fill_value)
     if isinstance(fill_value, (int, float)):
@@ -547,6 +556,8 @@ def padding_and_fill(
         raise ShapeError(
             f"{op}: expected fill_value of shape (), ({c},) or ({b}, {c}, 1, 1), got {tuple(shape)}", actual_shape=shape
         )
+    if interpolation is not None and nearest.moves_values(image, interpolation):
+        return PADDING["fill"], nearest.fill_of_values(fill_value, image)
     return PADDING["fill"], as_dtype(fill_value, dtype)
 
 

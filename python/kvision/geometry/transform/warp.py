@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats, pixels
+from kvision._dtype import floats
 from kvision._modes import INTERPOLATION
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._transform_points import transformed
 from kvision.geometry.transform import sampling
+from kvision.geometry.transform.nearest import as_values, of_values
 
 __all__ = ["homography_warp", "remap", "warp_affine", "warp_grid", "warp_perspective"]
 
@@ -31,7 +32,8 @@ def warp_perspective(
     Sampling coordinates are computed in float32, for float64 images in float64.
 
     Args:
-        src: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        src: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         M: (B, 3, 3), or (1, 3, 3) for all images; one image also serves many matrices. Pixels are (x, y); the center of
             the first one is (0, 0).
         dsize: height and width of the result.
@@ -76,7 +78,8 @@ def warp_affine(
     Sampling coordinates are computed in float32, for float64 images in float64.
 
     Args:
-        src: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        src: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         M: (B, 2, 3), or (1, 2, 3) for all images; one image also serves many matrices. Pixels are (x, y); the center of
             the first one is (0, 0).
         dsize: height and width of the result.
@@ -111,11 +114,11 @@ def _warp(op, src, M, rows, dsize, mode, padding_mode, align_corners, fill_value
     _check.shape(op, "M", M, "B", rows, 3)
     size = _check.ints(op, "dsize", dsize, 2)
     sampling.check_options(op, mode, padding_mode, align_corners)
-    image, samples = pixels(src), sampling.count_samples(src, M)
+    image, samples = as_values(src, mode), sampling.count_samples(src, M)
     matrix = sampling.cast_to_image(op, image, "M", M, samples)
-    padding, fill = sampling.padding_and_fill(op, image, padding_mode, fill_value, samples)
+    padding, fill = sampling.padding_and_fill(op, src, padding_mode, fill_value, samples, mode)
     options = (INTERPOLATION[mode], padding, align_corners, True, False)
-    return sampling.warp(image, matrix, fill, None, list(size), *options)
+    return of_values(sampling.warp(image, matrix, fill, None, list(size), *options), src, mode)
 
 
 def homography_warp(
@@ -133,7 +136,8 @@ def homography_warp(
     This is the inverse of the matrix that :func:`warp_perspective` takes.
 
     Args:
-        patch_src: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        patch_src: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         src_homo_dst: (B, 3, 3), or (1, 3, 3) for all images; one image also serves many matrices.
         dsize: height and width of the result.
         mode: 'bilinear', 'nearest' or 'bicubic'.
@@ -168,12 +172,12 @@ def homography_warp(
         _check.choice(op, "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
     _check.flag(op, "normalized_homography", normalized_homography)
-    image, samples = pixels(patch_src), sampling.count_samples(patch_src, src_homo_dst)
+    image, samples = as_values(patch_src, mode), sampling.count_samples(patch_src, src_homo_dst)
     matrix = sampling.cast_to_image(op, image, "src_homo_dst", src_homo_dst, samples)
     normalized = normalized_coordinates and normalized_homography
     padding, _ = sampling.padding_and_fill(op, image, padding_mode, None)
     options = (INTERPOLATION[mode], padding, align_corners, False, normalized)
-    return sampling.warp(image, matrix, None, None, list(size), *options)
+    return of_values(sampling.warp(image, matrix, None, None, list(size), *options), patch_src, mode)
 
 
 def remap(
@@ -188,7 +192,8 @@ def remap(
     """Resample an image at the coordinates in map_x and map_y.
 
     Args:
-        image: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        image: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
+            but nearest modes keep them.
         map_x: x of the sampling coordinates, (B, h, w), or (1, h, w) for all images; one image also serves many maps.
         map_y: y of the sampling coordinates, of the same shape.
         mode: 'bilinear', 'nearest' or 'bicubic'.
@@ -225,12 +230,12 @@ def remap(
     if padding_mode == "fill":
         _check.choice("remap", "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag("remap", "normalized_coordinates", normalized_coordinates)
-    image, samples = pixels(image), sampling.count_samples(image, map_x)
-    map_x = sampling.cast_to_image("remap", image, "map_x", map_x, samples)
-    map_y = sampling.cast_to_image("remap", image, "map_y", map_y, samples)
-    padding, _ = sampling.padding_and_fill("remap", image, padding_mode, None)
+    values, samples = as_values(image, mode), sampling.count_samples(image, map_x)
+    map_x = sampling.cast_to_image("remap", values, "map_x", map_x, samples)
+    map_y = sampling.cast_to_image("remap", values, "map_y", map_y, samples)
+    padding, _ = sampling.padding_and_fill("remap", values, padding_mode, None)
     options = (INTERPOLATION[mode], padding, align_corners, normalized_coordinates, False)
-    return sampling.remap(image, map_x, map_y, None, None, *options)
+    return of_values(sampling.remap(values, map_x, map_y, None, None, *options), image, mode)
 
 
 def warp_grid(grid: Tensor, src_homo_dst: Tensor) -> Tensor:

@@ -18,6 +18,7 @@ from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.pixels import by_axes
 from kvision.geometry.linalg import inverse4x4
 from kvision.geometry.transform import matrices, sampling
+from kvision.geometry.transform.nearest import as_values, of_values
 from kvision.geometry.transform.warp import transform_grid, transformed_grid
 
 __all__ = [
@@ -41,7 +42,7 @@ def warp_perspective3d(
     """Warp volumes by homographies from their voxels to those of the result.
 
     Args:
-        src: volumes (B, C, D, H, W). Integers are computed in float32.
+        src: volumes (B, C, D, H, W). Integers are computed in float32, but 'nearest' keeps them.
         M: (B, 4, 4), or (1, 4, 4) for all volumes, or (4, 4).
         dsize: depth, height and width of the result.
         flags: 'bilinear', in all three directions, or 'nearest'.
@@ -83,7 +84,7 @@ def warp_affine3d(
     """Warp volumes by affine matrices from their voxels to those of the result.
 
     Args:
-        src: volumes (B, C, D, H, W). Integers are computed in float32.
+        src: volumes (B, C, D, H, W). Integers are computed in float32, but 'nearest' keeps them.
         M: (B, 3, 4), or (1, 3, 4) for all volumes.
         dsize: depth, height and width of the result.
         flags: 'bilinear', in all three directions, or 'nearest'.
@@ -115,7 +116,7 @@ def affine3d(
     """Warp volumes by affine matrices, keeping their size.
 
     Args:
-        tensor: volumes (B, C, D, H, W) or (C, D, H, W). Integers are computed in float32.
+        tensor: volumes (B, C, D, H, W) or (C, D, H, W). Integers are computed in float32, but 'nearest' keeps them.
         matrix: (B, 3, 4), or (1, 3, 4) for all volumes: voxels (x, y, z) of the volume to those of the result.
         mode: 'bilinear', in all three directions, or 'nearest'.
         padding_mode: 'zeros', 'border' or 'reflection'.
@@ -154,7 +155,7 @@ def rotate3d(
     """Rotate volumes about an axis through a center, keeping their size.
 
     Args:
-        tensor: volumes (B, C, D, H, W) or (C, D, H, W). Integers are computed in float32.
+        tensor: volumes (B, C, D, H, W) or (C, D, H, W). Integers are computed in float32, but 'nearest' keeps them.
         yaw: x of the axis of rotation times the angle in degrees, (B,) or one number.
         pitch: y of the axis of rotation times the angle in degrees, (B,) or one number.
         roll: z of the axis of rotation times the angle in degrees, (B,) or one number.
@@ -213,7 +214,7 @@ def homography_warp3d(
     """Warp volumes by homographies from coordinates in the result to coordinates in the volume, from -1 to 1.
 
     Args:
-        patch_src: volumes (B, C, D, H, W). Integers are computed in float32.
+        patch_src: volumes (B, C, D, H, W). Integers are computed in float32, but 'nearest' keeps them.
         src_homo_dst: (B, 4, 4), or (1, 4, 4) for all volumes.
         dsize: depth, height and width of the result.
         mode: 'bilinear' or 'nearest'.
@@ -296,9 +297,9 @@ def by_matrix(
 ) -> Tensor:
     """Warp volumes by matrices (B, 3, 4) or (B, 4, 4)."""
     options = _volume_options(op, dsize, mode, padding_mode, align_corners)
-    volumes = floats(volumes)
-    matrix = sampling.cast_to_image(op, volumes, "matrix", matrix)
-    return _warp3d(volumes, matrix, *options, inverse, normalized)
+    values = floats(as_values(volumes, mode))
+    matrix = sampling.cast_to_image(op, values, "matrix", matrix)
+    return of_values(_warp3d(values, matrix, *options, inverse, normalized), volumes, mode)
 
 
 def by_formula(
@@ -316,7 +317,9 @@ def by_formula(
     """Warp volumes by the matrix that a formula computes from numbers and up to six tensors in the dtype of the computation."""
     options = _volume_options(op, dsize, mode, padding_mode, align_corners)
     six = args + (None,) * (6 - len(args))
-    return _warp3d_by_formula(floats(volumes), *six, WARP_FORMULA[formula], numbers, *options, inverse, False)
+    values = floats(as_values(volumes, mode))
+    warped = _warp3d_by_formula(values, *six, WARP_FORMULA[formula], numbers, *options, inverse, False)
+    return of_values(warped, volumes, mode)
 
 
 def _volume_options(

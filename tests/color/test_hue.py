@@ -155,11 +155,3 @@ def test_bytes_are_opencvs(device):
 def test_all_bytes_are_opencvs(device):
     for first in range(256):
         check_bytes(first, device)
-
-
-def test_opencv_takes_bytes(device):
-    x = torch.rand(3, 2, 2, device=device)
-    assert C.RgbToHsv(opencv=True)(x.byte()).dtype == C.HsvToRgb(opencv=True)(x.byte()).dtype == torch.uint8
-    for convert in (C.rgb_to_hsv, C.hsv_to_rgb):
-        with pytest.raises(K.core.exceptions.TypeCheckError, match=f"{convert.__name__}: expected image to be uint8"):
-            convert(x, opencv=True)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
 from kvision._leading import apply_on_batch
+from kvision._modules import FunctionModule
+from kvision.color.codes import are_codes, decoder, encoder, units, values
 from kvision.color.hue import hue, lack, quotient
 from kvision.color.program import step
 
@@ -28,21 +31,25 @@ def _inverse(x: Tensor) -> Tensor:
 
 _rgb_to_hls = step("rgb_to_hls", _reference)
 _hls_to_rgb = step("hls_to_rgb", _inverse)
+_CODES = (180 / math.tau, 255.0, 255.0), (0.0, 0.0, 0.0)  # the scale and the offset of OpenCV's bytes
+_encode, _decode = encoder("rgb_to_hls", *_CODES), decoder("hls_to_rgb", *_CODES)
 
 
-def rgb_to_hls(image: Tensor, eps: float = 1e-8) -> Tensor:
+def rgb_to_hls(image: Tensor, eps: float = 1e-8, opencv: bool = False) -> Tensor:
     """RGB to hue, lightness and saturation.
 
     Args:
-        image: RGB images (*, 3, H, W) in [0, 1]. Integers are computed in float32.
+        image: RGB images (*, 3, H, W) in [0, 1]; bytes are 255ths, other integers computed in float32, unscaled.
         eps: added to the divisors of hue and saturation that are not 0.
+        opencv: take uint8 images and give the 8-bit codes of `cv2.cvtColor`: hue in 180ths of a turn,
+            lightness and saturation in 255ths.
 
     Returns:
         Images of the same shape: hue in radians in [0, 2 pi), lightness and saturation in [0, 1]. Grays have hue and
         saturation 0. Where channels tie for the highest, red counts before green and green before blue.
 
     Raises:
-        TypeCheckError: image is not a tensor, eps not a number.
+        TypeCheckError: image is not a tensor, or not uint8 with opencv, eps not a number.
         ShapeError: image is not (*, 3, H, W).
         ValueCheckError: eps is negative.
 
@@ -55,21 +62,24 @@ def rgb_to_hls(image: Tensor, eps: float = 1e-8) -> Tensor:
     """
     _check.channels("rgb_to_hls", "image", image, 3)
     eps = _check.number("rgb_to_hls", "eps", eps, minimum=0)
-    return apply_on_batch(_rgb_to_hls, floats(image), eps)
+    if are_codes("rgb_to_hls", image, opencv):
+        return apply_on_batch(_encode, image, eps)
+    return apply_on_batch(_rgb_to_hls, units(image), eps)
 
 
-def hls_to_rgb(image: Tensor) -> Tensor:
+def hls_to_rgb(image: Tensor, opencv: bool = False) -> Tensor:
     """Hue, lightness and saturation to RGB.
 
     Args:
         image: HLS images (*, 3, H, W): hue in radians, taken modulo 2 pi, lightness and saturation in [0, 1]. Integers
             are computed in float32.
+        opencv: take the 8-bit codes of :func:`rgb_to_hls` with opencv, and give uint8 images.
 
     Returns:
         RGB images of the same shape, in [0, 1].
 
     Raises:
-        TypeCheckError: image is not a tensor.
+        TypeCheckError: image is not a tensor, or not uint8 with opencv, or uint8 without.
         ShapeError: image is not (*, 3, H, W).
 
     Source: G. H. Joblove and D. Greenberg, "Color spaces for computer graphics" (1978).
@@ -80,10 +90,12 @@ def hls_to_rgb(image: Tensor) -> Tensor:
         tensor([0.0000, 0.5000, 0.5000])
     """
     _check.channels("hls_to_rgb", "image", image, 3)
-    return apply_on_batch(_hls_to_rgb, floats(image))
+    if are_codes("hls_to_rgb", image, opencv):
+        return apply_on_batch(_decode, image)
+    return apply_on_batch(_hls_to_rgb, values("hls_to_rgb", image))
 
 
-class RgbToHls(nn.Module):
+class RgbToHls(FunctionModule):
     """Module form of :func:`rgb_to_hls`.
 
     Example:
@@ -92,11 +104,14 @@ class RgbToHls(nn.Module):
         torch.Size([2, 3, 4, 5])
     """
 
+    def __init__(self, opencv: bool = False) -> None:
+        super().__init__(opencv=opencv)
+
     def forward(self, image: Tensor) -> Tensor:
-        return rgb_to_hls(image)
+        return rgb_to_hls(image, opencv=self.opencv)
 
 
-class HlsToRgb(nn.Module):
+class HlsToRgb(FunctionModule):
     """Module form of :func:`hls_to_rgb`.
 
     Example:
@@ -105,5 +120,8 @@ class HlsToRgb(nn.Module):
         torch.Size([2, 3, 4, 5])
     """
 
+    def __init__(self, opencv: bool = False) -> None:
+        super().__init__(opencv=opencv)
+
     def forward(self, image: Tensor) -> Tensor:
-        return hls_to_rgb(image)
+        return hls_to_rgb(image, opencv=self.opencv)

@@ -8,13 +8,11 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
 from kvision._leading import apply_on_batch
 from kvision._modules import FunctionModule
+from kvision.color.codes import are_codes, decoder, units, values
 from kvision.color.hue import hue, lack, quotient
-from kvision.color.program import arguments, run, step
-from kvision.color.steps import STEPS
-from kvision.core.exceptions import TypeCheckError
+from kvision.color.program import step
 
 
 def _reference(x: Tensor, eps: float) -> Tensor:
@@ -49,13 +47,14 @@ def _quotient(x: Tensor, table: Tensor) -> Tensor:
 _rgb_to_hsv = step("rgb_to_hsv", _reference)
 _hsv_u8 = step("hsv_u8", _of_bytes)
 _hsv_to_rgb = step("hsv_to_rgb", _inverse)
+_decode = decoder("hsv_to_rgb", (180 / math.tau, 255.0, 255.0), (0.0, 0.0, 0.0))
 
 
 def rgb_to_hsv(image: Tensor, eps: float = 1e-8, opencv: bool = False) -> Tensor:
     """RGB to hue, saturation and value.
 
     Args:
-        image: RGB images (*, 3, H, W) in [0, 1]. Integers are computed in float32, unscaled.
+        image: RGB images (*, 3, H, W) in [0, 1]; bytes are 255ths, other integers computed in float32, unscaled.
         eps: added to the value where the chroma is divided by it.
         opencv: take uint8 images and give what `cv2.cvtColor` gives with COLOR_RGB2HSV: hue in [0, 180), saturation and
             value in [0, 255], as uint8.
@@ -78,9 +77,9 @@ def rgb_to_hsv(image: Tensor, eps: float = 1e-8, opencv: bool = False) -> Tensor
     """
     _check.channels("rgb_to_hsv", "image", image, 3)
     eps = _check.number("rgb_to_hsv", "eps", eps, minimum=0)
-    if _as_opencv("rgb_to_hsv", image, opencv):
+    if are_codes("rgb_to_hsv", image, opencv):
         return apply_on_batch(_hsv_u8, image)
-    return apply_on_batch(_rgb_to_hsv, floats(image), eps)
+    return apply_on_batch(_rgb_to_hsv, units(image), eps)
 
 
 def hsv_to_rgb(image: Tensor, opencv: bool = False) -> Tensor:
@@ -95,7 +94,7 @@ def hsv_to_rgb(image: Tensor, opencv: bool = False) -> Tensor:
         RGB images of the same shape, in [0, 1].
 
     Raises:
-        TypeCheckError: image is not a tensor, or not uint8 with opencv; opencv not a bool.
+        TypeCheckError: image is not a tensor, or not uint8 with opencv, or uint8 without; opencv not a bool.
         ShapeError: image is not (*, 3, H, W).
 
     Source: A. R. Smith, "Color gamut transform pairs" (1978).
@@ -106,23 +105,9 @@ def hsv_to_rgb(image: Tensor, opencv: bool = False) -> Tensor:
         tensor([0.0000, 0.5000, 0.5000])
     """
     _check.channels("hsv_to_rgb", "image", image, 3)
-    if _as_opencv("hsv_to_rgb", image, opencv):
-        return apply_on_batch(_byte_hsv_to_rgb, image)
-    return apply_on_batch(_hsv_to_rgb, floats(image))
-
-
-_TO_RADIANS = arguments([math.tau * 255 / 180, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-
-
-def _byte_hsv_to_rgb(x: Tensor) -> Tensor:
-    return run(x, [STEPS["scale_shift_rgb"].number, STEPS["hsv_to_rgb"].number], _TO_RADIANS)
-
-
-def _as_opencv(op: str, image: Tensor, opencv: bool) -> bool:
-    _check.flag(op, "opencv", opencv)
-    if opencv and image.dtype != torch.uint8:
-        raise TypeCheckError(f"{op}: expected image to be uint8 with opencv, got {image.dtype}")
-    return opencv
+    if are_codes("hsv_to_rgb", image, opencv):
+        return apply_on_batch(_decode, image)
+    return apply_on_batch(_hsv_to_rgb, values("hsv_to_rgb", image))
 
 
 class RgbToHsv(FunctionModule):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from kvision import _check
 from kvision._clamp import clamp
-from kvision._dtype import floats
 from kvision._leading import apply_on_batch
+from kvision._modules import FunctionModule
+from kvision.color.codes import are_codes, decoder, encoder, units, values
 from kvision.color.linear import decoded, encoded
 from kvision.color.program import step
 from kvision.color.xyz import WHITE, rgb_of_xyz, xyz_of_rgb
@@ -42,19 +43,22 @@ def _inverse(x: Tensor, clip: bool) -> Tensor:
 
 _rgb_to_lab = step("rgb_to_lab", _reference)
 _lab_to_rgb = step("lab_to_rgb", _inverse)
+_CODES = (2.55, 1.0, 1.0), (0.0, 128.0, 128.0)  # the scale and the offset of OpenCV's bytes
+_encode, _decode = encoder("rgb_to_lab", *_CODES), decoder("lab_to_rgb", *_CODES)
 
 
-def rgb_to_lab(image: Tensor) -> Tensor:
+def rgb_to_lab(image: Tensor, opencv: bool = False) -> Tensor:
     """sRGB to CIE L*a*b*, for the white D65.
 
     Args:
-        image: sRGB images (*, 3, H, W) in [0, 1]. Integers are computed in float32, unscaled.
+        image: sRGB images (*, 3, H, W) in [0, 1]; bytes are 255ths, other integers computed in float32, unscaled.
+        opencv: take uint8 images and give the 8-bit codes of `cv2.cvtColor`: L in 255ths of 100, a and b plus 128.
 
     Returns:
         Images of the same shape: L in [0, 100], a and b in about [-127, 127]; grays have a and b near 0.
 
     Raises:
-        TypeCheckError: image is not a tensor.
+        TypeCheckError: image is not a tensor, or not uint8 with opencv.
         ShapeError: image is not (*, 3, H, W).
 
     Source: CIE 15, IEC 61966-2-1.
@@ -65,21 +69,24 @@ def rgb_to_lab(image: Tensor) -> Tensor:
         tensor([53., 80., 67.])
     """
     _check.channels("rgb_to_lab", "image", image, 3)
-    return apply_on_batch(_rgb_to_lab, floats(image))
+    if are_codes("rgb_to_lab", image, opencv):
+        return apply_on_batch(_encode, image)
+    return apply_on_batch(_rgb_to_lab, units(image))
 
 
-def lab_to_rgb(image: Tensor, clip: bool = True) -> Tensor:
+def lab_to_rgb(image: Tensor, clip: bool = True, opencv: bool = False) -> Tensor:
     """CIE L*a*b* to sRGB, the inverse of :func:`rgb_to_lab`.
 
     Args:
         image: Lab images (*, 3, H, W): L in [0, 100], a and b in about [-127, 127].
         clip: clamp the result to [0, 1]; many Lab colors lie outside of sRGB.
+        opencv: take the 8-bit codes of :func:`rgb_to_lab` with opencv, and give uint8 images.
 
     Returns:
         sRGB images of the same shape.
 
     Raises:
-        TypeCheckError: image is not a tensor, clip not a bool.
+        TypeCheckError: image is not a tensor, or not uint8 with opencv, or uint8 without, clip not a bool.
         ShapeError: image is not (*, 3, H, W).
 
     Source: CIE 15, IEC 61966-2-1.
@@ -91,10 +98,12 @@ def lab_to_rgb(image: Tensor, clip: bool = True) -> Tensor:
     """
     _check.channels("lab_to_rgb", "image", image, 3)
     _check.flag("lab_to_rgb", "clip", clip)
-    return apply_on_batch(_lab_to_rgb, floats(image), clip)
+    if are_codes("lab_to_rgb", image, opencv):
+        return apply_on_batch(_decode, image, float(clip))
+    return apply_on_batch(_lab_to_rgb, values("lab_to_rgb", image), clip)
 
 
-class RgbToLab(nn.Module):
+class RgbToLab(FunctionModule):
     """Module form of :func:`rgb_to_lab`.
 
     Example:
@@ -103,11 +112,14 @@ class RgbToLab(nn.Module):
         torch.Size([2, 3, 4, 5])
     """
 
+    def __init__(self, opencv: bool = False) -> None:
+        super().__init__(opencv=opencv)
+
     def forward(self, image: Tensor) -> Tensor:
-        return rgb_to_lab(image)
+        return rgb_to_lab(image, opencv=self.opencv)
 
 
-class LabToRgb(nn.Module):
+class LabToRgb(FunctionModule):
     """Module form of :func:`lab_to_rgb`.
 
     Example:
@@ -116,5 +128,8 @@ class LabToRgb(nn.Module):
         torch.Size([2, 3, 4, 5])
     """
 
+    def __init__(self, opencv: bool = False) -> None:
+        super().__init__(opencv=opencv)
+
     def forward(self, image: Tensor, clip: bool = True) -> Tensor:
-        return lab_to_rgb(image, clip)
+        return lab_to_rgb(image, clip, self.opencv)

@@ -7,8 +7,8 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._clamp import clamp
-from kvision._dtype import floats
 from kvision._leading import apply_on_batch
+from kvision.color.codes import units
 from kvision.color.program import step
 
 # The clamps keep the gradients of the root and the power finite where `where` selects the other branch.
@@ -34,7 +34,7 @@ def rgb_to_linear_rgb(image: Tensor) -> Tensor:
     """sRGB to linear light: x / 12.92 up to 0.04045, ((x + 0.055) / 1.055)^2.4 above.
 
     Args:
-        image: sRGB images (*, 3, H, W) in [0, 1]. Integers are computed in float32, unscaled.
+        image: sRGB images (*, 3, H, W) in [0, 1]; bytes are 255ths, other integers computed in float32, unscaled.
 
     Returns:
         Images of the same shape, of linear light in [0, 1].
@@ -51,14 +51,14 @@ def rgb_to_linear_rgb(image: Tensor) -> Tensor:
         tensor([0.0000, 0.2140, 1.0000])
     """
     _check.channels("rgb_to_linear_rgb", "image", image, 3)
-    return apply_on_batch(_rgb_to_linear_rgb, floats(image))
+    return apply_on_batch(_rgb_to_linear_rgb, units(image))
 
 
 def linear_rgb_to_rgb(image: Tensor) -> Tensor:
     """Linear light to sRGB: 12.92 x up to 0.0031308, 1.055 x^(1 / 2.4) - 0.055 above.
 
     Args:
-        image: images (*, 3, H, W) of linear light in [0, 1]. Integers are computed in float32, unscaled.
+        image: images (*, 3, H, W) of linear light in [0, 1]; bytes are 255ths, other integers computed in float32.
 
     Returns:
         sRGB images of the same shape, not clamped.
@@ -75,7 +75,7 @@ def linear_rgb_to_rgb(image: Tensor) -> Tensor:
         tensor([0.0000, 0.5000, 1.0000])
     """
     _check.channels("linear_rgb_to_rgb", "image", image, 3)
-    return apply_on_batch(_linear_rgb_to_rgb, floats(image))
+    return apply_on_batch(_linear_rgb_to_rgb, units(image))
 
 
 class RgbToLinearRgb(nn.Module):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from kvision import _check
 from kvision._clamp import clamp
-from kvision._dtype import floats
 from kvision._leading import apply_on_batch
+from kvision._modules import FunctionModule
+from kvision.color.codes import are_codes, decoder, encoder, units, values
 from kvision.color.linear import decoded, encoded
 from kvision.color.program import step
 from kvision.color.xyz import WHITE, rgb_of_xyz, xyz_of_rgb
@@ -43,20 +44,27 @@ def _inverse(luv: Tensor, eps: float) -> Tensor:
 
 _rgb_to_luv = step("rgb_to_luv", _reference)
 _luv_to_rgb = step("luv_to_rgb", _inverse)
+_CODES = (
+    (2.55, 255 / 354, 255 / 262),
+    (0.0, 134 * 255 / 354, 140 * 255 / 262),
+)  # the scale and the offset of OpenCV's bytes
+_encode, _decode = encoder("rgb_to_luv", *_CODES), decoder("luv_to_rgb", *_CODES)
 
 
-def rgb_to_luv(image: Tensor, eps: float = 1e-12) -> Tensor:
+def rgb_to_luv(image: Tensor, eps: float = 1e-12, opencv: bool = False) -> Tensor:
     """sRGB to CIE L*u*v*, for the white D65.
 
     Args:
-        image: sRGB images (*, 3, H, W) in [0, 1]. Integers are computed in float32, unscaled.
+        image: sRGB images (*, 3, H, W) in [0, 1]; bytes are 255ths, other integers computed in float32, unscaled.
         eps: added to the divisor X + 15 Y + 3 Z of the chromaticities.
+        opencv: take uint8 images and give the 8-bit codes of `cv2.cvtColor`: L in 255ths of 100, u in
+            255ths from -134 to 220, v from -140 to 122.
 
     Returns:
         Images of the same shape: L in [0, 100], u in about [-84, 176], v in about [-135, 108]; grays have u and v near 0.
 
     Raises:
-        TypeCheckError: image is not a tensor, eps not a number.
+        TypeCheckError: image is not a tensor, or not uint8 with opencv, eps not a number.
         ShapeError: image is not (*, 3, H, W).
         ValueCheckError: eps is negative.
 
@@ -69,21 +77,24 @@ def rgb_to_luv(image: Tensor, eps: float = 1e-12) -> Tensor:
     """
     _check.channels("rgb_to_luv", "image", image, 3)
     eps = _check.number("rgb_to_luv", "eps", eps, minimum=0)
-    return apply_on_batch(_rgb_to_luv, floats(image), eps)
+    if are_codes("rgb_to_luv", image, opencv):
+        return apply_on_batch(_encode, image, eps)
+    return apply_on_batch(_rgb_to_luv, units(image), eps)
 
 
-def luv_to_rgb(image: Tensor, eps: float = 1e-12) -> Tensor:
+def luv_to_rgb(image: Tensor, eps: float = 1e-12, opencv: bool = False) -> Tensor:
     """CIE L*u*v* to sRGB, the inverse of :func:`rgb_to_luv`.
 
     Args:
         image: Luv images (*, 3, H, W): L in [0, 100], u in about [-84, 176], v in about [-135, 108].
         eps: added to the divisors 13 L and 4 v'.
+        opencv: take the 8-bit codes of :func:`rgb_to_luv` with opencv, and give uint8 images.
 
     Returns:
         sRGB images of the same shape, not clamped.
 
     Raises:
-        TypeCheckError: image is not a tensor, eps not a number.
+        TypeCheckError: image is not a tensor, or not uint8 with opencv, or uint8 without, eps not a number.
         ShapeError: image is not (*, 3, H, W).
         ValueCheckError: eps is negative.
 
@@ -96,10 +107,12 @@ def luv_to_rgb(image: Tensor, eps: float = 1e-12) -> Tensor:
     """
     _check.channels("luv_to_rgb", "image", image, 3)
     eps = _check.number("luv_to_rgb", "eps", eps, minimum=0)
-    return apply_on_batch(_luv_to_rgb, floats(image), eps)
+    if are_codes("luv_to_rgb", image, opencv):
+        return apply_on_batch(_decode, image, eps)
+    return apply_on_batch(_luv_to_rgb, values("luv_to_rgb", image), eps)
 
 
-class RgbToLuv(nn.Module):
+class RgbToLuv(FunctionModule):
     """Module form of :func:`rgb_to_luv`.
 
     Example:
@@ -108,11 +121,14 @@ class RgbToLuv(nn.Module):
         torch.Size([2, 3, 4, 5])
     """
 
+    def __init__(self, opencv: bool = False) -> None:
+        super().__init__(opencv=opencv)
+
     def forward(self, image: Tensor) -> Tensor:
-        return rgb_to_luv(image)
+        return rgb_to_luv(image, opencv=self.opencv)
 
 
-class LuvToRgb(nn.Module):
+class LuvToRgb(FunctionModule):
     """Module form of :func:`luv_to_rgb`.
 
     Example:
@@ -121,5 +137,8 @@ class LuvToRgb(nn.Module):
         torch.Size([2, 3, 4, 5])
     """
 
+    def __init__(self, opencv: bool = False) -> None:
+        super().__init__(opencv=opencv)
+
     def forward(self, image: Tensor) -> Tensor:
-        return luv_to_rgb(image)
+        return luv_to_rgb(image, opencv=self.opencv)

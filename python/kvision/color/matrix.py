@@ -45,5 +45,10 @@ def affine(
     matrix: Matrix, offset: tuple[float, float, float] = (0, 0, 0), clip: bool = False
 ) -> Callable[[Tensor], Tensor]:
     """The function that mixes channels by `matrix`, adds `offset`, and may clip to [0, 1]."""
-    numbers = [float(number) for numbers in (*matrix, offset, (clip,)) for number in numbers]
+    numbers = affine_numbers(matrix, offset, clip)
     return lambda x: _step(x, *numbers)
+
+
+def affine_numbers(matrix: Matrix, offset: tuple[float, float, float] = (0, 0, 0), clip: bool = False) -> list[float]:
+    """The parameters of the step `affine`."""
+    return [float(number) for numbers in (*matrix, offset, (clip,)) for number in numbers]

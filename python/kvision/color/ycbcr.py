@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from torch import Tensor, nn
+from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import apply_on_batch
+from kvision._modules import FunctionModule
+from kvision.color.codes import are_codes, decoder, encoder, units, values
 from kvision.color.gray import LUMA, weighted_sum
-from kvision.color.matrix import affine
+from kvision.color.matrix import affine, affine_numbers
 
 # The scales of b - y and r - y that map them to [-0.5, 0.5].
 BLUE, RED = 0.564, 0.713
@@ -20,19 +22,24 @@ _CENTRE = (-0.5 / RED, (_B / BLUE + _R / RED) / (2 * _G), -0.5 / BLUE)
 
 _rgb_to_ycbcr = affine(YCBCR_FROM_RGB, (0.0, 0.5, 0.5))
 _ycbcr_to_rgb = affine(RGB_FROM_YCBCR, _CENTRE, clip=True)
+_TO_YCBCR = affine_numbers(YCBCR_FROM_RGB, (0.0, 0.5, 0.5))
+_TO_RGB = affine_numbers(RGB_FROM_YCBCR, _CENTRE, clip=True)
+_BYTES = (255.0, 255.0, 255.0), (0.0, 0.5, 0.5)  # the scale and the offset of OpenCV's bytes
+_encode, _decode = encoder("affine", *_BYTES), decoder("affine", *_BYTES)
 
 
-def rgb_to_ycbcr(image: Tensor) -> Tensor:
+def rgb_to_ycbcr(image: Tensor, opencv: bool = False) -> Tensor:
     """RGB to luma and chroma: y = 0.299 r + 0.587 g + 0.114 b, cb = 0.564 (b - y) + 0.5, cr = 0.713 (r - y) + 0.5.
 
     Args:
-        image: RGB images (*, 3, H, W) in [0, 1]. Integers are computed in float32, unscaled.
+        image: RGB images (*, 3, H, W) in [0, 1]; bytes are 255ths, other integers computed in float32, unscaled.
+        opencv: take uint8 images and give the 8-bit codes of `cv2.cvtColor`: 255ths, chroma about 128.
 
     Returns:
         YCbCr images of the same shape, in [0, 1] up to the rounding of 0.564 and 0.713; grays have chroma 0.5.
 
     Raises:
-        TypeCheckError: image is not a tensor.
+        TypeCheckError: image is not a tensor, or not uint8 with opencv.
         ShapeError: image is not (*, 3, H, W).
 
     Source: ITU-R BT.601.
@@ -43,20 +50,23 @@ def rgb_to_ycbcr(image: Tensor) -> Tensor:
         tensor([0.2990, 0.3314, 0.9998])
     """
     _check.channels("rgb_to_ycbcr", "image", image, 3)
-    return apply_on_batch(_rgb_to_ycbcr, floats(image))
+    if are_codes("rgb_to_ycbcr", image, opencv):
+        return apply_on_batch(_encode, image, *_TO_YCBCR)
+    return apply_on_batch(_rgb_to_ycbcr, units(image))
 
 
-def ycbcr_to_rgb(image: Tensor) -> Tensor:
+def ycbcr_to_rgb(image: Tensor, opencv: bool = False) -> Tensor:
     """Luma and chroma to RGB: the inverse of :func:`rgb_to_ycbcr`, clamped.
 
     Args:
         image: YCbCr images (*, 3, H, W) in [0, 1]. Integers are computed in float32, unscaled.
+        opencv: take the 8-bit codes of :func:`rgb_to_ycbcr` with opencv, and give uint8 images.
 
     Returns:
         RGB images of the same shape, clamped to [0, 1].
 
     Raises:
-        TypeCheckError: image is not a tensor.
+        TypeCheckError: image is not a tensor, or not uint8 with opencv, or uint8 without.
         ShapeError: image is not (*, 3, H, W).
 
     Source: ITU-R BT.601.
@@ -67,7 +77,9 @@ def ycbcr_to_rgb(image: Tensor) -> Tensor:
         tensor([0.3000, 0.3000, 0.3000])
     """
     _check.channels("ycbcr_to_rgb", "image", image, 3)
-    return apply_on_batch(_ycbcr_to_rgb, floats(image))
+    if are_codes("ycbcr_to_rgb", image, opencv):
+        return apply_on_batch(_decode, image, *_TO_RGB)
+    return apply_on_batch(_ycbcr_to_rgb, values("ycbcr_to_rgb", image))
 
 
 def rgb_to_y(image: Tensor) -> Tensor:
@@ -94,7 +106,7 @@ def rgb_to_y(image: Tensor) -> Tensor:
     return apply_on_batch(weighted_sum, floats(image), *LUMA)
 
 
-class RgbToYcbcr(nn.Module):
+class RgbToYcbcr(FunctionModule):
     """Module form of :func:`rgb_to_ycbcr`.
 
     Example:
@@ -103,11 +115,14 @@ class RgbToYcbcr(nn.Module):
         torch.Size([2, 3, 4, 5])
     """
 
+    def __init__(self, opencv: bool = False) -> None:
+        super().__init__(opencv=opencv)
+
     def forward(self, image: Tensor) -> Tensor:
-        return rgb_to_ycbcr(image)
+        return rgb_to_ycbcr(image, opencv=self.opencv)
 
 
-class YcbcrToRgb(nn.Module):
+class YcbcrToRgb(FunctionModule):
     """Module form of :func:`ycbcr_to_rgb`.
 
     Example:
@@ -116,5 +131,8 @@ class YcbcrToRgb(nn.Module):
         torch.Size([2, 3, 4, 5])
     """
 
+    def __init__(self, opencv: bool = False) -> None:
+        super().__init__(opencv=opencv)
+
     def forward(self, image: Tensor) -> Tensor:
-        return ycbcr_to_rgb(image)
+        return ycbcr_to_rgb(image, opencv=self.opencv)

@@ -144,3 +144,14 @@ def test_advice_for_small_images():
     with pytest.raises(ValueError, match=message):
         K.filters.canny(torch.rand(1, 3, 2, 9))
     K.filters.canny(torch.rand(1, 3, 2, 9), kernel_size=3)
+
+
+def test_thresholds_of_bytes(device):
+    """At most 1 they are fractions of 255, above in bytes."""
+    levels = torch.randint(0, 256, (1, 1, 24, 24), dtype=torch.uint8, device=device)
+    _, edges = K.filters.canny(levels, 0.5, 1.0)
+    _, expected = K.filters.canny(levels.float() / 255, 0.5, 1.0, eps=1e-6 / 255**2)
+    assert torch.equal(edges, expected) and 0 < edges.mean() < 0.5
+    assert torch.equal(K.filters.canny(levels, 127.5, 255.0)[1], edges)
+    with pytest.raises(ValueError, match="low_threshold <= high_threshold"):
+        K.filters.canny(levels, 1.0, 100.0)

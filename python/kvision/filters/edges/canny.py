@@ -107,7 +107,7 @@ def canny(
 
     Args:
         input: image (B, C, H, W) with 1 or 3 (RGB) channels; integers are computed in float32, keeping their range.
-        low_threshold: above 0, in units of the magnitude.
+        low_threshold: above 0, in units of the magnitude. Of uint8 images a threshold of at most 1 is a fraction of 255.
         high_threshold: at least low_threshold.
         kernel_size: size of the blur's window, an odd int or (y, x).
         sigma: standard deviation of the blur in pixels, (y, x) or a tensor (1, 2) or (B, 2).
@@ -139,6 +139,8 @@ def canny(
         )
     low_threshold = _check.number("canny", "low_threshold", low_threshold)
     high_threshold = _check.number("canny", "high_threshold", high_threshold)
+    if input.dtype == torch.uint8:
+        low_threshold, high_threshold = (255 * t if t <= 1 else t for t in (low_threshold, high_threshold))
     if not 0 < low_threshold <= high_threshold:
         raise ValueCheckError(
             f"canny: expected 0 < low_threshold <= high_threshold, got {low_threshold} and {high_threshold}"

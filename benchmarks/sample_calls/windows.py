@@ -40,7 +40,7 @@ class Window:
         first, *others = self.call.axes
         dtype = torch.float64 if x.dtype == torch.float64 else torch.float32
         with torch.random.fork_rng(devices=()):
-            torch.manual_seed(0)
+            torch.default_generator.manual_seed(0)  # that of a GPU is left alone
             size = Size(*x.shape[:2], *x.shape[-2:])
             tensors = {name: self.call.axes[name](size).to(x.device, dtype) for name in others}
         arguments = {k: v(x) if inspect.isfunction(v) else v for k, v in self.call.others.items()}

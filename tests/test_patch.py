@@ -277,6 +277,13 @@ DIFFERENT_EXAMPLES = {
     "kornia.contrib.connected_components.connected_components_union_find": "a label is the index of a pixel",
     "kornia.geometry.liegroup.so3.So3": PRINTS,
     **{
+        f"kornia.geometry.liegroup.{name}": "rotations are nn.Parameters"
+        for name in (
+            *("se3.Se3", *(f"se3.Se3.{n}" for n in ("__init__", "exp", "from_matrix", "from_qxyz", "identity"))),
+            *(f"so3.So3.{n}" for n in ("__init__", "exp", "from_matrix", "from_wxyz", "identity")),
+        )
+    },
+    **{
         f"kornia.geometry.pose.NamedPose{name}": PRINTS
         for name in ("", ".__mul__", ".from_matrix", ".from_rt", ".inverse")
     },

@@ -22,6 +22,7 @@ CALLS = {
     "remap": lambda x: G.remap(x, *(6 + 6 * n for n in NOISE.to(x.device).unbind(1)), "nearest", "border"),
     "elastic_transform2d": lambda x: G.elastic_transform2d(x, NOISE.to(x.device).expand(2, -1, -1, -1), mode="nearest"),
     "rotate": lambda x: G.rotate(x, torch.tensor([30.0], device=x.device), mode="nearest"),
+    "affine": lambda x: G.affine(x, SHIFT[:, :2].to(x.device), mode="nearest"),
     "crop_and_resize": lambda x: G.crop_and_resize(x, BOX.repeat(2, 1, 1).to(x.device), (9, 9), "nearest"),
     "center_crop": lambda x: G.center_crop(x, (3, 5), "nearest"),
     "center_crop at whole pixels": lambda x: G.center_crop(x, (4, 6)),
@@ -81,6 +82,7 @@ def test_interpolating_modes_of_integers_stay_float32(device):
     for result in (
         G.resize(x, (4, 4)),
         G.resize(x, (4, 4), "area"),
+        G.affine(x, torch.eye(2, 3, device=device)[None]),
         G.center_crop(x, (3, 3)),
         G.warp_affine3d(x[None], torch.eye(3, 4, device=device)[None], (1, 6, 6)),
     ):

@@ -52,9 +52,8 @@ def affine(
     sampling.check_options("affine", mode, padding_mode, align_corners)
     matrix = sampling.cast_to_image("affine", images, "matrix", matrix, sampling.count_samples(images, matrix))
     padding, _ = sampling.padding_and_fill("affine", images, padding_mode, None)
-    result = sampling.warp(
-        images, matrix, None, None, list(images.shape[2:]), INTERPOLATION[mode], padding, align_corners, True, False
-    )
+    options = (list(images.shape[2:]), INTERPOLATION[mode], padding, align_corners, True, False)
+    result = of_values(sampling.warp(as_values(images, mode), matrix, None, None, *options), images, mode)
     return result[0] if tensor.dim() == 3 and matrix.shape[0] == 1 else result
 
 

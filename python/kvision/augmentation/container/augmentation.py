@@ -288,7 +288,7 @@ class AugmentationSequential(ImageSequential):
         if DataKey.MASK in keys:
             masks = inputs[keys.index(DataKey.MASK)]
             state["_shape"] = tuple(x.shape)  # with which masks are compared
-            source = source._replace(masks=lambda stages: self._moved(DataKey.MASK, masks, stages))
+            source = source._replace(masks=lambda stages: self._moved_masks(masks, stages))
         y = self._execute(x, params, source)
         state["_result_size"] = tuple(y.shape[2:])
         record = LabelRecord(self._clips_each)

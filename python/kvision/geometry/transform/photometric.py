@@ -114,7 +114,7 @@ def _normal_reference(source, target, matrix, distance, eps, align_corners, norm
     matrices = matrix.expand(source.shape[0], -1, -1)
     size, (*source_size,) = target.shape[2:], source.shape[2:]
 
-    def source_coords(m: Tensor) -> tuple[Tensor, Tensor]:
+    def source_coords(m: Tensor) -> list[Tensor]:
         return sampling.source_coords(m, size, source_size, align_corners, False, normalized)
 
     def residuals(m: Tensor) -> Tensor:

@@ -217,7 +217,7 @@ class _CenterGenerator(RandomGeneratorBase):
         return box_params(zero + x, zero + y, zero + w, zero + h, shape, self.size)
 
     def to_columns(self, params: dict[str, Any], shape: Sequence[int]) -> Tensor:
-        return torch.empty(shape[0], 0)
+        return torch.empty(shape[0], 0, device="cpu")
 
 
 class CenterCrop(GeometricAugmentationBase2D):

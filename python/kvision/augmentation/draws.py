@@ -262,7 +262,7 @@ def _resized_crop(words: _Words, numbers: Sequence[float]) -> _Columns:
 
 def _largest_crop(height: float, width: float, log_min: float, log_max: float) -> tuple[float, float]:
     """Width and height."""
-    min_aspect, max_aspect = torch.tensor([log_min, log_max], dtype=torch.float64).exp().tolist()
+    min_aspect, max_aspect = torch.tensor([log_min, log_max], dtype=torch.float64, device="cpu").exp().tolist()
     if width / height < min_aspect:
         return width, max(float(round(width / min_aspect)), 1.0)
     if width / height > max_aspect:

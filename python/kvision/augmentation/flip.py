@@ -30,7 +30,7 @@ class _FlipGenerator(RandomGeneratorBase):
         return [Draw("integer", (-1, 1, 1, 1))]
 
     def to_columns(self, params: dict[str, Any], shape: Sequence[int]) -> Any:
-        return torch.full((shape[0], 1), -1.0)
+        return torch.full((shape[0], 1), -1.0, device="cpu")
 
 
 class _RandomFlip(GeometricAugmentationBase2D):

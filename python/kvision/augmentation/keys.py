@@ -78,7 +78,7 @@ def draw_keys(op: str, count: int, device: torch.device, seed: Seed, generator: 
         torch.empty(1, dtype=torch.int64, device=where).random_(_LOWEST, None, generator=generator)
         for _ in range(count)
     ]
-    return Keys(torch.cat(each) if each else torch.empty(0, dtype=torch.int64))
+    return Keys(torch.cat(each) if each else torch.empty(0, dtype=torch.int64, device="cpu"))
 
 
 _LOWEST = -(2**63)
@@ -92,7 +92,7 @@ def _captures(device: torch.device) -> bool:
 
 def _random_words(count: int, generator: Generator | None = None) -> Tensor:
     """int64 (count,) of the CPU's generator."""
-    return torch.empty(count, dtype=torch.int64).random_(_LOWEST, None, generator=generator)
+    return torch.empty(count, dtype=torch.int64, device="cpu").random_(_LOWEST, None, generator=generator)
 
 
 # In a graph torch's own functions draw from generators that inductor seeds in its way. This one gives what eager calls draw.
@@ -100,7 +100,7 @@ _random_keys = register_random(
     "random_keys",
     "(SymInt count) -> Tensor",
     lambda count: _random_words(count),
-    lambda count: torch.empty(count, dtype=torch.int64),
+    lambda count: torch.empty(count, dtype=torch.int64, device="cpu"),
 )
 
 _STEP = -0x61C8864680B583EB  # of the seeds of frames: the golden ratio times 2^64
@@ -125,9 +125,9 @@ def _from_seed(op: str, seed: int | Tensor) -> Keys:
             return Keys(seed[None], None, True)
         if seed.dim() != 1:
             raise ShapeError(f"{op}: expected seed of shape (B,), got {tuple(seed.shape)}")
-        return Keys(torch.zeros(1, dtype=torch.int64), seed, True)
+        return Keys(torch.zeros(1, dtype=torch.int64, device="cpu"), seed, True)
     seed = _check.scalar(op, "seed", seed)
     if not isinstance(seed, int) or isinstance(seed, bool):
         raise TypeCheckError(f"{op}: expected seed to be an int or an int64 tensor, got {type(seed).__name__}")
     seed &= 2**64 - 1
-    return Keys(torch.tensor([seed - 2**64 if seed >= 2**63 else seed]), None, True)
+    return Keys(torch.tensor([seed - 2**64 if seed >= 2**63 else seed], device="cpu"), None, True)

@@ -124,7 +124,7 @@ class _CenterGenerator3D(RandomGeneratorBase):
         return box_params3d(first.expand(shape[0], 3), self.size, self.size)
 
     def to_columns(self, params: dict[str, Any], shape: Sequence[int]) -> Tensor:
-        return torch.empty(shape[0], 0)
+        return torch.empty(shape[0], 0, device="cpu")
 
 
 class CenterCrop3D(GeometricAugmentationBase3D):

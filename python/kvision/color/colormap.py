@@ -101,7 +101,7 @@ class ColorMap:
         else:
             self.name = base.name if isinstance(base, ColorMapType) else "custom"
         colors = _custom(base) if self.name == "custom" else colormap_data.colors(self.name)
-        table = torch.tensor(colors, dtype=torch.float64).T
+        table = torch.tensor(colors, dtype=torch.float64, device="cpu").T
         table = F.interpolate(table[None], size=num_colors, mode="linear", align_corners=False)[0]
         self.colors = table.to(device=device, dtype=dtype)
 

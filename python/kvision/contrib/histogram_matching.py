@@ -94,5 +94,5 @@ def _ranks(ordered: Tensor) -> Tensor:
     if not ordered.is_cpu:  # on CUDA a scan of one row takes far longer than searches
         return torch.searchsorted(ordered, ordered, right=True).to(ordered.dtype) / n
     follows = torch.nn.functional.pad(ordered[1:] == ordered[:-1], (0, 1))
-    last = torch.where(follows, n, torch.arange(1, n + 1))
+    last = torch.where(follows, n, torch.arange(1, n + 1, device=ordered.device))
     return last.flip(0).cummin(0).values.flip(0).to(ordered.dtype) / n

@@ -38,7 +38,7 @@ def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
         max_val = 1.0 if max_val is None else _check.number("invert", "max_val", max_val)
     if image.is_floating_point():
         return as_dtype(max_val - image, image.dtype)
-    largest = torch.as_tensor(max_val).to(image.dtype)
+    largest = torch.as_tensor(max_val, device=image.device).to(image.dtype)
     if image.dtype is torch.bool:
         return largest ^ image
     if image.dtype in SIGNED:

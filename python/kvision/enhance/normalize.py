@@ -185,7 +185,7 @@ def _tensor(name: str, value: float | Sequence[float] | Tensor) -> float | Tenso
     numbers = _check.scalars("normalize", name, value)
     if not all(isinstance(v, (int, float)) for v in numbers):
         raise TypeCheckError(f"normalize: expected {name} to hold numbers, got {value!r}", actual_type=type(value))
-    return torch.tensor(numbers, dtype=torch.float64)
+    return torch.tensor(numbers, dtype=torch.float64, device="cpu")
 
 
 class Normalize(_Statistics):

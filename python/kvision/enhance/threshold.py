@@ -103,8 +103,8 @@ def threshold(
         level = math.floor(max(-1.0, min(thresh, 255.0)))
         above, below = (math.floor(max(0.0, min(v, 255.0))) / 255 for v in _values(type, level, maxval)[1:])
         return shaped(_threshold(as_batch(input), (level + 0.5) / 255, above, below, *_kept(type)), input)
-    floored = torch.as_tensor(thresh, dtype=torch.float64).floor()
-    limit, high, low = (torch.as_tensor(value) for value in _values(type, floored, maxval))
+    floored = torch.as_tensor(thresh, dtype=torch.float64, device=input.device).floor()
+    limit, high, low = (torch.as_tensor(value, device=input.device) for value in _values(type, floored, maxval))
     keeps_above, keeps_below = _kept(type)
     return torch.where(
         input.double() > limit,

@@ -493,4 +493,4 @@ def _reordered(descriptors: Tensor, source: str, bins: int, cells: int) -> Tenso
 @functools.lru_cache
 def _order(source: str, bins: int, cells: int) -> np.ndarray:
     """Which number of a descriptor comes where in the other layout."""
-    return _reordered(torch.arange(bins * cells * cells), source, bins, cells).numpy()
+    return _reordered(torch.arange(bins * cells * cells, device="cpu"), source, bins, cells).numpy()

@@ -70,7 +70,7 @@ class Collection:
     def __getitem__(self: Self, key: Any) -> Self:
         counts = None
         if self._counts is not None:
-            chosen = torch.arange(len(self._counts))[key.cpu() if isinstance(key, Tensor) else key]
+            chosen = torch.arange(len(self._counts), device="cpu")[key.cpu() if isinstance(key, Tensor) else key]
             counts = [self._counts[i] for i in chosen.tolist()] if chosen.dim() else None
         return self._like(self._data[key], None if self._valid is None else self._valid[key], counts)
 

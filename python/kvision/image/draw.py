@@ -92,7 +92,7 @@ def draw_line(image: Tensor, p1: Tensor, p2: Tensor, color: Any) -> Tensor:
     # Shorter lines repeat their end. In a graph, which has no values, all are as long as the longest possible one.
     is_readable = _check.values_are_readable(steps)
     count = int(steps.amax()) + 1 if is_readable and len(steps) else largest(*image.shape[1:])
-    t = torch.minimum(torch.arange(count), steps[:, None])[..., None]
+    t = torch.minimum(torch.arange(count, device=steps.device), steps[:, None])[..., None]
     # start + t * delta / n, rounded half up in integers: float steps would round an exact half either way.
     n = steps.clamp_min(1)[:, None, None]
     pixels = start[:, None] + (2 * t * delta[:, None] + n).div(2 * n, rounding_mode="floor")
@@ -291,7 +291,7 @@ def _nearest_pixels(op: str, name: str, coordinates: Tensor) -> Tensor:
 def _colors(op: str, name: str, color: Any, image: Tensor, items: Sequence[int] = ()) -> Tensor:
     """Expand `color`, one for each item, one color or one value, to (*items, C) in the image's dtype and device."""
     try:
-        color = torch.as_tensor(color)
+        color = torch.as_tensor(color, device=image.device)
     except (TypeError, ValueError, RuntimeError) as error:
         raise TypeCheckError(
             f"{op}: expected {name} to be a Tensor or numbers, got {color!r}", actual_type=type(color)

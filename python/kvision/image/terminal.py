@@ -91,7 +91,7 @@ def print_image(image: Tensor | str | os.PathLike[str], max_width: int = 96) -> 
 
 def _nearest_codes(rgb: Tensor) -> Tensor:
     """Palette indices (H, W) of the nearest colors to values (3, H, W) from 0 to 255. Ties take the lowest index."""
-    levels = torch.tensor(_CUBE, dtype=rgb.dtype)
+    levels = torch.tensor(_CUBE, dtype=rgb.dtype, device=rgb.device)
     cube = torch.bucketize(rgb, (levels[1:] + levels[:-1]) / 2)  # nearest for each channel is nearest in the cube
     gray = ((rgb.mean(0) - 8) / 10 - 0.5).ceil().clamp(0, 23)
     to_cube = (levels[cube] - rgb).square().sum(0)

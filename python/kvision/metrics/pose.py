@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._ops import without_autocast_and_tf32
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 
@@ -34,10 +35,15 @@ def angle_error_mat(R1: Tensor, R2: Tensor) -> Tensor:
         tensor(90.)
     """
     _check_pair("angle_error_mat", "R1", R1, "R2", R2, (3, 3))
-    relative = R1.transpose(-2, -1) @ R2
+    relative = _relative_rotation(R1, R2)
     skew = relative - relative.transpose(-2, -1)
     axis = torch.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], -1)  # times twice the sine
     return _degrees(axis, relative.diagonal(dim1=-2, dim2=-1).sum(-1) - 1)
+
+
+@without_autocast_and_tf32
+def _relative_rotation(R1: Tensor, R2: Tensor) -> Tensor:
+    return R1.transpose(-2, -1) @ R2
 
 
 def angle_error_vec(v1: Tensor, v2: Tensor) -> Tensor:

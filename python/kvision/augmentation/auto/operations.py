@@ -144,7 +144,7 @@ class OperationBase(nn.Module):
         if matrix is None:
             return None
         chosen = self._params["batch_prob"].detach().to(matrix.device) > 0.5
-        return torch.where(chosen[:, None, None], matrix, torch.eye(3).to(matrix))
+        return torch.where(chosen[:, None, None], matrix, torch.eye(3, dtype=matrix.dtype, device=matrix.device))
 
     def forward_parameters(
         self,

@@ -167,7 +167,7 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         else:
             own = draw_keys(op, 1, torch.device("cpu"), seed, generator or self.generator)
             request, position = Request([uniform(0.0, 1.0)]), _CHOICE if own.one_key else 0
-            (columns,) = draw_columns(torch.empty(images.shape[0]), own, [request], position)
+            (columns,) = draw_columns(torch.empty(images.shape[0], device="cpu"), own, [request], position)
             chosen = columns.values[:, 0] < self.p
         outputs = super()._call(keys, inputs, params, seed, generator, before)
         self._param_items = [*self._params, ParamItem("share", {"batch_prob": chosen.float()})]
@@ -179,7 +179,9 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         matrix = super().transform_matrix
         if matrix is None:
             return None
-        return where_chosen(_chosen_of(self._params), matrix, torch.eye(matrix.shape[-1]).to(matrix))
+        return where_chosen(
+            _chosen_of(self._params), matrix, torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
+        )
 
     def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
         chosen = _chosen_of(self._params if params is None else params)

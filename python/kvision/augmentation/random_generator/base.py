@@ -76,7 +76,7 @@ class RandomGeneratorBase(nn.Module):
     def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
         """The columns (B, P) of parameters by name: the inverse of :meth:`to_params`."""
         parts = [params[name] if width else params[name][:, None] for name, width in self.fields]
-        return torch.cat(parts, 1) if parts else torch.empty(shape[0], 0)
+        return torch.cat(parts, 1) if parts else torch.empty(shape[0], 0, device="cpu")
 
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
         """Parameters with numbers of their own for each pixel, which come from the noise of the key of a call."""

@@ -203,7 +203,7 @@ class ResizeGenerator(RandomGeneratorBase):
         return box_params(zero, zero, zero + shape[-1], zero + shape[-2], shape, self.size_for(shape))
 
     def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
-        return torch.empty(shape[0], 0)
+        return torch.empty(shape[0], 0, device="cpu")
 
 
 def center_crop_generator(

@@ -322,7 +322,7 @@ class ResizeGenerator3D(RandomGeneratorBase):
         return box_params3d(columns.new_zeros(shape[0], 3), tuple(shape[-3:]), self.size)
 
     def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
-        return torch.empty(shape[0], 0)
+        return torch.empty(shape[0], 0, device="cpu")
 
 
 def center_crop_generator3d(

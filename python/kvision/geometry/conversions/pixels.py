@@ -178,7 +178,7 @@ def filled(rows: Iterable[Sequence[float]], like: Tensor) -> Tensor:
     """A matrix of numbers, filled on the device of `like`, without a copy from the host."""
     values = [list(row) for row in rows]
     if like.device.type == "cpu" and not is_compiling():
-        return torch.tensor(values, dtype=like.dtype)
+        return torch.tensor(values, dtype=like.dtype, device="cpu")
     matrix = torch.empty(len(values), len(values[0]), dtype=like.dtype, device=like.device)
     for i, row in enumerate(values):
         for j, value in enumerate(row):

@@ -111,7 +111,7 @@ def _roots_or_zeros(coeffs: Tensor) -> Tensor:
 def _scaled(coeffs: Tensor) -> Tensor:
     """Scale by a power of two, so that products neither overflow nor underflow. A zero polynomial stays 0."""
     largest = coeffs.detach().abs().amax(-1, keepdim=True)
-    return coeffs / 2.0 ** torch.frexp(largest).exponent
+    return coeffs / 2.0 ** torch.frexp(largest).exponent.to(coeffs.dtype)
 
 
 # --- any degree -----------------------------------------------------------------------------------------------------

@@ -184,7 +184,7 @@ class Operator:
         self.unserved = unserved_devices(name)
         self.kernel = self._bind()
         self.tensors = self._count_tensors()
-        self._is_constant = self.kernel is not None and len(non_differentiable) == len(schema_of(self.kernel).returns)
+        self._is_constant = bool(non_differentiable) and len(non_differentiable) == self._count_results()
         self.function = self._make_function()
         self._apply = function_caller(self.function)
         self._call_kernel: Any = kernel_caller(self.kernel)
@@ -335,6 +335,9 @@ class Operator:
             return 0
         return sum("Tensor" in str(a.type) for a in schema_of(self.kernel).arguments)
 
+    def _count_results(self) -> int:
+        return 0 if self.kernel is None else len(schema_of(self.kernel).returns)
+
     def _setup_context(self, ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
         tensors = inputs[: self.tensors]
         if self._is_linear_map(tensors):
@@ -388,7 +391,7 @@ class Operator:
         if not self.non_differentiable:
             return output_tangents
         rest = iter(output_tangents)
-        outputs = range(len(schema_of(self.kernel).returns))
+        outputs = range(self._count_results())
         return tuple(None if i in self.non_differentiable else next(rest) for i in outputs)
 
     def differentiate_reference(self, needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import re
+import shutil
 import subprocess
 import sys
 import threading
@@ -92,6 +93,35 @@ def test_environment_chooses_the_backend():
     code = "import torch, kvision as K; print(K._ops.serves('sobel', torch.zeros(1, 1, 2, 2)))"
     assert run(code, KVISION_BACKEND="reference").stdout.strip() == "reference"
     assert "expected one of" in run(code, KVISION_BACKEND="quick").stderr
+
+
+def test_misspelt_variables_warn():
+    environment = {"KVISION_BACKNED": "reference", "kvision_isa": "avx2", "KVISION_HOME": "/"}
+    result = run("import kvision; import kvision.filters", KVISION_ISA="avx3", **environment)
+    warned = re.findall("UserWarning: (.*)", result.stderr)
+    expected = [
+        "kvision: KVISION_BACKNED in the environment has no effect; did you mean KVISION_BACKEND?",
+        "kvision: kvision_isa in the environment has no effect; did you mean KVISION_ISA?",
+    ]
+    if "cpu" not in _backend.unserved:
+        expected.append("kvision: KVISION_ISA=avx3 is not supported here; ")
+    assert len(warned) == len(expected) and all(any(w.startswith(e) for w in warned) for e in expected), warned
+
+
+@pytest.mark.slow
+def test_a_second_copy_is_an_import_error(tmp_path):
+    """Two libraries that declare the same operators would abort the process. The same one again is no second copy."""
+    if "cpu" in _backend.unserved:
+        pytest.skip("needs the library")
+    library = _backend.LIBRARY_FOLDER / "libkvision.so"
+    other = shutil.copy(library, tmp_path)
+    program = "import torch; torch.ops.load_library({!r}); import kvision; print('imported')"
+    assert run(program.format(str(library))).stdout == "imported\n"
+    result = run(program.format(other))
+    assert (
+        result.returncode == 1 and f"ImportError: kvision: {library} cannot be loaded beside the copy" in result.stderr
+    )
+    assert f", {other}; import kvision from one place only" in result.stderr
 
 
 def test_without_libraries_the_reference_serves():
@@ -456,6 +486,21 @@ def test_info_fits_a_screen():
     if info._C is not None:
         assert f"{info._C.active_isa()} (in use)" in " ".join(text.split())
     assert "\n  gaussian_blur2d " in info.report(operators=True)
+
+
+def test_info_says_why_an_installation_is_pure_python(monkeypatch, tmp_path):
+    (tmp_path / "pure_python.txt").write_text("KVISION_BUILD=reference asked for it")
+    missing = "libkvision.so was not built: reinstall kvision on a machine with a C++20 compiler"
+    monkeypatch.setattr(_backend, "LIBRARY_FOLDER", tmp_path)
+    monkeypatch.setattr(_backend, "unserved", {"cpu": missing, "cuda": "this torch was built without CUDA"})
+    lines = K.info.report().splitlines()
+    at = lines.index("Libraries")
+    assert lines[at + 1 : at + 5] == [
+        "  cpu   libkvision.so was not built: reinstall kvision on a machine with a C++20",
+        "      compiler",
+        "        installed as pure Python: KVISION_BUILD=reference asked for it",
+        "  cuda  this torch was built without CUDA",
+    ]
 
 
 @pytest.fixture

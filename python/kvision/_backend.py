@@ -18,6 +18,7 @@ import torch
 import torch.compiler.config
 from torch.compiler import is_compiling
 
+from kvision import _check
 from kvision._torch_compat import find_operator, has_kernel
 from kvision._version import __version__
 from kvision.core.exceptions import ValueCheckError
@@ -43,6 +44,8 @@ def _load() -> None:
         elif not path.exists():
             unserved[device] = f"{name} was not built: reinstall kvision on a machine with {_compiler(device)}"
         else:
+            if device == "cpu":
+                _refuse_another_copy(path)
             try:
                 torch.ops.load_library(path)
             except OSError as error:
@@ -50,6 +53,21 @@ def _load() -> None:
             else:
                 if device == "cuda" and (reason := _old_driver(path)):
                     unserved[device] = slower["images on the GPU"] = reason
+
+
+def _refuse_another_copy(library: Path) -> None:
+    """Raise ImportError where another file has declared the operators: loading this one would abort the process."""
+    if find_operator("kvision", "sobel") is None:
+        return
+    try:
+        ctypes.CDLL(str(library), mode=os.RTLD_NOLOAD)
+    except OSError:
+        others = [path for path in torch.ops.loaded_libraries if Path(path).name == library.name]
+        raise ImportError(
+            f"kvision: {library} cannot be loaded beside the copy that this process has loaded already"
+            f"{''.join(f', {path}' for path in others)}; import kvision from one place only",
+            path=str(library),
+        ) from None
 
 
 def _old_driver(library: Path) -> str:
@@ -65,11 +83,34 @@ def _old_driver(library: Path) -> str:
     return f"the driver runs CUDA {latest} at most, {library.name} was built with CUDA {needed}"
 
 
+# What the library and its build read from the environment, after KVISION_.
+_VARIABLES = ("BACKEND", "BUILD", "CUDA", "ISA", "PYTHONS", "SHARED_MEMORY")
+
+
+def _check_environment() -> None:
+    """Warn of variables whose names are nearly those of the library's, and of an instruction set that is not in use."""
+    for variable in os.environ:
+        prefix, _, name = variable.partition("_")
+        if prefix.upper() != "KVISION" or (prefix == "KVISION" and name in _VARIABLES):
+            continue
+        if nearest := _check.nearest_name(name, _VARIABLES):
+            warnings.warn(
+                f"kvision: {variable} in the environment has no effect; did you mean KVISION_{nearest}?", stacklevel=3
+            )
+    chosen = os.environ.get("KVISION_ISA")
+    if chosen and "cpu" not in unserved:
+        library = ctypes.CDLL(str(LIBRARY_FOLDER / _LIBRARIES["cpu"]))
+        library.kvision_active_isa.restype = ctypes.c_char_p
+        if (active := library.kvision_active_isa().decode()) != chosen:
+            warnings.warn(f"kvision: KVISION_ISA={chosen} is not supported here; {active} is in use", stacklevel=3)
+
+
 def _compiler(device: str) -> str:
     return "nvcc and a C++20 compiler" if device == "cuda" else "a C++20 compiler"
 
 
 _load()
+_check_environment()
 if "cpu" in unserved:
     slower["everything"] = unserved["cpu"]
 

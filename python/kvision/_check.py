@@ -7,7 +7,7 @@ shapes cost as much as the call of a kernel.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
 from typing import Any
 
@@ -255,6 +255,15 @@ def to_device_of(op: str, x: Tensor, name: str, value: Tensor, of: str = "input"
     # Pageable memory is read before the call returns. Pinned memory is read later, when its owner may have changed it.
     pinned = values_are_readable(value) and value.is_pinned()
     return value.to(x.device, non_blocking=not pinned)
+
+
+def nearest_name(name: str, known: Iterable[str]) -> str | None:
+    """The known name that is most like a misspelt one, upper and lower case alike; None where none is."""
+    import difflib  # a name is seldom misspelt
+
+    by_lowered = {other.lower(): other for other in known}
+    nearest = difflib.get_close_matches(name.lower(), by_lowered, n=1)
+    return by_lowered[nearest[0]] if nearest else None
 
 
 class UnknownChoiceError(ValueCheckError, NotImplementedError):

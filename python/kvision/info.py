@@ -61,7 +61,8 @@ def _versions() -> Iterator[str]:
 
 def _libraries() -> Iterator[str]:
     yield "Libraries"
-    yield f"  cpu   {_backend.unserved.get('cpu') or _cpu_library()}{_why_pure()}"
+    yield f"  cpu   {_backend.unserved.get('cpu') or _cpu_library()}"
+    yield from _why_pure()
     yield f"  cuda  {_backend.unserved.get('cuda') or _cuda_library()}"
     if "cuda" not in _backend.unserved:
         yield from (f"        {line}" for line in _gpus())
@@ -78,9 +79,10 @@ def _cpu_library() -> str:
     return f"libkvision.so {_C.version()}, compiler {_C.compiler()}; instruction sets here: {sets}; KVISION_ISA chooses"
 
 
-def _why_pure() -> str:
+def _why_pure() -> Iterator[str]:
     record = _backend.LIBRARY_FOLDER / "pure_python.txt"  # written by setup.py
-    return f"\n        installed as pure Python: {record.read_text()}" if record.exists() else ""
+    if record.exists():
+        yield f"        installed as pure Python: {record.read_text().strip()}"
 
 
 def _cuda_library() -> str:

@@ -126,5 +126,8 @@ def test_errors():
         K.feature.match_adalam(desc1, desc2, lafs1, lafs2, {"refit": 1})
     with pytest.raises(ValueError, match=r"match_adalam: expected lafs1 of shape \(1, 20, 2, 3\), got \(1, 19, 2, 3\)"):
         K.feature.match_adalam(desc1, desc2, lafs1[:, :19], lafs2)
-    with pytest.warns(UserWarning, match="match_adalam: config has no 'ratio'"):
-        K.feature.match_adalam(desc1, desc2, lafs1, lafs2, {"ratio": 3})
+    with pytest.warns(UserWarning) as warned:
+        K.feature.match_adalam(desc1, desc2, lafs1, lafs2, {"area_Ration": 3, "verbose": True})
+    said = [str(warning.message) for warning in warned]
+    assert said[0] == "match_adalam: config has no 'area_Ration'; did you mean 'area_ratio'?"
+    assert said[1:] == ["match_adalam: config has no 'verbose'"]

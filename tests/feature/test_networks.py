@@ -154,6 +154,16 @@ def test_files_in_the_sample_data_have_the_checksums(data):
         assert hashlib.sha256(content).hexdigest() == _weights.PUBLISHED[name].sha256
 
 
+def test_weights_without_a_checksum_are_said_to_be_unverified(monkeypatch, tmp_path):
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
+    file = _weights.PUBLISHED["HardNet"].file
+    file.parent.mkdir()
+    torch.save(K.feature.HardNet(pretrained=False).state_dict(), file)
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    with pytest.warns(UserWarning, match=f"HardNet: the published weights are unverified, .* the SHA-256 {digest}"):
+        K.feature.HardNet()
+
+
 @pytest.mark.parametrize("name", OF_PATCHES)
 def test_extreme_patches_are_finite(name, device):
     network = getattr(K.feature, name)(pretrained=False).eval().to(device)

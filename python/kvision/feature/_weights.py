@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +17,7 @@ from kvision.core.exceptions import TypeCheckError
 
 class Checkpoint(NamedTuple):
     url: str
-    sha256: str = ""  # empty: not known
+    sha256: str = ""  # empty: not known, which is warned of
 
     @property
     def file(self) -> Path:
@@ -99,7 +100,14 @@ def _published(name: str, published: str) -> Mapping[str, Any]:
                 f"{name}: the published weights could not be downloaded ({error}). Put {checkpoint.url} to "
                 f"{checkpoint.file}, or pass pretrained= a path, a state dict or False"
             ) from error
-    if checkpoint.sha256 and hashlib.sha256(checkpoint.file.read_bytes()).hexdigest() != checkpoint.sha256:
+    found = hashlib.sha256(checkpoint.file.read_bytes()).hexdigest()
+    if not checkpoint.sha256:
+        warnings.warn(
+            f"{name}: the published weights are unverified, since their checksum is not known: {checkpoint.file} has the "
+            f"SHA-256 {found}",
+            stacklevel=2,
+        )
+    elif found != checkpoint.sha256:
         raise RuntimeError(
             f"{name}: {checkpoint.file} is not {checkpoint.url}: its SHA-256 is not {checkpoint.sha256}. Remove it"
         )

@@ -77,7 +77,7 @@ def match_adalam(
         desc2: descriptors (M, D) of the second image. Fewer than two in either set give no match.
         lafs1: local affine frames (1, N, 2, 3) of the first image.
         lafs2: local affine frames (1, M, 2, 3) of the second image.
-        config: values for some of the keys above; a warning tells of other keys.
+        config: values for some of the keys above; a warning for each other key names the nearest.
         hw1: (height, width) of the first image; default: the extent of its frames.
         hw2: the same of the second image.
         dm: distances (N, M) to choose from instead, at least 0.
@@ -137,9 +137,11 @@ def match_adalam(
 def _checked_config(op: str, config: Mapping[str, Any] | None) -> dict[str, Any]:
     if config is not None and not isinstance(config, Mapping):
         raise TypeCheckError(f"{op}: expected config to be a dict, got {type(config).__name__}")
-    unknown = [name for name in config or {} if name not in DEFAULTS]
-    if unknown:
-        warnings.warn(f"{op}: config has no {', '.join(map(repr, unknown))}", stacklevel=3)
+    for name in config or {}:
+        if name not in DEFAULTS:
+            nearest = _check.nearest_name(str(name), DEFAULTS)
+            advice = f"; did you mean {nearest!r}?" if nearest else ""
+            warnings.warn(f"{op}: config has no {name!r}{advice}", stacklevel=3)
     options = {**DEFAULTS, **{name: value for name, value in (config or {}).items() if name in DEFAULTS}}
     for name, default in DEFAULTS.items():
         value = options[name]

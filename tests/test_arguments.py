@@ -349,3 +349,12 @@ def test_a_parameter_on_another_gpu_is_refused():
     image, elsewhere = torch.rand(1, 3, 4, 4), torch.full((1,), 0.5, device="meta")
     with pytest.raises(DeviceError, match="adjust_brightness: expected all tensors on one device"):
         K.enhance.adjust_brightness(image, elsewhere)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("layout", [torch.strided, torch.jagged], ids=str)
+def test_nested_tensors_are_refused(layout):
+    nested = torch.nested.nested_tensor([torch.rand(3, 4, 5), torch.rand(3, 4, 5)], layout=layout)
+    for call in (K.filters.sobel, K.color.rgb_to_hsv, K.geometry.quaternion_to_rotation_matrix):
+        with pytest.raises(TypeError, match="to be dense, got a nested tensor"):
+            call(nested)

@@ -35,8 +35,9 @@ def is_tensor(op: str, name: str, x: Any) -> None:
         raise TypeCheckError(f"{op}: expected {name} to be a Tensor, got {described(x)}", actual_type=type(x))
     if x.dtype.is_complex:
         raise TypeCheckError(f"{op}: expected {name} to be real, got {x.dtype}", actual_type=x.dtype)
-    if x.layout is not torch.strided:
-        raise TypeCheckError(f"{op}: expected {name} to be dense, got {x.layout}", actual_type=x.layout)
+    if x.layout is not torch.strided or x.is_nested:
+        got = "a nested tensor" if x.is_nested else x.layout
+        raise TypeCheckError(f"{op}: expected {name} to be dense, got {got}", actual_type=x.layout)
 
 
 def described(x: Any) -> str:
@@ -61,7 +62,7 @@ def is_array(x: Any) -> bool:
 
 def numbers(op: str, name: str, x: Any) -> None:
     """Raise TypeCheckError unless `x` is a tensor of numbers that torch computes with: no float8, nothing quantized."""
-    if not isinstance(x, Tensor) or x.dtype not in COMPUTED or x.layout is not torch.strided:
+    if not isinstance(x, Tensor) or x.dtype not in COMPUTED or x.layout is not torch.strided or x.is_nested:
         is_tensor(op, name, x)
         raise TypeCheckError(f"{op}: expected {name} of a type that torch computes with, got {x.dtype}")
 
@@ -223,7 +224,7 @@ def floating_or_bytes(op: str, name: str, x: Tensor) -> None:
 
 def floating_trailing_shape(op: str, name: str, x: Any, *expected: str | int) -> None:
     """Raise unless `x` is a floating-point tensor that ends in the axes `expected`."""
-    if isinstance(x, Tensor) and x.dtype in FLOATING and x.layout is torch.strided:
+    if isinstance(x, Tensor) and x.dtype in FLOATING and x.layout is torch.strided and not x.is_nested:
         if _fits(x.shape, expected, x.dim() - len(expected)):
             return
     trailing_shape(op, name, x, *expected)

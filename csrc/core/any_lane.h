@@ -1,10 +1,17 @@
-// Whether a comparison of lanes holds for any of them. Included by *_cpu.cpp files.
+// Whether a comparison holds, and one of lanes for any of them. Vectors are for *_cpu.cpp files, which include it first.
 #pragma once
 
+#include "hd.h"
+#if !defined(__CUDACC__)
 #include "lanes.h"
+#endif
 
 namespace kv {
 
+KV_HD bool any_lane(bool mask) { return mask; }
+KV_HD bool any_lane(int mask) { return mask != 0; }
+
+#if !defined(__CUDACC__)
 template <class M>
 KV_HD bool any_lane(M mask) {
 #if defined(__AVX512F__)
@@ -20,5 +27,6 @@ KV_HD bool any_lane(M mask) {
   for (int i = 0; i < int(sizeof(M) / sizeof(mask[0])); ++i) any = any || mask[i] != 0;
   return any;
 }
+#endif
 
 }  // namespace kv

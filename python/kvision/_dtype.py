@@ -21,6 +21,11 @@ def compute_dtype(x: Tensor) -> torch.dtype:
     return torch.float64 if x.dtype == torch.float64 else torch.float32
 
 
+def promoted(x: Tensor) -> Tensor:
+    """In double, where the device has it."""
+    return x if x.device.type == "mps" else x.double()
+
+
 def is_autocast_on(x: Tensor) -> bool:
     """Whether autocast is on for the device of `x`."""
     device = x.device.type

@@ -26,7 +26,11 @@ __global__ void __launch_bounds__(kThreads) through_lens(LensPoints<T> p) {
   else
     pixel_at(p, unsigned(i - b * p.count), x, y);
   Lens<T> const lens(p, b);
-  Distorts ? lens.distort(x, y) : lens.undistort(x, y);
+  Domain<T> const domain(lens.c);
+  if constexpr (!Distorts)
+    lens.undistort(x, y, domain);
+  else
+    p.points ? lens.distort(x, y) : lens.distort_within(x, y, domain);
   int64_t const to = p.points ? 2 * i : i + b * p.count;
   p.result[to] = x, p.result[to + (p.points ? 1 : p.count)] = y;
 }

@@ -3,12 +3,15 @@
 //   (x, y) (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6) + shift(x, y)
 //
 // for (x, y) on the plane z = 1 in front of the camera, r^2 = x^2 + y^2. The order of the coefficients is k1, k2, p1,
-// p2, k3, k4, k5, k6, s1, s2, s3, s4. The inverse map, undistortion, takes steps of a fixed-point iteration. Included
-// by distortion_cpu.cpp, distortion.cu and distortion_op.cpp.
+// p2, k3, k4, k5, k6, s1, s2, s3, s4. The inverse map, undistortion, takes steps of a fixed-point iteration, and damped
+// steps of Newton's method for points that these leave more than a thousandth of a pixel off. Included by
+// distortion_cpu.cpp, distortion.cu and distortion_op.cpp.
 #pragma once
 
+#include "core/any_lane.h"
 #include "core/ceil_div.h"
 #include "core/isa.h"
+#include "geometry/solvers/first_root.h"
 
 namespace kv::geometry {
 
@@ -61,6 +64,28 @@ KV_KERNEL(distort_points, LensPoints)
 KV_KERNEL(undistort_map_backward, LensBackward)
 KV_KERNEL(reduce_lens_grads, LensBackward)
 
+// Where a lens stops being one. With its radial factor N / D as a function of r^2, the distance r N / D from the center
+// must grow with r, and D must not be 0. What lies beyond is a second image of the scene, mirrored or not.
+template <class T>
+struct Domain {
+  T growth[7] = {}, divisor[4];  // D^2 times the derivative of r N / D, and D: polynomials in r^2 that are 1 at 0
+  T falls[6];                    // neither is below 1 - falls[0] r^2 - falls[1] r^4 - ...
+
+  KV_HD explicit Domain(T const (&c)[12]) : divisor{1, c[5], c[6], c[7]} {
+    T const numerator[] = {1, c[0], c[1], c[4]};
+    for (int i = 0; i < 4; ++i)
+      for (int k = 0; k < 4; ++k) growth[i + k] += T(1 + 2 * i - 2 * k) * numerator[i] * divisor[k];
+    for (int i = 0; i < 6; ++i) falls[i] = max(max(-growth[i + 1], i < 3 ? -divisor[i + 1] : T(0)), T(0));
+  }
+  // False is no answer: `limit` has it.
+  template <class V>
+  KV_HD auto surely_contains(V r2) const {
+    return r2 * (falls[0] + r2 * (falls[1] + r2 * (falls[2] + r2 * (falls[3] + r2 * (falls[4] + r2 * falls[5]))))) < 1;
+  }
+  // The squared radius at which it ends.
+  KV_HD T limit() const { return min(first_positive_root(growth), first_positive_root(divisor)); }
+};
+
 // The lens of a sample.
 template <class T>
 struct Lens {
@@ -101,19 +126,107 @@ struct Lens {
     dx = 2 * c[2] * x * y + c[3] * (r2 + 2 * x * x) + r2 * (c[8] + r2 * c[9]);
     dy = c[2] * (r2 + 2 * y * y) + 2 * c[3] * x * y + r2 * (c[10] + r2 * c[11]);
   }
+  // Distorts (x, y), and sets the derivatives of the result: x by x, x by y, y by x, y by y.
   template <class V>
-  KV_HD void undistort(V& x, V& y) const {
+  KV_HD void distort_with_jacobian(V& x, V& y, V& numerator, V& denominator, V (&jacobian)[4]) const {
+    V dx, dy;
+    terms(x, y, numerator, denominator, dx, dy);
+    V const r2 = x * x + y * y, inverse = 1 / denominator, factor = numerator * inverse;
+    V const slope = 2 * inverse *
+                    (c[0] + r2 * (2 * c[1] + 3 * c[4] * r2) -
+                     factor * (c[5] + r2 * (2 * c[6] + 3 * c[7] * r2)));  // of the factor, by r^2, twice
+    V const u = 2 * (c[8] + 2 * c[9] * r2), v = 2 * (c[10] + 2 * c[11] * r2);
+    V const mixed = slope * x * y + 2 * (c[2] * x + c[3] * y);
+    jacobian[0] = factor + slope * x * x + 2 * c[2] * y + 6 * c[3] * x + u * x;
+    jacobian[1] = mixed + u * y;
+    jacobian[2] = mixed + v * x;
+    jacobian[3] = factor + slope * y * y + 6 * c[2] * y + 2 * c[3] * x + v * y;
+    x = x * factor + dx;
+    y = y * factor + dy;
+  }
+  // From the pixel of a lens to that of an ideal camera; NaN where the lens shows no point at the pixel.
+  template <class V>
+  KV_HD void undistort(V& x, V& y, Domain<T> const& domain) const {
     normalize(x, y);
     apply_tilt(x, y);
     V const x0 = x, y0 = y;
+    V before_x = x - 1, before_y = y, numerator = V{} + T(1), denominator = numerator;
     for (int step = 0; step < p.steps; ++step) {
-      V numerator, denominator, dx, dy;
+      V dx, dy;
       terms(x, y, numerator, denominator, dx, dy);
       V const inverse = denominator / numerator;
+      before_x = x, before_y = y;
       x = (x0 - dx) * inverse;
       y = (y0 - dy) * inverse;
     }
+    // What the last step was right to: the residual before it, which costs nothing. After it there is less.
+    V const moved = (x - before_x) * (x - before_x) + (y - before_y) * (y - before_y);
+    T const allowed = tolerance(), rounding = T(4) * kEpsilon * kEpsilon;
+    V const size = x0 * x0 + y0 * y0,
+            enough = allowed * allowed > rounding * size ? V(V{} + allowed * allowed) : V(rounding * size);
+    auto const settled = (64 * moved * numerator * numerator <= enough * denominator * denominator) &
+                         domain.surely_contains(x * x + y * y);
+    if (any_lane(settled == 0)) {
+      V solved_x = x, solved_y = y;
+      solve(solved_x, solved_y, x0, y0, enough, domain.limit());
+      x = settled ? x : solved_x;
+      y = settled ? y : solved_y;
+    }
     to_pixels(x, y);
+  }
+  // A thousandth of a pixel, on the plane, where a focal length is at least a thousand pixels.
+  KV_HD T tolerance() const {
+    T const fx = k[0] < 0 ? -k[0] : k[0], fy = k[4] < 0 ? -k[4] : k[4];
+    return min(T(1e-3) / max(fx, fy), T(1e-6));
+  }
+  static constexpr T kEpsilon = sizeof(T) == 4 ? T(0x1p-23) : T(0x1p-52);
+
+  // Newton's method for the point that is distorted to (x0, y0), within r^2 <= limit, from (x, y) or, where that is no
+  // better, from the center. A step that is none is halved. Where no point comes near, NaN.
+  template <class V>
+  KV_HD void solve(V& x, V& y, V x0, V y0, V enough, T limit) const {
+    V const size = x0 * x0 + y0 * y0;
+    V step_x = x, step_y = y, error = size;
+    x = y = V{};
+    int const trials = p.steps > kTrials ? p.steps : kTrials;
+    for (int i = 0; i < trials; ++i) {
+      auto const is_open = error > enough;
+      if (!any_lane(is_open)) break;
+      V const at_x = x + step_x, at_y = y + step_y, r2 = at_x * at_x + at_y * at_y;
+      V u = at_x, v = at_y, numerator, denominator, jacobian[4];
+      distort_with_jacobian(u, v, numerator, denominator, jacobian);
+      u -= x0, v -= y0;
+      V const residual = u * u + v * v, determinant = jacobian[0] * jacobian[3] - jacobian[1] * jacobian[2];
+      auto const is_better =
+          is_open & (residual < error) & (r2 <= limit) & (numerator > 0) & (denominator > 0) & (determinant > 0);
+      V const inverse = -1 / determinant, halved_x = i == 0 ? x0 : V(step_x * T(.5)),
+              halved_y = i == 0 ? y0 : V(step_y * T(.5));
+      x = is_better ? at_x : x;
+      y = is_better ? at_y : y;
+      error = is_better ? residual : error;
+      step_x = is_better ? V((jacobian[3] * u - jacobian[1] * v) * inverse) : halved_x;
+      step_y = is_better ? V((jacobian[0] * v - jacobian[2] * u) * inverse) : halved_y;
+    }
+    T const nan = T(__builtin_nan("")), rounding = T(1024) * kEpsilon * kEpsilon;
+    auto const is_solved = ((error <= enough) | (error <= rounding * size)) & (size - size == 0);
+    x = is_solved ? x : V(V{} + nan);
+    y = is_solved ? y : V(V{} + nan);
+  }
+  static constexpr int kTrials = 20;
+
+  // Distorts pixels of an image; NaN beyond the domain of the lens.
+  template <class V>
+  KV_HD void distort_within(V& x, V& y, Domain<T> const& domain) const {
+    V u = x, v = y;
+    normalize(u, v);
+    V const r2 = u * u + v * v;
+    distort(x, y);
+    if (any_lane(domain.surely_contains(r2) == 0)) {
+      auto const is_within = r2 <= domain.limit();
+      V const nan = V{} + T(__builtin_nan(""));
+      x = is_within ? x : nan;
+      y = is_within ? y : nan;
+    }
   }
   template <class V>
   KV_HD void distort(V& x, V& y) const {

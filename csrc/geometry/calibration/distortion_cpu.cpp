@@ -19,7 +19,7 @@ KV_HD void pixels_at(LensPoints<T> const& p, int64_t i, Lanes<T, N>& x, Lanes<T,
 }
 
 template <bool Distorts, int N, class T>
-KV_HD void through(Lens<T> const& lens, int64_t b, int64_t i) {
+KV_HD void through(Lens<T> const& lens, Domain<T> const& domain, int64_t b, int64_t i) {
   auto const& p = lens.p;
   Lanes<T, N> x, y;
   if (!p.points) {
@@ -29,7 +29,10 @@ KV_HD void through(Lens<T> const& lens, int64_t b, int64_t i) {
   } else {
     for (int k = 0; k < N; ++k) x[k] = p.points[2 * (i + k)], y[k] = p.points[2 * (i + k) + 1];
   }
-  Distorts ? lens.distort(x, y) : lens.undistort(x, y);
+  if constexpr (!Distorts)
+    lens.undistort(x, y, domain);
+  else
+    p.points ? lens.distort(x, y) : lens.distort_within(x, y, domain);
   if (!p.points) {
     store<N>(p.result + b * p.count + i, x);
     store<N>(p.result + (b + 1) * p.count + i, y);
@@ -53,8 +56,9 @@ KV_HD void through_lenses(LensPoints<T> const& p, int64_t begin, int64_t end) {
   for (int64_t i = begin; i < end;) {
     int64_t const b = i / p.count, last = run_end(p, i, end);
     Lens<T> const lens(p, b);
-    for (; i + N <= last; i += N) through<Distorts, N>(lens, b, i);
-    for (; i < last; ++i) through<Distorts, 1>(lens, b, i);
+    Domain<T> const domain(lens.c);
+    for (; i + N <= last; i += N) through<Distorts, N>(lens, domain, b, i);
+    for (; i < last; ++i) through<Distorts, 1>(lens, domain, b, i);
   }
 }
 

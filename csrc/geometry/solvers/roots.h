@@ -1,9 +1,10 @@
-// Real roots of polynomials (B, n + 1), the highest power first: n of them, ascending, NaN for missing ones.
-// Included by roots_cpu.cpp, roots.cu and roots_op.cpp.
+// Real roots of polynomials (B, n + 1), the highest power first: n of them, ascending, NaN for missing ones. And the
+// first positive root of polynomials, the lowest power first. Included by roots_cpu.cpp, roots.cu and roots_op.cpp.
 #pragma once
 
 #include "core/isa.h"
 #include "geometry/small_matrix.h"
+#include "geometry/solvers/first_root.h"
 
 namespace kv::geometry {
 
@@ -16,6 +17,16 @@ struct RealRoots {
 };
 
 KV_KERNEL(real_roots, RealRoots)
+KV_KERNEL(first_root, RealRoots)
+
+constexpr int kMaxFirstRootDegree = 6;
+
+template <class T>
+KV_HD void set_first_root(RealRoots<T> const& p, int64_t b) {
+  double coefficients[kMaxFirstRootDegree + 1] = {};
+  for (int i = 0; i <= p.degree; ++i) coefficients[i] = p.coefficients[b * (p.degree + 1) + i];
+  p.roots.set(b, first_positive_root(coefficients));
+}
 
 template <class T>
 KV_HD void sorted_real_roots(RealRoots<T> const& p, int64_t b) {

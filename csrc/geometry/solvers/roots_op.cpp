@@ -18,8 +18,22 @@ Tensor real_roots(Tensor const& coefficients) {
   return roots;
 }
 
+Tensor first_root(Tensor const& coefficients) {
+  constexpr char const* op = "first_root";
+  KV_CHECK(coefficients.dim() == 2, op, ": expected coefficients of shape (B, n + 1)");
+  int64_t const batch = coefficients.size(0), degree = coefficients.size(1) - 1;
+  KV_CHECK(degree >= 0 && degree <= kMaxFirstRootDegree, op, ": expected a degree of at most ", kMaxFirstRootDegree,
+           ", got ", degree);
+  Contiguous const c(op, coefficients);
+  Tensor const root = empty({batch}, c.tensor);
+  RealRoots<double> const params{c.reals, batch, int(degree), reals_of(op, root)};
+  KV_RUN(first_root, c.tensor, params, batch, 1024);
+  return root;
+}
+
 }  // namespace
 
 KV_OPERATOR(real_roots, "(Tensor coefficients) -> Tensor")
+KV_OPERATOR(first_root, "(Tensor coefficients) -> Tensor")
 
 }  // namespace kv::geometry

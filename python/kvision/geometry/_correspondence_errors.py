@@ -9,11 +9,12 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import promoted
 from kvision._leading import broadcast_shapes
 from kvision._modes import CORRESPONDENCE_ERROR, CORRESPONDENCE_ERROR_NAMES
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._precision import length, promoted, quotient
+from kvision.geometry._precision import length, quotient
 from kvision.geometry.linalg import adjugate, root
 
 

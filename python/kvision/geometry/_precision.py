@@ -57,11 +57,6 @@ def _map(f: Callable[[Any], Any], values: Any) -> Any:
     return f(values) if isinstance(values, Tensor) and values.is_floating_point() else values
 
 
-def promoted(x: Tensor) -> Tensor:
-    """In double, where the device has it."""
-    return x if x.device.type == "mps" else x.double()
-
-
 # --- values at the boundary of a function's domain, with finite gradients ---------------------------------------------
 
 

@@ -6,12 +6,11 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import floats, promoted
 from kvision._modules import StatefulModule, learned
 from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.core.tensor_wrapper import TensorWrapper
-from kvision.geometry._precision import promoted
 from kvision.geometry.linalg import adjugate, batched_dot_product, dominant_eigenvector, normalized
 from kvision.geometry.vector import Scalar, Vector3
 

@@ -1,10 +1,12 @@
 """Roots of polynomials."""
 
+import numpy as np
 import pytest
 import torch
 
 import kvision as K
 from composition_tests import Case, on
+from kvision.geometry.solvers.roots import first_root
 from op_tests import assert_close
 from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests
 from view_tests import ViewTests, finite_gradients
@@ -70,3 +72,18 @@ class TestRootsOperators(PointOpTests):
             )
         ],
     }
+
+
+def test_first_positive_roots(device):
+    """The smallest positive one of numpy.roots; inf where there is none."""
+    random = np.random.default_rng(5)
+    p = np.concatenate([np.ones((400, 1)), random.uniform(-1, 1, (400, 6)) * np.exp(random.normal(size=(400, 6)))], 1)
+    p[::5, 4:] = 0
+    p[0, 1:] = 0
+    expected = []
+    for row in p:
+        roots = np.roots(np.trim_zeros(row[::-1], "f"))
+        real = roots.real[(abs(roots.imag) < 1e-9) & (roots.real > 0)]
+        expected.append(real.min() if len(real) else np.inf)
+    result = first_root(torch.from_numpy(p).to(device)).cpu()
+    assert_close(result, torch.tensor(expected), 1e-7, 0)

@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype
+from kvision._dtype import promoted
 from kvision._modules import FunctionModule
 from kvision._ops import match_layout
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -69,8 +69,9 @@ def guided_blur(
     (subsample,) = _check.ints("guided_blur", "subsample", subsample, 1)
 
     stored = torch.promote_types(*(x.dtype if x.is_floating_point() else torch.float32 for x in (guidance, input)))
-    computed = torch.promote_types(compute_dtype(guidance), compute_dtype(input))
-    guide, x = guidance.to(computed), input.to(computed)
+    # A variance is a small difference of large numbers: float32 has none of the digits of 1000.5^2 that it needs.
+    guide, x = promoted(guidance), promoted(input)
+    computed = guide.dtype
     eps = _checked_eps(guide, eps)
     full_guide = guide
     if subsample > 1:

@@ -26,6 +26,7 @@ from kvision._ops import Operator, no_derivative, register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._formula import batch_of
 from kvision.geometry._precision import in_full_precision
+from kvision.geometry.solvers.roots import first_root
 from kvision.geometry.transform import sampling
 
 __all__ = ["distort_points", "tilt_projection", "undistort_image", "undistort_points"]
@@ -230,25 +231,142 @@ def _of_all(x: Tensor, leading: Sequence[int], axes: int) -> Tensor:
     return x.expand(*leading, *trailing).reshape(math.prod(leading), *trailing)
 
 
+# --- the inverse -----------------------------------------------------------------------------------------------------
+
+_TRIALS = 20  # of Newton's method, unless more steps are asked for
+
+
 def _undistorted(points: Tensor, K: Tensor, new_K: Tensor, dist: Tensor, tilt: Tensor | None, num_iters: int) -> Tensor:
+    args = points.detach(), K.detach(), dist.detach(), None if tilt is None else tilt.detach()
+    x, y = _solved(*args, num_iters)
+    result = _in_pixels(x, y, new_K.detach())
+    derivative = _implicit(result, points, K, new_K, dist, tilt)
+    return result + (derivative - derivative.detach())
+
+
+def _solved(points: Tensor, K: Tensor, dist: Tensor, tilt: Tensor | None, num_iters: int) -> tuple[Tensor, Tensor]:
+    """Points of the plane; NaN where the lens shows none at the pixel. As Lens::undistort of csrc computes them."""
     c = _coefficients(dist)
-    x, y = _on_plane(points, K)
-    if tilt is not None:
-        x, y = _projected(x, y, tilt)
-    x0, y0 = x, y
+    x0, y0 = _untilted(points, K, tilt)
+    x, y = x0, y0
+    before, radial = (x0 - 1, y0), torch.ones_like(x0)
     for _ in range(num_iters):
         r2 = x * x + y * y
         dx, dy = _shift(x, y, r2, c)
         radial = _radial(r2, c)
+        before = x, y
         x, y = (x0 - dx) / radial, (y0 - dy) / radial
-    return _in_pixels(x, y, new_K)
+    moved = (x - before[0]).square() + (y - before[1]).square()
+    eps = torch.finfo(x0.dtype).eps
+    focal = torch.maximum(K[..., :1, 0].abs(), K[..., 1:2, 1].abs())
+    size = x0 * x0 + y0 * y0
+    enough = torch.maximum((1e-3 / focal).clamp(max=1e-6).square(), 4 * eps * eps * size)
+    limit = _limit(c)
+    settled = (64 * moved * radial * radial <= enough) & (x * x + y * y <= limit)
+    solved, error = _newton(x, y, x0, y0, c, enough, limit, max(num_iters, _TRIALS))
+    is_solved = ((error <= enough) | (error <= 1024 * eps * eps * size)) & size.isfinite()
+    return tuple(torch.where(settled, a, torch.where(is_solved, b, torch.nan)) for a, b in zip((x, y), solved))
+
+
+def _newton(
+    x: Tensor, y: Tensor, x0: Tensor, y0: Tensor, c: tuple[Tensor, ...], enough: Tensor, limit: Tensor, trials: int
+) -> tuple[tuple[Tensor, Tensor], Tensor]:
+    """Newton's method from (x, y) or the center for the point that is distorted to (x0, y0), and its squared residual."""
+    step, error = (x, y), x0 * x0 + y0 * y0
+    x, y = torch.zeros_like(x), torch.zeros_like(y)
+    for trial in range(trials):
+        at_x, at_y = x + step[0], y + step[1]
+        u, v, jacobian, is_regular = _with_jacobian(at_x, at_y, c)
+        u, v = u - x0, v - y0
+        residual = u * u + v * v
+        better = (error > enough) & (residual < error) & (at_x * at_x + at_y * at_y <= limit) & is_regular
+        halved = (x0, y0) if trial == 0 else (step[0] / 2, step[1] / 2)
+        x, y, error = (torch.where(better, a, b) for a, b in ((at_x, x), (at_y, y), (residual, error)))
+        step = tuple(torch.where(better, -a, b) for a, b in zip(_solve2x2(jacobian, u, v), halved))
+    return (x, y), error
+
+
+def _with_jacobian(
+    x: Tensor, y: Tensor, c: tuple[Tensor, ...]
+) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor, Tensor, Tensor], Tensor]:
+    """The distorted point, its derivatives (x by x, x by y, y by x, y by y), and whether they keep the orientation."""
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = c[:12]
+    r2 = x * x + y * y
+    numerator = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    denominator = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    radial = numerator / denominator
+    slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2) - radial * (k4 + r2 * (2 * k5 + 3 * k6 * r2))) / denominator
+    dx, dy = _shift(x, y, r2, c)
+    u, v = 2 * (s1 + 2 * s2 * r2), 2 * (s3 + 2 * s4 * r2)
+    mixed = slope * x * y + 2 * (p1 * x + p2 * y)
+    jacobian = (
+        radial + slope * x * x + 2 * p1 * y + 6 * p2 * x + u * x,
+        mixed + u * y,
+        mixed + v * x,
+        radial + slope * y * y + 6 * p1 * y + 2 * p2 * x + v * y,
+    )
+    determinant = jacobian[0] * jacobian[3] - jacobian[1] * jacobian[2]
+    return x * radial + dx, y * radial + dy, jacobian, (numerator > 0) & (denominator > 0) & (determinant > 0)
+
+
+def _solve2x2(m: tuple[Tensor, Tensor, Tensor, Tensor], u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+    determinant = m[0] * m[3] - m[1] * m[2]
+    return (m[3] * u - m[1] * v) / determinant, (m[0] * v - m[2] * u) / determinant
+
+
+def _limit(c: tuple[Tensor, ...]) -> Tensor:
+    """The squared radius (*, 1) to which the radial distortion grows and its denominator is positive: Domain of csrc."""
+    one = torch.ones_like(c[0])
+    numerator, denominator = (one, c[0], c[1], c[4]), (one, c[5], c[6], c[7])
+    growth = [torch.zeros_like(one) for _ in range(7)]
+    for i, a in enumerate(numerator):
+        for k, b in enumerate(denominator):
+            growth[i + k] = growth[i + k] + (1 + 2 * i - 2 * k) * a * b
+    roots = (first_root.reference(torch.cat(p, -1).flatten(0, -2)) for p in (growth, denominator))
+    return torch.minimum(*roots).reshape(one.shape)
+
+
+def _untilted(points: Tensor, K: Tensor, tilt: Tensor | None) -> tuple[Tensor, Tensor]:
+    x, y = _on_plane(points, K)
+    return (x, y) if tilt is None else _projected(x, y, tilt)
+
+
+def _implicit(result: Tensor, points: Tensor, K: Tensor, new_K: Tensor, dist: Tensor, tilt: Tensor | None) -> Tensor:
+    """`result` as a function of the rest, with its first and second derivatives: two Newton steps, which change little.
+
+    0 where it is NaN.
+    """
+    valid = result.detach().isfinite().all(-1)
+    x, y = (torch.where(valid, p, 0) for p in _on_plane(result.detach(), new_K.detach()))
+    points = torch.where(valid[..., None], points, 0)
+    x0, y0 = (torch.where(valid, p, 0) for p in _untilted(points, K, tilt))
+    for _ in range(2):
+        u, v, jacobian, _ = _with_jacobian(x, y, _coefficients(dist))
+        dx, dy = _solve2x2(jacobian, u - x0, v - y0)
+        x, y = x - dx, y - dy
+    return torch.where(valid[..., None], _in_pixels(x, y, new_K), 0)
+
+
+def _undistort_backward(needs: Sequence[bool], grad: Tensor, result: Tensor, *args: Any) -> list[Tensor | None]:
+    lens = args[:5]
+    where = [i for i, need in enumerate(needs) if need]
+
+    def of_tensors(*tensors: Tensor) -> Tensor:
+        values = dict(zip(where, tensors))
+        return _implicit(result, *(values.get(i, x) for i, x in enumerate(lens)))
+
+    grads = iter(torch.func.vjp(of_tensors, *(lens[i] for i in where))[1](grad))
+    return [next(grads) if need else None for need in needs]
 
 
 def _map_reference(camera: Tensor, coefficients: Tensor, tilt: Tensor | None, size: list[int]) -> Tensor:
     h, w = size
     y, x = (torch.arange(n, device=camera.device, dtype=camera.dtype) for n in size)
     pixels = torch.stack([x.repeat(h), y.repeat_interleave(w)], -1)
-    return _distorted(pixels, camera, camera, coefficients, tilt).mT.unflatten(-1, (h, w))
+    distorted = _distorted(pixels, camera, camera, coefficients, tilt)
+    limit = _limit(_coefficients(coefficients.detach()))
+    x, y = _on_plane(pixels, camera.detach())
+    return torch.where((x * x + y * y <= limit)[..., None], distorted, torch.nan).mT.unflatten(-1, (h, w))
 
 
 def _map_backward(needs: Sequence[bool], grad: Tensor, *args: Any) -> list[Tensor | None]:
@@ -267,7 +385,7 @@ def _map_gradient_reference(grad: Tensor, *lens: Tensor | None) -> tuple[Tensor,
     return grads if len(grads) == 3 else (*grads, grad.new_empty(grad.shape[0], 0, 3))
 
 
-_undistort = register("undistort_points", _undistorted, supports=no_derivative)
+_undistort = register("undistort_points", _undistorted, backward=_undistort_backward, saves_results=True)
 _distort = register("distort_points", _distorted, supports=no_derivative)
 # The distorted coordinates x and y of all pixels of an image: (B, 2, H, W).
 _map = register(

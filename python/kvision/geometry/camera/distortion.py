@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import Literal, overload
 
 import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._ops import with_kernel_casts
+from kvision.geometry._validity import with_validity
 from kvision.geometry.conversions.series import (
     angle_per_tangent,
     angle_per_tangent_with_derivatives,
     cos,
     sinc,
 )
+from kvision.geometry.solvers.roots import first_root
 
 __all__ = [
     "distort_points_affine",
@@ -29,18 +33,31 @@ __all__ = [
 # --- pinhole --------------------------------------------------------------------------------------------------------
 
 
-def distort_points_affine(projected_points_in_camera_z1_plane: Tensor, params: Tensor) -> Tensor:
+@overload
+def distort_points_affine(
+    projected_points_in_camera_z1_plane: Tensor, params: Tensor, return_valid: Literal[False] = False
+) -> Tensor: ...
+@overload
+def distort_points_affine(
+    projected_points_in_camera_z1_plane: Tensor, params: Tensor, return_valid: bool
+) -> Tensor | tuple[Tensor, Tensor]: ...
+def distort_points_affine(
+    projected_points_in_camera_z1_plane: Tensor, params: Tensor, return_valid: bool = False
+) -> Tensor | tuple[Tensor, Tensor]:
     """Map points of the plane at depth 1 to pixels of a pinhole camera: f * p + c.
 
     Args:
         projected_points_in_camera_z1_plane: points (x, y) in the plane at depth 1, of shape (*, 2). Integers give float32.
         params: camera parameters (fx, fy, cx, cy) of shape (*, 4). Leading axes broadcast.
+        return_valid: also return which points are finite.
 
     Returns:
-        Points (x, y) of shape (*, 2), in pixels.
+        Points (x, y) of shape (*, 2), in pixels. With `return_valid` also a mask (*); pixels of other points have no
+        gradient then.
 
     Raises:
-        TypeError: `projected_points_in_camera_z1_plane` or `params` is not a tensor of real numbers.
+        TypeError: `projected_points_in_camera_z1_plane` or `params` is not a tensor of real numbers; `return_valid` is not
+            a bool.
         ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
@@ -49,7 +66,15 @@ def distort_points_affine(projected_points_in_camera_z1_plane: Tensor, params: T
         tensor([420., 440.])
     """
     points = _points("distort_points_affine", projected_points_in_camera_z1_plane, params, 4)
-    return with_kernel_casts(_to_pixels)(points, params)
+    _check.flag("distort_points_affine", "return_valid", return_valid)
+    if not return_valid:
+        return _distort_affine(points, params)
+    return with_validity(_distort_affine, points, points.isfinite().all(-1), params)
+
+
+@with_kernel_casts
+def _distort_affine(points: Tensor, params: Tensor) -> Tensor:
+    return _to_pixels(points, params)
 
 
 def _to_pixels(points: Tensor, params: Tensor) -> Tensor:
@@ -111,7 +136,17 @@ def dx_distort_points_affine(projected_points_in_camera_z1_plane: Tensor, params
 # --- fisheye --------------------------------------------------------------------------------------------------------
 
 
-def distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor, params: Tensor) -> Tensor:
+@overload
+def distort_points_kannala_brandt(
+    projected_points_in_camera_z1_plane: Tensor, params: Tensor, return_valid: Literal[False] = False
+) -> Tensor: ...
+@overload
+def distort_points_kannala_brandt(
+    projected_points_in_camera_z1_plane: Tensor, params: Tensor, return_valid: bool
+) -> Tensor | tuple[Tensor, Tensor]: ...
+def distort_points_kannala_brandt(
+    projected_points_in_camera_z1_plane: Tensor, params: Tensor, return_valid: bool = False
+) -> Tensor | tuple[Tensor, Tensor]:
     """Map points of the plane at depth 1 to pixels of a fisheye camera.
 
     A point at an angle theta from the optical axis keeps its direction from the principal point. Its distance from there
@@ -120,12 +155,15 @@ def distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor, p
     Args:
         projected_points_in_camera_z1_plane: points (x, y) in the plane at depth 1, of shape (*, 2). Integers give float32.
         params: camera parameters (fx, fy, cx, cy, k0, k1, k2, k3) of shape (*, 8). Leading axes broadcast.
+        return_valid: also return which points are finite and at an angle up to which the distorted angle grows.
 
     Returns:
-        Points (x, y) of shape (*, 2), in pixels.
+        Points (x, y) of shape (*, 2), in pixels. With `return_valid` also a mask (*); pixels of other points have no
+        gradient then.
 
     Raises:
-        TypeError: `projected_points_in_camera_z1_plane` or `params` is not a tensor of real numbers.
+        TypeError: `projected_points_in_camera_z1_plane` or `params` is not a tensor of real numbers; `return_valid` is not
+            a bool.
         ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Source: J. Kannala, S. Brandt, "A generic camera model and calibration method for conventional, wide-angle, and fish-eye
@@ -138,7 +176,17 @@ def distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor, p
         tensor([398.5398, 240.0000])
     """
     points = _points("distort_points_kannala_brandt", projected_points_in_camera_z1_plane, params, 8)
-    return _distort_fisheye(points, params)
+    _check.flag("distort_points_kannala_brandt", "return_valid", return_valid)
+    if not return_valid:
+        return _distort_fisheye(points, params)
+    return with_validity(_distort_fisheye, points, _is_projected(points.detach(), params.detach()), params)
+
+
+def _is_projected(points: Tensor, params: Tensor) -> Tensor:
+    params = as_dtype(params, compute_dtype(points))
+    square = _squared_radius(points.to(params.dtype))
+    angle = square.sqrt().atan().square()
+    return points.isfinite().all(-1) & (angle <= _monotone_angle(params))
 
 
 @with_kernel_casts
@@ -168,20 +216,25 @@ def _polynomial(x: Tensor, coefficients: Sequence[Tensor]) -> Tensor:
     return total
 
 
-def undistort_points_kannala_brandt(distorted_points_in_camera: Tensor, params: Tensor) -> Tensor:
+def undistort_points_kannala_brandt(
+    distorted_points_in_camera: Tensor, params: Tensor, return_rays: bool = False
+) -> Tensor:
     """Map pixels of a fisheye camera to the plane at depth 1: the inverse of :func:`distort_points_kannala_brandt`.
 
-    The inverse is computed by twelve Newton steps. Gradients flow through the last two.
+    The inverse is computed by twelve damped Newton steps. Gradients flow through the last two. Angles count to where the
+    distorted angle stops to grow with the angle.
 
     Args:
         distorted_points_in_camera: points (x, y) in pixels, of shape (*, 2). Integers give float32.
         params: camera parameters (fx, fy, cx, cy, k0, k1, k2, k3) of shape (*, 8). Leading axes broadcast.
+        return_rays: return unit vectors (x, y, z), which reach to 180 degrees from the optical axis.
 
     Returns:
-        Points (x, y) of shape (*, 2), in the plane at depth 1.
+        Points (x, y) of shape (*, 2), in the plane at depth 1; NaN, without a gradient, for pixels whose ray is 90 degrees
+        or more from the optical axis, or which have none. With `return_rays` unit vectors of shape (*, 3).
 
     Raises:
-        TypeError: `distorted_points_in_camera` or `params` is not a tensor of real numbers.
+        TypeError: `distorted_points_in_camera` or `params` is not a tensor of real numbers; `return_rays` is not a bool.
         ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
@@ -189,13 +242,19 @@ def undistort_points_kannala_brandt(distorted_points_in_camera: Tensor, params: 
         >>> camera = torch.tensor([100.0, 100, 320, 240, 0, 0, 0, 0])
         >>> K.geometry.camera.undistort_points_kannala_brandt(torch.tensor([320 + 25 * torch.pi, 240.0]), camera)
         tensor([1.0000, 0.0000])
+        >>> pixel = torch.tensor([320 + 75 * torch.pi, 240.0])
+        >>> K.geometry.camera.undistort_points_kannala_brandt(pixel, camera, return_rays=True)
+        tensor([ 0.7071,  0.0000, -0.7071])
     """
-    pixels = _points("undistort_points_kannala_brandt", distorted_points_in_camera, params, 8)
-    return _undistort_fisheye(pixels, params)
+    op = "undistort_points_kannala_brandt"
+    pixels = _points(op, distorted_points_in_camera, params, 8)
+    _check.flag(op, "return_rays", return_rays)
+    return _undistort_fisheye(pixels, params, return_rays)
 
 
 @with_kernel_casts
-def _undistort_fisheye(pixels: Tensor, params: Tensor) -> Tensor:
+def _undistort_fisheye(pixels: Tensor, params: Tensor, return_rays: bool) -> Tensor:
+    params = as_dtype(params, pixels.dtype)
     points = _from_pixels(pixels, params)
     square = _squared_radius(points)
     k = _coefficients(params)
@@ -203,13 +262,35 @@ def _undistort_fisheye(pixels: Tensor, params: Tensor) -> Tensor:
     fixed = square.detach(), [c.detach() for c in k], [c.detach() for c in derivative]
     # The angle is `ratio` times the distorted radius: ratio * polynomial(angle^2) = 1. Newton's method starts from the radius
     # or, above 1, its cube root: from far above, a polynomial of degree 9 lets a step shrink the angle by a ninth only.
-    ratio = fixed[0].clamp(min=1).pow(-1 / 3)
+    largest = (_monotone_angle(params.detach()).clamp(max=math.pi**2) / fixed[0]).sqrt()
+    ratio = torch.minimum(fixed[0].clamp(min=1).pow(-1 / 3), 0.9 * largest)
     for _ in range(10):
-        ratio = _newton(ratio, *fixed)
+        ratio = torch.minimum(torch.maximum(_newton(ratio, *fixed), ratio / 4), (ratio + largest) / 2)
+    residual = torch.addcmul(-k[0].detach(), ratio, _polynomial(ratio * ratio * fixed[0], fixed[1]))
+    # A millionth of the focal length, or what rounding allows.
+    rounding = 32 * torch.finfo(ratio.dtype).eps
+    valid = (residual.abs() <= rounding) | (residual.square() * fixed[0] <= 1e-12)
+    valid = valid & (ratio > 0) & (ratio <= largest)
+    if not return_rays:
+        valid = valid & (ratio * ratio * fixed[0] < (math.pi / 2) ** 2)
+    square, ratio = torch.where(valid, square, 0), torch.where(valid, ratio, 1)
     for _ in range(2):
         ratio = _newton(ratio, square, k, derivative)
     angle = ratio * ratio * square
-    return points * (ratio * sinc(angle) / cos(angle)).unsqueeze(-1)
+    scale = ratio * sinc(angle)
+    where = valid.unsqueeze(-1)
+    points = torch.where(where, points, 0)
+    if not return_rays:
+        return torch.where(where, points * (scale / cos(angle)).unsqueeze(-1), torch.nan)
+    return torch.where(where, torch.cat([points * scale.unsqueeze(-1), cos(angle).unsqueeze(-1)], -1), torch.nan)
+
+
+def _monotone_angle(params: Tensor) -> Tensor:
+    """The squared angles (*) up to which the distorted angle grows, inf where it always does."""
+    derivative = torch.stack([c * n for c, n in zip(params[..., 4:].unbind(-1), (3, 5, 7, 9))], -1)
+    coefficients = torch.nn.functional.pad(derivative, (1, 0), value=1)
+    limit: Tensor = first_root(coefficients.reshape(-1, 5))
+    return limit.reshape(params.shape[:-1])
 
 
 def _newton(ratio: Tensor, square: Tensor, k: Sequence[Tensor], derivative: Sequence[Tensor]) -> Tensor:

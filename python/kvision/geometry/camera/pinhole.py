@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, overload
 
 import torch
 from torch import Tensor
@@ -12,6 +12,7 @@ from kvision._dtype import floats
 from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._transform_points import transformed
+from kvision.geometry._validity import NEAREST, with_validity
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.linalg import inverse3x3
 
@@ -210,13 +211,23 @@ class PinholeCamera:
         self.width = self.width * scale_factor
         return self
 
-    def project(self, point_3d: Tensor) -> Tensor:
+    @overload
+    def project(self, point_3d: Tensor, return_valid: Literal[False] = False) -> Tensor: ...
+    @overload
+    def project(self, point_3d: Tensor, return_valid: bool) -> Tensor | tuple[Tensor, Tensor]: ...
+    def project(self, point_3d: Tensor, return_valid: bool = False) -> Tensor | tuple[Tensor, Tensor]:
         """Pixels (B, *, 2) of points of the world (B, *, 3); one camera also serves any (*, 3).
 
-        A point is not divided by a depth between -1e-8 and 1e-8.
+        A point is not divided by a depth between -1e-8 and 1e-8; one behind the camera gives a mirrored pixel. With
+        `return_valid` also which points are in front of the camera, at a depth above 1e-8, (B, *); the pixels of the
+        others have no gradient then.
         """
         self._check_points("project", "point_3d", point_3d, 3)
-        return transformed(floats(point_3d), _projection(self._intrinsics, self._extrinsics))
+        _check.flag("PinholeCamera.project", "return_valid", return_valid)
+        points, projection = floats(point_3d), _projection(self._intrinsics, self._extrinsics)
+        if not return_valid:
+            return transformed(points, projection)
+        return with_validity(transformed, points, _depth(points, projection) > NEAREST, projection)
 
     def unproject(self, point_2d: Tensor, depth: Tensor) -> Tensor:
         """Points of the world (B, *, 3) at pixels (B, *, 2) and a depth (B, *, 1), which is z in the camera's frame."""
@@ -238,6 +249,13 @@ class PinholeCamera:
 @with_kernel_casts
 def _projection(intrinsics: Tensor, extrinsics: Tensor) -> Tensor:
     return intrinsics[:, :3, :3] @ extrinsics[:, :3]
+
+
+@with_kernel_casts
+def _depth(points: Tensor, projection: Tensor) -> Tensor:
+    """Depths (B, *) of points (B, *, 3)."""
+    row = projection.detach()[(slice(None), *(None,) * (points.dim() - 2), 2)] if points.dim() > 1 else projection[0, 2]
+    return (points.detach() * row[..., :3]).sum(-1) + row[..., 3]
 
 
 @with_kernel_casts

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Literal, overload
+
 import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, floats
 from kvision.core.exceptions import ShapeError
+from kvision.geometry._validity import NEAREST, with_validity
 
 __all__ = [
     "dx_project_points_orthographic",
@@ -19,17 +22,23 @@ __all__ = [
 ]
 
 
-def project_points_z1(points_in_camera: Tensor) -> Tensor:
+@overload
+def project_points_z1(points_in_camera: Tensor, return_valid: Literal[False] = False) -> Tensor: ...
+@overload
+def project_points_z1(points_in_camera: Tensor, return_valid: bool) -> Tensor | tuple[Tensor, Tensor]: ...
+def project_points_z1(points_in_camera: Tensor, return_valid: bool = False) -> Tensor | tuple[Tensor, Tensor]:
     """Project points in a camera's frame onto the plane at depth 1: (x / z, y / z).
 
     Args:
         points_in_camera: points (x, y, z) in the camera's frame, of shape (*, 3). Integers give float32.
+        return_valid: also return which points are in front of the camera, z > 1e-8.
 
     Returns:
-        Projected points of shape (*, 2). They are not finite where z is 0.
+        Projected points of shape (*, 2). They are not finite where z is 0, and mirrored where it is negative. With
+        `return_valid` also a mask (*); other points have no gradient then.
 
     Raises:
-        TypeError: `points_in_camera` is not a tensor of real numbers.
+        TypeError: `points_in_camera` is not a tensor of real numbers; `return_valid` is not a bool.
         ValueError: `points_in_camera` is not of shape (*, 3).
 
     Example:
@@ -38,7 +47,12 @@ def project_points_z1(points_in_camera: Tensor) -> Tensor:
         tensor([1., 2.])
     """
     _check.trailing_shape("project_points_z1", "points_in_camera", points_in_camera, 3)
+    _check.flag("project_points_z1", "return_valid", return_valid)
     points = floats(points_in_camera)
+    return with_validity(_project_z1, points, points[..., 2] > NEAREST) if return_valid else _project_z1(points)
+
+
+def _project_z1(points: Tensor) -> Tensor:
     return points[..., :2] / points[..., 2:]
 
 

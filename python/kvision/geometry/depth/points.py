@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Literal, overload
 
 import torch
 from torch import Tensor
@@ -15,6 +15,7 @@ from kvision._ops import register, vjp, with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.filters.edges.spatial_gradient import derivatives
 from kvision.geometry._transform_points import met
+from kvision.geometry._validity import with_validity
 from kvision.geometry.transform.sampling import cast_to_image
 
 __all__ = [
@@ -303,17 +304,29 @@ def _points_last(depth: Tensor, camera: Tensor, distance: bool) -> Tensor:
 # --- depth from other quantities ------------------------------------------------------------------------------------
 
 
-def depth_from_disparity(disparity: Tensor, baseline: float | Tensor, focal: float | Tensor) -> Tensor:
+@overload
+def depth_from_disparity(
+    disparity: Tensor, baseline: float | Tensor, focal: float | Tensor, return_valid: Literal[False] = False
+) -> Tensor: ...
+@overload
+def depth_from_disparity(
+    disparity: Tensor, baseline: float | Tensor, focal: float | Tensor, return_valid: bool
+) -> Tensor | tuple[Tensor, Tensor]: ...
+def depth_from_disparity(
+    disparity: Tensor, baseline: float | Tensor, focal: float | Tensor, return_valid: bool = False
+) -> Tensor | tuple[Tensor, Tensor]:
     """Depth of a stereo pair: baseline * focal / (disparity + 1e-8).
 
     Args:
         disparity: (*, H, W), in pixels. Integers are computed in float32.
         baseline: distance between the cameras; a number, a tensor of one, or (B,), one for each along the first axis.
         focal: focal length in pixels, likewise.
+        return_valid: also return where the disparity is above 0.
 
     Returns:
         (*, H, W), in the unit of `baseline` and of the type of `disparity`; far, but finite in float32, where the
-        disparity is 0.
+        disparity is 0, and negative where it is. With `return_valid` also a mask (*, H, W); other pixels have no gradient
+        then.
 
     Raises:
         TypeError: an argument does not have its documented type.
@@ -330,10 +343,12 @@ def depth_from_disparity(disparity: Tensor, baseline: float | Tensor, focal: flo
         raise ShapeError(
             f"{op}: expected disparity of shape (*, H, W), got {tuple(disparity.shape)}", actual_shape=disparity.shape
         )
+    _check.flag(op, "return_valid", return_valid)
     disparity = floats(disparity)
-    return _from_disparity(
-        disparity, _of_samples(op, "baseline", baseline, disparity), _of_samples(op, "focal", focal, disparity)
-    )
+    stereo = _of_samples(op, "baseline", baseline, disparity), _of_samples(op, "focal", focal, disparity)
+    if not return_valid:
+        return _from_disparity(disparity, *stereo)
+    return with_validity(_from_disparity, disparity, disparity > 0, *stereo, axes=0)
 
 
 @with_kernel_casts

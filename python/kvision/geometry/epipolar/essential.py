@@ -9,10 +9,11 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision import _check
+from kvision._dtype import promoted
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._formula import of_all, register_formula
-from kvision.geometry._precision import in_full_precision, promoted
+from kvision.geometry._precision import in_full_precision
 from kvision.geometry.epipolar.projection import cross_product_matrix, depth_from_point, projection_from_KRt
 from kvision.geometry.epipolar.triangulation import triangulate_points, triangulated_backward
 from kvision.geometry.linalg import product_plus, root

@@ -6,10 +6,11 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import promoted
 from kvision._leading import broadcast_shapes
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry._formula import of_rows, register_formula
-from kvision.geometry._precision import in_full_precision, promoted
+from kvision.geometry._precision import in_full_precision
 from kvision.geometry.conversions.rotations import cross_matrix
 from kvision.geometry.linalg import product_plus
 from kvision.geometry.solvers.null_vector import null_vector_3x3

@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import promoted
 from kvision._leading import broadcast_shapes
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._precision import in_full_precision, promoted
+from kvision.geometry._precision import in_full_precision
 from kvision.geometry.solvers.null_vector import null_vector
 
 __all__ = ["triangulate_points"]

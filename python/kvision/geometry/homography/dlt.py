@@ -12,8 +12,9 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import promoted
 from kvision.geometry._normalization import normalized, to_unit_last
-from kvision.geometry._precision import in_full_precision, promoted
+from kvision.geometry._precision import in_full_precision
 from kvision.geometry.homography.errors import line_segment_transfer_error_one_way, symmetric_transfer_error
 from kvision.geometry.solvers.correspondences import check_correspondences, register_fit
 from kvision.geometry.solvers.null_vector import null_vector

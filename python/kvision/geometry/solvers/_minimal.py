@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from kvision._dtype import promoted
 from kvision._modes import MODEL, MODEL_NAMES
 from kvision._ops import no_derivative, register
 from kvision.geometry._normalization import normalized, to_unit_last
-from kvision.geometry._precision import promoted
 from kvision.geometry.homography.dlt import of_lines
 from kvision.geometry.homography.errors import sample_is_valid_for_homography
 from kvision.geometry.linalg import adjugate

@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from kvision.geometry._precision import in_full_precision, length, promoted
+from kvision._dtype import promoted
+from kvision.geometry._precision import in_full_precision, length
 from kvision.geometry.solvers.correspondences import check_correspondences, normalized_weights, register_fit
 
 __all__ = ["find_affine"]

@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import promoted
 from kvision._ops import register
 from kvision._torch_compat import carry_tangents
-from kvision.geometry._precision import in_full_precision, promoted
+from kvision.geometry._precision import in_full_precision
 from kvision.geometry.linalg import adjugate
 
 __all__ = ["null_vector_3x4"]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import promoted
 from kvision._ops import register
-from kvision.geometry._precision import in_full_precision, promoted
+from kvision.geometry._precision import in_full_precision
 from kvision.geometry.linalg import root
 
 __all__ = ["solve_cubic", "solve_quadratic", "solve_quartic"]
@@ -205,3 +208,36 @@ def _between(p: Tensor, critical: Tensor) -> Tensor:
     again = torch.where(touches & (critical != bounds[..., :-2]), critical, torch.nan)
     at_bounds = torch.where(flat & (bounds.abs() == 1), bounds, torch.nan)[..., [0, -1]]
     return torch.cat([simple, repeated, again, at_bounds], -1).sort(-1).values[..., : p.shape[-1] - 1]
+
+
+# --- the first positive one -----------------------------------------------------------------------------------------
+
+_FARTHEST = 1e4
+
+
+def _first_root_reference(p: Tensor) -> Tensor:
+    """x starts left of all roots and never passes one: csrc/geometry/solvers/first_root.h tells how."""
+    degree = p.shape[-1] - 1
+    powers = torch.arange(degree + 1, device=p.device, dtype=p.dtype)
+    binomials = p.new_tensor([[math.comb(j, i) for i in range(degree + 1)] for j in range(degree + 1)])
+    x = p[..., 0] / p.abs().sum(-1)
+    for _ in range(_FIRST_ROOT_STEPS):
+        t = ((p * x[..., None] ** powers)[..., None] * binomials).sum(-2)  # p(x + x h) = t[0] + t[1] h + ...
+        falls = (-t[..., 1:]).clamp(min=0)
+        left, right, at_left = torch.zeros_like(x), torch.ones_like(x), t[..., 0].clamp(min=0)
+        for _ in range(4):
+            at_right = t[..., 0] - (falls * right[..., None] ** powers[1:]).sum(-1)
+            slope = (falls * powers[1:] * right[..., None] ** powers[:-1]).sum(-1)
+            is_left = at_right >= 0
+            chord = left + (right - left) * at_left / torch.where(is_left, 1, at_left - at_right)
+            left = torch.where(is_left, right, chord)
+            right = torch.where(is_left, right, right + at_right / torch.where(is_left, 1, slope))
+            at_left = (t[..., 0] - (falls * left[..., None] ** powers[1:]).sum(-1)).clamp(min=0)
+        x = (x * (1 + left)).clamp(max=_FARTHEST)
+    return torch.where(x < _FARTHEST, x, torch.inf)
+
+
+_FIRST_ROOT_STEPS = 28
+
+# The smallest x > 0 (B,) with p[0] + p[1] x + ... = 0 of polynomials p (B, n + 1) that are positive at 0; inf for none.
+first_root = register("first_root", _first_root_reference, fake=lambda p: (p.shape[0],), non_differentiable=(0,))

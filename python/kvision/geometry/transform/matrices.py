@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import promoted
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.geometry._formula import batch_of, register_formula
-from kvision.geometry._precision import promoted
 from kvision.geometry.bbox import corners
 from kvision.geometry.conversions.angles import cos_sin
 from kvision.geometry.conversions.homogeneous import homogeneous

@@ -47,6 +47,18 @@ def test_elimination_against_a_solver(channels, device):
     assert_close(_solve(a, y), expected, 1e-6, 1e-6)
 
 
+def test_a_large_mean_costs_no_digits(device):
+    """A guidance in [1000, 1001], and 16-bit photographs: within 1e-4 and a level of float64."""
+    guidance, x = torch.rand(1, 3, 24, 31, device=device), torch.rand(1, 2, 24, 31, device=device)
+    for eps in (1e-3, 1e-2):
+        moved = guided_blur(guidance + 1000, x, 5, eps)
+        assert_close(moved, guided_blur((guidance + 1000) - 1000, x, 5, eps), 0, 1e-4)
+    photograph = 40000 + 20000 * K.filters.box_blur(guidance, 7) + 30 * guidance
+    image = photograph.round()
+    exact = guided_blur(image.double(), image.double(), 5, 1.0)
+    assert (guided_blur(image, image, 5, 1.0) - exact).abs().max() < 0.01
+
+
 def test_number_types(device):
     x = torch.randint(0, 256, (2, 3, 9, 8), device=device, dtype=torch.uint8)
     assert_close(guided_blur(x, x, 3, 100.0), guided_blur(x.float(), x.float(), 3, 100.0))

@@ -94,6 +94,39 @@ def test_jacobian_and_inverse_of_a_fisheye(position, device):
     assert curved.isfinite().all()
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_rays_of_a_fisheye_reach_180_degrees(dtype, device):
+    """On the plane at depth 1 they are NaN from 90 degrees on, without a gradient."""
+    degrees = torch.tensor([0.0, 30, 89, 90.5, 120, 179], dtype=torch.float64)
+    angle = degrees.deg2rad()
+    lens = torch.tensor([190.0, 180, 160, 120, 0.01, -0.002, 3e-4, -1e-5], dtype=torch.float64)
+    distorted = angle * (1 + sum(k * angle ** (2 * i + 2) for i, k in enumerate(lens[4:].tolist())))
+    direction = torch.tensor([0.6, -0.8], dtype=torch.float64)
+    pixels = distorted[:, None] * direction * lens[:2] + lens[2:4]
+    pixels, lens = pixels.to(device, dtype).requires_grad_(), lens.to(device, dtype).requires_grad_()
+    rays = C.undistort_points_kannala_brandt(pixels, lens, return_rays=True)
+    expected = torch.cat([angle.sin()[:, None] * direction, angle.cos()[:, None]], -1)
+    assert_close(rays.detach().cpu().double(), expected, 0, 1e-5)
+    points = C.undistort_points_kannala_brandt(pixels, lens)
+    assert points.isnan().all(-1).tolist() == [False] * 3 + [True] * 3
+    assert_close(points[:3].detach().cpu().double(), angle[:3].tan()[:, None] * direction, 1e-3, 1e-6)
+    grads = torch.autograd.grad(points.nan_to_num(0).sum(), (pixels, lens))
+    assert all(g.isfinite().all() for g in grads) and not grads[0][3:].any()
+
+
+def test_pixels_without_a_ray_are_nan(device):
+    """theta (1 - .3 theta^2) has its largest value, .7027, at 60.4 degrees; the mask of distortion ends there."""
+    lens = torch.tensor([100.0, 100, 0, 0, -0.3, 0, 0, 0], dtype=torch.float64, device=device)
+    pixels = torch.tensor([[70.2, 0], [70.3, 0], [90, 0], [torch.inf, 0], [torch.nan, 0]], dtype=torch.float64)
+    for return_rays in (False, True):
+        back = C.undistort_points_kannala_brandt(pixels.to(device), lens, return_rays)
+        assert back.isnan().all(-1).tolist() == [False] + [True] * 4
+    points = torch.tensor([[1.75, 0], [1.77, 0], [1e6, 0], [torch.inf, 1]], dtype=torch.float64, device=device)
+    seen, valid = C.distort_points_kannala_brandt(points, lens, return_valid=True)
+    assert valid.tolist() == [True, False, False, False]
+    assert_close(seen, C.distort_points_kannala_brandt(points, lens))
+
+
 BAD = [
     (lambda: C.distort_points_affine(rand(2, 2), rand(8)), ValueError, r"expected params of shape \(\*, 4\)"),
     (lambda: C.undistort_points_kannala_brandt(rand(2, 2), rand(3, 8)), ValueError, "leading axes that broadcast"),

@@ -1,4 +1,4 @@
-// Whether a comparison holds, and one of lanes for any of them. Vectors are for *_cpu.cpp files, which include it first.
+// Whether a comparison holds, of lanes for any of them. Vectors are for *_cpu.cpp files, which include it first.
 #pragma once
 
 #include "hd.h"

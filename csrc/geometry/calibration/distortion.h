@@ -70,12 +70,15 @@ template <class T>
 struct Domain {
   T growth[7] = {}, divisor[4];  // D^2 times the derivative of r N / D, and D: polynomials in r^2 that are 1 at 0
   T falls[6];                    // neither is below 1 - falls[0] r^2 - falls[1] r^4 - ...
+  T safe;                        // r^2 up to which that is positive
 
   KV_HD explicit Domain(T const (&c)[12]) : divisor{1, c[5], c[6], c[7]} {
     T const numerator[] = {1, c[0], c[1], c[4]};
     for (int i = 0; i < 4; ++i)
       for (int k = 0; k < 4; ++k) growth[i + k] += T(1 + 2 * i - 2 * k) * numerator[i] * divisor[k];
     for (int i = 0; i < 6; ++i) falls[i] = max(max(-growth[i + 1], i < 3 ? -divisor[i + 1] : T(0)), T(0));
+    T const sum = falls[0] + falls[1] + falls[2] + falls[3] + falls[4] + falls[5];
+    safe = T(.999) / max(sum, T(1));
   }
   // False is no answer: `limit` has it.
   template <class V>
@@ -92,6 +95,7 @@ struct Lens {
   LensPoints<T> const& p;
   T const *k, *new_camera, *tilt;
   T c[12];
+  T allowed;  // the square of a thousandth of a pixel, on the plane, where a focal length is at least a thousand pixels
 
   KV_HD Lens(LensPoints<T> const& p, int64_t b)
       : p(p),
@@ -99,6 +103,8 @@ struct Lens {
         new_camera(p.new_camera + b * p.new_camera_stride),
         tilt(p.tilt ? p.tilt + b * p.tilt_stride : nullptr) {
     for (int i = 0; i < 12; ++i) c[i] = i < p.coefficient_count ? p.coefficients[b * p.coefficients_stride + i] : T(0);
+    T const fx = k[0] < 0 ? -k[0] : k[0], fy = k[4] < 0 ? -k[4] : k[4], pixel = min(T(1e-3) / max(fx, fy), T(1e-6));
+    allowed = pixel * pixel;
   }
   template <class V>
   KV_HD void normalize(V& x, V& y) const {
@@ -150,34 +156,35 @@ struct Lens {
     normalize(x, y);
     apply_tilt(x, y);
     V const x0 = x, y0 = y;
-    V before_x = x - 1, before_y = y, numerator = V{} + T(1), denominator = numerator;
+    V last_x = x, last_y = y, before_x = x, before_y = y, inverse = V{} + T(1);
     for (int step = 0; step < p.steps; ++step) {
-      V dx, dy;
+      V numerator, denominator, dx, dy;
       terms(x, y, numerator, denominator, dx, dy);
-      V const inverse = denominator / numerator;
-      before_x = x, before_y = y;
+      inverse = denominator / numerator;
+      before_x = last_x, before_y = last_y, last_x = x, last_y = y;
       x = (x0 - dx) * inverse;
       y = (y0 - dy) * inverse;
     }
-    // What the last step was right to: the residual before it, which costs nothing. After it there is less.
-    V const moved = (x - before_x) * (x - before_x) + (y - before_y) * (y - before_y);
-    T const allowed = tolerance(), rounding = T(4) * kEpsilon * kEpsilon;
-    V const size = x0 * x0 + y0 * y0,
-            enough = allowed * allowed > rounding * size ? V(V{} + allowed * allowed) : V(rounding * size);
-    auto const settled = (64 * moved * numerator * numerator <= enough * denominator * denominator) &
-                         domain.surely_contains(x * x + y * y);
-    if (any_lane(settled == 0)) {
+    // The last step is the residual before it. An eighth of what is allowed, or rounding, is settled.
+    T const rounding = T(4) * kEpsilon * kEpsilon;
+    V const step = (x - last_x) * (x - last_x) + (y - last_y) * (y - last_y), r2 = x * x + y * y,
+            scale = inverse * inverse;
+    auto settled = (step <= max(allowed * T(1. / 64), rounding) * scale) & (r2 <= domain.safe);
+    if (__builtin_expect(p.steps < 2 || any_lane(settled == 0), 0)) {
+      // Or what is left by how much shorter the step was than the one before.
+      V const before = (last_x - before_x) * (last_x - before_x) + (last_y - before_y) * (last_y - before_y),
+              size = rounding * (x0 * x0 + y0 * y0), enough = max(V(V{} + allowed), size);
+      settled = settled | (((step <= max(V(V{} + allowed * T(1. / 64)), V(4 * size)) * scale) |
+                            ((step <= before) & (4 * step * step <= before * enough * scale))) &
+                           domain.surely_contains(r2));
+      auto const is_kept = p.steps < 2 ? (step < V{}) : settled;
+      if (!any_lane(is_kept == 0)) return to_pixels(x, y);
       V solved_x = x, solved_y = y;
       solve(solved_x, solved_y, x0, y0, enough, domain.limit());
-      x = settled ? x : solved_x;
-      y = settled ? y : solved_y;
+      x = is_kept ? x : solved_x;
+      y = is_kept ? y : solved_y;
     }
     to_pixels(x, y);
-  }
-  // A thousandth of a pixel, on the plane, where a focal length is at least a thousand pixels.
-  KV_HD T tolerance() const {
-    T const fx = k[0] < 0 ? -k[0] : k[0], fy = k[4] < 0 ? -k[4] : k[4];
-    return min(T(1e-3) / max(fx, fy), T(1e-6));
   }
   static constexpr T kEpsilon = sizeof(T) == 4 ? T(0x1p-23) : T(0x1p-52);
 

@@ -250,21 +250,29 @@ def _solved(points: Tensor, K: Tensor, dist: Tensor, tilt: Tensor | None, num_it
     """Points of the plane; NaN where the lens shows none at the pixel. As Lens::undistort of csrc computes them."""
     c = _coefficients(dist)
     x0, y0 = _untilted(points, K, tilt)
-    x, y = x0, y0
-    before, radial = (x0 - 1, y0), torch.ones_like(x0)
+    path, radial = [(x0, y0)] * 3, torch.ones_like(x0)
     for _ in range(num_iters):
+        x, y = path[-1]
         r2 = x * x + y * y
         dx, dy = _shift(x, y, r2, c)
         radial = _radial(r2, c)
-        before = x, y
-        x, y = (x0 - dx) / radial, (y0 - dy) / radial
-    moved = (x - before[0]).square() + (y - before[1]).square()
+        path = [*path[-2:], ((x0 - dx) / radial, (y0 - dy) / radial)]
+    x, y = path[-1]
+    before, step = ((p[0] - q[0]).square() + (p[1] - q[1]).square() for p, q in zip(path[-3:], path[-2:]))
     eps = torch.finfo(x0.dtype).eps
     focal = torch.maximum(K[..., :1, 0].abs(), K[..., 1:2, 1].abs())
     size = x0 * x0 + y0 * y0
-    enough = torch.maximum((1e-3 / focal).clamp(max=1e-6).square(), 4 * eps * eps * size)
+    tolerance = (1e-3 / focal).clamp(max=1e-6)
+    enough = torch.maximum(tolerance.square(), 4 * eps * eps * size)
     limit = _limit(c)
-    settled = (64 * moved * radial * radial <= enough) & (x * x + y * y <= limit)
+    # The last step is the residual before it. What is left is estimated by how much shorter it was than the one before,
+    # or at most eight times as much.
+    scale = radial.square()
+    settled = step * scale <= torch.maximum(tolerance.square() / 64, 4 * eps * eps * (4 * size).clamp(min=1))
+    settled = settled | ((step <= before) & (4 * step.square() * scale <= before * enough))
+    settled = settled & (x * x + y * y <= limit)
+    if num_iters < 2:
+        settled = torch.zeros_like(settled)
     solved, error = _newton(x, y, x0, y0, c, enough, limit, max(num_iters, _TRIALS))
     is_solved = ((error <= enough) | (error <= 1024 * eps * eps * size)) & size.isfinite()
     return tuple(torch.where(settled, a, torch.where(is_solved, b, torch.nan)) for a, b in zip((x, y), solved))

@@ -428,6 +428,7 @@ inline constexpr Operator<"merge_top_k", Three(Tensor models, Tensor scores, Ten
     merge_top_k{non_differentiable};
 inline constexpr Operator<"eigenvectors", Two(Tensor matrix)> eigenvectors{non_differentiable};
 inline constexpr Operator<"real_roots", Tensor(Tensor coefficients)> real_roots;
+inline constexpr Operator<"first_root", Tensor(Tensor coefficients)> first_root;
 
 // --- formulas of rotations, poses and matrices -----------------------------------------------------------------------
 

@@ -71,6 +71,14 @@ class TestRootsOperators(PointOpTests):
                 tolerance=20,
             )
         ],
+        "first_root": [
+            Call(
+                (lambda: torch.tensor([1.0, -0.3, -0.6, 0.2, -0.5]) + 0.1 * torch.rand(5),),
+                differentiable=False,
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=20,
+            )
+        ],
     }
 
 

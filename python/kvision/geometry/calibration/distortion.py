@@ -275,7 +275,8 @@ def _solved(points: Tensor, K: Tensor, dist: Tensor, tilt: Tensor | None, num_it
         settled = torch.zeros_like(settled)
     solved, error = _newton(x, y, x0, y0, c, enough, limit, max(num_iters, _TRIALS))
     is_solved = ((error <= enough) | (error <= 1024 * eps * eps * size)) & size.isfinite()
-    return tuple(torch.where(settled, a, torch.where(is_solved, b, torch.nan)) for a, b in zip((x, y), solved))
+    x, y = (torch.where(settled, a, torch.where(is_solved, b, torch.nan)) for a, b in zip((x, y), solved))
+    return x, y
 
 
 def _newton(
@@ -292,7 +293,8 @@ def _newton(
         better = (error > enough) & (residual < error) & (at_x * at_x + at_y * at_y <= limit) & is_regular
         halved = (x0, y0) if trial == 0 else (step[0] / 2, step[1] / 2)
         x, y, error = (torch.where(better, a, b) for a, b in ((at_x, x), (at_y, y), (residual, error)))
-        step = tuple(torch.where(better, -a, b) for a, b in zip(_solve2x2(jacobian, u, v), halved))
+        next_x, next_y = _solve2x2(jacobian, u, v)
+        step = torch.where(better, -next_x, halved[0]), torch.where(better, -next_y, halved[1])
     return (x, y), error
 
 

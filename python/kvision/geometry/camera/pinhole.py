@@ -254,7 +254,11 @@ def _projection(intrinsics: Tensor, extrinsics: Tensor) -> Tensor:
 @with_kernel_casts
 def _depth(points: Tensor, projection: Tensor) -> Tensor:
     """Depths (B, *) of points (B, *, 3)."""
-    row = projection.detach()[(slice(None), *(None,) * (points.dim() - 2), 2)] if points.dim() > 1 else projection[0, 2]
+    row = projection.detach()[:, 2]
+    if points.dim() > 1:
+        row = row.reshape(-1, *(1,) * (points.dim() - 2), 4)
+    else:
+        row = row[0]
     return (points.detach() * row[..., :3]).sum(-1) + row[..., 3]
 
 

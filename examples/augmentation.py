@@ -25,6 +25,7 @@ from torch.utils.data import DataLoader, Dataset
 import kvision as K
 import kvision.augmentation as A
 from kvision.demo.arguments import device_of, images_of, make_folder, require
+from kvision.demo.workers import exit_with_parent
 
 WINDOW, CROP = 224, 160
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -116,6 +117,7 @@ def train(name: str, windows: Windows, augment: nn.Module | None, options: argpa
         windows,
         options.batch,
         num_workers=options.workers,
+        worker_init_fn=exit_with_parent,
         pin_memory=device.type == "cuda",
         persistent_workers=False,  # they read the number of the epoch when they start
     )

@@ -45,6 +45,7 @@ from torch.utils.data import DataLoader, Dataset
 
 import kvision as K
 from kvision.demo.arguments import device_of, make_folder, require
+from kvision.demo.workers import exit_with_parent
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 BLUR = "K.filters.GaussianBlur2d(5, (1.5, 1.5))"
@@ -335,6 +336,7 @@ def run_here(tasks: Sequence[Task], options: argparse.Namespace, job: Job) -> No
             batch_sampler=[numbers[i : i + size] for i in range(0, len(numbers), size)],
             collate_fn=list,
             num_workers=workers,
+            worker_init_fn=exit_with_parent,
             prefetch_factor=(1 if careful else 2) if workers else None,
             multiprocessing_context=context if workers else None,
         )

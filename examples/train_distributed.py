@@ -40,6 +40,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 import kvision as K
 import kvision.augmentation as A
 from kvision.demo.arguments import device_of, make_folder, require
+from kvision.demo.workers import exit_with_parent
 
 MEAN, STD = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
 TEXTURES = ("stripes", "checks", "rings", "dots")
@@ -135,7 +136,13 @@ class Folder(Dataset[tuple[Tensor, int, int]]):
         return (255 * square[0]).round().byte(), label, index
 
     def batches(self, order: Order, device: torch.device, workers: int) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        loader = DataLoader(self, batch_sampler=order, num_workers=workers, pin_memory=device.type == "cuda")
+        loader = DataLoader(
+            self,
+            batch_sampler=order,
+            num_workers=workers,
+            worker_init_fn=exit_with_parent,
+            pin_memory=device.type == "cuda",
+        )
         for batch in loader:
             yield tuple(x.to(device, non_blocking=True) for x in batch)
 

@@ -191,6 +191,26 @@ def test_each_image_is_processed_once(engine: str, pictures: Path, tmp_path: Pat
     assert f"{COUNT} images, " in output and f"results and broken.csv are in {out}" in output.splitlines()
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds processes in /proc")
+@pytest.mark.parametrize("killed_by", [signal.SIGTERM, signal.SIGKILL])
+def test_no_process_outlives_a_killed_job(killed_by: signal.Signals, pictures: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    job = start(pictures, out, "--workers", "2", "--pipeline", "nn.Identity()", slow_step(40, out))
+    processes: list[int] = []
+    try:
+        wait_until(lambda: len(results(out)) >= 40, job)
+        processes = below(job.pid)
+        assert sum(b"forkserver" in command_of(process) for process in processes) == 3
+        job.send_signal(killed_by)
+        job.communicate(timeout=10)  # the workers have its output, too
+        assert not any(command_of(process) for process in processes)
+    finally:
+        kill_all(job)
+        for process in processes:
+            kill(process)
+
+
 def run(*options: object) -> int:
     return example("process_folder").main([*map(str, options), "--device", "cpu", "--workers", "0"])
 

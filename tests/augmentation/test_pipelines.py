@@ -135,7 +135,7 @@ def test_labels_of_mixed_images(device: torch.device) -> None:
         params=[*chain.forward_parameters(x.shape)[:1], A.container.ParamItem("RandomJigsaw_1", jigsaw._params)],
     )
     torch.testing.assert_close(moved[1], expected[1])
-    with pytest.raises(NotImplementedError, match="to be called by itself"):
+    with pytest.raises(ValueError, match="expected a mask among the data_keys"):
         A.AugmentationSequential(A.RandomTransplantation(p=1.0))(x)
 
 

@@ -188,8 +188,9 @@ def crop(params: dict[str, Tensor], columns: Tensor) -> Variates:
     }
 
 
-def crop3d(params: dict[str, Tensor], columns: Tensor) -> Variates:
-    return {f"src.{i}": (params["src"][:, 0, i], Integers(0, last)) for i, last in enumerate((5, 4, 4))}
+def crop3d(*last: int) -> Callable[[dict[str, Tensor], Tensor], Variates]:
+    """The first corner of crops, whose coordinates x, y, z go from 0 to `last`."""
+    return lambda params, columns: {f"src.{i}": (params["src"][:, 0, i], Integers(0, n)) for i, n in enumerate(last)}
 
 
 def pixels(name: str, of: Callable[[], Any], *positions: tuple[int, ...], **others: Any) -> Any:
@@ -402,7 +403,10 @@ SPECS = {
         VOLUME,
     ),
     "RandomPerspective3D": Spec(lambda p: A.RandomPerspective3D(0.5, p=p), numbered("end_points", corner3d), VOLUME),
-    "RandomCrop3D": Spec(lambda p: A.RandomCrop3D((4, 5, 5), padding=1), crop3d, VOLUME, whole_batch=True),
+    "RandomCrop3D": Spec(lambda p: A.RandomCrop3D((4, 5, 5), padding=1), crop3d(5, 4, 4), VOLUME, whole_batch=True),
+    "RandomResizedCrop3D": Spec(
+        lambda p: A.RandomResizedCrop3D(4, (0.125, 0.125), (1.0, 1.0)), crop3d(4, 3, 3), VOLUME, whole_batch=True
+    ),
     "RandomMotionBlur3D": Spec(
         lambda p: A.RandomMotionBlur3D((3, 5), (10.0, 20.0, 30.0), 0.5, p=p),
         lambda params, columns: in_columns(

@@ -35,8 +35,8 @@ class Hyperplane(StatefulModule):
         >>> floor = K.geometry.Hyperplane(torch.tensor([0.0, 0.0, 1.0]), torch.tensor(-2.0))
         >>> floor.signed_distance(torch.tensor([5.0, 5.0, 3.0]))
         Scalar(1.0)
-        >>> floor.projection(torch.tensor([5.0, 5.0, 3.0]))
-        Vector3(tensor([5., 5., 2.]))
+        >>> floor.projection(torch.tensor([5.0, 5.0, 3.0])).data.detach()
+        tensor([5., 5., 2.])
     """
 
     def __init__(self, n: Vector3 | Tensor, d: Scalar | Tensor) -> None:
@@ -120,7 +120,7 @@ def fit_plane(points: Vector3 | Tensor) -> Hyperplane:
     Example:
         >>> import torch, kvision as K
         >>> plane = K.geometry.fit_plane(torch.tensor([[1.0, 0, 2], [0, 1, 2], [3, 4, 2]]))
-        >>> plane.abs_distance(torch.tensor([7.0, 7.0, 5.0])).data.round()
+        >>> plane.abs_distance(torch.tensor([7.0, 7.0, 5.0])).data.detach().round()
         tensor(3.)
     """
     points = plain(points)

@@ -46,7 +46,7 @@ class So3(LieGroup):
         >>> quarter = So3.exp(torch.tensor([0.0, 0.0, torch.pi / 2]))
         >>> (quarter * torch.tensor([1.0, 2.0, 3.0])).round().long()
         tensor([-2,  1,  3])
-        >>> (quarter * So3.rot_z(torch.tensor(1.0))).log()
+        >>> (quarter * So3.rot_z(torch.tensor(1.0))).log().detach()
         tensor([0.0000, 0.0000, 2.5708])
     """
 

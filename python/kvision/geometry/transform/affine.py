@@ -267,7 +267,7 @@ def _tensor(op: str, name: str, x: Any, count: int = 1, one_for_both: bool = Fal
         raise TypeCheckError(
             f"{op}: expected {name} to be a Tensor, or {several}, got {_check.described(x)}", actual_type=type(x)
         )
-    row = torch.tensor([_check.number(op, name, n) for n in numbers], dtype=torch.float64)
+    row = torch.tensor([_check.number(op, name, n) for n in numbers], dtype=torch.float64, device="cpu")
     return row if count == 1 else row[None]
 
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from kvision._dtype import pixels
-from kvision._torch_compat import in_onnx_export
+from kvision._torch_compat import in_function_transform, in_onnx_export
 
 
 def moves_values(image: Tensor, interpolation: str) -> bool:
@@ -26,6 +26,9 @@ def as_values(image: Tensor, interpolation: str) -> Tensor:
     if in_onnx_export():
         return image.double()  # ONNX cannot view numbers as bytes; labels below 2^53 are exact
     size = image.element_size()
+    if in_function_transform():  # torch 2.11 cannot map the view of numbers as bytes
+        number = image.long()
+        return torch.stack([number >> 8 * i & 255 for i in range(size)], 2).flatten(1, 2).to(torch.uint8)
     planes = image.contiguous().view(torch.uint8)
     if size == 1:
         return planes
@@ -40,6 +43,9 @@ def of_values(result: Tensor, image: Tensor, interpolation: str) -> Tensor:
         return result.to(image.dtype)
     size = image.element_size()
     planes = result.to(torch.uint8)  # volumes are moved in float32
+    if in_function_transform():
+        parts = planes.long().unflatten(1, (image.shape[1], size)).unbind(2)
+        return sum((part << 8 * i for i, part in enumerate(parts[1:], 1)), parts[0]).to(image.dtype)
     if size == 1:
         return planes.view(image.dtype)
     values = planes.unflatten(1, (image.shape[1], size)).movedim(2, -1).contiguous()

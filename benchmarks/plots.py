@@ -5,6 +5,7 @@ Nothing is measured here. Every number comes from a table in benchmarks/results.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,6 +25,9 @@ PANELS = [
 GPU_SIZES = ("128x3x256x256", "32x3x1080x1920")
 CPU_SIZES = ("16x3x256x256", "1x3x1080x1920")
 COLORS = ("#0f766e", "#c2410c")
+# The rows of the README's table, and their sizes on the GPU and on one thread of the CPU.
+HEADLINE = ("sobel", "gauss11", "median5", "canny", "filter2d_3x3", "rgb_to_lab", "warp_affine", "ssim11")
+HEADLINE_SIZES = {"h200": "128x3x256x256", "epyc": "16x3x256x256"}
 
 Cases = list[tuple[str, list[float | None]]]  # a case and its value at each size
 
@@ -41,6 +45,25 @@ def quotients(machine: str, modules: Sequence[str], sizes: Sequence[str], above:
             values.setdefault(row["case"], {})[row["size"]] = float(row[above]) / float(row[below])
     order = [case.name for module in modules for case in getattr(cases, module).CASES if case.name in values]
     return [(name, [values[name].get(size) for size in sizes]) for name in order]
+
+
+def headline(machine: str) -> Cases:
+    """Milliseconds forward of kvision, Kornia and OpenCV for each row of the README's table that the machine has."""
+    rows = {
+        row["case"]: row
+        for row in table(machine, "cases")
+        if row["size"] == HEADLINE_SIZES[machine] and row["dtype"] == "float32"
+    }
+    columns = ("forward", "kornia forward", "opencv forward")
+    times = [
+        (name, [float(rows[name][c]) if rows[name].get(c) else None for c in columns])
+        for name in HEADLINE
+        if name in rows
+    ]
+    if machine == "h200":
+        first = table(machine, "augmentation")[0]
+        times.append(("crop, flip, jitter, normalize", [float(first["kvision ms"]), float(first["kornia ms"]), None]))
+    return times
 
 
 def batches() -> dict[str, list[tuple[int, float]]]:
@@ -135,11 +158,48 @@ def dots(path: Path, groups: Sequence[tuple[str, Cases]], sizes: Sequence[str], 
     plt.close(figure)
 
 
+def bars(path: Path, groups: Sequence[tuple[str, Cases]], labels: Sequence[str], label: str) -> None:
+    """Cases from top to bottom, a bar for each library; one panel a group, on logarithmic scales."""
+    style()
+    import matplotlib.pyplot as plt
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    longest = max(len(rows) for _, rows in groups)
+    figure, axes = plt.subplots(
+        1, len(groups), figsize=(4.6 * len(groups), 1.1 + 0.36 * longest), squeeze=False, layout="constrained"
+    )
+    for axis, (title, rows) in zip(axes[0], groups):
+        for i, (name, color) in enumerate(zip(labels, (*COLORS, "#8a8a8a"))):
+            measured = [(y + 0.26 * (i - 1), times[i]) for y, (_, times) in enumerate(rows) if times[i] is not None]
+            if measured:
+                axis.barh([y for y, _ in measured], [ms for _, ms in measured], 0.24, color=color, label=name)
+        axis.set_yticks(range(len(rows)), [case for case, _ in rows])
+        axis.set_ylim(longest - 0.4, -0.6)
+        axis.set_xscale("log")
+        shortest = min(ms for _, times in rows for ms in times if ms is not None)
+        axis.set_xlim(10 ** math.floor(math.log10(shortest)), None)
+        axis.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+        axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.set_axisbelow(True)
+        axis.grid(axis="x", color="#e4e4e4")
+        axis.set_title(title, fontsize=9)
+        axis.set_xlabel(label)
+        axis.legend(frameon=False, loc="lower right", handlelength=1.2)
+        for side in ("top", "right", "left"):
+            axis.spines[side].set_visible(False)
+        axis.tick_params(axis="y", length=0)
+    figure.savefig(path, metadata={"Date": None})
+    plt.close(figure)
+
+
 def main() -> int:
     def panels(machine: str, sizes: Sequence[str], above: str, below: str) -> list[tuple[str, Cases]]:
         groups = [(title, quotients(machine, modules, sizes, above, below)) for title, modules in PANELS]
         return [(title, of_group) for title, of_group in groups if of_group]
 
+    titles = {"h200": "One NVIDIA H200, 128x3x256x256", "epyc": "One thread of an AMD EPYC, 16x3x256x256"}
+    groups = [(title, headline(machine)) for machine, title in titles.items()]
+    bars(PICTURES / "headline.svg", groups, ("kvision", "Kornia", "OpenCV"), "milliseconds, less is better")
     floor = panels("h200", GPU_SIZES, "forward", "forward floor")
     dots(PICTURES / "h200_floor.svg", floor, GPU_SIZES, "time / floor")
     kornia = panels("h200", GPU_SIZES, "kornia forward", "forward")

@@ -446,7 +446,7 @@ class FastPath:
             return False
         if x.dtype not in (self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()) or x.numel() == 0:
             return False
-        if in_function_transform() or carry_tangents(x):
+        if in_function_transform() or (in_forward_ad() and carry_tangents(x)):
             return False
         return not _backend.ask_backend or current_backend() != "reference"
 
@@ -554,7 +554,7 @@ def _without_tf32() -> Iterator[None]:
 
 def wants_derivative(*tensors: Tensor | None) -> bool:
     """Whether the result of a call on these tensors may be differentiated, so that it must come from differentiable operators."""
-    if in_function_transform() or carry_tangents(*tensors):
+    if in_function_transform() or (in_forward_ad() and carry_tangents(*tensors)):
         return True
     if is_grad_enabled():
         for t in tensors:

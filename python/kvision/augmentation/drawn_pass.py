@@ -21,27 +21,28 @@ _draw_warp_and_color = FastPath("draw_warp_and_color", COMPUTED_IN_FLOAT32)
 
 
 class DrawnPass:
-    """Draws and a pass over images that reads the drawn columns."""
+    """Draws and a pass over images of one shape and type that reads the drawn columns."""
 
-    def __init__(self, draws: DrawPlan, image_pass: Pass) -> None:
+    def __init__(self, draws: DrawPlan, image_pass: Pass, shape: Sequence[int], dtype: torch.dtype) -> None:
         self.draws, self.image_pass = draws, image_pass
         in_doubles = image_pass.plan[0] == _DTYPES.index(torch.float64)
-        self.has_kernel = (
-            draws.learned is None and image_pass.resampling is None and not image_pass.chain and not in_doubles
+        takes_images = (
+            len(shape) == 4
+            and not (image_pass.has_contrast and shape[1] not in (1, 3))
+            and not (image_pass.splits and dtype in SPLIT)  # for which posterization has other numbers
         )
-        # Types of images for which posterization has other numbers.
-        self._types_with_other_numbers = SPLIT if image_pass.splits else ()
-        self._around_mean = image_pass.has_contrast
+        self.has_kernel = (
+            takes_images
+            and draws.learned is None
+            and image_pass.resampling is None
+            and not image_pass.chain
+            and not in_doubles
+        )
         self._plan: tuple[Tensor, Tensor] | None = None
-
-    def _takes(self, x: Tensor) -> bool:
-        if x.dtype in self._types_with_other_numbers or x.dim() != 4:
-            return False
-        return not self._around_mean or x.shape[1] in (1, 3)
 
     def run(self, x: Tensor, keys: Keys) -> tuple[Tensor, Tensor, Tensor]:
         """The result, the matrices (B, 3, 3) of the warp, which do not carry gradients, and the columns."""
-        if self.has_kernel and self._takes(x) and _draw_warp_and_color.serves(x):
+        if self.has_kernel and _draw_warp_and_color.serves(x):
             if self._plan is None:
                 self._plan = self._packed()
             y, matrix, columns = _draw_warp_and_color.kernel(

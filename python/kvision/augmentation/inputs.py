@@ -45,9 +45,9 @@ def check_image(module: Any, x: Any) -> None:
     """Raise unless a module takes images of this type."""
     if not isinstance(x, Tensor):
         raise TypeCheckError(f"{type(module).__name__}: expected input to be a Tensor, got {_check.described(x)}")
-    if not is_image_type(x.dtype) and not (
-        x.dtype in WIDE_INTEGERS and getattr(module, "accepts_wide_integers", False)
-    ):
+    if x.dtype.is_floating_point or x.dtype == torch.uint8:
+        return
+    if x.dtype not in WIDE_INTEGERS or not getattr(module, "accepts_wide_integers", False):
         more = ", or of int16 or uint16 for geometric classes" if x.dtype in WIDE_INTEGERS else ""
         raise TypeCheckError(
             f"{type(module).__name__}: expected input of a floating-point type or uint8{more}, got {x.dtype}"
@@ -60,11 +60,6 @@ def in_type_of(y: Tensor, input: Tensor) -> Tensor:
         return y
     bounds = torch.iinfo(input.dtype)
     return y.round().clamp(bounds.min, bounds.max).to(input.dtype)
-
-
-def is_image_type(dtype: torch.dtype) -> bool:
-    """Whether augmentations take images of a type."""
-    return dtype.is_floating_point or dtype == torch.uint8
 
 
 def check_matrix(module: Any, matrix: Tensor, x: Tensor) -> None:
@@ -262,7 +257,7 @@ def _is_image(value: Any, image: Any) -> bool:
         if not isinstance(image, Tensor):
             return len(shape) in (2, 3, 4)
         return shape == image.shape[-2:] if len(shape) == 2 else len(shape) == image.dim()
-    if not isinstance(value, Tensor) or not is_image_type(value.dtype):
+    if not isinstance(value, Tensor) or not (value.dtype.is_floating_point or value.dtype == torch.uint8):
         return False
     return value.dim() == image.dim() if isinstance(image, Tensor) else value.dim() >= 2
 

@@ -22,7 +22,7 @@ BOX_FORMATS = {
 # Points (B, N, 2), (B, N, 3) of volumes, in coordinates of pixel centers, after a move.
 PointMover = Callable[[Tensor], Tensor]
 # The corners (B, N, 4, 2) of boxes after a move, and the visible fractions (B, N) of their areas or None. The second argument
-# says that they are to be upright.
+# says that they are to be upright; then any points (B, N, M, 2) will do that have the box around them.
 BoxMover = Callable[[Tensor, bool], tuple[Tensor, Tensor | None]]
 
 # How far the edges of a box are from its numbers, in coordinates of pixel centers. xyxy and xywh, as COCO has them, end at the

@@ -42,6 +42,7 @@ class Declaration(_KeepsArguments):
     axes: ClassVar[int]  # of an image with its channels: 3, of a volume: 4
     whole_batch: ClassVar[bool] = False  # the size of the result changes, so that all samples are chosen or none
     has_known_size: bool = True  # the size of the result follows from that of the images, without what is drawn
+    needs_masks: ClassVar[bool] = False  # images are changed by their masks, which containers hand over
     accepts_bytes: ClassVar[bool] = True  # otherwise uint8 images are computed in float32, in [0, 1]
     accepts_wide_integers: ClassVar[bool] = False  # images of int16 and uint16, which are computed in float32
     keeps_lines: ClassVar[bool] = True  # straight lines stay straight, so that the corners of a box say where it is

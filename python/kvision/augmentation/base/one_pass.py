@@ -38,7 +38,7 @@ class OnePass(Engine):
             applied = not decides and self._applies(None, 0)
             span = None if draws is None else draws.spans[0]
             image_pass = self._pass_of(x.dtype, shape, span, self.flags) if applied else None
-            drawn = None if image_pass is None or draws is None else DrawnPass(draws, image_pass)
+            drawn = None if image_pass is None or draws is None else DrawnPass(draws, image_pass, shape, x.dtype)
             plan = CallPlan(shape, draws, self._is_certain, image_pass, drawn)
             if draws is None or draws.learned is None:
                 self._plans.keep(key, plan)

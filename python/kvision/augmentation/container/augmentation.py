@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -12,7 +12,7 @@ from torch import Generator, Tensor, nn
 from kvision.augmentation import labels
 from kvision.augmentation.base import RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D
 from kvision.augmentation.container.image import ImageSequential, ParamItem
-from kvision.augmentation.container.label_moves import LabelRecord, move_boxes_back, size_before
+from kvision.augmentation.container.label_moves import LabelMoves, LabelRecord, move_boxes_back, size_before
 from kvision.augmentation.container.runs import Randomness, execute
 from kvision.augmentation.container.stages import (
     Applied,
@@ -111,7 +111,7 @@ class AugmentationSequential(ImageSequential):
 
     # Of the last call.
     _kept_boxes: Sequence[Any] = ()
-    _points: Sequence[tuple[Any, Callable[[Tensor], Tensor]]] = ()  # moved ones, and which of them are visible
+    _points: Sequence[tuple[Any, LabelMoves, Tensor | None]] = ()  # moved ones, and which of them are visible
     _videos: VideoLayout | None = None
     _boxes: int | None = None  # how many an image has
     _result_size: tuple[int, ...] = (0, 0)
@@ -211,8 +211,10 @@ class AugmentationSequential(ImageSequential):
             TypeError: an input has another type than its key says; images are a list.
             ValueError: the number of inputs is not that of the keys; no key is the image's; an input has another shape.
         """
-        check_output_type(self, output_type)
-        entries, before = self._entries(args), None
+        if output_type != "pt":
+            check_output_type(self, output_type)
+        before = None
+        entries = self._entries(args) if len(args) == 1 and not isinstance(args[0], Tensor) else None
         if entries is None:
             keys, values = self._keys_of(args, data_keys), list(args)
         else:
@@ -244,7 +246,7 @@ class AugmentationSequential(ImageSequential):
 
     def _entries(self, args: Sequence[Any]) -> Entries | None:
         """What follows the images among the entries of a dict, if that is the argument."""
-        if len(args) != 1 or isinstance(args[0], Tensor) or not isinstance(args[0], Mapping):
+        if len(args) != 1 or not isinstance(args[0], Mapping):
             return None
         return parse_entries("AugmentationSequential", args[0], self._names, self, self._warned)
 
@@ -278,20 +280,27 @@ class AugmentationSequential(ImageSequential):
         state = self.__dict__  # faster than Module.__setattr__, which looks for parameters
         state["_videos"] = self._video_layout(inputs[first])
         inputs = self._of_frames(keys, inputs)
-        of_boxes = (value for key, value in zip(keys, inputs) if key in labels.BOX_FORMATS)
-        state["_boxes"] = next((value.shape[1] for value in of_boxes if isinstance(value, Tensor)), None)
         image = inputs[first]
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
-        source = self._source(seed, generator, has_labels=len(keys) > 1)
+        masks = None
         if DataKey.MASK in keys:
-            masks = inputs[keys.index(DataKey.MASK)]
+            of_images = inputs[keys.index(DataKey.MASK)]
             state["_shape"] = tuple(x.shape)  # with which masks are compared
-            source = source._replace(masks=lambda stages: self._moved_masks(masks, stages))
-        y = self._execute(x, params, source)
+
+            def masks(stages: Sequence[Stage]) -> Any:
+                return self._moved_masks(of_images, stages)
+
+        y = self._execute(x, params, self._source(seed, generator, 0, len(keys) > 1, masks))
         state["_result_size"] = tuple(y.shape[2:])
+        if len(keys) == 1:
+            state["_points"] = state["_kept_boxes"] = ()
+            forget_coordinates(self._stages)
+            return self._of_videos([self._restored(y, image)])
         record = LabelRecord(self._clips_each)
+        of_boxes = (value for key, value in zip(keys, inputs) if key in labels.BOX_FORMATS)
+        state["_boxes"] = next((value.shape[1] for value in of_boxes if isinstance(value, Tensor)), None)
         outputs = []
         for i, (key, value) in enumerate(zip(keys, inputs)):
             if i == first:
@@ -315,8 +324,11 @@ class AugmentationSequential(ImageSequential):
 
     # --- videos ---
 
-    def _source(self, seed: Seed, generator: Generator | None, time: int = 0, has_labels: bool = False) -> Randomness:
-        return super()._source(seed, generator, time if self._videos is None else self._videos.sizes[1], has_labels)
+    def _source(
+        self, seed: Seed, generator: Generator | None, time: int = 0, has_labels: bool = False, masks: Any = None
+    ) -> Randomness:
+        time = time if self._videos is None else self._videos.sizes[1]
+        return super()._source(seed, generator, time, has_labels, masks)
 
     def _video_layout(self, videos: Any) -> VideoLayout | None:
         """The layout of videos, which containers with a VideoSequential take."""
@@ -380,7 +392,10 @@ class AugmentationSequential(ImageSequential):
 
         Points outside of the result are not visible, nor are those that were outside of one before it.
         """
-        visible = [labels.visible_points(points, are_visible) for points, are_visible in self._points]
+        visible = []
+        for points, moves, known in self._points:
+            are_visible = moves.are_visible if known is None else functools.partial(_constant, known)
+            visible.append(labels.visible_points(points, are_visible))
         return visible if self._videos is None else [self._videos.labels_of_videos(kept) for kept in visible]
 
     def _filtered(
@@ -537,6 +552,10 @@ class AugmentationSequential(ImageSequential):
         videos = self._video_layout(output)
         known = super().known_pixels(output if videos is None else videos.frames(output), params)
         return known if videos is None else videos.videos(known)
+
+
+def _constant(value: Tensor, _: Tensor) -> Tensor:
+    return value
 
 
 class _NotRigidError(BaseError, RuntimeError):

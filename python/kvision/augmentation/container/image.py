@@ -335,11 +335,13 @@ class ImageSequential(ImageSequentialBase):
         y = self._execute(x, params, source._replace(once=once, plans=self._plans, output=SAME))
         return y, Applied(self, None, {}, self._stages)
 
-    def _source(self, seed: Seed, generator: Generator | None, time: int = 0, has_labels: bool = False) -> Randomness:
+    def _source(
+        self, seed: Seed, generator: Generator | None, time: int = 0, has_labels: bool = False, masks: Any = None
+    ) -> Randomness:
         same = self.output_dtype is None and self.memory_format is None
         once, output = self.resample == "once", SAME if same else Output(self.output_dtype, self.memory_format)
         op, own = type(self).__name__, generator or self.generator
-        return Randomness(op, seed, own, once, self._plans, output, 1, 0, time, has_labels)
+        return Randomness(op, seed, own, once, self._plans, output, 1, 0, time, has_labels, masks)
 
     @property
     def _params(self) -> list[ParamItem]:
@@ -384,14 +386,16 @@ class ImageSequential(ImageSequentialBase):
             ValueError: `input` has another number of axes; `params` names a child that there is not; matrices have another
                 shape; `output_type` is unknown.
         """
-        check_output_type(self, output_type)
+        if output_type != "pt":
+            check_output_type(self, output_type)
         image, before = (input, None) if isinstance(input, Tensor) else image_and_matrix(self, image_of(self, input))
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
         y = self._execute(x, params, self._source(seed, generator))
         forget_coordinates(self._stages)
-        return as_output_type(self._with_matrix(self._restored(y, image), before, return_transform), output_type)
+        output = self._with_matrix(self._restored(y, image), before, return_transform)
+        return output if output_type == "pt" else as_output_type(output, output_type)
 
     def _with_matrix(self, y: Tensor, before: Tensor | None, return_transform: bool | None) -> Any:
         """The result of a call, with its matrix if that is asked for."""
@@ -400,7 +404,8 @@ class ImageSequential(ImageSequentialBase):
         return with_matrix(y, before, None if transform is None else transform.to(y.device))
 
     def _restored(self, y: Tensor, input: Tensor) -> Tensor:
-        y = in_type_of(y, input) if self.output_dtype is None else y
+        if input.dtype in WIDE_INTEGERS and self.output_dtype is None:
+            y = in_type_of(y, input)
         return without_added_axes(y, input) if y.dim() > input.dim() and self._keeps_axes() else y
 
     def _keeps_axes(self) -> bool:

@@ -44,11 +44,11 @@ class LabelRecord:
 
     def __init__(self, clips: bool) -> None:
         self.clips = clips
-        # Of each input of key points: the moved ones, and a function of points that tells which are visible.
-        self.points: list[tuple[Any, Callable[[Tensor], Tensor]]] = []
+        # Of each input of key points: the moved ones, their moves, and which are visible if the moves have told.
+        self.points: list[tuple[Any, LabelMoves, Tensor | None]] = []
         self.fractions: list[Tensor | None] = []  # of each input of boxes, the visible parts of their areas
         self._moves: dict[tuple[int, ...], LabelMoves] = {}
-        self._are_visible: Callable[[Tensor], Tensor] = torch.ones_like  # of the last points and boxes
+        self._visibility: tuple[LabelMoves, Tensor | None] | None = None  # of the last points and boxes
         self._fraction: Tensor | None = None
 
     def move_points(self, points: Any, stages: Sequence[Stage], size: Sequence[int], numbers: int) -> Any:
@@ -61,7 +61,7 @@ class LabelRecord:
             return moved
 
         moved = labels.move_points(points, move, numbers)
-        self._are_visible = moves.are_visible if visible is None else functools.partial(_constant, visible)
+        self._visibility = moves, visible
         return moved
 
     def move_boxes(self, boxes: Any, mode: str, stages: Sequence[Stage], size: Sequence[int]) -> Any:
@@ -71,8 +71,8 @@ class LabelRecord:
 
     def kept(self, key: DataKey, moved: Any) -> Any:
         """Keep what the last move of an input tells, and return the input after it."""
-        if key == DataKey.KEYPOINTS:
-            self.points.append((moved, self._are_visible))
+        if key == DataKey.KEYPOINTS and self._visibility is not None:
+            self.points.append((moved, *self._visibility))
         elif key in labels.BOX_FORMATS:
             self.fractions.append(self._fraction)
         return moved
@@ -87,10 +87,6 @@ class LabelRecord:
         if key not in self._moves:
             self._moves[key] = LabelMoves(stages, size, self.clips)
         return self._moves[key]
-
-
-def _constant(value: Tensor, points: Tensor) -> Tensor:
-    return value
 
 
 class LabelMoves:
@@ -168,6 +164,7 @@ class LabelMoves:
         shown, whole = known.extents(quads, normals).unbind(2)
         is_shown, is_known = shown[..., 0].isfinite(), whole[..., 0].isfinite()
         by_matrices = self._moved_outlines(corners, is_upright)
+        by_matrices = _rectangle(by_matrices) if is_upright else by_matrices
         whole = _corners(normals, whole, by_matrices.to(quads))
         moved = torch.where(is_shown[..., None, None], _corners(normals, shown, whole), whole)
         fraction = torch.where(is_shown, _area(moved) / _area(whole).clamp(min=1e-9), 0.0).clamp(max=1)
@@ -176,7 +173,7 @@ class LabelMoves:
         return where_chosen(is_mapped, moved, by_matrices), where_chosen(is_mapped, fraction, 1.0)
 
     def _moved_outlines(self, corners: Tensor, is_upright: bool) -> Tensor:
-        """Corners around the outlines of boxes, moved by all but maps."""
+        """Points of boxes, as `_around_outlines` gives them, moved by all but maps."""
         count = 1 if self._has_maps or keeps_lines(self.stages) else _SIDE
         return _around_outlines(corners, is_upright, count, lambda points: move_points(points, self.stages))
 
@@ -327,19 +324,20 @@ def move_boxes_back(stages: Sequence[Stage], corners: Tensor, is_upright: bool) 
 
 
 def _around_outlines(corners: Tensor, is_upright: bool, count: int, move: Callable[[Tensor], Tensor]) -> Tensor:
-    """Corners (B, N, 4, 2) around moved points of the outlines of boxes, so many on each side, of which the first is a corner.
+    """Moved points of the outlines of boxes, so many on each side, of which the first is a corner.
 
-    The sides of boxes that are not upright are parallel to the lines between their moved corners.
+    The box is the smallest one around them if it is upright. For others these are corners (B, N, 4, 2) around them, whose
+    sides are parallel to the lines between the moved corners.
     """
+    if count == 1:
+        return move(corners.flatten(1, 2)).reshape(corners.shape)
     along = torch.arange(count, dtype=corners.dtype, device=corners.device)[:, None] / count
     sides = corners.roll(-1, -2) - corners
-    outline = corners[..., None, :] + along * sides[..., None, :] if count > 1 else corners[..., None, :]
+    outline = corners[..., None, :] + along * sides[..., None, :]
     moved = move(outline.flatten(1, 3)).reshape(outline.shape)
     if is_upright:
-        return _rectangle(moved.flatten(-3, -2))
+        return moved.flatten(-3, -2)
     corners = moved[..., 0, :]
-    if count == 1:
-        return corners
     normals, _ = _normals(corners)
     return _corners(normals, (moved @ normals[..., None])[..., 0].amax(-1), corners)
 

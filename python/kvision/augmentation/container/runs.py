@@ -101,14 +101,16 @@ def execute(
     runs = _runs(children, source.plans)
     for i, run in enumerate(runs):
         own = source if i == len(runs) - 1 else source._replace(output=SAME)
-        if getattr(run[0].module, "needs_masks", False):
-            x, stage = _execute_with_masks(x, run[0], source, stages, position)
-            stages.append(stage)
-        elif isinstance(run[0].module, AugmentationBase):
+        module = run[0].module
+        if isinstance(module, AugmentationBase) and not module.needs_masks:
             x, more = _execute_run(x, run, own, position)
             stages += more
+        elif isinstance(module, AugmentationBase):
+            x, stage = _execute_with_masks(x, run[0], source, stages, position)
+            stages.append(stage)
         else:
-            inside = source._replace(position=_position_inside(position), masks=_masks_after(stages, source.masks))
+            masks = None if source.masks is None else _masks_after(stages, source.masks)
+            inside = source._replace(position=_position_inside(position), masks=masks)
             x, stage = _execute_module(x, run[0], inside)
             if own.output != SAME:
                 x, _ = make_pass(None, output=own.output).run(x, None)
@@ -119,10 +121,10 @@ def execute(
     return x, stages
 
 
-def _masks_after(stages: Sequence[Stage], masks: Any) -> Any:
+def _masks_after(stages: Sequence[Stage], masks: Callable[[Sequence[Stage]], Any]) -> Callable[[Sequence[Stage]], Any]:
     """The masks for a container inside, whose stages follow those before it."""
     before = list(stages)
-    return None if masks is None else lambda inside: masks([*before, *inside])
+    return lambda inside: masks([*before, *inside])
 
 
 def _execute_with_masks(
@@ -433,7 +435,7 @@ def _plan_run(
     start = steps[0] if steps and len(draws) == 1 and source.frames == 1 else None
     drawn: DrawnPass | DrawnLinks | None = None
     if isinstance(start, _Joined):
-        drawn = DrawnPass(draws[0], start.image_pass)
+        drawn = DrawnPass(draws[0], start.image_pass, tuple(x.shape), x.dtype)
     elif isinstance(start, _Composition):
         keys_of = [None if number is None else first + number for number in numbers]
         links = _drawn_links(start.links, modules, shapes, keys_of, one_key)

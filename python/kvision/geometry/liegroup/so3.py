@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
+from kvision._leading import broadcast_shapes
 from kvision._modules import as_operands, learned
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.geometry._formula import of_rows, register_formula
@@ -251,7 +252,7 @@ def rotate(op: str, matrix: Tensor, points: Any) -> Tensor:
     _check.trailing_shape(op, "points", points, matrix.shape[-1])
     _check.same_device(op, rotation=matrix, points=points)
     try:
-        torch.broadcast_shapes(matrix.shape[:-2], points.shape[:-1])
+        broadcast_shapes(matrix.shape[:-2], points.shape[:-1])
     except RuntimeError:
         raise ShapeError(
             f"{op}: expected points whose leading axes broadcast with {tuple(matrix.shape[:-2])}, got {tuple(points.shape)}",

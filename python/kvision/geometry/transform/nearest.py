@@ -15,8 +15,9 @@ from kvision._torch_compat import in_function_transform, in_onnx_export
 
 def moves_values(image: Tensor, interpolation: str) -> bool:
     """Whether pixels are integers that go to the result as they are; operators themselves do so for uint8."""
-    is_nearest = interpolation in ("nearest", "nearest-exact")
-    return is_nearest and not image.is_floating_point() and image.dtype != torch.uint8
+    if image.is_floating_point() or image.dtype == torch.uint8:
+        return False
+    return interpolation in ("nearest", "nearest-exact")
 
 
 def as_values(image: Tensor, interpolation: str) -> Tensor:

@@ -3,14 +3,18 @@
 - Where a number is taken, so are NumPy's scalars and tensors of no axes.
 - A parameter in CPU memory follows images to their device; a second image, a map, points or labels do not.
 - What is no tensor, where examples have one, is named in the error.
-- Shapes and types that do not fit together are a ValueError or a TypeError, not an error from inside of torch.
+- Any wrong value, and tensors that do not fit together, are a ValueError or a TypeError, not an error from inside of torch.
 """
 
 from __future__ import annotations
 
 import doctest
 import inspect
-from collections.abc import Iterator
+import os
+import random
+import re
+import warnings
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -20,12 +24,20 @@ from PIL import Image
 from torch import Tensor, nn
 
 import kvision as K
-from benchmarks.sample_calls import SampleCall, Size, sample_calls
+from benchmarks.sample_calls import SampleCall, Size, sample_calls, sample_modules
 from example_calls import HOMES, Call, example_calls
 from kvision.core.exceptions import DeviceError, TypeCheckError
 from test_docstrings import public_objects
 
 pytestmark = pytest.mark.interface
+
+THOROUGH = os.environ.get("HYPOTHESIS_PROFILE") == "thorough"
+
+
+def tenth_of(names: Iterable[str]) -> list[str]:
+    every = list(names)
+    return every if THOROUGH else random.Random(0).sample(every, len(every) // 10)
+
 
 # --- what is no tensor ------------------------------------------------------------------------------------------------
 
@@ -93,33 +105,125 @@ def test_nearly_all_public_names_have_examples():
 # --- tensors that do not fit together ---------------------------------------------------------------------------------
 
 
+def wrong_values() -> list[Any]:
+    """What hardly any parameter takes, and numbers that few take."""
+    shapes = ((), (0,), (3,), (2, 3, 4))
+    numbers = (-1, 0, -0.5, 1e300, 10**30, -(10**30), float("nan"), float("inf"), 1j, True)
+    sequences = ([], (), {}, [[]], [None], ("a", "b"), (-1, -1), (0.5, 0.5), (1, 2, 3, 4, 5), [[1.0, 2.0]])
+    tensors = (*map(torch.rand, shapes), torch.zeros(2, 2, dtype=torch.long), torch.tensor(True))
+    return [None, "image", b"image", object(), int, *numbers, *sequences, *tensors]
+
+
 def misfits(x: Tensor) -> Iterator[Tensor]:
-    """Tensors of another batch size, number of points, size or type than `x`."""
+    """Tensors of another batch size, number of points, size, type, layout or device than `x`."""
     if x.dim() > 0:
         yield x[:1].expand(3, *x.shape[1:])
-        yield x[:1]
-    yield from (x.narrow(axis, 0, 0) for axis in range(x.dim()))
+        yield x.to_sparse()
+    yield from (x.narrow(axis, 0, n) for axis in range(x.dim()) for n in (0, 1))
     if x.dim() > 1:
-        yield torch.cat([x, x[:, :1]], 1)
-        yield x[0]
-    yield x[None]
-    yield x.long()
-    yield x.double() if x.is_floating_point() else x.to(torch.int16)
+        yield from (torch.cat([x, x.narrow(axis, 0, 1)], axis) for axis in range(1, x.dim()) if x.shape[axis])
+        yield from (x[0], x[0, 0], x.flatten())
+    yield from (x[None], x[None, None], x[..., None])
+    yield from (torch.nested.nested_tensor([x.reshape(-1), x.reshape(-1)[:1]], layout=y) for y in LAYOUTS)
+    yield from (x.to(dtype) for dtype in DTYPES if dtype != x.dtype)
+    yield x.to("meta")
+    if x.dtype == torch.float32:
+        yield torch.quantize_per_tensor(x, 0.1, 0, torch.quint8)
 
 
-@pytest.mark.parametrize("call", list(sample_calls()), ids=lambda call: call.name)
-def test_tensors_that_do_not_fit_are_named(call: SampleCall):
+LAYOUTS = (torch.strided, torch.jagged) if THOROUGH else (torch.strided,)  # the jagged ones import for seconds
+DTYPES = (torch.int64, torch.int16, torch.uint8, torch.uint16, torch.bool, torch.float64, torch.float16, torch.bfloat16)
+DTYPES += (torch.complex64, torch.float8_e4m3fn)
+# Parameters that say how long a call takes, for which a large number is right, and those that name files and compile.
+COUNTS = re.compile(r"iter|level|num|max_samples|batch_size|points|count|n_|_n$|trials")
+NOT_REPLACED = {"pretrained", "compile_modules"}
+
+
+def wrong_calls(call: SampleCall) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
+    """The calls of a sample with one argument replaced: the argument, the wrong value, and the call."""
     tensors = call.tensors(Size(2, 3, 12, 14))
-    for name, x in tensors.items():
-        if name.startswith("_"):
+    made = call.function()
+    kinds = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
+    parameters = [p for p in inspect.signature(made).parameters.values() if p.kind not in kinds]
+    if inspect.isclass(made):
+        plain = call.arguments(K, {})
+        plain.update(zip([p.name for p in parameters], call.args))
+
+        def with_argument(name: str, value: Any) -> Any:
+            return made(**{**plain, name: value})(*tensors.values())
+
+        module = made(**plain)
+        for name, x in tensors.items():
+            for value in (*misfits(x), *wrong_values()):
+                yield name, value, lambda name=name, value=value: module(*{**tensors, name: value}.values())
+    else:
+        plain = call.arguments(K, tensors)
+
+        def with_argument(name: str, value: Any) -> Any:
+            return made(**{**plain, name: value})
+
+    for name in dict.fromkeys([*plain, *(p.name for p in parameters if p.default is not p.empty)]):
+        given = plain.get(name)
+        for value in (*(misfits(given) if isinstance(given, Tensor) else ()), *wrong_values()):
+            is_long = isinstance(value, (int, float)) and abs(value) > 1e6 and COUNTS.search(name)
+            if name not in NOT_REPLACED and not is_long:
+                yield name, value, lambda name=name, value=value: with_argument(name, value)
+
+
+def is_named(error: Exception, value: Any) -> bool:
+    """Whether an error says what is wrong: the library's own, or torch's about a type or device without an implementation."""
+    if isinstance(error, (TypeError, ValueError)):
+        return True
+    if isinstance(value, Tensor) and value.is_meta:
+        return "meta" in str(error).lower()
+    return isinstance(error, NotImplementedError) and "UInt16" in str(error)
+
+
+WRONGLY_CALLED = {call.name: call for call in (*sample_calls(), *sample_modules())}
+
+
+@pytest.mark.parametrize("name", tenth_of(WRONGLY_CALLED))
+def test_wrong_arguments_are_named(name):
+    """A TypeError or a ValueError, whatever is passed; most are no error, since most parameters take several kinds.
+
+    `HYPOTHESIS_PROFILE=thorough` calls all functions and modules, else it is a tenth with a third of the values.
+    """
+    chosen = random.Random(name)
+    for argument, value, wrong_call in wrong_calls(WRONGLY_CALLED[name]):
+        if not THOROUGH and chosen.random() > 1 / 3:
             continue
-        for other in misfits(x):
-            try:
-                call.call(K, {**tensors, name: other})
-            except (TypeError, ValueError, IndexError) as error:
-                assert str(error)
-            except RuntimeError as error:
-                pytest.fail(f"{name} {tuple(other.shape)} {other.dtype}: {error!r}")
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                wrong_call()
+        except Exception as error:
+            if not is_named(error, value) and not str(error).startswith(name.partition(".")[2]):
+                shape = f" {tuple(value.shape)}" if isinstance(value, Tensor) and not value.is_nested else ""
+                pytest.fail(f"{argument}={type(value).__name__}{shape} {value!r:.60}: {error!r}")
+
+
+@pytest.mark.parametrize("name", ["RandomMixUpV2", "RandomCutMixV2"])
+def test_labels_at_probability_0_are_as_those_of_samples_that_were_not_chosen(name):
+    x, labels = torch.rand(2, 3, 8, 8), torch.tensor([3, 5])
+    options = {"data_keys": ["input", "class"]}
+    image, mixed = getattr(K.augmentation, name)(p=0.0, **options)(x, labels)
+    expected = getattr(K.augmentation, name)(p=1e-9, **options)(x, labels)[1]
+    assert torch.equal(image, x) and mixed.shape == expected.shape
+    assert torch.equal(mixed[..., 0], expected[..., 0]) and not mixed[..., 2].any()
+
+
+def test_rain_without_drops_is_the_image():
+    x = torch.rand(1, 3, 16, 16)
+    assert torch.equal(K.augmentation.RandomRain((0, 0), (3, 5), (-2, 2), p=1.0)(x), x)
+
+
+def test_a_switch_takes_what_is_true_or_false():
+    x = torch.rand(3, 8, 8)
+    for value in (1, np.bool_(True), torch.tensor(True)):
+        assert K.augmentation.RandomHorizontalFlip(keepdim=value)(x).shape == x.shape
+    assert K.augmentation.RandomHorizontalFlip(keepdim=None)(x).shape == (1, 3, 8, 8)
+    with pytest.raises(TypeError, match="RandomHorizontalFlip: expected keepdim to be a bool, got str"):
+        K.augmentation.RandomHorizontalFlip(keepdim="no")
 
 
 def test_a_mask_of_inliers_is_a_weight():

@@ -23,6 +23,7 @@ LARGEST_INT = 2**31 - 1
 LARGEST_WINDOW = 2**15 - 1  # so that its area is an int, too; kLargestWindow in csrc/glue/glue.h
 LARGEST_FLOAT = torch.finfo(torch.float32).max
 FLOATING = frozenset((torch.float16, torch.bfloat16, torch.float32, torch.float64))
+NOT_SUBTRACTED = frozenset((torch.bool, torch.uint16, torch.uint32, torch.uint64))
 COMPUTED = FLOATING.union(
     (torch.bool, torch.uint8, torch.uint16, torch.uint32, torch.uint64),
     (torch.int8, torch.int16, torch.int32, torch.int64),
@@ -307,6 +308,48 @@ def flag(op: str, name: str, value: Any) -> None:
     """Raise TypeCheckError unless `value` is a bool."""
     if not isinstance(value, bool):
         raise TypeCheckError(f"{op}: expected {name} to be a bool, got {value!r}", actual_type=type(value))
+
+
+def switch(op: str, name: str, value: Any) -> bool:
+    """`value` as a bool where truth is what counts, so that 0, 1 and None serve as well; raise TypeCheckError for others."""
+    if isinstance(value, bool):
+        return value
+    number = bool(value) if type(value).__name__ in ("bool_", "bool") else scalar(op, name, value)  # NumPy's
+    if number is not None and not isinstance(number, (int, float)):
+        raise TypeCheckError(f"{op}: expected {name} to be a bool, got {described(value)}", actual_type=type(value))
+    return bool(number)
+
+
+def device(op: str, value: Any) -> torch.device | None:
+    """`value` as a device; raise unless torch has it. None is the default one."""
+    if value is None or isinstance(value, torch.device):
+        return value
+    try:
+        return torch.device(value)
+    except (RuntimeError, TypeError) as error:
+        kind = TypeCheckError if isinstance(error, TypeError) else ValueCheckError
+        raise kind(f"{op}: expected device to be one that torch has here, got {value!r}: {error}") from error
+
+
+def as_tensor(op: str, name: str, value: Any) -> Tensor:
+    """Numbers as a tensor; raise TypeCheckError for what torch makes none of."""
+    try:
+        return torch.as_tensor(value)
+    except (RuntimeError, TypeError, ValueError, OverflowError) as error:
+        raise TypeCheckError(f"{op}: expected {name} to be numbers, got {value!r}", actual_type=type(value)) from error
+
+
+def subtractable(op: str, **tensors: Tensor) -> None:
+    """Raise TypeCheckError for tensors of bools and unsigned integers, which torch does not subtract."""
+    for name, x in tensors.items():
+        if x.dtype in NOT_SUBTRACTED:
+            raise TypeCheckError(f"{op}: expected {name} of a type with negative numbers, got {x.dtype}")
+
+
+def representable(op: str, name: str, value: float, dtype: torch.dtype) -> None:
+    """Raise ValueCheckError for a finite number that `dtype` would have as infinite."""
+    if abs(value) > torch.finfo(dtype).max and abs(value) != math.inf:
+        raise ValueCheckError(f"{op}: expected {name} to be a {dtype} number, got {value!r}", actual_value=value)
 
 
 def function(op: str, name: str, value: Any) -> None:

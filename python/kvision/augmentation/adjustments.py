@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from kvision import _check
@@ -61,7 +60,7 @@ class RandomBrightness(IntensityAugmentationBase2D):
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator = ScaledGenerator("RandomBrightness", "brightness", brightness, (0.0, 2.0), 1.0, -1.0)
-        self.clip_output = clip_output
+        self.clip_output = _check.switch(type(self).__name__, "clip_output", clip_output)
 
     def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
         return ColorSteps([ColorStep("scale_shift", (1.0, 0.0, float(self.clip_output)), (-1, 1))])
@@ -100,7 +99,7 @@ class RandomContrast(IntensityAugmentationBase2D):
         self._param_generator = PlainUniformGenerator(
             (contrast, "contrast_factor", None, bounds), identity=[1.0], op="RandomContrast"
         )
-        self.clip_output = clip_output
+        self.clip_output = _check.switch(type(self).__name__, "clip_output", clip_output)
 
     def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
         return ColorSteps([ColorStep("scale_shift", (0.0, 0.0, float(self.clip_output)), (0,))])
@@ -393,7 +392,9 @@ class RandomGrayscale(IntensityAugmentationBase2D):
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self.rgb_weights = rgb_weights
-        self._weights = None if rgb_weights is None else torch.as_tensor(rgb_weights).flatten().tolist()
+        self._weights = None
+        if rgb_weights is not None:
+            self._weights = _check.as_tensor("RandomGrayscale", "rgb_weights", rgb_weights).flatten().tolist()
 
     def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps | None:
         if shape[1] != 3:

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision.augmentation import transforms
@@ -127,7 +128,7 @@ class RandomRotation(GeometricAugmentationBase2D):
             if self.flags["padding_mode"] not in (SamplePadding.ZEROS, SamplePadding.FILL):
                 raise ValueCheckError(f"RandomRotation: expected padding_mode 'fill' with fill, got {padding_mode!r}")
             self.flags.update(padding_mode=SamplePadding.FILL, fill_value=fill)
-        self.has_known_size = not expand
+        self.has_known_size = not _check.switch("RandomRotation", "expand", expand)
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform] | None:
         return self._rotation(shape) if self.has_known_size else None

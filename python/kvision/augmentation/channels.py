@@ -19,7 +19,7 @@ from kvision.augmentation.random_generator.color import (
     ChannelShuffleGenerator,
     PlanckianJitterGenerator,
 )
-from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = ["RandomChannelDropout", "RandomChannelShuffle", "RandomPlanckianJitter"]
 
@@ -92,6 +92,7 @@ class RandomChannelDropout(IntensityAugmentationBase2D):
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        fill_value = _check.number("RandomChannelDropout", "fill_value", fill_value)
         if not 0 <= fill_value <= 1:
             raise ValueCheckError(f"RandomChannelDropout: expected fill_value within 0 and 1, got {fill_value}")
         self.fill_value = float(fill_value)
@@ -156,6 +157,8 @@ class RandomPlanckianJitter(IntensityAugmentationBase2D):
         rows = (
             range(len(table)) if select_from is None else [select_from] if isinstance(select_from, int) else select_from
         )
+        if not isinstance(rows, (range, list, tuple)) or not all(map(_check.is_int, rows)):
+            raise TypeCheckError(f"RandomPlanckianJitter: expected select_from to be ints, got {select_from!r}")
         if any(not 0 <= row < len(table) for row in rows):
             raise _UnknownModeError(
                 f"RandomPlanckianJitter: expected select_from within 0 and {len(table) - 1}, got {select_from!r}"

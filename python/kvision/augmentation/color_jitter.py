@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from torch import Tensor
+
 from kvision.augmentation.base import Shape
 from kvision.augmentation.intensity_base import ColorStep, ColorSteps, IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.color_jitter import ColorJiggleGenerator, ColorJitterGenerator
@@ -110,5 +112,6 @@ class ColorJiggle(IntensityAugmentationBase2D):
 
 
 def _check_order(op: str, order: Sequence[int] | None) -> None:
-    if order is not None and sorted(order) != [0, 1, 2, 3]:
+    listed = order.tolist() if isinstance(order, Tensor) else order
+    if listed is not None and sorted(listed) != [0, 1, 2, 3]:
         raise ValueCheckError(f"{op}: expected order to be a permutation of 0 to 3, got {order!r}")

@@ -55,6 +55,15 @@ def _noticing(name: str) -> Any:
     return changed
 
 
+SWITCHES = (
+    "align_corners",
+    "antialias",
+    "crop_if_exceeds",
+    "pad_if_needed",
+    "scale_window",
+)  # the flags that are True or False
+
+
 class Flags(dict[str, Any]):
     """Settings of an augmentation by name."""
 

@@ -181,7 +181,7 @@ class RandomResizedCrop(GeometricAugmentationBase2D):
             "padding_mode": "border",
             "antialias": antialias,
         }
-        if antialias and self.flags["resample"] == Resample.NEAREST:
+        if self.flags["antialias"] and self.flags["resample"] == Resample.NEAREST:
             raise ValueCheckError("RandomResizedCrop: expected resample 'bilinear' or 'bicubic' with antialias")
 
     def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision._ops import match_layout
 from kvision.augmentation import maps
@@ -19,6 +20,7 @@ from kvision.augmentation.preimages import find_positions
 from kvision.augmentation.random_generator.elastic import ElasticGenerator, FisheyeGenerator, ThinPlateSplineGenerator
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample, SamplePadding
+from kvision.core.exceptions import TypeCheckError
 from kvision.geometry import get_tps_transform, warp_points_tps
 from kvision.geometry.linalg import root
 
@@ -184,6 +186,12 @@ class RandomElasticTransform(MapAugmentation):
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator = ElasticGenerator()
+        if not isinstance(alpha, (tuple, list)) or len(alpha) != 2:
+            raise TypeCheckError(f"RandomElasticTransform: expected alpha to be two numbers, got {alpha!r}")
+        alpha = (
+            _check.number("RandomElasticTransform", "alpha", alpha[0]),
+            _check.number("RandomElasticTransform", "alpha", alpha[1]),
+        )
         self.flags = {
             "kernel_size": kernel_size,
             "sigma": sigma,

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision import enhance, filters
+from kvision import _check, enhance, filters
 from kvision._clamp import clamp
 from kvision.augmentation.base import AugmentationBase, Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
@@ -326,7 +326,7 @@ class RandomAutoContrast(IntensityAugmentationBase2D):
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
-        self.clip_output = clip_output
+        self.clip_output = _check.switch("RandomAutoContrast", "clip_output", clip_output)
 
     accepts_bytes = False
 

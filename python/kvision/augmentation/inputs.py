@@ -43,9 +43,9 @@ def image_and_matrix(module: Any, input: Any) -> tuple[Any, Tensor | None]:
 
 def check_image(module: Any, x: Any) -> None:
     """Raise unless a module takes images of this type."""
-    if not isinstance(x, Tensor):
-        raise TypeCheckError(f"{type(module).__name__}: expected input to be a Tensor, got {_check.described(x)}")
-    if x.dtype.is_floating_point or x.dtype == torch.uint8:
+    if not isinstance(x, Tensor) or x.layout is not torch.strided or x.is_nested:
+        _check.is_tensor(type(module).__name__, "input", x)
+    if x.dtype in _check.FLOATING or x.dtype == torch.uint8:
         return
     if x.dtype not in WIDE_INTEGERS or not getattr(module, "accepts_wide_integers", False):
         more = ", or of int16 or uint16 for geometric classes" if x.dtype in WIDE_INTEGERS else ""

@@ -142,8 +142,10 @@ class MixAugmentationBaseV2(AugmentationBase2D):
             return self._chosen(self.apply_transform_keypoint(value, params, self.flags), value, execution)
         if value.dim() == 2 and value.shape[1] != boxes and self._is_mixture(value, boxes):
             return self._mixed_probabilities(value, params, execution)
-        params = {**params, "chosen": execution.chosen}
-        if not execution.applied:
+        if execution.applied:
+            params = {**params, "chosen": execution.chosen}
+        else:  # labels have the shape of mixed ones, so that the parameters are read all the same
+            params = {name: value.to(x.device) for name, value in self._read_params(execution).items()}
             params["chosen"] = torch.zeros(x.shape[0], dtype=torch.bool, device=x.device)
         return self.apply_transform_class(value, params, self.flags)
 

@@ -142,6 +142,7 @@ def _learned(op: str, name: str, value: Tensor, center: float | None) -> Range:
 def _numbers(op: str, name: str, value: Any) -> list[float]:
     """The entries of a number, a sequence or a tensor as floats."""
     if isinstance(value, Tensor):
+        _check.numbers(op, name, value)
         value = value.tolist()
     try:
         entries = list(value) if hasattr(value, "__len__") else [value]

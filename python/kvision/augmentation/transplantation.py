@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
+from kvision import _check
 from kvision.augmentation.base import Execution, Params, per_sample
 from kvision.augmentation.draws import integer
 from kvision.augmentation.keys import Seed
@@ -67,9 +68,10 @@ class RandomTransplantation(MixAugmentationBaseV2):
         data_keys: Sequence[str | int | DataKey] | None = None,
         **options: Any,
     ) -> None:
-        super().__init__(p, p_batch, data_keys=data_keys or ["input", "mask"], **options)
-        excluded = [] if excluded_labels is None else torch.as_tensor(excluded_labels).flatten().tolist()
-        if any(label != int(label) for label in excluded):
+        super().__init__(p, p_batch, data_keys=["input", "mask"] if data_keys is None else data_keys, **options)
+        labels = () if excluded_labels is None else excluded_labels
+        excluded = _check.as_tensor(type(self).__name__, "excluded_labels", labels).flatten().tolist()
+        if any(label % 1 != 0 for label in excluded):  # also of infinities and NaN
             raise TypeCheckError(
                 f"{type(self).__name__}: expected excluded_labels of whole numbers, got {excluded_labels!r}"
             )
@@ -107,8 +109,9 @@ class RandomTransplantation(MixAugmentationBaseV2):
         if len(input) != len(keys) or DataKey.MASK not in keys:
             raise ValueCheckError(f"{op}: expected one input of each data key, a mask among them, got {len(input)}")
         for x in input:
-            if not isinstance(x, Tensor):
-                raise TypeCheckError(f"{op}: expected inputs to be Tensors, got {type(x).__name__}")
+            _check.numbers(op, "inputs", x)
+            if x.dim() < 3:
+                raise ShapeError(f"{op}: expected images (B, C, H, W) and masks (B, H, W), got {tuple(x.shape)}")
         masks = input[keys.index(DataKey.MASK)]
         execution = self._transplants(masks, params, seed, generator)
         self._execution = execution

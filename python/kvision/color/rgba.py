@@ -77,6 +77,7 @@ def _alpha(op: str, image: Tensor, alpha: float | Tensor) -> Tensor:
         _check.numbers(op, "alpha_val", alpha)
         return _check.to_device_of(op, image, "alpha_val", alpha, of="image").to(image.dtype).expand(channel.shape)
     if isinstance(alpha, float):
+        _check.representable(op, "alpha_val", alpha, channel.dtype if channel.is_floating_point() else torch.float32)
         return torch.full_like(channel, alpha)
     if not isinstance(alpha, Tensor):
         raise TypeCheckError(f"{op}: expected alpha_val to be a float or a Tensor, got {alpha!r}")

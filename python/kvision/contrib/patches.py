@@ -239,14 +239,14 @@ def _windows(op: str, window_size: Any, stride: Any) -> tuple[tuple[int, int], t
 
 
 def _pads(op: str, name: str, value: Any) -> Pad:
-    if type(value) is int and value >= 0:
+    if type(value) is int and 0 <= value <= _check.LARGEST_INT:
         return (value, value, value, value)
     sides = _check.scalars(op, name, value)
     sides = (sides, sides) if _check.is_int(sides) else sides
     if not isinstance(sides, (tuple, list)) or len(sides) not in (2, 4) or not all(map(_check.is_int, sides)):
         raise TypeCheckError(f"{op}: expected {name} to be an int, 2 or 4 ints, got {value!r}", actual_type=type(value))
-    if min(sides) < 0:
-        raise ValueCheckError(f"{op}: expected {name} of at least 0, got {value!r}", actual_value=value)
+    if min(sides) < 0 or max(sides) > _check.LARGEST_INT:
+        raise ValueCheckError(f"{op}: expected {name} from 0 to 2^31 - 1, got {value!r}", actual_value=value)
     return (sides[0], sides[0], sides[1], sides[1]) if len(sides) == 2 else tuple(sides)
 
 

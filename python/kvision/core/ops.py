@@ -34,6 +34,7 @@ def eye_like(n: int, input: Tensor, shared_memory: bool = False) -> Tensor:
     """
     n = _check_batch("eye_like", n, "input", input)
     matrices = torch.eye(n, dtype=input.dtype, device=input.device).expand(input.shape[0], n, n)
+    shared_memory = _check.switch("eye_like", "shared_memory", shared_memory)
     return matrices if shared_memory else matrices.clone(memory_format=torch.contiguous_format)
 
 
@@ -59,11 +60,12 @@ def vec_like(n: int, tensor: Tensor, shared_memory: bool = False) -> Tensor:
         torch.Size([2, 3, 1])
     """
     n = _check_batch("vec_like", n, "tensor", tensor)
+    shared_memory = _check.switch("vec_like", "shared_memory", shared_memory)
     return tensor.new_zeros(1 if shared_memory else tensor.shape[0], n, 1).expand(tensor.shape[0], n, 1)
 
 
 def _check_batch(op: str, n: int, name: str, x: Tensor) -> int:
-    _check.is_tensor(op, name, x)
+    _check.numbers(op, name, x)
     if x.dim() == 0:
         raise ShapeError(f"{op}: expected {name} of shape (B, ...), got ()", actual_shape=x.shape)
     return _check.ints(op, "n", n, 1)[0]

@@ -367,7 +367,9 @@ def image_histogram2d(
     eps = _check.number(op, "eps", eps, minimum=0)
     if not low < high:
         raise ValueCheckError(f"{op}: expected max above min, got {max!r} and {min!r}")
-    width = (high - low) / n_bins if bandwidth in (None, -1) else _check.number(op, "bandwidth", bandwidth)
+    width = -1.0 if bandwidth is None else _check.number(op, "bandwidth", bandwidth)
+    if width == -1:
+        width = (high - low) / n_bins
     if not 0 < width < float("inf"):
         raise ValueCheckError(f"{op}: expected a bandwidth above 0, got {width!r}", actual_value=width)
 

@@ -33,6 +33,8 @@ def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
     _check.numbers("invert", "image", image)
     if isinstance(max_val, Tensor):
         _check.numbers("invert", "max_val", max_val)
+        _check.subtractable("invert", max_val=max_val)
+        _check.broadcastable("invert", image=image.shape, max_val=max_val.shape)
         max_val = _check.to_device_of("invert", image, "max_val", max_val, of="image")
     else:
         max_val = 1.0 if max_val is None else _check.number("invert", "max_val", max_val)

@@ -12,7 +12,7 @@ from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._ops import without_autocast_and_tf32
 from kvision._torch_compat import function_caller, in_function_transform
-from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 
 class _Root(torch.autograd.Function):
@@ -208,12 +208,16 @@ def _transformed(rows: Tensor, matrix: Tensor, mean: Tensor) -> Tensor:
     return (rows - mean) @ matrix
 
 
+class _NoAxisError(ValueCheckError, IndexError):
+    """An axis that a tensor has not, where torch raises IndexError."""
+
+
 def _axis(op: str, inp: Tensor, dim: int) -> int:
     dim = _check.scalar(op, "dim", dim)
     if not _check.is_int(dim):
         raise TypeCheckError(f"{op}: expected dim to be an int, got {dim!r}", actual_type=type(dim))
     if not -inp.dim() <= dim < inp.dim():
-        raise IndexError(f"{op}: expected dim to be an axis of {inp.dim()}, got {dim}")
+        raise _NoAxisError(f"{op}: expected dim to be an axis of {inp.dim()}, got {dim}")
     return dim % inp.dim()
 
 

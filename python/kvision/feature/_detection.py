@@ -114,7 +114,11 @@ def slots_of(filled: Tensor, scores: Tensor, lafs: Tensor) -> tuple[Tensor, Tens
 
 def compiled(op: str, modules: dict[str, nn.Module], selected: bool | Collection[str]) -> dict[str, nn.Module]:
     """The modules; those with selected names are wrapped in torch.compile. True selects all."""
-    names = set(modules) if selected is True else set(selected or ())
+    names = set(modules) if selected is True else set()
+    if not isinstance(selected, bool) and selected is not None:
+        if isinstance(selected, Tensor) or not isinstance(selected, Collection):
+            raise _check.TypeCheckError(f"{op}: expected compile_modules to be a bool or names, got {selected!r}")
+        names = set(selected)
     unknown = names - set(modules)
     if unknown:
         raise _check.ValueCheckError(

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from kvision import _check
+from kvision._dtype import is_autocast_on
 from kvision.core.exceptions import TypeCheckError
 
 
@@ -73,6 +75,14 @@ def load_weights(network: nn.Module, pretrained: Weights) -> None:
     except RuntimeError as error:
         raise RuntimeError(f"{name}: pretrained has other weights than the network: {error}") from error
     network.eval()
+
+
+def check_weights(op: str, network: nn.Module, x: Tensor) -> None:
+    """Raise unless the weights of a network are where its input is and of its type, which autocast chooses itself."""
+    weights = next(network.parameters())
+    _check.same_device(op, input=x, weights=weights)
+    if weights.dtype != x.dtype and not is_autocast_on(x):
+        raise TypeCheckError(f"{op}: expected input of the type of the weights, {weights.dtype}, got {x.dtype}")
 
 
 def read_weights(name: str, published: str, pretrained: Weights) -> Mapping[str, Any]:

@@ -7,15 +7,17 @@ from torch import Tensor, nn
 from torch.nn.functional import normalize
 
 from kvision import _check
-from kvision.feature._weights import Weights, load_weights
+from kvision.feature._weights import Weights, check_weights, load_weights
 
 PATCH_SIZE = 32
 
 
-def check_patches(op: str, x: Tensor) -> None:
-    """Raise unless `x` is a batch of gray 32 x 32 patches of floating-point numbers."""
+def check_patches(network: nn.Module, x: Tensor) -> None:
+    """Raise unless `x` is a batch of gray 32 x 32 patches of the type of a network's weights."""
+    op = type(network).__name__
     _check.shape(op, "input", x, "B", 1, PATCH_SIZE, PATCH_SIZE)
     _check.floating(op, "input", x)
+    check_weights(op, network, x)
 
 
 def standardized(patches: Tensor, eps: float = 1e-6) -> Tensor:
@@ -75,7 +77,7 @@ class HardNet(nn.Module):
         load_weights(self, pretrained)
 
     def forward(self, input: Tensor) -> Tensor:
-        check_patches("HardNet", input)
+        check_patches(self, input)
         return normalize(self.features(standardized(input)).flatten(1))
 
 
@@ -121,6 +123,6 @@ class HardNet8(nn.Module):
         load_weights(self, pretrained)
 
     def forward(self, input: Tensor) -> Tensor:
-        check_patches("HardNet8", input)
+        check_patches(self, input)
         x = normalize(self.features(standardized(input, 1e-7)).flatten(1))
         return normalize((x - self.mean) @ self.components)

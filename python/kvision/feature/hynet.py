@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision.core.exceptions import ValueCheckError
 from kvision.feature._weights import Weights, load_weights
 from kvision.feature.hardnet import PATCH_SIZE, check_patches
 from kvision.feature.sosnet import unit_length
@@ -44,6 +45,9 @@ class FilterResponseNorm2d(nn.Module):
         super().__init__()
         (self.num_features,) = _check.ints("FilterResponseNorm2d", "num_features", num_features, 1)
         self.init_eps = _check.number("FilterResponseNorm2d", "eps", eps, 0.0)
+        is_bias = _check.switch("FilterResponseNorm2d", "is_bias", is_bias)
+        is_scale = _check.switch("FilterResponseNorm2d", "is_scale", is_scale)
+        is_eps_leanable = _check.switch("FilterResponseNorm2d", "is_eps_leanable", is_eps_leanable)
         self.is_bias, self.is_scale, self.is_eps_leanable = is_bias, is_scale, is_eps_leanable
         shape = (1, num_features, 1, 1)
         # What is not learned is a buffer, so that the state dict has the same keys; it is not applied.
@@ -130,7 +134,13 @@ class HyNet(nn.Module):
         eps_l2_norm: float = 1e-10,
     ) -> None:
         super().__init__()
-        self.eps_l2_norm, self.dim_desc, self.drop_rate = eps_l2_norm, dim_desc, drop_rate
+        is_bias = _check.switch("HyNet", "is_bias", is_bias)
+        (dim_desc,) = _check.ints("HyNet", "dim_desc", dim_desc, 1)
+        drop_rate = _check.number("HyNet", "drop_rate", drop_rate, minimum=0)
+        if drop_rate > 1:
+            raise ValueCheckError(f"HyNet: expected drop_rate of at most 1, got {drop_rate}")
+        self.dim_desc, self.drop_rate = dim_desc, drop_rate
+        self.eps_l2_norm = _check.number("HyNet", "eps_l2_norm", eps_l2_norm)
 
         def thresholded(channels: int) -> list[nn.Module]:
             return [FilterResponseNorm2d(channels, is_bias=is_bias_FRN), TLU(channels)]
@@ -152,7 +162,7 @@ class HyNet(nn.Module):
         load_weights(self, pretrained)
 
     def forward(self, x: Tensor) -> Tensor:
-        check_patches("HyNet", x)
+        check_patches(self, x)
         for layer in (self.layer1, self.layer2, self.layer3, self.layer4, self.layer5, self.layer6, self.layer7):
             x = layer(x)
         return self.desc_norm(x + self.eps_l2_norm).flatten(1)

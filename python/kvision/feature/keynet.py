@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -9,7 +10,8 @@ from torch import Tensor, nn
 from torch.nn.functional import conv2d, interpolate
 
 from kvision import _check
-from kvision.feature._weights import Weights, load_weights
+from kvision.core.exceptions import TypeCheckError
+from kvision.feature._weights import Weights, check_weights, load_weights
 from kvision.feature.multi_resolution_detector import MultiResolutionDetector, get_default_detector_config
 from kvision.filters import spatial_gradient
 from kvision.geometry.transform import pyrdown
@@ -77,6 +79,8 @@ class KeyNet(nn.Module):
 
     def __init__(self, pretrained: Weights = True, keynet_conf: dict[str, Any] | None = None) -> None:
         super().__init__()
+        if keynet_conf is not None and not isinstance(keynet_conf, Mapping):
+            raise TypeCheckError(f"KeyNet: expected keynet_conf to be a dict, got {type(keynet_conf).__name__}")
         config = {**KEYNET_CONFIG, **(keynet_conf or {})}
         filters, levels, kernel_size = (config[name] for name in KEYNET_CONFIG)
         self.num_levels = levels
@@ -89,6 +93,7 @@ class KeyNet(nn.Module):
         _check.images("KeyNet", "x", x)
         _check.shape("KeyNet", "x", x, "B", 1, "H", "W")
         _check.floating("KeyNet", "x", x)
+        check_weights("KeyNet", self, x)
         size, maps = x.shape[2:], []
         for level in range(self.num_levels):
             x = pyrdown(x, factor=1.2) if level else x

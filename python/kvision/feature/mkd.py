@@ -135,6 +135,7 @@ class MKDDescriptor(nn.Module):
 
     def forward(self, patches: Tensor) -> Tensor:
         x = check_patches("MKDDescriptor", "patches", patches, self.patch_size)
+        _check.same_device("MKDDescriptor", patches=patches, constants=self.angles)
         image = as_dtype(x, compute_dtype(x))
         sigma = 1.4 * self.patch_size / 64
         blurred = gaussian_blur2d(image, (5, 5), (sigma, sigma), "replicate")

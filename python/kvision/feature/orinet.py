@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from kvision import _check
 from kvision.feature._weights import Weights, load_weights
 from kvision.feature.hardnet import PATCH_SIZE, check_patches, convolutions, standardized
 
@@ -44,10 +45,10 @@ class OriNet(nn.Module):
             nn.Tanh(),
             nn.AdaptiveAvgPool2d(1),
         )
-        self.eps = eps
+        self.eps = _check.number("OriNet", "eps", eps)
         load_weights(self, pretrained)
 
     def forward(self, patch: Tensor) -> Tensor:
-        check_patches("OriNet", patch)
+        check_patches(self, patch)
         y, x = self.features(standardized(patch)).flatten(1).unbind(1)
         return torch.atan2(y + self.eps, x + self.eps)

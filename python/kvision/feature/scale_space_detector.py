@@ -120,8 +120,13 @@ class ScaleSpaceDetector(nn.Module):
         self.mr_size = _check.number(op, "mr_size", mr_size)
         if subpix_module is not None and nms_module is not None:
             raise _check.ValueCheckError(f"{op}: expected one of subpix_module and nms_module, got both")
+        given = dict(scale_pyr=scale_pyr_module, resp=resp_module, subpix=subpix_module, nms=nms_module)
+        for name, module in {**given, "ori": ori_module, "aff": aff_module}.items():
+            if module is not None:
+                _check.function(op, f"{name}_module", module)
         subpix = subpix_module or nms_module or AdaptiveQuadInterp3d()
         self._takes_candidates = isinstance(subpix, _MASKED_REFINEMENTS)
+        scale_space_response = _check.switch(op, "scale_space_response", scale_space_response)
         modules = {
             "scale_pyr": scale_pyr_module or ScalePyramid(3, 1.6, 16, extra_levels=3 if scale_space_response else 2),
             "resp": resp_module or BlobHessian(),
@@ -129,11 +134,9 @@ class ScaleSpaceDetector(nn.Module):
             "ori": ori_module or PassLAF(),
             "aff": aff_module or PassLAF(),
         }
-        for name, module in modules.items():
-            _check.function(op, f"{name}_module", module)
         for name, module in detection.compiled(op, modules, compile_modules).items():
             setattr(self, name, module)
-        self.minima_are_also_good = minima_are_also_good
+        self.minima_are_also_good = _check.switch(op, "minima_are_also_good", minima_are_also_good)
         self.scale_space_response = scale_space_response
         self.edge_threshold = edge_threshold
         if edge_threshold is not None:

@@ -47,5 +47,5 @@ class SOSNet(nn.Module):
         load_weights(self, pretrained)
 
     def forward(self, input: Tensor, eps: float = 1e-10) -> Tensor:
-        check_patches("SOSNet", input)
+        check_patches(self, input)
         return self.desc_norm(self.layers(input) + eps).flatten(1)

@@ -41,5 +41,5 @@ class TFeat(nn.Module):
         load_weights(self, pretrained)
 
     def forward(self, input: Tensor) -> Tensor:
-        check_patches("TFeat", input)
+        check_patches(self, input)
         return self.descr(self.features(input).flatten(1))

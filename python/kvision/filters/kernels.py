@@ -281,7 +281,7 @@ def _sigma_columns(
         if isinstance(checked, Tensor) and checked.is_floating_point():
             dtype = checked.dtype
     _fractions(op, dtype)
-    promoted = torch.promote_types(dtype, torch.float32)
+    promoted, device = torch.promote_types(dtype, torch.float32), _check.device(op, device)
     if isinstance(checked, Tensor):
         return checked.to(device, promoted)[:, :, None].unbind(1), dtype
     return tuple(torch.full((1, 1), value, device=device, dtype=promoted) for value in checked), dtype
@@ -341,7 +341,7 @@ def get_box_kernel1d(
     """
     (size,) = _check.ints("get_box_kernel1d", "kernel_size", kernel_size, 1)
     _fractions("get_box_kernel1d", dtype)
-    return torch.full((1, size), 1 / size, device=device, dtype=dtype)
+    return torch.full((1, size), 1 / size, device=_check.device("get_box_kernel1d", device), dtype=dtype)
 
 
 def get_box_kernel2d(
@@ -367,7 +367,7 @@ def get_box_kernel2d(
     """
     ky, kx = _check.pair("get_box_kernel2d", "kernel_size", kernel_size)
     _fractions("get_box_kernel2d", dtype)
-    return torch.full((1, ky, kx), 1 / (ky * kx), device=device, dtype=dtype)
+    return torch.full((1, ky, kx), 1 / (ky * kx), device=_check.device("get_box_kernel2d", device), dtype=dtype)
 
 
 def laplacian_1d(window_size: int, *, device: torch.device | None = None, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -460,7 +460,7 @@ def _ones_around(op: str, sizes: tuple[int, ...], device: torch.device | None, d
     dtype = dtype or torch.get_default_dtype()
     if not dtype.is_floating_point and (dtype == torch.bool or torch.iinfo(dtype).min > center):
         raise ValueCheckError(f"{op}: expected a dtype that holds {center}, got {dtype}", actual_value=dtype)
-    kernel = torch.ones(sizes, device=device, dtype=dtype)
+    kernel = torch.ones(sizes, device=_check.device(op, device), dtype=dtype)
     kernel[tuple([n // 2 for n in sizes])] = center
     return kernel
 
@@ -637,7 +637,9 @@ def _derivative_kernels(
     normalized: bool = False,
 ) -> Tensor:
     kernels = _KERNELS[mode, order, axes, normalized]
-    return torch.tensor(kernels, device=device, dtype=dtype or torch.get_default_dtype())
+    return torch.tensor(
+        kernels, device=_check.device(f"get_{mode}_kernel{axes}d", device), dtype=dtype or torch.get_default_dtype()
+    )
 
 
 # ------------------------------------------------------------------------------------------------ other kernels
@@ -669,7 +671,9 @@ def get_binary_kernel2d(
     """
     ky, kx = _check.pair("get_binary_kernel2d", "window_size", window_size)
     _real("get_binary_kernel2d", dtype)
-    return torch.eye(ky * kx, device=device, dtype=dtype).reshape(ky * kx, 1, ky, kx)
+    return torch.eye(ky * kx, device=_check.device("get_binary_kernel2d", device), dtype=dtype).reshape(
+        ky * kx, 1, ky, kx
+    )
 
 
 def get_hanning_kernel1d(
@@ -695,7 +699,7 @@ def get_hanning_kernel1d(
     """
     (size,) = _check.ints("get_hanning_kernel1d", "kernel_size", kernel_size, 1, minimum=3)
     _fractions("get_hanning_kernel1d", dtype)
-    return torch.hann_window(size, periodic=False, device=device, dtype=dtype)
+    return torch.hann_window(size, periodic=False, device=_check.device("get_hanning_kernel1d", device), dtype=dtype)
 
 
 def get_hanning_kernel2d(

@@ -144,6 +144,7 @@ def infer_bbox_shape(boxes: Tensor) -> tuple[Tensor, Tensor]:
         (tensor([2]), tensor([3]))
     """
     _check.shape("infer_bbox_shape", "boxes", boxes, "B", 4, 2)
+    _check.subtractable("infer_bbox_shape", boxes=boxes)
     width, height = (boxes[:, 2] - boxes[:, 0] + 1).unbind(-1)
     return height, width
 
@@ -168,6 +169,7 @@ def infer_bbox_shape3d(boxes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         (tensor([3]), tensor([2]), tensor([5]))
     """
     _check.shape("infer_bbox_shape3d", "boxes", boxes, "B", 8, 3)
+    _check.subtractable("infer_bbox_shape3d", boxes=boxes)
     width, height, depth = (boxes[:, 6] - boxes[:, 0] + 1).unbind(-1)
     return depth, height, width
 

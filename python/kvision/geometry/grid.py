@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision.core.exceptions import TypeCheckError
 
 __all__ = ["create_meshgrid", "create_meshgrid3d"]
 
@@ -92,7 +93,10 @@ def create_meshgrid3d(
 
 def _axis(op, name, size, normalized, align_corners, device, dtype):
     (size,) = _check.ints(op, name, size, 1)
-    dtype = dtype or torch.get_default_dtype()
+    device = _check.device(op, device)
+    dtype = torch.get_default_dtype() if dtype is None else dtype
+    if not isinstance(dtype, torch.dtype):
+        raise TypeCheckError(f"{op}: expected dtype to be a torch.dtype, got {dtype!r}")
     # Half types represent integers exactly up to 2048 at most.
     i = torch.arange(size, device=device, dtype=torch.float64 if dtype == torch.float64 else torch.float32)
     if normalized:

@@ -42,7 +42,7 @@ def draw_point2d(image: Tensor, points: Tensor, color: Any) -> Tensor:
         tensor([[0., 0., 7.],
                 [0., 7., 0.]])
     """
-    _check.is_tensor("draw_point2d", "image", image)
+    _check.numbers("draw_point2d", "image", image)
     if image.dim() not in (2, 3):
         raise ShapeError(
             f"draw_point2d: expected image of shape (C, H, W) or (H, W), got {tuple(image.shape)}",
@@ -137,6 +137,7 @@ def draw_rectangle(
             actual_value=line_width,
         )
     colors = _colors("draw_rectangle", "color", 0 if color is None else color, image, rectangle.shape[:2])
+    fill = _check.switch("draw_rectangle", "fill", fill)
     corners = _nearest_pixels("draw_rectangle", "rectangle", rectangle)
     if not _check.values_are_readable(corners):
         return image.copy_(_with_rectangles(image, corners.to(image.device), colors, None if fill else line_width))
@@ -279,6 +280,7 @@ def _points(op: str, name: str, points: Any, image: Tensor) -> Tensor:
 
 def _nearest_pixels(op: str, name: str, coordinates: Tensor) -> Tensor:
     """`coordinates` on the host, rounded to integers, halves up."""
+    _check.numbers(op, name, coordinates)
     coordinates = coordinates.detach().cpu()
     if not coordinates.is_floating_point():
         return coordinates.long()
@@ -296,6 +298,7 @@ def _colors(op: str, name: str, color: Any, image: Tensor, items: Sequence[int] 
         raise TypeCheckError(
             f"{op}: expected {name} to be a Tensor or numbers, got {color!r}", actual_type=type(color)
         ) from error
+    _check.numbers(op, name, color)
     shapes = [(), (1,), (image.shape[-3],), (*items, 1), (*items, image.shape[-3])]
     if not any(len(color.shape) == len(shape) and color.shape == shape for shape in shapes):
         listed = " or ".join(dict.fromkeys(map(str, shapes)))

@@ -127,7 +127,7 @@ def focal_loss(
         factor = 1 / count if count else float("nan")
     first, other = (factor, factor) if alpha is None else ((1 - alpha) * factor, alpha * factor)
     weight = None if weight is None else weight[None].to(compute_dtype(pred))
-    terms = (first, other, gamma, *as_arguments(ignore_index), summed)
+    terms = (first, other, gamma, *as_arguments("focal_loss", ignore_index), summed)
     loss = _focal(_as_images(pred, 2)[None], _as_images(target, 1)[None], weight, *terms)
     if summed:
         return as_dtype(loss.squeeze(), pred.dtype)
@@ -195,7 +195,7 @@ def binary_focal_loss_with_logits(
     if reduction == "mean":
         factor = 1 / pred.numel() if pred.numel() else float("nan")
     yes, no = (factor, factor) if alpha is None else (alpha * factor, (1 - alpha) * factor)
-    ignored, ignores = as_arguments(ignore_index)
+    ignored, ignores = as_arguments(op, ignore_index)
     terms = (yes, no, gamma, float(ignored), ignores, summed)
     target = as_dtype(target, pred.dtype)
     if weight is None and pos_weight is None:

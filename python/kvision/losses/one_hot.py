@@ -40,9 +40,12 @@ def one_hot(labels: Tensor, num_classes: int, device: torch.device, dtype: torch
     if labels.dim() == 0:
         raise ShapeError("one_hot: expected labels of shape (B, *), got ()", actual_shape=labels.shape)
     (num_classes,) = _check.ints("one_hot", "num_classes", num_classes, 1)
-    if _check.number("one_hot", "eps", eps) != 0 and not dtype.is_floating_point:
+    target_device, eps = _check.device("one_hot", device), _check.number("one_hot", "eps", eps)
+    if not isinstance(dtype, torch.dtype):
+        raise TypeCheckError(f"one_hot: expected dtype to be a torch.dtype, got {dtype!r}")
+    if eps != 0 and not dtype.is_floating_point:
         raise TypeCheckError(f"one_hot: expected a floating-point dtype with eps={eps}, got {dtype}", actual_type=dtype)
-    labels = labels.to(device)
-    classes = torch.arange(num_classes, device=device).view(-1, *(1,) * (labels.dim() - 1))
+    labels = labels.to(target_device)
+    classes = torch.arange(num_classes, device=target_device).view(-1, *(1,) * (labels.dim() - 1))
     hot = (labels[:, None] == classes).to(dtype)
     return hot if eps == 0 else hot * (1 - eps) + eps

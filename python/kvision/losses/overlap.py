@@ -101,6 +101,7 @@ _overlap = register(
 
 
 def _loss(
+    op: str,
     pred: Tensor,
     target: Tensor,
     weight: Tensor | None,
@@ -110,7 +111,7 @@ def _loss(
     eps: float,
     ignore_index: int | None,
 ) -> Tensor:
-    terms = (micro, alpha, beta, eps, *as_arguments(ignore_index))
+    terms = (micro, alpha, beta, eps, *as_arguments(op, ignore_index))
     return as_dtype(_overlap(pred[None], target[None], weight, *terms)[0].squeeze(), pred.dtype)
 
 
@@ -154,7 +155,7 @@ def dice_loss(
     eps = _check.number("dice_loss", "eps", eps, minimum=0)
     weight = checked_weight("dice_loss", "weight", weight, pred)
     weight = None if weight is None else weight[None].to(compute_dtype(pred))
-    return _loss(pred, target, weight, average == "micro", 0.5, 0.5, eps / 2, ignore_index)
+    return _loss("dice_loss", pred, target, weight, average == "micro", 0.5, 0.5, eps / 2, ignore_index)
 
 
 def tversky_loss(
@@ -192,7 +193,7 @@ def tversky_loss(
     alpha = _check.number("tversky_loss", "alpha", alpha)
     beta = _check.number("tversky_loss", "beta", beta)
     eps = _check.number("tversky_loss", "eps", eps, minimum=0)
-    return _loss(pred, target, None, False, alpha, beta, eps, ignore_index)
+    return _loss("tversky_loss", pred, target, None, False, alpha, beta, eps, ignore_index)
 
 
 class DiceLoss(FunctionModule):

@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._ops import not_empty
 from kvision._shared_memory import fitting
-from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 
 def reduced(loss: Tensor, reduction: str) -> Tensor:
@@ -70,9 +70,16 @@ def segmentation_supports(pred: Tensor, *_: Any) -> str | None:
     return not_empty(pred)
 
 
-def as_arguments(ignore_index: int | None) -> tuple[int, bool]:
+def as_arguments(op: str, ignore_index: int | None) -> tuple[int, bool]:
     """The arguments of operators for the ignored label: its value, and whether there is one."""
-    return ignore_index or 0, ignore_index is not None
+    if ignore_index is None:
+        return 0, False
+    label = _check.scalar(op, "ignore_index", ignore_index)
+    if not isinstance(label, (int, float)):
+        raise TypeCheckError(f"{op}: expected ignore_index to be an int, got {ignore_index!r}")
+    if not -(2**63) <= label < 2**63 or label % 1 != 0:
+        raise ValueCheckError(f"{op}: expected ignore_index to be an int of 64 bits, got {ignore_index!r}")
+    return int(label), True
 
 
 def masked(pred: Tensor, counts: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import SIGNED, floats
 from kvision.core.exceptions import ShapeError
 
 
@@ -45,5 +45,5 @@ def accuracy(pred: Tensor, target: Tensor, topk: Sequence[int] = (1,)) -> list[T
     _check.same_device("accuracy", pred=pred, target=target)
     ks = [_check.ints("accuracy", "topk", k, 1)[0] for k in topk]
     best = pred.topk(min(max(ks), pred.shape[1]), 1).indices
-    hits = best == target.reshape(-1, 1)
+    hits = best == (target.long() if target.dtype in SIGNED else target).reshape(-1, 1)
     return [hits[:, :k].sum(dtype=torch.float32) * 100 / pred.shape[0] for k in ks]

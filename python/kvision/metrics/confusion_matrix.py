@@ -64,6 +64,7 @@ def confusion_matrix(pred: Tensor, target: Tensor, num_classes: int, normalized:
                  [0., 1.]]])
     """
     pred, target, n = _labels("confusion_matrix", pred, target, num_classes)
+    normalized = _check.switch("confusion_matrix", "normalized", normalized)
     return _confusion(pred, target, n, RATES if normalized else COUNTS, 1e-6)
 
 

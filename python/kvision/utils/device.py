@@ -100,6 +100,7 @@ def is_autocast_enabled(both: bool = True) -> bool:
         ...     K.utils.is_autocast_enabled(), K.utils.is_autocast_enabled(both=False)
         (True, False)
     """
+    both = _check.switch("is_autocast_enabled", "both", both)
     return any(map(torch.is_autocast_enabled, ("cpu", "cuda", "mps", "xpu") if both else ("cuda",)))
 
 

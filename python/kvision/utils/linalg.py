@@ -37,8 +37,9 @@ def safe_solve_with_mask(B: Tensor, A: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         >>> X[0].flatten(), solved
         (tensor([0.5000, 0.5000]), tensor([ True, False]))
     """
-    _check.is_tensor("safe_solve_with_mask", "B", B)
+    _check.numbers("safe_solve_with_mask", "B", B)
     _check_square("safe_solve_with_mask", A)
+    _check.same_device("safe_solve_with_mask", B=B, A=A)
     if B.dim() == A.dim() - 1:
         B = B[..., None]
     if B.shape[:-1] != A.shape[:-1]:
@@ -82,7 +83,7 @@ def safe_inverse_with_mask(A: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _check_square(op: str, A: Tensor) -> None:
-    _check.is_tensor(op, "A", A)
+    _check.numbers(op, "A", A)
     if A.dim() < 2 or A.shape[-1] != A.shape[-2]:
         raise ShapeError(f"{op}: expected A of shape (*, N, N), got {tuple(A.shape)}", actual_shape=A.shape)
 

@@ -52,7 +52,7 @@ class AugmentationBase(OnePass):
         return input.float() if input.dtype in WIDE_INTEGERS else input
 
     def _flags_of(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
-        return {**self.flags, **overrides} if overrides else self.flags
+        return self._checked_flags({**self.flags, **overrides}) if overrides else self.flags
 
     def forward(
         self,

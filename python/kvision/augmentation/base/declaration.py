@@ -7,16 +7,17 @@ have the defaults; none of them executes anything.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor, nn
 
+from kvision import _check
 from kvision.augmentation.base.execution import Params, Shape
 from kvision.augmentation.columns import Span
-from kvision.augmentation.configuration import Flags, Plans, settings_changed
+from kvision.augmentation.configuration import SWITCHES, Flags, Plans, settings_changed
 from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.warp_and_color import Pass
@@ -66,7 +67,8 @@ class Declaration(_KeepsArguments):
             if not 0 <= float(value) <= 1:
                 raise ValueCheckError(f"{op}: expected {name} within 0 and 1, got {value}")
         self.p, self.p_batch = float(p), float(p_batch)
-        self.same_on_batch, self.keepdim = same_on_batch, keepdim
+        self.same_on_batch = _check.switch(op, "same_on_batch", same_on_batch)
+        self.keepdim = _check.switch(op, "keepdim", keepdim)
         self.generator, self.return_transform = generator, return_transform
         self._plans = Plans()
         self.flags: dict[str, Any] = {}
@@ -79,8 +81,16 @@ class Declaration(_KeepsArguments):
             self.__dict__[name] = value  # faster than Module.__setattr__, which looks for parameters
             return
         settings_changed()
-        setting: Any = Flags(value) if name == "flags" else value
+        setting: Any = self._checked_flags(value) if name == "flags" else value
         super().__setattr__(name, setting)
+
+    def _checked_flags(self, flags: Mapping[str, Any]) -> Flags:
+        op = type(self).__name__
+        checked = {
+            name: _check.switch(op, name, value) if name in SWITCHES and value is not None else value
+            for name, value in flags.items()
+        }
+        return Flags(checked)
 
     def __getstate__(self) -> dict[str, Any]:
         # Copies and pickles have the settings, not the last call.

@@ -88,7 +88,7 @@ def _shears(op: str, value: Any) -> list[ranges.Range]:
     zero = ranges.Range(0.0, 0.0)
     if isinstance(value, Tensor) and not value.requires_grad:
         value = value.tolist()
-    if isinstance(value, Sequence) and (len(value) == 4 or isinstance(value[0], Sequence)):
+    if isinstance(value, Sequence) and (len(value) == 4 or (value and isinstance(value[0], Sequence))):
         return ranges.pairs(op, "shear", value, 2, bounds=(-360.0, 360.0))
     return [ranges.parse(op, "shear", value, center=0.0, bounds=(-360.0, 360.0)), zero]
 

@@ -192,7 +192,8 @@ class JigsawGenerator(RandomGeneratorBase):
 
     def __init__(self, grid: tuple[int, int] = (4, 4), ensure_perm: bool = True) -> None:
         super().__init__()
-        self.grid, self.ensure_perm = parse_size("RandomJigsaw", grid), ensure_perm
+        self.grid = parse_size("RandomJigsaw", grid)
+        self.ensure_perm = _check.switch("RandomJigsaw", "ensure_perm", ensure_perm)
 
     def draws(self, shape: Shape) -> Sequence[Draw]:
         return [Draw("permutation", (self.grid[0] * self.grid[1], 0, 1))]

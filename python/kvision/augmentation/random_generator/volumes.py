@@ -177,6 +177,8 @@ def parse_size3d(op: str, size: Any) -> tuple[int, int, int]:
         raise TypeCheckError(f"{op}: expected size to be an int or (depth, height, width), got {size!r}")
     if min(sides) < 1:
         raise ValueCheckError(f"{op}: expected size of at least one voxel, got {size!r}")
+    if max(sides) > _check.LARGEST_INT:
+        raise ValueCheckError(f"{op}: expected size of less than 2^31, got {size!r}")
     return sides[0], sides[1], sides[2]
 
 

@@ -57,7 +57,7 @@ class RainGenerator(RandomGeneratorBase):
         return dict(zip(names, columns.long().unbind(1)))
 
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
-        positions = noise.uniform((shape[0], 1, self.number_of_drops[1], 2))
+        positions = noise.uniform((shape[0], 1, max(self.number_of_drops[1], 1), 2))
         return {"coordinates_factor": positions[:, 0].float()}
 
 

@@ -110,7 +110,7 @@ def _checked_eps(guide: Tensor, eps: float | Tensor) -> Tensor | float:
         )
     if not eps >= 0 or not _check.fits_float(eps):  # also refuses NaN
         raise ValueCheckError(f"guided_blur: expected eps of at least 0, got {eps!r}", actual_value=eps)
-    return eps
+    return float(eps)
 
 
 def _subsampled_indices(size: int, step: int, device: torch.device) -> Tensor:

@@ -224,6 +224,8 @@ def _parameters(
     tensors = {name: p for name, p in (("angle", angle), ("direction", direction)) if isinstance(p, Tensor)}
     if image is not None:
         tensors = {name: _check.to_device_of(op, image, name, p) for name, p in tensors.items()}
+    for name, p in tensors.items():
+        _check.numbers(op, name, p)
     _check.same_device(op, **tensors)
     angle, direction = tensors.get("angle", angle), tensors.get("direction", direction)
     types = [p.dtype for p in tensors.values() if p.is_floating_point()]

@@ -348,6 +348,7 @@ def _points(op: str, points: Tensor, params: Tensor, count: int) -> Tensor:
     name = "distorted_points_in_camera" if op.startswith("un") else "projected_points_in_camera_z1_plane"
     _check.trailing_shape(op, name, points, 2)
     _check.trailing_shape(op, "params", params, count)
+    _check.subtractable(op, params=params)
     _check.same_device(op, **{name: points, "params": params})
     _check.broadcastable(op, **{name: points.shape[:-1], "params": params.shape[:-1]})
     return floats(points)

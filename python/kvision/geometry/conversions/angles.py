@@ -117,6 +117,7 @@ def cart2pol(x: Tensor, y: Tensor, eps: float = 1e-8) -> tuple[Tensor, Tensor]:
 def _check_pair(op: str, **tensors: Tensor) -> None:
     for name, x in tensors.items():
         _check.numbers(op, name, x)
+    _check.same_device(op, **tensors)
     _check.broadcastable(op, **{name: x.shape for name, x in tensors.items()})
 
 

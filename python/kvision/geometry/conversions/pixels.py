@@ -223,7 +223,7 @@ def normal_transform_pixel(
     """
     op = "normal_transform_pixel"
     _check.flag(op, "align_corners", align_corners)
-    return by_axes(_lines(op, align_corners, height=height, width=width), device, dtype)[None]
+    return by_axes(_lines(op, align_corners, height=height, width=width), _check.device(op, device), dtype)[None]
 
 
 def normal_transform_pixel3d(
@@ -257,7 +257,7 @@ def normal_transform_pixel3d(
         tensor([-1., -1., -1.])
     """
     lines = _lines("normal_transform_pixel3d", True, depth=depth, height=height, width=width)
-    return by_axes(lines, device, dtype)[None]
+    return by_axes(lines, _check.device("normal_transform_pixel3d", device), dtype)[None]
 
 
 def _lines(op: str, align_corners: bool, **sizes: int) -> list[Line]:
@@ -466,6 +466,7 @@ def denormalize_points_with_intrinsics(point_2d_norm: Tensor, camera_matrix: Ten
 def check_camera(op: str, name: str, points: Tensor, camera_matrix: Tensor) -> None:
     """Raise unless `camera_matrix` (*, 3, 3) fits points (*, D)."""
     _check.trailing_shape(op, "camera_matrix", camera_matrix, 3, 3)
+    _check.subtractable(op, camera_matrix=camera_matrix)
     if camera_matrix.device != points.device:
         _check.same_device(op, **{name: points, "camera_matrix": camera_matrix})
     leading, of_points = camera_matrix.shape[:-2], points.shape[:-1]

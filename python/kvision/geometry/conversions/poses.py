@@ -126,7 +126,7 @@ def worldtocam_to_camtoworld_Rt(R: Tensor, t: Tensor, check_rotation: bool = Fal
 
 def _inverse(op: str, R: Tensor, t: Tensor, check_rotation: bool) -> tuple[Tensor, Tensor]:
     _check_pose(op, R, t)
-    if check_rotation:
+    if _check.switch(op, "check_rotation", check_rotation):
         check_is_rotation(op, "R", R)
     return R.mT, _rotate_back(t if t.is_floating_point() else as_dtype(t, R.dtype), R)
 
@@ -157,6 +157,7 @@ def camtoworld_graphics_to_vision_4x4(extrinsics_graphics: Tensor) -> Tensor:
         tensor([[ 1., -1., -1.,  1.]])
     """
     _check.trailing_shape("camtoworld_graphics_to_vision_4x4", "extrinsics_graphics", extrinsics_graphics, 4, 4)
+    _check.subtractable("camtoworld_graphics_to_vision_4x4", extrinsics_graphics=extrinsics_graphics)
     return _flip_y_z(extrinsics_graphics)
 
 
@@ -179,6 +180,7 @@ def camtoworld_vision_to_graphics_4x4(extrinsics_vision: Tensor) -> Tensor:
         tensor([[ 1., -1., -1.,  1.]])
     """
     _check.trailing_shape("camtoworld_vision_to_graphics_4x4", "extrinsics_vision", extrinsics_vision, 4, 4)
+    _check.subtractable("camtoworld_vision_to_graphics_4x4", extrinsics_vision=extrinsics_vision)
     return _flip_y_z(extrinsics_vision)
 
 
@@ -239,6 +241,7 @@ def _check_pose(op: str, R: Tensor, t: Tensor) -> None:
     _check.trailing_shape(op, "R", R, 3, 3)
     _check.trailing_shape(op, "t", t, 3, 1)
     _check.same_device(op, R=R, t=t)
+    _check.subtractable(op, R=R, t=t)
     if R.shape[:-2] != t.shape[:-2]:
         raise ShapeError(f"{op}: expected t of shape {(*R.shape[:-2], 3, 1)}, got {tuple(t.shape)}")
 

@@ -280,6 +280,7 @@ def vector_to_skew_symmetric_matrix(vec: Tensor) -> Tensor:
                 [-2.,  1.,  0.]])
     """
     _check.trailing_shape("vector_to_skew_symmetric_matrix", "vec", vec, 3)
+    _check.subtractable("vector_to_skew_symmetric_matrix", vec=vec)
     return of_rows(cross_matrix, vec, 1)
 
 

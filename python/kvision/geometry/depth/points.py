@@ -234,7 +234,7 @@ def unproject_meshgrid(
     (height,), (width,) = _check.ints(op, "height", height, 1), _check.ints(op, "width", width, 1)
     _check_cameras(op, camera_matrix)
     _check.flag(op, "normalize_points", normalize_points)
-    camera = floats(camera_matrix).to(device=device, dtype=dtype)
+    camera = floats(camera_matrix).to(device=_check.device(op, device), dtype=dtype)
     one = torch.ones((), device=camera.device, dtype=camera.dtype)
     return _points_last(one.expand(height, width), camera, normalize_points)
 

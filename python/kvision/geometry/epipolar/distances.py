@@ -53,7 +53,9 @@ def sampson_epipolar_distance(
         tensor([2.])
     """
     _check_relation("sampson_epipolar_distance", pts1, pts2, Fm)
-    return correspondence_errors(pts1, pts2, Fm, "sampson", squared)
+    return correspondence_errors(
+        pts1, pts2, Fm, "sampson", _check.switch("sampson_epipolar_distance", "squared", squared)
+    )
 
 
 @in_full_precision
@@ -84,7 +86,9 @@ def symmetrical_epipolar_distance(
         tensor([8.])
     """
     _check_relation("symmetrical_epipolar_distance", pts1, pts2, Fm)
-    return correspondence_errors(pts1, pts2, Fm, "symmetrical", squared)
+    return correspondence_errors(
+        pts1, pts2, Fm, "symmetrical", _check.switch("symmetrical_epipolar_distance", "squared", squared)
+    )
 
 
 @in_full_precision

@@ -114,4 +114,4 @@ def normalize_transformation(M: Tensor, eps: float = 1e-8) -> Tensor:
         raise ShapeError(
             f"normalize_transformation: expected M of at least 2 x 2, got {tuple(M.shape)}", actual_shape=M.shape
         )
-    return M / divisor(M[..., -1:, -1:], eps)
+    return M / divisor(M[..., -1:, -1:], _check.number("normalize_transformation", "eps", eps))

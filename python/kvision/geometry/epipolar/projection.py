@@ -280,9 +280,15 @@ def random_intrinsics(low: float | Tensor, high: float | Tensor) -> Tensor:
         tensor([0., 0., 1.])
     """
     for name, value in (("low", low), ("high", high)):
-        if not isinstance(value, Tensor):
+        if isinstance(value, Tensor):
+            _check.numbers("random_intrinsics", name, value)
+            _check.floating("random_intrinsics", name, value)
+            if value.shape not in ((), (1,), (4,)):
+                raise ShapeError(f"random_intrinsics: expected {name} of shape () or (4,), got {tuple(value.shape)}")
+        else:
             _check.number("random_intrinsics", name, value)
     like = next((v for v in (low, high) if isinstance(v, Tensor)), torch.empty(0))
+    low, high = (v if isinstance(v, Tensor) else float(v) for v in (low, high))
     fx, fy, cx, cy = (low + (high - low) * torch.rand(4, device=like.device, dtype=like.dtype)).unbind()
     zero = torch.zeros_like(fx)
     return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, zero + 1]).reshape(1, 3, 3)
@@ -320,6 +326,11 @@ def scale_intrinsics(camera_matrix: Tensor, scale_factor: float | Tensor, pixel_
     _check.floating_trailing_shape("scale_intrinsics", "camera_matrix", camera_matrix, 3, 3)
     if not isinstance(scale_factor, Tensor):
         scale_factor = _check.number("scale_intrinsics", "scale_factor", scale_factor)
+    else:
+        _check.numbers("scale_intrinsics", "scale_factor", scale_factor)
+        _check.broadcastable(
+            "scale_intrinsics", camera_matrix=camera_matrix.shape[:-2], scale_factor=scale_factor.shape
+        )
     _check.flag("scale_intrinsics", "pixel_centers", pixel_centers)
     factor = scale_factor[..., None, None] if isinstance(scale_factor, Tensor) else scale_factor
     if pixel_centers:

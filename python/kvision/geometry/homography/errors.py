@@ -46,6 +46,7 @@ def oneway_transfer_error(pts1: Tensor, pts2: Tensor, H: Tensor, squared: bool =
         tensor([[5., 5., 5., 5., 5.]])
     """
     _check_relation("oneway_transfer_error", pts1, pts2, H)
+    squared = _check.switch("oneway_transfer_error", "squared", squared)
     return correspondence_errors(pts1, pts2, H, "transfer", squared)
 
 
@@ -75,7 +76,9 @@ def symmetric_transfer_error(pts1: Tensor, pts2: Tensor, H: Tensor, squared: boo
         tensor([[4., 4., 4., 4., 4.]])
     """
     _check_relation("symmetric_transfer_error", pts1, pts2, H)
-    return correspondence_errors(pts1, pts2, H, "symmetric_transfer", squared)
+    return correspondence_errors(
+        pts1, pts2, H, "symmetric_transfer", _check.switch("symmetric_transfer_error", "squared", squared)
+    )
 
 
 @in_full_precision
@@ -107,7 +110,9 @@ def sampson_homography_distance(pts1: Tensor, pts2: Tensor, H: Tensor, squared: 
         tensor([[1., 1., 1., 1., 1.]])
     """
     _check_relation("sampson_homography_distance", pts1, pts2, H)
-    return correspondence_errors(pts1, pts2, H, "sampson_transfer", squared)
+    return correspondence_errors(
+        pts1, pts2, H, "sampson_transfer", _check.switch("sampson_homography_distance", "squared", squared)
+    )
 
 
 @in_full_precision
@@ -140,7 +145,9 @@ def line_segment_transfer_error_one_way(ls1: Tensor, ls2: Tensor, H: Tensor, squ
     _check.floating_trailing_shape(op, "H", H, "B", 3, 3)
     _check.same_device(op, ls1=ls1, ls2=ls2, H=H)
     check_correspondence_shapes(op, ls1=ls1[..., 0], ls2=ls2[..., 0], H=H)
-    return correspondence_errors(ls1, ls2, H, "segments", squared)
+    return correspondence_errors(
+        ls1, ls2, H, "segments", _check.switch("line_segment_transfer_error_one_way", "squared", squared)
+    )
 
 
 def sample_is_valid_for_homography(points1: Tensor, points2: Tensor) -> Tensor:

@@ -5,6 +5,7 @@ Source: A. Nibali et al., "Numerical coordinate regression with convolutional ne
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -31,8 +32,10 @@ def positive(op: str, x: Tensor, temperature: Any) -> Tensor | float:
     """A temperature as a number, or as a tensor without axes, in the dtype of the computation and on the device of `x`."""
     if not isinstance(temperature, Tensor):
         value = _check.number(op, "temperature", temperature)
-        if not value > 0:
-            raise ValueCheckError(f"{op}: expected temperature to be positive, got {value}", actual_value=value)
+        if not 0 < value < math.inf:
+            raise ValueCheckError(
+                f"{op}: expected temperature to be positive and finite, got {value}", actual_value=value
+            )
         return value
     _check.numbers(op, "temperature", temperature)
     if temperature.numel() != 1:

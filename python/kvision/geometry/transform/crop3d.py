@@ -85,6 +85,7 @@ def crop_by_boxes3d(
     op = "crop_by_boxes3d"
     _check.volumes(op, "tensor", tensor)
     _check.shape(op, "dst_box", dst_box, "B", 8, 3)
+    _check.subtractable(op, dst_box=dst_box)
     extents = {tuple(extent) for extent in (dst_box[:, 6] - dst_box[:, 0]).tolist()}
     if len(extents) != 1:
         raise ValueCheckError(f"{op}: expected dst_box of one size, got extents of {sorted(extents)}")

@@ -98,10 +98,10 @@ def rot180(input: Tensor) -> Tensor:
 
 
 def _flip(op: str, input: Tensor, axes: tuple[int, ...]) -> Tensor:
-    if type(input) is Tensor and input.dim() == 4 and _fast.serves(input) and input.nbytes >= _LARGE:
+    if type(input) is Tensor and input.dim() == 4 and _fast.serves(input) and input.numel() * input.itemsize >= _LARGE:
         with below_autograd():
             return _fast.kernel(input, -1 in axes, -2 in axes)
-    _check.is_tensor(op, "input", input)
+    _check.numbers(op, "input", input)
     if input.dim() == 1:
         return _flip(op, input[None], axes)[0]
     if input.dim() == 0:

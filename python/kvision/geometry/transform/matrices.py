@@ -72,7 +72,7 @@ def _batch(op: str, **vectors: tuple[Tensor, int]) -> None:
 
 def _column(x: Tensor | None) -> Tensor | None:
     """One number a sample, (B,), also where it came as a column (B, 1)."""
-    return x[:, 0] if isinstance(x, Tensor) and x.dim() == 2 and x.shape[1] == 1 else x
+    return x[:, 0] if isinstance(x, Tensor) and not x.is_nested and x.dim() == 2 and x.shape[1] == 1 else x
 
 
 def _optional_vectors(**vectors: Tensor | None) -> dict[str, tuple[Tensor, int]]:
@@ -436,7 +436,7 @@ def get_projective_transform(center: Tensor, angles: Tensor, scales: Tensor) -> 
         >>> K.geometry.get_projective_transform(torch.zeros(1, 3), about_z, torch.ones(1, 3)).round().long()[0, 0]
         tensor([ 0, -1,  0,  0])
     """
-    if isinstance(scales, Tensor) and scales.dim() == 2 and scales.shape[1] == 1:
+    if isinstance(scales, Tensor) and not scales.is_nested and scales.dim() == 2 and scales.shape[1] == 1:
         scales = scales.expand(-1, 3)
     _batch("get_projective_transform", center=(center, 3), angles=(angles, 3), scales=(scales, 3))
     return affine_matrix3d(*angles.unbind(-1), None, scales, center, *[None] * 6, 1.0, 0.0, 0.0, 0.0, 3)
@@ -584,6 +584,7 @@ def projection_from_Rt(rmat: Tensor, tvec: Tensor) -> Tensor:
     """
     _check.numbers("projection_from_Rt", "rmat", rmat)
     _check.numbers("projection_from_Rt", "tvec", tvec)
+    _check.same_device("projection_from_Rt", rmat=rmat, tvec=tvec)
     r, t = rmat.shape, tvec.shape
     if r[-2:] != (3, 3):
         raise ShapeError(f"projection_from_Rt: expected rmat of shape (*, 3, 3), got {tuple(r)}")

@@ -289,6 +289,8 @@ def _rescale(input, factor, interpolation, align_corners, antialias):
     if len(factors) != 2:
         raise TypeCheckError(f"rescale: expected factor to be a number or two, got {factor!r}")
     y, x = (_check.number("rescale", "factor", f, minimum=0) for f in factors)
+    if math.inf in (y, x):
+        raise ValueCheckError(f"rescale: expected a finite factor, got {factor!r}", actual_value=factor)
     h, w = _check.sizes_as_numbers(input)[-2:]
     size = (math.trunc(h * y), math.trunc(w * x))
     if 0 in size:

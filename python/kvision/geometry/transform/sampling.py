@@ -534,10 +534,15 @@ def padding_and_fill(
     )
     if not isinstance(fill_value, Tensor):
         fill_value = _check.scalars(op, "fill_value", fill_value)
+    for number in fill_value if isinstance(fill_value, (tuple, list)) else (fill_value,):
+        if isinstance(number, (int, float)):
+            _check.representable(op, "fill_value", number, dtype)
     if isinstance(fill_value, (int, float)):
-        fill_value = image.new_full((), fill_value, dtype=dtype)  # created on the device, without a copy from the host
+        fill_value = image.new_full(
+            (), float(fill_value), dtype=dtype
+        )  # created on the device, without a copy from the host
     elif isinstance(fill_value, (tuple, list)) and all(isinstance(x, (int, float)) for x in fill_value):
-        fill_value = constant(tuple(fill_value), image, dtype)
+        fill_value = constant(tuple(map(float, fill_value)), image, dtype)
     elif not isinstance(fill_value, Tensor):
         fill_value = torch.as_tensor(fill_value, dtype=dtype, device=image.device)
     _check.numbers(op, "fill_value", fill_value)

@@ -259,6 +259,20 @@ def test_unreadable_paths(tmp_path):
             K.io.load_image(tmp_path / name)
 
 
+def test_no_name_of_a_file_reaches_opencv(tmp_path, monkeypatch):
+    """OpenCV crashes at names that are no valid text."""
+    names = []
+    reader = cv2.haveImageReader
+    monkeypatch.setattr(cv2, "haveImageReader", lambda name: names.append(name) or reader(name))
+    (tmp_path / "text.png").write_text("no image at all")
+    cut = cv2.imencode(".png", np.zeros((50, 50), np.uint8))[1][:60]
+    (tmp_path / "cut.png").write_bytes(cut.tobytes())
+    for name, reason in (("text.png", "in no format"), ("cut.png", "damaged or cut short")):
+        with pytest.raises(ImageError, match=reason):
+            K.io.load_image(tmp_path / name)
+    assert len(names) == 2 and not any(str(tmp_path) in name for name in names)
+
+
 def test_other_numbers_load_unchanged_only(tmp_path):
     path = tmp_path / "depth.tif"
     values = np.arange(-6, 6, dtype=np.int16).reshape(3, 4)

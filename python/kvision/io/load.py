@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
+import tempfile
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -136,14 +137,25 @@ def _decode(path: Path) -> np.ndarray[Any, Any]:
     except cv2.error as error:
         raise ImageError(f"load_image: cannot decode '{path}': {error.err}") from error
     if pixels is None:
-        known = cv2.haveImageReader(str(path))
-        reason = "the file is damaged or cut short" if known else "it is in no format that OpenCV reads"
+        reason = "the file is damaged or cut short" if _has_reader(data) else "it is in no format that OpenCV reads"
         raise ImageError(f"load_image: cannot decode '{path}': {reason}")
     metadata = dict(zip(np.ravel(kinds).tolist(), blocks, strict=True))
     exif = bytes(np.ravel(metadata.get(cv2.IMAGE_METADATA_EXIF, np.empty(0, np.uint8))))
     planes = cv2.split(_apply_orientation(pixels, _orientation(exif)))
     rgb = {3: (2, 1, 0), 4: (2, 1, 0, 3)}.get(len(planes), range(len(planes)))
     return np.stack([planes[c] for c in rgb])
+
+
+def _has_reader(data: bytes) -> bool:
+    """Whether OpenCV reads the format of a file that begins so.
+
+    OpenCV asks for a file. It gets one of ours: the name of another may be no valid text, at which it crashes (5.0), and a
+    pipe cannot be read twice.
+    """
+    with tempfile.NamedTemporaryFile() as file:
+        file.write(data[:4096])
+        file.flush()
+        return bool(opencv().haveImageReader(file.name))
 
 
 def _apply_orientation(pixels: np.ndarray[Any, Any], orientation: int) -> np.ndarray[Any, Any]:

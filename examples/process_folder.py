@@ -10,12 +10,14 @@
 A step of the pipeline is a Python expression for an nn.Module that takes images (B, 3, H, W) in [0, 1], or uint8 with --uint8;
 images of one size go through it together. The result of PICTURES/a/b.jpg is RESULTS/a/b.jpg.png. It appears complete or not at all,
 so that a second start does what is left of the first. An image that cannot be read, or that the pipeline refuses, is a line of
-RESULTS/broken.csv and is left alone until --retry.
+RESULTS/broken.csv and is left alone until --retry. So is one of more than --max-pixels, one whose name is no text or longer than
+200 bytes, and what is no regular file. Only one job at a time works in a folder of results, which is not inside that of the images.
 
 On one machine the workers of a DataLoader decode, each with several threads. A worker that dies is replaced; an image whose worker
-dies again, when it is alone, counts as broken. With Ray, a pool of actors, one a GPU, grows with what waits, and tasks decode on
-all CPUs; without GPUs the actors decode as well. Ray holds back what the actors are too busy for, and repeats what was lost with a
-machine.
+dies again, when it is alone, counts as broken. Workers end with the program, even if it is killed.
+
+With Ray, a pool of actors, one a GPU, grows with what waits, and tasks decode on all CPUs; without GPUs the actors decode as well.
+Ray holds back what the actors are too busy for, and repeats what was lost with a machine.
 """
 
 from __future__ import annotations
@@ -23,10 +25,14 @@ from __future__ import annotations
 import argparse
 import contextlib
 import csv
+import errno
+import fcntl
 import importlib.util
 import itertools
 import logging
 import os
+import stat
+import sys
 import tempfile
 import threading
 import time
@@ -52,6 +58,8 @@ BLUR = "K.filters.GaussianBlur2d(5, (1.5, 1.5))"
 DECODERS = {"opencv": "cv2", "torchvision": "torchvision", "nvimgcodec": "nvidia.nvimgcodec"}
 FORMATS = (".png", ".jpg", ".webp")  # of the results; PNG keeps every bit
 PARTIAL = "partial"
+MAX_PIXELS = 250_000_000
+MAX_NAME = 200  # bytes; file systems take 255, and a file that is being written has a longer name than its result
 
 
 @dataclass(frozen=True)
@@ -76,16 +84,16 @@ class Read:
 
 
 def tasks_of(source: Path, out: Path, suffix: str = ".png") -> list[Task]:
-    """A task for each image below a folder, for an image, or for each line of a text file; no two have the same target."""
+    """A task for each image below a folder, for an image, or for each line of a text file; the same line twice is one task."""
     if source.is_dir():
         files = (path for path in sorted(source.rglob("*")) if path.suffix.lower() in SUFFIXES and not path.is_dir())
-        names = {str(path.relative_to(source)): str(path) for path in files}
+        names = {str(path): str(path.relative_to(source)) for path in files}
     elif source.suffix.lower() in SUFFIXES:
-        names = {source.name: str(source)}
+        names = {str(source): source.name}
     else:
         lines = filter(None, map(str.strip, source.read_text().splitlines()))
-        names = {name_of(line): line for line in lines}
-    return [Task(path, str(out / f"{name}{suffix}")) for name, path in names.items()]
+        names = {line: name_of(line) for line in lines}
+    return [Task(path, str(out / f"{name}{suffix}")) for path, name in names.items()]
 
 
 def name_of(url: str) -> str:
@@ -99,24 +107,71 @@ def words(error: Exception) -> str:
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
+def conflict(tasks: Sequence[Task], source: Path, out: Path) -> str:
+    """Why results would replace each other or images, or become images of the next start; nothing if they would not."""
+    if source.is_dir() and out.is_relative_to(source):
+        return f"the folder of the results, {out}, is inside the folder of the images"
+    by_target: dict[str, str] = {}
+    folders: set[str] = set()
+    for task in tasks:
+        other = by_target.setdefault(task.target, task.path)
+        if other != task.path:
+            return f"{other} and {task.path} have the same result, {task.target}"
+        folder = os.path.dirname(task.target)
+        while folder not in folders and len(folder) > len(str(out)):
+            folders.add(folder)
+            folder = os.path.dirname(folder)
+    for folder in folders & by_target.keys():
+        return f"the result of {by_target[folder]}, {folder}, is the folder of other results"
+    if source.is_dir() and str(source) in folders:
+        return f"results would go to {source}, which is the folder of the images"
+    for path in (task.path for task in tasks if os.path.abspath(task.path) in by_target):
+        return f"{path} is an image and a result"
+    return ""
+
+
+def refusal(task: Task) -> str:
+    """What is wrong with the name of an image; nothing if it can be read. A decoder may crash at a name that is no text."""
+    if printable(task.path) != task.path:
+        return "its name is no valid text"
+    size = len(Path(task.target).stem.encode())
+    return f"its name has {size} bytes, more than {MAX_NAME}" if size > MAX_NAME else ""
+
+
+def printable(text: str) -> str:
+    """Text of which every byte can be written and read again: names of files may be no UTF-8."""
+    return text.encode(errors="backslashreplace").decode().replace("\0", "\\0")
+
+
 class Report:
-    """RESULTS/broken.csv, a line for each broken image, written at once."""
+    """RESULTS/broken.csv, a line for each broken image, written at once. It is locked: a second job raises BlockingIOError."""
 
     def __init__(self, out: Path, retry: bool) -> None:
-        self.path = out / "broken.csv"
-        if retry:
-            self.path.unlink(missing_ok=True)
-        known: list[list[str]] = []
-        if self.path.exists():
-            with self.path.open(newline="") as file:
-                known = [row for row in csv.reader(file) if len(row) == 2][1:]  # a killed run may leave half a row
+        self.file = (out / "broken.csv").open("a+", newline="", encoding="utf-8", errors="backslashreplace")
+        try:
+            fcntl.flock(self.file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the system unlocks it, however the job ends
+        except BlockingIOError:
+            self.file.close()
+            raise
+        except OSError as error:
+            print(f"{out}: {error.strerror}: see that no other job works there")  # a file system without locks
+        self.file.seek(0)
+        known = [row for row in csv.reader(self.file) if len(row) == 2][1:]  # a killed run may leave half a row
+        known = [] if retry else known
         self.known = {path for path, _ in known}
-        with self.path.open("w", newline="") as file:
-            csv.writer(file).writerows([("path", "error"), *known])
+        self.file.truncate(0)
+        csv.writer(self.file).writerows([("path", "error"), *known])
+        self.file.flush()
+
+    def __enter__(self) -> Report:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.file.close()
 
     def add(self, path: str, error: str) -> None:
-        with self.path.open("a", newline="") as file:
-            csv.writer(file).writerow((path, error))
+        csv.writer(self.file).writerow((printable(path), printable(error)))
+        self.file.flush()
 
 
 # --- reading and decoding -------------------------------------------------------------------------------------------
@@ -127,7 +182,10 @@ def local(path: str) -> Iterator[str]:
     """A file of this machine with the content of a path or URL."""
     parts = urlsplit(path)
     if parts.scheme in ("", "file"):
-        yield path if parts.scheme == "" else unquote(parts.path)
+        path = path if parts.scheme == "" else unquote(parts.path)
+        if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would be waited for
+            raise OSError(f"{path} is no regular file")
+        yield path
         return
     try:
         import fsspec
@@ -139,40 +197,52 @@ def local(path: str) -> Iterator[str]:
         yield file.name
 
 
-def read(number: int, task: Task, keep_jpeg: bool) -> Read:
+def read(number: int, task: Task, keep_jpeg: bool, max_pixels: int = MAX_PIXELS) -> Read:
     """Decode by OpenCV; with `keep_jpeg` leave whole, upright JPEG files to a decoder of the GPU."""
+    too_large = f"the image has more than {max_pixels} pixels (--max-pixels)"
     try:
         with local(task.path) as path:
-            if keep_jpeg and (data := plain_jpeg(path)):
+            if keep_jpeg and (data := plain_jpeg(path, max_pixels)):
                 return Read(number, jpeg=torch.frombuffer(bytearray(data), dtype=torch.uint8))
-            return Read(number, K.io.load_image(path, K.io.ImageLoadType.RGB8))
+            pixels = K.io.load_image(path, K.io.ImageLoadType.RGB8)
+            return Read(number, pixels) if pixels[0].numel() <= max_pixels else Read(number, error=too_large)
     except Exception as error:  # whatever is wrong with an image, the others go on
-        return Read(number, error=words(error))
+        return Read(number, error=too_large if "CV_IO_MAX_IMAGE_PIXELS" in str(error) else words(error))
 
 
-def plain_jpeg(path: str) -> bytes:
-    """The file, if it is a JPEG file that ends as it should, in RGB or gray, and upright; otherwise nothing."""
+def opencv_limits(max_pixels: int) -> dict[str, str]:
+    """The environment in which OpenCV refuses larger images by their header, before it allocates them.
+
+    OpenCV reads it when it is loaded; where that was earlier, `read` refuses them after they are decoded.
+    """
+    return {"OPENCV_IO_MAX_IMAGE_PIXELS": str(max_pixels)}
+
+
+def plain_jpeg(path: str, max_pixels: int) -> bytes:
+    """The file, if it is a JPEG file that ends as it should, in RGB or gray, upright and not too large; otherwise nothing."""
     from PIL import Image
 
+    Image.MAX_IMAGE_PIXELS = None  # max_pixels is the limit
     data = Path(path).read_bytes()
     if not data.startswith(b"\xff\xd8") or not data.rstrip(b"\0").endswith(b"\xff\xd9"):
         return b""
     with Image.open(path) as picture:
         upright = picture.getexif().get(0x0112, 1) == 1
-        return data if upright and picture.mode in ("RGB", "L") else b""
+        small = picture.width * picture.height <= max_pixels
+        return data if upright and small and picture.mode in ("RGB", "L") else b""
 
 
 class Pictures(Dataset[Read]):
     """The images of some tasks. A worker decodes those of a batch in several threads."""
 
-    def __init__(self, tasks: Sequence[Task], threads: int, keep_jpeg: bool) -> None:
-        self.tasks, self.threads, self.keep_jpeg = tasks, threads, keep_jpeg
+    def __init__(self, tasks: Sequence[Task], threads: int, keep_jpeg: bool, max_pixels: int) -> None:
+        self.tasks, self.threads, self.keep_jpeg, self.max_pixels = tasks, threads, keep_jpeg, max_pixels
 
     def __len__(self) -> int:
         return len(self.tasks)
 
     def __getitem__(self, number: int) -> Read:
-        return read(number, self.tasks[number], self.keep_jpeg)
+        return read(number, self.tasks[number], self.keep_jpeg, self.max_pixels)
 
     def __getitems__(self, numbers: list[int]) -> list[Read]:
         with ThreadPoolExecutor(self.threads) as pool:
@@ -259,7 +329,12 @@ class Apply:
 def write(task: Task, image: Tensor) -> None:
     """Write the result to a temporary file in the same folder, then rename it in one step of the file system."""
     target = Path(task.target)
-    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            raise ValueError(error.strerror) from error
+        raise
     mark = f"{os.getpid()}.{threading.get_ident()}.{PARTIAL}"
     partial = target.with_name(f".{target.name}.{mark}{target.suffix}")
     try:
@@ -324,7 +399,7 @@ def next_of(batches: Iterator[list[Read]]) -> list[Read] | None:
 def run_here(tasks: Sequence[Task], options: argparse.Namespace, job: Job) -> None:
     """Decode in the workers of a DataLoader, apply here, write in threads."""
     apply = Apply(options.pipeline, options.device, options.decoder, options.uint8)
-    pictures = Pictures(tasks, options.threads, options.decoder != "opencv")
+    pictures = Pictures(tasks, options.threads, options.decoder != "opencv", options.max_pixels)
     waiting = deque(range(len(tasks)))
     context = "forkserver"  # workers without the threads and the GPU of this process
     careful = 0  # images to read alone, after a worker died
@@ -355,10 +430,11 @@ def run_here(tasks: Sequence[Task], options: argparse.Namespace, job: Job) -> No
 # --- a cluster ------------------------------------------------------------------------------------------------------
 
 
-def decode_rows(rows: dict[str, Any]) -> dict[str, Any]:
+def decode_rows(rows: dict[str, Any], max_pixels: int) -> dict[str, Any]:
     """Images of a batch of Ray's rows, in threads. A broken one has no pixels."""
+    os.environ.update(opencv_limits(max_pixels))
     with ThreadPoolExecutor(4) as pool:
-        items = list(pool.map(lambda path: read(0, Task(path, ""), False), rows["path"]))
+        items = list(pool.map(lambda path: read(0, Task(path, ""), False, max_pixels), rows["path"]))
     empty = torch.zeros(3, 0, 0, dtype=torch.uint8)
     pixels = np.empty(len(items), object)
     for i, item in enumerate(items):
@@ -407,7 +483,8 @@ def run_on_cluster(
     ray.data.DataContext.get_current().enable_progress_bars = False
     blocks = -(-len(tasks) // options.batch)
     rows = ray.data.from_items([{"path": t.path, "target": t.target} for t in tasks], override_num_blocks=blocks)
-    results = rows.map_batches(decode_rows, batch_size=options.batch).map_batches(
+    decode = {"fn_kwargs": {"max_pixels": options.max_pixels}, "batch_size": options.batch}
+    results = rows.map_batches(decode_rows, **decode).map_batches(
         ApplyRows,
         fn_constructor_args=(options.pipeline, options.device, options.uint8, options.threads),
         batch_size=options.batch,
@@ -448,11 +525,12 @@ def compare(tasks: Sequence[Task], options: argparse.Namespace) -> None:
     print(f"{does}, {len(whole)} images: {rate:.0f} images/s")
     device = torch.device(options.device)
     for name in decoders(device):
-        items = [read(i, task, name != "opencv") for i, task in enumerate(whole)]
+        items = [read(i, task, name != "opencv", options.max_pixels) for i, task in enumerate(whole)]
         files = [item.jpeg for item in items if item.jpeg is not None]
         begin, count = time.perf_counter(), len(files)
         if name == "opencv":
-            count = sum(1 for _ in Pictures(whole, options.threads, False).__getitems__(list(range(len(whole)))))
+            pictures = Pictures(whole, options.threads, False, options.max_pixels)
+            count = len(pictures.__getitems__(list(range(len(whole)))))
         elif files:
             decode = jpeg_decoder(name, device)
             decode(files[:1])
@@ -479,8 +557,34 @@ def decoders(device: torch.device) -> list[str]:
 # --- the run --------------------------------------------------------------------------------------------------------
 
 
+class Stderr:
+    """stderr for a bar, as long as there is one. tqdm would keep its lock after an error, and the job would hang."""
+
+    encoding = getattr(sys.stderr, "encoding", None)
+
+    def write(self, text: str) -> None:
+        with contextlib.suppress(OSError, ValueError):  # the terminal or the pipe was closed
+            sys.stderr.write(text)
+
+    def flush(self) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            sys.stderr.flush()
+
+    def fileno(self) -> int:
+        return sys.stderr.fileno()
+
+
+def open_closed_streams() -> None:
+    """Open /dev/null for each of stdin, stdout and stderr that is closed: other files would get their numbers."""
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(number, True)
+    os.close(number)
+
+
 def check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     """End the program in one line where the options ask for what is not there."""
+    if options.max_pixels < 1:
+        parser.error(f"--max-pixels {options.max_pixels}: expected at least 1")
     device = device_of(parser, options.device) if options.engine == "local" else torch.device(options.device)
     if not options.source.exists():
         parser.error(f"{options.source}: expected a folder of images or a list of paths, there is none")
@@ -500,6 +604,7 @@ def check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
+    open_closed_streams()
     cores = os.cpu_count() or 1
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
@@ -516,23 +621,44 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--threads", type=int, default=min(4, cores), help="of a worker, and to write")
     actors = torch.cuda.device_count() or cores
     parser.add_argument("--actors", type=int, default=actors, help="most, with Ray; default: GPUs, else CPUs, here")
+    parser.add_argument("--max-pixels", type=int, default=MAX_PIXELS, help="of an image; default: %(default)s")
     parser.add_argument("--retry", action="store_true", help="try the images of broken.csv again")
     parser.add_argument("--compare", type=int, default=64, metavar="N", help="images for OpenCV's loop; 0 for none")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     options = parser.parse_args(arguments)
     check(parser, options)
     require(parser, "tqdm")
+    os.environ.update(opencv_limits(options.max_pixels))
+    out = options.out.resolve()
+    if out.is_file():
+        make_folder(parser, options.out)  # says so
+    everything = tasks_of(options.source, out, options.format)
+    if reason := conflict(everything, options.source.resolve(), out):
+        parser.error(printable(reason))
+    make_folder(parser, options.out)
+    try:
+        report = Report(options.out, options.retry)
+    except BlockingIOError:
+        parser.error(f"{options.out}: another job is writing its results there")
+    with report:
+        return run(everything, options, report)
+
+
+def run(everything: Sequence[Task], options: argparse.Namespace, report: Report) -> int:
+    """Do what is not done or reported yet."""
     from tqdm import tqdm
 
-    make_folder(parser, options.out)
-    for left in options.out.rglob(f".*.{PARTIAL}.*"):  # of a killed run
-        left.unlink(missing_ok=True)
-    everything = tasks_of(options.source, options.out.resolve(), options.format)
-    report = Report(options.out, options.retry)
-    existing = {task.path for task in everything if os.path.exists(task.target)}
-    tasks = [task for task in everything if task.path not in existing | report.known]
+    for partial in options.out.rglob(f".*.{PARTIAL}.*"):  # of a killed job
+        partial.unlink(missing_ok=True)
+    remaining = [t for t in everything if printable(t.path) not in report.known and not os.path.exists(t.target)]
+    refused = [(task.path, reason) for task in remaining if (reason := refusal(task))]
+    for path, reason in refused:
+        report.add(path, reason)
+    tasks = [task for task in remaining if not refusal(task)] if refused else remaining
     begin = time.perf_counter()
-    with tqdm(total=len(everything), initial=len(everything) - len(tasks), unit="picture", leave=False) as bar:
+    done = len(everything) - len(tasks)
+    bar_options = {"unit": "picture", "leave": False, "dynamic_ncols": True, "disable": sys.stderr is None}
+    with tqdm(total=len(everything), initial=done, file=Stderr(), **bar_options) as bar:
         if options.engine == "ray":
             broken = run_on_cluster(tasks, options, report, bar.update) if tasks else 0
         else:
@@ -540,11 +666,12 @@ def main(arguments: list[str] | None = None) -> int:
             run_here(tasks, options, job)
             broken = job.broken
     seconds = time.perf_counter() - begin
-    print(f"{len(everything)} images, {len(everything) - len(tasks)} of them done before", end="; ")
-    print(f"{len(tasks) - broken} done and {broken} broken in {seconds:.1f} s: {len(tasks) / seconds:.3g} images/s")
+    broken += len(refused)
+    print(f"{len(everything)} images, {len(everything) - len(remaining)} of them done before", end="; ")
+    print(f"{len(remaining) - broken} done and {broken} broken in {seconds:.1f} s: {len(tasks) / seconds:.3g} images/s")
     if options.compare and tasks:
         compare(list(itertools.islice(tasks, options.compare)), options)
-    print(f"results and broken.csv are in {options.out}")
+    print(f"results and broken.csv are in {printable(str(options.out))}")
     return 0
 
 

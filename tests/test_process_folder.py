@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import csv
 import glob
+import io
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -230,6 +232,118 @@ def test_second_start_does_no_work(pictures: Path, tmp_path: Path, capsys: pytes
     assert run(pictures, out, "--retry", "--compare", 0) == 0
     assert "493 of them done before; 0 done and 7 broken" in capsys.readouterr().out
     check(pictures, out)
+
+
+def test_bad_files_are_lines_of_the_report(tmp_path: Path, monkeypatch, capsys) -> None:
+    """A pipe, which would be waited for, a folder, names that are no text, too long a name, too many pixels."""
+    monkeypatch.setenv("OPENCV_IO_MAX_IMAGE_PIXELS", "")  # set by the program
+    pictures, out = tmp_path / "pictures", tmp_path / "out"
+    pictures.mkdir()
+    good = {"a.png": 9, f"{'b' * 196}.png": 9, "even.png": 10}
+    for name, side in {**good, f"{'c' * 197}.png": 9, "large.png": 11, "no text.png": 9}.items():
+        K.io.write_image(pictures / name, torch.rand(3, side, 10))
+    os.rename(pictures / "no text.png", pictures / "\udcff.png")
+    os.mkfifo(pictures / "pipe.png")
+    options = (pictures, out, "--max-pixels", 100, "--compare", 0)
+    assert run(*options) == 0
+    assert "7 images, 0 of them done before; 3 done and 4 broken" in capsys.readouterr().out
+    assert results(out).keys() == {f"{name}.png" for name in good}
+    rows = dict(list(csv.reader((out / "broken.csv").open()))[1:])
+    assert rows == {
+        str(pictures / "\\udcff.png"): "its name is no valid text",
+        str(pictures / f"{'c' * 197}.png"): "its name has 201 bytes, more than 200",
+        str(pictures / "large.png"): "the image has more than 100 pixels (--max-pixels)",
+        str(pictures / "pipe.png"): f"{pictures / 'pipe.png'} is no regular file",
+    }
+    assert run(*options) == 0
+    assert "7 of them done before; 0 done and 0 broken" in capsys.readouterr().out
+    assert dict(list(csv.reader((out / "broken.csv").open()))[1:]) == rows
+
+
+# Workers import the program as their main module, and with it the function that dies.
+DIES = """
+import os, sys
+import process_folder
+
+read = process_folder.read
+
+def read_or_die(number, task, *options):
+    return os._exit(1) if "deadly" in task.path else read(number, task, *options)
+
+process_folder.read = read_or_die
+
+if __name__ == "__main__":
+    raise SystemExit(process_folder.main())
+"""
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_costs_a_line(tmp_path: Path) -> None:
+    """In a job without stderr, and with OpenCV's own check of a header that asks for more than there is."""
+    pictures, out = tmp_path / "pictures", tmp_path / "out"
+    pictures.mkdir()
+    good = {f"{i}.png" for i in range(12)}
+    for name in (*good, "3deadly.png", "large.png"):
+        K.io.write_image(pictures / name, torch.rand(3, 9, 101 if name == "large.png" else 9))
+    (tmp_path / "program.py").write_text(DIES)
+    options = (pictures, out, "--device", "cpu", "--workers", 2, "--batch", 4, "--max-pixels", 900, "--compare", 0)
+    command = [sys.executable, tmp_path / "program.py", *map(str, options)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(EXAMPLES), *sys.path])}
+    shell = f"exec {shlex.join(map(str, command))} 2>&-"
+    job = subprocess.run(shell, shell=True, env=environment, stdout=subprocess.PIPE, text=True, timeout=200)
+    assert job.returncode == 0 and "14 images, 0 of them done before; 12 done and 2 broken" in job.stdout
+    assert results(out).keys() == {f"{name}.png" for name in good}
+    rows = dict(list(csv.reader((out / "broken.csv").open()))[1:])
+    assert rows == {
+        str(pictures / "3deadly.png"): "the process that decoded it died",
+        str(pictures / "large.png"): "the image has more than 900 pixels (--max-pixels)",
+    }
+
+
+def test_bad_jobs_are_refused_before_work(tmp_path: Path, capsys) -> None:
+    pictures = tmp_path / "pictures"
+    (pictures / "pictures").mkdir(parents=True)
+    for name in ("a.png", "pictures/b.png"):
+        K.io.write_image(pictures / name, torch.rand(3, 9, 9))
+    listed = tmp_path / "list.txt"
+    before = sorted(tmp_path.rglob("*"))
+
+    def refused(source: Path, out: Path) -> str:
+        with pytest.raises(SystemExit) as stopped:
+            run(source, out)
+        assert stopped.value.code == 2
+        return capsys.readouterr().err.splitlines()[-1]
+
+    for out in (pictures, pictures / "out", tmp_path / "pictures" / ".." / "pictures" / "out"):
+        assert refused(pictures, out).endswith("is inside the folder of the images")
+    assert refused(pictures, tmp_path).endswith(f"results would go to {pictures}, which is the folder of the images")
+    out = tmp_path / "out"
+    for lines, said in {
+        ("../a.png", "a.png"): f"../a.png and a.png have the same result, {out}/a.png.png",
+        ("http://h/a.png?1", "http://h/a.png?2"): f"have the same result, {out}/h/a.png.png",
+        ("a.png", "a.png.png/b.png"): f"the result of a.png, {out}/a.png.png, is the folder of other results",
+        ("a.png", f"{out}/a.png.png"): f"{out}/a.png.png is an image and a result",
+    }.items():
+        listed.write_text("\n".join(lines))
+        assert refused(listed, out).endswith(said)
+    listed.unlink()
+    assert sorted(tmp_path.rglob("*")) == before
+    out.mkdir()
+    with example("process_folder").Report(out, False):
+        assert refused(pictures, out).endswith(f"{out}: another job is writing its results there")
+        assert [path.name for path in out.iterdir()] == ["broken.csv"]
+    assert run(pictures, out, "--compare", 0) == 0
+
+
+@pytest.mark.parametrize("stderr", ["broken", None])
+def test_a_job_without_stderr(stderr: str | None, pictures: Path, tmp_path: Path, monkeypatch) -> None:
+    class Pipe(io.StringIO):
+        def write(self, text: str) -> int:
+            raise BrokenPipeError
+
+    monkeypatch.setattr(sys, "stderr", stderr and Pipe())
+    assert run(pictures / "a" / "0.jpg", tmp_path / "out", "--compare", 0) == 0
+    assert results(tmp_path / "out").keys() == {"0.jpg.png"}
 
 
 def test_a_list_of_paths_and_urls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -244,7 +244,7 @@ class Quaternion(StatefulModule):
 
     def __mul__(self, right: Quaternion | Tensor | float) -> Quaternion:
         if isinstance(right, Quaternion):
-            return Quaternion(_product(self.data, right.data))
+            return Quaternion(quaternion_product(self.data, right.data))
         return Quaternion(self.data * _column(right))
 
     def __rmul__(self, left: Tensor | float) -> Quaternion:
@@ -289,7 +289,8 @@ def _product_reference(p: Tensor, q: Tensor) -> Tensor:
 _product_of_rows = register_formula("quaternion_product", _product_reference, lambda *args: (4,))
 
 
-def _product(p: Tensor, q: Tensor) -> Tensor:
+def quaternion_product(p: Tensor, q: Tensor) -> Tensor:
+    """The products (*, 4) of quaternions, in the wider type."""
     dtype = torch.promote_types(p.dtype, q.dtype)
     return of_all(_product_of_rows, 1, as_dtype(p, dtype), q)
 

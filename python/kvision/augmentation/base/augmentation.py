@@ -93,7 +93,7 @@ class AugmentationBase(OnePass):
         else:
             execution = self._execution = self._from_params(params, x)  # before it runs, as in _draw_and_run
             y = self._run(x, execution, flags)
-        if self.keepdim or image.dtype in WIDE_INTEGERS:
+        if x is not image:
             y = self._restored(y, image)
         returns = self.return_transform if return_transform is None else return_transform
         return with_matrix(y, before, self._matrix(execution).to(y.device) if returns else None)

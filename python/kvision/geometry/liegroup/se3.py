@@ -67,8 +67,8 @@ class Se3(RigidMotion[So3]):
     def __mul__(self, right: Any) -> Any:
         """Compose with motions, or move points (*, 3) or a Vector3."""
         if isinstance(right, Se3):
-            t = self.r * right.t + self.t
-            return Se3(self.r * right.r, as_operands(t, self.quaternion.data, self.t, right.t))
+            r, t, right_t = self.r, self.t, right.t  # once: a lookup of a module's tensor takes long
+            return Se3(r * right.r, as_operands(r * right_t + t, r.q.data, t, right_t))
         if isinstance(right, Vector3):
             return Vector3(self * right.data)
         return self.r * right + self.t

@@ -22,7 +22,7 @@ from kvision.geometry.conversions.rotations import (
 )
 from kvision.geometry.conversions.series import sinc, squared
 from kvision.geometry.liegroup.group import LieGroup, cotangent_rest, sine_rest
-from kvision.geometry.quaternion import Quaternion
+from kvision.geometry.quaternion import Quaternion, quaternion_product
 from kvision.geometry.vector import Vector3
 
 __all__ = ["So3"]
@@ -67,14 +67,15 @@ class So3(LieGroup):
     def __mul__(self, right: Any) -> Any:
         """Compose with rotations, or rotate points (*, 3) or a Vector3."""
         if isinstance(right, So3):
-            return self._of((self.q * right.q).data, right.q.data)
+            p, q = self.q.data, right.q.data
+            return So3(Quaternion(as_operands(quaternion_product(p, q), p, q)))
         if isinstance(right, Vector3):
             return Vector3(rotate("So3", self.matrix(), right.data))
         return rotate("So3", self.matrix(), right)
 
-    def _of(self, q: Tensor, *others: Tensor) -> So3:
-        """The result `q` (*, 4) of an operation on these rotations and others."""
-        return So3(Quaternion(as_operands(q, self.q.data, *others)))
+    def _of(self, q: Tensor) -> So3:
+        """The result `q` (*, 4) of an operation on these rotations."""
+        return So3(Quaternion(as_operands(q, self.q.data)))
 
     @property
     def q(self) -> Quaternion:

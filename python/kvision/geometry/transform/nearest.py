@@ -15,14 +15,13 @@ from kvision._torch_compat import in_function_transform, in_onnx_export
 
 def moves_values(image: Tensor, interpolation: str) -> bool:
     """Whether pixels are integers that go to the result as they are; operators themselves do so for uint8."""
-    if image.is_floating_point() or image.dtype == torch.uint8:
-        return False
-    return interpolation in ("nearest", "nearest-exact")
+    is_nearest = interpolation in ("nearest", "nearest-exact")
+    return is_nearest and not image.is_floating_point() and image.dtype != torch.uint8
 
 
 def as_values(image: Tensor, interpolation: str) -> Tensor:
     """Images (B, C, *S) as operators take them: bytes (B, C * bytes, *S) of integers that a nearest mode moves, else pixels."""
-    if not moves_values(image, interpolation):
+    if image.is_floating_point() or not moves_values(image, interpolation):
         return pixels(image)
     if in_onnx_export():
         return image.double()  # ONNX cannot view numbers as bytes; labels below 2^53 are exact
@@ -38,7 +37,7 @@ def as_values(image: Tensor, interpolation: str) -> Tensor:
 
 def of_values(result: Tensor, image: Tensor, interpolation: str) -> Tensor:
     """The result of an operator on :func:`as_values` of `image`, in the type of `image` where a nearest mode moved it."""
-    if not moves_values(image, interpolation):
+    if image.is_floating_point() or not moves_values(image, interpolation):
         return result
     if in_onnx_export():
         return result.to(image.dtype)

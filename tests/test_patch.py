@@ -228,7 +228,9 @@ def test_examples_of_kornia_pass_patched(examples) -> None:
 RANDOM = "random numbers are functions of one key a call"
 BORDER = "pixels around an undone crop are 0"
 PRINTS = "groups and poses print their parts in other words"
+CONVERGES = "lenses are inverted until they are"
 DIFFERENT_EXAMPLES = {
+    "kornia.geometry.calibration.undistort.undistort_points": CONVERGES,
     **{
         f"kornia.augmentation.{name}": RANDOM
         for name in (

@@ -2,6 +2,10 @@
 // (B or 1, 3, 3), and dist the first 4, 5, 8, 12 or 14 of k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tx, ty.
 #pragma once
 
+#include <torch/csrc/autograd/autograd.h>
+
+#include <limits>
+
 #include "kvision/ops/geometry.h"
 #include "kvision/types.h"
 
@@ -71,23 +75,39 @@ inline Tensor distort_points(Tensor const& points, Tensor const& K, Tensor const
   return lens.in_pixels(u, v);
 }
 
-// Back from there, by a fixed-point iteration.
+// Back from there; NaN, without a gradient, where the lens shows no point. The gradient is that of the implicit
+// function.
 inline Tensor undistort_points(Tensor const& points, Tensor const& K, Tensor const& dist,
                                std::optional<Tensor> const& new_K = {}, int64_t num_iters = 5) {
   detail::shaped("undistort_points", "points", points, 3, "(B, N, 2)");
   detail::shaped("undistort_points", "dist", dist, 2, "(B or 1, n)");
   detail::Lens const lens{K, new_K.value_or(K), dist, detail::tilt_of(dist, true)};
-  if (!lens.is_variable() && !points.requires_grad())
+  if (!at::GradMode::is_enabled() || (!lens.is_variable() && !points.requires_grad()))
     return ops::undistort_points(points, lens.source, lens.target, dist, lens.tilt, num_iters);
   auto const [u, v] = lens.normalized(points);
   auto const [x0, y0] = lens.tilted(u, v);
-  Tensor x = x0, y = y0;
-  for (int64_t i = 0; i < num_iters; ++i) {
+  auto const constant = [](Tensor const& t) { return t.detach(); };
+  std::optional<Tensor> const tilt = lens.tilt ? std::optional(constant(*lens.tilt)) : std::nullopt;
+  Tensor const solution = ops::undistort_points(constant(points), constant(lens.source), at::eye(3, K.options())[None],
+                                                constant(dist), tilt, num_iters);
+  Tensor const is_point = solution.isfinite().all(2), start = at::where(is_point.unsqueeze(2), solution, 0);
+  // Newton steps x - J^-1 (lens(x) - x0) from the solution, with J of the solution: one has the first derivatives of
+  // the implicit function, two the second ones.
+  Tensor const at_x = constant(start.select(2, 0)).requires_grad_(),
+               at_y = constant(start.select(2, 1)).requires_grad_();
+  detail::Lens const fixed{constant(lens.source), constant(lens.target), constant(dist), tilt};
+  auto const [f, sx, sy] = fixed.terms(at_x, at_y);
+  auto const row = [&](Tensor const& value) { return torch::autograd::grad({value.sum()}, {at_x, at_y}, {}, true); };
+  auto const in_x = row(at_x * f + sx), in_y = row(at_y * f + sy);
+  Tensor const a = in_x[0], b = in_x[1], c = in_y[0], d = in_y[1], determinant = a * d - b * c;
+  Tensor x = constant(at_x), y = constant(at_y);
+  for (int step = 0; step < 2; ++step) {
     auto const [factor, dx, dy] = lens.terms(x, y);
-    x = (x0 - dx) / factor;
-    y = (y0 - dy) / factor;
+    Tensor const off_x = x * factor + dx - x0, off_y = y * factor + dy - y0;
+    x = x - (d * off_x - b * off_y) / determinant;
+    y = y - (a * off_y - c * off_x) / determinant;
   }
-  return lens.in_pixels(x, y);
+  return at::where(is_point.unsqueeze(2), lens.in_pixels(x, y), std::numeric_limits<double>::quiet_NaN());
 }
 
 inline Tensor undistort_image(Tensor const& image, Tensor const& K, Tensor const& dist) {

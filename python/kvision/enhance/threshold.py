@@ -44,6 +44,9 @@ class ThresholdType(IntEnum):
     THRESH_OTSU = 8
 
 
+_TYPES = [int(t) for t in ThresholdType if t < ThresholdType.THRESH_OTSU]
+
+
 def threshold(
     input: Tensor,
     thresh: float | Tensor,
@@ -91,7 +94,7 @@ def threshold(
         raise TypeCheckError(f"threshold: expected type to be a ThresholdType, got {type!r}")
     if type & ThresholdType.THRESH_OTSU:
         raise NotImplementedError("threshold: THRESH_OTSU is kvision.filters.otsu_threshold")
-    _check.choice("threshold", "type", int(type), [int(t) for t in ThresholdType if t < ThresholdType.THRESH_OTSU])
+    _check.choice("threshold", "type", int(type), _TYPES)
     if input.is_floating_point():
         limit, *results = _values(type, thresh, maxval)
         # Neither the comparison nor an image that is only compared has a gradient.

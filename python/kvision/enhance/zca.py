@@ -125,7 +125,7 @@ def zca_mean(
         raise ShapeError(f"zca_mean: expected at least {1 + unbiased} samples along axis {dim}, got {tuple(inp.shape)}")
     samples = as_dtype(inp, compute_dtype(inp)).movedim(dim, 0)
     samples = samples.reshape(samples.shape[0], samples.shape[1:].numel())
-    inverse, mean, root = _inverse_root(samples, samples.shape[0] - unbiased, eps)
+    inverse, mean, root = _inverse_root(samples, samples.shape[0] - int(unbiased), eps)
     return inverse, mean, root if return_inverse else None
 
 

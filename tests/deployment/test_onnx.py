@@ -161,6 +161,20 @@ def test_a_model_with_layers_and_a_chosen_backend(tmp_path: Path) -> None:
         exported(layers, [image], tmp_path / "program.onnx")
 
 
+@pytest.mark.slow
+@pytest.mark.tracing
+def test_antialiasing_of_free_sizes_is_refused() -> None:
+    """The number of pixels that are averaged would be that of the example: programs failed when they ran.
+
+    torch answers the refusal by another way of tracing, which keeps the operator, so that its last words are about that.
+    """
+    for library in LIBRARIES:
+        pytest.importorskip(library)
+    shapes = ({2: Dim("height", min=16), 3: Dim("width", min=16)},)
+    with pytest.raises(Exception, match="resize: ONNX of antialias=True|No ONNX function found for .*kvision.resize"):
+        torch.onnx.export(K.geometry.Resize((8, 9), antialias=True), (torch.rand(1, 3, 32, 40),), dynamic_shapes=shapes)
+
+
 def test_the_page_names_public_functions() -> None:
     """docs/onnx.md has functions that are there, once each, and the numbers of its first sentence."""
     page = (Path(__file__).parents[2] / "docs/onnx.md").read_text()

@@ -14,7 +14,7 @@ from kvision._dtype import compute_dtype
 from kvision._modes import BORDER, BORDER_NAMES, INTERPOLATION, INTERPOLATION_NAMES
 from kvision._modules import FunctionModule
 from kvision._ops import register, saturate_to_byte
-from kvision._torch_compat import is_tracing, largest, smallest
+from kvision._torch_compat import in_onnx_export, is_tracing, largest, smallest
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters import gaussian_blur2d
 from kvision.geometry.transform.nearest import as_values, of_values
@@ -59,6 +59,11 @@ def _weighted(image: Tensor, axis: int, taps: Taps) -> Tensor:
 
 def _taps(window: str, source: int, result: int, align_corners: bool, antialias: bool, like: Tensor) -> Taps:
     """Taps of an axis. Coordinates are fractions of integers, so that the first tap is exact at any size."""
+    if antialias and in_onnx_export() and not (type(source) is int and type(result) is int):
+        raise NotImplementedError(
+            "resize: ONNX of antialias=True needs a fixed height and width, which say how many pixels are averaged; leave "
+            "these axes out of dynamic_shapes"
+        )
     i = torch.arange(result, device=like.device)[:, None]
     if window in ("nearest", "nearest-exact", "area"):
         first, last = i * source // result, -((i + 1) * -source // result) - 1

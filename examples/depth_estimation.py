@@ -32,8 +32,10 @@ from kvision.demo.arguments import device_of, images_of, make_folder, require
 
 LEVELS, ITERATIONS = 5, 120
 RATE, MOMENTUM = 0.001, 0.9
+RATE_WIDTH = 160  # pixels; on wider images a step of the same rate overshoots
 STRUCTURE, SMOOTHNESS = 0.85, 0.15  # weight of SSIM, the rest being that of L1; weight of roughness
 WINDOW = 5  # of SSIM
+AGREEMENT = 0.6  # least mean SSIM of an image and the warped view of its pair
 
 
 @dataclass(frozen=True)
@@ -189,9 +191,10 @@ def descend(
         picture, views = shrunk(scene.picture, size), shrunk(scene.views, size)
         warp = warper_of(scene, size, library)
         inverse_depth = K.geometry.resize(inverse_depth, size).detach().requires_grad_()
-        optimizer = torch.optim.SGD(
-            [inverse_depth], RATE * inverse_depth.numel(), MOMENTUM
-        )  # the objective is a mean over pixels
+        # The objective is a mean over pixels. A change of inverse depth moves a pixel by a fraction of the width, so that the
+        # curvature of the objective grows with the square of the width.
+        rate = RATE * inverse_depth.numel() * min(1, RATE_WIDTH / size[1]) ** 2
+        optimizer = torch.optim.SGD([inverse_depth], rate, MOMENTUM)
         for _ in range(iterations):
             optimizer.zero_grad()
             objective(picture, warp(depth_of(scene, inverse_depth), views), inverse_depth, library).backward()
@@ -214,6 +217,11 @@ def quality(error: Tensor) -> tuple[float, float]:
     """Mean error, fraction of pixels within 10%."""
     known = error[error.isfinite()]
     return float(known.mean()), float((known < 0.1).float().mean())
+
+
+def agreement(scene: Scene, warped: Tensor) -> float:
+    """Mean structural similarity of the image and the views warped by its depth; 1 where they are equal."""
+    return float(K.metrics.ssim(scene.picture.expand_as(warped), warped, WINDOW).mean())
 
 
 def limits(scene: Scene, error: Tensor) -> str:
@@ -334,6 +342,12 @@ def main(arguments: list[str] | None = None) -> int:
             )
             print(f"searched from {scene.near:.3g} to {scene.far:.3g}; {seconds:.1f} s")
             draw(scene, estimates, options.out / f"{scene.name}.png")
+            if (similarity := agreement(scene, estimates[-1][1])) < AGREEMENT:
+                missed += 1
+                print(
+                    f"{scene.name}: similarity of the warped view {similarity:.2f}, less than {AGREEMENT:g}: "
+                    "no depth relates these images"
+                )
             continue
         constant = depth_of(scene, torch.full_like(scene.truth, 0.5))
         print(

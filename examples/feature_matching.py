@@ -6,7 +6,8 @@
     python examples/feature_matching.py --weights HardNet.pth       HardNet describes the patches instead of SIFT
 
 The third example of the Kornia paper: a Hessian detector with affine shapes and orientations, patches, descriptors, mutual
-nearest neighbors that pass the ratio test, RANSAC. Every pair gives an image of its inliers.
+nearest neighbors that pass the ratio test, RANSAC. Every pair gives an image of its inliers. Two photographs of --image with fewer
+than 15 inliers are said to be of different scenes; the program then ends with 1 and makes no panorama.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from kvision.demo.arguments import device_of, images_of, make_folder, require
 # Real pairs: folder, number of the second image.
 REAL = (("graf", 3), ("boat", 3), ("leuven", 4), ("bikes", 3))
 PATCH = 32
+LEAST = 15  # inliers of one scene: unrelated photographs of scikit-image have none, the least of the pairs here 96
 LIMIT = 3.0  # pixels: of an inlier, and of the mean error of the corners
 
 
@@ -237,6 +239,11 @@ def main(arguments: list[str] | None = None) -> int:
             flush=True,
         )
         draw(pair, matches, options.out / f"{pair.name}.png")
+    if options.image and inliers < LEAST:
+        print(
+            f"{inliers} inliers, fewer than {LEAST}: no homography relates these photographs; images are in {options.out}"
+        )
+        return 1
     stitched = panorama(matcher, overlapping)
     K.io.write_image(options.out / "panorama.png", (255 * stitched[0].clamp(0, 1)).round().byte().cpu())
     print(

@@ -66,6 +66,40 @@ def test_depth_of_a_stereo_pair(device):
     assert results[-1][1] > results[0][1]
 
 
+@pytest.mark.slow
+def test_each_level_of_depth_is_better_than_the_one_before(device):
+    pytest.importorskip("skimage")
+    depth = example("depth_estimation")
+    scene = depth.motorcycle(device)
+    mean, within = zip(*(depth.quality(depth.errors(scene, d)) for d, _ in depth.descend(scene, 120, 5)))
+    assert list(mean) == sorted(mean, reverse=True) and mean[-1] < 0.055
+    assert list(within) == sorted(within)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name, said",
+    [
+        ("feature_matching", "inliers, fewer than 15: no homography relates these photographs"),
+        ("depth_estimation", "less than 0.6: no depth relates these images"),
+    ],
+)
+def test_unrelated_photographs_end_with_a_verdict(name: str, said: str, tmp_path: Path, capsys) -> None:
+    pytest.importorskip("skimage")
+    photos = K.io.get_sample_images((120, 160), ("astronaut", "coffee"))
+    paths = [tmp_path / "left.png", tmp_path / "right.png"]
+    for path, photo in zip(paths, photos):
+        K.io.write_image(path, photo)
+    quick = {
+        "feature_matching": ["--features", "200"],
+        "depth_estimation": ["--width", "64", "--levels", "2", "--iterations", "10"],
+    }
+    options = [*map(str, paths), *quick[name], "--out", str(tmp_path / "out"), "--device", "cpu"]
+    assert example(name).main(["--image", *options]) == 1
+    assert said in capsys.readouterr().out
+    assert not (tmp_path / "out" / "panorama.png").exists()
+
+
 def test_depth_of_a_room(data, device, tmp_path: Path):
     pytest.importorskip("tqdm")
     depth = example("depth_estimation")

@@ -135,7 +135,8 @@ class MKDDescriptor(nn.Module):
 
     def forward(self, patches: Tensor) -> Tensor:
         x = check_patches("MKDDescriptor", "patches", patches, self.patch_size)
-        _check.same_device("MKDDescriptor", patches=patches, constants=self.angles)
+        constants = self.get_buffer(f"{_KERNELS[self.kernel_type][0]}_positions")
+        _check.same_device("MKDDescriptor", patches=patches, constants=constants)
         image = as_dtype(x, compute_dtype(x))
         sigma = 1.4 * self.patch_size / 64
         blurred = gaussian_blur2d(image, (5, 5), (sigma, sigma), "replicate")

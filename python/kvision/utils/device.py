@@ -94,6 +94,9 @@ def is_autocast_enabled(both: bool = True) -> bool:
     Returns:
         True inside of an autocast block for such a device.
 
+    Raises:
+        TypeCheckError: `both` is no switch.
+
     Example:
         >>> import torch, kvision as K
         >>> with torch.autocast("cpu"):

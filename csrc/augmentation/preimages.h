@@ -230,18 +230,18 @@ KV_HD void add_cell(Extents<F>& extents, Quadrilateral<F> const& quad, Bounds<F>
                     Point<F> const (&directions)[4], Cell<F> const& cell) {
   Bounds<F> const bounds = cell.bounds();
   if (!bounds.overlaps(quad_bounds)) return;
-  auto const add = [&](F u, F v) { extents.add(directions, cell.position(u, v), cell.is_inside); };
+  auto const add = [&](F u, F v) KV_INLINE { extents.add(directions, cell.position(u, v), cell.is_inside); };
   if (quad.contains(cell.a) && quad.contains(cell.b) && quad.contains(cell.c) && quad.contains(cell.d)) {
     add(0, 0), add(1, 0), add(0, 1), add(1, 1);
     return;
   }
-  clip_segment(quad, cell.a, cell.b, [&](F u) { add(u, 0); });
-  clip_segment(quad, cell.c, cell.d, [&](F u) { add(u, 1); });
-  clip_segment(quad, cell.a, cell.c, [&](F v) { add(0, v); });
-  clip_segment(quad, cell.b, cell.d, [&](F v) { add(1, v); });
+  clip_segment(quad, cell.a, cell.b, [&](F u) KV_INLINE { add(u, 0); });
+  clip_segment(quad, cell.c, cell.d, [&](F u) KV_INLINE { add(u, 1); });
+  clip_segment(quad, cell.a, cell.c, [&](F v) KV_INLINE { add(0, v); });
+  clip_segment(quad, cell.b, cell.d, [&](F v) KV_INLINE { add(1, v); });
   for (int k = 0; k < 4; ++k)
     if (bounds.contains(quad.corners[k], F(1e-3)))
-      cell.solve(quad.corners[k], [&](Point<F> p) { extents.add(directions, p, cell.is_inside); });
+      cell.solve(quad.corners[k], [&](Point<F> p) KV_INLINE { extents.add(directions, p, cell.is_inside); });
 }
 
 // Whether cells may add anything, by their positions alone. Cells inside have pixels.
@@ -297,7 +297,7 @@ KV_HD void add_positions(Nearest<F> (&nearest)[2], MapGrid<F> const& g, int64_t 
                          int64_t i, int64_t j) {
   Cell<F> const cell(g, b, i, j);
   if (!cell.bounds().contains(point, F(1e-2))) return;
-  cell.solve(point, [&](Point<F> p) {
+  cell.solve(point, [&](Point<F> p) KV_INLINE {
     Nearest<F>& of_kind = nearest[cell.is_inside ? 0 : 1];
     of_kind.add(dot(p - pixel, p - pixel), i * g.columns + j, p);
   });

@@ -55,7 +55,7 @@ KV_HD void store_distance(DistanceEnvelope<T> const& p, int64_t at, int squared)
 //   (F(b) - F(a)) / (b - a) >= (F(c) - F(b)) / (c - b)  with  F(i) = squared(i) + i^2
 template <int kAhead, class Squared, class Get, class Set, class Put>
 KV_HD void lower_envelope(int length, Squared const& squared, Get const& get, Set const& set, Put const& put) {
-  auto const F = [](Member const& m) { return int64_t(m.squared) + int64_t(m.at) * m.at; };
+  auto const F = [](Member const& m) KV_INLINE { return int64_t(m.squared) + int64_t(m.at) * m.at; };
   int count = 0;
   Member top{}, below{};
   for (int q0 = 0; q0 < length; q0 += kAhead) {
@@ -85,7 +85,7 @@ KV_HD void lower_envelope(int length, Squared const& squared, Get const& get, Se
     if (j < count) next[j] = get(j);
   int k = 0;
   for (int q = 0; q < length; ++q) {
-    auto const value = [&](Member const& m) { return m.squared + (q - m.at) * (q - m.at); };
+    auto const value = [&](Member const& m) KV_INLINE { return m.squared + (q - m.at) * (q - m.at); };
     int lowest = value(next[0]);
     while (k + 1 < count && value(next[1]) <= lowest) {
       lowest = value(next[1]);

@@ -13,12 +13,12 @@ from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision.augmentation.base import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
-from kvision.augmentation.planckian_data import BLACKBODY, CIED
 from kvision.augmentation.random_generator.color import (
     ChannelDropoutGenerator,
     ChannelShuffleGenerator,
     PlanckianJitterGenerator,
 )
+from kvision.augmentation.random_generator.planckian_data import BLACKBODY, CIED
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = ["RandomChannelDropout", "RandomChannelShuffle", "RandomPlanckianJitter"]

@@ -16,9 +16,9 @@ import kvision.augmentation as A
 from kvision import _check
 from kvision._clamp import clamp
 from kvision.augmentation.base import AugmentationBase2D, Params, with_matrix
+from kvision.augmentation.base.configuration import Plans
 from kvision.augmentation.base.execution import check_batch_of_params
 from kvision.augmentation.columns import draw_columns
-from kvision.augmentation.configuration import Plans
 from kvision.augmentation.container.image import ImageSequential
 from kvision.augmentation.container.runs import Randomness
 from kvision.augmentation.container.stages import Applied, Stage

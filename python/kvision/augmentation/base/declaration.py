@@ -15,9 +15,9 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision import _check
+from kvision.augmentation.base.configuration import SWITCHES, Flags, Plans, settings_changed
 from kvision.augmentation.base.execution import Params, Shape
 from kvision.augmentation.columns import Span
-from kvision.augmentation.configuration import SWITCHES, Flags, Plans, settings_changed
 from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.warp_and_color import Pass

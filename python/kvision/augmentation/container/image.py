@@ -17,7 +17,7 @@ from kvision.augmentation.base import (
     with_matrix,
     without_added_axes,
 )
-from kvision.augmentation.configuration import Plans
+from kvision.augmentation.base.configuration import Plans
 from kvision.augmentation.container.runs import Child, Randomness, execute
 from kvision.augmentation.container.stages import Applied, Stage, forget_coordinates, invert, move_masks, product
 from kvision.augmentation.draws import philox, unit

@@ -25,8 +25,8 @@ from torch import Generator, Tensor, nn
 
 from kvision._dtype import as_dtype, compute_dtype
 from kvision.augmentation.base import AugmentationBase, Execution, Shape, matrix_type, where_chosen
+from kvision.augmentation.base.configuration import Plans
 from kvision.augmentation.columns import Columns, DrawPlan, Span, plan_draws
-from kvision.augmentation.configuration import Plans
 from kvision.augmentation.container.stages import Applied, Composed, MapLink, Stage, Warp
 from kvision.augmentation.displacements import NoiseField
 from kvision.augmentation.drawn_links import DrawnLinks

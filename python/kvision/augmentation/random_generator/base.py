@@ -8,8 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from kvision.augmentation.base.configuration import settings_changed
 from kvision.augmentation.columns import draw_columns
-from kvision.augmentation.configuration import settings_changed
 from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.keys import draw_keys
 from kvision.augmentation.noise import PixelNoise

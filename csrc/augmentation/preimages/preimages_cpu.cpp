@@ -1,5 +1,5 @@
 // Preimages on the CPU: tiles, quadrilaterals or points [begin, end) of all samples. Compiled once per instruction set.
-#include "augmentation/preimages.h"
+#include "augmentation/preimages/preimages.h"
 
 namespace kv::augmentation::KV_ISA {
 

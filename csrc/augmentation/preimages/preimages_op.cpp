@@ -1,5 +1,5 @@
 // Preimages of quadrilaterals and points: schemas and entries, for CPU and CUDA.
-#include "augmentation/preimages.h"
+#include "augmentation/preimages/preimages.h"
 #include "glue/glue.h"
 
 namespace kv::augmentation {

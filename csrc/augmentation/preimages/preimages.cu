@@ -1,6 +1,6 @@
 // Preimages on CUDA: a warp finds each tile's bounds, a block each quadrilateral or point. The threads of a warp look
 // at 32 tiles at a time, then together at the cells of those that matter.
-#include "augmentation/preimages.h"
+#include "augmentation/preimages/preimages.h"
 #include "core/block_reduce.cuh"
 
 namespace kv::augmentation::cuda {

@@ -9,6 +9,7 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from benchmarks import cases, results
 
@@ -106,8 +107,7 @@ def curves(path: Path, lines: dict[str, list[tuple[int, float]]], label: str) ->
         for side in ("top", "right"):
             axis.spines[side].set_visible(False)
     axes[0].set_ylabel(label)
-    figure.savefig(path, metadata={"Date": None})
-    plt.close(figure)
+    save(figure, path)
 
 
 def style() -> None:
@@ -120,16 +120,28 @@ def style() -> None:
     )
 
 
-def dots(path: Path, groups: Sequence[tuple[str, Cases]], sizes: Sequence[str], label: str) -> None:
-    """Cases from top to bottom, a dot for each size; one panel a group, on a logarithmic scale with a line at 1."""
+def panels_of(groups: Sequence[tuple[str, Cases]], width: float, height: float) -> tuple[Any, Any, int]:
+    """A figure with a panel of this width for each group, its axes, and the cases of the longest group, each of this height."""
     style()
     import matplotlib.pyplot as plt
-    from matplotlib.ticker import FuncFormatter, NullFormatter
 
     longest = max(len(rows) for _, rows in groups)
-    figure, axes = plt.subplots(
-        1, len(groups), figsize=(2.6 * len(groups), 1.1 + 0.15 * longest), squeeze=False, layout="constrained"
-    )
+    size = (width * len(groups), 1.1 + height * longest)
+    return *plt.subplots(1, len(groups), figsize=size, squeeze=False, layout="constrained"), longest
+
+
+def save(figure: Any, path: Path) -> None:
+    import matplotlib.pyplot as plt
+
+    figure.savefig(path, metadata={"Date": None})
+    plt.close(figure)
+
+
+def dots(path: Path, groups: Sequence[tuple[str, Cases]], sizes: Sequence[str], label: str) -> None:
+    """Cases from top to bottom, a dot for each size; one panel a group, on a logarithmic scale with a line at 1."""
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    figure, axes, longest = panels_of(groups, 2.6, 0.15)
     for axis, (title, rows) in zip(axes[0], groups):
         for i, (size, color) in enumerate(zip(sizes, COLORS)):
             points = [(values[i], y) for y, (_, values) in enumerate(rows) if values[i] is not None]
@@ -154,20 +166,14 @@ def dots(path: Path, groups: Sequence[tuple[str, Cases]], sizes: Sequence[str], 
             axis.spines[side].set_visible(False)
         axis.tick_params(axis="y", length=0)
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
-    figure.savefig(path, metadata={"Date": None})
-    plt.close(figure)
+    save(figure, path)
 
 
 def bars(path: Path, groups: Sequence[tuple[str, Cases]], labels: Sequence[str], label: str) -> None:
     """Cases from top to bottom, a bar for each library; one panel a group, on logarithmic scales."""
-    style()
-    import matplotlib.pyplot as plt
     from matplotlib.ticker import FuncFormatter, NullFormatter
 
-    longest = max(len(rows) for _, rows in groups)
-    figure, axes = plt.subplots(
-        1, len(groups), figsize=(4.6 * len(groups), 1.1 + 0.36 * longest), squeeze=False, layout="constrained"
-    )
+    figure, axes, longest = panels_of(groups, 4.6, 0.36)
     for axis, (title, rows) in zip(axes[0], groups):
         for i, (name, color) in enumerate(zip(labels, (*COLORS, "#8a8a8a"))):
             measured = [(y + 0.26 * (i - 1), times[i]) for y, (_, times) in enumerate(rows) if times[i] is not None]
@@ -188,8 +194,7 @@ def bars(path: Path, groups: Sequence[tuple[str, Cases]], labels: Sequence[str],
         for side in ("top", "right", "left"):
             axis.spines[side].set_visible(False)
         axis.tick_params(axis="y", length=0)
-    figure.savefig(path, metadata={"Date": None})
-    plt.close(figure)
+    save(figure, path)
 
 
 def main() -> int:

@@ -50,22 +50,75 @@ class LearnedPair(NamedTuple):
         return torch.cat([first, self.scale * first + self.offset], 1)
 
 
-class Range:
-    """The lowest and the highest value of a parameter: two numbers, or a tensor (2,) that gets gradients."""
+class ParameterOf(Sequence["ParameterOf"]):
+    """A parameter of a module, or an entry of it, which is read from the module whenever it is used.
 
-    def __init__(self, low: float, high: float, tensor: Tensor | None = None) -> None:
-        self.low, self.high, self.tensor = low, high, tensor
+    So it is what the module has by then, whoever has replaced it: load_state_dict(assign=True), `torch.func.functional_call`,
+    parametrizations, `.to` and an assignment.
+    """
+
+    def __init__(self, module: nn.Module, name: str, index: tuple[int | slice, ...] = ()) -> None:
+        self.module, self.name, self.index = module, name, index
+
+    @property
+    def tensor(self) -> Tensor:
+        """The parameter as it is now."""
+        parameter: Tensor = getattr(self.module, self.name)
+        return parameter[self.index] if self.index else parameter
+
+    def __len__(self) -> int:
+        tensor = self.tensor
+        return len(tensor) if tensor.dim() else 0
+
+    def __getitem__(self, i: Any) -> Any:
+        if isinstance(i, int) and not 0 <= i < len(self):
+            raise IndexError(i)
+        return ParameterOf(self.module, self.name, (*self.index, i))
+
+
+class Range:
+    """The lowest and the highest value of a parameter: two numbers, or a tensor that gets gradients.
+
+    Args:
+        low, high: the numbers.
+        learned: in place of them a tensor (2,), or one of one entry s for center - s to center + s.
+        center: that of one entry.
+    """
+
+    def __init__(
+        self, low: float, high: float, learned: Tensor | ParameterOf | None = None, center: float | None = None
+    ) -> None:
+        self._numbers, self.learned, self.center = (low, high), learned, center
+
+    @property
+    def low(self) -> float:
+        """The lowest value as it is now, as a number."""
+        return self._numbers[0] if (tensor := self.tensor) is None else float(tensor[0])
+
+    @property
+    def high(self) -> float:
+        """The highest value as it is now, as a number."""
+        return self._numbers[1] if (tensor := self.tensor) is None else float(tensor[1])
+
+    @property
+    def tensor(self) -> Tensor | None:
+        """(2,), both values as they are now; None for two numbers."""
+        value = self.learned.tensor if isinstance(self.learned, ParameterOf) else self.learned
+        if value is None or value.numel() != 1:
+            return value
+        spread = value.reshape(1)
+        return torch.cat([self.center - spread, self.center + spread])
 
     def uniform(self, scale: float = 1.0, identity: float = 0.0) -> Draw | LearnedUniform:
         """A draw from the range, times `scale`; `identity` is the value of samples that are not chosen."""
-        if self.tensor is not None:
-            return LearnedUniform(self.tensor, scale, identity)
+        if (tensor := self.tensor) is not None:
+            return LearnedUniform(tensor, scale, identity)
         return uniform(self.low * scale, self.high * scale, identity)
 
     def uniform_and_affine(self, scale: float, offset: float, identity: float = 0.0) -> Draw | LearnedPair:
         """A draw v from the range, followed by scale * v + offset, in two columns."""
-        if self.tensor is not None:
-            return LearnedPair(self.tensor, scale, offset, identity)
+        if (tensor := self.tensor) is not None:
+            return LearnedPair(tensor, scale, offset, identity)
         return Draw("uniform_and_affine", (self.low, self.high, scale, offset, identity))
 
 
@@ -80,10 +133,14 @@ def parse(
     """A range from a number s, which stands for center - s to center + s, or from the lower bound on, or from a pair.
 
     Without a center only pairs are taken. Tensors count like the numbers in them. One that requires a gradient keeps it,
-    and may be on any device.
+    and may be on any device; a :class:`ParameterOf` is read in each call.
     """
+    if isinstance(value, ParameterOf):
+        if not value.tensor.requires_grad:
+            parse(op, name, value.tensor, center=center, bounds=bounds)  # which checks its numbers
+        return _learned(op, name, value.tensor, value, center)
     if isinstance(value, Tensor) and value.requires_grad:
-        return _learned(op, name, value, center)
+        return _learned(op, name, value, value, center)
     numbers = _numbers(op, name, value)
     if len(numbers) == 1:
         if center is None:
@@ -103,6 +160,8 @@ def parse(
 
 def as_pair(value: Any) -> Any:
     """A number, or the only entry of a sequence, as the pair of it and itself; anything else as it is."""
+    if isinstance(value, ParameterOf):
+        return value
     if not isinstance(value, Tensor) or not value.requires_grad:
         value = _check.scalar("both_ends", "value", value)
     if isinstance(value, (int, float)) and not isinstance(value, bool):
@@ -110,13 +169,18 @@ def as_pair(value: Any) -> Any:
     return (value[0], value[0]) if isinstance(value, (tuple, list)) and len(value) == 1 else value
 
 
+def is_nested(entry: Any) -> bool:
+    """Whether an entry of a sequence is a sequence itself."""
+    return isinstance(entry, Sequence) and len(entry) > 0
+
+
 def pairs(op: str, name: str, value: Any, count: int, **options: Any) -> list[Range]:
     """`count` ranges from `count` pairs; a shorter value is one range, or a number, for all of them."""
     if isinstance(value, Tensor) and not value.requires_grad:
         value = value.tolist()
-    if isinstance(value, Sequence) and len(value) == 2 * count and count > 1 and not isinstance(value[0], Sequence):
+    if isinstance(value, Sequence) and len(value) == 2 * count and count > 1 and not is_nested(value[0]):
         return [parse(op, name, value[2 * i : 2 * i + 2], **options) for i in range(count)]
-    if isinstance(value, Sequence) and len(value) == count and count > 1 and isinstance(value[0], Sequence):
+    if isinstance(value, Sequence) and len(value) == count and count > 1 and is_nested(value[0]):
         return [parse(op, name, part, **options) for part in value]
     return [parse(op, name, value, **options)] * count
 
@@ -130,13 +194,10 @@ def parse_each(op: str, name: str, value: Any, count: int, **options: Any) -> li
     return [parse(op, name, value, **options)] * count
 
 
-def _learned(op: str, name: str, value: Tensor, center: float | None) -> Range:
-    if value.numel() == 1 and center is not None:
-        spread = value.reshape(1)
-        value = torch.cat([center - spread, center + spread])
-    if value.shape != (2,):
+def _learned(op: str, name: str, value: Tensor, learned: Tensor | ParameterOf, center: float | None) -> Range:
+    if value.shape != (2,) and (value.numel() != 1 or center is None):
         raise ValueCheckError(f"{op}: expected {name} of shape (2,), got {tuple(value.shape)}")
-    return Range(0.0, 0.0, value)
+    return Range(0.0, 0.0, learned, center)
 
 
 def _numbers(op: str, name: str, value: Any) -> list[float]:
@@ -156,8 +217,13 @@ def _numbers(op: str, name: str, value: Any) -> list[float]:
     return numbers
 
 
-def keep_parameters(module: nn.Module, **values: Any) -> None:
-    """Make the nn.Parameters among `values` parameters of `module`, so that they move and are saved with it."""
+def keep_parameters(module: nn.Module, **values: Any) -> list[Any]:
+    """Make the nn.Parameters among `values` parameters of `module`, so that they move and are saved with it.
+
+    Returns:
+        The values for `parse`, a :class:`ParameterOf` in place of each nn.Parameter.
+    """
     for name, value in values.items():
         if isinstance(value, nn.Parameter):
             module.register_parameter(name, value)
+    return [ParameterOf(module, name) if isinstance(value, nn.Parameter) else value for name, value in values.items()]

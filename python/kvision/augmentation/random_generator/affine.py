@@ -43,7 +43,9 @@ class AffineGenerator(RandomGeneratorBase):
     def __init__(self, degrees: Any, translate: Any = None, scale: Any = None, shear: Any = None) -> None:
         super().__init__()
         op = "RandomAffine"
-        ranges.keep_parameters(self, degrees=degrees, translate=translate, scale=scale, shear=shear)
+        degrees, translate, scale, shear = ranges.keep_parameters(
+            self, degrees=degrees, translate=translate, scale=scale, shear=shear
+        )
         self._degrees = ranges.parse(op, "degrees", degrees, center=0.0, bounds=(-360.0, 360.0))
         self._translate = None if translate is None else _translations(op, translate)
         self._scale = None if scale is None else ranges.pairs(op, "scale", scale, 2, bounds=(0.0, float("inf")))
@@ -88,7 +90,7 @@ def _shears(op: str, value: Any) -> list[ranges.Range]:
     zero = ranges.Range(0.0, 0.0)
     if isinstance(value, Tensor) and not value.requires_grad:
         value = value.tolist()
-    if isinstance(value, Sequence) and (len(value) == 4 or (value and isinstance(value[0], Sequence))):
+    if isinstance(value, Sequence) and (len(value) == 4 or (len(value) and ranges.is_nested(value[0]))):
         return ranges.pairs(op, "shear", value, 2, bounds=(-360.0, 360.0))
     return [ranges.parse(op, "shear", value, center=0.0, bounds=(-360.0, 360.0)), zero]
 
@@ -115,7 +117,7 @@ class ShearGenerator(RandomGeneratorBase):
 
     def __init__(self, shear: Any) -> None:
         super().__init__()
-        ranges.keep_parameters(self, shear=shear)
+        (shear,) = ranges.keep_parameters(self, shear=shear)
         self._shear = _shears("RandomShear", shear)
 
     def draws(self, shape: Shape) -> Sequence[Any]:
@@ -149,7 +151,7 @@ class TranslateGenerator(RandomGeneratorBase):
 
     def __init__(self, translate_x: Any = None, translate_y: Any = None) -> None:
         super().__init__()
-        ranges.keep_parameters(self, translate_x=translate_x, translate_y=translate_y)
+        translate_x, translate_y = ranges.keep_parameters(self, translate_x=translate_x, translate_y=translate_y)
         self._translate = [
             ranges.Range(0.0, 0.0)
             if value is None

@@ -30,7 +30,7 @@ class ScaledGenerator(RandomGeneratorBase):
         self, op: str, name: str, value: Any, bounds: tuple[float, float], scale: float, offset: float
     ) -> None:
         super().__init__()
-        ranges.keep_parameters(self, **{name: value})
+        (value,) = ranges.keep_parameters(self, **{name: value})
         self._range, self._name = ranges.parse(op, name, value, bounds=bounds), f"{name}_factor"
         self._scale, self._offset = scale, offset
 

@@ -51,7 +51,9 @@ class ColorJitterGenerator(RandomGeneratorBase):
     ) -> None:
         super().__init__()
         op = type(self).__name__.removesuffix("Generator")
-        ranges.keep_parameters(self, brightness=brightness, contrast=contrast, saturation=saturation, hue=hue)
+        brightness, contrast, saturation, hue = ranges.keep_parameters(
+            self, brightness=brightness, contrast=contrast, saturation=saturation, hue=hue
+        )
         most = float("inf")
         self._brightness = ranges.parse(
             op, "brightness", brightness, center=1.0, bounds=(0.0, self._largest_brightness)

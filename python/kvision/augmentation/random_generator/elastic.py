@@ -59,7 +59,7 @@ class FisheyeGenerator(RandomGeneratorBase):
     def __init__(self, center_x: Any, center_y: Any, gamma: Any) -> None:
         super().__init__()
         op = "RandomFisheye"
-        ranges.keep_parameters(self, center_x=center_x, center_y=center_y, gamma=gamma)
+        center_x, center_y, gamma = ranges.keep_parameters(self, center_x=center_x, center_y=center_y, gamma=gamma)
         self._ranges = [
             ranges.parse(op, "center_x", center_x),
             ranges.parse(op, "center_y", center_y),

@@ -91,7 +91,7 @@ class MotionBlurGenerator(RandomGeneratorBase):
     def __init__(self, kernel_size: int | tuple[int, int], angle: Any, direction: Any) -> None:
         super().__init__()
         op = self.op
-        ranges.keep_parameters(self, angle=angle, direction=direction)
+        angle, direction = ranges.keep_parameters(self, angle=angle, direction=direction)
         kernel_size = _check.scalars(op, "kernel_size", kernel_size)
         sizes = (kernel_size, kernel_size) if isinstance(kernel_size, int) else tuple(kernel_size)
         if len(sizes) != 2 or any(type(n) is not int for n in sizes):

@@ -45,6 +45,7 @@ class GaussianIlluminationGenerator(RandomGeneratorBase):
     def __init__(self, gain: Any, center: Any, sigma: Any, sign: Any) -> None:
         super().__init__()
         op = "RandomGaussianIllumination"
+        gain, center, sigma, sign = ranges.keep_parameters(self, gain=gain, center=center, sigma=sigma, sign=sign)
         self._gain, self._center, self._sigma, self._sign = (
             ranges.parse(op, name, ranges.as_pair(value), bounds=bounds)
             for name, value, bounds in (
@@ -89,6 +90,7 @@ class LinearIlluminationGenerator(RandomGeneratorBase):
 
     def __init__(self, gain: Any, sign: Any) -> None:
         super().__init__()
+        gain, sign = ranges.keep_parameters(self, gain=gain, sign=sign)
         self._gain = ranges.parse(self._op, "gain", ranges.as_pair(gain), bounds=(0.0, 1.0))
         self._sign = ranges.parse(self._op, "sign", ranges.as_pair(sign), bounds=(-1.0, 1.0))
 

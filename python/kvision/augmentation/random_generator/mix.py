@@ -52,7 +52,7 @@ class MixupGenerator(RandomGeneratorBase):
 
     def __init__(self, lambda_val: Any = None, p: float = 1.0) -> None:
         super().__init__()
-        ranges.keep_parameters(self, lambda_val=lambda_val)
+        (lambda_val,) = ranges.keep_parameters(self, lambda_val=lambda_val)
         value = (0.0, 1.0) if lambda_val is None else lambda_val
         self._lambda = ranges.parse("RandomMixUpV2", "lambda_val", value, bounds=(0.0, 1.0))
         self.p = p

@@ -81,7 +81,10 @@ class SaltAndPepperGenerator(RandomGeneratorBase):
         super().__init__()
         self._ranges = [
             ranges.parse("RandomSaltAndPepperNoise", name, ranges.as_pair(value), bounds=(0.0, 1.0))
-            for name, value in (("amount", amount), ("salt_vs_pepper", salt_and_pepper))
+            for name, value in zip(
+                ("amount", "salt_vs_pepper"),
+                ranges.keep_parameters(self, amount=amount, salt_vs_pepper=salt_and_pepper),
+            )
         ]
 
     def draws(self, shape: Shape) -> Sequence[Any]:

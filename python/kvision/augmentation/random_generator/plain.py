@@ -44,7 +44,7 @@ class PlainUniformGenerator(RandomGeneratorBase):
         super().__init__()
         self._ranges = []
         for value, name, center, bounds in samplers:
-            ranges.keep_parameters(self, **{name: value})
+            (value,) = ranges.keep_parameters(self, **{name: value})
             limits = (-float("inf"), float("inf")) if bounds is None else (float(bounds[0]), float(bounds[1]))
             center = None if center is None else float(center)
             self._ranges.append(ranges.parse(op or type(self).__name__, name, value, center=center, bounds=limits))

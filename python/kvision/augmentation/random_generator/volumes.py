@@ -60,7 +60,9 @@ class AffineGenerator3D(RandomGeneratorBase):
     def __init__(self, degrees: Any, translate: Any = None, scale: Any = None, shears: Any = None) -> None:
         super().__init__()
         op = "RandomAffine3D"
-        ranges.keep_parameters(self, degrees=degrees, translate=translate, scale=scale, shears=shears)
+        degrees, translate, scale, shears = ranges.keep_parameters(
+            self, degrees=degrees, translate=translate, scale=scale, shears=shears
+        )
         zero, one = ranges.Range(0.0, 0.0), ranges.Range(1.0, 1.0)
         self._angles = ranges.parse_each(op, "degrees", degrees, 3, center=0.0, bounds=_FULL_ROTATION)
         self._translate = [zero] * 3
@@ -113,7 +115,7 @@ class RotationGenerator3D(RandomGeneratorBase):
 
     def __init__(self, degrees: Any) -> None:
         super().__init__()
-        ranges.keep_parameters(self, degrees=degrees)
+        (degrees,) = ranges.keep_parameters(self, degrees=degrees)
         self._angles = ranges.parse_each("RandomRotation3D", "degrees", degrees, 3, center=0.0, bounds=_FULL_ROTATION)
 
     def draws(self, shape: Shape) -> Sequence[Any]:
@@ -392,7 +394,7 @@ class MotionBlurGenerator3D(MotionBlurGenerator):
 
     def __init__(self, kernel_size: int | tuple[int, int], angle: Any, direction: Any) -> None:
         super().__init__(kernel_size, 0.0, direction)
-        ranges.keep_parameters(self, angle=angle)
+        (angle,) = ranges.keep_parameters(self, angle=angle)
         self._angles = ranges.parse_each(self.op, "angle", angle, 3, center=0.0, bounds=_FULL_ROTATION)
 
     def draws(self, shape: Shape) -> Sequence[Any]:

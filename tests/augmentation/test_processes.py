@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import subprocess
 import sys
@@ -169,6 +170,65 @@ def test_workers_draw_different_numbers() -> None:
     motion = load()
     assert F.pdist(motion.flatten(1)).min() > 1e-3
     assert torch.equal(load(), motion)
+
+
+class OwnGenerators(Dataset[Tensor]):
+    """Angles of an augmentation, and of a child of a container, with one generator each or the same one."""
+
+    def __init__(self) -> None:
+        generator = torch.Generator().manual_seed(3)
+        self.alone = A.RandomRotation(30.0, p=1.0, generator=torch.Generator().manual_seed(3))
+        self.chain = A.ImageSequential(
+            A.ImageSequential(A.RandomRotation(30.0, p=1.0), generator=generator),
+            A.RandomHorizontalFlip(),
+            A.RandomRotation(30.0, p=1.0, generator=generator),
+        )
+
+    def __len__(self) -> int:
+        return 8
+
+    def __getitem__(self, i: int) -> Tensor:
+        self.alone(torch.zeros(1, 1, 4, 4))
+        self.chain(torch.zeros(1, 1, 4, 4))
+        _, _, last = self.chain._params
+        (first,) = self.chain._params[0].data
+        return torch.cat([self.alone._params["degrees"], first.data["degrees"], last.data["degrees"]])
+
+
+def angles_of_workers(method: str, epochs: int) -> Tensor:
+    options: dict[str, Any] = {"generator": torch.Generator().manual_seed(1), "multiprocessing_context": method}
+    loader = DataLoader(OwnGenerators(), None, num_workers=2, **options)
+    return torch.stack([angles for _ in range(epochs) for angles in loader])
+
+
+def test_workers_draw_different_numbers_from_generators_of_augmentations() -> None:
+    angles = angles_of_workers("fork", 2)
+    assert [len(each.unique()) for each in angles.T] == [16, 16, 16]
+    assert torch.equal(angles_of_workers("fork", 2), angles)
+
+
+@pytest.mark.slow
+def test_workers_that_are_spawned_draw_from_generators_as_forked_ones() -> None:
+    assert torch.equal(angles_of_workers("spawn", 1), angles_of_workers("fork", 1))
+
+
+def test_modules_keep_their_generators_in_containers() -> None:
+    samples, again = OwnGenerators(), copy.deepcopy(OwnGenerators())
+    drawn = torch.stack([samples[i] for i in range(4)])
+    twice = torch.Generator().manual_seed(3)
+    alone = A.RandomRotation(30.0, p=1.0, generator=twice)
+    expected = []
+    for _ in range(8):
+        alone(torch.zeros(1, 1, 4, 4))
+        expected.append(alone._params["degrees"])
+    assert torch.equal(drawn[:, 0], torch.cat(expected[:4]))
+    assert torch.equal(drawn[:, 1:].flatten(), torch.cat(expected))  # of two modules with one generator
+    torch.manual_seed(9)
+    assert torch.equal(torch.stack([again[i] for i in range(4)]), drawn)
+    # A generator of the call replaces them.
+    call = torch.Generator().manual_seed(5)
+    samples.chain(torch.zeros(1, 1, 4, 4), generator=call)
+    assert torch.equal(twice.get_state(), samples.chain[2].generator.get_state())
 
 
 if __name__ == "__main__":

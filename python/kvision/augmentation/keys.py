@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
+from weakref import WeakValueDictionary
 
 import torch
 from torch import Generator, Tensor
 from torch.compiler import is_compiling
+from torch.utils.data import get_worker_info
 
 from kvision import _check
 from kvision._ops import register_random
@@ -58,27 +60,42 @@ def draw_keys(op: str, count: int, device: torch.device, seed: Seed, generator: 
     """
     if seed is not None:
         return _from_seed(op, seed)
+    keys = _drawn_keys(op, count, device, generator)
+    return Keys(keys if generator is None else keys ^ _word_of_worker())
+
+
+def _word_of_worker() -> int:
+    """What tells the draws of a generator in a data loader's worker from those of its copies in other workers and epochs.
+
+    torch's default generator has the seed of the worker itself.
+    """
+    worker = get_worker_info()
+    return 0 if worker is None else _as_int64(worker.seed * _STEP)
+
+
+def _drawn_keys(op: str, count: int, device: torch.device, generator: Generator | None) -> Tensor:
+    """int64 (count,) of a generator, None for torch's default one."""
     compiles = is_compiling()
     if generator is None and not compiles and not _captures(device):
-        return Keys(_random_words(count))
+        return _random_words(count)
     where = device if generator is None else generator.device
     if compiles:
         if generator is None:
-            return Keys(_random_keys(count))
+            return _random_keys(count)
         # Compilers know no random_ of a generator. The lowest number is added to the words of a range, as random_ does not.
-        return Keys(torch.randint(_LOWEST, 2**63 - 1, (count,), generator=generator, device=where) ^ _LOWEST)
+        return torch.randint(_LOWEST, 2**63 - 1, (count,), generator=generator, device=where) ^ _LOWEST
     if where.type == "cpu":
         if _captures(device):
             raise RuntimeError(
                 f"{op}: a generator of the CPU cannot draw for a CUDA graph; use one of the GPU, registered with it"
             )
-        return Keys(_random_words(count, generator))
+        return _random_words(count, generator)
     # A CUDA generator gives other numbers for several in one call than for several calls.
     each = [
         torch.empty(1, dtype=torch.int64, device=where).random_(_LOWEST, None, generator=generator)
         for _ in range(count)
     ]
-    return Keys(torch.cat(each) if each else torch.empty(0, dtype=torch.int64, device="cpu"))
+    return torch.cat(each) if each else torch.empty(0, dtype=torch.int64, device="cpu")
 
 
 _LOWEST = -(2**63)
@@ -103,7 +120,38 @@ _random_keys = register_random(
     lambda count: torch.empty(count, dtype=torch.int64, device="cpu"),
 )
 
-_STEP = -0x61C8864680B583EB  # of the seeds of frames: the golden ratio times 2^64
+_STEP = -0x61C8864680B583EB  # of the seeds of frames and workers: the golden ratio times 2^64
+
+
+class PortableGenerator:
+    """Stands for a generator in the state of a module. Copies and pickles of it are generators again.
+
+    torch's own pickle of a generator does not reach processes that are spawned (2.13): its state is a temporary tensor, whose
+    shared memory is gone when they open it.
+    """
+
+    _made: WeakValueDictionary[int, PortableGenerator] = (
+        WeakValueDictionary()
+    )  # by the generator: modules may share one
+
+    def __init__(self, generator: Generator) -> None:
+        self.generator = generator
+
+    @classmethod
+    def of(cls, generator: Any) -> Any:
+        """What stands for a generator; None for None."""
+        if generator is None:
+            return None
+        return cls._made.setdefault(id(generator), cls(generator))
+
+    def __reduce__(self) -> Any:
+        return _restored_generator, (str(self.generator.device), self.generator.get_state().numpy().tobytes())
+
+
+def _restored_generator(device: str, state: bytes) -> Generator:
+    generator = Generator(device)
+    generator.set_state(torch.frombuffer(bytearray(state), dtype=torch.uint8))
+    return generator
 
 
 def check_seeds(op: str, keys: Keys, samples: int) -> None:
@@ -129,5 +177,10 @@ def _from_seed(op: str, seed: int | Tensor) -> Keys:
     seed = _check.scalar(op, "seed", seed)
     if not isinstance(seed, int) or isinstance(seed, bool):
         raise TypeCheckError(f"{op}: expected seed to be an int or an int64 tensor, got {type(seed).__name__}")
-    seed &= 2**64 - 1
-    return Keys(torch.tensor([seed - 2**64 if seed >= 2**63 else seed], device="cpu"), None, True)
+    return Keys(torch.tensor([_as_int64(seed)], device="cpu"), None, True)
+
+
+def _as_int64(number: int) -> int:
+    """The int64 with the same lowest 64 bits."""
+    number &= 2**64 - 1
+    return number - 2**64 if number >= 2**63 else number

@@ -174,7 +174,7 @@ class OperationBase(nn.Module):
         requests = [Request([uniform(0.0, 1.0), uniform(0.0, 1.0)], same_on_batch=self.same_on_batch)]
         if of_op is not None:
             requests.append(of_op)
-        keys = draw_keys(source.op, len(requests), device, source.seed_of_samples, source.generator)
+        keys = draw_keys(source.op, len(requests), device, source.seed_of_samples, source.generator_of(self))
         samples = len(range(0, shape[0], source.frames))
         check_seeds(source.op, keys, samples)
         position = source.position if keys.one_key else 0

@@ -125,7 +125,7 @@ class PolicyAugmentBase(ImageSequential):
         return Request([choice, *step * self._length] * self.count, same_on_batch=bool(self.same_on_batch))
 
     def _draw(self, x: Tensor, source: Randomness) -> Drawn:
-        keys = draw_keys(source.op, 1, x.device, source.seed_of_samples, source.generator)
+        keys = draw_keys(source.op, 1, x.device, source.seed_of_samples, source.generator_of(self))
         (plan,) = self._plan(keys.one_key, source.position if keys.one_key else 0)
         check_seeds(source.op, keys, len(range(0, len(x), source.frames)))
         drawn = plan.draw(x[:: source.frames], keys)

@@ -19,6 +19,7 @@ from kvision.augmentation.base.configuration import SWITCHES, Flags, Plans, sett
 from kvision.augmentation.base.execution import Params, Shape
 from kvision.augmentation.columns import Span
 from kvision.augmentation.draws import Draw, Request
+from kvision.augmentation.keys import PortableGenerator
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.warp_and_color import Pass
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
@@ -95,7 +96,8 @@ class Declaration(_KeepsArguments):
     def __getstate__(self) -> dict[str, Any]:
         # Copies and pickles have the settings, not the last call.
         state = {name: value for name, value in self.__dict__.items() if name != "_execution"}
-        return {**state, "_arguments": self._constructor_arguments()}
+        generator = PortableGenerator.of(self.generator)
+        return {**state, "_arguments": self._constructor_arguments(), "generator": generator}
 
     def __repr__(self) -> str:
         if any(name != "_param_generator" for name, _ in self.named_children()):

@@ -32,7 +32,7 @@ from kvision.augmentation.inputs import (
     in_type_of,
 )
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
-from kvision.augmentation.keys import Seed, draw_keys, refuse_capture
+from kvision.augmentation.keys import PortableGenerator, Seed, draw_keys, refuse_capture
 from kvision.augmentation.warp_and_color import SAME, Output
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
@@ -79,6 +79,7 @@ class ImageSequentialBase(nn.Sequential):
     _shape: tuple[int, ...] | None = None
     _executed: Sequence[Child] = ()
     _param_items: list[Any] | None = None  # ParamItems
+    generator: Generator | None = None
 
     def __init__(self, *args: nn.Module, same_on_batch: bool | None = None, keepdim: bool | None = None) -> None:
         op = type(self).__name__
@@ -103,7 +104,8 @@ class ImageSequentialBase(nn.Sequential):
 
     def __getstate__(self) -> dict[str, Any]:
         # Copies and pickles have the settings, not the last call.
-        return {name: value for name, value in self.__dict__.items() if name not in _STATE}
+        state = {name: value for name, value in self.__dict__.items() if name not in _STATE}
+        return {**state, "generator": PortableGenerator.of(self.generator)}
 
     def _set_options_of_children(self) -> None:
         for child in self.children():
@@ -318,7 +320,7 @@ class ImageSequential(ImageSequentialBase):
             seed = source.seed
             if seed is not None and source.position:
                 seed = seed + (source.position << 32)  # other children for other containers
-            sequence = self.get_random_forward_sequence(seed=seed, generator=source.generator)
+            sequence = self.get_random_forward_sequence(seed=seed, generator=source.generator_of(self))
         return [Child(name, module) for name, module in sequence]
 
     def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> Tensor:
@@ -332,7 +334,7 @@ class ImageSequential(ImageSequentialBase):
 
     def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:
         once = source.once or self.resample == "once"
-        y = self._execute(x, params, source._replace(once=once, plans=self._plans, output=SAME))
+        y = self._execute(x, params, source.inside(self)._replace(once=once, plans=self._plans, output=SAME))
         return y, Applied(self, None, {}, self._stages)
 
     def _source(
@@ -340,8 +342,8 @@ class ImageSequential(ImageSequentialBase):
     ) -> Randomness:
         same = self.output_dtype is None and self.memory_format is None
         once, output = self.resample == "once", SAME if same else Output(self.output_dtype, self.memory_format)
-        op, own = type(self).__name__, generator or self.generator
-        return Randomness(op, seed, own, once, self._plans, output, 1, 0, time, has_labels, masks)
+        op, own = type(self).__name__, self.generator
+        return Randomness(op, seed, generator, once, self._plans, output, 1, 0, time, has_labels, masks, own)
 
     @property
     def _params(self) -> list[ParamItem]:

@@ -221,7 +221,7 @@ class PatchSequential(ImageSequential):
             seed = source.seed
             if seed is not None:
                 seed = seed + ((source.position * count + cell + 1) << 32)  # other children for other cells
-            chosen = self.get_random_forward_sequence(seed=seed, generator=source.generator)
+            chosen = self.get_random_forward_sequence(seed=seed, generator=source.generator_of(self))
             chains.append([Child(name, module) for name, module in chosen])
         return chains
 

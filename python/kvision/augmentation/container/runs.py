@@ -70,7 +70,7 @@ class Randomness(NamedTuple):
 
     op: str
     seed: Seed
-    generator: Generator | None
+    generator: Generator | None  # of the call: it replaces those of all modules
     once: bool  # one resampling for neighboring geometric augmentations
     plans: Plans  # of the container
     output: Output = SAME  # the type and layout of the results
@@ -79,6 +79,15 @@ class Randomness(NamedTuple):
     time: int = 0  # how many neighboring samples are the frames of a video; 0 for images
     has_labels: bool = False  # which follow the images, so that maps are kept for them
     masks: Callable[[Sequence[Stage]], Any] | None = None  # those of the images after stages, for what mixes by them
+    default_generator: Generator | None = None  # of the container, for children without one of their own
+
+    def generator_of(self, module: nn.Module) -> Generator | None:
+        """The generator that draws for a module; None for torch's."""
+        return self.generator or getattr(module, "generator", None) or self.default_generator
+
+    def inside(self, module: nn.Module) -> Randomness:
+        """For the children of a container that is a child."""
+        return self._replace(default_generator=self.generator_of(module))
 
     @property
     def seed_of_samples(self) -> Seed:
@@ -136,7 +145,7 @@ def _execute_with_masks(
     seed = source.seed_of_samples
     if seed is not None:
         seed = seed + ((position + 1) << 32)  # as a seed is that of a chain of one
-    y, child.execution = module._run_with_masks(x, masks, child.params, seed, source.generator)
+    y, child.execution = module._run_with_masks(x, masks, child.params, seed, source.generator_of(module))
     return y, Applied(module, child.execution, module.flags)
 
 
@@ -230,6 +239,7 @@ class _RunPlan(NamedTuple):
 
     draws: Sequence[DrawPlan]
     requests: Sequence[int | None]  # of each augmentation, its number among those of the draws
+    modules: Sequence[AugmentationBase]  # of each request
     spans: Sequence[Span | None]  # its columns among all
     shapes: Sequence[Shape]  # of its images
     applied: Sequence[bool]
@@ -362,8 +372,7 @@ def _keys(x: Tensor, plan: _RunPlan, source: Randomness) -> Keys | None:
     """The keys of all requests of a run, if there are any."""
     if not plan.draws:
         return None
-    count = plan.draws[-1].end - plan.draws[0].begin
-    return draw_keys(source.op, count, x.device, source.seed_of_samples, source.generator)
+    return _more_keys(None, plan.modules, x, source)
 
 
 def _draw(x: Tensor, plan: _RunPlan, keys: Keys | None, frames: int) -> Tensor | None:
@@ -401,6 +410,7 @@ def _plan_run(
     samples = len(range(0, batch, source.frames))
     shapes, numbers, applied = [], [], []
     requests: list[Request] = []
+    drawing: list[AugmentationBase] = []  # of each request
     keys: Keys | None = None
     for module in modules:
         of_samples = (samples, *shape[1:])
@@ -408,9 +418,10 @@ def _plan_run(
         number = len(requests)
         if request is not None:
             requests.append(request)
+            drawing.append(module)
             if module.whole_batch and module.p_batch < 1:
                 # What changes sizes by chance decides with its key on the host, before those after it are planned.
-                keys = _more_keys(keys, len(requests), x, source)
+                keys = _more_keys(keys, drawing, x, source)
         applies = module._applies(keys if request is not None else None, first + number if one_key else number)
         shapes.append(shape)
         applied.append(applies)
@@ -418,7 +429,7 @@ def _plan_run(
         if applies:
             shape = module.output_shape(shape, module.flags)
     if keys is not None:
-        keys = _more_keys(keys, len(requests), x, source)
+        keys = _more_keys(keys, drawing, x, source)
     draws = plan_draws(requests, one_key, first) if requests else []
     spans_of_requests: list[Span] = []
     width = 0
@@ -440,7 +451,7 @@ def _plan_run(
         keys_of = [None if number is None else first + number for number in numbers]
         links = _drawn_links(start.links, modules, shapes, keys_of, one_key)
         drawn = None if links is None else DrawnLinks(draws[0], links)
-    return _RunPlan(draws, numbers, spans, shapes, applied, steps, first, certain, drawn), keys
+    return _RunPlan(draws, numbers, drawing, spans, shapes, applied, steps, first, certain, drawn), keys
 
 
 def _drawn_links(
@@ -465,15 +476,17 @@ def _drawn_links(
     return drawn
 
 
-def _more_keys(keys: Keys | None, count: int, x: Tensor, source: Randomness) -> Keys:
-    """`count` keys, of which some may have been drawn."""
-    if keys is None:
-        return draw_keys(source.op, count, x.device, source.seed_of_samples, source.generator)
-    known = len(keys.keys)
-    if keys.one_key or known == count:
-        return keys
-    more = draw_keys(source.op, count - known, x.device, source.seed, source.generator)
-    return keys._replace(keys=torch.cat([keys.keys, more.keys]))
+def _more_keys(keys: Keys | None, modules: Sequence[AugmentationBase], x: Tensor, source: Randomness) -> Keys:
+    """A key of each module, each from its generator; `keys` has those of the first ones, if they have been drawn."""
+    if source.seed is not None:
+        return keys or draw_keys(source.op, len(modules), x.device, source.seed_of_samples, None)
+    generators = [source.generator_of(module) for module in modules[0 if keys is None else len(keys.keys) :]]
+    if keys is None and all(generator is generators[0] for generator in generators):
+        return draw_keys(source.op, len(modules), x.device, None, generators[0] if generators else source.generator)
+    each = [draw_keys(source.op, 1, x.device, None, generator).keys for generator in generators]
+    parts = each if keys is None else [keys.keys, *each]
+    on_device = next((part.device for part in parts if part.is_cuda), parts[0].device)
+    return Keys(torch.cat([part.to(on_device) for part in parts]))
 
 
 # --- passes ---------------------------------------------------------------------------------------------------------

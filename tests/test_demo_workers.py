@@ -22,7 +22,7 @@ def work(method, depth):
     exit_with_parent()
     if depth:
         multiprocessing.get_context(method).Process(target=work, args=(method, depth - 1)).start()
-    print(os.getpid(), flush=True)
+    os.write(1, b"%d\\n" % os.getpid())  # at once: the lines of processes do not mix
     signal.pause()
 
 if __name__ == "__main__":
@@ -41,9 +41,10 @@ def test_workers_end_with_a_killed_program(method: str, killed_by: signal.Signal
     (tmp_path / "program.py").write_text(PROGRAM)
     command = [sys.executable, "-S", tmp_path / "program.py", method, Path(kvision.demo.workers.__file__).parent]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
-        processes = [int(program.stdout.readline()) for _ in range(4)]
-        program.send_signal(killed_by)
+        processes = [program.pid]
         try:
+            processes += [int(program.stdout.readline()) for _ in range(4)]
+            program.send_signal(killed_by)
             assert program.communicate(timeout=10) == ("", None)
         finally:
             for process in processes:

@@ -181,7 +181,7 @@ def page(rows: list[Row]) -> str:
         "",
         f"`torch.onnx.export(dynamo=True)` takes {len(agree)} of {len(rows)} public functions, and onnxruntime then computes",
         f"Python's numbers (within {RELATIVE:g} relative and {ABSOLUTE:g} absolute, at fixed sizes, {versions}).",
-        "[deployment.md](deployment.md#onnx) says how to export, and which of them were also compared with free sizes.",
+        "[deployment.md](deployment.md#onnx) says how to export, what was also compared with free sizes, and what OpenVINO takes.",
         "`python tools/onnx_table.py` makes this page. Not in it are functions without tensors, with files or with random",
         "results, augmentations, and features.",
         "",

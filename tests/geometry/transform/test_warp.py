@@ -149,46 +149,35 @@ def test_displacements_equal_absolute_coordinates(mode, align_corners, isa, devi
             assert_close(ours_, theirs_)
 
 
-OPENCV = {"bilinear": (cv2.INTER_LINEAR, 5e-6), "nearest": (cv2.INTER_NEAREST, 0), "bicubic": (cv2.INTER_CUBIC, 7e-6)}
-# From pixels of the result to coords that are multiples of 1/32: OpenCV's older code has tables of so many.
-TO_SOURCE = np.float64([[0.75, 0.125, 5 / 32], [-0.25, 0.875, 3 / 32 + 9]])
+OPENCV = {"bilinear": (cv2.INTER_LINEAR, 2e-5), "nearest": (cv2.INTER_NEAREST, 0), "bicubic": (cv2.INTER_CUBIC, 3e-5)}
+# From pixels of the result to those of the image. The last row is that of warpPerspective.
+TO_SOURCE = np.float64([[0.75, 0.125, 0.171], [-0.25, 0.875, 9.104], [1.1e-3, -4e-4, 1]])
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_values_of_opencv(mode, device):
+    """OpenCV 5 samples float32 images of 1, 3 and 4 channels at the exact coordinates."""
     flag, tolerance = OPENCV[mode]
     picture = np.random.default_rng(0).random((60, 80, 3), np.float32)
-    homography = np.vstack([TO_SOURCE, [0, 0, 1]])
-    ours = G.homography_warp(
-        to_tensor(picture, device),
-        torch.from_numpy(homography).float()[None].to(device),
-        (70, 90),
-        mode,
-        align_corners=True,
-        normalized_homography=False,
-    )
-    for theirs in (
-        cv2.warpAffine(picture, TO_SOURCE, (90, 70), flags=flag | cv2.WARP_INVERSE_MAP),
-        cv2.warpPerspective(picture, homography, (90, 70), flags=flag | cv2.WARP_INVERSE_MAP),
+    affine = np.vstack([TO_SOURCE[:2], [0, 0, 1]])
+    for matrix, theirs in (
+        (affine, cv2.warpAffine(picture, affine[:2], (90, 70), flags=flag | cv2.WARP_INVERSE_MAP)),
+        (TO_SOURCE, cv2.warpPerspective(picture, TO_SOURCE, (90, 70), flags=flag | cv2.WARP_INVERSE_MAP)),
     ):
+        ours = G.homography_warp(
+            to_tensor(picture, device),
+            torch.from_numpy(matrix).float()[None].to(device),
+            (70, 90),
+            mode,
+            align_corners=True,
+            normalized_homography=False,
+        )
         assert_close(ours.cpu(), to_tensor(theirs, "cpu"), 0, tolerance)
-    u, v = (np.random.default_rng(n).integers(-64, 32 * n, (50, 40)).astype(np.float32) / 32 for n in (82, 62))
+    u, v = (np.random.default_rng(n).uniform(-2, n, (50, 40)).astype(np.float32) for n in (82, 62))
     ours = G.remap(
         to_tensor(picture, device), *(torch.from_numpy(m)[None].to(device) for m in (u, v)), mode, align_corners=True
     )
     assert_close(ours.cpu(), to_tensor(cv2.remap(picture, u, v, flag), "cpu"), 0, tolerance)
-
-
-def test_values_of_opencv_anywhere(device):
-    """The image is smooth enough for a rounding of coords to 1/32 pixel not to show."""
-    y, x = np.mgrid[:60, :80].astype(np.float32)
-    picture = np.sin(0.02 * x + 0.03 * y)[..., None] * np.float32([1, 0.5, 0.2]) + 1
-    h = homography(torch.zeros(1))[0].numpy()
-    ours = G.warp_perspective(
-        to_tensor(picture, device), torch.from_numpy(h)[None].to(device), (60, 80), padding_mode="border"
-    )
-    theirs = cv2.warpPerspective(picture, h, (80, 60), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    assert_close(ours.cpu(), to_tensor(theirs, "cpu"), 0, 2e-3)
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,8 @@ class VideoSequential(ImageSequential):
     Args:
         *args: augmentations, or any modules of images.
         data_format: 'BTCHW' or 'BCTHW': the order of the axes of videos.
-        same_on_frame: all frames of a video get the same parameters.
+        same_on_frame: all frames of a video get the same parameters, those of noise included: it stands still. A camera's
+            noise, new in each frame, takes a `VideoSequential` of its own with False.
         random_apply: False runs all children in order; True a random number of them in random order; n that many; (n, m) at
             least n and fewer than m.
         random_apply_weights: relative probabilities of the children with `random_apply`.

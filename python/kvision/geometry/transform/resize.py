@@ -158,9 +158,9 @@ def resize(
         input: images (*, H, W), floating point or uint8. Other integers are computed in float32,
             but nearest modes keep them.
         size: height and width, or one side; the other side then keeps the aspect ratio, rounded down.
-        interpolation: 'bilinear', 'bicubic', 'nearest', 'nearest-exact' (the pixel with the nearest center, as OpenCV's
-            INTER_NEAREST_EXACT), 'area' (means of whole pixels), or 'lanczos' (a kernel of 3 pixels to either side, as
-            Pillow).
+        interpolation: 'bilinear', 'bicubic', 'nearest', 'nearest-exact' (the pixel with the nearest center, in whole
+            numbers: OpenCV's INTER_NEAREST_EXACT, Pillow and torch round and may read a neighbor), 'area' (means of
+            whole pixels), or 'lanczos' (a kernel of 3 pixels to either side, as Pillow).
         align_corners: align the centers of the corner pixels, for 'bilinear', 'bicubic' and 'lanczos'. None or False
             aligns the edges of the images.
         side: the side that an int `size` is: 'short', 'long', 'vert' (height) or 'horz' (width).

@@ -95,7 +95,7 @@ def test_a_child_that_runs_twice_is_replayed_with_both_draws(device: torch.devic
 def test_joined_operators(name: str, warps: int) -> None:
     container = A.ImageSequential(*CHAINS[name]())
     container(images())
-    assert sum(isinstance(stage, Warp) for stage in container._stages) == warps
+    assert sum(isinstance(stage, Warp) for stage in container._record.stages) == warps
 
 
 def test_one_resampling() -> None:
@@ -381,7 +381,7 @@ def test_labels_read_the_map_of_their_images(
     )
     moved = augment(x, x, x.long(), points, seed=2)
     assert len(calls) == (5 if dtype == torch.float64 else 1)  # points are of float32
-    assert all(child.execution.map is None for child in augment._executed)
+    assert all(child.record.map is None for child in augment._record.children)
     alone = A.AugmentationSequential(*augment.children(), data_keys=["input"])
     assert torch.equal(alone(x, seed=2), moved[0])
     again = augment(x, x, x.long(), points, params=augment._params)

@@ -59,7 +59,7 @@ def test_kernel_equals_separate_operators(name, dtype, seed, device, backend, ke
         augment = sequence(name)
         augment(x, x, seed=seed)
         outputs = augment(x, x, seed=seed)  # finds its plan
-        assert isinstance(augment._stages[0], Composed)
+        assert isinstance(augment._record.stages[0], Composed)
         results.append((*outputs, augment.transform_matrix, augment._params, torch.get_rng_state()))
     assert len(calls) == (2 if has_kernels(device, backend) else 0)
     (y, mask, matrix, params, state), (fused, fused_mask, fused_matrix, fused_params, fused_state) = results

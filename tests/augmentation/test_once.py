@@ -87,7 +87,7 @@ def sampled(x: Tensor, points: Tensor, mode: str = "bilinear") -> Tensor:
 def test_one_resampling_at_the_composed_coordinates(make: Any, device: torch.device) -> None:
     x, augment = images(device), A.ImageSequential(*make(), resample="once")
     y = augment(x)
-    assert any(isinstance(stage, Composed) for stage in augment._stages)
+    assert any(isinstance(stage, Composed) for stage in augment._record.stages)
     points = coordinates(augment, x, tuple(y.shape[-2:]))
     # Coordinates are float32 numbers up to 52, and neighboring pixels differ by up to 1.
     torch.testing.assert_close(y.cpu().double(), sampled(x.cpu().double(), points), atol=3e-4, rtol=0)
@@ -182,7 +182,7 @@ def test_composes_only_where_needed(device: torch.device) -> None:
         assert torch.equal(each(x, seed=4), once(x, seed=4))
     augment = A.AugmentationSequential(*CHAINS["pipeline B"](), resample="once", data_keys=["image", "mask"])
     augment(x, x)
-    kept = [stage for stage in augment._stages if isinstance(stage, Composed)]
+    kept = [stage for stage in augment._record.stages if isinstance(stage, Composed)]
     assert len(kept) == 1 and kept[0]._links is None
 
 
@@ -263,7 +263,7 @@ def test_antialiased_where_it_shrinks(device: torch.device) -> None:
         chain = A.Resize((40, 40), antialias=antialias, align_corners=False), A.RandomRotation((30.0, 30.0), p=1.0)
         augment = A.ImageSequential(*chain, resample="once")
         y = augment(noise)
-        assert isinstance(augment._stages[0], Composed) == antialias
+        assert isinstance(augment._record.stages[0], Composed) == antialias
         return y[..., 12:28, 12:28]
 
     apart = A.ImageSequential(

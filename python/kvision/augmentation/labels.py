@@ -159,6 +159,19 @@ def filter_boxes(
     return _filtered(boxes, mode, size, rule, fraction)
 
 
+def clear_boxes(boxes: Any, kept: Any) -> Any:
+    """Boxes with 0 for those that do not stay, in tensors, whose shape stays; lists have none of these."""
+    if isinstance(boxes, (list, tuple)):
+        return boxes
+    if hasattr(boxes, "transform_boxes"):  # kvision.geometry.boxes.Boxes
+        cleared = boxes.clone()
+        cleared._data = clear_boxes(boxes._data, kept)
+        return cleared
+    if kept.shape != boxes.shape[: kept.dim()]:  # boxes were mixed since
+        return boxes
+    return torch.where(kept[(..., *[None] * (boxes.dim() - kept.dim()))], boxes, 0)
+
+
 def _filtered(
     boxes: Tensor, mode: str, size: tuple[int, ...], rule: BoxFilter, fraction: Tensor | None
 ) -> tuple[Tensor, Tensor]:

@@ -240,7 +240,7 @@ def test_choices_are_those_of_torch(make, device, backend, monkeypatch):
         serves.append(fused)
         augment = make()
         augment(random_images((500, 3, 4, 5), device, torch.float32), seed=3)
-        results.append(augment._drawn)
+        results.append(augment._record.drawn)
     assert bool(calls) == has_kernels(device, backend)
     drawn, fused = results
     assert torch.equal(drawn.operation, fused.operation)

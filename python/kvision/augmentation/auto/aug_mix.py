@@ -7,6 +7,7 @@ and uncertainty, ICLR 2020. The values of the operations are those of torchvisio
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Generator, Tensor
@@ -15,6 +16,7 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation.auto.policy_base import Drawn, PolicyAugmentBase, check_integer
 from kvision.augmentation.base import per_sample
 from kvision.augmentation.container.image import ParamItem
+from kvision.augmentation.container.record import Record
 from kvision.augmentation.container.stages import Stage
 from kvision.augmentation.draws import Draw, Request, integer
 from kvision.core.exceptions import ValueCheckError
@@ -142,10 +144,10 @@ class AugMix(PolicyAugmentBase):
             raise ValueCheckError("AugMix: expected params with 'weights' in the first step")
         return drawn._replace(weights=params[0].data["weights"].to(x.device))
 
-    def _items(self, drawn: Drawn) -> list[ParamItem]:
-        items = super()._items(drawn)
-        if drawn.weights is not None:
-            items[0].data["weights"] = drawn.weights.cpu()
+    def _items(self, record: Record) -> list[Any]:
+        items = super()._items(record)
+        if record.drawn is not None:
+            items[0].data["weights"] = record.drawn.weights.cpu()
         return items
 
     def _run(self, x: Tensor, drawn: Drawn) -> tuple[Tensor, list[Stage]]:

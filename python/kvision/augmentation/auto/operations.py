@@ -17,7 +17,7 @@ from kvision import _check
 from kvision._clamp import clamp
 from kvision.augmentation.base import AugmentationBase2D, Params, with_matrix
 from kvision.augmentation.base.configuration import Plans
-from kvision.augmentation.base.execution import check_batch_of_params
+from kvision.augmentation.base.execution import Execution, check_batch_of_params
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.container.image import ImageSequential
 from kvision.augmentation.container.runs import Randomness
@@ -81,6 +81,7 @@ class OperationBase(nn.Module):
         [0.75, 0.75, 0.75]
     """
 
+    _call: tuple[Params, Execution] | None = None  # the last one
     magnitude_range: tuple[float, float] | None = None
     scale = 1.0  # from a magnitude to the parameter
 
@@ -114,7 +115,7 @@ class OperationBase(nn.Module):
 
     def __getstate__(self) -> dict[str, Any]:
         # Copies and pickles have the settings, not the last call.
-        return {name: value for name, value in self.__dict__.items() if name != "_params"}
+        return {name: value for name, value in self.__dict__.items() if name != "_call"}
 
     @property
     def same_on_batch(self) -> bool:
@@ -140,11 +141,21 @@ class OperationBase(nn.Module):
     @property
     def transform_matrix(self) -> Tensor | None:
         """The matrices (B, 3, 3) of the last call; None before the first one."""
-        matrix = self.op.transform_matrix
-        if matrix is None:
-            return None
-        chosen = self._params["batch_prob"].detach().to(matrix.device) > 0.5
+        return None if self._call is None else self._matrix(*self._call)
+
+    def _matrix(self, params: Params, execution: Execution) -> Tensor:
+        matrix = self.op._matrix(execution)
+        chosen = params["batch_prob"].detach().to(matrix.device) > 0.5
         return torch.where(chosen[:, None, None], matrix, torch.eye(3, dtype=matrix.dtype, device=matrix.device))
+
+    @property
+    def _params(self) -> Params:
+        """The parameters of the last call."""
+        return {} if self._call is None else self._call[0]
+
+    def _read_params(self, params: Params) -> Params:
+        """The parameters of a call in a container, which are its record."""
+        return params
 
     def forward_parameters(
         self,
@@ -236,32 +247,34 @@ class OperationBase(nn.Module):
             check_matrix(self, before, x)
         if params is None:
             params = self.forward_parameters(tuple(x.shape), seed=seed, generator=generator)
-        y = self._augment(x, params)
+        y, execution = self._augment(x, params)
         returns = self.op.return_transform if return_transform is None else return_transform
-        transform = self.transform_matrix if returns else None
+        transform = self._matrix(params, execution) if returns else None
         return with_matrix(y, before, None if transform is None else transform.to(y.device))
 
-    def _execute_nested(self, x: Tensor, params: Params | None, source: Randomness) -> tuple[Tensor, Stage]:
-        """Run in a container: the images, and what labels have to follow."""
+    def _execute_nested(self, x: Tensor, params: Params | None, source: Randomness) -> tuple[Tensor, Stage, Params]:
+        """Run in a container: the images, what labels have to follow, and the parameters."""
         if params is None:
             params = self._draw(source._replace(op=type(self).__name__), tuple(x.shape))
-        y = self._augment(x, params)
+        y, _ = self._augment(x, params)
         chosen = {**params, "batch_prob": params["batch_prob"].detach()}
-        return y, Applied(self.op, self.op._execution_on(x, chosen, self.op.flags), self.op.flags)
+        return y, Applied(self.op, self.op._execution_on(x, chosen, self.op.flags), self.op.flags), params
 
-    def _augment(self, x: Tensor, params: Params) -> Tensor:
+    def _augment(self, x: Tensor, params: Params) -> tuple[Tensor, Execution]:
+        """Images augmented with parameters, and what the augmentation did to all of them."""
         check_batch_of_params(type(self).__name__, len(params["batch_prob"]), len(x))
-        self._params = params
         chosen = params["batch_prob"].to(x.device)[:, None, None, None]
         # Applied to all samples: the gradient to the probability needs the results of samples that are not chosen, too.
         of_all = {name: drawn for name, drawn in params.items() if name != "batch_prob"}
-        augmented: Tensor = self.op(x, params=of_all, return_transform=False)
+        execution = self.op.__dict__["_execution"] = self.op._from_params(of_all, x)
+        self.__dict__["_call"] = params, execution
+        augmented = self.op._run(x, execution, self.op.flags)
         x = x if x.dtype == augmented.dtype else to_unit(x)
         y = torch.where(chosen.detach() > 0.5, augmented, x)
         if not chosen.requires_grad:
-            return y
+            return y, execution
         # The weight is 0: it is there for its gradient.
-        return y + (chosen - chosen.detach()).to(x.dtype) * (augmented - x).detach()
+        return y + (chosen - chosen.detach()).to(x.dtype) * (augmented - x).detach(), execution
 
 
 class PolicySequential(ImageSequential):

@@ -14,8 +14,9 @@ from kvision.augmentation.auto.operation_table import OPERATIONS, execute_steps
 from kvision.augmentation.base.execution import check_batch_of_params
 from kvision.augmentation.columns import DrawPlan, fits_one_launch, plan_draws
 from kvision.augmentation.container.image import ImageSequential, ParamItem, identity_of
+from kvision.augmentation.container.record import Record
 from kvision.augmentation.container.runs import Randomness
-from kvision.augmentation.container.stages import Applied, Stage, invert, product
+from kvision.augmentation.container.stages import Stage, invert, product
 from kvision.augmentation.draws import MAX_DRAWS, Draw, Request
 from kvision.augmentation.keys import check_seeds, draw_keys
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -78,7 +79,6 @@ class PolicyAugmentBase(ImageSequential):
         tensor([0., 1.])
     """
 
-    _drawn: Drawn | None = None  # of the last call
     _top_level = LEVELS  # levels from 0 to this one are drawn
 
     def __init__(
@@ -131,17 +131,17 @@ class PolicyAugmentBase(ImageSequential):
         drawn = plan.draw(x[:: source.frames], keys)
         if source.frames > 1:
             drawn = drawn.repeat_interleave(source.frames, 0)
-        if self._table.device != x.device:
-            self._table = self._table.to(x.device)
         return self._of_columns(drawn)
 
     def _of_columns(self, columns: Tensor) -> Drawn:
         """What the columns (B, P) of the request say."""
-        top = float(max(self._top_level, 1))
+        top, table = float(max(self._top_level, 1)), self._table
+        if table.device != columns.device:
+            table = self._table = table.to(columns.device)
         if _choose_operations.serves(columns):
-            return Drawn(*_choose_operations.kernel(columns, self._table, self.count, top))
+            return Drawn(*_choose_operations.kernel(columns, table, self.count, top))
         columns = columns.unflatten(1, (self.count, 1 + 3 * self._length))
-        number, probability, low, high, neutral = self._table[columns[..., 0].long()].unbind(-1)
+        number, probability, low, high, neutral = table[columns[..., 0].long()].unbind(-1)
         chance, level, mirrored = columns[..., 1:].unflatten(-1, (self._length, 3)).unbind(-1)
         value = low + (high - low) * level / top
         value = torch.where((mirrored > 0.5) & ~neutral.isnan(), 2 * neutral - value, value)
@@ -175,21 +175,12 @@ class PolicyAugmentBase(ImageSequential):
         check_batch_of_params(type(self).__name__, len(operation), len(x))
         return Drawn(operation.to(x.device), value.to(x.device))
 
-    @property
-    def _params(self) -> list[ParamItem]:
-        """What each step of the last call did: numbers of operations, -1 for none, and their magnitudes, on the CPU."""
-        if self._param_items is None:
-            self._param_items = [] if self._drawn is None else self._items(self._drawn)
-        return self._param_items
-
-    @_params.setter
-    def _params(self, params: list[ParamItem]) -> None:
-        self._param_items = params
-
-    def _items(self, drawn: Drawn) -> list[ParamItem]:
-        """What was drawn, by steps and names."""
-        shape = torch.tensor(self._shape or ())
-        items = []
+    def _items(self, record: Record) -> list[Any]:
+        """What each step of a call did: numbers of operations, -1 for none, and their magnitudes, on the CPU."""
+        drawn, items = record.drawn, []
+        if drawn is None:
+            return []
+        shape = torch.tensor(record.shape)
         for i, (operation, value) in enumerate(zip(drawn.operation.cpu().unbind(1), drawn.value.cpu().unbind(1))):
             data = {"operation": operation, "magnitude": value, "batch_prob": (operation >= 0).float()}
             items.append(ParamItem(f"step_{i}", {**data, "forward_input_shape": shape}))
@@ -198,26 +189,25 @@ class PolicyAugmentBase(ImageSequential):
     def forward_parameters(self, batch_shape: Sequence[int]) -> list[ParamItem]:
         """Draw the parameters of a call on images of a shape, without executing it."""
         drawn = self._draw(torch.empty(batch_shape[0]), self._source(None, None))
-        self._drawn, self._shape, self._param_items = drawn, tuple(batch_shape), None
-        self._stages = []
+        record = Record(tuple(batch_shape))
+        record.drawn = drawn
+        self._keep(record)
         return self._params
 
     # --- execution ---
 
-    def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> Tensor:
+    def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> tuple[Tensor, Record]:
         drawn = self._draw(x, source) if params is None else self._redrawn(params, x)
-        self._shape, self._drawn, self._param_items = tuple(x.shape), drawn, None
-        x, self._stages = self._run(x, drawn)
-        return x
+        y, stages = self._run(x, drawn)
+        record = Record(tuple(x.shape), (), stages)
+        record.drawn = drawn
+        return y, record
 
     def _run(self, x: Tensor, drawn: Drawn) -> tuple[Tensor, list[Stage]]:
         """Execute what was drawn; gives the images, and what labels have to follow."""
         if x.dim() != 4:
             raise ShapeError(f"{type(self).__name__}: expected images of shape (B, C, H, W), got {tuple(x.shape)}")
         return execute_steps(x, self._names[: drawn.operation.shape[1]], drawn.operation, drawn.value)
-
-    def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:
-        return self._execute(x, params, source), Applied(self, None, {}, self._stages)
 
     def get_transformation_matrix(
         self,
@@ -236,7 +226,7 @@ class PolicyAugmentBase(ImageSequential):
         self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
     ) -> Tensor:
         x = self.transform_tensor(input)
-        stages = self._stages if params is None else self._run(x, self._redrawn(params, x))[1]
+        stages = self._record.stages if params is None else self._run(x, self._redrawn(params, x))[1]
         return self._restored(invert(x, stages), input)
 
     def is_intensity_only(self, strict: bool = True) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -12,15 +12,16 @@ from torch import Generator, Tensor, nn
 from kvision.augmentation import labels
 from kvision.augmentation.base import RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D
 from kvision.augmentation.container.image import ImageSequential, ParamItem
-from kvision.augmentation.container.label_moves import LabelMoves, LabelRecord, move_boxes_back, size_before
-from kvision.augmentation.container.runs import Randomness, execute
+from kvision.augmentation.container.label_moves import move_boxes_back
+from kvision.augmentation.container.label_record import LabelRecord, moved_masks
+from kvision.augmentation.container.record import Record
+from kvision.augmentation.container.runs import execute
 from kvision.augmentation.container.stages import (
-    Applied,
+    LabelSettings,
+    MaskReading,
     Stage,
     forget_coordinates,
     invert,
-    mixes,
-    move_masks,
     move_masks_back,
     move_points_back,
 )
@@ -38,7 +39,7 @@ from kvision.augmentation.inputs import (
 )
 from kvision.augmentation.keys import Seed
 from kvision.constants import DataKey, Resample
-from kvision.core.exceptions import BaseError, ShapeError, ValueCheckError
+from kvision.core.exceptions import BaseError, ValueCheckError
 
 __all__ = ["AugmentationSequential"]
 
@@ -109,13 +110,6 @@ class AugmentationSequential(ImageSequential):
         (tensor([[[5., 0., 7., 2.]]]), tensor([[[7., 2.]]]))
     """
 
-    # Of the last call.
-    _kept_boxes: Sequence[Any] = ()
-    _points: Sequence[tuple[Any, LabelMoves, Tensor | None]] = ()  # moved ones, and which of them are visible
-    _videos: VideoLayout | None = None
-    _boxes: int | None = None  # how many an image has
-    _result_size: tuple[int, ...] = (0, 0)
-
     def __init__(
         self,
         *args: nn.Module,
@@ -173,7 +167,8 @@ class AugmentationSequential(ImageSequential):
         self.box_filter = labels.BoxFilter(bool(clip_boxes), min_box_area, min_box_visibility)
         self._clips_each = clip_boxes == "each"
         self.transformation_matrix_mode = transformation_matrix_mode
-        self.extra_args = {DataKey.MASK: {"resample": "nearest"}} if extra_args is None else extra_args
+        self._default_extra_args: dict[Any, dict[str, Any]] = {DataKey.MASK: {"resample": "nearest"}}
+        self.extra_args = self._default_extra_args if extra_args is None else extra_args
 
     def forward(
         self,
@@ -224,9 +219,10 @@ class AugmentationSequential(ImageSequential):
             if not isinstance(value, Tensor):
                 before = self._convert(keys, values, image)
                 break
-        outputs = self._call(keys, values, params, seed, generator, before)
+        outputs, record = self._call(keys, values, params, seed, generator, before)
+        self._keep(record)
         if image is not None:
-            outputs[image] = self._with_matrix(outputs[image], before, return_transform)
+            outputs[image] = self._with_matrix(outputs[image], before, return_transform, record)
         if output_type != "pt":
             outputs = [as_output_type(output, output_type, key) for output, key in zip(outputs, keys)]
         if entries is not None:
@@ -269,66 +265,69 @@ class AugmentationSequential(ImageSequential):
         seed: Seed,
         generator: Generator | None,
         before: Tensor | None,
-    ) -> list[Any]:
+    ) -> tuple[list[Any], Record]:
+        """The results of a call, and its record."""
         if DataKey.INPUT not in keys:
-            if self._shape is None and params is None:
+            if self._record.shape is None and params is None:
                 raise ValueCheckError("AugmentationSequential: expected one of data_keys to be 'input'")
             return self._move_alone(keys, inputs, params)
         if self.transformation_matrix_mode == "rigid":
             _check_rigid(self)
         first = keys.index(DataKey.INPUT)
-        state = self.__dict__  # faster than Module.__setattr__, which looks for parameters
-        state["_videos"] = self._video_layout(inputs[first])
-        inputs = self._of_frames(keys, inputs)
+        videos = self._video_layout(inputs[first])
+        inputs, restore = _of_frames(videos, keys, inputs)
         image = inputs[first]
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
         masks = None
         if DataKey.MASK in keys:
-            of_images = inputs[keys.index(DataKey.MASK)]
-            state["_shape"] = tuple(x.shape)  # with which masks are compared
+            masks = functools.partial(self._masks_after, inputs[keys.index(DataKey.MASK)], tuple(x.shape))
+        time = 0 if videos is None else videos.sizes[1]
+        y, record = self._execute(x, params, self._source(seed, generator, time, len(keys) > 1, masks))
+        record.size, record.videos = tuple(y.shape[2:]), videos
+        if len(keys) > 1:
+            record.labels = LabelRecord(self._label_settings, record.shape, record.size)
+            outputs = record.labels.move(keys, inputs, record.stages)
+            for i, (key, value) in enumerate(zip(keys, inputs)):
+                if key == DataKey.INPUT and i != first:  # a second image gets the same
+                    source = self._source(None, None, time)
+                    again = self._children_of_call(self._read_params(record), source)
+                    z, _ = execute(self.transform_tensor(value), again, source)
+                    outputs[i] = self._restored(z, value)
+        else:
+            outputs = [y]
+        outputs[first] = self._restored(y, image)
+        forget_coordinates(record.stages)
+        return _of_videos(videos, outputs, restore), record
 
-            def masks(stages: Sequence[Stage]) -> Any:
-                return self._moved_masks(of_images, stages)
+    def _masks_after(self, masks: Any, images: tuple[int, ...], stages: Sequence[Stage]) -> Any:
+        """The masks of a call after its first stages, for what mixes by them."""
+        return moved_masks(masks, stages, self._label_settings.masks or MaskReading(), images)
 
-        y = self._execute(x, params, self._source(seed, generator, 0, len(keys) > 1, masks))
-        state["_result_size"] = tuple(y.shape[2:])
-        if len(keys) == 1:
-            state["_points"] = state["_kept_boxes"] = ()
-            forget_coordinates(self._stages)
-            return self._of_videos([self._restored(y, image)])
-        record = LabelRecord(self._clips_each)
-        of_boxes = (value for key, value in zip(keys, inputs) if key in labels.BOX_FORMATS)
-        state["_boxes"] = next((value.shape[1] for value in of_boxes if isinstance(value, Tensor)), None)
-        outputs = []
-        for i, (key, value) in enumerate(zip(keys, inputs)):
-            if i == first:
-                outputs.append(self._restored(y, image))
-            elif key == DataKey.INPUT:  # a second image gets the same
-                again = self._children_of_call(self._params, self._source(None, None))
-                z = execute(self.transform_tensor(value), again, self._source(None, None))[0]
-                outputs.append(self._restored(z, value))
-            else:
-                outputs.append(record.kept(key, self._moved(key, value, self._stages, self._result_size, record)))
-        return self._finished(keys, outputs, self._result_size, record)
+    def _move_alone(self, keys: list[DataKey], inputs: list[Any], params: Any) -> tuple[list[Any], Record]:
+        """Labels without their images, moved by the last call or by given parameters."""
+        record = self._record
+        stages, size, videos = record.stages, record.size, record.videos
+        inputs, restore = _of_frames(videos, keys, inputs)
+        if params is not None:
+            image, stages = self._replayed(torch.zeros(1), params)
+            size = tuple(image.shape[2:])
+        moves = LabelRecord(self._label_settings, record.shape, size)
+        outputs = moves.move(keys, inputs, stages)
+        forget_coordinates(stages)
+        return _of_videos(videos, outputs, restore), record.replaced(labels=moves)
 
-    def _finished(
-        self, keys: Sequence[DataKey], outputs: list[Any], size: tuple[int, ...], record: LabelRecord
-    ) -> list[Any]:
-        """Filtered results, with what `visible_points` needs kept, and the frames of videos as videos."""
-        self.__dict__["_points"] = record.points
-        forget_coordinates(self._stages)
-        record.forget_maps()
-        return self._of_videos(self._filtered(keys, outputs, size, record))
-
-    # --- videos ---
-
-    def _source(
-        self, seed: Seed, generator: Generator | None, time: int = 0, has_labels: bool = False, masks: Any = None
-    ) -> Randomness:
-        time = time if self._videos is None else self._videos.sizes[1]
-        return super()._source(seed, generator, time, has_labels, masks)
+    @property
+    def _label_settings(self) -> LabelSettings:
+        flags: dict[str, Any] = {}
+        for key, options in self.extra_args.items():
+            if DataKey.get(key) == DataKey.MASK:
+                flags = {**options, **flags}
+        mode = flags.get("resample")
+        reading = MaskReading(None if mode is None else Resample.get(mode).name.lower(), flags.get("fill_value"))
+        is_default = self.extra_args is self._default_extra_args
+        return LabelSettings(self._clips_each, self.box_filter, reading, is_default)
 
     def _video_layout(self, videos: Any) -> VideoLayout | None:
         """The layout of videos, which containers with a VideoSequential take."""
@@ -337,54 +336,14 @@ class AugmentationSequential(ImageSequential):
                 return VideoLayout.of("AugmentationSequential", child.data_format, videos)
         return None
 
-    def _of_frames(self, keys: Sequence[DataKey], inputs: Sequence[Any]) -> list[Any]:
-        """Videos and their labels as images and theirs."""
-        videos = self._videos
-        if videos is None:
-            return list(inputs)
-        self._restore: list[Any] = []  # what turns each of them back
-        frames = []
-        for key, value in zip(keys, inputs):
-            if key == DataKey.INPUT or (key == DataKey.MASK and isinstance(value, Tensor) and value.dim() == 5):
-                own = VideoLayout.of(videos.op, videos.data_format, value)
-                frames.append(own.frames(value))
-                self._restore.append(own.videos)
-            elif key == DataKey.MASK and isinstance(value, Tensor):  # (B, T, H, W)
-                frames.append(videos.labels_of_frames("mask", value)[:, None])
-                self._restore.append(lambda moved: videos.labels_of_videos(moved[:, 0]))
-            elif key == DataKey.CLASS and (not isinstance(value, Tensor) or value.shape[:2] != videos.sizes):
-                frames.append(value)  # of the videos
-                self._restore.append(lambda moved: moved)
-            else:
-                frames.append(videos.labels_of_frames(key.name.lower(), value))
-                self._restore.append(videos.labels_of_videos)
-        return frames
-
-    def _of_videos(self, outputs: list[Any]) -> list[Any]:
-        videos = self._videos
-        if videos is None:
-            return outputs
-        return [restore(moved) for restore, moved in zip(self._restore, outputs)]
-
-    def _move_alone(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
-        """Labels without their images, moved by the last call or by given parameters."""
-        stages, size = self._stages, self._result_size
-        inputs = self._of_frames(keys, inputs)
-        if params is not None:
-            image, stages = self._replayed(torch.zeros(1), params)
-            size = tuple(image.shape[2:])
-        record = LabelRecord(self._clips_each)
-        moved = (self._moved(key, value, stages, size, record) for key, value in zip(keys, inputs))
-        outputs = [record.kept(key, value) for key, value in zip(keys, moved)]
-        return self._finished(keys, outputs, size, record)
-
-    # --- labels ---
+    # --- labels of the last call ---
 
     @property
     def kept_boxes(self) -> list[Any]:
         """Which boxes of the last call passed the filter: bool (B, N), or a list of (N,), for each input; empty without one."""
-        kept, videos = list(self._kept_boxes), self._videos
-        return kept if videos is None else [videos.labels_of_videos(of_frames) for of_frames in kept]
+        record = self._record
+        kept = [] if record.labels is None else record.labels.kept_boxes
+        return [] if self.box_filter.does_nothing and not kept else _labels_of_videos(record.videos, kept)
 
     @property
     def visible_points(self) -> list[Any]:
@@ -392,113 +351,9 @@ class AugmentationSequential(ImageSequential):
 
         Points outside of the result are not visible, nor are those that were outside of one before it.
         """
-        visible = []
-        for points, moves, known in self._points:
-            are_visible = moves.are_visible if known is None else functools.partial(_constant, known)
-            visible.append(labels.visible_points(points, are_visible))
-        return visible if self._videos is None else [self._videos.labels_of_videos(kept) for kept in visible]
-
-    def _filtered(
-        self, keys: Sequence[DataKey], values: list[Any], size: tuple[int, ...], record: LabelRecord
-    ) -> list[Any]:
-        """Moved boxes that the filter leaves, and their class labels and masks."""
-        self.__dict__["_kept_boxes"] = []
-        if self.box_filter.does_nothing:
-            return values
-        kept: dict[int, Any] = {}
-        for i, key in enumerate(keys):
-            if key in labels.BOX_FORMATS:
-                mode, fraction = labels.BOX_FORMATS[key], record.fractions[len(kept)]
-                values[i], kept[i] = labels.filter_boxes(values[i], mode, size, self.box_filter, fraction)
-        self._kept_boxes = list(kept.values())
-        for i, key in enumerate(keys):
-            if key in (DataKey.CLASS, DataKey.MASK) and kept:
-                before = [at for at in kept if at < i]
-                of_boxes = kept[before[-1] if before else min(kept)]
-                filtered = labels.filter_labels if key == DataKey.CLASS else labels.filter_masks
-                values[i] = filtered(values[i], of_boxes)
-        return values
-
-    def _moved(
-        self, key: DataKey, value: Any, stages: Sequence[Stage], size: tuple[int, ...], record: LabelRecord
-    ) -> Any:
-        """What belongs to images after stages, whose last result has a size."""
-        if key == DataKey.MASK:
-            return self._moved_masks(value, stages)
-        for i, stage in enumerate(stages):
-            if not isinstance(stage, Applied):
-                continue
-            module: Any = stage.module
-            if getattr(module, "mixes_samples", False):
-                before = self._moved(key, value, stages[:i], size_before(stages[i:], size), record)
-                mixed = module._mixed_labels(key, before, stage.execution, self._boxes)
-                return self._moved(key, mixed, stages[i + 1 :], size, record)
-            if stage.stages and mixes(stage.stages):
-                before = self._moved(key, value, stages[:i], size_before(stages[i:], size), record)
-                nested = self._moved(key, before, stage.stages, size_before(stages[i + 1 :], size), record)
-                return self._moved(key, nested, stages[i + 1 :], size, record)
-        if key == DataKey.KEYPOINTS:
-            self._check_batch("keypoints", value, 3)
-            return record.move_points(value, stages, size, self._numbers_of_points)
-        if key in labels.BOX_FORMATS:
-            if self._numbers_of_points == 3:
-                raise NotImplementedError(
-                    "AugmentationSequential: boxes of volumes cannot be moved; masks and key points can"
-                )
-            self._check_batch(key.name.lower(), value, 4 if key == DataKey.BBOX else 3)
-            return record.move_boxes(value, labels.BOX_FORMATS[key], stages, size)
-        return value
-
-    @property
-    def _numbers_of_points(self) -> int:
-        """How many numbers a point has: 2 in images, 3 in volumes."""
-        return 2 if self._shape is None else len(self._shape) - 2
-
-    def _check_batch(self, name: str, value: Any, axes: int) -> None:
-        """Raise unless labels are those of as many images as the last call had."""
-        if self._shape is None or not isinstance(value, (Tensor, list, tuple)):
-            return
-        count = len(value) if not isinstance(value, Tensor) or value.dim() == axes else 1
-        if count != self._shape[0] and (isinstance(value, Tensor) or count):
-            raise ShapeError(
-                f"AugmentationSequential: expected {name} of {self._shape[0]} images, got those of {count}"
-            )
-
-    def _moved_masks(self, masks: Any, stages: Sequence[Stage]) -> Any:
-        if isinstance(masks, (list, tuple)):
-            labels.check_tensors("the masks of an image", masks)
-            if len({mask.shape for mask in masks}) <= 1:
-                return type(masks)(self._moved_masks(torch.stack(list(masks)), stages).unbind(0)) if masks else masks
-            padded, sizes = labels.pad(masks)  # as many instances for each image
-            return type(masks)(row[:n] for row, n in zip(self._moved_masks(padded, stages), sizes))
-        labels.check_tensors("mask", [masks])
-        shape, images = masks.shape, self._shape
-        axes = 4 if images is None else len(images)
-        if masks.dim() == axes - 1 and images is not None:
-            # (B, H, W) of a batch, or (C, H, W) of one image; of volumes (B, D, H, W) or (C, D, H, W)
-            batched = masks[:, None] if shape[0] == images[0] and shape[0] > 1 else masks[None]
-        else:
-            batched = masks[None, None] if masks.dim() == axes - 2 else masks
-        if batched.dim() != axes:
-            layout = "(B, C, H, W)" if axes == 4 else "(B, C, D, H, W)"
-            raise ShapeError(f"AugmentationSequential: expected mask of shape {layout}, got {tuple(shape)}")
-        if images is not None and (batched.shape[0], *batched.shape[2:]) != (images[0], *images[2:]):
-            raise ShapeError(
-                f"AugmentationSequential: expected mask of {images[0]} images of {tuple(images[2:])}, got {tuple(shape)}"
-            )
-        moved = move_masks(batched, stages, *self._mask_flags())
-        if masks.dim() < axes and moved.shape[:2] == batched.shape[:2]:
-            return moved.reshape(*shape[: 2 - axes], *moved.shape[2:])
-        return moved
-
-    def _mask_flags(self) -> tuple[str | None, Any]:
-        """How masks are read, None for as the images, and the value of pixels that enter."""
-        flags: dict[str, Any] = {}
-        for key, options in self.extra_args.items():
-            if DataKey.get(key) == DataKey.MASK:
-                flags = {**options, **flags}
-        mode = flags.get("resample")
-        return None if mode is None else Resample.get(mode).name.lower(), flags.get("fill_value")
+        record = self._record
+        visible = [] if record.labels is None else record.labels.visible_points()
+        return _labels_of_videos(record.videos, visible)
 
     def inverse(
         self,
@@ -524,12 +379,12 @@ class AugmentationSequential(ImageSequential):
         return outputs[0] if len(outputs) == 1 else outputs
 
     def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
-        stages = self._stages
+        record = self._record
+        videos = record.videos
         if DataKey.INPUT in keys:
-            self._videos = self._video_layout(inputs[keys.index(DataKey.INPUT)])
-        inputs = self._of_frames(keys, inputs)
-        if params is not None:
-            stages = self._stages_of(torch.zeros(1), params)
+            videos = self._video_layout(inputs[keys.index(DataKey.INPUT)])
+        inputs, restore = _of_frames(videos, keys, inputs)
+        stages = record.stages if params is None else self._stages_of(torch.zeros(1), params)
         outputs = []
         for key, value in zip(keys, inputs):
             if key == DataKey.INPUT:
@@ -538,15 +393,14 @@ class AugmentationSequential(ImageSequential):
                 labels.check_tensors("mask", [value])
                 outputs.append(move_masks_back(value, stages))
             elif key == DataKey.KEYPOINTS:
-                outputs.append(
-                    labels.move_points(value, lambda points: move_points_back(points, stages), self._numbers_of_points)
-                )
+                numbers = 2 if record.shape is None else len(record.shape) - 2
+                outputs.append(labels.move_points(value, lambda points: move_points_back(points, stages), numbers))
             elif key in labels.BOX_FORMATS:
                 move = functools.partial(move_boxes_back, stages)
                 outputs.append(labels.move_boxes(value, labels.BOX_FORMATS[key], move)[0])
             else:
                 outputs.append(value)
-        return self._of_videos(outputs)
+        return _of_videos(videos, outputs, restore)
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
         videos = self._video_layout(output)
@@ -554,8 +408,37 @@ class AugmentationSequential(ImageSequential):
         return known if videos is None else videos.videos(known)
 
 
-def _constant(value: Tensor, _: Tensor) -> Tensor:
-    return value
+def _of_frames(
+    videos: VideoLayout | None, keys: Sequence[DataKey], inputs: Sequence[Any]
+) -> tuple[list[Any], list[Callable[[Any], Any]]]:
+    """Videos and their labels as images and theirs, and for each of them what turns it back."""
+    if videos is None:
+        return list(inputs), []
+    frames: list[Any] = []
+    restore: list[Callable[[Any], Any]] = []
+    for key, value in zip(keys, inputs):
+        if key == DataKey.INPUT or (key == DataKey.MASK and isinstance(value, Tensor) and value.dim() == 5):
+            own = VideoLayout.of(videos.op, videos.data_format, value)
+            frames.append(own.frames(value))
+            restore.append(own.videos)
+        elif key == DataKey.MASK and isinstance(value, Tensor):  # (B, T, H, W)
+            frames.append(videos.labels_of_frames("mask", value)[:, None])
+            restore.append(lambda moved: videos.labels_of_videos(moved[:, 0]))
+        elif key == DataKey.CLASS and (not isinstance(value, Tensor) or value.shape[:2] != videos.sizes):
+            frames.append(value)  # of the videos
+            restore.append(lambda moved: moved)
+        else:
+            frames.append(videos.labels_of_frames(key.name.lower(), value))
+            restore.append(videos.labels_of_videos)
+    return frames, restore
+
+
+def _of_videos(videos: VideoLayout | None, outputs: list[Any], restore: Sequence[Callable[[Any], Any]]) -> list[Any]:
+    return outputs if videos is None else [back(moved) for back, moved in zip(restore, outputs)]
+
+
+def _labels_of_videos(videos: VideoLayout | None, of_frames: Sequence[Any]) -> list[Any]:
+    return list(of_frames) if videos is None else [videos.labels_of_videos(values) for values in of_frames]
 
 
 class _NotRigidError(BaseError, RuntimeError):

@@ -17,9 +17,19 @@ from kvision.augmentation.base import (
     with_matrix,
     without_added_axes,
 )
-from kvision.augmentation.base.configuration import Plans
-from kvision.augmentation.container.runs import Child, Randomness, execute
-from kvision.augmentation.container.stages import Applied, Stage, forget_coordinates, invert, move_masks, product
+from kvision.augmentation.base.configuration import Plans, settings_changed
+from kvision.augmentation.container.record import Child, Record
+from kvision.augmentation.container.runs import Randomness, execute
+from kvision.augmentation.container.stages import (
+    KNOWN,
+    Applied,
+    LabelSettings,
+    Stage,
+    forget_coordinates,
+    invert,
+    move_masks,
+    product,
+)
 from kvision.augmentation.draws import philox, unit
 from kvision.augmentation.inputs import (
     WIDE_INTEGERS,
@@ -50,12 +60,6 @@ class ParamItem(NamedTuple):
 
 torch.serialization.add_safe_globals([ParamItem])  # torch.load reads `_params`
 
-# What a call leaves behind.
-_STATE = frozenset(
-    "_stages _shape _executed _param_items _result_size _kept_boxes _points _videos _boxes _restore "
-    "_drawn _executed_cells".split()
-)
-
 
 class ImageSequentialBase(nn.Sequential):
     """Base of the containers: children in order, with what they share.
@@ -74,11 +78,7 @@ class ImageSequentialBase(nn.Sequential):
         1
     """
 
-    # Of the last call.
-    _stages: Sequence[Stage] = ()
-    _shape: tuple[int, ...] | None = None
-    _executed: Sequence[Child] = ()
-    _param_items: list[Any] | None = None  # ParamItems
+    _record: Record = Record()  # of the last call; nothing else of a call is kept
     generator: Generator | None = None
 
     def __init__(self, *args: nn.Module, same_on_batch: bool | None = None, keepdim: bool | None = None) -> None:
@@ -97,14 +97,12 @@ class ImageSequentialBase(nn.Sequential):
         self._set_options_of_children()
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name in _STATE:
-            self.__dict__[name] = value  # faster than Module.__setattr__, which looks for parameters
-        else:
-            super().__setattr__(name, value)
+        settings_changed()
+        super().__setattr__(name, value)
 
     def __getstate__(self) -> dict[str, Any]:
         # Copies and pickles have the settings, not the last call.
-        state = {name: value for name, value in self.__dict__.items() if name not in _STATE}
+        state = {name: value for name, value in self.__dict__.items() if name != "_record"}
         return {**state, "generator": PortableGenerator.of(self.generator)}
 
     def _set_options_of_children(self) -> None:
@@ -136,8 +134,10 @@ class ImageSequentialBase(nn.Sequential):
 
     def clear_state(self) -> None:
         """Forget the last call."""
-        for name in _STATE & self.__dict__.keys():
-            delattr(self, name)
+        self.__dict__.pop("_record", None)
+
+    def _keep(self, record: Record) -> None:
+        self.__dict__["_record"] = record  # Module.__setattr__ is slow, because it looks for parameters
 
     def identity_matrix(self, input: Tensor) -> Tensor:
         """An identity matrix (3, 3) for each sample."""
@@ -323,38 +323,54 @@ class ImageSequential(ImageSequentialBase):
             sequence = self.get_random_forward_sequence(seed=seed, generator=source.generator_of(self))
         return [Child(name, module) for name, module in sequence]
 
-    def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> Tensor:
-        """Run the children on images (B, C, H, W) and keep what the call did."""
+    def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> tuple[Tensor, Record]:
+        """Run the children on images (B, C, H, W); gives the images and what the call did."""
         children = self._children_of_call(params, source)
         y, stages = execute(x, children, source)
-        # Module.__setattr__ is slow, because it looks for parameters. torch 2.11 cannot compile __dict__.update.
-        self.__dict__["_shape"], self.__dict__["_stages"] = tuple(x.shape), stages
-        self.__dict__["_executed"], self.__dict__["_param_items"] = children, None
-        return y
+        return y, Record(tuple(x.shape), children, stages)
 
-    def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:
+    def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage, Record]:
         once = source.once or self.resample == "once"
-        y = self._execute(x, params, source.inside(self)._replace(once=once, plans=self._plans, output=SAME))
-        return y, Applied(self, None, {}, self._stages)
+        own = source.inside(self)._replace(once=once, plans=self._plans, output=self._output)
+        y, record = self._execute(x, params, own)
+        record.size = tuple(y.shape[2:])
+        self._keep(record)
+        return y, Applied(self, None, {}, record.stages, self._label_settings), record
+
+    @property
+    def _label_settings(self) -> LabelSettings | None:
+        """What the container says about labels; None for what has no such settings."""
+        return None
+
+    @property
+    def _output(self) -> Output:
+        """The type and the layout of results."""
+        is_same = self.output_dtype is None and self.memory_format is None
+        return SAME if is_same else Output(self.output_dtype, self.memory_format)
 
     def _source(
         self, seed: Seed, generator: Generator | None, time: int = 0, has_labels: bool = False, masks: Any = None
     ) -> Randomness:
-        same = self.output_dtype is None and self.memory_format is None
-        once, output = self.resample == "once", SAME if same else Output(self.output_dtype, self.memory_format)
-        op, own = type(self).__name__, self.generator
-        return Randomness(op, seed, generator, once, self._plans, output, 1, 0, time, has_labels, masks, own)
+        op, once, own = type(self).__name__, self.resample == "once", self.generator
+        return Randomness(op, seed, generator, once, self._plans, self._output, 1, 0, time, has_labels, masks, own)
 
     @property
     def _params(self) -> list[ParamItem]:
         """The names and parameters of the children of the last call, in its order."""
-        if self._param_items is None:
-            self._param_items = [ParamItem(child.name, child.read_params()) for child in self._executed]
-        return self._param_items
+        return self._read_params(self._record)
 
     @_params.setter
     def _params(self, params: list[ParamItem]) -> None:
-        self._param_items, self._executed = params, []
+        self._keep(self._record.replaced(items=params, children=()))
+
+    def _read_params(self, record: Record) -> list[Any]:
+        """The parameters of a call by name."""
+        if record.items is None:
+            record.items = self._items(record)
+        return record.items
+
+    def _items(self, record: Record) -> list[Any]:
+        return [ParamItem(child.name, child.read_params()) for child in record.children]
 
     def forward(
         self,
@@ -394,16 +410,37 @@ class ImageSequential(ImageSequentialBase):
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
-        y = self._execute(x, params, self._source(seed, generator))
-        forget_coordinates(self._stages)
-        output = self._with_matrix(self._restored(y, image), before, return_transform)
+        y, record = self._execute(x, params, self._source(seed, generator))
+        forget_coordinates(record.stages)
+        self._keep(record)
+        output = self._with_matrix(self._restored(y, image), before, return_transform, record)
         return output if output_type == "pt" else as_output_type(output, output_type)
 
-    def _with_matrix(self, y: Tensor, before: Tensor | None, return_transform: bool | None) -> Any:
-        """The result of a call, with its matrix if that is asked for."""
+    def _with_matrix(self, y: Tensor, before: Tensor | None, return_transform: bool | None, record: Record) -> Any:
+        """The result of a call, with its matrix if that is asked for, or with those that containers inside return."""
         returns = self.return_transform if return_transform is None else return_transform
-        transform = self.transform_matrix if returns else None
+        if returns is None:
+            transform = self._matrix_of_inner(record)
+        else:
+            transform = self._matrix(record) if returns else None
         return with_matrix(y, before, None if transform is None else transform.to(y.device))
+
+    def _matrix_of_inner(self, record: Record) -> Tensor | None:
+        """The product of the matrices that containers inside return, as one after the other does; None if none returns one."""
+        returns: bool | None = self._plans.get("returns")
+        if returns is None:
+            inner = [m for m in self.modules() if m is not self and isinstance(m, ImageSequential)]
+            returns = any(m.return_transform for m in inner)
+            self._plans.keep("returns", returns)
+        if not returns or record.shape is None:
+            return None
+        matrix = identity_of(record.shape)
+        for child in record.children:
+            module = child.module
+            if isinstance(module, ImageSequential) and module.return_transform is not False:
+                own = module._matrix(child.record) if module.return_transform else module._matrix_of_inner(child.record)
+                matrix = matrix if own is None else own @ matrix.to(own)
+        return matrix
 
     def _restored(self, y: Tensor, input: Tensor) -> Tensor:
         if input.dtype in WIDE_INTEGERS and self.output_dtype is None:
@@ -422,9 +459,12 @@ class ImageSequential(ImageSequentialBase):
     @property
     def transform_matrix(self) -> Tensor | None:
         """The product (B, 3, 3) of the matrices of the last call; None before the first one, and where these are skipped."""
-        if self._shape is None or self.transformation_matrix_mode == "skip":
+        return self._matrix(self._record)
+
+    def _matrix(self, record: Record) -> Tensor | None:
+        if record.shape is None or self.transformation_matrix_mode == "skip":
             return None
-        return product(identity_of(self._shape), self._stages)
+        return product(identity_of(record.shape), record.stages)
 
     def get_transformation_matrix(
         self,
@@ -454,7 +494,7 @@ class ImageSequential(ImageSequentialBase):
             Images of the size that the input had; 0 where the result has no data of them.
         """
         x = self.transform_tensor(input)
-        stages = self._stages if params is None else self._stages_of(x, params)
+        stages = self._record.stages if params is None else self._stages_of(x, params)
         return self._restored(invert(x, stages), input)
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
@@ -468,10 +508,11 @@ class ImageSequential(ImageSequentialBase):
             bool (B, 1, H, W), of the size that the images had before the call.
         """
         x = self.transform_tensor(output)
-        shape, stages = self._shape or tuple(x.shape), self._stages
+        record = self._record
+        shape, stages = record.shape or tuple(x.shape), record.stages
         if params is not None:
             shape, stages = _input_shape(params) or shape, self._stages_of(x, params)
-        return is_known(invert(move_masks(known_everywhere(shape, x.device), stages, "bilinear"), stages))
+        return is_known(invert(move_masks(known_everywhere(shape, x.device), stages, KNOWN), stages))
 
     def _stages_of(self, x: Tensor, params: Sequence[ParamItem]) -> list[Stage]:
         """What a call with given parameters did, on images of which only the size counts."""

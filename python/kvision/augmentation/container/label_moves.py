@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from kvision.augmentation import labels
 from kvision.augmentation.base import Execution, where_chosen
 from kvision.augmentation.container.stages import (
     Applied,
@@ -29,64 +27,9 @@ from kvision.augmentation.container.stages import (
 from kvision.augmentation.elastic import MapAugmentation
 from kvision.augmentation.maps import vector
 from kvision.augmentation.preimages import EXACT, ResultMap, at_nodes, result_map
-from kvision.constants import DataKey
 
 _SIDE = 16  # points on each side of a box that moves through what bends its sides
 _REACH = 4  # sizes of images around a result in which boxes and points outside are found
-
-
-class LabelRecord:
-    """How the labels of one call moved.
-
-    Args:
-        clips: boxes end at the edges of the image after each stage.
-    """
-
-    def __init__(self, clips: bool) -> None:
-        self.clips = clips
-        # Of each input of key points: the moved ones, their moves, and which are visible if the moves have told.
-        self.points: list[tuple[Any, LabelMoves, Tensor | None]] = []
-        self.fractions: list[Tensor | None] = []  # of each input of boxes, the visible parts of their areas
-        self._moves: dict[tuple[int, ...], LabelMoves] = {}
-        self._visibility: tuple[LabelMoves, Tensor | None] | None = None  # of the last points and boxes
-        self._fraction: Tensor | None = None
-
-    def move_points(self, points: Any, stages: Sequence[Stage], size: Sequence[int], numbers: int) -> Any:
-        """Key points after stages, whose last result has a size."""
-        moves, visible = self._moves_of(stages, size), None
-
-        def move(points: Tensor) -> Tensor:
-            nonlocal visible
-            moved, visible = moves.move_points(points)
-            return moved
-
-        moved = labels.move_points(points, move, numbers)
-        self._visibility = moves, visible
-        return moved
-
-    def move_boxes(self, boxes: Any, mode: str, stages: Sequence[Stage], size: Sequence[int]) -> Any:
-        """Boxes after stages, whose last result has a size."""
-        moved, self._fraction = labels.move_boxes(boxes, mode, self._moves_of(stages, size).move_boxes)
-        return moved
-
-    def kept(self, key: DataKey, moved: Any) -> Any:
-        """Keep what the last move of an input tells, and return the input after it."""
-        if key == DataKey.KEYPOINTS and self._visibility is not None:
-            self.points.append((moved, *self._visibility))
-        elif key in labels.BOX_FORMATS:
-            self.fractions.append(self._fraction)
-        return moved
-
-    def forget_maps(self) -> None:
-        """Free what is as large as the images."""
-        for moves in self._moves.values():
-            moves.forget_map()
-
-    def _moves_of(self, stages: Sequence[Stage], size: Sequence[int]) -> LabelMoves:
-        key = tuple(id(stage) for stage in stages)
-        if key not in self._moves:
-            self._moves[key] = LabelMoves(stages, size, self.clips)
-        return self._moves[key]
 
 
 class LabelMoves:

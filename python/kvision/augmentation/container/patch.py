@@ -12,7 +12,8 @@ from torch import Generator, Tensor, nn
 
 from kvision.augmentation.base import AugmentationBase
 from kvision.augmentation.container.image import ImageSequential, ParamItem
-from kvision.augmentation.container.runs import Child, Randomness, execute
+from kvision.augmentation.container.record import Child, Record
+from kvision.augmentation.container.runs import Randomness, execute
 from kvision.augmentation.container.stages import Cells
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.keys import Seed, frame_seeds
@@ -69,8 +70,6 @@ class PatchSequential(ImageSequential):
         >>> halves(torch.zeros(1, 1, 1, 4))
         tensor([[[[1., 1., 0., 0.]]]])
     """
-
-    _executed_cells: list[tuple[list[int] | None, Child]]  # of the last call
 
     def __init__(
         self,
@@ -181,25 +180,28 @@ class PatchSequential(ImageSequential):
         options: dict[str, Any] = {"seed": seed, "generator": generator, "return_transform": return_transform}
         return super().forward(input, params, extra_args, output_type=output_type, **options)  # type: ignore[arg-type]
 
-    def _execute(self, x: Tensor, params: Any, source: Randomness) -> Tensor:
+    def _execute(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Record]:
         pad = self.compute_padding(x, self.padding)
         cells = self._cells(x, pad)
         if params is None:
             chains = self._chains(len(cells), source)
         else:
             chains = self._replayed_chains(len(cells), params)
-        self._executed_cells, position = [], source.position
+        executed: list[tuple[list[int] | None, Child]] = []
+        position = source.position
         for numbers in _groups(chains):
             children = [replace(child) for child in chains[numbers[0]]]
             self._run_cells(cells, numbers, children, source, position)
+            indices = None if len(numbers) == len(cells) else numbers
+            executed += [(indices, child) for child in children]
             position += len(children)
-        self._shape, self._param_items = tuple(x.shape), None if params is None else list(params)
         is_cropped = any(pad) and self.padding == "valid"
         moves = is_cropped or any(_moves(child.module) for chain in chains for child in chain)
-        self._stages = [Cells()] if moves else []
+        record = Record(tuple(x.shape), (), [Cells()] if moves else [])
+        record.cells, record.items = executed, None if params is None else list(params)
         if any(cell.dtype != cells[0].dtype for cell in cells):  # some of bytes became floating point
             cells = [to_unit(cell) for cell in cells]
-        return self.restore_from_patches(torch.stack(cells, 1), pad=pad)
+        return self.restore_from_patches(torch.stack(cells, 1), pad=pad), record
 
     def _cells(self, x: Tensor, pad: Padding) -> list[Tensor]:
         """The cells (B, C, h, w), by rows: views of the images."""
@@ -237,7 +239,7 @@ class PatchSequential(ImageSequential):
     def _run_cells(
         self, cells: list[Tensor], numbers: list[int], children: list[Child], source: Randomness, position: int
     ) -> None:
-        """Run children on some cells, and keep their parameters."""
+        """Run children on some cells."""
         batch = len(cells[0])
         x = cells[numbers[0]] if len(numbers) == 1 else torch.cat([cells[n] for n in numbers])
         seed = source.seed
@@ -253,8 +255,6 @@ class PatchSequential(ImageSequential):
             )
         for n, cell in zip(numbers, y.split(batch) if batch else [y] * len(numbers)):
             cells[n] = cell
-        indices = None if len(numbers) == len(cells) else numbers
-        self._executed_cells += [(indices, child) for child in children]
 
     def forward_parameters(self, batch_shape: Sequence[int]) -> list[PatchParamItem]:  # type: ignore[override]
         """Draw the parameters of a call on images of a shape (B, C, H, W), without executing it; `forward` takes them."""
@@ -271,19 +271,8 @@ class PatchSequential(ImageSequential):
                 items.append(PatchParamItem(indices, ParamItem(child.name, data)))
         return items
 
-    @property
-    def _params(self) -> list[Any]:
-        """The parameters of the last call, in the order of execution."""
-        if self._param_items is None and self._shape is not None:
-            self._param_items = [
-                PatchParamItem(indices, ParamItem(child.name, child.read_params()))
-                for indices, child in self._executed_cells
-            ]
-        return self._param_items or []
-
-    @_params.setter
-    def _params(self, params: list[Any]) -> None:
-        self._param_items = params
+    def _items(self, record: Record) -> list[Any]:
+        return [PatchParamItem(indices, ParamItem(child.name, child.read_params())) for indices, child in record.cells]
 
 
 def _groups(chains: Sequence[Sequence[Child]]) -> list[list[int]]:

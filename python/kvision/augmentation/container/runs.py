@@ -17,7 +17,6 @@ decided once for them.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
@@ -27,6 +26,7 @@ from kvision._dtype import as_dtype, compute_dtype
 from kvision.augmentation.base import AugmentationBase, Execution, Shape, matrix_type, where_chosen
 from kvision.augmentation.base.configuration import Plans
 from kvision.augmentation.columns import Columns, DrawPlan, Span, plan_draws
+from kvision.augmentation.container.record import Child
 from kvision.augmentation.container.stages import Applied, Composed, MapLink, Stage, Warp
 from kvision.augmentation.displacements import NoiseField
 from kvision.augmentation.drawn_links import DrawnLinks
@@ -47,22 +47,6 @@ from kvision.augmentation.warp_and_color import (
     make_pass,
 )
 from kvision.core.exceptions import ShapeError
-
-
-@dataclass(slots=True)
-class Child:
-    """A child of a container that is executed, with the parameters that it replays, if any."""
-
-    name: str
-    module: nn.Module
-    params: Any = None
-    execution: Any = None  # of an augmentation; a module that a call has twice keeps the last one only
-
-    def read_params(self) -> Any:
-        """The parameters that it was executed with."""
-        if self.execution is not None:
-            return self.module._read_params(self.execution)  # type: ignore[operator]  # of AugmentationBase
-        return getattr(self.module, "_params", None)
 
 
 class Randomness(NamedTuple):
@@ -145,8 +129,8 @@ def _execute_with_masks(
     seed = source.seed_of_samples
     if seed is not None:
         seed = seed + ((position + 1) << 32)  # as a seed is that of a chain of one
-    y, child.execution = module._run_with_masks(x, masks, child.params, seed, source.generator_of(module))
-    return y, Applied(module, child.execution, module.flags)
+    y, child.record = module._run_with_masks(x, masks, child.params, seed, source.generator_of(module))
+    return y, Applied(module, child.record, module.flags)
 
 
 def _position_inside(position: int) -> int:
@@ -202,9 +186,11 @@ def _execute_module(x: Tensor, child: Child, source: Randomness) -> tuple[Tensor
     """A module that is no augmentation: another container, or any nn.Module of images."""
     module: Any = child.module
     if hasattr(module, "_execute_nested"):
-        nested: tuple[Tensor, Stage] = module._execute_nested(x, child.params, source)
-        return nested
-    return module(x), Applied(module, None, {})
+        y, stage, child.record = module._execute_nested(x, child.params, source)
+        return y, stage
+    y = module(x)
+    child.foreign_params = getattr(module, "_params", None)
+    return y, Applied(module, None, {})
 
 
 # --- runs of augmentations ------------------------------------------------------------------------------------------
@@ -276,7 +262,7 @@ def _execute_run(
             columns, links = plan.drawn.run(x, keys)
         executions, steps = _executions(x, plan, columns, keys, source.frames), plan.steps
     for child, module, execution in zip(run, modules, executions):
-        child.execution = module.__dict__["_execution"] = execution  # faster than Module.__setattr__
+        child.record = module.__dict__["_execution"] = execution  # faster than Module.__setattr__
     stages: list[Stage] = []
     for step in steps:
         if isinstance(step, int):

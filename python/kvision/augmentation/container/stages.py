@@ -14,9 +14,40 @@ from kvision.augmentation import maps
 from kvision.augmentation.base import AugmentationBase, Execution
 from kvision.augmentation.elastic import MapAugmentation
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp, warp_labels
+from kvision.augmentation.labels import BoxFilter
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
 from kvision.geometry.linalg import transform_points
+
+
+class MaskReading(NamedTuple):
+    """How masks are read: a mode, None for that of the images, and what enters from outside, None for 0."""
+
+    mode: str | None = None
+    fill: Any = None
+    is_fixed: bool = False  # also inside of containers that read masks in another way
+
+    def inside(self, settings: LabelSettings | None) -> MaskReading:
+        """The same inside of a container with settings."""
+        if self.is_fixed or settings is None or settings.masks is None or settings.has_default_masks:
+            return self
+        return settings.masks
+
+
+KNOWN = MaskReading("bilinear", None, True)  # of masks of the pixels that are known
+
+
+class LabelSettings(NamedTuple):
+    """What a container says about labels."""
+
+    clips_each: bool = False  # boxes end at the edges of the image after each stage
+    box_filter: BoxFilter = BoxFilter()
+    masks: MaskReading | None = None
+    has_default_masks: bool = False  # `masks` is only for a container by itself; the one around it decides
+
+    @property
+    def changes_boxes(self) -> bool:
+        return not self.box_filter.does_nothing
 
 
 class Warp(NamedTuple):
@@ -33,8 +64,8 @@ class Warp(NamedTuple):
     def move_points_back(self, points: Tensor) -> Tensor:
         return transform_points(torch.linalg.inv(self.matrix).to(points), points)
 
-    def move_masks(self, masks: Tensor, mode: str | None, fill: float | None) -> Tensor:
-        return warp_labels(masks, self.matrix, self.size, self.resampling.for_labels(mode, fill))
+    def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
+        return warp_labels(masks, self.matrix, self.size, self.resampling.for_labels(reading.mode, reading.fill))
 
     def move_masks_back(self, masks: Tensor) -> Tensor:
         return warp_labels(masks, self.matrix, self.source, self.resampling.for_inverse("nearest"), inverse=False)
@@ -57,6 +88,7 @@ class Applied(NamedTuple):
     execution: Execution | None
     flags: dict[str, Any]
     stages: Sequence[Any] | None = None
+    labels: LabelSettings | None = None  # of a container
 
     @property
     def _augmentation(self) -> tuple[AugmentationBase, Execution] | None:
@@ -78,13 +110,13 @@ class Applied(NamedTuple):
             points = own[0].inverse_points(points, own[1])
         return points
 
-    def move_masks(self, masks: Tensor, mode: str | None, fill: float | None) -> Tensor:
+    def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
         if self.stages is not None:
-            return move_masks(masks, self.stages, mode, fill)
+            return move_masks(masks, self.stages, reading.inside(self.labels))
         if own := self._augmentation:
-            flags = self.flags if mode is None else {**self.flags, "resample": Resample.get(mode)}
-            if fill is not None:
-                flags = {**flags, "mask_fill": fill}
+            flags = self.flags if reading.mode is None else {**self.flags, "resample": Resample.get(reading.mode)}
+            if reading.fill is not None:
+                flags = {**flags, "mask_fill": reading.fill}
             masks = own[0].transform_masks(masks, own[1], flags)
         return masks
 
@@ -176,8 +208,8 @@ class Composed:
                 points = transform_points(torch.linalg.inv(link).to(points), points)
         return points
 
-    def move_masks(self, masks: Tensor, mode: str | None, fill: float | None) -> Tensor:
-        resampling = self.resampling.for_labels(mode, fill)
+    def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
+        resampling = self.resampling.for_labels(reading.mode, reading.fill)
         return maps.read_labels_composed(masks, self.tensors(masks), self.size, resampling)
 
     def move_masks_back(self, masks: Tensor) -> Tensor:
@@ -225,7 +257,7 @@ class Cells(NamedTuple):
     def move_points_back(self, points: Tensor) -> Tensor:
         raise _cells_moved()
 
-    def move_masks(self, masks: Tensor, mode: str | None, fill: float | None) -> Tensor:
+    def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
         raise _cells_moved()
 
     def move_masks_back(self, masks: Tensor) -> Tensor:
@@ -263,10 +295,10 @@ def move_points_back(points: Tensor, stages: Sequence[Stage]) -> Tensor:
     return points
 
 
-def move_masks(masks: Tensor, stages: Sequence[Stage], mode: str | None, fill: float | None = None) -> Tensor:
-    """Masks (B, C, H, W) after all stages, read in a mode, None for that of the images; `fill` is what enters."""
+def move_masks(masks: Tensor, stages: Sequence[Stage], reading: MaskReading) -> Tensor:
+    """Masks (B, C, H, W) after all stages."""
     for stage in stages:
-        masks = stage.move_masks(masks, mode, fill)
+        masks = stage.move_masks(masks, reading)
     return masks
 
 

@@ -10,6 +10,7 @@ from torch import Generator, Tensor, nn
 
 from kvision import _check
 from kvision.augmentation.container.image import ImageSequential, ParamItem, invert
+from kvision.augmentation.container.record import Record
 from kvision.augmentation.container.runs import Randomness, Stage
 from kvision.augmentation.container.stages import forget_coordinates
 from kvision.augmentation.inputs import as_output_type, check_matrix, check_output_type, image_and_matrix
@@ -162,14 +163,16 @@ class VideoSequential(ImageSequential):
         x = layout.frames(videos)
         if before is not None:
             check_matrix(self, before, x)
-        frames = self._execute(x, params, self._of_frames(self._source(seed, generator), layout.sizes[1]))
-        forget_coordinates(self._stages)
-        return as_output_type(self._with_matrix(layout.videos(frames), before, return_transform), output_type)
+        frames, record = self._execute(x, params, self._of_frames(self._source(seed, generator), layout.sizes[1]))
+        forget_coordinates(record.stages)
+        self._keep(record)
+        output = self._with_matrix(layout.videos(frames), before, return_transform, record)
+        return as_output_type(output, output_type)
 
     def _of_frames(self, source: Randomness, time: int) -> Randomness:
         return source._replace(frames=time if self.same_on_frame else 1, time=time)
 
-    def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage]:
+    def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage, Record]:
         if source.time == 0:
             raise _RankError("VideoSequential: expected videos, got the images of another container")
         return super()._execute_nested(x, params, self._of_frames(source, source.time))
@@ -189,7 +192,7 @@ class VideoSequential(ImageSequential):
         """
         layout = self._layout(input)
         frames = layout.frames(input)
-        stages = self._stages if params is None else self._stages_of(frames, params)
+        stages = self._record.stages if params is None else self._stages_of(frames, params)
         return layout.videos(invert(frames, stages))
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:

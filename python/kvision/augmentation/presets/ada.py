@@ -13,6 +13,7 @@ from kvision.augmentation.base import where_chosen
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.container.augmentation import AugmentationSequential
 from kvision.augmentation.container.image import ParamItem
+from kvision.augmentation.container.record import Record
 from kvision.augmentation.draws import Request, uniform
 from kvision.augmentation.keys import Seed, draw_keys
 from kvision.constants import DataKey
@@ -156,7 +157,7 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         seed: Seed,
         generator: Generator | None,
         before: Tensor | None,
-    ) -> list[Any]:
+    ) -> tuple[list[Any], Record]:
         op = type(self).__name__
         images = next((x for x in inputs if isinstance(x, Tensor)), None)
         if images is None:
@@ -169,18 +170,23 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
             request, position = Request([uniform(0.0, 1.0)]), _CHOICE if own.one_key else 0
             (columns,) = draw_columns(torch.empty(images.shape[0], device="cpu"), own, [request], position)
             chosen = columns.values[:, 0] < self.p
-        outputs = super()._call(keys, inputs, params, seed, generator, before)
-        self._param_items = [*self._params, ParamItem("share", {"batch_prob": chosen.float()})]
-        return [_where(chosen, new, old) for new, old in zip(outputs, inputs)]
+        outputs, record = super()._call(keys, inputs, params, seed, generator, before)
+        record.chosen = chosen
+        return [_where(chosen, new, old) for new, old in zip(outputs, inputs)], record
 
-    @property
-    def transform_matrix(self) -> Tensor | None:
-        """The product (B, 3, 3) of the matrices of the last call, the identity of samples that were not augmented."""
-        matrix = super().transform_matrix
-        if matrix is None:
-            return None
+    def _items(self, record: Record) -> list[Any]:
+        items = super()._items(record)
+        if record.chosen is not None:
+            items.append(ParamItem("share", {"batch_prob": record.chosen.float()}))
+        return items
+
+    def _matrix(self, record: Record) -> Tensor | None:
+        """The product (B, 3, 3) of the matrices of a call, the identity of samples that were not augmented."""
+        matrix = super()._matrix(record)
+        if matrix is None or record.chosen is None:
+            return matrix
         return where_chosen(
-            _chosen_of(self._params), matrix, torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
+            record.chosen, matrix, torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
         )
 
     def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:

@@ -1,0 +1,251 @@
+"""The labels of one call: they follow its stages, and boxes that leave the image take what belongs to them along."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision.augmentation import labels
+from kvision.augmentation.container.label_moves import LabelMoves, size_before
+from kvision.augmentation.container.stages import Applied, LabelSettings, MaskReading, Stage, mixes, move_masks
+from kvision.augmentation.labels import BOX_FORMATS
+from kvision.constants import DataKey
+from kvision.core.exceptions import ShapeError
+
+_OP = "AugmentationSequential"
+Size = tuple[int, ...]
+Kept = dict[int, Any]  # which boxes stay, for each input of boxes: bool (B, N), or a list of (N,)
+
+
+class LabelRecord:
+    """How the labels of one call move.
+
+    Args:
+        settings: those of the container.
+        shape: of the images of the call, (B, C, H, W); None where it is not known.
+        size: of its results.
+    """
+
+    def __init__(self, settings: LabelSettings, shape: Size | None, size: Size) -> None:
+        self.settings, self.shape, self.size = settings, shape, size
+        self.kept_boxes: list[Any] = []
+        # Of each input of key points and each part of the call that moved them: the moved ones, their moves, and which of them
+        # are visible if the moves have told.
+        self._points: dict[int, list[tuple[Any, LabelMoves, Tensor | None]]] = {}
+        self._fractions: dict[int, Tensor | None] = {}  # of each input of boxes, the visible parts of their areas
+        self._moves: dict[tuple[Any, ...], LabelMoves] = {}
+
+    def move(self, keys: Sequence[DataKey], values: Sequence[Any], stages: Sequence[Stage]) -> list[Any]:
+        """What belongs to images, after all stages; the images as they are."""
+        moved = list(values)
+        for i, key in enumerate(keys):
+            if key == DataKey.MASK:
+                moved[i] = self.move_masks(moved[i], stages)
+        kept = self._move_through(keys, moved, stages, self.size, self.settings)
+        for i, key in enumerate(keys):
+            if key == DataKey.KEYPOINTS and not self._points.get(i):
+                moved[i] = self._move_points(i, moved[i], [], self.size, self.settings)
+        self.kept_boxes = [kept[i] for i in sorted(kept)]
+        for moves in self._moves.values():
+            moves.forget_map()
+        return moved
+
+    def visible_points(self) -> list[Any]:
+        """Which points of each input are in the results, and were in all before."""
+        return [_visible(self._points[i]) for i in sorted(self._points)]
+
+    # --- through the stages ---
+
+    def _move_through(
+        self, keys: Sequence[DataKey], values: list[Any], stages: Sequence[Stage], size: Size, settings: LabelSettings
+    ) -> Kept:
+        """Move all but masks through the stages of a container, and filter them as it says; gives the boxes that stay."""
+        kept: Kept = {}
+        has_boxes = any(key in BOX_FORMATS for key in keys)
+        for part, after in _parts(stages, has_boxes):
+            part_size = size_before(after, size)
+            if isinstance(part, list):
+                for i, key in enumerate(keys):
+                    values[i] = self._moved(i, key, values[i], part, part_size, settings)
+            elif part.stages is None:
+                self._mix(keys, values, part)
+            else:
+                own = part.labels or LabelSettings()
+                own = own._replace(clips_each=own.clips_each or settings.clips_each)
+                kept = _both(kept, self._move_through(keys, values, part.stages, part_size, own))
+        if not has_boxes or settings.box_filter.does_nothing:
+            for i, of_input in kept.items():
+                values[i] = labels.clear_boxes(values[i], of_input)
+            return kept
+        return _both(kept, self._filter(keys, values, size, settings.box_filter))
+
+    def _mix(self, keys: Sequence[DataKey], values: list[Any], stage: Applied) -> None:
+        """What belongs to images whose samples are mixed."""
+        module: Any = stage.module
+        boxes = next((v.shape[1] for k, v in zip(keys, values) if k in BOX_FORMATS and isinstance(v, Tensor)), None)
+        for i, key in enumerate(keys):
+            if key not in (DataKey.INPUT, DataKey.MASK):
+                values[i] = module._mixed_labels(key, values[i], stage.execution, boxes)
+                self._points.pop(i, None)
+
+    def _filter(self, keys: Sequence[DataKey], values: list[Any], size: Size, rule: labels.BoxFilter) -> Kept:
+        """Leave the boxes that a rule keeps, with their class labels and masks."""
+        kept: Kept = {}
+        for i, key in enumerate(keys):
+            if key in BOX_FORMATS:
+                fraction = self._fractions.pop(i, None)
+                values[i], kept[i] = labels.filter_boxes(values[i], BOX_FORMATS[key], size, rule, fraction)
+        for i, key in enumerate(keys):
+            if key in (DataKey.CLASS, DataKey.MASK):
+                before = [at for at in kept if at < i]
+                of_boxes = kept[before[-1] if before else min(kept)]
+                filtered = labels.filter_labels if key == DataKey.CLASS else labels.filter_masks
+                values[i] = filtered(values[i], of_boxes)
+        return kept
+
+    def _moved(
+        self, i: int, key: DataKey, value: Any, stages: Sequence[Stage], size: Size, settings: LabelSettings
+    ) -> Any:
+        if key == DataKey.KEYPOINTS:
+            return self._move_points(i, value, stages, size, settings)
+        if key not in BOX_FORMATS:
+            return value
+        if self._numbers_of_points == 3:
+            raise NotImplementedError(f"{_OP}: boxes of volumes cannot be moved; masks and key points can")
+        self._check_batch(key.name.lower(), value, 4 if key == DataKey.BBOX else 3)
+        moves = self._moves_of(stages, size, settings)
+        moved, self._fractions[i] = labels.move_boxes(value, BOX_FORMATS[key], moves.move_boxes)
+        return moved
+
+    def _move_points(self, i: int, points: Any, stages: Sequence[Stage], size: Size, settings: LabelSettings) -> Any:
+        self._check_batch("keypoints", points, 3)
+        moves, visible = self._moves_of(stages, size, settings), None
+
+        def move(tensor: Tensor) -> Tensor:
+            nonlocal visible
+            moved, visible = moves.move_points(tensor)
+            return moved
+
+        moved = labels.move_points(points, move, self._numbers_of_points)
+        self._points.setdefault(i, []).append((moved, moves, visible))
+        return moved
+
+    def _moves_of(self, stages: Sequence[Stage], size: Size, settings: LabelSettings) -> LabelMoves:
+        key = (settings.clips_each, *(id(stage) for stage in stages))
+        if key not in self._moves:
+            self._moves[key] = LabelMoves(stages, size, settings.clips_each)
+        return self._moves[key]
+
+    @property
+    def _numbers_of_points(self) -> int:
+        """How many numbers a point has: 2 in images, 3 in volumes."""
+        return 2 if self.shape is None else len(self.shape) - 2
+
+    def _check_batch(self, name: str, value: Any, axes: int) -> None:
+        """Raise unless labels are those of as many images as the call has."""
+        if self.shape is None or not isinstance(value, (Tensor, list, tuple)):
+            return
+        count = len(value) if not isinstance(value, Tensor) or value.dim() == axes else 1
+        if count != self.shape[0] and (isinstance(value, Tensor) or count):
+            raise ShapeError(f"{_OP}: expected {name} of {self.shape[0]} images, got those of {count}")
+
+    # --- masks ---
+
+    def move_masks(self, masks: Any, stages: Sequence[Stage]) -> Any:
+        """Masks of the images of the call after stages."""
+        return moved_masks(masks, stages, self.settings.masks or MaskReading(), self.shape)
+
+
+def moved_masks(masks: Any, stages: Sequence[Stage], reading: MaskReading, images: Size | None) -> Any:
+    """Masks of images of a shape after stages: a tensor, or a list of those of the instances of each image."""
+    if isinstance(masks, (list, tuple)):
+        labels.check_tensors("the masks of an image", masks)
+        if len({mask.shape for mask in masks}) <= 1:
+            stacked = torch.stack(list(masks)) if masks else None
+            return masks if stacked is None else type(masks)(moved_masks(stacked, stages, reading, images).unbind(0))
+        padded, sizes = labels.pad(masks)  # as many instances for each image
+        return type(masks)(row[:n] for row, n in zip(moved_masks(padded, stages, reading, images), sizes))
+    labels.check_tensors("mask", [masks])
+    shape = masks.shape
+    axes = 4 if images is None else len(images)
+    if masks.dim() == axes - 1 and images is not None:
+        # (B, H, W) of a batch, or (C, H, W) of one image; of volumes (B, D, H, W) or (C, D, H, W)
+        batched = masks[:, None] if shape[0] == images[0] and shape[0] > 1 else masks[None]
+    else:
+        batched = masks[None, None] if masks.dim() == axes - 2 else masks
+    if batched.dim() != axes:
+        layout = "(B, C, H, W)" if axes == 4 else "(B, C, D, H, W)"
+        raise ShapeError(f"{_OP}: expected mask of shape {layout}, got {tuple(shape)}")
+    if images is not None and (batched.shape[0], *batched.shape[2:]) != (images[0], *images[2:]):
+        raise ShapeError(f"{_OP}: expected mask of {images[0]} images of {tuple(images[2:])}, got {tuple(shape)}")
+    moved = move_masks(batched, stages, reading)
+    if masks.dim() < axes and moved.shape[:2] == batched.shape[:2]:
+        return moved.reshape(*shape[: 2 - axes], *moved.shape[2:])
+    return moved
+
+
+def _parts(stages: Sequence[Stage], has_boxes: bool) -> Iterator[tuple[list[Stage] | Applied, Sequence[Stage]]]:
+    """Stages that labels follow together, or one that concerns all of them at once, each with the stages after it."""
+    together: list[Stage] = []
+    for i, stage in enumerate(stages):
+        if not isinstance(stage, Applied) or not _concerns_all(stage, has_boxes):
+            together.append(stage)
+            continue
+        if together:
+            yield together, stages[i:]
+            together = []
+        yield stage, stages[i + 1 :]
+    if together:
+        yield together, ()
+
+
+def _concerns_all(stage: Applied, has_boxes: bool) -> bool:
+    """Whether samples are mixed, or a container inside changes boxes as it alone does."""
+    if stage.stages is None:
+        return bool(getattr(stage.module, "mixes_samples", False))
+    return mixes(stage.stages) or (has_boxes and _changes_boxes(stage))
+
+
+def _changes_boxes(stage: Applied) -> bool:
+    if stage.labels is not None and stage.labels.changes_boxes:
+        return True
+    return any(_changes_boxes(inner) for inner in stage.stages or () if isinstance(inner, Applied))
+
+
+def _both(before: Kept, after: Kept) -> Kept:
+    """Which of the boxes stay that a part of the call has kept, and then another; those of the latter where boxes were mixed."""
+    both = dict(before)
+    for i, own in after.items():
+        first = before.get(i)
+        if isinstance(own, (list, tuple)):
+            both[i] = own if first is None else type(own)(_of_kept(a, b) for a, b in zip(first, own))
+        else:
+            both[i] = own if first is None or first.shape != own.shape else first & own
+    return both
+
+
+def _of_kept(first: Tensor, own: Tensor) -> Tensor:
+    """Which of the boxes stay, if those of the first have become a shorter list."""
+    both = first.clone()
+    both[first] = own
+    return both
+
+
+def _visible(parts: Sequence[tuple[Any, LabelMoves, Tensor | None]]) -> Any:
+    visible: Any = None
+    for points, moves, known in parts:
+        own = labels.visible_points(points, moves.are_visible if known is None else _constant(known))
+        if visible is None:
+            visible = own
+        elif isinstance(own, Tensor):
+            visible = visible & own
+        else:
+            visible = type(own)(a & b for a, b in zip(visible, own))
+    return visible
+
+
+def _constant(value: Tensor) -> Any:
+    return lambda _: value

@@ -1,0 +1,62 @@
+"""What one call of a container drew and did.
+
+A call keeps all that it finds out in its record, and a container keeps the record of its last call. So calls of several threads do
+not meet, and `_params`, `transform_matrix`, `kept_boxes`, the inverse and labels that come later read one call each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from torch import Tensor, nn
+
+if TYPE_CHECKING:
+    from kvision.augmentation.container.label_record import LabelRecord
+    from kvision.augmentation.container.stages import Stage
+    from kvision.augmentation.container.video import VideoLayout
+
+
+@dataclass(slots=True)
+class Child:
+    """A child of a container that is executed, with the parameters that it replays, if any."""
+
+    name: str
+    module: nn.Module
+    params: Any = None
+    record: Any = None  # what it did: the Execution of an augmentation, the Record of a container
+    foreign_params: Any = None  # `_params` of a module that has no records, after its call
+
+    def read_params(self) -> Any:
+        """The parameters that it was executed with."""
+        return self.foreign_params if self.record is None else self.module._read_params(self.record)  # type: ignore[operator]
+
+
+class Record:
+    """One call of a container.
+
+    Args:
+        shape: of the images, (B, C, H, W); None before the first call.
+        children: those that were executed, in their order.
+        stages: what they did to the positions of pixels.
+    """
+
+    items: list[Any] | None = None  # the parameters by name, where they were given or have been read
+    size: tuple[int, ...] = (0, 0)  # of the results
+    videos: VideoLayout | None = None  # of what frames are
+    labels: LabelRecord | None = None
+    drawn: Any = None  # of policies
+    cells: Sequence[tuple[list[int] | None, Child]] = ()  # of grids: the numbers of cells with their child
+    chosen: Tensor | None = None  # (B,) bool, the samples that the container as a whole has augmented; None for all
+
+    def __init__(
+        self, shape: tuple[int, ...] | None = None, children: Sequence[Child] = (), stages: Sequence[Stage] = ()
+    ) -> None:
+        self.shape, self.children, self.stages = shape, children, stages
+
+    def replaced(self, **values: Any) -> Record:
+        """The same call with other values."""
+        record = Record()
+        record.__dict__.update(self.__dict__, **values)
+        return record

@@ -1,0 +1,147 @@
+"""A call keeps its state in its record: calls of threads do not meet, and containers inside mean what they mean alone."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+import kvision.augmentation as A
+
+pytestmark = [pytest.mark.interface]
+
+BLOB = 9  # the side of what images and masks show
+
+
+def blobs(number: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Two images with a square of the brightness of a number, with its mask, box and center."""
+    image, corners = torch.zeros(2, 3, 40, 48), []
+    for i in range(2):
+        x, y = 10 + (7 * number + 5 * i) % 20, 8 + (5 * number + 3 * i) % 16
+        image[i, :, y : y + BLOB, x : x + BLOB] = 0.2 + 0.7 * (number % 100) / 100
+        corners.append([x, y])
+    near = torch.tensor(corners, dtype=torch.float32)[:, None]
+    boxes = torch.cat([near, near + BLOB], -1)
+    return image, (image[:, :1] > 0).long(), boxes, near + (BLOB - 1) / 2
+
+
+@pytest.mark.parametrize("count", [8, pytest.param(200, marks=pytest.mark.slow)])
+def test_threads_on_one_pipeline(count: int) -> None:
+    """Eight threads on one pipeline: images and labels are those of calls one after the other, bit for bit."""
+    augment = A.AugmentationSequential(
+        A.RandomHorizontalFlip(),
+        A.ImageSequential(A.RandomAffine(20.0, (0.05, 0.05)), A.RandomBrightness((0.9, 1.1))),
+        A.RandomVerticalFlip(),
+        data_keys=["input", "mask", "bbox_xyxy", "keypoints"],
+        clip_boxes=True,
+        return_transform=True,
+    )
+
+    def call(number: int) -> list[Any]:
+        found: list[Any] = augment(*blobs(number), seed=number)
+        return found
+
+    results: dict[int, list[Any]] = {}
+
+    def work(first: int) -> None:
+        for number in range(first, first + count):
+            results[number] = call(number)
+
+    workers = [threading.Thread(target=work, args=(thread * count,)) for thread in range(8)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    differing = [number for number, found in results.items() if not _same(call(number), found)]
+    assert len(results) == 8 * count and not differing, f"{len(differing)} calls differ"
+
+
+Inner = Callable[..., A.AugmentationSequential]
+KEYS = ["input", "mask", "bbox_xyxy", "keypoints", "class"]
+
+
+def crop(**options: Any) -> A.AugmentationSequential:
+    return A.AugmentationSequential(A.CenterCrop((24, 28)), data_keys=KEYS, **options)
+
+
+def turn(**options: Any) -> A.AugmentationSequential:
+    return A.AugmentationSequential(A.RandomRotation((30.0, 30.0), p=1.0), data_keys=KEYS, **options)
+
+
+SETTINGS: dict[str, tuple[Inner, dict[str, Any]]] = {
+    "clip_boxes": (crop, {"clip_boxes": True}),
+    "clip_boxes each": (turn, {"clip_boxes": "each"}),
+    "min_box_area": (crop, {"min_box_area": 30.0}),
+    "min_box_visibility": (crop, {"min_box_visibility": 0.6}),
+    "extra_args": (turn, {"extra_args": {"mask": {"resample": "nearest", "fill_value": 9}}}),
+    "interpolated masks": (turn, {"extra_args": {}}),
+    "output_dtype": (crop, {"output_dtype": torch.float16}),
+    "memory_format": (crop, {"memory_format": torch.channels_last}),
+    "return_transform": (turn, {"return_transform": True}),
+}
+
+
+@pytest.mark.parametrize("as_lists", [False, True], ids=["tensors", "lists"])
+@pytest.mark.parametrize("name", SETTINGS)
+def test_settings_of_containers_inside(name: str, as_lists: bool) -> None:
+    make, options = SETTINGS[name]
+    image = torch.rand(2, 3, 32, 40, generator=torch.Generator().manual_seed(2))
+    mask = (image[:, :1] > 0.5).float()
+    boxes = torch.tensor(
+        [[[0.0, 0, 8, 6], [10, 8, 20, 20], [4, 2, 12, 9]], [[2, 2, 30, 28], [0, 0, 39, 3], [30, 20, 40, 32]]]
+    )
+    points, classes = torch.tensor([[[12.0, 12.0]], [[3.0, 20.0]]]), torch.arange(6).reshape(2, 3)
+    inputs: list[Any] = [image, mask, boxes, points, classes]
+    if as_lists:
+        inputs[2], inputs[4] = list(boxes), [row.tolist() for row in classes]
+    alone = make(**options)(*inputs)
+    container = A.AugmentationSequential(make(**options), data_keys=KEYS)
+    inside = container(*inputs)
+    deeper = A.AugmentationSequential(A.ImageSequential(make(**options), nn.Identity()), data_keys=KEYS)(*inputs)
+    default = make()(*inputs)
+    assert name == "memory_format" or not _same(alone, default)
+    for found in (inside, deeper):
+        assert _same(alone, found)
+        strides = [(x[0] if isinstance(x, tuple) else x).stride() for x in (alone[0], found[0])]
+        assert strides[0] == strides[1]
+    if "box" in name:
+        kept = make(**options)
+        kept(*inputs)
+        assert _same(kept.kept_boxes, container.kept_boxes)
+
+
+def test_what_a_container_inside_removes_stays_removed() -> None:
+    """Boxes that a container inside removes do not come back, with whatever follows."""
+    boxes = torch.tensor([[[0.0, 0, 8, 6], [10, 8, 20, 20]]])
+    inputs = [torch.rand(1, 3, 32, 40), boxes, torch.tensor([[5, 6]])]
+    chain = A.AugmentationSequential(
+        crop(min_box_area=30.0), A.RandomHorizontalFlip(p=1.0), data_keys=["input", "bbox_xyxy", "class"]
+    )
+    _, moved, classes = chain(*inputs)
+    assert moved[0, 0].tolist() == [0, 0, 0, 0] and moved[0, 1].tolist() == [14, 4, 24, 16]
+    assert classes.tolist() == [[-1, 6]]
+    assert chain.kept_boxes[0].tolist() == [[False, True]]
+    _, moved, classes = chain(inputs[0], list(boxes), [[5, 6]])
+    assert moved[0].tolist() == [[14, 4, 24, 16]] and classes == [[6]]
+    assert chain.kept_boxes[0][0].tolist() == [False, True]
+
+
+def test_known_pixels_do_not_depend_on_how_masks_are_read() -> None:
+    x = torch.rand(1, 3, 32, 40)
+    known = []
+    for options in ({}, {"extra_args": {"mask": {"fill_value": 1.0}}}):
+        augment = A.AugmentationSequential(turn(**options), data_keys=["input"])
+        known.append(augment.known_pixels(augment(x)))
+    assert torch.equal(*known) and not known[0].all()
+
+
+def _same(a: Any, b: Any) -> bool:
+    if isinstance(a, Tensor):
+        return isinstance(b, Tensor) and a.dtype == b.dtype and a.shape == b.shape and torch.equal(a, b)
+    if isinstance(a, (list, tuple)):
+        return type(a) is type(b) and len(a) == len(b) and all(_same(x, y) for x, y in zip(a, b))
+    return bool(a == b)

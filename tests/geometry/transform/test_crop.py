@@ -189,6 +189,33 @@ BAD = [
 ]  # fmt: skip
 
 
+def test_boxes_of_each_element_of_vmap(device):
+    """Those of one size; its elements are the calls. Boxes of several sizes would give results of several sizes."""
+    images, volumes = torch.rand(3, 2, 1, 8, 9, device=device), torch.rand(3, 2, 1, 4, 5, 6, device=device)
+    square = torch.tensor([[1.0, 1], [4, 1], [4, 3], [1, 3]], device=device)
+    boxes = (square + torch.arange(3.0, device=device).reshape(3, 1, 1, 1)).expand(3, 2, 4, 2)
+    square = torch.cat([square, square.new_ones(4, 1)], 1)
+    cubes = torch.cat([square, square + square.new_tensor([0.0, 0, 1])])[None, None].expand(3, 2, 8, 3)
+    for crop, args in (
+        (lambda x, b: G.crop_by_boxes(x, b, b), (images, boxes)),
+        (lambda x, b: G.crop_by_boxes3d(x, b, b), (volumes, cubes)),
+        (lambda x, b: G.crop_by_indices(x, b.long()), (images, boxes)),
+        (lambda x, b: G.crop_by_indices(x, b.long(), (4, 7)), (images, boxes)),
+        (lambda x, b: G.crop_by_indices(x, b.long(), (4, 7), shape_compensation="pad"), (images, boxes)),
+    ):
+        expected = torch.stack([crop(*each) for each in zip(*args)])
+        assert torch.equal(torch.func.vmap(crop)(*args), expected)
+        moved = torch.func.vmap(crop, in_dims=(1, 2))(args[0].movedim(0, 1), args[1].movedim(0, 2))
+        assert torch.equal(moved, expected)
+    boxes = boxes * torch.tensor([1, 1, 2], device=device).reshape(3, 1, 1, 1)
+    for crop, name in (
+        (G.crop_by_indices, "src_box"),
+        (lambda x, b: G.crop_by_boxes(x, b, b), "dst_box"),
+    ):
+        with pytest.raises(ValueError, match=f"expected {name} of one size"):
+            torch.func.vmap(crop)(images, boxes)
+
+
 @pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):

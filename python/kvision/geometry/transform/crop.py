@@ -12,6 +12,7 @@ from kvision import _check
 from kvision._modes import INTERPOLATION, WARP_FORMULA
 from kvision._modules import FunctionModule
 from kvision._ops import register
+from kvision._torch_compat import in_function_transform, without_transforms
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry._formula import batch_of, register_formula
 from kvision.geometry.transform import sampling
@@ -159,7 +160,7 @@ def crop_by_boxes(
         sampling.cast_to_image(op, input_tensor, name, box)
         for name, box in (("src_box", src_box), ("dst_box", dst_box))
     )
-    shapes = _crop_box_checks(src_box.detach(), dst_box.detach()).tolist()
+    shapes = rows(_crop_box_checks(src_box.detach(), dst_box.detach()))
     for name, box, of in (("src_box", src_box, slice(0, 2)), ("dst_box", dst_box, slice(2, 4))):
         if validate_boxes and not all(abs(side) <= 1e-4 for shape in shapes for side in shape[of]):
             raise ValueCheckError(f"{op}: expected {name} of rectangles, got {box.tolist()}")
@@ -359,9 +360,12 @@ def crop_by_indices(
     _check.shape(op, "src_box", src_box, len(input_tensor), 4, 2)
     _check.choice(op, "shape_compensation", shape_compensation, ("resize", "pad"))
     boxes = src_box.long()
-    corners = torch.cat([boxes[:, 0], boxes[:, 2] + 1], -1).tolist()
-    images = [input_tensor] if len(corners) == 1 else input_tensor.split(1)  # whose gradient is copied
-    crops = [image[..., y0:y1, x0:x1] for image, (x0, y0, x1, y1) in zip(images, corners)]
+    corners = rows(torch.cat([boxes[:, 0], boxes[:, 2] + 1], -1))
+    if without_transforms(src_box) is not src_box:
+        crops = [_windows_of_one_size(op, input_tensor, boxes, corners)]
+    else:
+        images = [input_tensor] if len(corners) == 1 else input_tensor.split(1)  # whose gradient is copied
+        crops = [image[..., y0:y1, x0:x1] for image, (x0, y0, x1, y1) in zip(images, corners)]
     sizes = {tuple(crop.shape[2:]) for crop in crops}
     if size is None:
         if len(sizes) != 1:
@@ -370,6 +374,8 @@ def crop_by_indices(
     else:
         target = _check.ints(op, "size", size, 2)
     h, w = target
+    if not crops:
+        return resize(input_tensor, (h, w), interpolation, align_corners, "short", antialias)
     for i, crop in enumerate(crops):
         if tuple(crop.shape[2:]) == (h, w):
             continue
@@ -378,6 +384,28 @@ def crop_by_indices(
         else:
             crops[i] = resize(crop, (h, w), interpolation, align_corners, "short", antialias)
     return torch.cat(crops)
+
+
+def rows(x: Tensor) -> list[list[float]]:
+    """The rows of `x` (B, n), which waits for the device; under vmap those of all elements."""
+    if in_function_transform():
+        x = torch.stack([without_transforms(column).flatten() for column in x.unbind(-1)], -1)
+    return x.tolist()
+
+
+def _windows_of_one_size(op: str, images: Tensor, boxes: Tensor, corners: list[list[float]]) -> Tensor:
+    """The pixels of boxes (B, 4, 2) that vmap maps; `corners` are those of all its elements."""
+    height, width = images.shape[2:]
+    sizes = {(int(y1 - y0), int(x1 - x0)) for x0, y0, x1, y1 in corners}
+    if len(sizes) != 1 or not all(0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height for x0, y0, x1, y1 in corners):
+        raise ValueCheckError(
+            f"{op}: expected src_box of one size and inside of the images under vmap, got (height, width) {sorted(sizes)}; "
+            "crop_and_resize takes others"
+        )
+    ((h, w),) = sizes
+    b, c = (torch.arange(n, device=images.device).reshape(-1, *(1,) * axes) for n, axes in zip(images.shape, (3, 2)))
+    y, x = (boxes[:, :1, axis, None] + torch.arange(n, device=images.device) for axis, n in ((1, h), (0, w)))
+    return images[b, c, y[..., None], x[..., None, :]]
 
 
 class CenterCrop2D(FunctionModule):

@@ -9,6 +9,7 @@ from kvision import _check
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry.bbox import corners
 from kvision.geometry.transform import sampling
+from kvision.geometry.transform.crop import rows
 from kvision.geometry.transform.warp3d import by_formula, warp_affine3d, warp_perspective3d
 
 __all__ = ["center_crop3d", "crop_and_resize3d", "crop_by_boxes3d", "crop_by_transform_mat3d"]
@@ -86,7 +87,7 @@ def crop_by_boxes3d(
     _check.volumes(op, "tensor", tensor)
     _check.shape(op, "dst_box", dst_box, "B", 8, 3)
     _check.subtractable(op, dst_box=dst_box)
-    extents = {tuple(extent) for extent in (dst_box[:, 6] - dst_box[:, 0]).tolist()}
+    extents = {tuple(extent) for extent in rows(dst_box[:, 6] - dst_box[:, 0])}
     if len(extents) != 1:
         raise ValueCheckError(f"{op}: expected dst_box of one size, got extents of {sorted(extents)}")
     w, h, d = (int(side) + 1 for side in extents.pop())

@@ -116,7 +116,11 @@ def recording(cls: type, method: str, calls: list[Call]) -> Callable[..., Any]:
             target = cls if method == "__init__" else self
             name = cls.__qualname__ + ("" if method == "__init__" else ".forward")
             calls.append(Call(name, target, [copied(a) for a in args], {k: copied(a) for k, a in kwargs.items()}))
-        return original(self, *args, **kwargs)
+        before = len(calls)
+        result = original(self, *args, **kwargs)
+        if method == "__init__":
+            del calls[before:]  # those of forward, by which a constructor checks its arguments
+        return result
 
     return wrapper
 

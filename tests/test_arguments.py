@@ -15,6 +15,7 @@ import random
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from torch import Tensor, nn
 
 import kvision as K
 from benchmarks.sample_calls import SampleCall, Size, sample_calls, sample_modules
-from example_calls import HOMES, Call, example_calls
+from example_calls import HOMES, Call, copied, example_calls
 from kvision.core.exceptions import DeviceError, TypeCheckError
 from test_docstrings import public_objects
 
@@ -119,7 +120,7 @@ def misfits(x: Tensor) -> Iterator[Tensor]:
     if x.dim() > 0:
         yield x[:1].expand(3, *x.shape[1:])
         yield x.to_sparse()
-    yield from (x.narrow(axis, 0, n) for axis in range(x.dim()) for n in (0, 1))
+    yield from (x.narrow(axis, 0, n) for axis in range(x.dim()) for n in (0, 1) if n <= x.shape[axis])
     if x.dim() > 1:
         yield from (torch.cat([x, x.narrow(axis, 0, 1)], axis) for axis in range(1, x.dim()) if x.shape[axis])
         yield from (x[0], x[0, 0], x.flatten())
@@ -200,6 +201,114 @@ def test_wrong_arguments_are_named(name):
             if not is_named(error, value) and not str(error).startswith(name.partition(".")[2]):
                 shape = f" {tuple(value.shape)}" if isinstance(value, Tensor) and not value.is_nested else ""
                 pytest.fail(f"{argument}={type(value).__name__}{shape} {value!r:.60}: {error!r}")
+
+
+# --- constructors -----------------------------------------------------------------------------------------------------
+
+# Modules whose calls depend on what else was done or given, or take seconds.
+NOT_MADE = {
+    "DepthWarper",
+    "ZCAWhitening",
+    "ImageStitcher",
+    "MILossFromRef",
+    "RectangleEraseGenerator",
+    "RandomJigsaw",
+    "Lambda",
+}
+NOT_MADE |= {"KeyNetDetector", "ScaleSpaceDetector", "MultiResolutionDetector", "ImageRegistrator", "LAFDescriptor"}
+
+
+def constructions(home: str) -> Iterator[tuple[type, dict[str, Any], list[Call]]]:
+    """The public modules of a file, with the arguments of an example, and calls of their forward."""
+    for calls in example_calls(home).values():
+        made = [call for call in calls if inspect.isclass(call.function) and issubclass(call.function, nn.Module)]
+        forwards = [call for call in calls if isinstance(call.function, nn.Module)]
+        if not made or not forwards or made[0].name in NOT_MADE:
+            continue
+        cls, arguments = made[0].function, made[0].by_name()
+        if "p" in inspect.signature(cls).parameters:
+            arguments["p"] = 1.0
+        if arguments:
+            yield cls, arguments, forwards[:3]
+
+
+def inputs_like(call: Call) -> Iterator[list[Any]]:
+    """The tensors of a call, and others that a module may have been made for: samples, channels, sizes and types."""
+
+    def changed(f: Callable[[Tensor], Tensor], axes: int = 3) -> list[Any]:
+        return [f(x) if isinstance(x, Tensor) and x.dim() >= axes else x for x in call.args]
+
+    yield call.args
+    yield from (changed(lambda x, n=n: x[:1].expand(n, *x.shape[1:])) for n in (1, 2, 3, 5))
+    yield changed(lambda x: x[:0])
+    yield from (changed(lambda x, n=n: x[:, :1].expand(-1, n, *x.shape[2:]), 4) for n in (1, 2, 3, 5))
+    yield changed(lambda x: x[:1, :1].expand(2, 2, *x.shape[2:]), 4)
+    yield changed(lambda x: x.repeat(*[1] * (x.dim() - 2), 8, 8))
+    yield from (changed(lambda x, dtype=dtype: x.to(dtype)) for dtype in (torch.float64, torch.uint8, torch.int64))
+
+
+def some_call_works(module: nn.Module, forwards: list[Call]) -> bool | Exception:
+    errors = []
+    for call in forwards:
+        for inputs in inputs_like(call):
+            try:
+                module(*map(copied, inputs), **call.kwargs)
+                return True
+            except Exception as error:
+                errors.append(error)
+    return errors[0]
+
+
+@pytest.mark.parametrize("home", tenth_of(HOMES))
+def test_constructors_refuse_what_every_call_refuses(home):
+    """`HYPOTHESIS_PROFILE=thorough` makes the modules of all files with all values, else it is a tenth with a third of them."""
+    not_replaced = NOT_REPLACED | {"args", "kwargs", "options", "data_keys"}
+    for cls, arguments, forwards in constructions(home):
+        chosen = random.Random(cls.__name__)
+        assert some_call_works(cls(**arguments), forwards) is True, cls
+        for name, value in product(inspect.signature(cls).parameters, wrong_values()):
+            is_long = isinstance(value, (int, float)) and abs(value) > 1e6
+            if name in not_replaced or is_long or not (THOROUGH or chosen.random() < 1 / 3):
+                continue
+            try:
+                module = cls(**{**arguments, name: value})
+            except Exception as error:
+                assert isinstance(error, (TypeError, ValueError)) or str(error).startswith(cls.__name__), (cls, name)
+                continue
+            if not isinstance(value, (Tensor, tuple, list)):  # which may have a number for each sample or channel
+                works = some_call_works(module, forwards)
+                is_named = works is True or isinstance(works, NotImplementedError)
+                assert is_named, f"{cls.__name__}({name}={value!r:.60}): {works!r}"
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: K.filters.GaussianBlur2d(3, torch.rand(5, 2)),  # for batches of 5
+        lambda: K.enhance.AdjustGamma(torch.rand(5)),
+        lambda: K.enhance.Normalize(torch.rand(7), torch.rand(7)),  # for 7 channels
+        lambda: K.enhance.Normalize(torch.rand(5, 7), 1.0),
+        lambda: K.losses.FocalLoss(0.5, weight=torch.rand(11)),
+        lambda: K.enhance.AddWeighted(torch.rand(4, 9, 8), 0.5, 1.0),  # for images of this size
+        lambda: K.filters.GaussianBlur2d((101, 301), (9.0, 9.0)),
+        lambda: K.geometry.Rotate(torch.zeros(4, requires_grad=True)),
+        lambda: K.geometry.Scale(nn.Parameter(torch.ones(4, 2, dtype=torch.float64))),
+        lambda: K.enhance.Rescale(torch.tensor(2.0, requires_grad=True)),
+        lambda: K.filters.Sobel(eps=torch.tensor(1e-6, requires_grad=True)),  # which calls without gradients take
+    ],
+)
+def test_constructors_take_what_some_call_takes(make):
+    make()
+
+
+def test_constructors_draw_nothing_and_are_silent():
+    state = torch.get_rng_state()
+    with warnings.catch_warnings(), torch.device("meta"):
+        warnings.simplefilter("error")
+        K.filters.GaussianBlur2d(3, (1.0, 1.0)), K.losses.MS_SSIMLoss(), K.geometry.Rotate(torch.zeros(1))
+    assert torch.equal(torch.get_rng_state(), state)
+    with pytest.raises(TypeError, match="gaussian_blur2d: expected kernel_size to be an int or 2 ints, got 'image'"):
+        K.filters.GaussianBlur2d("image", (1.0, 1.0))
 
 
 @pytest.mark.parametrize("name", ["RandomMixUpV2", "RandomCutMixV2"])

@@ -353,8 +353,8 @@ def representable(op: str, name: str, value: float, dtype: torch.dtype) -> None:
 
 
 def function(op: str, name: str, value: Any) -> None:
-    """Raise TypeCheckError unless `value` can be called, as modules and functions can."""
-    if not callable(value):
+    """Raise TypeCheckError unless `value` can be called, as modules and functions can; a class has yet to be made a module."""
+    if not callable(value) or isinstance(value, type):
         raise TypeCheckError(
             f"{op}: expected {name} to be a module or function, got {value!r}", actual_type=type(value)
         )
@@ -435,7 +435,7 @@ def ints(op: str, name: str, value: Any, count: int, minimum: int = 1, maximum: 
     """
     if type(value) is int and minimum <= value <= maximum:
         return (value,) * count
-    if isinstance(value, (tuple, list)) and len(value) == count:
+    if isinstance(value, (tuple, list)) and len(value) == count > 1:
         for n in value:
             if type(n) is not int or n < minimum or n > maximum:
                 break
@@ -444,7 +444,7 @@ def ints(op: str, name: str, value: Any, count: int, minimum: int = 1, maximum: 
     values = scalars(op, name, value)
     if is_int(values):
         values = (values,) * count
-    if not isinstance(values, (tuple, list)) or not values or not all(map(is_int, values)):
+    elif count == 1 or not isinstance(values, (tuple, list)) or not values or not all(map(is_int, values)):
         raise TypeCheckError(f"{op}: expected {name} to be {_ints(count)}, got {value!r}", actual_type=type(value))
     values = tuple(n if isinstance(n, torch.SymInt) else int(n) for n in values)
     if len(values) != count or any(n < minimum for n in values):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import warnings
-from typing import TYPE_CHECKING, Any
+from itertools import product
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -11,24 +13,74 @@ from torch import Tensor, nn
 from kvision._torch_compat import LoadedModule, carry_tangents, in_function_transform
 
 
+class Sample:
+    """The shape of an image, or of what else a function takes, and its type."""
+
+    def __init__(self, *shape: int, dtype: torch.dtype = torch.float32) -> None:
+        self.shape, self.dtype = shape, dtype
+
+    def batch(self, size: int, channels: int, device: torch.device) -> Tensor:
+        """`size` samples; `channels` counts if it is not 0."""
+        inner = (channels, *self.shape[1:]) if channels and len(self.shape) > 2 else self.shape
+        return torch.empty((size, *inner), dtype=self.dtype, device=device)
+
+
+IMAGE, PLANE, VOLUME = Sample(3, 256, 256), Sample(1, 256, 256), Sample(3, 64, 64, 64)
+LABELS = Sample(256, 256, dtype=torch.int64)
+
+
+_MOST_SAMPLES = 16  # of a constructor's call
+
+
 class FunctionModule(nn.Module):
     """Keeps the arguments of a function as attributes and shows them in its repr.
 
     A plain tensor becomes a buffer, which moves with the module and is not in its state dict. An nn.Parameter stays one.
+    What every call would refuse, the constructor refuses: it calls the function on no samples, whose checks are the only ones.
 
     Example:
         >>> FunctionModule(kernel_size=3)
         FunctionModule(kernel_size=3)
     """
 
+    samples: ClassVar[tuple[Sample, ...]] = (IMAGE,)  # what the forward takes, without the batch
+
     def __init__(self, **arguments: Any) -> None:
         super().__init__()
         self._argument_names = tuple(arguments)
         for name, value in arguments.items():
-            if isinstance(value, Tensor) and not isinstance(value, nn.Parameter):
+            if isinstance(value, Tensor) and not isinstance(value, nn.Parameter) and not hasattr(nn.Module, name):
                 self.register_buffer(name, value, persistent=False)
             else:
                 setattr(self, name, value)
+        tensors = [x for x in arguments.values() if isinstance(x, Tensor)]
+        has_values = not any(x.is_meta for x in tensors) and not torch.compiler.is_compiling()
+        if has_values and type(self).forward is not nn.Module.forward:
+            self._refuse_wrong_arguments(tensors)
+
+    def _refuse_wrong_arguments(self, tensors: list[Tensor]) -> None:
+        """Raise the error of a call on no samples that names an argument of the constructor; others depend on the images."""
+        device = next((x.device for x in tensors if x.device.type != "cpu"), torch.device("cpu"))
+        error = self._error_of_a_call(0, 0, device)
+        subject = re.match(r"\w+: (?:expected )?(\w+)", str(error))
+        if subject is None or not any(name.endswith(subject[1]) for name in self._argument_names):
+            return
+        if isinstance(error, ValueError) and tensors:
+            # One with a row for each sample or channel fits some number of them. One of more axes may have the size of images.
+            sizes = (0, *sorted({n for x in tensors for n in x.shape if n > 0}))
+            calls = (self._error_of_a_call(*each, device) for each in product(sizes, sizes))
+            is_known = sizes[-1] <= _MOST_SAMPLES and all(x.dim() < 3 for x in tensors)
+            if not is_known or any(not isinstance(each, (TypeError, ValueError)) for each in calls):
+                return
+        raise error  # type: ignore[misc]  # it has a text
+
+    def _error_of_a_call(self, batch: int, channels: int, device: torch.device) -> Exception | None:
+        try:
+            with torch.no_grad():
+                self.forward(*(sample.batch(batch, channels, device) for sample in self.samples))
+        except Exception as error:
+            return error
+        return None
 
     def extra_repr(self) -> str:
         return ", ".join(f"{name}={getattr(self, name)!r}" for name in self._argument_names)

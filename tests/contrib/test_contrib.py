@@ -190,8 +190,8 @@ def test_kmeans(kornia, dtype):
             ValueError,
             "distance_transform: expected kernel_size to be odd",
         ),
-        (lambda: C.distance_transform(torch.rand(1, 1, 3, 3), 3, 0.001), ValueError, "expected a larger h"),
-        (lambda: C.distance_transform(torch.rand(1, 1, 3, 3), 3, 5.0), ValueError, "expected a smaller h"),
+        (lambda: C.distance_transform(torch.rand(1, 1, 3, 3), 3, 0.001), ValueError, "expected h to be larger"),
+        (lambda: C.distance_transform(torch.rand(1, 1, 3, 3), 3, 5.0), ValueError, "expected h to be smaller"),
         (lambda: C.diamond_square((1, 1, 4)), ValueError, "diamond_square: expected output_size"),
         (lambda: C.diamond_square((2, 1, 4, 4), torch.rand(3)), ValueError, "diamond_square: expected roughness"),
         (

@@ -394,7 +394,9 @@ class RandomGrayscale(IntensityAugmentationBase2D):
         self.rgb_weights = rgb_weights
         self._weights = None
         if rgb_weights is not None:
-            self._weights = _check.as_tensor("RandomGrayscale", "rgb_weights", rgb_weights).flatten().tolist()
+            weights = _check.as_tensor("RandomGrayscale", "rgb_weights", rgb_weights)
+            _check.numbers("RandomGrayscale", "rgb_weights", weights)
+            self._weights = weights.flatten().tolist()
 
     def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps | None:
         if shape[1] != 3:

@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
-from kvision.augmentation import transforms
+from kvision.augmentation import ranges, transforms
 from kvision.augmentation.base import Execution, Shape
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp, warp_labels
@@ -70,6 +70,8 @@ class RandomAffine(GeometricAugmentationBase2D):
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator: AffineGenerator = AffineGenerator(degrees, translate, scale, shear)
         self.flags = {**_flags(resample, padding_mode, align_corners), "fill_value": fill_value}
+        if self.flags["padding_mode"] == SamplePadding.FILL:
+            ranges.fill("RandomAffine", "fill_value", fill_value)
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
         chain = transforms.affine(
@@ -127,7 +129,7 @@ class RandomRotation(GeometricAugmentationBase2D):
         if fill is not None:
             if self.flags["padding_mode"] not in (SamplePadding.ZEROS, SamplePadding.FILL):
                 raise ValueCheckError(f"RandomRotation: expected padding_mode 'fill' with fill, got {padding_mode!r}")
-            self.flags.update(padding_mode=SamplePadding.FILL, fill_value=fill)
+            self.flags.update(padding_mode=SamplePadding.FILL, fill_value=ranges.fill("RandomRotation", "fill", fill))
         self.has_known_size = not _check.switch("RandomRotation", "expand", expand)
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform] | None:

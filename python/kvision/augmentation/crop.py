@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision.augmentation import transforms
+from kvision.augmentation import ranges, transforms
 from kvision.augmentation.base import Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Resampling
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
@@ -88,7 +88,7 @@ class RandomCrop(GeometricAugmentationBase2D):
         self._param_generator = generator
         self.size = generator.size
         self._padding = _four_sides(padding)
-        padding_resampling("RandomCrop", padding_mode, fill)
+        padding_resampling("RandomCrop", padding_mode, ranges.fill("RandomCrop", "fill", fill))
         check_cropping_mode("RandomCrop", cropping_mode)
         self.flags = {
             "size": self.size,

@@ -161,7 +161,7 @@ class RandomElasticTransform(MapAugmentation):
             of other sizes get the deformation of these, enlarged.
 
     Raises:
-        TypeError, ValueError: in a call, as `filters.gaussian_blur2d`.
+        TypeError, ValueError: as `filters.gaussian_blur2d`.
 
     Example:
         >>> import torch, kvision as K
@@ -201,6 +201,8 @@ class RandomElasticTransform(MapAugmentation):
             "padding_mode": padding_mode,
             "scale_window": scale_window,
         }
+        blur_settings(kernel_size, sigma)
+        SamplePadding.get(padding_mode)
 
     def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
         if execution.params is None and execution.redraw and execution.frames == 1 and not self._is_customized():

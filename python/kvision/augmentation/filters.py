@@ -44,7 +44,7 @@ class RandomBoxBlur(IntensityAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: in a call, as `filters.box_blur`.
+        TypeError, ValueError: as `filters.box_blur`.
 
     Example:
         >>> import torch, kvision as K
@@ -64,6 +64,7 @@ class RandomBoxBlur(IntensityAugmentationBase2D):
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self.flags = {"kernel_size": kernel_size, "border_type": border_type, "normalized": normalized}
+        filters.BoxBlur(kernel_size, border_name(border_type))  # whose constructor checks them
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
@@ -111,6 +112,7 @@ class RandomGaussianBlur(IntensityAugmentationBase2D):
             "separable": separable,
             "border_type": BorderType.get(border_type),
         }
+        filters.GaussianBlur2d(kernel_size, (1.0, 1.0), border_name(border_type))  # whose constructor checks them
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
@@ -130,7 +132,7 @@ class RandomMedianBlur(IntensityAugmentationBase2D):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: in a call, as `filters.median_blur`.
+        TypeError, ValueError: as `filters.median_blur`.
 
     Example:
         >>> import torch, kvision as K
@@ -148,6 +150,7 @@ class RandomMedianBlur(IntensityAugmentationBase2D):
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self.flags = {"kernel_size": kernel_size}
+        filters.MedianBlur(kernel_size)  # whose constructor checks it
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
@@ -381,6 +384,8 @@ class RandomClahe(IntensityAugmentationBase2D):
             (clip_limit, "clip_limit_factor", None, (0.0, float("inf"))), op="RandomClahe"
         )
         self.flags = {"grid_size": grid_size, "slow_and_differentiable": slow_and_differentiable}
+        no_images = torch.empty(0, 1, 64, 64, device="cpu")  # a call on none checks the settings
+        enhance.equalize_clahe(no_images, 1.0, grid_size, slow_and_differentiable)
 
     accepts_bytes = False
 

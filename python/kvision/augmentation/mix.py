@@ -69,6 +69,7 @@ class MixAugmentationBaseV2(AugmentationBase2D):
     """
 
     mixes_samples = True
+    needs_key = DataKey.INPUT  # without which there is nothing to mix
 
     def __init__(
         self,
@@ -84,6 +85,11 @@ class MixAugmentationBaseV2(AugmentationBase2D):
             raise _NoMatrixError(f"{op}: samples are mixed, there is no matrix to return")
         super().__init__(p=p, p_batch=p_batch, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self.data_keys = [DataKey.INPUT] if data_keys is None else parse_data_keys(op, data_keys)
+        if self.needs_key not in self.data_keys:
+            raise ValueCheckError(
+                f"{op}: expected data_keys with {self.needs_key.name.lower()!r}, got {data_keys!r}",
+                actual_value=data_keys,
+            )
 
     @property
     def transform_matrix(self) -> Tensor:

@@ -27,6 +27,7 @@ class _Statistics(IntensityAugmentationBase2D):
         super().__init__(p=p, same_on_batch=True, keepdim=keepdim, **options)
         op = type(self).__name__
         self.flags = {name: _tensor(op, name, value) for name, value in (("mean", mean), ("std", std))}
+        enhance.Normalize(**self.flags)  # whose constructor checks them
         self._known = {name: (x, x.flatten().tolist()) for name, x in self.flags.items()}
 
     def _result_dtype(self, dtype: torch.dtype) -> torch.dtype:
@@ -75,7 +76,7 @@ class Normalize(_Statistics):
 
     Raises:
         TypeError: `mean` or `std` holds no numbers.
-        ValueError: in a call with uint8 images, `mean` is above 1.
+        ValueError: there are not as many of one as of the other; in a call with uint8 images, `mean` is above 1.
 
     Example:
         >>> import torch, kvision as K
@@ -109,7 +110,7 @@ class Denormalize(_Statistics):
 
     Raises:
         TypeError: `mean` or `std` holds no numbers.
-        ValueError: in a call with uint8 images, `mean` is above 1.
+        ValueError: there are not as many of one as of the other; in a call with uint8 images, `mean` is above 1.
 
     Example:
         >>> import torch, kvision as K

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision.augmentation.draws import Draw, uniform
-from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 
 class LearnedUniform(NamedTuple):
@@ -215,6 +215,20 @@ def _numbers(op: str, name: str, value: Any) -> list[float]:
     if any(x != x for x in numbers):
         raise ValueCheckError(f"{op}: expected {name} to be finite, got {value!r}")
     return numbers
+
+
+def fill(op: str, name: str, value: Any) -> Any:
+    """The value out of bounds as it is; raise unless it is None, a number, or one of each channel, also of each sample."""
+    if value is not None:
+        numbers = _check.as_tensor(op, name, value)
+        _check.numbers(op, name, numbers)
+        is_fill = numbers.dim() <= 2 or (numbers.dim() == 4 and numbers.shape[2:] == (1, 1))
+        if not is_fill or numbers.numel() == 0:
+            raise ShapeError(
+                f"{op}: expected {name} of shape (), (C,) or (B, C, 1, 1), got {tuple(numbers.shape)}",
+                actual_shape=numbers.shape,
+            )
+    return value
 
 
 def keep_parameters(module: nn.Module, **values: Any) -> list[Any]:

@@ -8,7 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from kvision import geometry
-from kvision.augmentation import transforms
+from kvision.augmentation import ranges, transforms
 from kvision.augmentation.base import Shape
 from kvision.augmentation.crop import padding_resampling
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Resampling
@@ -182,7 +182,7 @@ class PadTo(GeometricAugmentationBase2D):
     ) -> None:
         super().__init__(p=1.0, same_on_batch=True, keepdim=keepdim, **options)
         self.size = parse_size("PadTo", size)
-        padding_resampling("PadTo", pad_mode, pad_value)
+        padding_resampling("PadTo", pad_mode, ranges.fill("PadTo", "pad_value", pad_value))
         self.flags = {
             "size": self.size,
             "pad_mode": pad_mode,

@@ -137,6 +137,7 @@ class RandomTransplantation(MixAugmentationBaseV2):
     # --- in containers, which hand over the masks as they are by then ---
 
     needs_masks = True
+    needs_key = DataKey.MASK
     has_known_size = False  # a run of its own
 
     def _run_with_masks(

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
+from kvision.augmentation import ranges
 from kvision.augmentation.base import Params, Shape
 from kvision.augmentation.crop import padding_resampling
 from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D, parse_resample
@@ -77,7 +78,7 @@ class RandomCrop3D(GeometricAugmentationBase3D):
         self._param_generator = generator
         self.size = generator.size
         self._padding = _six_sides(padding)
-        padding_resampling("RandomCrop3D", padding_mode, fill)
+        padding_resampling("RandomCrop3D", padding_mode, ranges.fill("RandomCrop3D", "fill", fill))
         self.flags = {
             "size": self.size,
             "padding": padding,
@@ -167,7 +168,7 @@ class CenterCrop3D(GeometricAugmentationBase3D):
             "size": self.size,
             "align_corners": align_corners,
             "resample": Resample.get(resample),
-            "fill_value": fill_value,
+            "fill_value": ranges.fill("CenterCrop3D", "fill_value", fill_value),
         }
 
     def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int, int]:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import enhance, filters
+from kvision.augmentation import ranges
 from kvision.augmentation.base import Params
 from kvision.augmentation.filters import OneKernelSize, border_name
 from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D, parse_resample
@@ -83,7 +84,7 @@ class RandomAffine3D(GeometricAugmentationBase3D):
         self.flags = {
             "resample": parse_resample("RandomAffine3D", resample),
             "align_corners": align_corners,
-            "fill_value": fill_value,
+            "fill_value": ranges.fill("RandomAffine3D", "fill_value", fill_value),
         }
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
@@ -134,7 +135,7 @@ class RandomRotation3D(GeometricAugmentationBase3D):
         self.flags = {
             "resample": parse_resample("RandomRotation3D", resample),
             "align_corners": align_corners,
-            "fill_value": fill_value,
+            "fill_value": ranges.fill("RandomRotation3D", "fill_value", fill_value),
         }
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
@@ -182,7 +183,7 @@ class RandomPerspective3D(GeometricAugmentationBase3D):
         self.flags = {
             "resample": parse_resample("RandomPerspective3D", resample),
             "align_corners": align_corners,
-            "fill_value": fill_value,
+            "fill_value": ranges.fill("RandomPerspective3D", "fill_value", fill_value),
         }
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
@@ -356,7 +357,10 @@ class RandomMotionBlur3D(OneKernelSize, IntensityAugmentationBase3D):
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator: MotionBlurGenerator3D = MotionBlurGenerator3D(kernel_size, angle, direction)
-        self.flags = {"border_type": BorderType.get(border_type), "resample": Resample.get(resample)}
+        self.flags = {
+            "border_type": BorderType.get(border_type),
+            "resample": parse_resample("RandomMotionBlur3D", resample),
+        }
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None

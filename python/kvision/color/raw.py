@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import pixels
 from kvision._leading import apply_on_batch
-from kvision._modules import FunctionModule
+from kvision._modules import PLANE, FunctionModule
 from kvision._ops import register, with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.filters.border import pad
@@ -226,6 +226,8 @@ class RawToRgb(FunctionModule):
         torch.Size([2, 3, 4, 6])
     """
 
+    samples = (PLANE,)
+
     def __init__(self, cfa: CFA) -> None:
         super().__init__(cfa=cfa)
 
@@ -241,6 +243,8 @@ class RawToRgb2x2Downscaled(FunctionModule):
         >>> K.color.RawToRgb2x2Downscaled(K.color.CFA.RG)(torch.rand(2, 1, 4, 6)).shape
         torch.Size([2, 3, 2, 3])
     """
+
+    samples = (PLANE,)
 
     def __init__(self, cfa: CFA) -> None:
         super().__init__(cfa=cfa)

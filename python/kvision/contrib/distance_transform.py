@@ -67,9 +67,9 @@ def distance_transform(image: Tensor, kernel_size: int = 3, h: float = 0.35, exa
     axes = image.dim() - 2
     distances = [math.hypot(*offset) for offset in product(range(-(size // 2), size // 2 + 1), repeat=axes)]
     if not h > 0 or math.exp(-max(distances) / h) < torch.finfo(torch.float32).tiny:
-        raise ValueCheckError(f"{op}: expected a larger h for a kernel_size of {size}, got {h!r}", actual_value=h)
+        raise ValueCheckError(f"{op}: expected h to be larger for a kernel_size of {size}, got {h!r}", actual_value=h)
     if sum(math.exp(-d / h) for d in distances) - 1 > 0.999:  # else sources all around would give distance 0
-        raise ValueCheckError(f"{op}: expected a smaller h for a kernel_size of {size}, got {h!r}", actual_value=h)
+        raise ValueCheckError(f"{op}: expected h to be smaller for a kernel_size of {size}, got {h!r}", actual_value=h)
     return _approximate(image, size, h)
 
 

@@ -193,13 +193,13 @@ def combine_tensor_patches(
     op = "combine_tensor_patches"
     height, width = _check.pair(op, "original_size", original_size, maximum=_check.LARGEST_INT)
     window, step = _windows(op, window_size, stride)
-    _check.shape(op, "patches", patches, "B", "N", "C", *window)
-    if patches.shape[2] == 0:
-        raise ShapeError(f"{op}: expected patches with at least one channel, got {tuple(patches.shape)}")
     if step[0] > window[0] or step[1] > window[1]:
         raise ValueCheckError(f"{op}: expected a stride of at most the window_size {window}, got {step}")
     pads = _pads(op, "unpadding", unpadding)
     _check.flag(op, "allow_auto_unpadding", allow_auto_unpadding)
+    _check.shape(op, "patches", patches, "B", "N", "C", *window)
+    if patches.shape[2] == 0:
+        raise ShapeError(f"{op}: expected patches with at least one channel, got {tuple(patches.shape)}")
     if not any(pads) and allow_auto_unpadding:
         pads = _fitting((height, width), window, step)
     top, bottom, left, right = pads

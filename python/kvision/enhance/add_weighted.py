@@ -6,7 +6,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import compute_dtype, floats
-from kvision._modules import FunctionModule
+from kvision._modules import IMAGE, FunctionModule
 from kvision._ops import register, with_kernel_casts
 from kvision.color.scale_shift import scale_shift
 from kvision.core.exceptions import ShapeError
@@ -112,6 +112,8 @@ class AddWeighted(FunctionModule):
         >>> K.enhance.AddWeighted(0.5, 0.5, 0.0)(torch.ones(2), torch.zeros(2))
         tensor([0.5000, 0.5000])
     """
+
+    samples = IMAGE, IMAGE
 
     def __init__(self, alpha: float | Tensor, beta: float | Tensor, gamma: float | Tensor) -> None:
         super().__init__(alpha=alpha, beta=beta, gamma=gamma)

@@ -12,7 +12,7 @@ from kvision import _check
 from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import as_dtype, compute_dtype
-from kvision._modules import FunctionModule
+from kvision._modules import IMAGE, FunctionModule, Sample
 from kvision._ops import match_layout, register
 from kvision.color import rgb_to_ycbcr, ycbcr_to_rgb
 from kvision.core.exceptions import ShapeError, ValueCheckError
@@ -241,6 +241,8 @@ class JPEGCodecDifferentiable(FunctionModule):
         >>> K.enhance.JPEGCodecDifferentiable()(torch.rand(2, 3, 20, 30), torch.tensor([10.0, 90.0])).shape
         torch.Size([2, 3, 20, 30])
     """
+
+    samples = IMAGE, Sample()
 
     def __init__(self, quantization_table_y: Tensor | None = None, quantization_table_c: Tensor | None = None) -> None:
         super().__init__(quantization_table_y=quantization_table_y, quantization_table_c=quantization_table_c)

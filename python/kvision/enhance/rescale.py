@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from kvision import _check
@@ -28,6 +29,8 @@ class Rescale(FunctionModule):
         factor = factor if isinstance(factor, Tensor) else _check.scalar("Rescale", "factor", factor)
         if isinstance(factor, bool) or not isinstance(factor, (int, float, Tensor)):
             raise TypeCheckError(f"Rescale: expected factor to be a number or a Tensor, got {factor!r}")
+        if isinstance(factor, int):
+            _check.representable("Rescale", "factor", factor, torch.float64)
         if isinstance(factor, Tensor) and factor.dim() > 0:
             raise TypeCheckError(f"Rescale: expected factor without axes, got shape {tuple(factor.shape)}")
         super().__init__(factor=factor)

@@ -53,7 +53,7 @@ class LAFAffNetShapeEstimator(nn.Module):
         self.features = nn.Sequential(
             *convolutions(*HALF_L2NET), nn.Dropout(0.25), nn.Conv2d(64, 3, 8), nn.Tanh(), nn.AdaptiveAvgPool2d(1)
         )
-        self.preserve_orientation = preserve_orientation
+        self.preserve_orientation = _check.switch(type(self).__name__, "preserve_orientation", preserve_orientation)
         load_weights(self, pretrained)
 
     def forward(self, laf: Tensor, img: Tensor) -> Tensor:

@@ -734,6 +734,8 @@ class GeometryAwareDescriptorMatcher(nn.Module):
     def __init__(self, match_mode: str = "fginn", params: dict[str, Any] | None = None) -> None:
         super().__init__()
         self.match_mode = _mode("GeometryAwareDescriptorMatcher", match_mode, self.known_modes)
+        if not isinstance(params, dict) and params is not None:
+            raise TypeCheckError(f"GeometryAwareDescriptorMatcher: expected params to be a dictionary, got {params!r}")
         self.params = dict(params or {})
 
     def extra_repr(self) -> str:

@@ -325,6 +325,9 @@ class CornerHarris(FunctionModule):
         super().__init__(grads_mode=grads_mode)
         self.number = None if isinstance(k, Tensor) else float(k)
         self.register_buffer("k", k if isinstance(k, Tensor) else torch.tensor(float(k)))
+        if self.k.numel() != 1:
+            raise ShapeError(f"CornerHarris: expected k to be one number, got {tuple(self.k.shape)}")
+        self._refuse_wrong_arguments([])  # which needs k
 
     def forward(self, input: Tensor, sigmas: Tensor | None = None) -> Tensor:
         return harris_response(input, self.k, self.grads_mode, sigmas)

@@ -199,7 +199,7 @@ class RANSAC(nn.Module):
             _check.ints("RANSAC", "batch_size", batch_size, 1)
         if not 0 < _check.number("RANSAC", "confidence", confidence) <= 1:
             raise ValueCheckError(f"RANSAC: expected confidence above 0 and up to 1, got {confidence!r}")
-        if degensac:
+        if _check.switch("RANSAC", "degensac", degensac):
             raise ValueCheckError("RANSAC: degensac must be one of False, None; got True", actual_value=degensac)
         _check.ints("RANSAC", "max_iter", max_iter, 1)
         _check.ints("RANSAC", "max_lo_iters", max_lo_iters, 1, minimum=0)
@@ -215,7 +215,7 @@ class RANSAC(nn.Module):
         self.max_lo_iters = max_lo_iters
         self.score_type = score_type
         self.prosac_sampling = prosac_sampling
-        self.seed = seed
+        self.seed = None if seed is None else _check.ints("RANSAC", "seed", seed, 1, -(2**63), 2**64 - 1)[0]
         self.lo_sample_size = lo_sample_size
         self.max_samples = max_samples
         self.local_optimization = local_optimization

@@ -163,7 +163,7 @@ class ImageToTensor(nn.Module):
 
     def __init__(self, keepdim: bool = False) -> None:
         super().__init__()
-        self.keepdim = keepdim
+        self.keepdim = _check.switch("ImageToTensor", "keepdim", keepdim)
 
     def forward(self, x: np.ndarray[Any, Any]) -> Tensor:
         return image_to_tensor(x, self.keepdim)

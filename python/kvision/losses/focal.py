@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
-from kvision._modules import FunctionModule
+from kvision._modules import IMAGE, LABELS, FunctionModule
 from kvision._ops import match_layout, register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.losses.reduction import (
@@ -327,6 +327,8 @@ class FocalLoss(FunctionModule):
         tensor(0.0975)
     """
 
+    samples = IMAGE, LABELS
+
     def __init__(
         self,
         alpha: float | None,
@@ -349,6 +351,8 @@ class BinaryFocalLossWithLogits(FunctionModule):
         >>> K.losses.BinaryFocalLossWithLogits(0.5, reduction="mean")(torch.zeros(1, 1, 2, 2), torch.ones(1, 1, 2, 2))
         tensor(0.0866)
     """
+
+    samples = IMAGE, IMAGE
 
     def __init__(
         self,

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
-from kvision._modules import FunctionModule
+from kvision._modules import IMAGE, VOLUME, FunctionModule, Sample
 from kvision._ops import not_empty, register, vjp
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.losses.reduction import selected
@@ -110,6 +110,8 @@ class HausdorffERLoss(FunctionModule):
         tensor(0.)
     """
 
+    samples = IMAGE, Sample(1, 256, 256, dtype=torch.int64)
+
     _axes: tuple[str, ...] = ("H", "W")
 
     def __init__(self, alpha: float = 2.0, k: int = 10, reduction: str = "mean") -> None:
@@ -147,5 +149,7 @@ class HausdorffERLoss3D(HausdorffERLoss):
         >>> K.losses.HausdorffERLoss3D(k=3)(torch.ones(1, 1, 4, 4, 4), torch.zeros(1, 1, 4, 4, 4, dtype=torch.int64))
         tensor(0.)
     """
+
+    samples = VOLUME, Sample(1, 64, 64, 64, dtype=torch.int64)
 
     _axes = ("D", "H", "W")

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
-from kvision._modules import FunctionModule
+from kvision._modules import IMAGE, LABELS, PLANE, FunctionModule
 from kvision._ops import not_empty, register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.losses.reduction import check_labels, checked_weight, selected
@@ -151,6 +151,8 @@ class LovaszHingeLoss(FunctionModule):
         tensor(1.)
     """
 
+    samples = PLANE, LABELS
+
     def forward(self, pred: Tensor, target: Tensor) -> Tensor:
         return lovasz_hinge_loss(pred, target)
 
@@ -163,6 +165,8 @@ class LovaszSoftmaxLoss(FunctionModule):
         >>> K.losses.LovaszSoftmaxLoss()(torch.zeros(1, 2, 2, 2), torch.tensor([[[0, 0], [1, 1]]]))
         tensor(0.5000)
     """
+
+    samples = IMAGE, LABELS
 
     def __init__(self, weight: Tensor | None = None) -> None:
         super().__init__(weight=weight)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
-from kvision._modules import FunctionModule
+from kvision._modules import IMAGE, FunctionModule
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.kernels import gaussian
@@ -94,6 +94,8 @@ class MS_SSIMLoss(FunctionModule):
         >>> K.losses.MS_SSIMLoss()(x, x)
         tensor(0.)
     """
+
+    samples = IMAGE, IMAGE
 
     def __init__(
         self,

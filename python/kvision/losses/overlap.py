@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
-from kvision._modules import FunctionModule
+from kvision._modules import IMAGE, LABELS, FunctionModule
 from kvision._ops import register, vjp
 from kvision.losses.reduction import as_arguments, check_labels, checked_weight, masked, segmentation_supports, selected
 
@@ -205,6 +205,8 @@ class DiceLoss(FunctionModule):
         tensor(0.5000)
     """
 
+    samples = IMAGE, LABELS
+
     def __init__(
         self,
         average: str = "micro",
@@ -226,6 +228,8 @@ class TverskyLoss(FunctionModule):
         >>> K.losses.TverskyLoss(0.3, 0.7)(torch.zeros(1, 2, 2, 2), torch.tensor([[[0, 0], [1, 1]]]))
         tensor(0.5000)
     """
+
+    samples = IMAGE, LABELS
 
     def __init__(self, alpha: float, beta: float, eps: float = 1e-8, ignore_index: int | None = -100) -> None:
         super().__init__(alpha=alpha, beta=beta, eps=eps, ignore_index=ignore_index)

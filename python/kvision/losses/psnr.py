@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from kvision._modules import FunctionModule
+from kvision._modules import IMAGE, FunctionModule
 from kvision.metrics.psnr import decibels_of_ratio
 
 
@@ -41,6 +41,8 @@ class PSNRLoss(FunctionModule):
         >>> K.losses.PSNRLoss(2.0)(torch.ones(1), 1.2 * torch.ones(1))
         tensor(-20.0000)
     """
+
+    samples = IMAGE, IMAGE
 
     def __init__(self, max_val: float) -> None:
         super().__init__(max_val=max_val)

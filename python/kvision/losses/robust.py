@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
-from kvision._modules import FunctionModule
+from kvision._modules import IMAGE, FunctionModule
 from kvision.metrics.pointwise import pointwise
 
 
@@ -123,6 +123,8 @@ class CharbonnierLoss(FunctionModule):
         tensor(1.0811)
     """
 
+    samples = IMAGE, IMAGE
+
     def __init__(self, reduction: str | None = "none") -> None:
         super().__init__(reduction=reduction)
 
@@ -138,6 +140,8 @@ class WelschLoss(FunctionModule):
         >>> K.losses.WelschLoss("mean")(torch.tensor([0.0, 3.0]), torch.zeros(2))
         tensor(0.4944)
     """
+
+    samples = IMAGE, IMAGE
 
     def __init__(self, reduction: str | None = "none") -> None:
         super().__init__(reduction=reduction)
@@ -155,6 +159,8 @@ class CauchyLoss(FunctionModule):
         tensor(0.8524)
     """
 
+    samples = IMAGE, IMAGE
+
     def __init__(self, reduction: str | None = "none") -> None:
         super().__init__(reduction=reduction)
 
@@ -170,6 +176,8 @@ class GemanMcclureLoss(FunctionModule):
         >>> K.losses.GemanMcclureLoss("mean")(torch.tensor([0.0, 3.0]), torch.zeros(2))
         tensor(0.6923)
     """
+
+    samples = IMAGE, IMAGE
 
     def __init__(self, reduction: str | None = "none") -> None:
         super().__init__(reduction=reduction)

@@ -8,7 +8,7 @@ from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
-from kvision._modules import FunctionModule
+from kvision._modules import IMAGE, PLANE, FunctionModule
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
@@ -192,6 +192,8 @@ class InverseDepthSmoothnessLoss(FunctionModule):
         >>> K.losses.InverseDepthSmoothnessLoss()(torch.ones(1, 1, 4, 4), torch.rand(1, 3, 4, 4))
         tensor(0.)
     """
+
+    samples = PLANE, IMAGE
 
     def forward(self, idepth: Tensor, image: Tensor) -> Tensor:
         return inverse_depth_smoothness_loss(idepth, image)

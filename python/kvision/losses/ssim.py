@@ -9,7 +9,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._clamp import clamp
 from kvision._dtype import floats
-from kvision._modules import FunctionModule
+from kvision._modules import IMAGE, VOLUME, FunctionModule
 from kvision._ops import with_kernel_casts
 from kvision.metrics.ssim import VALID, checked, checked_volumes, dissimilarity, ssim3d_map, ssim_map
 
@@ -159,6 +159,8 @@ class SSIMLoss(FunctionModule):
         tensor(0.)
     """
 
+    samples = IMAGE, IMAGE
+
     def __init__(
         self,
         window_size: int,
@@ -182,6 +184,8 @@ class SSIM3DLoss(FunctionModule):
         tensor(0.)
     """
 
+    samples = VOLUME, VOLUME
+
     def __init__(
         self,
         window_size: int,
@@ -204,6 +208,8 @@ class L1SSIMLoss(FunctionModule):
         >>> K.losses.L1SSIMLoss()(torch.zeros(1, 3, 16, 16), torch.zeros(1, 3, 16, 16))
         tensor(0.)
     """
+
+    samples = IMAGE, IMAGE
 
     def __init__(
         self, window_size: int = 11, ssim_weight: float = 0.2, max_val: float = 1.0, eps: float = 1e-12

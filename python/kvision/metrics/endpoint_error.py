@@ -11,7 +11,7 @@ from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
-from kvision._modules import FunctionModule
+from kvision._modules import FunctionModule, Sample
 from kvision._ops import not_empty, register
 from kvision.core.exceptions import ShapeError
 
@@ -110,6 +110,8 @@ class AEPE(FunctionModule):
         >>> K.metrics.AEPE("sum")(torch.zeros(4, 2), torch.ones(4, 2))
         tensor(5.6569)
     """
+
+    samples = (Sample(256, 256, 2),) * 2
 
     def __init__(self, reduction: str = "mean") -> None:
         super().__init__(reduction=reduction)

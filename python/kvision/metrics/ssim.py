@@ -21,7 +21,7 @@ from torch.compiler import is_compiling
 from kvision import _check
 from kvision._clamp import clamp
 from kvision._dtype import as_dtype, compute_dtype, floats
-from kvision._modules import FunctionModule
+from kvision._modules import IMAGE, VOLUME, FunctionModule
 from kvision._ops import Operator, register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.filters.kernels import gaussian
@@ -318,6 +318,8 @@ class SSIM(FunctionModule):
         torch.Size([1, 3, 8, 8])
     """
 
+    samples = IMAGE, IMAGE
+
     def __init__(self, window_size: int, max_val: float = 1.0, eps: float = 1e-12, padding: str = "same") -> None:
         super().__init__(window_size=window_size, max_val=max_val, eps=eps, padding=padding)
 
@@ -333,6 +335,8 @@ class SSIM3D(FunctionModule):
         >>> K.metrics.SSIM3D(3)(torch.rand(1, 1, 4, 5, 6), torch.rand(1, 1, 4, 5, 6)).shape
         torch.Size([1, 1, 4, 5, 6])
     """
+
+    samples = VOLUME, VOLUME
 
     def __init__(self, window_size: int, max_val: float = 1.0, eps: float = 1e-12, padding: str = "same") -> None:
         super().__init__(window_size=window_size, max_val=max_val, eps=eps, padding=padding)

@@ -91,6 +91,12 @@ class PolicyAugmentBase(ImageSequential):
         generator: Generator | None = None,
         return_transform: bool | None = None,
     ) -> None:
+        if same_on_batch is not None:
+            same_on_batch = _check.switch(type(self).__name__, "same_on_batch", same_on_batch)
+        if generator is not None and not isinstance(generator, torch.Generator):
+            raise TypeCheckError(
+                f"{type(self).__name__}: expected generator to be a torch.Generator, got {generator!r}"
+            )
         super().__init__(same_on_batch=same_on_batch, generator=generator, return_transform=return_transform)
         op = type(self).__name__
         if transformation_matrix_mode not in _MODES:

@@ -11,6 +11,7 @@ from torch import Tensor
 from kvision.augmentation import ranges
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
 from kvision.augmentation.transforms import center_of
+from kvision.core.exceptions import TypeCheckError
 
 __all__ = ["AffineGenerator", "ShearGenerator", "TranslateGenerator"]
 
@@ -83,6 +84,8 @@ class AffineGenerator(RandomGeneratorBase):
 
 
 def _translations(op: str, value: Any) -> list[ranges.Range]:
+    if not isinstance(value, (Sequence, Tensor)) or isinstance(value, str) or len(value) != 2:
+        raise TypeCheckError(f"{op}: expected translate to be two numbers, got {value!r}")
     return [ranges.parse(op, "translate", part, center=0.0, bounds=(-1.0, 1.0)) for part in value]
 
 

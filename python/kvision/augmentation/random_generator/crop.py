@@ -78,7 +78,8 @@ class CropGenerator(RandomGeneratorBase):
 
     def __init__(self, size: Any, resize_to: tuple[int, int] | None = None) -> None:
         super().__init__()
-        self.size, self.resize_to = parse_size("RandomCrop", size), resize_to
+        self.size = parse_size("RandomCrop", size)
+        self.resize_to = None if resize_to is None else parse_size("RandomCrop", resize_to)
         # Left, right, top, bottom, around images of a shape: RandomCrop sets it.
         self.padding_of: Any = lambda shape: (0, 0, 0, 0)
 

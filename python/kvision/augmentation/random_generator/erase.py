@@ -54,6 +54,8 @@ class RectangleEraseGenerator(RandomGeneratorBase):
         self.value: float | list[float] | str = value
         if not self.per_pixel:
             each = list(value) if isinstance(value, Sequence) else [value]
+            if not each:
+                raise ValueCheckError(f"{op}: expected value to be a number, or one of each channel, got {value!r}")
             numbers = [ranges.parse(op, "value", (number, number), bounds=(0.0, 1.0)).low for number in each]
             self.value = numbers if isinstance(value, Sequence) else numbers[0]
 

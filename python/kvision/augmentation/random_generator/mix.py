@@ -147,9 +147,9 @@ class PatchMixGenerator(RandomGeneratorBase):
 
     def __init__(self, alpha: float = 1.0, patch_size: int | tuple[int, int] = 16, p: float = 1.0) -> None:
         super().__init__()
-        if not alpha > 0:
+        self.alpha, self.p = _check.number("PatchMix", "alpha", alpha), p
+        if not self.alpha > 0:
             raise ValueCheckError(f"PatchMix: expected alpha above 0, got {alpha}")
-        self.alpha, self.p = float(alpha), p
         self.patch_size = parse_size("PatchMix", patch_size)
 
     def draws(self, shape: Shape) -> Sequence[Draw]:

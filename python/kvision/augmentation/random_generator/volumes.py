@@ -224,7 +224,8 @@ class CropGenerator3D(RandomGeneratorBase):
 
     def __init__(self, size: Any, resize_to: tuple[int, int, int] | None = None) -> None:
         super().__init__()
-        self.size, self.resize_to = parse_size3d("RandomCrop3D", size), resize_to
+        self.size = parse_size3d("RandomCrop3D", size)
+        self.resize_to = None if resize_to is None else parse_size3d("RandomCrop3D", resize_to)
         # Left, right, top, bottom, front, back, around volumes of a shape: RandomCrop3D sets it.
         self.padding_of: Any = lambda shape: (0,) * 6
 

@@ -143,7 +143,7 @@ def canny(
         low_threshold, high_threshold = (255 * t if t <= 1 else t for t in (low_threshold, high_threshold))
     if not 0 < low_threshold <= high_threshold:
         raise ValueCheckError(
-            f"canny: expected 0 < low_threshold <= high_threshold, got {low_threshold} and {high_threshold}"
+            f"canny: expected low_threshold above 0 and up to high_threshold, got {low_threshold} and {high_threshold}"
         )
     _check.flag("canny", "hysteresis", hysteresis)
     eps = _check.number("canny", "eps", eps, minimum=0)

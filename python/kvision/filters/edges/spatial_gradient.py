@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._modes import DERIVATIVE_MODE, DERIVATIVE_MODE_NAMES
-from kvision._modules import FunctionModule
+from kvision._modules import VOLUME, FunctionModule
 from kvision._ops import register
 from kvision.filters.border import pad
 from kvision.filters.kernels import check_derivative, derivative_rows
@@ -165,6 +165,8 @@ class SpatialGradient3d(FunctionModule):
         >>> K.filters.SpatialGradient3d(order=2)(torch.rand(1, 1, 4, 4, 4)).shape
         torch.Size([1, 1, 6, 4, 4, 4])
     """
+
+    samples = (VOLUME,)
 
     def __init__(self, mode: str = "diff", order: int = 1) -> None:
         super().__init__(mode=mode, order=order)

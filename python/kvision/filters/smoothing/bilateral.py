@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, pixels
 from kvision._modes import BORDER, BORDER_NAMES, COLOR_DISTANCE
-from kvision._modules import FunctionModule
+from kvision._modules import IMAGE, FunctionModule
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.border import windows
@@ -268,6 +268,8 @@ class JointBilateralBlur(_Bilateral):
         >>> K.filters.JointBilateralBlur(3, 0.1, (1.5, 1.5))(torch.rand(2, 3, 8, 8), torch.rand(2, 1, 8, 8)).shape
         torch.Size([2, 3, 8, 8])
     """
+
+    samples = IMAGE, IMAGE
 
     def forward(self, input: Tensor, guidance: Tensor) -> Tensor:
         return joint_bilateral_blur(

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import promoted
-from kvision._modules import FunctionModule
+from kvision._modules import IMAGE, FunctionModule
 from kvision._ops import match_layout
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.smoothing.box import box_blur
@@ -152,6 +152,8 @@ class GuidedBlur(FunctionModule):
         >>> K.filters.GuidedBlur(3, 0.01)(torch.rand(2, 3, 8, 8), torch.rand(2, 1, 8, 8)).shape
         torch.Size([2, 1, 8, 8])
     """
+
+    samples = IMAGE, IMAGE
 
     def __init__(
         self,

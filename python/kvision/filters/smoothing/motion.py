@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._clamp import clamp
 from kvision._dtype import as_dtype, compute_dtype
-from kvision._modules import FunctionModule
+from kvision._modules import VOLUME, FunctionModule
 from kvision._ops import no_derivative, register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.filter2d import filter_images
@@ -319,6 +319,8 @@ class MotionBlur3D(FunctionModule):
         >>> K.filters.MotionBlur3D(3, (0.0, 0.0, 35.0), 0.5)(torch.rand(1, 1, 4, 8, 8)).shape
         torch.Size([1, 1, 4, 8, 8])
     """
+
+    samples = (VOLUME,)
 
     def __init__(
         self,

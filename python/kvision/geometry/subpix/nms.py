@@ -11,7 +11,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._modules import FunctionModule
+from kvision._modules import VOLUME, FunctionModule
 from kvision._ops import match_layout, register, wants_derivative
 from kvision._torch_compat import in_function_transform, is_tracing
 
@@ -235,6 +235,8 @@ class NonMaximaSuppression3d(FunctionModule):
         >>> K.geometry.NonMaximaSuppression3d((3, 3, 3))(torch.rand(1, 1, 5, 6, 7)).shape
         torch.Size([1, 1, 5, 6, 7])
     """
+
+    samples = (VOLUME,)
 
     def __init__(self, kernel_size: tuple[int, int, int]) -> None:
         super().__init__(kernel_size=kernel_size)

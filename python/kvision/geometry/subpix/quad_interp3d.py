@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import compute_dtype, floats
-from kvision._modules import FunctionModule
+from kvision._modules import VOLUME, FunctionModule
 from kvision._ops import on_cuda, register
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.geometry.subpix.nms import nms3d
@@ -277,6 +277,8 @@ class ConvQuadInterp3d(FunctionModule):
         torch.Size([1, 1, 3, 3, 5, 6])
     """
 
+    samples = (VOLUME,)
+
     def __init__(
         self,
         n_iters: int = 5,
@@ -314,6 +316,8 @@ class IterativeQuadInterp3d(FunctionModule):
         >>> values.shape
         torch.Size([1, 1, 3, 5, 6])
     """
+
+    samples = (VOLUME,)
 
     def __init__(
         self,
@@ -362,6 +366,8 @@ class AdaptiveQuadInterp3d(FunctionModule):
         >>> values.shape
         torch.Size([1, 1, 3, 5, 6])
     """
+
+    samples = (VOLUME,)
 
     def __init__(
         self,

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._modules import FunctionModule
+from kvision._modules import VOLUME, FunctionModule
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry.subpix.spatial import positive
@@ -276,6 +276,8 @@ class ConvSoftArgmax3d(FunctionModule):
         >>> coords.shape, values.shape
         (torch.Size([1, 1, 3, 3, 8, 9]), torch.Size([1, 1, 3, 8, 9]))
     """
+
+    samples = (VOLUME,)
 
     def __init__(
         self,

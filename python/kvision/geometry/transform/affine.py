@@ -430,6 +430,8 @@ class Affine(FunctionModule):
         ):
             if x is not None:
                 _check.is_tensor("Affine", name, x)
+                if x.dim() == 0:
+                    raise ShapeError(f"Affine: expected {name} with an axis of samples, got ()", actual_shape=x.shape)
         batches = [len(x) for x in parts]
         if len(set(batches)) > 1:
             raise RuntimeError(f"Affine: expected parameters of one batch size, got {batches}")

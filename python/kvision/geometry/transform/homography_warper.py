@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import torch
 from torch import Tensor, nn
 
 from kvision import _check
@@ -71,6 +72,8 @@ class HomographyWarper(BaseWarper):
         self.normalized_coordinates = normalized_coordinates
         self.align_corners = align_corners
         self._homography: Tensor | None = None
+        if type(self).forward is HomographyWarper.forward:
+            self(torch.empty(0, 1, 2, 2, device="cpu"), torch.empty(0, 3, 3, device="cpu"))  # which checks the settings
 
     def extra_repr(self) -> str:
         return (

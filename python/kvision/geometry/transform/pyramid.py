@@ -295,11 +295,11 @@ class ScalePyramid(nn.Module):
         super().__init__()
         (self.n_levels,) = _check.ints("ScalePyramid", "n_levels", n_levels, 1)
         (self.extra_levels,) = _check.ints("ScalePyramid", "extra_levels", extra_levels, 1)
-        self.init_sigma = init_sigma
-        self.min_size = min_size
-        self.border = min_size // 2 - 1
-        self.sigma_step = 2 ** (1 / n_levels)
-        self.double_image = double_image
+        self.init_sigma = _check.number("ScalePyramid", "init_sigma", init_sigma)
+        (self.min_size,) = _check.ints("ScalePyramid", "min_size", min_size, 1, minimum=0)
+        self.border = self.min_size // 2 - 1
+        self.sigma_step = 2 ** (1 / self.n_levels)
+        self.double_image = _check.switch("ScalePyramid", "double_image", double_image)
 
     def __repr__(self) -> str:
         return (

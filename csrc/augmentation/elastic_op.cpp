@@ -98,6 +98,8 @@ Tensor elastic_displacements(Tensor const& noise, std::optional<Tensor> const& k
 
 }  // namespace
 
+// Displacements of elastic transforms: given noise (B, 2, H, W), or noise drawn by keys, after a Gaussian blur, times
+// the scales.
 KV_OPERATOR(elastic_displacements,
             "(Tensor noise, Tensor? keys, Tensor? seeds, int[] plan, int ky, int kx, float sigma_y, "
             "float sigma_x, float scale_x, float scale_y) -> Tensor")

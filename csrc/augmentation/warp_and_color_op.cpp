@@ -294,6 +294,8 @@ std::tuple<Tensor, Tensor, Tensor> warp_and_color_backward(Tensor const& grad, T
 
 }  // namespace
 
+// A warp by the matrices of a chain of transforms of columns (B, P), then a program of color steps: the result, the
+// matrices, and the means of contrast. warp_and_color.py explains size, plan and numbers.
 KV_OPERATOR(warp_and_color,
             "(Tensor image, Tensor? columns, Tensor? fill, SymInt[] size, int[] plan, float[] numbers) "
             "-> (Tensor, Tensor, Tensor)")

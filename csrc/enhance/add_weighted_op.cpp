@@ -63,6 +63,7 @@ Tensor add_weighted(Tensor const& input, Tensor const& other, OptionalTensor con
 
 }  // namespace
 
+// alpha input + beta other + gamma, by weights (B, C, 1) or by the numbers a, b and c instead.
 KV_OPERATOR(add_weighted,
             "(Tensor input, Tensor other, Tensor? alpha, Tensor? beta, Tensor? gamma, float a, float b, float c)"
             " -> Tensor")

@@ -287,9 +287,12 @@ std::tuple<Tensor, Tensor> select_matches_backward(Tensor const& grad, Tensor co
 KV_OPERATOR(select_matches_backward,
             "(Tensor grad, Tensor indices, Tensor distances1, Tensor? distances2, int count2, bool ratios) "
             "-> (Tensor, Tensor)")
+// The matches of each sample, from the neighbors (B, N, 2) of the first set and, if matches are mutual, those of the
+// second set, which has count2 descriptors: scores (B, N), indices (B, N, 2), and the count of matches (B,).
 KV_OPERATOR(select_matches,
             "(Tensor distances1, Tensor indices1, Tensor? distances2, Tensor? indices2, int count2, bool ratios, "
             "float threshold) -> (Tensor, Tensor, Tensor)")
+// The distances (B, N, 1) of the nearest descriptors, and the indices (B, N, 2) of a descriptor and its nearest one.
 KV_OPERATOR(nearest_pairs, "(Tensor desc1, Tensor desc2) -> (Tensor, Tensor)")
 KV_OPERATOR(nearest_pairs_backward, "(Tensor grad, Tensor desc1, Tensor desc2, Tensor indices) -> (Tensor, Tensor)")
 KV_OPERATOR(two_nearest,

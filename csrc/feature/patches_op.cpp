@@ -163,7 +163,9 @@ std::tuple<Tensor, Tensor> sample_patches_backward(Tensor const& grad, Tensor co
 
 #define KV_PATCHES "SymInt[] size, int levels, int patch_size, float window"
 
+// A pyramid (B, C, P) has the rows of all levels of an image of `size`, one after the other.
 KV_OPERATOR(sample_patches, "(Tensor pyramid, Tensor laf, " KV_PATCHES ") -> Tensor")
+// `sample_patches` of a pyramid that the operator builds.
 KV_OPERATOR(pyramid_patches, "(Tensor input, Tensor laf, int levels, int patch_size, float window) -> Tensor")
 KV_OPERATOR(sample_patches_backward, "(Tensor grad, Tensor pyramid, Tensor laf, " KV_PATCHES
                                      ", bool wants_pyramid, bool wants_laf)"

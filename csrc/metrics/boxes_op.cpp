@@ -61,6 +61,7 @@ Tensor box_iou_backward(Tensor const& grad, Tensor const& boxes, Tensor const& o
 
 }  // namespace
 
+// Either set of boxes may have a batch of one that serves all of the other's.
 KV_OPERATOR(box_iou, "(Tensor boxes, Tensor others, int format) -> Tensor")
 KV_OPERATOR(box_iou_backward, "(Tensor grad, Tensor boxes, Tensor others, int format) -> Tensor")
 

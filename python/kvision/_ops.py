@@ -27,6 +27,7 @@ from torch.compiler import is_compiling
 from kvision import _backend
 from kvision._backend import backend, current_backend, unserved_devices
 from kvision._dtype import is_autocast_on
+from kvision._gradients import compile_words
 from kvision._torch_compat import (
     before_first_lookup,
     below_autograd,
@@ -119,10 +120,14 @@ class Operator:
             list of sizes for several results, and an empty tensor instead of sizes where more than these differs.
         layout_of: the tensor, by index, whose memory format the results have: the image's in backward operators that
             read it.
-        backward: `backward(needs, grads..., *args) -> gradients of the tensor arguments`, in order, written with
-            registered operators, so that it can itself be differentiated; `needs[i]` tells whether the i-th is wanted,
-            and None stands for one that is not. Default: the reference is differentiated.
-        saves_results: backward needs the results: `backward(needs, grads..., results..., *args)`.
+        gradients: the operators that give the gradients to the arguments, in the words of _gradients.py, from which
+            the C++ interface is generated, too. Default: `backward`.
+        backward: gradients that are no single call, as a function `backward(needs, grads..., *args) -> gradients of the
+            tensor arguments`, in order, written with registered operators, so that it can itself be differentiated;
+            `needs[i]` tells whether the i-th is wanted, and None stands for one that is not. Default: the reference is
+            differentiated.
+        saves_results: backward needs the results: `backward(needs, grads..., results..., *args)`. Words that mention a
+            result imply it.
         non_differentiable: the results, by index, that carry no gradient.
         linear: linear in its first tensor. Then jvp is the operator itself, and where it has no other tensor nothing
             is saved for backward (`args[0]` is None there).
@@ -150,6 +155,7 @@ class Operator:
         *,
         fake: Callable[..., Sequence[Any]] | None = None,
         layout_of: int = 0,
+        gradients: str = "",
         backward: Callable[..., Sequence[Tensor | None]] | None = None,
         saves_results: bool = False,
         non_differentiable: Sequence[int] = (),
@@ -171,8 +177,9 @@ class Operator:
             else with_kernel_casts(reference, native_half, layout_of, levels, non_differentiable)
         )
         self._through_floats = through_floats(self, levels, non_differentiable)
-        self.backward = backward or self.differentiate_reference
-        self.saves_results = saves_results
+        self.words = gradients
+        self.by_hand = backward
+        self.saves_results = saves_results or "result" in gradients
         self.non_differentiable = non_differentiable
         self.linear = linear
         self.dtypes = (torch.int64, torch.uint8) if labels else (*FLOATS, torch.uint8) if bytes else FLOATS
@@ -329,6 +336,13 @@ class Operator:
 
     # --- derivatives ---
 
+    @functools.cached_property
+    def backward(self) -> Callable[..., Sequence[Tensor | None]]:
+        """`backward(needs, grads..., results if they are saved..., *args) -> gradients of the tensor arguments`."""
+        if self.words:
+            return compile_words(self, lambda name: _registered.get(name) or all_operators()[name])
+        return self.by_hand or self.differentiate_reference
+
     def _count_tensors(self) -> int:
         """How many arguments are tensors or None; they come first."""
         if self.kernel is None:
@@ -397,11 +411,13 @@ class Operator:
     def differentiate_reference(self, needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
         """The default backward; other backwards call it for gradients that have no kernel."""
         args = grads_and_args[-len(needs) :]
-        grads = grads_and_args[: -len(needs)]
+        constant = self.non_differentiable
+        grads = tuple(g for i, g in enumerate(grads_and_args[: -len(needs)]) if i not in constant)
         indices = [i for i, need in enumerate(needs) if need]
         with _without_tf32():
-            _, vjp_fn = torch.func.vjp(self._reference_of_tensors(args, indices), *(args[i] for i in indices))
-            input_grads = dict(zip(indices, vjp_fn(grads[0] if len(grads) == 1 else grads)))
+            f = self._reference_of_tensors(args, indices, constant)
+            _, vjp_fn = torch.func.vjp(f, *(args[i] for i in indices))
+            input_grads = dict(zip(indices, vjp_fn(grads if constant or len(grads) > 1 else grads[0])))
         return [input_grads.get(i) for i in range(self.tensors)]
 
     def _reference_of_tensors(

@@ -1,4 +1,4 @@
-"""The C++ API of include/kvision: operators as torch declares them, right gradients, options and errors."""
+"""The C++ API of include/kvision: right gradients, options and errors."""
 
 from __future__ import annotations
 
@@ -8,48 +8,13 @@ import sys
 from pathlib import Path
 
 import pytest
-import torch
 
 import kvision  # noqa: F401  declares the operators
-from kvision import _backend, _ops
+from kvision import _backend
 from kvision.color.program import STEPS
 
 ROOT = Path(__file__).parents[2]
-OPERATORS = "".join(path.read_text() for path in sorted((ROOT / "include/kvision/ops").glob("*.h")))
-TYPES = {
-    "Tensor": "Tensor",
-    "OptionalTensor": "Optional[Tensor]",
-    "int64_t": "int",
-    "double": "float",
-    "bool": "bool",
-    "Ints": "List[int]",
-    "Floats": "List[float]",
-}
-RESULTS = {"Tensor": 1, "Two": 2, "Three": 3, "Four": 4, "Five": 5}
-# Rules that call <name>_backward.
-BY_NAME = ("linear", "side_by_side", "detail::correlation", "detail::separable", "detail::resized")
-DECLARATION = re.compile(r'Operator<\s*"(\w+)",\s*(\w+)\(([^)]*)\)>\s*(\w+)(?:\{\s*([\w:]+))?')
-DECLARED = {m[1]: m.groups()[1:] for m in DECLARATION.finditer(OPERATORS)}
-
 built = pytest.mark.skipif("cpu" in _backend.unserved, reason="the operators are declared by libkvision.so")
-
-
-@built
-@pytest.mark.parametrize("name", sorted(DECLARED))
-def test_declarations_are_the_schemas(name: str) -> None:
-    result, arguments, identifier, _ = DECLARED[name]
-    schema = getattr(torch.ops.kvision, name).default._schema
-    pairs = [argument.split() for argument in arguments.split(",")]
-    assert identifier == name
-    assert [(TYPES[kind], argument) for kind, argument in pairs] == [(str(a.type), a.name) for a in schema.arguments]
-    assert RESULTS[result] == len(schema.returns)
-
-
-@built
-@pytest.mark.parametrize("name", sorted(_ops.operators))
-def test_operator_is_declared_or_gives_a_gradient(name: str) -> None:
-    forward = re.sub(r"(_kernel)?_backward$", "", name)
-    assert f'"{name}"' in OPERATORS or DECLARED[forward][3] in BY_NAME
 
 
 def test_steps_of_color_programs() -> None:

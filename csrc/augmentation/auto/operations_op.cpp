@@ -183,6 +183,8 @@ std::tuple<Tensor, Tensor> choose_operations(Tensor const& columns, Tensor const
 }  // namespace
 
 KV_OPERATOR(apply_operations, "(Tensor images, Tensor operation, Tensor value) -> (Tensor, Tensor)")
+// A step of a policy: each image (B, 3, H, W) gets the operation of its number, with its value; -1 is none. Returns the
+// images and the matrices (B, 3, 3) of operations that move pixels. operation_table.py has the numbers and the values.
 KV_OPERATOR(apply_operation, "(Tensor images, Tensor operation, Tensor value) -> (Tensor, Tensor)")
 KV_OPERATOR(apply_operation_backward, "(Tensor grad, Tensor images, Tensor operation, Tensor value) -> Tensor")
 KV_OPERATOR(choose_operations,

@@ -147,6 +147,7 @@ std::tuple<Tensor, Tensor> scale_space_features(Tensor const& input, std::vector
 
 }  // namespace
 
+// Images (B, 1, H, W) to the frames (B, N, 2, 3) and scores (B, N) of the strongest peaks of their scale space.
 KV_OPERATOR(
     scale_space_features,
     "(Tensor input, int[] sizes, int[] windows, float[] sigmas, int next, float[] blurs, int mode, bool minima, "

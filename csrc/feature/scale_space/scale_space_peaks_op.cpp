@@ -101,6 +101,8 @@ Tensor scale_space_peaks_backward(Tensor const& grad, Tensor const& input, Tenso
 
 #define KV_REFINEMENT "int steps, float largest_shift, int radius, bool along_scale"
 
+// Levels (B, L, H, W), weights (B, H, W) and scales (B,) to peaks (B, N, 4), which are level, x, y and value, and
+// voxels (B, N). On the CPU only.
 KV_OPERATOR(scale_space_peaks,
             "(Tensor levels, Tensor? weights, Tensor scales, bool differences, bool minima, int count, "
             "float levels_of_octave, float margin, float edge_ratio, float threshold, " KV_REFINEMENT

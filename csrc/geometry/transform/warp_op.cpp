@@ -71,6 +71,8 @@ Tensor warp_matrix_backward(Tensor const& grad, Tensor const& image, Tensor cons
 
 }  // namespace
 
+// Samples may outnumber the images: `image_index` (N,), of int64 or int32, has the image that each of them reads.
+// Without it one image serves all samples, or sample b reads image b.
 KV_OPERATOR(warp, "(Tensor image, Tensor matrix, Tensor? fill, Tensor? image_index, SymInt[] size, " KV_WARP_OPTIONS
                   ") -> Tensor")
 KV_OPERATOR(warp_by_formula, "(Tensor image, " KV_FORMULA_INPUTS

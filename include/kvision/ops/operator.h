@@ -1,9 +1,9 @@
 // How C++ calls an operator of torch.ops.kvision and differentiates it. An operator is one declaration:
 //
 //   inline constexpr Operator<"sobel", Tensor(Tensor input, bool normalized, double eps)>
-//       sobel{from<"sobel_backward">};
+//       sobel{{detail::sobel_gradients}};
 //
-// Its name, its schema as a C++ type, and a rule for its gradients. It is then called as `sobel(input, true, 1e-6)`.
+// Its name, its schema as a C++ type, and a rule for its gradients. tools/generate.py writes the declarations. It is then called as `sobel(input, true, 1e-6)`.
 // Calls and graphs are not templates: arguments are c10::IValue, as the dispatcher has them, and there is one autograd
 // function.
 #pragma once
@@ -37,7 +37,6 @@ using Floats = std::vector<double>;
 using Arguments = std::vector<c10::IValue>;
 using NamedArguments = std::initializer_list<std::pair<std::string_view, c10::IValue>>;
 
-struct AnyOperator;
 struct Rule;
 
 // What a rule computes gradients from.
@@ -53,7 +52,8 @@ struct Backward {
   // operator, the gradients (grad...), and for other tensors its saved results in their order.
   variable_list call(std::string const& name, NamedArguments named = {}) const;
   variable_list call(std::string const& name, NamedArguments named, Rule const& rule) const;
-  variable_list call(AnyOperator const& op, NamedArguments named = {}) const;
+  // The same with all arguments in order.
+  variable_list run(std::string const& name, Arguments arguments, Rule const& rule) const;
 
   Tensor const& grad() const { return grads[0]; }
   Tensor tensor(size_t i) const { return arguments[i].isTensor() ? arguments[i].toTensor() : Tensor(); }
@@ -69,11 +69,6 @@ struct Rule {
   size_t saved_results = 0;                               // how many of the last results it needs: if any, only the
                                                           // first result is differentiable
   bool saves_input = true;                                // whether it needs the first argument
-};
-
-struct AnyOperator {
-  char const* name;
-  Rule rule;
 };
 
 namespace detail {
@@ -168,6 +163,12 @@ struct Once : torch::autograd::Function<Once> {
   }
 };
 
+inline c10::IValue minus(c10::IValue const& numbers) {
+  Ints opposite = numbers.toIntVector();
+  for (int64_t& x : opposite) x = -x;
+  return opposite;
+}
+
 inline Tensor once(std::string const& name, Tensor const& gradient, variable_list const& tensors) {
   if (!at::GradMode::is_enabled()) return gradient;
   return Once::apply(at::TensorList(tensors), gradient.detach(), name)[0];
@@ -253,8 +254,8 @@ inline variable_list Backward::call(std::string const& name, NamedArguments name
 inline variable_list Backward::call(std::string const& name, NamedArguments named) const {
   return call(name, named, no_gradient);
 }
-inline variable_list Backward::call(AnyOperator const& other, NamedArguments named) const {
-  return call(other.name, named, other.rule);
+inline variable_list Backward::run(std::string const& name, Arguments arguments, Rule const& rule) const {
+  return detail::run(detail::find(name), rule, std::move(arguments));
 }
 
 // Any operator by its name: call("sobel_backward", {grad, input, true, 1e-6}).
@@ -263,31 +264,6 @@ inline variable_list call(std::string const& name, Arguments arguments, Rule con
   op.schema().checkAndNormalizeInputs(arguments);
   return detail::run(op, rule, std::move(arguments));
 }
-
-// An operator of (grad, arguments...), and of the last saved results, gives the gradients.
-template <detail::Name backward, size_t saved_results = 0>
-inline constexpr Rule from{[](Backward const& b) { return b.call(backward.text); }, saved_results};
-
-// It gives that to one of two arguments, as its last argument, a bool, says.
-template <detail::Name backward, detail::Name flag, size_t saved_results = 0>
-inline constexpr Rule from_each{[](Backward const& b) -> variable_list {
-                                  auto const to = [&](bool second) {
-                                    return b.needs(second) ? b.call(backward.text, {{flag.text, second}})[0] : Tensor();
-                                  };
-                                  return {to(false), to(true)};
-                                },
-                                saved_results};
-
-// A linear operator of its first argument, box_blur, whose transpose is box_blur_backward, and the other way round.
-inline constexpr Rule linear{[](Backward const& b) -> variable_list {
-                               std::string name = detail::name_of(b.op);
-                               bool const back = name.ends_with("_backward");
-                               name = back ? name.substr(0, name.size() - 9) : name + "_backward";
-                               Arguments arguments = b.arguments;
-                               arguments[0] = b.grad();
-                               return detail::run(detail::find(name), linear, std::move(arguments));
-                             },
-                             0, false};
 
 // The operator <name>_backward gives the gradients to all tensors side by side, (B, n).
 inline constexpr Rule side_by_side{[](Backward const& b) -> variable_list {
@@ -317,10 +293,8 @@ template <detail::Name name, class Schema>
 struct Operator;
 
 template <detail::Name op, class Result, class... Types>
-struct Operator<op, Result(Types...)> : AnyOperator {
-  constexpr Operator(Rule const& rule = no_gradient) : AnyOperator{op.text, rule} {}
-  constexpr Operator(variable_list (*gradients)(Backward const&), size_t saved_results = 0, bool saves_input = true)
-      : AnyOperator{op.text, {gradients, saved_results, saves_input}} {}
+struct Operator<op, Result(Types...)> {
+  Rule rule;
 
   Result operator()(detail::Parameter<Types>... arguments) const {
     static auto const handle = detail::find(op.text);

@@ -180,14 +180,14 @@ def _salt_and_pepper_backward_reference(
 _salt_and_pepper_backward: Operator = register(
     "salt_and_pepper_backward",
     _salt_and_pepper_backward_reference,
-    backward=lambda needs, grad, *args: [_salt_and_pepper_backward(grad, *args[1:])],
+    gradients="grad: salt_and_pepper_backward(grad=grad_grad)",
     linear=True,
     casts_outputs=True,
 )
 salt_and_pepper = register(
     "salt_and_pepper",
     _salt_and_pepper_reference,
-    backward=lambda needs, grad, *args: [_salt_and_pepper_backward(grad, *args[1:])],
+    gradients="images: salt_and_pepper_backward",
     bytes=True,
     casts_outputs=True,
 )

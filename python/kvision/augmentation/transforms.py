@@ -154,7 +154,7 @@ _transform_matrix = register(
     "transform_matrix",
     _reference,
     fake=lambda columns, plan, numbers: (columns.shape[0], 3, 3),
-    backward=lambda needs, grad, columns, plan, numbers: [_transform_matrix_backward(grad, columns, plan, numbers)],
+    gradients="columns: transform_matrix_backward",
 )
 
 

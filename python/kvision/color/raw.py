@@ -82,27 +82,19 @@ def _transposed(grad: Tensor, cfa: int) -> Tensor:
     return vjp_fn(grad)[0]
 
 
-def _backward(needs, grad, x, cfa):
-    return [_raw_to_rgb_backward(grad, cfa)]
-
-
-def _backward_of_backward(needs, grad, g, cfa):
-    return [_raw_to_rgb(grad, cfa)]
-
-
 _raw_to_rgb = register(
     "raw_to_rgb",
     _reference,
     fake=lambda x, cfa: (x.shape[0], 3, *x.shape[2:]),
-    backward=_backward,
+    gradients="input: raw_to_rgb_backward",
     linear=True,
     bytes=True,
 )
-_raw_to_rgb_backward = register(
+register(
     "raw_to_rgb_backward",
     _transposed,
     fake=lambda grad, cfa: (grad.shape[0], 1, *grad.shape[2:]),
-    backward=_backward_of_backward,
+    gradients="grad: raw_to_rgb(input=grad_grad)",
     linear=True,
 )
 _raw_to_rgb_2x2_downscaled = with_kernel_casts(_binned)

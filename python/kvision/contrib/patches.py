@@ -46,19 +46,11 @@ def _extracted_size(x: Tensor, size: Any, window: Any, stride: Any, padding: Any
     return (x.shape[0], down * across, x.shape[1], *window)
 
 
-def _extract_backward(needs, grad, _, *plain):
-    return [_combine(grad, *plain)]
-
-
-def _combine_backward(needs, grad, _, *plain):
-    return [_extract(grad, *plain)]
-
-
 _extract = register(
     "extract_patches",
     _extract_reference,
     fake=_extracted_size,
-    backward=_extract_backward,
+    gradients="input: combine_patches(patches=grad)",
     linear=True,
     bytes=True,
 )
@@ -66,7 +58,7 @@ _combine = register(
     "combine_patches",
     _combine_reference,
     fake=lambda patches, size, *_: (patches.shape[0], patches.shape[2], *size),
-    backward=_combine_backward,
+    gradients="patches: extract_patches(input=grad)",
     linear=True,
 )
 

@@ -11,7 +11,7 @@ from kvision._dtype import compute_dtype
 from kvision._ops import register, with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.enhance.batch import as_batch, images, parameter, shaped
-from kvision.enhance.equalize import LEVELS, equalize_backward, level_counts, levels
+from kvision.enhance.equalize import LEVELS, level_counts, levels
 from kvision.enhance.histogram import kernel_counts
 
 _BANDWIDTH = 0.001  # of the smooth histogram; neighboring levels are 0.0039 apart
@@ -28,15 +28,10 @@ def _reference(
     return _mapped(x, _tables(counts, limit, tile[0] * tile[1]).round(), rows, columns, tile, opencv)
 
 
-def _backward(needs, grad, output, *_):
-    return [equalize_backward(grad, output, None) if needs[0] else None, None]
-
-
 _equalize_clahe = register(
     "equalize_clahe",
     _reference,
-    backward=_backward,
-    saves_results=True,
+    gradients="input: equalize_backward(output=result, changed=None)",
     native_half=True,
     bytes="cpu",
     levels=255,

@@ -64,19 +64,20 @@ def _equalize_vjp(grad: Tensor, output: Tensor, changed: Tensor | None) -> Tenso
     return grad.masked_fill(equalized, 0)
 
 
-equalize_backward = register("equalize_backward", _equalize_vjp, native_half=True, layout_of=1)
-
-
-def _backward(needs, grad, _, output, changed, *args):
-    return [equalize_backward(grad, output, changed)]
+equalize_backward = register(
+    "equalize_backward",
+    _equalize_vjp,
+    gradients="grad: equalize_backward(grad=grad_grad)",
+    native_half=True,
+    layout_of=1,
+)
 
 
 _equalize = register(
     "equalize",
     _reference,
     fake=lambda x, _: [x.shape, x.shape[:2]],
-    backward=_backward,
-    saves_results=True,
+    gradients="input: equalize_backward(output=result0, changed=result1)",
     non_differentiable=(1,),
     native_half=True,
     bytes="cpu",

@@ -102,20 +102,14 @@ def _reference(x: Tensor, centers: Tensor, bandwidth: Tensor) -> Tensor:
     return _counts_in_chunks(_KERNELS["gaussian"], x, centers, bandwidth)
 
 
-_histogram_backward = register("histogram_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape)
+register("histogram_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape)
 
 
-def _backward(needs, grad, x, centers, bandwidth):
-    """The kernel computes the gradient of x. Those of centers and bandwidth, seldom learned, are computed in torch."""
-    grads = [None] * 3
-    if any(needs[1:]):
-        if not (torch.compiler.is_compiling() or in_function_transform()):
-            grads = [None, *_parameter_grads(grad, x, centers, bandwidth)]
-        else:
-            grads = _histogram.differentiate_reference((False, *needs[1:]), grad, x, centers, bandwidth)
-    if needs[0]:
-        grads[0] = _histogram_backward(grad, x, centers, bandwidth)
-    return grads
+def _parameter_gradients(needs, grad, x, centers, bandwidth):
+    """Those of centers and bandwidth, seldom learned, are computed in torch."""
+    if torch.compiler.is_compiling() or in_function_transform():
+        return _histogram.differentiate_reference(needs, grad, x, centers, bandwidth)
+    return [None, *_parameter_grads(grad, x, centers, bandwidth)]
 
 
 _CHUNK = 1 << 16  # samples times centers whose exponentials fit the caches of a CPU
@@ -140,7 +134,11 @@ def _parameter_grads(grad: Tensor, x: Tensor, centers: Tensor, bandwidth: Tensor
 
 
 _histogram = register(
-    "histogram", _reference, fake=lambda x, centers, _: (x.shape[0], centers.shape[1]), backward=_backward
+    "histogram",
+    _reference,
+    fake=lambda x, centers, _: (x.shape[0], centers.shape[1]),
+    gradients="x: histogram_backward; centers, bandwidth: by_hand",
+    backward=_parameter_gradients,
 )
 
 
@@ -221,14 +219,12 @@ def _reference_grid(x: Tensor, low: float, width: float, bins: int, kernel: int)
     return counts
 
 
-_image_histogram2d_backward = register(
-    "image_histogram2d_backward", vjp(_reference_grid), fake=lambda grad, x, *_: x.shape
-)
+register("image_histogram2d_backward", vjp(_reference_grid), fake=lambda grad, x, *_: x.shape)
 _image_histogram2d = register(
     "image_histogram2d",
     _reference_grid,
     fake=lambda x, low, width, bins, kernel: (x.shape[0], bins),
-    backward=lambda needs, grad, *args: [_image_histogram2d_backward(grad, *args)],
+    gradients="x: image_histogram2d_backward",
 )
 
 

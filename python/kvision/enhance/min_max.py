@@ -27,20 +27,14 @@ def _reference_backward(grad: Tensor, x: Tensor, range: Tensor, low: float, high
     return vjp(_stretch)(grad, x, low, high, eps)
 
 
-_normalize_min_max_backward = register("normalize_min_max_backward", _reference_backward, layout_of=1)
-
-
-def _backward(needs, grad, _, output, range, *args):
-    x, *numbers = args
-    return [_normalize_min_max_backward(grad, x, range, *numbers)]
+register("normalize_min_max_backward", _reference_backward, layout_of=1)
 
 
 _normalize_min_max = register(
     "normalize_min_max",
     _reference,
     fake=lambda x, *_: [x.shape, (*x.shape[:2], 2)],
-    backward=_backward,
-    saves_results=True,
+    gradients="input: normalize_min_max_backward(range=result1)",
     non_differentiable=(1,),
 )
 

@@ -48,13 +48,14 @@ def _fake_backward(grad, x, factor, number, of_image, of_factor):
     return [match_layout(torch.empty_like(x), x) if of_image else x.new_empty((b, 0)), of_planes]
 
 
-def _backward(needs, grad, x, factor, number):
-    of_x, of_planes = _sharpness_backward(grad, x, factor, number, needs[0], needs[1])
-    return [of_x if needs[0] else None, of_planes.sum_to_size(factor.shape) if needs[1] else None]
-
-
-_sharpness = register("sharpness", _reference, backward=_backward, bytes="cpu", levels=255)
-_sharpness_backward = register("sharpness_backward", _reference_backward, fake=_fake_backward)
+_sharpness = register(
+    "sharpness",
+    _reference,
+    gradients="input, factor: sharpness_backward(of_image=needs(input), of_factor=needs(factor))",
+    bytes="cpu",
+    levels=255,
+)
+register("sharpness_backward", _reference_backward, fake=_fake_backward)
 _composed = with_kernel_casts(_sharpened, levels=255)  # factors of single pixels
 
 

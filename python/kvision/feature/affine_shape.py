@@ -44,18 +44,14 @@ def _supports(patches: Tensor, *_: Any) -> str | None:
     return too_large(patches)
 
 
-def _backward(needs, grad, patches, eps):
-    return [_affine_shape_backward(grad, patches, eps)]
-
-
 _affine_shape = register(
     "affine_shape",
     _reference,
     fake=lambda patches, eps: (patches.shape[0], 3),
-    backward=_backward,
+    gradients="patches: affine_shape_backward",
     supports=_supports,
 )
-_affine_shape_backward = register(
+register(
     "affine_shape_backward",
     vjp(_reference),
     fake=lambda grad, patches, eps: patches.shape,

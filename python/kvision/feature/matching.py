@@ -177,12 +177,7 @@ def _fake_pairs(desc1: Tensor, desc2: Tensor) -> list[Any]:
     return [desc1.new_empty((*sizes, 1)), desc1.new_empty((*sizes, 2), dtype=torch.int64)]
 
 
-def _pairs_backward(needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
-    grad, _, _, pairs, desc1, desc2 = grads_and_args
-    return _summed(needs, _nearest_pairs_backward(grad, desc1, desc2, pairs), (desc1, desc2))
-
-
-_nearest_pairs_backward = register(
+register(
     "nearest_pairs_backward",
     _pairs_reference_backward,
     fake=lambda grad, desc1, desc2, _: [(grad.shape[0], *x.shape[1:]) for x in (desc1, desc2)],
@@ -194,8 +189,7 @@ _nearest_pairs = register(
     "nearest_pairs",
     _pairs_reference,
     fake=_fake_pairs,
-    backward=_pairs_backward,
-    saves_results=True,
+    gradients="desc1, desc2: nearest_pairs_backward(indices=result1)",
     non_differentiable=(1,),
     casts_outputs=True,
 )
@@ -315,23 +309,14 @@ def _fake_selection_backward(
     return [distances1.shape, (len(grad), 0 if distances2 is None else count2, 2)]
 
 
-def _select_backward(needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
-    grad, _, _, _, indices, _, distances1, _, distances2, _, count2, ratios, _ = grads_and_args
-    grad1, grad2 = _select_transposed(grad, indices, distances1, distances2, count2, ratios)
-    return [grad1, None, None if distances2 is None else grad2, None]
-
-
-_select_transposed = register(
-    "select_matches_backward", _select_reference_backward, fake=_fake_selection_backward, casts_outputs=True
-)
+register("select_matches_backward", _select_reference_backward, fake=_fake_selection_backward, casts_outputs=True)
 # From the neighbors (B, N, 2) of the first set and, if matches are mutual, those of the second set, which has count2
 # descriptors, to the matches of each sample: scores (B, N), indices (B, N, 2), and the count of matches (B,).
 _select = register(
     "select_matches",
     _select_reference,
     fake=_fake_selection,
-    backward=_select_backward,
-    saves_results=True,
+    gradients="distances1, distances2: select_matches_backward(indices=result1)",
     non_differentiable=(1, 2),
     casts_outputs=True,
 )

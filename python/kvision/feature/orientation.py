@@ -73,18 +73,14 @@ def _supports(patches: Tensor, bins: int, *_: Any) -> str | None:
     return f"no kernel has {bins} bins" if bins > _MAX_BINS else too_large(patches)
 
 
-def _backward(needs, grad, *args):
-    return [_orientation_backward(grad, *args)]
-
-
 _orientation = register(
     "orientation",
     _reference,
     fake=lambda patches, bins, eps, peaks, threshold: (patches.shape[0], peaks),
-    backward=_backward,
+    gradients="patches: orientation_backward",
     supports=_supports,
 )
-_orientation_backward = register(
+register(
     "orientation_backward",
     vjp(_reference),
     fake=lambda grad, patches, *_: patches.shape,

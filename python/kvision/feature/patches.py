@@ -80,14 +80,6 @@ def _fake_backward(grad: Tensor, pyramid: Tensor, laf: Tensor, *args: Any) -> li
     return [pyramid.new_empty(s, dtype=compute_dtype(pyramid)) for s in sizes]
 
 
-def _backward(needs: Sequence[bool], grad: Tensor, pyramid: Tensor, laf: Tensor, *options: Any) -> list[Tensor | None]:
-    of_pyramid, of_laf = _sample_patches_backward(grad, pyramid, laf, *options, needs[0], needs[1])
-    return [
-        as_dtype(of_pyramid, pyramid.dtype).sum_to_size(pyramid.shape) if needs[0] else None,
-        of_laf.sum_to_size(laf.shape) if needs[1] else None,
-    ]
-
-
 def _adds_by_atomics(grad: Tensor, *args: Any) -> bool:
     return grad.is_cuda and bool(args[-2])
 
@@ -98,9 +90,9 @@ _sample_patches = register(
     "sample_patches",
     _reference,
     fake=lambda pyramid, laf, size, levels, n, window: (pyramid.shape[0], laf.shape[1], pyramid.shape[1], n, n),
-    backward=_backward,
+    gradients="pyramid, laf: sample_patches_backward(wants_pyramid=needs(pyramid), wants_laf=needs(laf))",
 )
-_sample_patches_backward = register(
+register(
     "sample_patches_backward",
     _reference_backward,
     fake=_fake_backward,

@@ -63,8 +63,8 @@ def _scaled(response: Tensor, sigmas: Tensor | None) -> Tensor:
     return response if sigmas is None else response * _per_sample(sigmas.pow(4))
 
 
-def _corner_backward(needs, grad, x, k, sigmas, fixed_k, kind, mode):
-    grads = [_corner_response_backward(grad, x, k, sigmas, fixed_k, kind, mode) if needs[0] else None, None, None]
+def _corner_parameter_gradients(needs, grad, x, k, sigmas, fixed_k, kind, mode):
+    grads = [None, None, None]
     promoted = as_dtype(x, compute_dtype(x))
     if needs[1] and kind == _GFTT:
         grads[1] = torch.zeros_like(k)
@@ -77,12 +77,9 @@ def _corner_backward(needs, grad, x, k, sigmas, fixed_k, kind, mode):
     return grads
 
 
-def _hessian_backward(needs, grad, x, sigmas, mode):
-    grads = [_hessian_response_backward(grad, x, sigmas, mode) if needs[0] else None, None]
-    if needs[1]:
-        unscaled = _hessian_response(as_dtype(x, compute_dtype(x)), None, mode)
-        grads[1] = 4 * sigmas**3 * _sum_samples(grad * unscaled, sigmas)
-    return grads
+def _hessian_parameter_gradients(needs, grad, x, sigmas, mode):
+    unscaled = _hessian_response(as_dtype(x, compute_dtype(x)), None, mode)
+    return [None, 4 * sigmas**3 * _sum_samples(grad * unscaled, sigmas)]
 
 
 def _sum_samples(products: Tensor, values: Tensor) -> Tensor:
@@ -91,10 +88,20 @@ def _sum_samples(products: Tensor, values: Tensor) -> Tensor:
     return sums if len(values) == len(sums) else sums.sum(0, keepdim=True)
 
 
-_corner_response = register("corner_response", _corner_reference, backward=_corner_backward)
-_corner_response_backward = register("corner_response_backward", vjp(_corner_reference), layout_of=1)
-_hessian_response = register("hessian_response", _hessian_reference, backward=_hessian_backward)
-_hessian_response_backward = register("hessian_response_backward", vjp(_hessian_reference), layout_of=1)
+_corner_response = register(
+    "corner_response",
+    _corner_reference,
+    gradients="input: corner_response_backward; k, sigmas: by_hand",
+    backward=_corner_parameter_gradients,
+)
+register("corner_response_backward", vjp(_corner_reference), layout_of=1)
+_hessian_response = register(
+    "hessian_response",
+    _hessian_reference,
+    gradients="input: hessian_response_backward; sigmas: by_hand",
+    backward=_hessian_parameter_gradients,
+)
+register("hessian_response_backward", vjp(_hessian_reference), layout_of=1)
 
 
 _DOG_WINDOWS = 9, 13  # sizes of windows that the kernel supports: those of the default sigmas
@@ -108,17 +115,14 @@ def _dog_reference(x: Tensor, sigma1: float, sigma2: float) -> Tensor:
     return blur(_DOG_WINDOWS[1], sigma2) - blur(_DOG_WINDOWS[0], sigma1)
 
 
-def _dog_backward(needs, grad, x, sigma1, sigma2):
-    return [_difference_of_gaussians_backward(grad, sigma1, sigma2)]
-
-
-def _dog_backward_backward(needs, gradgrad, grad, sigma1, sigma2):
-    return [_difference_of_gaussians(gradgrad, sigma1, sigma2)]
-
-
-_difference_of_gaussians = register("difference_of_gaussians", _dog_reference, backward=_dog_backward, linear=True)
-_difference_of_gaussians_backward = register(
-    "difference_of_gaussians_backward", transpose(_dog_reference), backward=_dog_backward_backward, linear=True
+_difference_of_gaussians = register(
+    "difference_of_gaussians", _dog_reference, gradients="input: difference_of_gaussians_backward", linear=True
+)
+register(
+    "difference_of_gaussians_backward",
+    transpose(_dog_reference),
+    gradients="grad: difference_of_gaussians(input=grad_grad)",
+    linear=True,
 )
 
 

@@ -82,18 +82,14 @@ def _supports(patches: Tensor, bins: int, cells: int, *_: Any) -> str | None:
     return too_large(patches)
 
 
-def _backward(needs, grad, *args):
-    return [_sift_backward(grad, *args)]
-
-
 _sift = register(
     "sift",
     _reference,
     fake=lambda patches, bins, cells, *_: (patches.shape[0], bins * cells * cells),
-    backward=_backward,
+    gradients="patches: sift_backward",
     supports=_supports,
 )
-_sift_backward = register(
+register(
     "sift_backward",
     vjp(_reference),
     fake=lambda grad, patches, *_: patches.shape,

@@ -59,48 +59,25 @@ def register_filter(name: str, bytes: bool = False) -> Operator:
     derivatives for grad, x and kernel.
     """
 
-    def kernel_backward(kernel: Tensor, grad: Tensor, x: Tensor, border: int, same: bool) -> Tensor:
-        gradients = kernel_gradient(kernel, grad, x, border, same)
-        return gradients.sum(0, keepdim=True) if kernel.shape[0] == 1 else gradients
-
-    def backward(needs, grad, x, kernel, *args):
-        return [
-            transposed(grad, kernel, *args) if needs[0] else None,
-            kernel_backward(kernel, grad, x, *args) if needs[1] else None,
-        ]
-
-    def transposed_backward(needs, x, grad, kernel, *args):
-        return [
-            forward(x, kernel, *args) if needs[0] else None,
-            kernel_backward(kernel, grad, x, *args) if needs[1] else None,
-        ]
-
-    def kernel_gradient_backward(needs, kernel, _, grad, x, *args):
-        return [
-            None,  # of the kernel only the size and the type matter
-            forward(x, kernel, *args) if needs[1] else None,
-            transposed(grad, kernel, *args) if needs[2] else None,
-        ]
-
     forward = register(
         name,
         _reference,
         fake=lambda x, kernel, border, same: _size(x, kernel, 0 if same else -1),
-        backward=backward,
+        gradients=f"input: {name}_backward; kernel: {name}_kernel_backward",
         bytes=bytes,
     )
-    transposed = register(
+    register(
         f"{name}_backward",
         _transposed,
         fake=lambda grad, kernel, border, same: _size(grad, kernel, 0 if same else 1),
-        backward=transposed_backward,
+        gradients=f"grad: {name}(input=grad_grad); kernel: {name}_kernel_backward(input=grad_grad)",
     )
-    # The kernel comes first: the gradient to it has its type, not that of the images.
-    kernel_gradient = register(
+    # The kernel comes first: the gradient to it has its type, not that of the images. Its values do not matter.
+    register(
         f"{name}_kernel_backward",
         _kernel_backward_reference,
         fake=lambda kernel, grad, x, border, same: (x.shape[0], *kernel.shape[1:]),
-        backward=kernel_gradient_backward,
+        gradients=f"grad: {name}(kernel=grad_grad); input: {name}_backward(kernel=grad_grad)",
     )
     return forward
 

@@ -148,20 +148,6 @@ def _segment_errors(x: Tensor, y: Tensor, H: Tensor) -> Tensor:
     return torch.where(has_length[..., 0], error, 0)
 
 
-def _backward(
-    needs: Sequence[bool],
-    grad: Tensor,
-    points1: Tensor,
-    points2: Tensor,
-    matrix: Tensor,
-    kind: int,
-    squared: bool,
-) -> list[Tensor | None]:
-    tensors = points1, points2, matrix
-    grads = _correspondence_errors_backward(grad, *tensors, kind, squared)
-    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, grads, tensors)]
-
-
 def _backward_reference(
     grad: Tensor, points1: Tensor, points2: Tensor, matrix: Tensor, kind: int, squared: bool
 ) -> tuple[Tensor, ...]:
@@ -174,9 +160,9 @@ _correspondence_errors = register(
     "correspondence_errors",
     _reference,
     fake=lambda *tensors: (next((x.shape[0] for x in tensors[:3] if x.shape[0] != 1), 1), tensors[0].shape[1]),
-    backward=_backward,
+    gradients="points1, points2, matrix: correspondence_errors_backward",
 )
-_correspondence_errors_backward = register(
+register(
     "correspondence_errors_backward",
     _backward_reference,
     fake=lambda grad, *tensors: [(grad.shape[0], *x.shape[1:]) for x in tensors[:3]],

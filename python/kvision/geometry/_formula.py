@@ -17,6 +17,8 @@ from kvision._dtype import as_dtype
 from kvision._leading import broadcast_shapes, expand_to_batch
 from kvision._ops import Operator, register
 
+FORMULAS: set[str] = set()  # the operators of formulas
+
 
 def register_formula(name: str, reference: Callable[..., Tensor], result: Callable[..., tuple[int, ...]]) -> Operator:
     """The operator of a formula of tensors (B, ...) or (1, ...); `result` gives the axes behind the batch from all arguments.
@@ -54,6 +56,7 @@ def register_formula(name: str, reference: Callable[..., Tensor], result: Callab
         backward_reference,
         fake=lambda grad, *args: (grad.shape[0], sum(math.prod(x.shape[1:]) for x in args if isinstance(x, Tensor))),
     )
+    FORMULAS.add(name)
     return register(name, reference, fake=lambda *args: (batch_of(*args), *result(*args)), backward=backward)
 
 

@@ -44,12 +44,6 @@ def _shape(points, depth, matrix, kind):
     return (*points.shape[:2], width)
 
 
-def _backward(needs, grad, points, depth, matrix, kind):
-    to_points, to_depth, to_matrix = _transform_points_backward(grad, points, depth, matrix, kind, needs[2])
-    to_matrix = to_matrix.sum_to_size(matrix.shape) if needs[2] else None
-    return [to_points, to_depth if depth is not None else None, to_matrix]
-
-
 def _backward_reference(grad, points, depth, matrix, kind, to_matrix):
     computes = matrix.dtype
     args = [points.to(computes), matrix.expand(points.shape[0], -1, -1)]
@@ -79,10 +73,14 @@ def _supports(points, depth, matrix, kind):
     return f"there is no kernel for points of {sizes[0]} numbers and matrices {sizes[1]} x {sizes[2]}"
 
 
-_transform_points = register("transform_points", _reference, fake=_shape, backward=_backward, supports=_supports)
-_transform_points_backward = register(
-    "transform_points_backward", _backward_reference, fake=_backward_shapes, casts_outputs=True
+_transform_points = register(
+    "transform_points",
+    _reference,
+    fake=_shape,
+    gradients="points, depth, matrix: transform_points_backward(wants_matrix=needs(matrix))",
+    supports=_supports,
 )
+register("transform_points_backward", _backward_reference, fake=_backward_shapes, casts_outputs=True)
 
 
 def met(points: Tensor, plane: Tensor) -> Tensor:

@@ -61,22 +61,19 @@ def _fake(pred: Tensor, *args: Any) -> Tensor:
     return pred.new_empty((losses,) if args[-1] else (losses, batch, h, w), dtype=compute_dtype(pred))
 
 
-def _backward(needs, grad, pred, target, weight, *plain):
-    grad_weight = None
-    if needs[2]:
-        only_weight = (False, False, True, *(False for _ in plain))
-        grad_weight = _focal.differentiate_reference(only_weight, grad, pred, target, weight, *plain)[2]
-    return [_focal_backward(grad, pred, target, weight, *plain) if needs[0] else None, None, grad_weight]
-
-
-_focal_backward = register(
+register(
     "focal_backward",
     vjp(_reference),
     fake=lambda grad, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
     casts_outputs=True,
 )
 _focal = register(
-    "focal", _reference, fake=_fake, backward=_backward, casts_outputs=True, supports=segmentation_supports
+    "focal",
+    _reference,
+    fake=_fake,
+    gradients="pred: focal_backward; weight: reference",
+    casts_outputs=True,
+    supports=segmentation_supports,
 )
 
 
@@ -275,19 +272,6 @@ def _binary_backward_reference(grad: Tensor, pred: Tensor, target: Tensor, *args
     return vjp_fn(grad)[by_target]
 
 
-def _binary_gradients(needs, grad, pred, target, yes, no, *plain):
-    grads = [
-        _binary_backward(grad, pred, target, yes, no, *plain, by_target) if needs[by_target] else None
-        for by_target in (False, True)
-    ]
-    if needs[1] and target.shape != pred.shape:
-        grads[1] = grads[1].sum(0, keepdim=True)
-    only_factors = (False, False, *needs[2:])
-    if any(only_factors):
-        grads += _binary.differentiate_reference(only_factors, grad, pred, target, yes, no, *plain)[2:]
-    return grads
-
-
 _MIN_PIXELS = 64  # per class; shorter rows leave a CUDA block too little work
 
 
@@ -298,7 +282,7 @@ def _binary_supports(pred: Tensor, target: Tensor, yes: Tensor | None, no: Tenso
     return f"there is no kernel for factors of classes with {pred.shape[1]} pixels each, only from {_MIN_PIXELS} on"
 
 
-_binary_backward = register(
+register(
     "binary_focal_backward",
     _binary_backward_reference,
     fake=lambda grad, pred, *_: pred.new_empty(grad.shape[0], pred.shape[1]),
@@ -308,7 +292,7 @@ _binary = register(
     "binary_focal",
     _binary_reference,
     fake=_binary_fake,
-    backward=_binary_gradients,
+    gradients="pred: binary_focal_backward(by_target=False); target: binary_focal_backward(by_target=True); yes, no: reference",
     casts_outputs=True,
     supports=_binary_supports,
 )

@@ -49,10 +49,6 @@ def _fake(pred: Tensor, target: Tensor, alpha: float, k: int, summed: bool) -> T
     return pred.new_empty(pred.shape[:2] if summed else pred.shape)
 
 
-def _backward(needs, grad, *args):
-    return [_hausdorff_backward(grad, *args) if needs[0] else None, None]
-
-
 def _supports(pred: Tensor, target: Tensor, alpha: float, k: int, summed: bool) -> str | None:
     """Predictions have at least one element, and there are at most 1000 erosions."""
     if k > _MAX_EROSIONS:
@@ -60,13 +56,15 @@ def _supports(pred: Tensor, target: Tensor, alpha: float, k: int, summed: bool) 
     return not_empty(pred)
 
 
-_hausdorff_backward = register(
+register(
     "hausdorff_backward",
     vjp(_reference),
     fake=lambda grad, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
     casts_outputs=True,
 )
-_hausdorff = register("hausdorff", _reference, fake=_fake, backward=_backward, casts_outputs=True, supports=_supports)
+_hausdorff = register(
+    "hausdorff", _reference, fake=_fake, gradients="pred: hausdorff_backward", casts_outputs=True, supports=_supports
+)
 
 
 def _loss(pred: Tensor, target: Tensor, alpha: float, k: int, reduction: str) -> Tensor:

@@ -43,15 +43,11 @@ def _fake(pred: Tensor, *_: Any) -> list[Any]:
     return [pred.new_empty(pred.shape[:2], dtype=dtype), pred.new_empty(pred.shape, dtype=dtype)]
 
 
-def _backward(needs, grad, _, losses, gradient, *args):
-    return [_lovasz_backward(grad, gradient, *args) if needs[0] else None, None]
-
-
 def _backward_reference(grad: Tensor, gradient: Tensor, pred: Tensor, *args: Any) -> Tensor:
     return vjp(lambda pred: _reference(pred, *args)[0])(grad, pred)
 
 
-_lovasz_backward = register(
+register(
     "lovasz_backward",
     _backward_reference,
     fake=lambda grad, gradient, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
@@ -61,8 +57,7 @@ _lovasz = register(
     "lovasz",
     _reference,
     fake=_fake,
-    backward=_backward,
-    saves_results=True,
+    gradients="pred: lovasz_backward(gradients=result1)",
     non_differentiable=(1,),
     casts_outputs=True,
     supports=not_empty,

@@ -97,29 +97,24 @@ def _fake(x: Tensor, y: Tensor, x_mask: Any, y_mask: Any, kernel: int, bins: int
     return [(x.shape[0],), (x.shape[0], bins, bins), (x.shape[0], 4)]
 
 
-def _backward(needs, grad, _, __, loss, count_grads, ranges, x, y, *args):
-    grads = [
-        _information_backward(grad, count_grads, ranges, x, y, *args, other) if needs[other] else None
-        for other in (0, 1)
-    ]
-    if grads[1] is not None and grads[1].shape != y.shape:
-        grads[1] = grads[1].sum(0, keepdim=True)
-    return [*grads, None, None]
-
-
 def _backward_reference(grad: Tensor, count_grads: Tensor, ranges: Tensor, x: Tensor, y: Tensor, *args: Any) -> Tensor:
     *options, by_other = args
     x, y = x.expand(grad.shape[0], -1), y.expand(grad.shape[0], -1)
     return torch.func.vjp(lambda x, y: _reference(x, y, *options)[0], x, y)[1](grad)[by_other]
 
 
-_information_backward = register(
+register(
     "mutual_information_backward",
     _backward_reference,
     fake=lambda grad, count_grads, ranges, x, *_: (grad.shape[0], x.shape[1]),
 )
 _information = register(
-    "mutual_information", _reference, fake=_fake, backward=_backward, saves_results=True, non_differentiable=(1, 2)
+    "mutual_information",
+    _reference,
+    fake=_fake,
+    gradients="input: mutual_information_backward(count_gradients=result1, ranges=result2, by_other=False); "
+    "other: mutual_information_backward(count_gradients=result1, ranges=result2, by_other=True)",
+    non_differentiable=(1, 2),
 )
 
 

@@ -67,22 +67,11 @@ def _fake(pred: Tensor, *_: Any) -> list[Any]:
     return [pred.new_empty(losses, dtype=dtype), pred.new_empty(losses, batch, 3, classes, dtype=dtype)]
 
 
-def _backward(needs, grad, _, loss, sums, pred, target, weight, *plain):
-    grad_weight = None
-    if needs[2]:
-        only_weight = (False, False, True, *(False for _ in plain))
-        gradients = _overlap.differentiate_reference(
-            only_weight, grad, torch.zeros_like(sums), pred, target, weight, *plain
-        )
-        grad_weight = gradients[2]
-    return [_overlap_backward(grad, sums, pred, target, weight, *plain) if needs[0] else None, None, grad_weight]
-
-
 def _backward_reference(grad: Tensor, sums: Tensor, pred: Tensor, *args: Any) -> Tensor:
     return vjp(lambda pred: _reference(pred, *args)[0])(grad, pred)
 
 
-_overlap_backward = register(
+register(
     "overlap_backward",
     _backward_reference,
     fake=lambda grad, sums, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
@@ -92,8 +81,7 @@ _overlap = register(
     "overlap",
     _reference,
     fake=_fake,
-    backward=_backward,
-    saves_results=True,
+    gradients="pred: overlap_backward(sums=result1); weight: reference",
     non_differentiable=(1,),
     casts_outputs=True,
     supports=segmentation_supports,

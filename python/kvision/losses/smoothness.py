@@ -23,17 +23,15 @@ def _fake(x: Tensor, *_: float) -> Tensor:
     return x.new_empty(x.shape[:2], dtype=compute_dtype(x))
 
 
-def _backward(needs, grad, *args):
-    return [_total_variation_backward(grad, *args)]
-
-
-_total_variation_backward = register(
+register(
     "total_variation_backward",
     vjp(_reference),
     fake=lambda grad, x, *_: torch.empty_like(x, memory_format=torch.contiguous_format),
     casts_outputs=True,
 )
-_total_variation = register("total_variation", _reference, fake=_fake, backward=_backward, casts_outputs=True)
+_total_variation = register(
+    "total_variation", _reference, fake=_fake, gradients="input: total_variation_backward", casts_outputs=True
+)
 
 
 def _roughness(depth: Tensor, image: Tensor, along_y: float, along_x: float) -> Tensor:
@@ -55,11 +53,7 @@ def _roughness_backward_reference(
     return vjp_fn(grad)[of_image]
 
 
-def _roughness_backward(needs, grad, *args):
-    return [_smoothness_backward(grad, *args, of_image) if needs[of_image] else None for of_image in (False, True)]
-
-
-_smoothness_backward = register(
+register(
     "smoothness_backward",
     _roughness_backward_reference,
     fake=lambda grad, depth, image, *plain: torch.empty_like(
@@ -80,7 +74,7 @@ _smoothness = register(
     "smoothness",
     _roughness,
     fake=lambda depth, *_: depth.new_empty(depth.shape[:1], dtype=compute_dtype(depth)),
-    backward=_roughness_backward,
+    gradients="depth: smoothness_backward(of_image=False); image: smoothness_backward(of_image=True)",
     casts_outputs=True,
     supports=_supports,
 )

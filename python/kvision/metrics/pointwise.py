@@ -75,19 +75,6 @@ def _map_backward_reference(grad: Tensor, x: Tensor, y: Tensor, kind: int, by_ot
     return vjp_fn(grad)[by_other]
 
 
-def _map_backward(needs, grad, x, y, kind):
-    grads = [_loss_backward(grad, x, y, kind, other) if needs[other] else None for other in (False, True)]
-    return _of_one_row(grads, y)
-
-
-def _of_one_row(grads: list[Tensor | None], y: Tensor) -> list[Tensor | None]:
-    """The gradients; that of `y` is summed if its single row is broadcast."""
-    of_y = grads[1]
-    if of_y is not None and of_y.shape != y.shape:
-        grads[1] = of_y.sum(0, keepdim=True)
-    return grads
-
-
 def _sum_reference(x: Tensor, y: Tensor, kind: int, factor: float, decibels: float) -> Tensor:
     dtype = compute_dtype(x)
     total = factor * _FUNCTIONS[kind](x.to(dtype), y.to(dtype)).sum(1)
@@ -106,25 +93,29 @@ def _sum_backward_reference(
     return vjp_fn(grad)[by_other]
 
 
-def _sum_backward(needs, grad, sums, x, y, *plain):
-    grads = [_loss_sum_backward(grad, sums, x, y, *plain, other) if needs[other] else None for other in (False, True)]
-    return _of_one_row(grads, y)
-
-
 def _fake_sum(x: Tensor, *_: Any) -> Tensor:
     return x.new_empty(x.shape[:1], dtype=compute_dtype(x))
 
 
-_loss_backward = register("pointwise_loss_backward", _map_backward_reference)
-_loss = register("pointwise_loss", _map_reference, backward=_map_backward)
-_loss_sum_backward = register(
+register("pointwise_loss_backward", _map_backward_reference)
+_loss = register(
+    "pointwise_loss",
+    _map_reference,
+    gradients="input: pointwise_loss_backward(by_other=False); other: pointwise_loss_backward(by_other=True)",
+)
+register(
     "pointwise_sum_backward",
     _sum_backward_reference,
     fake=lambda grad, sums, x, *_: x.new_empty((grad.shape[0], x.shape[1])),
     casts_outputs=True,
 )
 _sum = register(
-    "pointwise_sum", _sum_reference, fake=_fake_sum, backward=_sum_backward, saves_results=True, casts_outputs=True
+    "pointwise_sum",
+    _sum_reference,
+    fake=_fake_sum,
+    gradients="input: pointwise_sum_backward(sums=result, by_other=False); "
+    "other: pointwise_sum_backward(sums=result, by_other=True)",
+    casts_outputs=True,
 )
 
 

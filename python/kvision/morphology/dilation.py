@@ -43,16 +43,8 @@ def _reference(
     return torch.stack(taps).amin(0) if erode else torch.stack(taps).amax(0)
 
 
-def _backward(needs, grad, x, kernel, heights, *plain):
-    grad_heights = None
-    if needs[2]:
-        only_heights = (False, False, True, *(False for _ in plain))
-        grad_heights = _dilation.differentiate_reference(only_heights, grad, x, kernel, heights, *plain)[2]
-    return [_dilation_backward(grad, x, kernel, heights, *plain) if needs[0] else None, None, grad_heights]
-
-
-_dilation_backward = register("dilation_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape, layout_of=1)
-_dilation = register("dilation", _reference, backward=_backward, bytes="cpu")
+register("dilation_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape, layout_of=1)
+_dilation = register("dilation", _reference, gradients="input: dilation_backward; heights: reference", bytes="cpu")
 
 
 def dilation(

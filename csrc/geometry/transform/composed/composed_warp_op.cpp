@@ -154,6 +154,8 @@ Tensor composed_warp(Tensor const& image, KV_LINK_ARGUMENTS, OptionalTensor cons
 
 }  // namespace
 
+// Where the pixels of a result of that size read after a chain of links, matrices (B, 3, 3) and displacements
+// (B, 2, H, W), the first one first: (B, 2, h, w). composed_warp.py explains them.
 KV_OPERATOR(composed_coords, "(" KV_LINKS "SymInt[] size) -> Tensor")
 KV_OPERATOR(composed_coords_backward,
             "(Tensor grad, " KV_LINKS

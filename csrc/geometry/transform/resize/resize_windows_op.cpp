@@ -17,6 +17,7 @@ Tensor resize_windows_backward(Tensor const& grad, Tensor const& matrix, std::ve
 }  // namespace
 
 #define KV_WINDOW_OPTIONS "Tensor matrix, SymInt[] size, int filter, bool align_corners"
+// `matrix` (B, 3, 3), without rotation and shear, maps pixels of the images to those of the results.
 KV_OPERATOR(resize_windows, "(Tensor input, " KV_WINDOW_OPTIONS ") -> Tensor")
 KV_OPERATOR(resize_windows_backward, "(Tensor grad, " KV_WINDOW_OPTIONS ") -> Tensor")
 #undef KV_WINDOW_OPTIONS

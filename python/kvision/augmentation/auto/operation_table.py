@@ -149,22 +149,16 @@ def _supports(x: Tensor, operation: Tensor, value: Tensor) -> str | None:
     return None
 
 
-def _backward(needs, grad, _, x, operation, value):
-    if needs[2]:
-        return _apply_operation.differentiate_reference(needs, grad, _, x, operation, value)
-    return [_apply_operation_backward(grad, x, operation, value), None, None]
-
-
 _apply_operation = register(
     "apply_operation",
     _reference,
     fake=lambda x, *_: [x.shape, x.new_empty((x.shape[0], 3, 3), dtype=torch.float32)],
-    backward=_backward,
+    gradients="images: apply_operation_backward; value: reference",
     non_differentiable=(1,),
     casts_outputs=True,
     supports=_supports,
 )
-_apply_operation_backward = register(
+register(
     "apply_operation_backward",
     _reference_backward,
     fake=lambda grad, x, *_: x.new_empty(x.shape),

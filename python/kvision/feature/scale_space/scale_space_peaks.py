@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -137,22 +137,6 @@ def _fake(levels: Tensor, weights: Tensor | None, scales: Tensor, _1: bool, _2: 
     return [like.new_empty(*sizes, 4), like.new_empty(sizes, dtype=torch.int64)]
 
 
-def _backward(
-    needs: Sequence[bool],
-    grad: Tensor,
-    _1: Any,
-    _2: Any,
-    voxels: Tensor,
-    levels: Tensor,
-    weights: Tensor | None,
-    scales: Tensor,
-    differences: bool,
-    *options: Any,
-) -> list[Tensor | None]:
-    grad_levels = _peaks_backward(grad, levels, voxels, differences, *options[6:])
-    return [as_dtype(grad_levels, levels.dtype).sum_to_size(levels.shape), None, None]
-
-
 def _reference_backward(grad: Tensor, levels: Tensor, voxels: Tensor, differences: bool, *refinement: Any) -> Tensor:
     """The gradient to the levels, in the type that computes, of the peaks that voxels are refined to."""
     steps, largest_shift, radius, along_scale = refinement
@@ -176,7 +160,7 @@ def _reference_backward(grad: Tensor, levels: Tensor, voxels: Tensor, difference
     return torch.func.vjp(peaks, x)[1](as_dtype(grad, x.dtype))[0]
 
 
-_peaks_backward = register(
+register(
     "scale_space_peaks_backward",
     _reference_backward,
     fake=lambda grad, levels, *_: levels.new_empty((grad.shape[0], *levels.shape[1:]), dtype=compute_dtype(levels)),
@@ -187,8 +171,7 @@ _peaks = register(
     "scale_space_peaks",
     _reference,
     fake=_fake,
-    backward=_backward,
-    saves_results=True,
+    gradients="levels: scale_space_peaks_backward(voxels=result1)",
     non_differentiable=(1,),
     casts_outputs=True,
 )

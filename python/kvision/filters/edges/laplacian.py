@@ -19,16 +19,8 @@ def _reference(x: Tensor, ky: int, kx: int, normalized: bool, border: int) -> Te
     return divide_exactly(y, 2 * (n - 1)) if normalized else y
 
 
-def _backward(needs, grad, x, ky, kx, normalized, border):
-    return [_laplacian_backward(grad, ky, kx, normalized, border)]
-
-
-def _backward_of_backward(needs, grad, g, ky, kx, normalized, border):
-    return [_laplacian(grad, ky, kx, normalized, border)]
-
-
-_laplacian = register("laplacian", _reference, backward=_backward, linear=True, bytes=True)
-_laplacian_backward = register("laplacian_backward", transpose(_reference), backward=_backward_of_backward, linear=True)
+_laplacian = register("laplacian", _reference, gradients="input: laplacian_backward", linear=True, bytes=True)
+register("laplacian_backward", transpose(_reference), gradients="grad: laplacian(input=grad_grad)", linear=True)
 
 
 def laplacian(

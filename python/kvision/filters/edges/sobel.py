@@ -28,11 +28,7 @@ def root(x: Tensor) -> Tensor:
     return torch.where(zero, 0, torch.where(zero, 1, x).sqrt())
 
 
-def _backward(needs, grad, x, normalized, eps):
-    return [_sobel_backward(grad, x, normalized, eps)]
-
-
-_sobel = register("sobel", _reference, backward=_backward)
+_sobel = register("sobel", _reference, gradients="input: sobel_backward")
 _sobel_backward = register("sobel_backward", vjp(_reference), layout_of=1)
 
 

@@ -54,14 +54,14 @@ _spatial_gradient = register(
     "spatial_gradient",
     _reference,
     fake=lambda x, mode, order, normalized: (*x.shape[:2], order + 1, *x.shape[2:]),
-    backward=lambda needs, grad, x, *args: [_spatial_gradient_backward(grad, *args)],
+    gradients="input: spatial_gradient_backward",
     linear=True,
 )
-_spatial_gradient_backward = register(
+register(
     "spatial_gradient_backward",
     _backward_reference,
     fake=lambda grad, mode, order, normalized: (*grad.shape[:2], *grad.shape[3:]),
-    backward=lambda needs, grad, x, *args: [_spatial_gradient(grad, *args)],
+    gradients="grad: spatial_gradient(input=grad_grad)",
     linear=True,
 )
 
@@ -116,14 +116,14 @@ _spatial_gradient3d = register(
     "spatial_gradient3d",
     lambda x, order: derivatives(x, "diff", order, True),
     fake=lambda x, order: (*x.shape[:2], 3 * order, *x.shape[2:]),
-    backward=lambda needs, grad, x, order: [_spatial_gradient3d_backward(grad, order)],
+    gradients="input: spatial_gradient3d_backward",
     linear=True,
 )
-_spatial_gradient3d_backward = register(
+register(
     "spatial_gradient3d_backward",
     lambda grad, order: _transposed(grad, "diff", order, True),
     fake=lambda grad, order: (*grad.shape[:2], *grad.shape[3:]),
-    backward=lambda needs, grad, x, order: [_spatial_gradient3d(grad, order)],
+    gradients="grad: spatial_gradient3d(input=grad_grad)",
     linear=True,
 )
 

@@ -26,16 +26,8 @@ def _reference(x: Tensor, ky: int, kx: int, border: int) -> Tensor:
     return divide_exactly(window_sum(x, ky, kx, border), ky * kx)
 
 
-def _backward(needs, grad, x, ky, kx, border):
-    return [_box_blur_backward(grad, ky, kx, border)]
-
-
-def _backward_of_backward(needs, grad, g, ky, kx, border):
-    return [_box_blur(grad, ky, kx, border)]
-
-
-_box_blur = register("box_blur", _reference, backward=_backward, linear=True, bytes=True)
-_box_blur_backward = register("box_blur_backward", transpose(_reference), backward=_backward_of_backward, linear=True)
+_box_blur = register("box_blur", _reference, gradients="input: box_blur_backward", linear=True, bytes=True)
+register("box_blur_backward", transpose(_reference), gradients="grad: box_blur(input=grad_grad)", linear=True)
 
 
 def box_blur(

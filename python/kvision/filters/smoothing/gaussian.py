@@ -22,20 +22,6 @@ def _reference(
     return filter_separably(x, kernel_x, kernel_y, BORDER_NAMES[border])
 
 
-def _backward(needs, grad, x, sigma, *plain):
-    return [
-        _transposed(grad, sigma, *plain) if needs[0] else None,
-        sigma_gradient(grad, x, sigma, *plain) if needs[1] else None,
-    ]
-
-
-def _transposed_backward(needs, gradgrad, grad, sigma, *plain):
-    return [
-        _gaussian_blur2d(gradgrad, sigma, *plain) if needs[0] else None,
-        sigma_gradient(grad, gradgrad, sigma, *plain) if needs[1] else None,
-    ]
-
-
 def sigma_gradient(
     grad: Tensor, x: Tensor, sigma: Tensor, ky: int, kx: int, sigma_y: float, sigma_x: float, border: int
 ) -> Tensor:
@@ -52,8 +38,21 @@ def sigma_gradient(
     return vjp_fn((grad_y, grad_x))[0].to(sigma.dtype)
 
 
-_gaussian_blur2d = register("gaussian_blur2d", _reference, backward=_backward, linear=True, bytes=True)
-_transposed = register("gaussian_blur2d_backward", transpose(_reference), backward=_transposed_backward, linear=True)
+_gaussian_blur2d = register(
+    "gaussian_blur2d",
+    _reference,
+    gradients="input: gaussian_blur2d_backward; sigma: by_hand",
+    backward=lambda needs, grad, x, *blur: [None, sigma_gradient(grad, x, *blur)],
+    linear=True,
+    bytes=True,
+)
+_transposed = register(
+    "gaussian_blur2d_backward",
+    transpose(_reference),
+    gradients="grad: gaussian_blur2d(input=grad_grad); sigma: by_hand",
+    backward=lambda needs, grad_grad, grad, *blur: [None, sigma_gradient(grad, grad_grad, *blur)],
+    linear=True,
+)
 
 
 def _reference_levels(x: Tensor, sizes: list[int], sigmas: list[float], border: int) -> Tensor:

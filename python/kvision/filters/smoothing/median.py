@@ -23,16 +23,14 @@ def _reference(x: Tensor, ky: int, kx: int, border: int) -> Tensor:
     return torch.where(taps.isnan().any(0), torch.nan, at_median)
 
 
-def _backward(needs, grad, y, x, ky, kx, border):
-    return [_median_blur_backward(grad, x, y.detach(), ky, kx, border)]
-
-
 def _backward_reference(grad: Tensor, x: Tensor, y: Tensor, ky: int, kx: int, border: int) -> Tensor:
     return vjp(_reference)(grad, x, ky, kx, border)
 
 
-_median_blur = register("median_blur", _reference, backward=_backward, saves_results=True, bytes=True)
-_median_blur_backward = register("median_blur_backward", _backward_reference, layout_of=1)
+_median_blur = register(
+    "median_blur", _reference, gradients="input: median_blur_backward(output=detach(result))", bytes=True
+)
+register("median_blur_backward", _backward_reference, layout_of=1)
 
 
 def median_blur(input: Tensor, kernel_size: tuple[int, int] | int, border_type: str = "reflect") -> Tensor:

@@ -16,22 +16,21 @@ def _reference(
     return 2 * x - blur(x, sigma, ky, kx, sigma_y, sigma_x, border)
 
 
-def _backward(needs, grad, x, sigma, *plain):
-    return [
-        _transposed(grad, sigma, *plain) if needs[0] else None,
-        -sigma_gradient(grad, x, sigma, *plain) if needs[1] else None,
-    ]
-
-
-def _transposed_backward(needs, gradgrad, grad, sigma, *plain):
-    return [
-        _unsharp_mask(gradgrad, sigma, *plain) if needs[0] else None,
-        -sigma_gradient(grad, gradgrad, sigma, *plain) if needs[1] else None,
-    ]
-
-
-_unsharp_mask = register("unsharp_mask", _reference, backward=_backward, linear=True, bytes=True)
-_transposed = register("unsharp_mask_backward", transpose(_reference), backward=_transposed_backward, linear=True)
+_unsharp_mask = register(
+    "unsharp_mask",
+    _reference,
+    gradients="input: unsharp_mask_backward; sigma: by_hand",
+    backward=lambda needs, grad, x, *blur: [None, -sigma_gradient(grad, x, *blur)],
+    linear=True,
+    bytes=True,
+)
+register(
+    "unsharp_mask_backward",
+    transpose(_reference),
+    gradients="grad: unsharp_mask(input=grad_grad); sigma: by_hand",
+    backward=lambda needs, grad_grad, grad, *blur: [None, -sigma_gradient(grad, grad_grad, *blur)],
+    linear=True,
+)
 
 
 def unsharp_mask(

@@ -381,12 +381,6 @@ def _map_reference(camera: Tensor, coefficients: Tensor, tilt: Tensor | None, si
     return torch.where((x * x + y * y <= limit)[..., None], distorted, torch.nan).mT.unflatten(-1, (h, w))
 
 
-def _map_backward(needs: Sequence[bool], grad: Tensor, *args: Any) -> list[Tensor | None]:
-    lens = args[:3]
-    grads = _map_gradient(grad, *lens)
-    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, grads, lens)]
-
-
 def _map_gradient_reference(grad: Tensor, *lens: Tensor | None) -> tuple[Tensor, ...]:
     args = [x.expand(grad.shape[0], *x.shape[1:]) for x in lens if x is not None]
 
@@ -404,7 +398,7 @@ _map = register(
     "undistort_map",
     _map_reference,
     fake=lambda camera, coefficients, tilt, size: (batch_of(camera, coefficients, tilt), 2, *size),
-    backward=_map_backward,
+    gradients="camera, coefficients, tilt: undistort_map_backward",
 )
 _map_gradient = register(
     "undistort_map_backward",

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import torch
 from torch import Tensor
 
@@ -99,13 +96,13 @@ def _backward_reference(
     return torch.func.vjp(lambda x, y, k, w: _reference(x, y, k, w, flat), points, pixels, camera, w)[1](grad)
 
 
-def _backward(needs: Sequence[bool], grad: Tensor, *args: Any) -> tuple[Tensor | None, ...]:
-    *grads, to_weights = _pose_dlt_backward(grad, *args)
-    return (*grads, None if args[3] is None else to_weights)
-
-
-_pose_dlt = register("pose_dlt", _reference, fake=lambda points, *rest: (points.shape[0], 3, 4), backward=_backward)
-_pose_dlt_backward = register(
+_pose_dlt = register(
+    "pose_dlt",
+    _reference,
+    fake=lambda points, *rest: (points.shape[0], 3, 4),
+    gradients="points, pixels, camera, weights: pose_dlt_backward",
+)
+register(
     "pose_dlt_backward",
     _backward_reference,
     fake=lambda grad, points, pixels, camera, *rest: [points.shape, pixels.shape, camera.shape, points.shape[:2]],

@@ -62,11 +62,6 @@ def _points_to_camera(grad, depth, camera, distance):
     return torch.func.vjp(lambda k: _points(points, k, distance), each)[1](grad.to(camera.dtype))[0]
 
 
-def _to_depth_backward(needs, grad_grad, grad, camera, distance):
-    to_camera = _to_camera(grad, grad_grad, camera, distance).sum_to_size(camera.shape) if needs[1] else None
-    return [depth_points(grad_grad, camera, distance, False) if needs[0] else None, to_camera]
-
-
 def _normals(depth, camera, distance):
     return _normals_of(_points(depth, camera, distance))
 
@@ -103,7 +98,7 @@ _to_depth = register(
     "depth_points_backward",
     _points_transposed,
     fake=lambda grad, *options: (grad.shape[0], 1, *grad.shape[2:]),
-    backward=_to_depth_backward,
+    gradients="grad: depth_points(depth=grad_grad, last=False); camera: depth_points_camera_backward(depth=grad_grad)",
 )
 _to_camera = register(
     "depth_points_camera_backward",

@@ -74,14 +74,6 @@ def _image_gradient_reference(grad, depth, projection, size, *options):
     return vjp_fn(grad)[0]
 
 
-def _image_gradient_backward(needs, grad_grad, grad, depth, projection, size, *options):
-    needs_coords = (False, *needs[1:])
-    grads = image_gradient_of.differentiate_reference(needs_coords, grad_grad, grad, depth, projection, size, *options)
-    if needs[0]:
-        grads[0] = depth_warp_of(grad_grad, depth, projection, *options)
-    return grads
-
-
 def _coords_backward_reference(grad, image, depth, projection, *options):
     computes, batch = depth.dtype, grad.shape[0]
 
@@ -103,7 +95,7 @@ image_gradient_of = register(
     "depth_warp_image_backward",
     _image_gradient_reference,
     fake=lambda grad, depth, projection, size, *options: grad.new_empty(*grad.shape[:2], *size),
-    backward=_image_gradient_backward,
+    gradients="grad: depth_warp(image=grad_grad); depth, projection: reference",
     nondeterministic=on_cuda,
 )
 _coords_backward = register(
@@ -137,11 +129,6 @@ def _pinhole(camera: Tensor) -> Tensor:
     return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], 1).unflatten(1, (3, 3))
 
 
-def _reprojection_backward(needs, grad, *args):
-    grads = _reprojection_backward_op(grad, *args)
-    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, grads, args)]
-
-
 def _reprojection_backward_reference(grad, *args):
     *tensors, pinhole = args
     batch = grad.shape[0]
@@ -160,9 +147,9 @@ _reprojection = register(
     "reprojection",
     _reprojection_reference,
     fake=lambda *args: (next((x.shape[0] for x in args[:4] if x is not None and x.shape[0] != 1), 1), 3, 4),
-    backward=_reprojection_backward,
+    gradients="camera_to, pose_to, camera_from, pose_from: reprojection_backward",
 )
-_reprojection_backward_op = register(
+register(
     "reprojection_backward",
     _reprojection_backward_reference,
     fake=lambda grad, *args: [(grad.shape[0], side, side) for side in (3, 4, 3, 4)],

@@ -230,13 +230,9 @@ def _nearest_reference(E: Tensor) -> Tensor:
     return (isometry * (size / 2)[..., None, None]).to(E.dtype) + 0
 
 
-def _nearest_gradient(needs: Sequence[bool], grad: Tensor, E: Tensor) -> tuple[Tensor]:
-    return (_nearest_backward(grad, E),)
-
-
 # The operator behind `project_to_essential`; takes (B, 3, 3).
-nearest_essential = register("nearest_essential", _nearest_reference, backward=_nearest_gradient)
-_nearest_backward = register("nearest_essential_backward", vjp(_nearest_reference))
+nearest_essential = register("nearest_essential", _nearest_reference, gradients="matrix: nearest_essential_backward")
+register("nearest_essential_backward", vjp(_nearest_reference))
 
 
 def _polar(E: Tensor) -> tuple[Tensor, Tensor]:
@@ -301,15 +297,11 @@ def _motions_backward_reference(grad: Tensor, grad_directions: Tensor, E: Tensor
     return torch.func.vjp(_motions_reference, E)[1]((grad, grad_directions))[0]
 
 
-def _motions_gradient(needs: Sequence[bool], *args: Tensor) -> tuple[Tensor]:
-    return (_motions_backward(*args),)
-
-
 _motions = register(
     "essential_motions",
     _motions_reference,
     fake=lambda E: [(E.shape[0], 4, 3, 3), (E.shape[0], 4, 3, 1)],
-    backward=_motions_gradient,
+    gradients="matrix: essential_motions_backward",
 )
 _motions_backward = register(
     "essential_motions_backward", _motions_backward_reference, fake=lambda *args: args[2].shape

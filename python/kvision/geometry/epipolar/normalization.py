@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor
 
@@ -60,13 +58,6 @@ def _reference(points: Tensor, weights: Tensor | None, eps: float) -> tuple[Tens
     return normalized(points, weights, eps)
 
 
-def _backward(
-    needs: Sequence[bool], grad: Tensor, grad_matrix: Tensor, points: Tensor, weights: Tensor | None, eps: float
-) -> tuple[Tensor, Tensor | None]:
-    to_points, to_weights = _normalize_backward(grad, grad_matrix, points, weights, eps)
-    return to_points, None if weights is None else to_weights
-
-
 def _backward_reference(
     grad: Tensor, grad_matrix: Tensor, points: Tensor, weights: Tensor | None, eps: float
 ) -> tuple[Tensor, ...]:
@@ -78,9 +69,9 @@ _normalize = register(
     "normalize_points",
     _reference,
     fake=lambda points, *rest: [points.shape, (points.shape[0], 3, 3)],
-    backward=_backward,
+    gradients="points, weights: normalize_points_backward",
 )
-_normalize_backward = register(
+register(
     "normalize_points_backward",
     _backward_reference,
     fake=lambda grad, grad_matrix, points, *rest: [points.shape, points.shape[:2]],

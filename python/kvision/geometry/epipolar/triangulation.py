@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -79,16 +78,16 @@ def _reference(x1: Tensor, x2: Tensor, P1: Tensor, P2: Tensor) -> Tensor:
     return torch.where(infinite, torch.nan, X[..., :3] / torch.where(infinite, 1, w)).to(x1.dtype)
 
 
-def _gradient(needs: Sequence[bool], grad: Tensor, *arguments: Tensor) -> tuple[Tensor, ...]:
-    grads: tuple[Tensor, ...] = triangulated_backward(grad, *arguments)
-    return grads
-
-
 def _backward_reference(grad: Tensor, *arguments: Tensor) -> tuple[Tensor, ...]:
     return torch.func.vjp(_reference, *arguments)[1](grad)
 
 
-triangulated = register("triangulate", _reference, fake=lambda x1, x2, P1, P2: (*x1.shape[:2], 3), backward=_gradient)
+triangulated = register(
+    "triangulate",
+    _reference,
+    fake=lambda x1, x2, P1, P2: (*x1.shape[:2], 3),
+    gradients="points1, points2, projections1, projections2: triangulate_backward",
+)
 triangulated_backward = register(
     "triangulate_backward", _backward_reference, fake=lambda grad, *arguments: [x.shape for x in arguments]
 )

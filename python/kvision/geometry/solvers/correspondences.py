@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -67,13 +67,7 @@ def register_fit(name: str, reference: Callable[..., Tensor]) -> Operator:
         w = points1.new_ones(points1.shape[:2]) if weights is None else weights
         return torch.func.vjp(reference, points1, points2, w)[1](grad)
 
-    def backward(
-        needs: Sequence[bool], grad: Tensor, points1: Tensor, points2: Tensor, weights: Tensor | None
-    ) -> tuple[Tensor | None, ...]:
-        grad1, grad2, grad_weights = of_gradient(grad, points1, points2, weights)
-        return grad1, grad2, None if weights is None else grad_weights
-
-    of_gradient = register(
+    register(
         f"{name}_backward",
         backward_reference,
         fake=lambda grad, points1, points2, weights: [points1.shape, points1.shape, points1.shape[:2]],
@@ -82,5 +76,5 @@ def register_fit(name: str, reference: Callable[..., Tensor]) -> Operator:
         name,
         reference,
         fake=lambda points1, points2, weights: ((points1 if weights is None else weights).shape[0], 3, 3),
-        backward=backward,
+        gradients=f"points1, points2, weights: {name}_backward",
     )

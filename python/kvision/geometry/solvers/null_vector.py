@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor
 
@@ -105,13 +103,6 @@ def _backward_reference(grad: Tensor, vector: Tensor, rows: Tensor, weights: Ten
     return torch.func.vjp(lambda rows, w: _reference(rows, w, vector), rows, w)[1](grad)
 
 
-def _backward(
-    needs: Sequence[bool], grad: Tensor, vector: Tensor, rows: Tensor, weights: Tensor | None
-) -> tuple[Tensor, Tensor | None]:
-    grad_rows, grad_weights = _null_vector_backward(grad, vector, rows, weights)
-    return grad_rows, None if weights is None else grad_weights
-
-
 def _supports(*tensors: Tensor | None) -> str | None:
     """Forward mode is off: the kernel may choose another of several equally good vectors than the reference."""
     other = "forward mode differentiates the reference, which may choose another vector"
@@ -122,11 +113,10 @@ _null_vector = register(
     "null_vector",
     _reference,
     fake=lambda rows, weights: (rows.shape[0], rows.shape[2]),
-    backward=_backward,
-    saves_results=True,
+    gradients="rows, weights: null_vector_backward(vector=result)",
     supports=_supports,
 )
-_null_vector_backward = register(
+register(
     "null_vector_backward",
     _backward_reference,
     fake=lambda grad, vector, rows, weights: [rows.shape, rows.shape[:2]],

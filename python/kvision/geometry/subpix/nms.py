@@ -70,14 +70,6 @@ def _no_flags(x):
     return x.new_empty(x.shape[0], 0, dtype=torch.uint8)
 
 
-def _backward(needs, grad, _1, values, flags, x, *options):
-    return [_keep_marked(grad, flags)]
-
-
-def _marked_backward(needs, grad, x, flags):
-    return [_keep_marked(grad, flags), None]
-
-
 _maxima = register(
     "nms",
     _reference,
@@ -85,13 +77,15 @@ _maxima = register(
         _empty(x, volumes),
         _empty_flags(x, window, volumes) if marked else _no_flags(x),
     ],
-    backward=_backward,
-    saves_results=True,
+    gradients="input: apply_nms_mask(input=grad, flags=result1)",
     non_differentiable=(1,),
     casts_outputs=True,
 )
-_keep_marked = register(
-    "apply_nms_mask", lambda x, flags: torch.where(flags != 0, x, 0), backward=_marked_backward, linear=True
+register(
+    "apply_nms_mask",
+    lambda x, flags: torch.where(flags != 0, x, 0),
+    gradients="input: apply_nms_mask(input=grad)",
+    linear=True,
 )
 _maximum = register("nms_mask", _flags, fake=_empty_flags, casts_outputs=True)
 _extrema = register(

@@ -109,10 +109,6 @@ def _solve(hessian, right, mask):
     return [sum(c * r for c, r in zip(row, right)) * scale for row in cofactors], solved
 
 
-def _backward(needs, grad_coords, grad_values, x, chosen, *options):
-    return [_peaks_backward(grad_coords, grad_values, x, chosen, *options).to(x.dtype), None]
-
-
 def _gradient(grad_coords, grad_values, x, chosen, *options):
     computes = compute_dtype(x)
     x, grads = x.to(computes), (grad_coords.to(computes), grad_values.to(computes))
@@ -124,9 +120,9 @@ _peaks = register(
     "conv_quad_interp3d",
     _reference,
     fake=lambda x, *options: [(*x.shape[:2], 3, *x.shape[2:]), x.shape],
-    backward=_backward,
+    gradients="input: conv_quad_interp3d_backward",
 )
-_peaks_backward = register(
+register(
     "conv_quad_interp3d_backward",
     _gradient,
     fake=lambda coords, values, x, *options: x.new_empty(x.shape, dtype=compute_dtype(x)),

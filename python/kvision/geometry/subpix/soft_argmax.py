@@ -53,12 +53,8 @@ def _gradient(grad_coords, grad_values, x, *options):
     return vjp(_reference)((grad_coords, grad_values), x, *options)
 
 
-def _backward(needs, grad_coords, grad_values, x, *options):
-    return [_soft_argmax_backward(grad_coords, grad_values, x, *options)]
-
-
-_soft_argmax = register("soft_argmax", _reference, fake=_outputs, backward=_backward)
-_soft_argmax_backward = register("soft_argmax_backward", _gradient, fake=lambda grad, values, x, *options: x.shape)
+_soft_argmax = register("soft_argmax", _reference, fake=_outputs, gradients="input: soft_argmax_backward")
+register("soft_argmax_backward", _gradient, fake=lambda grad, values, x, *options: x.shape)
 
 
 def conv_soft_argmax2d(

@@ -133,15 +133,11 @@ def _fake(input: Tensor, *_: Any) -> list[Tensor]:
     return [input.new_empty(*input.shape[:2], 2, dtype=compute_dtype(input)) for _ in range(2)]
 
 
-def _backward(needs, grad, _, *args):
-    return [_expectation_backward(grad, *args)]
-
-
 def _backward_reference(grad: Tensor, coords: Tensor, parts: Tensor, input: Tensor, *args: Any) -> Tensor:
     return vjp(lambda x: _expectation_reference(x, *args)[0])(grad, input)
 
 
-_expectation_backward = register(
+register(
     "spatial_expectation_backward",
     _backward_reference,
     fake=lambda grad, coords, parts, input, *_: torch.empty_like(input, memory_format=torch.contiguous_format),
@@ -151,8 +147,7 @@ _expectation = register(
     "spatial_expectation",
     _expectation_reference,
     fake=_fake,
-    backward=_backward,
-    saves_results=True,
+    gradients="input: spatial_expectation_backward(coords=result0, parts=result1)",
     non_differentiable=(1,),
     casts_outputs=True,
 )
@@ -254,11 +249,6 @@ def _gaussian_reference(mean: Tensor, std: Tensor, height: int, width: int, norm
     return y[:, :, None] * x[:, None, :]
 
 
-def _gaussian_backward(needs, grad, mean, std, height, width, normalized):
-    grads = _gaussian_maps_backward(grad, mean, std, normalized)
-    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, grads, (mean, std))]
-
-
 def _gaussian_backward_reference(grad: Tensor, mean: Tensor, std: Tensor, normalized: bool) -> tuple[Tensor, ...]:
     def maps(mean: Tensor, std: Tensor) -> Tensor:
         return _gaussian_reference(mean, std, grad.shape[1], grad.shape[2], normalized)
@@ -270,11 +260,9 @@ _gaussian_maps = register(
     "render_gaussian2d",
     _gaussian_reference,
     fake=lambda mean, std, height, width, _: (batch_of(mean, std), height, width),
-    backward=_gaussian_backward,
+    gradients="mean, std: render_gaussian2d_backward",
 )
-_gaussian_maps_backward = register(
-    "render_gaussian2d_backward", _gaussian_backward_reference, fake=lambda grad, *_: [(grad.shape[0], 2)] * 2
-)
+register("render_gaussian2d_backward", _gaussian_backward_reference, fake=lambda grad, *_: [(grad.shape[0], 2)] * 2)
 
 
 class SpatialSoftArgmax2d(FunctionModule):

@@ -48,16 +48,12 @@ def _crop_pixels_reference(input, corner, size):
     return F.pad(input, (-x, x + w - width, -y, y + h - height))
 
 
-def _crop_pixels_backward(needs, grad, sizes, corner, size):
-    return [_crop_pixels(grad, [-c for c in corner], list(sizes[2:]))]
-
-
 # The pixels of a rectangle, 0 outside of the image. The backward pass is a crop at the negated corner.
 _crop_pixels = register(
     "crop",
     _crop_pixels_reference,
     fake=lambda input, corner, size: (*input.shape[:2], *size),
-    backward=_crop_pixels_backward,
+    gradients="input: crop(input=grad, corner=minus(corner), size=sizes(input))",
     linear=True,
     bytes=True,
 )

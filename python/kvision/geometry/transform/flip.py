@@ -20,11 +20,7 @@ def _reference(input, columns, rows):
     return input.flip([axis for axis, flips in ((2, rows), (3, columns)) if flips])
 
 
-def _backward(needs, grad, sizes, columns, rows):
-    return [flipped(grad, columns, rows)]
-
-
-flipped = register("flip", _reference, backward=_backward, linear=True, bytes=True)
+flipped = register("flip", _reference, gradients="input: flip(input=grad)", linear=True, bytes=True)
 # A copy of a large image empties the caches, after which each Python frame of a call takes microseconds.
 _fast = FastPath("flip", flipped.dtypes)
 

@@ -128,17 +128,20 @@ def _size(x, size, *options):
     return (*x.shape[:2], *size)
 
 
-def _backward(needs, grad, sizes, size, *options):
-    return [resized_backward(grad, list(sizes[2:]), *options)]
-
-
-def _backward_of_backward(needs, grad_grad, sizes, size, *options):
-    return [resized(grad_grad, list(sizes[2:]), *options)]
-
-
-resized = register("resize", resize_reference, fake=_size, backward=_backward, linear=True, bytes=True)
+resized = register(
+    "resize",
+    resize_reference,
+    fake=_size,
+    gradients="input: resize_backward(size=sizes(input))",
+    linear=True,
+    bytes=True,
+)
 resized_backward = register(
-    "resize_backward", _backward_reference, fake=_size, backward=_backward_of_backward, linear=True
+    "resize_backward",
+    _backward_reference,
+    fake=_size,
+    gradients="grad: resize(input=grad_grad, size=sizes(grad))",
+    linear=True,
 )
 
 # --- functions ------------------------------------------------------------------------------------------------------

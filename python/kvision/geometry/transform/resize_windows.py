@@ -86,14 +86,6 @@ def _size(x, matrix, size, *options):
 
 
 # Windows are whole pixels, so that the matrices have no gradient.
-def _backward(needs, grad, input, matrix, size, *options):
-    return [_resized_windows_backward(grad, matrix, list(input.shape[2:]), *options) if needs[0] else None, None]
-
-
-def _backward_of_backward(needs, grad_grad, grad, matrix, size, *options):
-    return [resized_windows(grad_grad, matrix, list(grad.shape[2:]), *options) if needs[0] else None, None]
-
-
 def _supports(x, *_):
     """Images have at least one pixel."""
     return None if 0 not in x.shape[2:] else f"there is no kernel for images without pixels, here {tuple(x.shape)}"
@@ -101,7 +93,18 @@ def _supports(x, *_):
 
 # Arguments: images (B, C, H, W); matrices (B, 3, 3) or (1, 3, 3), of the type that computes, without rotation and shear; height
 # and width of the results; the number of 'bilinear', 'bicubic' or 'lanczos'; align_corners, as `resize` has it.
-resized_windows = register("resize_windows", _reference, fake=_size, backward=_backward, bytes=True, supports=_supports)
-_resized_windows_backward = register(
-    "resize_windows_backward", _reference_backward, fake=_size, backward=_backward_of_backward, supports=_supports
+resized_windows = register(
+    "resize_windows",
+    _reference,
+    fake=_size,
+    gradients="input: resize_windows_backward(size=sizes(input))",
+    bytes=True,
+    supports=_supports,
+)
+register(
+    "resize_windows_backward",
+    _reference_backward,
+    fake=_size,
+    gradients="grad: resize_windows(input=grad_grad, size=sizes(grad))",
+    supports=_supports,
 )

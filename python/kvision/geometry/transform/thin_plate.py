@@ -40,19 +40,6 @@ def _unit(size: int, align_corners: bool, like: Tensor) -> Tensor:
     return middle * (2 / max(size - less, 1))
 
 
-def _points_backward(needs, grad, *args):
-    return _summed(needs, _points_gradient(grad, *args), args)
-
-
-def _map_backward(needs, grad, *args):
-    *spline, _, align_corners = args
-    return _summed(needs, _map_gradient(grad, *spline, align_corners), spline)
-
-
-def _summed(needs, grads, args):
-    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, grads, args)]
-
-
 def _points_gradient_reference(grad, *args):
     _, vjp_fn = torch.func.vjp(_points_reference, *(x.expand(grad.shape[0], -1, -1) for x in args))
     return vjp_fn(grad)
@@ -74,7 +61,7 @@ _points = register(
     "thin_plate_points",
     _points_reference,
     fake=lambda points, *spline: (_batch(points, *spline), *points.shape[1:]),
-    backward=_points_backward,
+    gradients="points, centers, weights, affine: thin_plate_points_backward",
 )
 _points_gradient = register(
     "thin_plate_points_backward",
@@ -88,9 +75,9 @@ _map = register(
     "thin_plate_map",
     _map_reference,
     fake=lambda centers, weights, affine, size, _: (_batch(centers, weights, affine), 2, *size),
-    backward=_map_backward,
+    gradients="centers, weights, affine: thin_plate_map_backward",
 )
-_map_gradient = register(
+register(
     "thin_plate_map_backward",
     _map_gradient_reference,
     fake=lambda grad, *args: [(grad.shape[0], *x.shape[1:]) for x in args[:3]],

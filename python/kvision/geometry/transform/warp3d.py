@@ -383,13 +383,6 @@ def _volume_backward_reference(grad, matrix, size, *options):
     return vjp_fn(grad)[0]
 
 
-def _volume_backward_vjp(needs, grad_grad, grad, matrix, size, *options):
-    grads = _volume_backward.differentiate_reference((False, *needs[1:]), grad_grad, grad, matrix, size, *options)
-    if needs[0]:
-        grads[0] = _warp3d(grad_grad, matrix, list(grad.shape[2:]), *options)
-    return grads
-
-
 def _matrix_backward_reference(grad, volumes, matrix, *options):
     def of_matrix(matrix: Tensor) -> Tensor:
         return _reference(volumes, matrix, grad.shape[2:], *options)
@@ -408,7 +401,7 @@ _volume_backward = register(
     "warp3d_volume_backward",
     _volume_backward_reference,
     fake=lambda grad, matrix, size, *options: (*grad.shape[:2], *size),
-    backward=_volume_backward_vjp,
+    gradients="grad: warp3d(volumes=grad_grad, size=sizes(grad)); matrix: reference",
     nondeterministic=on_cuda,
 )
 _matrix_backward = register(

@@ -88,8 +88,8 @@ inline Tensor undistort_points(Tensor const& points, Tensor const& K, Tensor con
   auto const [x0, y0] = lens.tilted(u, v);
   auto const constant = [](Tensor const& t) { return t.detach(); };
   std::optional<Tensor> const tilt = lens.tilt ? std::optional(constant(*lens.tilt)) : std::nullopt;
-  Tensor const solution = ops::undistort_points(constant(points), constant(lens.source), at::eye(3, K.options())[None],
-                                                constant(dist), tilt, num_iters);
+  Tensor const solution = ops::undistort_points(constant(points), constant(lens.source),
+                                                at::eye(3, K.options()).unsqueeze(0), constant(dist), tilt, num_iters);
   Tensor const is_point = solution.isfinite().all(2), start = at::where(is_point.unsqueeze(2), solution, 0);
   // Newton steps x - J^-1 (lens(x) - x0) from the solution, with J of the solution: one has the first derivatives of
   // the implicit function, two the second ones.

@@ -140,8 +140,8 @@ inline constexpr Operator<"eigenvectors", Two(Tensor matrix)> eigenvectors{non_d
 
 // --- geometry/solvers/roots_op.cpp
 
-inline constexpr Operator<"real_roots", Tensor(Tensor coefficients)> real_roots{non_differentiable};
-inline constexpr Operator<"first_root", Tensor(Tensor coefficients)> first_root{non_differentiable};
+inline constexpr Operator<"real_roots", Tensor(Tensor coefficients)> real_roots{detail::rules::real_roots};
+inline constexpr Operator<"first_root", Tensor(Tensor coefficients)> first_root{detail::rules::first_root};
 
 // --- geometry/subpix/nms_op.cpp
 

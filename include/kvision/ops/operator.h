@@ -3,9 +3,9 @@
 //   inline constexpr Operator<"sobel", Tensor(Tensor input, bool normalized, double eps)>
 //       sobel{{detail::sobel_gradients}};
 //
-// Its name, its schema as a C++ type, and a rule for its gradients. tools/generate.py writes the declarations. It is then called as `sobel(input, true, 1e-6)`.
-// Calls and graphs are not templates: arguments are c10::IValue, as the dispatcher has them, and there is one autograd
-// function.
+// Its name, its schema as a C++ type, and a rule for its gradients. tools/generate.py writes the declarations. It is
+// then called as `sobel(input, true, 1e-6)`. Calls and graphs are not templates: arguments are c10::IValue, as the
+// dispatcher has them, and there is one autograd function.
 #pragma once
 
 #include <ATen/core/LegacyTypeDispatch.h>

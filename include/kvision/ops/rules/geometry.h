@@ -58,8 +58,7 @@ inline constexpr Rule warp{[](Backward const& b) -> variable_list {
     return b.call("warp", {{"image", ones}, {"fill", {}}, {"image_index", {}}}, warp)[0];
   };
   return {b.needs(0) ? b.call("warp_image_backward", {{"size", b.batch_size()}})[0] : Tensor(),
-          b.needs(1) ? b.call("warp_matrix_backward")[0] : Tensor(),
-          b.needs(2) ? to_fill(b, fill, inside) : Tensor()};
+          b.needs(1) ? b.call("warp_matrix_backward")[0] : Tensor(), b.needs(2) ? to_fill(b, fill, inside) : Tensor()};
 }};
 inline constexpr Rule remap{[](Backward const& b) -> variable_list {
   variable_list gradients{b.needs(0) ? b.call("remap_image_backward", {{"size", b.batch_size()}})[0] : Tensor()};
@@ -119,9 +118,8 @@ inline constexpr Rule composed_warp{[](Backward const& b) -> variable_list {
 }};
 inline constexpr Rule warp3d{[](Backward const& b) -> variable_list {
   Tensor const x = b.tensor(0), m = b.tensor(1), grad = cast(b.grad(), m);
-  return {
-      b.needs(0) ? b.call("warp3d_volume_backward", {{"grad", grad}, {"size", b.image_size()}})[0] : Tensor(),
-      b.needs(1) ? b.call("warp3d_matrix_backward", {{"grad", grad}, {"volumes", cast(x, m)}})[0] : Tensor()};
+  return {b.needs(0) ? b.call("warp3d_volume_backward", {{"grad", grad}, {"size", b.image_size()}})[0] : Tensor(),
+          b.needs(1) ? b.call("warp3d_matrix_backward", {{"grad", grad}, {"volumes", cast(x, m)}})[0] : Tensor()};
 }};
 
 // The operators of WarpFormula, by its numbers.
@@ -201,6 +199,10 @@ inline constexpr Rule thin_plate_weights{[](Backward const& b) -> variable_list 
   return {-(to[0] + to[1] + weights.matmul(to_right.narrow(1, n + 1, 2).mT())), to_right};
 }};
 
+// Functions of Python give roots their gradient; the operators alone have none.
+inline constexpr Rule real_roots = no_gradient;
+inline constexpr Rule first_root = no_gradient;
+
 inline constexpr Rule nms_mask = non_differentiable;
 inline constexpr Rule nms_minmax_masks = non_differentiable;
 // The flags of maxima that the operator was not asked for are computed here.
@@ -218,16 +220,16 @@ inline constexpr Rule photometric{[](Backward const& b) -> variable_list {
                                             once("photometric", to_matrix, {b.grad(), b.tensor(2)})};
                                   },
                                   1};
-inline constexpr Rule photometric_depth{
-    [](Backward const& b) -> variable_list {
-      Tensor const& grad = b.grad();
-      variable_list const tensors{grad, b.tensor(2), b.tensor(3)};
-      Tensor const to_depth = (grad * b.results[1]).view({-1, 1, 1, 1}) * b.results[0];
-      Tensor const to_projections = grad.view({-1, 1, 1, 1}) * b.results[2];
-      return {Tensor(), Tensor(), once("photometric_depth", to_depth, tensors),
-              once("photometric_depth", to_projections, tensors)};
-    },
-    3};
+inline constexpr Rule photometric_depth{[](Backward const& b) -> variable_list {
+                                          Tensor const& grad = b.grad();
+                                          variable_list const tensors{grad, b.tensor(2), b.tensor(3)};
+                                          Tensor const to_depth =
+                                              (grad * b.results[1]).view({-1, 1, 1, 1}) * b.results[0];
+                                          Tensor const to_projections = grad.view({-1, 1, 1, 1}) * b.results[2];
+                                          return {Tensor(), Tensor(), once("photometric_depth", to_depth, tensors),
+                                                  once("photometric_depth", to_projections, tensors)};
+                                        },
+                                        3};
 
 // Of the points of depth, from their gradient (B, 3, H, W).
 inline variable_list depth_points_gradients(Backward const& b, Tensor const& grad) {

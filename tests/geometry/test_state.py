@@ -11,11 +11,11 @@ import torch
 from torch import Tensor, nn
 
 import kvision as K
-from kvision.geometry.liegroup import Se2, Se3, So2, So3
+from kvision.geometry.liegroup import Se2, Se3, Sim3, So2, So3
 
 G = K.geometry
-GROUPS = (So2, So3, Se2, Se3)
-SIZES = {So2: (), So3: (3,), Se2: (3,), Se3: (6,)}
+GROUPS = (So2, So3, Se2, Se3, Sim3)
+SIZES = {So2: (), So3: (3,), Se2: (3,), Se3: (6,), Sim3: (7,)}
 
 
 def rand(*shape: int, seed: int = 3) -> Tensor:

@@ -15,6 +15,7 @@ from kvision.geometry import (
     liegroup,
     linalg,
     line,
+    optim,
     plane,
     pointcloud,
     pose,
@@ -39,6 +40,7 @@ from kvision.geometry.keypoints import *  # noqa: F403
 from kvision.geometry.liegroup import *  # noqa: F403
 from kvision.geometry.linalg import *  # noqa: F403
 from kvision.geometry.line import *  # noqa: F403
+from kvision.geometry.optim import *  # noqa: F403
 from kvision.geometry.plane import *  # noqa: F403
 from kvision.geometry.pointcloud import *  # noqa: F403
 from kvision.geometry.pose import *  # noqa: F403

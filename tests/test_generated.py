@@ -24,8 +24,8 @@ def load_generator() -> Any:
 
 
 def without_layout(text: str) -> str:
-    """A text without what clang-format decides."""
-    return re.sub(r"\s|//", "", text)
+    """A text without what clang-format and ruff decide."""
+    return re.sub(r"\s|//|\\|,(?=\s*[})])", "", text)
 
 
 @built

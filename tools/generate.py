@@ -1,4 +1,4 @@
-"""Write the files that are generated from the schemas of operators and the words of their gradients: include/kvision/ops.
+"""Write the files that are generated: include/kvision/ops, and the numbers that Python and C++ share (shared_numbers.py).
 
     python tools/generate.py            # after `ninja -C build/cmake`, since the schemas are those of the built library
 
@@ -15,6 +15,10 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import shared_numbers
 
 from kvision import _gradients, _ops
 from kvision._torch_compat import find_operator, schema_of
@@ -177,7 +181,9 @@ def operators_header(module: str, files: list[tuple[str, list[tuple[str, str]]]]
 
 
 def generated() -> Iterator[tuple[Path, str]]:
-    """All files that are generated: their paths, and their texts before clang-format."""
+    """All files that are generated: their paths, and their texts before they are formatted."""
+    yield from shared_numbers.python_files()
+    yield shared_numbers.cpp_file()
     for module, files in declared().items():
         yield ROOT / f"include/kvision/ops/{module}.h", operators_header(module, files)
 
@@ -187,7 +193,9 @@ def main() -> None:
     for path, text in generated():
         path.write_text(text)
         paths.append(path)
-    subprocess.run([Path(sys.executable).with_name("clang-format"), "-i", *paths], check=True)
+    programs = Path(sys.executable).parent
+    for formatter, suffix in (([programs / "clang-format", "-i"], ".h"), ([programs / "ruff", "format", "-q"], ".py")):
+        subprocess.run([*formatter, *(path for path in paths if path.suffix == suffix)], check=True)
 
 
 if __name__ == "__main__":

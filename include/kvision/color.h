@@ -13,39 +13,7 @@ namespace kvision {
 // and the layout, "NCHW" or "NHWC", that are asked for; bytes are 255ths.
 struct ColorProgram {
   // With their parameters, as csrc/color/step_list.h explains them.
-  enum Step : int64_t {
-    affine,
-    rgb_to_hsv,
-    hsv_to_rgb,
-    rgb_to_hls,
-    hls_to_rgb,
-    rgb_to_linear_rgb,
-    linear_rgb_to_rgb,
-    rgb_to_lab,
-    lab_to_rgb,
-    rgb_to_luv,
-    luv_to_rgb,
-    luma_u8_fixed_point,
-    hsv_u8,
-    weighted_sum,
-    luma_u8,
-    scale_shift_rgb,
-    standardize_rgb,
-    saturation,
-    saturation_raw,
-    saturation_gray,
-    hue,
-    hue_raw,
-    contrast,
-    scale_shift,
-    standardize,
-    gamma,
-    log,
-    sigmoid,
-    solarize,
-    posterize,
-    threshold,
-  };
+  enum Step : int64_t { KVISION_COLOR_STEPS };
   std::vector<int64_t> steps;
   std::vector<double> numbers;
   std::vector<int64_t> columns = {};
@@ -54,6 +22,7 @@ struct ColorProgram {
   std::optional<at::ScalarType> dtype = {};
   std::string layout = "same";
 };
+#undef KVISION_COLOR_STEPS
 
 namespace detail {
 
@@ -102,7 +71,8 @@ inline Tensor mix_channels(Tensor const& image, std::vector<double> matrix,
   return detail::converted("mix_channels", image, ColorProgram::affine, std::move(matrix));
 }
 
-inline Tensor rgb_to_grayscale(Tensor const& image, std::vector<double> const& rgb_weights = {0.299, 0.587, 0.114}) {
+inline Tensor rgb_to_grayscale(Tensor const& image,
+                               std::vector<double> const& rgb_weights = {kLuma[0], kLuma[1], kLuma[2]}) {
   return detail::converted("rgb_to_grayscale", image, ColorProgram::weighted_sum, rgb_weights);
 }
 
@@ -142,12 +112,12 @@ inline Tensor luv_to_rgb(Tensor const& image, double eps = 1e-12) {
 }
 
 inline Tensor rgb_to_ycbcr(Tensor const& image) {
-  double const r = 0.299, g = 0.587, b = 0.114, blue = 0.564, red = 0.713;
+  double const r = kLuma[0], g = kLuma[1], b = kLuma[2], blue = 0.564, red = 0.713;
   return mix_channels(image, {r, g, b, -blue * r, -blue * g, blue * (1 - b), red * (1 - r), -red * g, -red * b},
                       {0, 0.5, 0.5});
 }
 inline Tensor ycbcr_to_rgb(Tensor const& image) {
-  double const r = 0.299, g = 0.587, b = 0.114, blue = 0.564, red = 0.713;
+  double const r = kLuma[0], g = kLuma[1], b = kLuma[2], blue = 0.564, red = 0.713;
   return mix_channels(image, {1, 0, 1 / red, 1, -b / g / blue, -r / g / red, 1, 1 / blue, 0},
                       {-0.5 / red, (b / blue + r / red) / (2 * g), -0.5 / blue}, true);
 }
@@ -164,12 +134,13 @@ namespace detail {
 
 inline ops::Two to_yuv(char const* op, Tensor const& image, int64_t rows) {
   double const n = 2 * rows;
-  return ops::split_chroma(floats(colors(op, "image", image)), rows,
-                           {0.299, 0.587, 0.114, -0.147 / n, -0.289 / n, 0.436 / n, 0.615 / n, -0.515 / n, -0.1 / n});
+  return ops::split_chroma(
+      floats(colors(op, "image", image)), rows,
+      {kLuma[0], kLuma[1], kLuma[2], -0.147 / n, -0.289 / n, 0.436 / n, 0.615 / n, -0.515 / n, -0.1 / n});
 }
 inline Tensor from_yuv(char const* op, Tensor const& luma, Tensor const& chroma, int64_t rows) {
   // The inverse of the matrix of to_yuv.
-  std::vector<double> const m{0.299, 0.587, 0.114, -0.147, -0.289, 0.436, 0.615, -0.515, -0.1};
+  std::vector<double> const m{kLuma[0], kLuma[1], kLuma[2], -0.147, -0.289, 0.436, 0.615, -0.515, -0.1};
   auto const cofactor = [&](int i, int j) {
     auto const at = [&](int y, int x) { return m[(i + y) % 3 * 3 + (j + x) % 3]; };
     return at(1, 1) * at(2, 2) - at(1, 2) * at(2, 1);

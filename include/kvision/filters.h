@@ -124,7 +124,7 @@ inline std::tuple<Tensor, Tensor> canny(Tensor const& input, CannyOptions const&
   Tensor x = detail::floats(detail::images("canny", "input", input));
   TORCH_CHECK_VALUE(x.size(1) == 1 || x.size(1) == 3, "canny: expected input of shape (B, 1 or 3, H, W), got ",
                     x.sizes());
-  if (x.size(1) == 3) x = 0.299 * x.narrow(1, 0, 1) + 0.587 * x.narrow(1, 1, 1) + 0.114 * x.narrow(1, 2, 1);
+  if (x.size(1) == 3) x = kLuma[0] * x.narrow(1, 0, 1) + kLuma[1] * x.narrow(1, 1, 1) + kLuma[2] * x.narrow(1, 2, 1);
   x = gaussian_blur2d(x, options.kernel_size(), options.sigma());
   auto const [magnitude, edges] =
       ops::canny_suppress(x, options.low_threshold(), options.high_threshold(), options.eps());

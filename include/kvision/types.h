@@ -12,6 +12,7 @@
 #include <tuple>
 #include <vector>
 
+#include "kvision/numbers.h"
 #include "kvision/ops/operator.h"
 
 namespace kvision {
@@ -21,14 +22,9 @@ using Size2d = torch::ExpandingArray<2>;
 using Size3d = torch::ExpandingArray<3>;
 using Pair = torch::ExpandingArray<2, double>;
 
-// The numbers of BorderType, Distance and DerivativeMode are those that operators take; python/kvision/_modes.py.
-enum class BorderType { constant, reflect, replicate, circular };
 enum class Padding { same, valid };
-enum class Interpolation { nearest, nearest_exact, area, bilinear, bicubic, lanczos };
 enum class PaddingMode { zeros, border, reflection, fill };
 enum class Reduction { none, mean, sum };
-enum class Distance { l1, l2, charbonnier };
-enum class DerivativeMode { sobel, diff };
 
 // A number for all images, or a tensor of one for each, which may have a gradient.
 struct Parameter {

@@ -14,13 +14,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._limits import LARGEST_WINDOW as LARGEST_WINDOW  # so that its area is an int, too
 from kvision._torch_compat import in_function_transform
 from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
 
 BORDERS = ("constant", "reflect", "replicate", "circular")
 # What the kernels compute with: an axis is counted in int, a parameter of float32 images is a float.
 LARGEST_INT = 2**31 - 1
-LARGEST_WINDOW = 2**15 - 1  # so that its area is an int, too; kLargestWindow in csrc/glue/glue.h
 LARGEST_FLOAT = torch.finfo(torch.float32).max
 FLOATING = frozenset((torch.float16, torch.bfloat16, torch.float32, torch.float64))
 NOT_SUBTRACTED = frozenset((torch.bool, torch.uint16, torch.uint32, torch.uint64))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,15 +10,9 @@ import pytest
 
 import kvision  # noqa: F401  declares the operators
 from kvision import _backend
-from kvision.color.program import STEPS
 
 ROOT = Path(__file__).parents[2]
 built = pytest.mark.skipif("cpu" in _backend.unserved, reason="the operators are declared by libkvision.so")
-
-
-def test_steps_of_color_programs() -> None:
-    steps = re.search(r"enum Step : int64_t \{(.*?)\}", (ROOT / "include/kvision/color.h").read_text(), re.DOTALL)
-    assert steps and re.findall(r"\w+", steps[1]) == list(STEPS)
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._constants import constant
+from kvision._limits import LUMA
 from kvision.augmentation.base import Params, Shape
 from kvision.augmentation.intensity_base import ColorStep, ColorSteps, IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.color import PosterizeGenerator, ScaledGenerator
@@ -401,7 +402,7 @@ class RandomGrayscale(IntensityAugmentationBase2D):
     def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps | None:
         if shape[1] != 3:
             return None
-        row = self._weights or [0.299, 0.587, 0.114]
+        row = self._weights or list(LUMA)
         if len(row) != 3:
             raise ValueCheckError(f"RandomGrayscale: expected 3 rgb_weights for 3 channels, got {len(row)}")
         return ColorSteps([ColorStep("affine", (*row, *row, *row, 0.0, 0.0, 0.0, 0.0))])

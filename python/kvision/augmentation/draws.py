@@ -20,6 +20,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from kvision._limits import MAX_DRAW_NUMBERS as MAX_NUMBERS  # noqa: F401
+from kvision._limits import MAX_DRAWS as MAX_DRAWS
 from kvision._ops import register
 
 # --- kinds ----------------------------------------------------------------------------------------------------------
@@ -48,7 +50,6 @@ KINDS = {
     "uniform_of_sample": Kind(10, 3, 1),  # uniform, and another one for each sample also under same_on_batch
 }
 _NAMES = tuple(KINDS)
-MAX_DRAWS, MAX_NUMBERS = 64, 256  # of a launch: kMaxDraws and kMaxDrawNumbers of draws.h
 CHOSEN, BATCH_SAMPLE = 0, 0xFFFFFFFF  # the draw that decides about p; the sample that decides about p_batch
 TRIES = 10  # for a crop that lies in the image
 GAMMA_TRIES = 8  # each is accepted with a probability above .95

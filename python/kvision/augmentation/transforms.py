@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from kvision._limits import MAX_TRANSFORMS
 from kvision._ops import register, vjp
 from kvision.geometry.conversions.angles import cos_sin
 from kvision.geometry.transform.matrices import from_unit_square, matrix_of
@@ -21,7 +22,6 @@ from kvision.geometry.transform.matrices import from_unit_square, matrix_of
 #   matrix: nine entries by rows.
 KINDS = {"affine": (0, 9), "perspective": (1, 16), "crop": (2, 7), "matrix": (3, 9)}
 _NAMES = tuple(KINDS)
-MAX_TRANSFORMS = 16  # of a launch: kMaxTransforms of transforms.h, which has room for as many of the largest kind
 
 
 class Transform(NamedTuple):

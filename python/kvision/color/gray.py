@@ -7,11 +7,11 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._leading import apply_on_batch
+from kvision._limits import LUMA as LUMA
 from kvision._modules import FunctionModule
 from kvision.color.program import step
 from kvision.core.exceptions import TypeCheckError
 
-LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601
 _BYTE_LUMA = (9798.0, 19235.0, 3735.0)  # the same weights in 32768ths
 
 

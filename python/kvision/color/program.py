@@ -12,10 +12,13 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from kvision._limits import MAX_COLOR_NUMBERS as MAX_NUMBERS  # noqa: F401
+from kvision._limits import MAX_COLOR_STEPS as MAX_STEPS  # noqa: F401
+from kvision._limits import MAX_COLOR_TENSORS as MAX_TENSORS
+from kvision._modes import DTYPE
 from kvision._ops import FLOATS, FastPath, match_layout, register, saturate_to_byte, with_kernel_casts
 from kvision.color.steps import CONTRAST, NAMES, STEPS
 
-MAX_STEPS, MAX_NUMBERS, MAX_TENSORS = 16, 64, 6  # of a program: kMaxSteps, kMaxParameters and kMaxTensors of program.h
 _references: dict[str, Callable[..., Tensor]] = {}
 _measurements: dict[str, Callable[[Tensor], Tensor]] = {}  # computes the last parameter of a step
 _PER_VALUE = [name for name, step in STEPS.items() if step.domain == "any" and name != "contrast"]
@@ -29,13 +32,7 @@ _PER_VALUE = [name for name, step in STEPS.items() if step.domain == "any" and n
 # if all parameters are numbers.
 
 _SAME = -1
-_DTYPES = (
-    torch.uint8,
-    torch.float16,
-    torch.bfloat16,
-    torch.float32,
-    torch.float64,
-)  # the enum DType of csrc/core/dtype.h
+_DTYPES = tuple(getattr(torch, name) for name in DTYPE)
 LAYOUTS = {None: _SAME, torch.contiguous_format: 0, torch.channels_last: 1}
 
 

@@ -10,12 +10,13 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import apply_on_batch, flatten_batch
+from kvision._limits import LUMA
 from kvision._ops import has_pixels, register
 from kvision.color.matrix import Matrix, affine, inverse, mixed
 from kvision.core.exceptions import ShapeError
 
 YUV_FROM_RGB = (
-    (0.299, 0.587, 0.114),
+    LUMA,
     (-0.147, -0.289, 0.436),
     (0.615, -0.515, -0.100),
 )

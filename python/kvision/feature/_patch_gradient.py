@@ -9,10 +9,9 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
+from kvision._limits import LARGEST_SHARED_PATCH
 from kvision._shared_memory import fitting
 from kvision.filters.border import pad
-
-_LARGEST_SHARED_PATCH = 88  # kLargestSharedPatch in csrc/feature/patch_gradient.h
 
 
 def check_patches(op: str, name: str, x: Tensor, side: int) -> Tensor:
@@ -23,7 +22,7 @@ def check_patches(op: str, name: str, x: Tensor, side: int) -> Tensor:
 
 def too_large(patches: Tensor) -> str | None:
     """Why no kernel takes patches of this size: on CUDA a patch is in shared memory."""
-    if patches.is_cuda and patches.shape[-1] > (largest := math.isqrt(fitting(patches, _LARGEST_SHARED_PATCH**2))):
+    if patches.is_cuda and patches.shape[-1] > (largest := math.isqrt(fitting(patches, LARGEST_SHARED_PATCH**2))):
         return f"CUDA kernels take patches of at most {largest} pixels a side"
     return None
 

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import as_dtype
+from kvision._limits import MAX_ORIENTATION_BINS
 from kvision._ops import behind_grad, no_derivative, register, vjp
 from kvision.feature._patch_gradient import (
     angular_votes,
@@ -24,7 +25,6 @@ from kvision.feature.patches import check_frames, extract_patches_from_pyramid
 
 __all__ = ["LAFOrienter", "PatchDominantGradientOrientation"]
 
-_MAX_BINS = 64  # kMaxOrientationBins in csrc/feature/orientation.h
 _SMOOTHING = (0.29962780949740747, 0.2311235920177775, 0.11906250323351877)  # of bins 0, 1 and 2 away: exp(-s) I_k(s)
 
 # --- the operator ---------------------------------------------------------------------------------------------------
@@ -70,7 +70,7 @@ def _peaks(histogram: Tensor, count: int, threshold: float) -> Tensor:
 
 def _supports(patches: Tensor, bins: int, *_: Any) -> str | None:
     """Patches have at most 88 pixels a side on CUDA, histograms at most 64 bins."""
-    return f"no kernel has {bins} bins" if bins > _MAX_BINS else too_large(patches)
+    return f"no kernel has {bins} bins" if bins > MAX_ORIENTATION_BINS else too_large(patches)
 
 
 _orientation = register(

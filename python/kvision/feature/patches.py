@@ -11,6 +11,7 @@ from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
+from kvision._limits import MAX_PYRAMID_LEVELS
 from kvision._modes import BORDER, INTERPOLATION
 from kvision._ops import register, wants_derivative
 from kvision._torch_compat import is_tracing
@@ -22,7 +23,6 @@ from kvision.geometry.transform.sampling import sample
 
 __all__ = ["extract_patches_from_pyramid", "extract_patches_simple"]
 
-_MAX_LEVELS = 16  # kMaxLevels in csrc/feature/patches.h
 
 # --- the operator ---------------------------------------------------------------------------------------------------
 
@@ -123,7 +123,7 @@ def build_levels(image: Tensor, smallest: int) -> list[Tensor]:
 
 def _count_levels(image: Tensor, smallest: int) -> int:
     count, shorter = 1, min(image.shape[2:])
-    while count < _MAX_LEVELS and shorter > 2 and shorter // 2 >= smallest:  # pyrdown reflects two pixels
+    while count < MAX_PYRAMID_LEVELS and shorter > 2 and shorter // 2 >= smallest:  # pyrdown reflects two pixels
         count, shorter = count + 1, shorter // 2
     return count
 

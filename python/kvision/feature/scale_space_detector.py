@@ -11,6 +11,7 @@ from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
+from kvision._limits import MAX_OCTAVES, MAX_SCALES
 from kvision._modes import DERIVATIVE_MODE
 from kvision._ops import wants_derivative
 from kvision._torch_compat import is_tracing
@@ -18,7 +19,7 @@ from kvision.core.exceptions import ShapeError
 from kvision.feature import _detection as detection
 from kvision.feature.laf import laf_is_filled, laf_of_peak
 from kvision.feature.responses import BlobDoG, BlobHessian
-from kvision.feature.scale_space.scale_space_features import DIFFERENCES, MAX_LEVELS, MAX_OCTAVES, scale_space_features
+from kvision.feature.scale_space.scale_space_features import DIFFERENCES, scale_space_features
 from kvision.feature.scale_space.scale_space_peaks import scale_space_peaks, strongest_peaks
 from kvision.geometry.subpix import AdaptiveQuadInterp3d, ConvQuadInterp3d, IterativeQuadInterp3d
 from kvision.geometry.subpix.quad_interp3d import ANYWHERE
@@ -185,7 +186,7 @@ class ScaleSpaceDetector(nn.Module):
             return False
         if type(self.scale_pyr) is not ScalePyramid or _refinement_of(self.subpix) is None:
             return False
-        if self.scale_pyr.n_levels + self.scale_pyr.extra_levels > MAX_LEVELS:
+        if self.scale_pyr.n_levels + self.scale_pyr.extra_levels > MAX_SCALES:
             return False
         # The operator searches all levels of an octave.
         uses_differences = type(self.resp) is BlobDoG and self.scale_space_response and self.scale_pyr.extra_levels == 3

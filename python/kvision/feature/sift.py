@@ -16,6 +16,7 @@ from kvision import _check
 from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import as_dtype, compute_dtype, floats
+from kvision._limits import LARGEST_SIFT, MAX_SIFT_BINS, MAX_SIFT_CELLS, SIFT_EPSILON
 from kvision._ops import behind_grad, register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.feature._patch_gradient import (
@@ -34,8 +35,6 @@ from kvision.filters import filter2d_separable, gaussian_blur2d
 
 __all__ = ["DenseSIFTDescriptor", "SIFTDescriptor", "SIFTDescriptorFromPyramid", "convert_sift_descriptor_layout"]
 
-_EPSILON = 1e-10  # kSiftEpsilon in csrc/feature/sift.h
-_MAX_BINS, _MAX_CELLS, _LARGEST = 64, 32, 1024  # those of csrc/feature/sift_op.cpp
 
 # --- the operator ---------------------------------------------------------------------------------------------------
 
@@ -66,18 +65,18 @@ def _normalized(h: Tensor, clip: float, root: bool, dim: int = 1) -> Tensor:
     empty = (h == 0).all(dim, keepdim=True)
     h = clamp(F.normalize(torch.where(empty, 1, h), dim=dim), high=clip)
     h = torch.where(empty, 0, F.normalize(h, dim=dim))
-    return (h / h.sum(dim, keepdim=True).clamp(min=1e-12) + _EPSILON).sqrt() if root else h
+    return (h / h.sum(dim, keepdim=True).clamp(min=1e-12) + SIFT_EPSILON).sqrt() if root else h
 
 
 def _reference(patches: Tensor, bins: int, cells: int, clip: float, root: bool) -> Tensor:
-    votes = angular_votes(*to_polar(*patch_gradients(patches, sobel=False), _EPSILON), bins)
+    votes = angular_votes(*to_polar(*patch_gradients(patches, sobel=False), SIFT_EPSILON), bins)
     pooling = _pooling(patches.shape[-1], cells, patches)
     return _normalized((pooling @ votes @ pooling.T).flatten(1), clip, root)
 
 
 def _supports(patches: Tensor, bins: int, cells: int, *_: Any) -> str | None:
     """Patches have at most 88 pixels a side on CUDA, descriptors at most 1024 numbers."""
-    if bins > _MAX_BINS or cells > _MAX_CELLS or bins * cells * cells > _LARGEST:
+    if bins > MAX_SIFT_BINS or cells > MAX_SIFT_CELLS or bins * cells * cells > LARGEST_SIFT:
         return f"no kernel has {bins} angular and {cells} spatial bins"
     return too_large(patches)
 
@@ -192,7 +191,7 @@ def tent_kernel(width: int) -> Tensor:
 
 def _votes_of_image(image: Tensor, bins: int) -> Tensor:
     """The gradients of images (B, 1, H, W) by their angle, (B, bins, H, W)."""
-    return angular_votes(*to_polar(*patch_gradients(image, sobel=False), _EPSILON), bins)
+    return angular_votes(*to_polar(*patch_gradients(image, sobel=False), SIFT_EPSILON), bins)
 
 
 def _pooled(votes: Tensor, width: int) -> Tensor:
@@ -396,7 +395,7 @@ class SIFTDescriptorFromPyramid(nn.Module):
         gradients = sample_levels(maps, frames, _WINDOW, _WINDOW).flatten(3)  # (B, N, 2, samples)
         local = (frames[..., :2] * scale).mT @ gradients
         window = centered_gaussian(_WINDOW, _WINDOW / 6, frames)
-        magnitude, angle = to_polar(local[:, :, 0].flatten(0, 1), local[:, :, 1].flatten(0, 1), _EPSILON)
+        magnitude, angle = to_polar(local[:, :, 0].flatten(0, 1), local[:, :, 1].flatten(0, 1), SIFT_EPSILON)
         weighted = magnitude * torch.outer(window, window).flatten()
         bins = self.orientation_bins
         peaks = peak_of(angular_votes(weighted, angle, bins).sum(2))

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
+from kvision._limits import MAX_SSIM_SCALES, MAX_SSIM_WEIGHTS
 from kvision._modules import IMAGE, FunctionModule
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -16,9 +17,6 @@ from kvision.filters.separable import filter_separably
 from kvision.losses.reduction import reduced
 from kvision.metrics.ssim import CONSTANT, _backward, _both_gradients, _like
 from kvision.metrics.ssim import _reference as similarity
-
-# Limits of the kernels; csrc/metrics/ssim.h.
-_MAX_SCALES, _MAX_WEIGHTS = 16, 400
 
 
 def _reference(
@@ -37,10 +35,12 @@ def _reference(
 
 def _supports(x: Tensor, y: Tensor, sigmas: Sequence[float], size: int, *_: float) -> str | None:
     """Images have channels, there are at most 16 scales, and their windows have at most 400 weights in all."""
-    if len(sigmas) > _MAX_SCALES:
-        return f"there is no kernel for {len(sigmas)} scales, only for up to {_MAX_SCALES}"
-    if len(sigmas) * size > _MAX_WEIGHTS:
-        return f"there is no kernel for {len(sigmas)} windows of {size} pixels, only for {_MAX_WEIGHTS} pixels in all"
+    if len(sigmas) > MAX_SSIM_SCALES:
+        return f"there is no kernel for {len(sigmas)} scales, only for up to {MAX_SSIM_SCALES}"
+    if len(sigmas) * size > MAX_SSIM_WEIGHTS:
+        return (
+            f"there is no kernel for {len(sigmas)} windows of {size} pixels, only for {MAX_SSIM_WEIGHTS} pixels in all"
+        )
     return None if x.shape[1] > 0 else "there is no kernel for images without channels"
 
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._limits import MAX_CLASSES
 from kvision._ops import not_empty
 from kvision._shared_memory import fitting
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -59,12 +60,9 @@ def selected(target: Tensor, classes: int, ignore_index: int | None, dtype: torc
     return index, counts if ignore_index is None else counts.masked_fill(target == ignore_index, 0)
 
 
-_MAX_CLASSES = 224  # limit of the kernels; csrc/losses/segmentation_op.cpp
-
-
 def segmentation_supports(pred: Tensor, *_: Any) -> str | None:
     """Logits have at least one element and at most 224 classes, or fewer on smaller GPUs."""
-    most = fitting(pred, _MAX_CLASSES)
+    most = fitting(pred, MAX_CLASSES)
     if pred.shape[2] > most:
         return f"there is no kernel for {pred.shape[2]} classes, only for up to {most}"
     return not_empty(pred)

@@ -9,10 +9,9 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
+from kvision._modes import BOX_FORMAT, BOX_FORMAT_NAMES
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ValueCheckError
-
-BOX_FORMATS = ("xyxy", "xywh", "cxcywh")  # by the numbers of BoxFormat in csrc/metrics/boxes.h
 
 
 def mean_iou_bbox(boxes_1: Tensor, boxes_2: Tensor, box_format: str = "xyxy") -> Tensor:
@@ -40,10 +39,10 @@ def mean_iou_bbox(boxes_1: Tensor, boxes_2: Tensor, box_format: str = "xyxy") ->
     _check.shape("mean_iou_bbox", "boxes_1", boxes_1, "N", 4)
     _check.shape("mean_iou_bbox", "boxes_2", boxes_2, "M", 4)
     _check.same_device("mean_iou_bbox", boxes_1=boxes_1, boxes_2=boxes_2)
-    _check.choice("mean_iou_bbox", "box_format", box_format, BOX_FORMATS)
+    _check.choice("mean_iou_bbox", "box_format", box_format, BOX_FORMAT_NAMES)
     a, b = floats(boxes_1), floats(boxes_2)
     dtype = torch.promote_types(a.dtype, b.dtype)
-    return _box_iou(a.to(dtype)[None], b.to(dtype)[None], BOX_FORMATS.index(box_format))[0]
+    return _box_iou(a.to(dtype)[None], b.to(dtype)[None], BOX_FORMAT[box_format])[0]
 
 
 def _reference(a: Tensor, b: Tensor, box_format: int) -> Tensor:
@@ -56,9 +55,9 @@ def _reference(a: Tensor, b: Tensor, box_format: int) -> Tensor:
 
 def _corners(boxes: Tensor, box_format: int) -> tuple[Tensor, Tensor]:
     first, second = boxes.split(2, -1)
-    if BOX_FORMATS[box_format] == "xywh":
+    if BOX_FORMAT_NAMES[box_format] == "xywh":
         return first, first + second
-    return (first - second / 2, first + second / 2) if BOX_FORMATS[box_format] == "cxcywh" else (first, second)
+    return (first - second / 2, first + second / 2) if BOX_FORMAT_NAMES[box_format] == "cxcywh" else (first, second)
 
 
 def _area(size: Tensor) -> Tensor:

@@ -6,10 +6,11 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._modes import CONFUSION_STATISTIC
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
-COUNTS, RATES, IOU = range(3)  # the enum ConfusionStatistic of csrc/metrics/confusion_matrix.h
+COUNTS, RATES, IOU = (CONFUSION_STATISTIC[name] for name in ("counts", "rates", "iou"))
 
 
 def _reference(pred: Tensor, target: Tensor, classes: int, statistic: int, eps: float) -> Tensor:

@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision._dtype import as_dtype, compute_dtype
+from kvision._modes import POINT_LOSS
 from kvision._ops import register
 from kvision._torch_compat import hypot
 
@@ -62,8 +63,7 @@ _LOSSES: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
     "js": _js,
 }
 
-# By the numbers of PointLoss in csrc/metrics/pointwise.h.
-_KINDS, _FUNCTIONS = tuple(_LOSSES), tuple(_LOSSES.values())
+_FUNCTIONS = tuple(_LOSSES[name] for name in POINT_LOSS)
 
 
 def _map_reference(x: Tensor, y: Tensor, kind: int) -> Tensor:
@@ -133,7 +133,7 @@ def pointwise(kind: str, x: Tensor, y: Tensor, reduction: str) -> Tensor:
     y = as_dtype(y, x.dtype)
     if x.dim() == 4 and x.shape[1] > 1 and x.stride(1) == 1:  # channels-last: in the order of the memory
         return pointwise(kind, x.movedim(1, -1), y.movedim(1, -1), reduction).movedim(-1, 1)
-    return _loss(_rows(x), _rows(y), _KINDS.index(kind)).reshape(x.shape)
+    return _loss(_rows(x), _rows(y), POINT_LOSS[kind]).reshape(x.shape)
 
 
 def total(kind: str, x: Tensor, y: Tensor, factor: float, decibels: float = 0.0) -> Tensor:
@@ -141,7 +141,7 @@ def total(kind: str, x: Tensor, y: Tensor, factor: float, decibels: float = 0.0)
     dtype = x.dtype
     y = as_dtype(y, dtype)
     traced = is_compiling()  # numbers of operators are constants of a program, and the factor depends on symbolic sizes
-    sums = _sum(x.reshape(1, -1), y.reshape(1, -1), _KINDS.index(kind), 1.0 if traced else factor, decibels)[0]
+    sums = _sum(x.reshape(1, -1), y.reshape(1, -1), POINT_LOSS[kind], 1.0 if traced else factor, decibels)[0]
     if traced:
         sums = sums * factor if decibels == 0 else sums + decibels * sums.new_full((), factor).log10()
     return as_dtype(sums, dtype)
@@ -151,4 +151,4 @@ def sum_of_maps(kind: str, x: Tensor, y: Tensor) -> Tensor:
     """(B, N): the loss `kind` of maps (B, N, H, W), summed over their pixels."""
     rows = x.shape[0] * x.shape[1]
     flat = (z.reshape(rows, x.shape[2] * x.shape[3]) for z in (x, as_dtype(y, x.dtype)))
-    return _sum(*flat, _KINDS.index(kind), 1.0, 0.0).view(x.shape[:2])
+    return _sum(*flat, POINT_LOSS[kind], 1.0, 0.0).view(x.shape[:2])

@@ -21,6 +21,7 @@ from torch.compiler import is_compiling
 from kvision import _check
 from kvision._clamp import clamp
 from kvision._dtype import as_dtype, compute_dtype, floats
+from kvision._modes import SSIM_PADDING
 from kvision._modules import IMAGE, VOLUME, FunctionModule
 from kvision._ops import Operator, register, vjp
 from kvision.core.exceptions import ShapeError
@@ -29,7 +30,7 @@ from kvision.filters.separable import filter_separably
 
 SIGMA = 1.5  # of the window, in pixels
 
-REFLECT, CONSTANT, VALID = range(3)  # the enum SsimPadding of csrc/metrics/ssim.h
+REFLECT, CONSTANT, VALID = (SSIM_PADDING[name] for name in ("reflect", "constant", "valid"))
 
 
 def _similarity(

@@ -1,37 +1,13 @@
-// Gradients of warps, splines, registration and depth that are no single call, and the numbers of modes.
+// Gradients of warps, splines, registration and depth that are no single call.
 #pragma once
 
 #include <ATen/Functions.h>
 #include <ATen/TensorOperators.h>
 
+#include "kvision/numbers.h"
 #include "kvision/ops/operator.h"
 
 namespace kvision::ops {
-
-// Numbers of modes. They are those of Python and never change.
-enum class PointMap : int64_t { transform, project, unproject, unproject_distance, intersect };
-enum class Model : int64_t { affine, homography, lines, fundamental, fundamental8, essential };
-enum class CorrespondenceError : int64_t {
-  sampson,
-  symmetrical,
-  right,
-  left,
-  transfer,
-  symmetric_transfer,
-  sampson_transfer,
-  segments
-};
-enum class WarpFormula : int64_t {
-  affine_matrix2d = 1,
-  translation_matrix2d,
-  scale_matrix2d,
-  shear_factor_matrix2d,
-  crop_matrix,
-  affine_matrix3d,
-  translation_matrix3d,
-  perspective_matrix3d
-};
-inline constexpr int64_t kPyrDown = 6, kPyrUp = 7;  // filters of resize; the others have the numbers of Interpolation
 
 namespace detail {
 
@@ -122,17 +98,6 @@ inline constexpr Rule warp3d{[](Backward const& b) -> variable_list {
           b.needs(1) ? b.call("warp3d_matrix_backward", {{"grad", grad}, {"volumes", cast(x, m)}})[0] : Tensor()};
 }};
 
-// The operators of WarpFormula, by its numbers.
-inline constexpr char const* kWarpFormulas[] = {"",
-                                                "affine_matrix2d",
-                                                "translation_matrix2d",
-                                                "scale_matrix2d",
-                                                "shear_factor_matrix2d",
-                                                "crop_matrix",
-                                                "affine_matrix3d",
-                                                "translation_matrix3d",
-                                                "perspective_matrix3d"};
-
 // A warp by the matrix of a formula: the gradients to image and matrix, and from the matrix to the tensors a to f of
 // the formula.
 template <Name image_gradient, Name matrix_gradient, int64_t rows>
@@ -142,7 +107,7 @@ inline constexpr Rule by_formula{[](Backward const& b) -> variable_list {
     auto const is_it = [&](c10::Argument const& a) { return a.name() == name; };
     return b.arguments[std::find_if(names.begin(), names.end(), is_it) - names.begin()];
   };
-  auto const formula = find(kWarpFormulas[value("formula").toInt()]);
+  auto const formula = find(kvision::detail::kWarpFormulas[value("formula").toInt()]);
   auto const numbers = value("numbers").toDoubleVector();
   size_t next_tensor = 1, next_number = 0;
   Arguments arguments;

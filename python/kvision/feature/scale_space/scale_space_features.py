@@ -19,7 +19,6 @@ from kvision.feature.scale_space.scale_space_peaks import scale_space_peaks
 from kvision.filters.smoothing.gaussian import gaussian_blur2d, gaussian_levels
 from kvision.geometry.transform.resize import resize
 
-MAX_OCTAVES, MAX_LEVELS = 16, 32  # kMaxOctaves in csrc/feature/scale_space/scale_space_peaks.h, kMaxScales in hessian.h
 DIFFERENCES = -1  # the mode of differences of Gaussians; other modes are derivative modes of the Hessian
 
 # --- the definition -------------------------------------------------------------------------------------------------

@@ -16,12 +16,11 @@ from torch import Tensor
 
 from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
+from kvision._limits import MAX_LINKS
 from kvision._modes import INTERPOLATION_NAMES, PADDING_NAMES
 from kvision._ops import has_pixels, register
 from kvision.geometry.linalg import adjugate
 from kvision.geometry.transform import sampling
-
-MAX_LINKS = 8  # of a launch: kMaxLinks of composed_warp.h
 
 # Arguments of the operators: MAX_LINKS links in the compute type, the first one first, None after the last one; each has one row or
 # one for each sample. composed_coords gives the sampling coordinates (B, 2, h, w) of the pixels of a result of size (h, w).

@@ -171,6 +171,37 @@ def test_compiled_hessian_and_gradients_of_samples(device: torch.device) -> None
     assert_close(torch.compile(derivatives, backend="aot_eager", fullgraph=True)(x), derivatives(x))
 
 
+def test_operators_called_directly(device: torch.device) -> None:
+    """torch.ops.kvision in either mode, in and outside of torch.func, of a map whose gradient is not linear."""
+    x, tangent = torch.rand(2, 2, 1, 5, 6, dtype=torch.float64, device=device)
+
+    def derivatives(f: Callable[[Tensor], Tensor]) -> list[Tensor]:
+        leaf = x.clone().requires_grad_()
+        with forward_ad.dual_level():
+            duals = [f(forward_ad.make_dual(value, tangent)) for value in (x, leaf)]
+            tangents = [forward_ad.unpack_dual(y).tangent for y in duals]
+        gradient = torch.autograd.grad(f(leaf).square().sum(), leaf)[0]
+        transformed = torch.func.jvp(f, (x,), (tangent,))[1], torch.func.grad(lambda x: f(x).square().sum())(x)
+        mapped = torch.func.vmap(torch.func.grad(lambda x: f(x[None]).sum()))(x)
+        return [*tangents, gradient, *transformed, mapped, torch.func.hessian(lambda x: f(x).sum())(x)]
+
+    actual = derivatives(lambda x: torch.ops.kvision.sobel(x, True, 1e-6))
+    assert_close(actual, derivatives(K.filters.sobel))
+
+
+@pytest.mark.parametrize("name", ["essential_from_fundamental", "photometric_normal_equations"])
+@pytest.mark.parametrize("batch", [0, 2])
+def test_hessian(name: str, batch: int, device: torch.device) -> None:
+    """Of a formula, and of an operator whose results have no gradient."""
+    call = CALLS[f"geometry.{name}"]
+    sums, values = sums_of(call, batch, device)
+    for key, blocks in torch.func.hessian(lambda x: sums(x).sum())(values).items():
+        expected = torch.func.jacrev(torch.func.jacrev(lambda x: sums(x).sum()))(values)[key]
+        for other, block in blocks.items():
+            assert block.shape == values[key].shape + values[other].shape
+            assert_close(block, expected[other], 1e-6, 1e-6)
+
+
 def test_a_level_of_forward_mode_changes_no_other_call(device: torch.device) -> None:
     """A level is open in all threads; only tensors that carry tangents are differentiated."""
     points = torch.rand(2, 2, 9, 2, device=device)

@@ -4,7 +4,7 @@ An operator is its reference, written in plain torch, plus kernels registered un
 `torch.ops.kvision.<name>`. `register` ties them together and returns the function everything in kvision calls:
 
     call ──► reference                      no kernel for this device or dtype, the user asked for it, or for ONNX
-        ├──► torch.ops.kvision.<name>       while compiling, exporting or tracing: register_fake, register_autograd serve it
+        ├──► torch.ops.kvision.<name>       while compiling, exporting or tracing: register_fake and _differentiate serve it
         ├──► autograd.Function ──► kernel   a graph is wanted: requires_grad, torch.func, forward-mode
         └──► kernel                         otherwise
 
@@ -104,6 +104,9 @@ def register_random(name: str, schema: str, draw: Callable[..., Tensor], fake: C
         return fake(*args)
 
     return operator
+
+
+_library = torch.library.Library("kvision", "IMPL")
 
 
 class Operator:
@@ -282,8 +285,19 @@ class Operator:
         kernel = find_operator("kvision", self.name).default
         torch.library.register_fake(qualified, self._fake)
         torch.library.register_vmap(qualified, functools.partial(self._vmap, kernel))
-        torch.library.register_autograd(qualified, self._backward, setup_context=self._setup_context)
+        _library.impl(self.name, self._differentiate, "Autograd")
         return kernel
+
+    def _differentiate(self, *args: Any) -> Any:
+        """The operator where torch differentiates: in graphs, and in calls of torch.ops.kvision."""
+        if in_derivative_transform():
+            return self.reference(*args)
+        tensors = args[: self.tensors]
+        wants_gradient = is_grad_enabled() and any(t is not None and t.requires_grad for t in tensors)
+        if wants_gradient or (in_forward_ad() and carry_tangents(*tensors)):
+            return self._apply(*args)
+        with below_autograd():
+            return self._call_kernel(*args)
 
     def _make_function(self) -> type[torch.autograd.Function]:
         operator = self
@@ -394,6 +408,8 @@ class Operator:
         return (*input_grads, *(None,) * (len(needs) - len(input_grads)))
 
     def _jvp(self, ctx: Any, *tangents: Tensor | None) -> Any:
+        if self._is_constant:
+            return (None,) * self._count_results()
         tensors = ctx.saved_tensors[-self.tensors :]  # after the results, where they are saved
         if self._is_linear_map(tensors):
             return self(tangents[0], *tensors[1:], *ctx.plain)

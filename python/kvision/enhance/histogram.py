@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -370,7 +371,7 @@ def image_histogram2d(
         raise ValueCheckError(f"{op}: expected a bandwidth above 0, got {width!r}", actual_value=width)
 
     dtype = compute_dtype(image)
-    x = as_dtype(image, dtype).reshape(-1, image.shape[-2] * image.shape[-1])
+    x = as_dtype(image, dtype).reshape(math.prod(image.shape[:-2]), image.shape[-2] * image.shape[-1])
     if centers is not None:
         _check.shape(op, "centers", centers, "n_bins")
         centers = _check.to_device_of(op, image, "centers", centers, of="image")

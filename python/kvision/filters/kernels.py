@@ -311,7 +311,7 @@ def _gaussian_product(
     kernel = _sampled(sizes[0], columns[0])
     for size, column in zip(sizes[1:], columns[1:]):
         weights = _sampled(size, column)
-        kernel = kernel[..., None] * weights.reshape(-1, *(1,) * (kernel.dim() - 1), size)
+        kernel = kernel[..., None] * weights.reshape(weights.numel() // size, *(1,) * (kernel.dim() - 1), size)
     return kernel.to(dtype)
 
 

@@ -32,7 +32,7 @@ def register_formula(name: str, reference: Callable[..., Tensor], result: Callab
         widths = [shape[1] if len(shape) == 2 else math.prod(shape[1:]) for shape in shapes]
         parts = joint.split_with_sizes(widths, 1) if len(widths) > 1 else (joint,)
         of_tensors = iter(
-            part if part.shape == shape else part.reshape(-1, *shape[1:]).sum_to_size(shape)
+            part if part.shape == shape else part.reshape(part.shape[0], *shape[1:]).sum_to_size(shape)
             for part, shape in zip(parts, shapes)
         )
         grads = [next(of_tensors) if isinstance(x, Tensor) else None for x in args]

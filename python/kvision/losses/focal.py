@@ -196,12 +196,12 @@ def binary_focal_loss_with_logits(
     terms = (yes, no, gamma, float(ignored), ignores, summed)
     target = as_dtype(target, pred.dtype)
     if weight is None and pos_weight is None:
+        row = (1, pred.numel())
         if not summed and pred.dim() == 4 and pred.shape[1] > 1 and pred.stride(1) == 1:  # in the order of the memory
             pred, target = pred.movedim(1, -1), target.movedim(1, -1)
-            return (
-                _binary(pred.reshape(1, -1), target.reshape(1, -1), None, None, *terms).view(pred.shape).movedim(-1, 1)
-            )
-        loss = _binary(pred.reshape(1, -1), target.reshape(1, -1), None, None, *terms)
+            loss = _binary(pred.reshape(row), target.reshape(row), None, None, *terms)
+            return loss.view(pred.shape).movedim(-1, 1)
+        loss = _binary(pred.reshape(row), target.reshape(row), None, None, *terms)
     else:
         rows, axes = pred.shape[0] * pred.shape[1], (1,) * (pred.dim() - 2)
         pixels = pred.numel() // rows if rows else 0

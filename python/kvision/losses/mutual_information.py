@@ -215,7 +215,7 @@ def _losses(
 ) -> Tensor:
     """The losses (*) of signals (*, N) with masks (N,)."""
     dtype = torch.promote_types(compute_dtype(x), compute_dtype(y))
-    samples = (s.to(dtype).reshape(-1, s.shape[-1]) for s in (x, y))
+    samples = (s.to(dtype).reshape(math.prod(s.shape[:-1]), s.shape[-1]) for s in (x, y))
     masks = (None if mask is None else mask[None] for mask in (x_mask, y_mask))
     return _information(*samples, *masks, _KERNELS.index(kernel), bins, radius, normalized)[0].reshape(x.shape[:-1])
 

@@ -53,7 +53,7 @@ def aepe(input: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:
     if planar:
         x, y = (z.movedim(-1, 1).flatten(2) for z in (x, y))
     else:
-        x, y = (z.reshape(1, -1, 2) for z in (x, y))
+        x, y = (z.reshape(1, z.numel() // 2, 2) for z in (x, y))
     if reduction == "none":
         return _errors(x, y, planar, False, 1.0).view(sizes)
     if is_compiling():  # numbers of operators are constants of a program, and the factor depends on symbolic sizes

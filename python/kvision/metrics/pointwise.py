@@ -141,7 +141,8 @@ def total(kind: str, x: Tensor, y: Tensor, factor: float, decibels: float = 0.0)
     dtype = x.dtype
     y = as_dtype(y, dtype)
     traced = is_compiling()  # numbers of operators are constants of a program, and the factor depends on symbolic sizes
-    sums = _sum(x.reshape(1, -1), y.reshape(1, -1), POINT_LOSS[kind], 1.0 if traced else factor, decibels)[0]
+    row = (1, x.numel())
+    sums = _sum(x.reshape(row), y.reshape(row), POINT_LOSS[kind], 1.0 if traced else factor, decibels)[0]
     if traced:
         sums = sums * factor if decibels == 0 else sums + decibels * sums.new_full((), factor).log10()
     return as_dtype(sums, dtype)

@@ -222,7 +222,7 @@ def project_to_essential(E_mat: Tensor) -> Tensor:
                 [0., 0., 0.]])
     """
     _check.floating_trailing_shape("project_to_essential", "E_mat", E_mat, 3, 3)
-    return nearest_essential(E_mat.reshape(-1, 3, 3)).reshape(E_mat.shape)
+    return nearest_essential(E_mat.reshape(E_mat.numel() // 9, 3, 3)).reshape(E_mat.shape)
 
 
 def _nearest_reference(E: Tensor) -> Tensor:
@@ -275,7 +275,7 @@ def decompose_essential_matrix(E_mat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         (tensor([0., 0., 1.]), tensor(2.))
     """
     _check.floating_trailing_shape("decompose_essential_matrix", "E_mat", E_mat, 3, 3)
-    R, t = _motions(E_mat.reshape(-1, 3, 3))
+    R, t = _motions(E_mat.reshape(E_mat.numel() // 9, 3, 3))
     leading = E_mat.shape[:-2]
     return R[:, 0].reshape(*leading, 3, 3), R[:, 2].reshape(*leading, 3, 3), t[:, 0].reshape(*leading, 3, 1)
 
@@ -334,7 +334,7 @@ def decompose_essential_matrix_no_svd(E_mat: Tensor) -> tuple[Tensor, Tensor, Te
         torch.Size([10, 3, 3])
     """
     _check.floating_trailing_shape("decompose_essential_matrix_no_svd", "E_mat", E_mat, 3, 3)
-    return decompose_essential_matrix(E_mat.reshape(-1, 3, 3))
+    return decompose_essential_matrix(E_mat.reshape(E_mat.numel() // 9, 3, 3))
 
 
 @in_full_precision
@@ -358,7 +358,7 @@ def motion_from_essential(E_mat: Tensor) -> tuple[Tensor, Tensor]:
         (torch.Size([2, 4, 3, 3]), torch.Size([2, 4, 3, 1]))
     """
     _check.floating_trailing_shape("motion_from_essential", "E_mat", E_mat, 3, 3)
-    R, t = _motions(E_mat.reshape(-1, 3, 3))
+    R, t = _motions(E_mat.reshape(E_mat.numel() // 9, 3, 3))
     leading = E_mat.shape[:-2]
     return R.reshape(*leading, 4, 3, 3), t.reshape(*leading, 4, 3, 1)
 

@@ -19,14 +19,14 @@ PIP := $(BIN)/python -m pip install --no-compile --constraint constraints.txt
 READY := .venv/.ready
 DEV := .venv/.dev
 
-.PHONY: demo test bench lint docs wheel build clean distclean
+.PHONY: demo test bench lint docs interchange wheel build clean distclean
 
 demo: build
 	$(BIN)/python -m kvision.demo $(ARGS)
 
 test: build $(DEV)
 	@[ -n "$(TESTS)" ] || echo "kvision: all tests take about five minutes on two cores; TESTS=tests/filters chooses some"
-	$(BIN)/python -m pytest --quiet --numprocesses auto --maxprocesses 8 --dist worksteal --sizes few -m "not (slow or tracing or derivatives)" $(TESTS) $(ARGS)
+	$(BIN)/python -m pytest --quiet --numprocesses auto --maxprocesses 8 --dist worksteal --sizes few -m "not (slow or tracing or derivatives or interchange)" $(TESTS) $(ARGS)
 
 bench: build $(DEV)
 	$(BIN)/python -m benchmarks $(ARGS)
@@ -41,6 +41,17 @@ lint: $(DEV)
 docs: build
 	$(PIP) --no-build-isolation --editable '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+# The rows of docs/interchange.md, with the packages that they compare with in an environment of their own on top of .venv.
+# Without dependencies where these would bring another torch.
+OTHERS := build/interchange/bin
+interchange: build $(DEV)
+	$(BIN)/python -m venv build/interchange
+	echo "import site; site.addsitedir('$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')')" \
+	  > "$$($(OTHERS)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/parent.pth"
+	$(OTHERS)/python -m pip install --no-compile --constraint constraints.txt --requirement tests/interchange/requirements.txt
+	$(OTHERS)/python -m pip install --no-compile --no-deps --requirement tests/interchange/requirements_alone.txt
+	NO_ALBUMENTATIONS_UPDATE=1 $(OTHERS)/python -m pytest --quiet -m interchange tests/interchange $(ARGS)
 
 # An sdist and a wheel in dist; KVISION_CUDA=ON adds the CUDA kernels. tools/test_wheel.py tries the wheel.
 wheel:

@@ -215,3 +215,9 @@ if __name__ == "__main__":
     for page in sorted(FOLDER.rglob("*.md")):
         if page.stem != "kvision":
             renew_descriptions(page)
+
+
+def test_the_page_of_conventions_is_its_tests() -> None:
+    """`python tests/interchange/rows.py` writes it."""
+    rows = importlib.import_module("interchange.rows")
+    assert rows.PAGE.read_text() == rows.page() and rows.page().count("\n| ") > 90 + len(rows.SUBJECTS)

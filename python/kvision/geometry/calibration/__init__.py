@@ -1,5 +1,6 @@
-"""Camera calibration: lens distortion and camera poses."""
+"""Camera calibration: intrinsics, lens distortion and camera poses."""
 
+from kvision.geometry.calibration.camera import CameraCalibration, calibrate_camera
 from kvision.geometry.calibration.distortion import (
     distort_points,
     tilt_projection,
@@ -9,6 +10,8 @@ from kvision.geometry.calibration.distortion import (
 from kvision.geometry.calibration.pnp import solve_pnp_dlt
 
 __all__ = [
+    "CameraCalibration",
+    "calibrate_camera",
     "distort_points",
     "solve_pnp_dlt",
     "tilt_projection",

@@ -223,7 +223,8 @@ class Assembly:
         """The Hessian of the kept variables after the eliminated ones are minimized over; its inverse is their covariance."""
         if self.eliminated is None:
             return self.matrix(product)
-        return self._reduced(self.eliminated, product, None)[0]
+        H, _, _, damping = self._reduced(self.eliminated, product, None)
+        return H - torch.diag_embed(self._split(damping, self.eliminated)[0])
 
 
 def _rows(x: Tensor, r: Reference) -> Tensor:

@@ -64,7 +64,7 @@ class LeastSquaresResult:
             L, info = torch.linalg.cholesky_ex(information)
             inverse = torch.cholesky_solve(torch.eye(L.shape[-1], dtype=L.dtype, device=L.device).expand_as(L), L)
             variance = 2 * self.cost.detach() / freedom if sigma is None else torch.full_like(self.cost, sigma**2)
-            is_known = (info == 0) & (variance >= 0)
+            is_known = (info == 0) & (variance >= 0) & (freedom > 0 if sigma is None else True)
             return torch.where(is_known[:, None, None], inverse * variance[:, None, None], torch.nan)
 
 
@@ -172,12 +172,13 @@ def _broadcast(x: Any) -> Any:
 
 
 def _information(problem: Problem, assembly: Assembly, variables: Variables) -> tuple[Tensor, Tensor]:
-    """Gauss-Newton's Hessian of the kept variables and the number of residuals (B,) beyond that of unknowns."""
+    """Gauss-Newton's Hessian of the kept variables and the number of residuals (B,) beyond that of unknowns they depend on."""
     r, J = problem.linearized(variables)
     count = torch.full_like(r[:, 0, 0], r[0].numel() if len(r) else 0) if r.shape[1] else r.new_zeros(len(r))
     if problem.weights is not None:
         count = r.shape[2] * (problem.weights > 0).sum(-1).to(r.dtype)
-    return assembly.information(problem.gauss_newton(r, J)[1]), count - assembly.layout.size
+    unknowns = (assembly.vector(problem.column_norms(r, J)) > 0).sum(-1)
+    return assembly.information(problem.gauss_newton(r, J)[1]), count - unknowns
 
 
 class _Solver:

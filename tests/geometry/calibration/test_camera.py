@@ -1,0 +1,121 @@
+"""Calibration against OpenCV on synthetic views of a board, its gradients, and views that are missing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+import kvision as K
+from kvision.geometry.calibration._lenses import distorted, distorted_with_jacobians
+from kvision.geometry.liegroup import Se3
+
+F64 = torch.float64
+LENSES = {
+    "brown_conrady": torch.tensor(
+        [-0.25, 0.08, 0.001, -0.0005, 0.01, 0.1, 0.02, 0.01, 0.001, 0.0, -0.001, 0.0], dtype=F64
+    ),
+    "kannala_brandt": torch.tensor([0.02, -0.01, 0.003, -0.001], dtype=F64),
+}
+SIZE = (480, 640)
+
+
+def views(model: str, count: int, batch: int = 1, noise: float = 0.3, views: int = 6) -> tuple[Tensor, Tensor]:
+    """Points of a 7 x 6 board and their noisy pixels, through the first `count` coefficients of a lens."""
+    generator = torch.Generator().manual_seed(0)
+
+    def uniform(*shape: int) -> Tensor:
+        return 2 * torch.rand(*shape, generator=generator, dtype=F64) - 1
+
+    board = torch.cartesian_prod(torch.arange(7.0), torch.arange(6.0)).to(F64) - torch.tensor([3.0, 2.5])
+    board = torch.cat([0.04 * board, torch.zeros(42, 1, dtype=F64)], -1).expand(batch, views, 42, 3)
+    turn = Se3.exp(torch.cat([torch.zeros(batch, views, 3, dtype=F64), 0.5 * uniform(batch, views, 3)], -1))
+    shift = torch.tensor([0.08, 0.08, 0.1]) * uniform(batch, views, 1, 3) + torch.tensor([0.0, 0.0, 0.42])
+    p = (turn[:, :, None] * board).detach() + shift
+    image = distorted(model, (p[..., :2] / p[..., 2:]).flatten(1, 2), LENSES[model][:count].expand(batch, count))
+    pixels = image.unflatten(1, (views, 42)) * torch.tensor([600.0, 610.0]) + torch.tensor([322.0, 236.0])
+    return board, pixels + noise * torch.randn(pixels.shape, generator=generator, dtype=F64)
+
+
+@pytest.mark.parametrize(("model", "count"), [("brown_conrady", 5), ("brown_conrady", 12), ("kannala_brandt", 4)])
+def test_as_accurate_as_opencv(model: str, count: int, device: torch.device) -> None:
+    cv2 = pytest.importorskip("cv2")
+    X, x = views(model, count, views=20 if count == 12 else 6)
+    ours = K.geometry.calibrate_camera(X.to(device), x.to(device), SIZE, model=model, num_coefficients=count)
+    boards, corners = ([v.numpy().astype(np.float32) for v in t[0]] for t in (X, x))
+    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+    if model == "kannala_brandt":
+        flags = getattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC", 2) | getattr(cv2, "CALIB_FIX_SKEW", 8)  # names of OpenCV 5
+        boards, corners = ([v[None] for v in t] for t in (boards, corners))
+        start = np.zeros((3, 3)), np.zeros((4, 1))
+        rms, camera, *_ = cv2.fisheye.calibrate(boards, corners, SIZE[::-1], *start, flags=flags, criteria=criteria)
+    else:
+        flags = cv2.CALIB_RATIONAL_MODEL | cv2.CALIB_THIN_PRISM_MODEL if count == 12 else 0
+        rms, camera, *_ = cv2.calibrateCamera(boards, corners, SIZE[::-1], None, None, flags=flags, criteria=criteria)
+    assert ours.rms.item() < rms + 1e-4
+    if count < 12:  # where numerator and denominator cancel, parameters say little
+        assert abs(ours.rms.item() - rms) < 1e-4 and ours.converged.all()
+        deviation = ours.covariance[0].diagonal()[:4].sqrt().cpu()
+        difference = ours.camera_matrix[0, [0, 1, 0, 1], [0, 1, 2, 2]].cpu() - torch.from_numpy(
+            camera[[0, 1, 0, 1], [0, 1, 2, 2]]
+        )
+        assert (difference.abs() < 0.1 * deviation).all()
+        assert (ours.view_rms[0].square().mean().sqrt() - ours.rms).abs() < 1e-9
+
+
+def test_jacobians_of_lenses(device: torch.device) -> None:
+    x = torch.randn(1, 9, 2, generator=torch.Generator().manual_seed(0), dtype=F64).mul(0.4).to(device)
+    for model, k in LENSES.items():
+        k = k[None].to(device)
+        image, to_x, to_k = distorted_with_jacobians(model, x, k)
+        torch.testing.assert_close(image, distorted(model, x, k))
+        by_k = torch.func.jacfwd(lambda k, m=model: distorted(m, x, k))(k)
+        torch.testing.assert_close(to_k, by_k[..., 0, :], rtol=1e-9, atol=1e-12)
+        by_x = torch.func.vmap(torch.func.jacfwd(lambda x, m=model, k=k: distorted(m, x[None, None], k)[0, 0]))(x[0])
+        torch.testing.assert_close(to_x[0], by_x, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.derivatives
+def test_gradients_of_intrinsics(device: torch.device) -> None:
+    X, x = (t.to(device) for t in views("brown_conrady", 4, views=4))
+    step = torch.randn(x.shape, generator=torch.Generator().manual_seed(1), dtype=F64).to(device)
+
+    def camera(x: Tensor) -> Tensor:
+        fit = K.geometry.calibrate_camera(X, x, SIZE, num_coefficients=4)
+        return torch.cat([fit.camera_matrix[0, :2].flatten(), 100 * fit.dist[0]])[[0, 2, 4, 5, 6, 7, 8, 9]]
+
+    direction = torch.arange(1.0, 9.0, dtype=F64, device=device)
+    (grad,) = torch.autograd.grad(camera(x.requires_grad_()) @ direction, x)
+    with torch.no_grad():
+        difference = (camera(x + 1e-3 * step) - camera(x - 1e-3 * step)) @ direction / 2e-3
+    torch.testing.assert_close((grad * step).sum(), difference, rtol=1e-4, atol=1e-4)
+
+
+def test_missing_points_and_views(device: torch.device) -> None:
+    X, x = (t.to(device) for t in views("brown_conrady", 4, batch=3))
+    weights = torch.ones_like(x[..., 0])
+    alone = K.geometry.calibrate_camera(X[:1, 1:], x[:1, 1:], SIZE, num_coefficients=4)
+    weights[0, 0, 3:], x[0, 0, 3:] = 0, torch.nan  # too few points of one view
+    weights[1, 2, :9], x[1, 2, :9] = 0, torch.nan
+    weights[2] = 0
+    fit = K.geometry.calibrate_camera(X, x, SIZE, weights, num_coefficients=4)
+    assert fit.converged.tolist() == [True, True, False]
+    assert fit.camera_matrix[2].isnan().any() and fit.rms.isnan().tolist() == [False, False, True]
+    assert fit.pose.t.isnan().any(-1).tolist() == [[True] + 5 * [False], 6 * [False], 6 * [True]]
+    torch.testing.assert_close(fit.camera_matrix[:1], alone.camera_matrix, rtol=1e-6, atol=0)
+    assert fit.view_rms[1].isfinite().all() and fit.view_rms[0, 0].isnan()
+    single = K.geometry.calibrate_camera(X[:2].float(), x[:2].float(), SIZE, weights[:2].float(), num_coefficients=4)
+    torch.testing.assert_close(single.camera_matrix.double(), fit.camera_matrix[:2], rtol=2e-3, atol=0)
+    few = K.geometry.calibrate_camera(X[:, :, :3], x[:, :, :3], SIZE)
+    assert few.camera_matrix.shape == (3, 3, 3) and not few.converged.any()
+
+
+def test_errors() -> None:
+    X, x = views("brown_conrady", 4)
+    with pytest.raises(ValueError, match="calibrate_camera: model must be one of brown_conrady, kannala_brandt"):
+        K.geometry.calibrate_camera(X, x, SIZE, model="fisheye")
+    with pytest.raises(ValueError, match="num_coefficients of kannala_brandt to be one of 4, got 5"):
+        K.geometry.calibrate_camera(X, x, SIZE, model="kannala_brandt", num_coefficients=5)
+    with pytest.raises(ValueError, match=r"expected object_points \(B, V, N, 3\) and image_points \(B, V, N, 2\)"):
+        K.geometry.calibrate_camera(X[:, 1:], x, SIZE)

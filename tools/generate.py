@@ -4,7 +4,7 @@
 
 A declaration's schema is that of KV_OPERATOR (csrc), its comment the one above that, its rule made of the words of
 `register(..., gradients=...)` (python/kvision/_gradients.py). A gradient that is no single call is a rule of the operator's
-name in include/kvision/ops/rules. tests/test_generated.py compares.
+name in include/kvision/ops/rules. tests/packaging/test_generated.py compares.
 """
 
 from __future__ import annotations

@@ -47,6 +47,7 @@ EXCEPTIONS = {
     "enhance/add_weighted": "test_all.py, the table of pointwise functions",
     "enhance/clahe": "test_equalize.py: both equalize",
     "geometry/_correspondence_errors": "the kernel of two folders: homography/test_errors.py and epipolar/test_distances.py",
+    "feature/_laf_units": "test_laf.py: all formulas of frames",
     "geometry/solvers/_minimal": "test_ransac.py, which alone calls it",
     "geometry/transform/sampling": "test_warp.py: the kernels of warps and remap",
 }

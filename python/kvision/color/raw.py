@@ -13,8 +13,8 @@ from kvision._dtype import pixels
 from kvision._leading import apply_on_batch
 from kvision._modules import PLANE, FunctionModule
 from kvision._ops import register, with_kernel_casts
+from kvision.core.border import pad
 from kvision.core.exceptions import ShapeError, TypeCheckError
-from kvision.filters.border import pad
 
 
 class CFA(Enum):

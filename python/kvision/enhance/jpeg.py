@@ -15,9 +15,9 @@ from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import IMAGE, FunctionModule, Sample
 from kvision._ops import match_layout, register
 from kvision.color import rgb_to_ycbcr, ycbcr_to_rgb
+from kvision.core.border import pad
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.enhance.batch import as_batch, colors
-from kvision.filters.border import pad
 
 # The example tables of ISO/IEC 10918-1, annex K, which most encoders scale by their quality.
 _LUMINANCE = (

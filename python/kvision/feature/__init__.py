@@ -5,7 +5,7 @@ Everything but the choice of features is differentiable.
 """
 
 from kvision import _torch_compat
-from kvision.feature.adalam import match_adalam
+from kvision.feature.adalam import GeometryAwareDescriptorMatcher, match_adalam
 from kvision.feature.affine_shape import LAFAffineShapeEstimator, PatchAffineShapeEstimator
 from kvision.feature.affnet import LAFAffNetShapeEstimator
 from kvision.feature.hardnet import HardNet, HardNet8
@@ -47,7 +47,6 @@ from kvision.feature.local_feature import (
 )
 from kvision.feature.matching import (
     DescriptorMatcher,
-    GeometryAwareDescriptorMatcher,
     match_fginn,
     match_mnn,
     match_nn,

@@ -11,7 +11,7 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._limits import LARGEST_SHARED_PATCH
 from kvision._shared_memory import fitting
-from kvision.filters.border import pad
+from kvision.core.border import pad
 
 
 def check_patches(op: str, name: str, x: Tensor, side: int) -> Tensor:

@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import floats
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.feature.laf import get_laf_orientation, get_laf_scale
-from kvision.feature.matching import _check_descriptors, _Neighbors, _no_matches, _one, _ratio
+from kvision.feature.matching import _check_descriptors, _mode, _Neighbors, _no_matches, _one, _ratio, match_fginn
 
 DEFAULTS: dict[str, Any] = {
     **{"area_ratio": 100, "search_expansion": 4, "ransac_iters": 128, "min_inliers": 6, "min_confidence": 200},
@@ -311,3 +311,44 @@ def _verify(
     targets, values = torch.cat([neighbors.flatten(), seeds]), torch.cat([values.flatten(), own])
     inverse = putative.new_full((len(putative),), math.inf)
     return inverse.scatter_reduce(0, rows[targets], values, "amin")
+
+
+class GeometryAwareDescriptorMatcher(nn.Module):
+    """Match descriptors by a function of descriptors and local affine frames.
+
+    Args:
+        match_mode: 'fginn' or 'adalam', for the function `match_<mode>`.
+        params: for 'fginn' its arguments `th` (default here .85), `spatial_th` and `mutual`; for 'adalam' its config.
+
+    Its call takes descriptors (N, D) and (M, D) with their local affine frames (1, N, 2, 3) and (1, M, 2, 3), and returns
+    what the function does.
+
+    Raises:
+        ValueCheckError: another mode, which is a NotImplementedError, too.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> matcher = K.feature.GeometryAwareDescriptorMatcher("fginn", {"spatial_th": 5.0})
+        >>> x, lafs = torch.eye(3), torch.zeros(1, 3, 2, 3)
+        >>> lafs[0, :, 0, 2] = torch.arange(3) * 10.0
+        >>> matcher(x, x, lafs, lafs)[1].tolist()
+        [[0, 0], [1, 1], [2, 2]]
+    """
+
+    known_modes = ("fginn", "adalam")
+
+    def __init__(self, match_mode: str = "fginn", params: dict[str, Any] | None = None) -> None:
+        super().__init__()
+        self.match_mode = _mode("GeometryAwareDescriptorMatcher", match_mode, self.known_modes)
+        if not isinstance(params, dict) and params is not None:
+            raise TypeCheckError(f"GeometryAwareDescriptorMatcher: expected params to be a dictionary, got {params!r}")
+        self.params = dict(params or {})
+
+    def extra_repr(self) -> str:
+        return f"match_mode={self.match_mode!r}, params={self.params}"
+
+    def forward(self, desc1: Tensor, desc2: Tensor, lafs1: Tensor, lafs2: Tensor) -> tuple[Tensor, Tensor]:
+        if self.match_mode == "adalam":
+            return match_adalam(desc1, desc2, lafs1, lafs2, config=self.params)
+        known = {name: self.params[name] for name in ("spatial_th", "mutual") if name in self.params}
+        return match_fginn(desc1, desc2, lafs1, lafs2, self.params.get("th", 0.85), **known)

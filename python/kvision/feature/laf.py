@@ -17,6 +17,7 @@ from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._ops import without_autocast_and_tf32
 from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.feature._laf_units import check_lafs, denormalize_laf, normalize_laf, scale_laf_parts
 from kvision.feature.patches import extract_patches_from_pyramid, extract_patches_simple
 from kvision.geometry._formula import batch_of, of_rows, register_formula
 from kvision.geometry.conversions.angles import cos_sin
@@ -45,12 +46,6 @@ __all__ = [
     "scale_laf",
     "set_laf_orientation",
 ]
-
-
-def check_lafs(op: str, laf: Tensor, name: str = "laf") -> Tensor:
-    """`laf` as floating-point numbers; raise unless it is a tensor (B, N, 2, 3)."""
-    _check.shape(op, name, laf, "B", "N", 2, 3)
-    return floats(laf)
 
 
 def _angles_of(op: str, laf: Tensor, degrees: Tensor) -> Tensor:
@@ -277,21 +272,6 @@ def scale_laf(laf: Tensor, scale_coef: float | Tensor) -> Tensor:
             )
     coef = as_dtype(scale_coef, laf.dtype).reshape(sizes)
     return torch.cat([laf[..., :2] * coef, laf[..., 2:]], -1)
-
-
-def _scale_parts_reference(laf: Tensor, shape: float, x: float, y: float) -> Tensor:
-    center = torch.stack([laf[..., 0, 2] * x, laf[..., 1, 2] * y], -1)
-    return torch.cat([laf[..., :2] * shape, center[..., None]], -1)
-
-
-_scale_parts = register_formula("scale_laf_parts", _scale_parts_reference, lambda *args: (2, 3))
-
-
-def scale_laf_parts(laf: Tensor, shape: float, x: float, y: float) -> Tensor:
-    """[k A | (sx, sy) c], from one image's pixels to those of a resized one."""
-    if laf.is_cpu and laf.dtype in (torch.float32, torch.float64) and not is_compiling():
-        return laf * torch.tensor([[shape, shape, x], [shape, shape, y]], dtype=laf.dtype, device=laf.device)
-    return of_rows(_scale_parts, laf, 2, shape, x, y)
 
 
 def _of_peak_reference(peak: Tensor, scale: Tensor, levels_of_octave: float, x: float, y: float) -> Tensor:
@@ -592,63 +572,6 @@ def laf_from_three_points(threepts: Tensor) -> Tensor:
     points = check_lafs("laf_from_three_points", threepts, "threepts")
     center = points[..., 2:]
     return torch.cat([points[..., :2] - center, center], -1)
-
-
-def _extent(op: str, images: Tensor) -> tuple[float, float]:
-    """The distance between the outermost pixel centers, along x and y; 1 for a single pixel."""
-    _check.images(op, "images", images)
-    height, width = images.shape[-2:]
-    return float(max(width - 1, 1)), float(max(height - 1, 1))
-
-
-def normalize_laf(LAF: Tensor, images: Tensor) -> Tensor:
-    """Convert frames in pixels to frames in fractions of the image.
-
-    Args:
-        LAF: (B, N, 2, 3). Integers give float32.
-        images: (B, C, H, W), for its size.
-
-    Returns:
-        (B, N, 2, 3): centers (x / (W - 1), y / (H - 1)), the rest divided by min(H, W) - 1.
-
-    Raises:
-        TypeCheckError: an argument is not a tensor of real numbers.
-        ShapeError: a shape is not as in Args.
-
-    Example:
-        >>> import torch, kvision as K
-        >>> K.feature.normalize_laf(torch.tensor([[[[2.0, 0, 5], [0, 2, 7]]]]), torch.zeros(1, 1, 11, 21))
-        tensor([[[[0.2000, 0.0000, 0.2500],
-                  [0.0000, 0.2000, 0.7000]]]])
-    """
-    laf = check_lafs("normalize_laf", LAF, "LAF")
-    width, height = _extent("normalize_laf", images)
-    return scale_laf_parts(laf, 1 / min(width, height), 1 / width, 1 / height)
-
-
-def denormalize_laf(LAF: Tensor, images: Tensor) -> Tensor:
-    """Convert frames in fractions of the image to frames in pixels, the inverse of `normalize_laf`.
-
-    Args:
-        LAF: (B, N, 2, 3). Integers give float32.
-        images: (B, C, H, W), for its size.
-
-    Returns:
-        (B, N, 2, 3).
-
-    Raises:
-        TypeCheckError: an argument is not a tensor of real numbers.
-        ShapeError: a shape is not as in Args.
-
-    Example:
-        >>> import torch, kvision as K
-        >>> K.feature.denormalize_laf(torch.tensor([[[[0.25, 0, 0.5], [0, 0.25, 0.75]]]]), torch.zeros(1, 1, 9, 17))
-        tensor([[[[2., 0., 8.],
-                  [0., 2., 6.]]]])
-    """
-    laf = check_lafs("denormalize_laf", LAF, "LAF")
-    width, height = _extent("denormalize_laf", images)
-    return scale_laf_parts(laf, min(width, height), width, height)
 
 
 def laf_is_inside_image(laf: Tensor, images: Tensor, border: int = 0) -> Tensor:

@@ -14,11 +14,11 @@ from kvision import _check
 from kvision._dtype import as_dtype, floats
 from kvision.color import rgb_to_grayscale
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.feature.adalam import GeometryAwareDescriptorMatcher
 from kvision.feature.affnet import LAFAffNetShapeEstimator
 from kvision.feature.hardnet import HardNet
 from kvision.feature.keynet import KeyNetDetector
 from kvision.feature.laf import check_lafs, get_laf_center, laf_is_filled, scale_laf
-from kvision.feature.matching import GeometryAwareDescriptorMatcher
 from kvision.feature.multi_resolution_detector import Detector_config, MultiResolutionDetector
 from kvision.feature.opencv_sift import OpenCVSIFT, root_sift
 from kvision.feature.orientation import LAFOrienter, dominant_orientations, orientation_slots

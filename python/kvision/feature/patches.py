@@ -17,6 +17,7 @@ from kvision._ops import register, wants_derivative
 from kvision._torch_compat import is_tracing
 from kvision.core.exceptions import ShapeError
 from kvision.feature._detection import with_finite_gradient
+from kvision.feature._laf_units import denormalize_laf
 from kvision.geometry.transform.pyramid import pyrdown
 from kvision.geometry.transform.resize import resize_reference
 from kvision.geometry.transform.sampling import sample
@@ -167,8 +168,6 @@ def _checked(op: str, img: Tensor, laf: Tensor, n: int, normalized: bool) -> tup
     (n,) = _check.ints(op, "PS", n, 1)
     _check.flag(op, "normalize_lafs_before_extraction", normalized)
     if not normalized:
-        from kvision.feature.laf import denormalize_laf  # laf.py imports this module, for Kornia's names
-
         laf = denormalize_laf(laf, img)
     return floats(img), laf, n
 

@@ -10,7 +10,7 @@ from kvision import _check
 from kvision._dtype import pixels
 from kvision._ops import with_kernel_casts
 from kvision._torch_compat import is_tracing
-from kvision.filters.border import pad, same_pads
+from kvision.core.border import pad, same_pads
 from kvision.filters.filter2d import check_padding, prepare_kernel
 
 

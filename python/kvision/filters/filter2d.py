@@ -13,8 +13,8 @@ from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, pixels
 from kvision._modes import BORDER, BORDER_NAMES
 from kvision._ops import Operator, register
+from kvision.core.border import pad, same_pads
 from kvision.core.exceptions import ShapeError
-from kvision.filters.border import pad, same_pads
 
 
 def correlate(x: Tensor, kernel: Tensor, stride: int = 1) -> Tensor:

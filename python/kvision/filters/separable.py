@@ -13,7 +13,7 @@ from kvision._dtype import pixels
 from kvision._modes import BORDER, BORDER_NAMES
 from kvision._ops import register
 from kvision._shared_memory import fitting
-from kvision.filters.border import pad, same_pads
+from kvision.core.border import pad, same_pads
 from kvision.filters.filter2d import check_padding, correlate, prepare_kernel
 
 

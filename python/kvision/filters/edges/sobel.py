@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._ops import register, vjp
-from kvision.filters.border import pad
+from kvision.core.border import pad
 
 __all__ = ["Sobel", "sobel"]
 

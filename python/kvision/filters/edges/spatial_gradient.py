@@ -12,7 +12,7 @@ from kvision._dtype import floats
 from kvision._modes import DERIVATIVE_MODE, DERIVATIVE_MODE_NAMES
 from kvision._modules import VOLUME, FunctionModule
 from kvision._ops import register
-from kvision.filters.border import pad
+from kvision.core.border import pad
 from kvision.filters.kernels import check_derivative, derivative_rows
 
 

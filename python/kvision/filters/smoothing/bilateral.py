@@ -13,8 +13,8 @@ from kvision._dtype import as_dtype, compute_dtype, pixels
 from kvision._modes import BORDER, BORDER_NAMES, COLOR_DISTANCE
 from kvision._modules import IMAGE, FunctionModule
 from kvision._ops import register
+from kvision.core.border import windows
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
-from kvision.filters.border import windows
 from kvision.filters.smoothing.gaussian import axis_kernels, batch_of, positive, sigma_arguments
 
 

@@ -13,8 +13,8 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import with_kernel_casts
+from kvision.core.border import pad
 from kvision.core.exceptions import ValueCheckError
-from kvision.filters.border import pad
 from kvision.filters.kernels import binomial
 from kvision.filters.separable import filter2d_separable
 

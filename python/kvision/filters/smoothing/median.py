@@ -11,7 +11,7 @@ from kvision._modes import BORDER, BORDER_NAMES
 from kvision._modules import FunctionModule
 from kvision._ops import register, vjp
 from kvision._torch_compat import in_onnx_export
-from kvision.filters.border import windows
+from kvision.core.border import windows
 
 
 def _reference(x: Tensor, ky: int, kx: int, border: int) -> Tensor:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from kvision.filters.border import pad, same_pads, windows
+from kvision.core.border import pad, same_pads, windows
 
 NUMPY_MODES = {"constant": "constant", "reflect": "reflect", "replicate": "edge", "circular": "wrap"}
 

@@ -11,7 +11,7 @@ import pytest
 
 from kvision import _backend, _gradients, _ops
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 built = pytest.mark.skipif("cpu" in _backend.unserved, reason="the schemas are those of libkvision.so")
 
 

@@ -27,10 +27,13 @@ SUBJECTS = (
     "warps",
     "filters",
     "measures",
+    "rotations",
+    "boxes",
 )
 # The name on the page: the module to import, the distribution.
 LIBRARIES = {
     "AlbumentationsX": ("albumentations", "albumentationsx"),
+    "COLMAP": ("pycolmap", "pycolmap"),
     "colour": ("colour", "colour-science"),
     "DALI": ("nvidia.dali", "nvidia-dali-cuda120"),
     "jax": ("jax", "jax"),
@@ -41,11 +44,15 @@ LIBRARIES = {
     "Pillow": ("PIL", "pillow"),
     "piq": ("piq", "piq"),
     "PyAV": ("av", "av"),
+    "pycocotools": ("pycocotools", "pycocotools"),
+    "PyPose": ("pypose", "pypose"),
+    "pyquaternion": ("pyquaternion", "pyquaternion"),
     "pyvips": ("pyvips", "pyvips"),
     "scikit-image": ("skimage", "scikit-image"),
     "SciPy": ("scipy", "scipy"),
     "torch": ("torch", "torch"),
     "torchmetrics": ("torchmetrics", "torchmetrics"),
+    "transforms3d": ("transforms3d", "transforms3d"),
     "torchvision": ("torchvision", "torchvision"),
 }
 

@@ -5,7 +5,6 @@ engine of containers is another one, each with the point of issue 39 that it wai
 
     random_apply with seeds of samples, kernel sizes drawn from ranges (7): depend on the batch
     generators of children and of workers (8): a child's own is ignored
-    hue and jitter inside of nested containers (9): a replay differs by an ulp
     inverses of results of another size (17): land in a corner
 """
 
@@ -111,7 +110,7 @@ def children(
         kinds = [KEEP_SIZE, KEEP_SIZE, MAPS]
         kinds += [] if p == 0 else [CHANGE_SIZE]
         kinds += [] if moves_only else [PHOTOMETRIC, PHOTOMETRIC]
-        kinds += [HUES] if depth == 3 and not moves_only else []
+        kinds += [] if moves_only else [HUES]
         kind = rng.choice(kinds)
         module = rng.choice(kind)(rng.choice([0.3, 0.5, 1.0, 1.0]) if p is None else p)
         if kind in (KEEP_SIZE, MAPS, CHANGE_SIZE):

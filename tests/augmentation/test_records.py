@@ -145,3 +145,17 @@ def _same(a: Any, b: Any) -> bool:
     if isinstance(a, (list, tuple)):
         return type(a) is type(b) and len(a) == len(b) and all(_same(x, y) for x, y in zip(a, b))
     return bool(a == b)
+
+
+def test_replays_take_the_same_passes() -> None:
+    """What was joined with neighbors is so in a replay, also where no sample was chosen: bit for bit."""
+    chain = A.ImageSequential(
+        A.ImageSequential(A.RandomHorizontalFlip(p=0.2), A.ColorJitter(0.1, 0.1, 0.1, 0.1)),
+        A.ImageSequential(A.RandomVerticalFlip(p=0.2), A.RandomHue((-0.1, 0.1))),
+    )
+    for dtype in (torch.float32, torch.uint8):
+        for seed in range(8):
+            x = torch.rand(1, 3, 64, 80, generator=torch.Generator().manual_seed(seed))
+            x = (255 * x).to(dtype) if dtype == torch.uint8 else x
+            y = chain(x, seed=seed)
+            assert torch.equal(chain(x, params=chain._params), y), seed

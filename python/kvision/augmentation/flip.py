@@ -26,6 +26,8 @@ __all__ = ["RandomHorizontalFlip", "RandomVerticalFlip"]
 class _FlipGenerator(RandomGeneratorBase):
     """One column: -1 for samples that are flipped, else 1. It has no name among the parameters."""
 
+    has_names = False
+
     def draws(self, shape: Sequence[int]) -> Sequence[Draw]:
         return [Draw("integer", (-1, 1, 1, 1))]
 

@@ -194,7 +194,9 @@ class Engine(Declaration):
         """
         if self.whole_batch or self.p == 0 or self.p_batch == 0 or self._is_customized():
             return False
-        return self._param_generator is None or not params.keys() <= {"batch_prob", "forward_input_shape"}
+        generator = self._param_generator
+        has_names = generator is not None and generator.has_names
+        return not has_names or not params.keys() <= {"batch_prob", "forward_input_shape"}
 
     def _columns_of(self, params: Params, shape: Shape, device: torch.device, chosen: Tensor | None) -> Columns | None:
         """The columns that would have been drawn for given parameters."""

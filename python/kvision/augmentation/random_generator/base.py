@@ -37,6 +37,7 @@ class RandomGeneratorBase(nn.Module):
 
     fields: Sequence[tuple[str, int]] = ()
     per_pixel = False  # there are `pixel_params` besides
+    has_names = True  # False if users see none of the columns, so that given parameters can lack none
 
     def __init__(self) -> None:
         super().__init__()

@@ -8,7 +8,8 @@ A run of augmentations draws all its parameters in one launch. Then
     a warp and the color program behind it                become one pass, which writes the type and layout that are wanted
     everything else                                       runs by itself
 
-What is computed is what the augmentations compute one after the other, up to rounding. With `resample="once"` all neighboring
+What is computed is what the augmentations compute one after the other, up to rounding. Bytes are rounded behind each geometric
+augmentation, behind each that runs by itself, and once behind neighboring color steps. With `resample="once"` all neighboring
 geometric augmentations are resampled once: as a warp by the product of their matrices, or, with maps or antialiasing among them, at
 the coordinates that they compose to. Which passes there are follows from the settings and the sizes of the images, so that it is
 decided once for them.
@@ -539,7 +540,9 @@ class _Pending:
         if not customized and isinstance(module, IntensityAugmentationBase2D):
             part = color_part(module, execution.shape, span, module.flags)
             if part is not None:
-                if not fits_one_program([*self.parts, part]) or len(_chain(self.geometric)) > MAX_TRANSFORMS:
+                if not fits_one_program([*self.parts, part]):
+                    self._continue_colors()
+                elif len(_chain(self.geometric)) > MAX_TRANSFORMS:
                     self._flush()
                 self.parts.append(part)
                 if result != self.dtype:
@@ -577,6 +580,14 @@ class _Pending:
             return True
         assert isinstance(module, GeometricAugmentationBase2D)
         return module.moves_whole_pixels and module.stays_inside
+
+    def _continue_colors(self) -> None:
+        """End a color program that another one continues: bytes are rounded behind neighboring color steps, not between."""
+        if self.dtype != torch.uint8:
+            self._flush()
+            return
+        self._flush(Output(torch.float32))
+        self.converted = self.dtype
 
     def _flush(self, output: Output = SAME) -> None:
         geometric, parts = self.geometric, self.parts

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
 
+import kvision as K
 from kvision import _constants
 from kvision._constants import constant
 
@@ -57,3 +59,36 @@ def test_a_graph_reads_it_at_every_replay(device: torch.device) -> None:
     x.zero_()
     graph.replay()
     assert y.tolist() == [5, 6, 7]
+
+
+# --- of modules ---
+
+CONSTANTS = {
+    "enhance.Normalize": lambda: K.enhance.Normalize((0.4, 0.5, 0.6), (0.2, 0.3, 0.4)),
+    "augmentation.Normalize": lambda: K.augmentation.Normalize([0.4, 0.5, 0.6], [0.2, 0.3, 0.4]),
+    "RandomTransplantation": lambda: K.augmentation.RandomTransplantation(excluded_labels=[1]),
+    "ApplyColorMap": lambda: K.color.ApplyColorMap(K.color.ColorMap("jet")),
+    "MKDDescriptor": lambda: K.feature.MKDDescriptor(32, whitening=None),
+    "GaussianBlur2d": lambda: K.filters.GaussianBlur2d(3, torch.full((1, 2), 0.7, device="cpu")),
+}
+
+
+@pytest.mark.parametrize("name", CONSTANTS)
+def test_modules_made_on_meta_keep_their_constants(name: str) -> None:
+    """to_empty moves no values, and a state dict lacks them."""
+    module = CONSTANTS[name]()
+    with torch.device("meta"):
+        made = CONSTANTS[name]()
+    made.to_empty(device="cpu").load_state_dict(module.state_dict())
+    x = torch.rand(2, 1, 32, 32) if name in ("ApplyColorMap", "MKDDescriptor") else torch.rand(2, 3, 32, 32)
+    inputs = (x, torch.randint(3, (2, 32, 32))) if name == "RandomTransplantation" else (x,)
+    options = {"seed": 3} if name == "RandomTransplantation" else {}
+    actual, expected = made(*inputs, **options), module(*inputs, **options)
+    assert all(map(torch.equal, actual, expected))
+
+
+def test_constants_without_values_are_refused() -> None:
+    with torch.device("meta"):
+        blur = K.filters.GaussianBlur2d(3, torch.rand(1, 2))
+    with pytest.raises(RuntimeError, match="GaussianBlur2d: sigma was made on 'meta', has no values"):
+        blur.to_empty(device="cpu")

@@ -11,6 +11,9 @@ import pytest
 import torch
 import torch.distributed as dist
 from torch import Tensor, nn
+from torch.distributed.device_mesh import init_device_mesh
+from torch.distributed.tensor import Shard, distribute_tensor
+from torch.distributed.tensor.experimental import implicit_replication
 from torch.nn.parallel import DistributedDataParallel
 
 import kvision as K
@@ -55,6 +58,21 @@ def images() -> Tensor:
     return torch.rand(4, 3, 12, 14, generator=torch.Generator().manual_seed(1))
 
 
+def check_sharded_images() -> None:
+    """DTensor: the references keep the axis of the shards, and give the results of the whole."""
+    mesh = init_device_mesh("cpu", (PROCESSES,))
+    for function in (
+        K.filters.sobel,
+        K.color.rgb_to_hsv,
+        lambda x: K.filters.gaussian_blur2d(x, 3, (1.0, 1.0)),
+        lambda x: K.geometry.resize(x, (6, 5)),
+    ):
+        with implicit_replication():
+            y = function(distribute_tensor(images(), mesh, [Shard(0)]))
+        assert y.placements == (Shard(0),)
+        assert_close(y.full_tensor(), function(images()))
+
+
 def work(rank: int, folder: Path) -> None:
     """One of the processes, which trains on its part of the images."""
     torch.set_num_threads(1)
@@ -64,6 +82,7 @@ def work(rank: int, folder: Path) -> None:
     losses = train(model, images().chunk(PROCESSES)[rank])
     gradients = {name: p.grad for name, p in model.module.named_parameters()}
     torch.save({"losses": losses, "gradients": gradients, "state": model.module.state_dict()}, folder / f"{rank}.pt")
+    check_sharded_images()
     del model  # before its process group, as train() of examples/train_distributed.py says
     dist.destroy_process_group()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -216,3 +217,18 @@ def test_a_level_of_forward_mode_changes_no_other_call(device: torch.device) -> 
         for call, y in zip(calls, expected):
             actual = call()
             assert torch.equal(actual, y) and type(actual) is type(y)
+    stop = threading.Event()
+
+    def differentiate() -> None:
+        while not stop.is_set():
+            torch.func.jvp(K.filters.sobel, (torch.rand(1, 1, 8, 8),), (torch.rand(1, 1, 8, 8),))
+
+    thread = threading.Thread(target=differentiate)
+    thread.start()
+    try:
+        for _ in range(25):
+            for call, y in zip(calls, expected):
+                assert torch.equal(call(), y)
+    finally:
+        stop.set()
+        thread.join()

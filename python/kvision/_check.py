@@ -334,7 +334,7 @@ def device(op: str, value: Any) -> torch.device | None:
 def as_tensor(op: str, name: str, value: Any) -> Tensor:
     """Numbers as a tensor; raise TypeCheckError for what torch makes none of."""
     try:
-        return torch.as_tensor(value)
+        return value if isinstance(value, Tensor) else torch.as_tensor(value, device="cpu")
     except (RuntimeError, TypeError, ValueError, OverflowError) as error:
         raise TypeCheckError(f"{op}: expected {name} to be numbers, got {value!r}", actual_type=type(value)) from error
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import torch
 from torch import Tensor, nn
 
-from kvision._torch_compat import LoadedModule, carry_tangents, in_function_transform
+from kvision._torch_compat import ConstantModule, LoadedModule, carry_tangents, in_function_transform
 
 
 class Sample:
@@ -32,7 +32,7 @@ LABELS = Sample(256, 256, dtype=torch.int64)
 _MOST_SAMPLES = 16  # of a constructor's call
 
 
-class FunctionModule(nn.Module):
+class FunctionModule(ConstantModule):
     """Keeps the arguments of a function as attributes and shows them in its repr.
 
     A plain tensor becomes a buffer, which moves with the module and is not in its state dict. An nn.Parameter stays one.

@@ -107,6 +107,7 @@ def register_random(name: str, schema: str, draw: Callable[..., Tensor], fake: C
 
 
 _library = torch.library.Library("kvision", "IMPL")
+_PLAIN = frozenset((Tensor, torch.nn.Parameter))  # types that are no subclass with rules of its own
 
 
 class Operator:
@@ -210,7 +211,7 @@ class Operator:
     def __call__(self, *args: Any) -> Any:
         x = args[0]
         served = self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()
-        if _backend.ask_backend or x.dtype not in served:
+        if _backend.ask_backend or x.dtype not in served or type(x) not in _PLAIN:
             if not self.is_native(x):
                 return self.reference(*args)
             if x.dtype not in served:
@@ -255,6 +256,8 @@ class Operator:
         if chosen == "reference":
             return False
         served: Collection[torch.dtype] = self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()
+        if hasattr(x, "placements"):  # a DTensor, whose shards torch's own operators know
+            served = ()
         if x.dtype in served or (self._converts_bytes and x.dtype == torch.uint8 and torch.float32 in served):
             return True
         if chosen == "native":

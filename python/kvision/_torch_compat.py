@@ -23,6 +23,7 @@ from torch.compiler import is_compiling
 from torch.utils._python_dispatch import TorchDispatchMode
 
 __all__ = [
+    "ConstantModule",
     "LoadedModule",
     "TorchDispatchMode",
     "before_first_lookup",
@@ -105,6 +106,27 @@ class LoadedModule(nn.Module):
             frame = frame.f_back
         self._before_loading(state_dict, prefix, frame.f_locals.get("strict", strict), errors)
         super()._load_from_state_dict(state_dict, prefix, metadata, strict, missing, extra, errors)
+
+
+class ConstantModule(nn.Module):
+    """A module whose buffers that are no part of its state dict keep their values wherever it is moved, also by `to_empty`.
+
+    Waits for a method of nn.Module that says which buffers a state dict lacks, and for one that rebuilds them.
+    """
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> ConstantModule:
+        constants = {name: x for name in self._non_persistent_buffers_set if (x := self._buffers[name]) is not None}
+        super()._apply(fn, recurse)
+        for name, x in constants.items():
+            moved = self._buffers[name]
+            if x.is_meta and not moved.is_meta:
+                raise RuntimeError(
+                    f"{type(self).__name__}: {name} was made on 'meta', has no values and is in no state dict; make the module "
+                    "with tensors that have values"
+                )
+            if moved is not x:
+                self._buffers[name] = x.to(moved.device, moved.dtype)
+        return self
 
 
 def in_forward_ad() -> bool:

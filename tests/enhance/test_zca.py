@@ -82,3 +82,18 @@ def test_forward_mode_and_hessians(device):
     expected = torch.autograd.functional.hessian(loss, x)
     assert_close(torch.func.hessian(loss)(x), expected, 1e-9, 1e-9)
     assert_close(torch.func.jacrev(torch.func.grad(loss))(x), expected, 1e-9, 1e-9)
+
+
+def test_data_far_from_zero(device):
+    """The rounding of the mean is no part of the covariance, nor of the whitened data."""
+    x = (torch.rand(200, 3, device=device) * torch.tensor([1.0, 0.2, 0.02], device=device) + 30000).requires_grad_()
+    wide = x.detach().double().requires_grad_()
+    whitened, expected = K.enhance.zca_whiten(x), K.enhance.zca_whiten(wide)
+    assert (whitened - expected).abs().max() < 1e-4
+    transform, exact = K.enhance.zca_mean(x)[0], K.enhance.zca_mean(wide)[0]
+    assert (transform - exact).abs().max() < 1e-4 * exact.abs().max()
+    weights = torch.rand(200, 3, device=device)
+    (gradient,), (wide_gradient,) = (
+        torch.autograd.grad((y * weights.to(y)).sum(), z) for y, z in ((whitened, x), (expected, wide))
+    )
+    assert (gradient - wide_gradient).abs().max() < 1e-3 * wide_gradient.abs().max()

@@ -58,7 +58,7 @@ class _Statistics(IntensityAugmentationBase2D):
 
 def _tensor(op: str, name: str, value: Any) -> Tensor:
     try:
-        return torch.as_tensor(value).float()
+        return (value if isinstance(value, Tensor) else torch.as_tensor(value, device="cpu")).float()
     except (TypeError, ValueError, RuntimeError):
         raise TypeCheckError(f"{op}: expected {name} to be a number or one of each channel, got {value!r}") from None
 

@@ -7,10 +7,11 @@ from enum import Enum
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor, nn
+from torch import Tensor
 
 from kvision import _check
 from kvision._ops import has_pixels, register
+from kvision._torch_compat import ConstantModule
 from kvision.color import colormap_data
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
@@ -197,7 +198,7 @@ def _apply(x: Tensor, colors: Tensor) -> Tensor:
     return _table(x, white, colors[None].to(x.dtype)).to(colors.dtype)
 
 
-class ApplyColorMap(nn.Module):
+class ApplyColorMap(ConstantModule):
     """Module form of :func:`apply_colormap`; the table moves with the module.
 
     Example:

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._leading import apply_on_batch
+from kvision._torch_compat import ConstantModule
 from kvision.color.program import LAYOUTS, MAX_STEPS, arguments, run
 from kvision.color.steps import STEPS
 from kvision.core.exceptions import ImageError, ShapeError, TypeCheckError, ValueCheckError
@@ -42,7 +43,7 @@ _KINDS = {
 _NAMES = tuple(_KINDS)
 
 
-class ColorProgram(nn.Module):
+class ColorProgram(ConstantModule):
     """A chain of color steps on RGB images, computed in one pass over memory (two with contrast), with its gradient.
 
     Every step is a name and its parameters:

@@ -133,6 +133,7 @@ def zca_mean(
 def _inverse_root(samples: Tensor, count: int, eps: float) -> tuple[Tensor, Tensor, Tensor]:
     mean = samples.mean(0, keepdim=True)
     centered = samples - mean
+    centered = centered - centered.mean(0, keepdim=True)  # what the mean lost where it was rounded
     root, inverse = _root(centered.mT @ centered / count, eps)
     return inverse, mean, root
 
@@ -162,7 +163,8 @@ def zca_whiten(inp: Tensor, dim: int = 0, unbiased: bool = True, eps: float = 1e
     """
     _check.numbers("zca_whiten", "inp", inp)
     transform, mean, _ = zca_mean(inp, dim, unbiased, eps)
-    return linear_transform(inp, transform, mean, dim)
+    whitened = linear_transform(inp, transform, mean, dim)
+    return whitened - whitened.mean(dim, keepdim=True)  # 0, but for the rounding of the mean
 
 
 def linear_transform(inp: Tensor, transform_matrix: Tensor, mean_vector: Tensor, dim: int = 0) -> Tensor:

@@ -7,10 +7,11 @@ from collections.abc import Mapping
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor, nn
+from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
+from kvision._torch_compat import ConstantModule
 from kvision.core.exceptions import ValueCheckError
 from kvision.feature._patch_gradient import check_patches, patch_gradients, to_polar
 from kvision.feature._weights import Weights, read_weights
@@ -43,7 +44,10 @@ def _embedding(x: Tensor, coefficients: tuple[float, ...], dim: int) -> Tensor:
 
 def _positions(n: int, kernel: str) -> tuple[Tensor, Tensor]:
     """Features (n * n, d) of the pixels of a patch, weighted by a Gaussian, and the angles (n, n) of the pixels."""
-    u = torch.linspace(-1, 1, n, dtype=torch.float64) if n > 1 else torch.zeros(1, dtype=torch.float64)
+    device = torch.get_default_device()
+    device = torch.device("cpu") if device.type == "meta" else device  # a state dict does not have these
+    options = dict(dtype=torch.float64, device=device)
+    u = torch.linspace(-1, 1, n, **options) if n > 1 else torch.zeros(1, **options)
     y, x = torch.meshgrid(u, u, indexing="ij")
     radius, angle = (x * x + y * y + _EPSILON).sqrt(), torch.atan2(y, x)
     if kernel == "cart":
@@ -55,7 +59,7 @@ def _positions(n: int, kernel: str) -> tuple[Tensor, Tensor]:
     return (a[:, :, None] * b[:, None, :] * window).flatten(1), angle
 
 
-class MKDDescriptor(nn.Module):
+class MKDDescriptor(ConstantModule):
     """Multiple-kernel descriptors of square gray patches.
 
     The gradients of a patch, blurred a little, are compared by a kernel on their angle and one on their position, in

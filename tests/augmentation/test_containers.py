@@ -639,3 +639,47 @@ def test_unknown_data_keys(call: Any) -> None:
         call(["image", "foo"])
     with pytest.raises(TypeError, match=rf"\w+: expected data_keys to be of {listed}\['image', 1.5\]"):
         call(["image", 1.5])
+
+
+def chosen_for_samples(grid: bool) -> Any:
+    children = (
+        *(A.RandomAffine(30.0, p=1.0), A.RandomInvert(p=1.0), A.RandomMotionBlur((3, 9), 35.0, 0.5, p=0.7)),
+        A.RandomElasticTransform((5, 5), (2.0, 2.0), p=0.7),
+        A.ImageSequential(A.RandomVerticalFlip(), A.RandomBrightness(), random_apply=1),
+    )
+    if grid:
+        return A.PatchSequential(*children, grid_size=(2, 2), random_apply=True)
+    return A.AugmentationSequential(*children, random_apply=True, data_keys=["input", "mask", "keypoints"])
+
+
+@pytest.mark.parametrize("grid", [False, True])
+def test_children_and_kernel_sizes_follow_the_seeds_of_samples(grid: bool, device: torch.device) -> None:
+    x = torch.rand(6, 3, 16, 20, generator=torch.Generator().manual_seed(0)).to(device)
+    inputs = [x] if grid else [x, x[:, :1], 16 * x[:, 0, :4, :2]]
+    augment, seeds = chosen_for_samples(grid), torch.arange(6) + 50
+
+    def call(order: Tensor, **options: Any) -> list[Tensor]:
+        outputs = augment(*(value[order] for value in inputs), **options)
+        return [outputs] if grid else list(outputs)
+
+    whole = call(torch.arange(6), seed=seeds)
+    again = call(torch.arange(6), params=augment._params)
+    assert all(torch.equal(a, b) for a, b in zip(again, whole))
+    for order in (torch.tensor([3, 0, 5, 1, 4, 2]), torch.tensor([4]), torch.arange(0)):
+        part = call(order, seed=seeds[order])
+        assert all(torch.equal(a, b[order]) for a, b in zip(part, whole))
+    if not grid:
+        changed = A.ImageSequential(A.CenterCrop(8), A.RandomInvert(), random_apply=1)
+        with pytest.raises(ValueError, match="expected children that keep the size of images with random_apply and"):
+            changed(x, seed=seeds)
+
+
+def test_the_kernel_size_of_a_batch_is_that_of_a_chosen_sample() -> None:
+    """Samples that are not chosen made the smallest size of three likelier: 54 of 100 at p = .3."""
+    blur = A.RandomMotionBlur((3, 7), 35.0, 0.5, p=0.3)
+    sizes = []
+    for seed in range(300):
+        blur(torch.zeros(6, 1, 2, 2), seed=seed)
+        if blur._params["batch_prob"].any():
+            sizes.append(int(blur._params["ksize_factor"][0]))
+    assert all(0.25 < sizes.count(size) / len(sizes) < 0.42 for size in (3, 5, 7))

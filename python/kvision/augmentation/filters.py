@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -158,24 +159,43 @@ class RandomMedianBlur(IntensityAugmentationBase2D):
         return filters.median_blur(input, flags["kernel_size"])
 
 
-class OneKernelSize(AugmentationBase):
-    """A blur whose kernel size is drawn for the batch."""
+class DrawnKernelSize(AugmentationBase):
+    """A blur whose kernel size is drawn for the batch, or for each sample by its seed."""
 
     _param_generator: MotionBlurGenerator
+
+    def _named(self, values: Tensor, execution: Execution) -> Params:
+        params = super()._named(values, execution)
+        if execution.redraw is not None and execution.redraw[0].seeds is not None:
+            params["ksize_factor"] = self._param_generator.sizes_of_samples(values)
+        return params
 
     def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
         is_drawn = execution.params is None and execution.redraw is not None
         params = super()._params_on_device(x, execution, for_users)
         if is_drawn and not for_users and x.is_cuda and not self._param_generator._has_one_size and len(x) > 0:
-            params["ksize_factor"] = self._first_value_on_host(execution).int()[None]
+            params["ksize_factor"] = self._named(self._values_on_host(execution), execution)["ksize_factor"]
         return params
 
+    def _blurred(self, input: Tensor, params: Params, blur: Callable[[Tensor, int, Tensor, Tensor], Tensor]) -> Tensor:
+        """Images blurred by `blur`, all samples of a size at once."""
+        ksize, angle, direction = (params[f"{name}_factor"] for name in ("ksize", "angle", "direction"))
+        sizes = self._param_generator.sizes_on_host(ksize)
+        if len(sizes) == 1:
+            return blur(input, sizes[0], angle, direction)
+        y = torch.empty_like(input)
+        for size in sorted(set(sizes)):
+            own = torch.tensor([i for i, n in enumerate(sizes) if n == size], device=input.device)
+            y = y.index_copy(0, own, blur(input[own], size, angle[own], direction[own]))
+        return y
 
-class RandomMotionBlur(OneKernelSize, IntensityAugmentationBase2D):
+
+class RandomMotionBlur(DrawnKernelSize, IntensityAugmentationBase2D):
     """Blur images along a random line.
 
     Args:
-        kernel_size: length of the line, odd and at least 3, or a pair of lowest and highest; one is drawn for the batch.
+        kernel_size: length of the line, odd and at least 3, or a pair of lowest and highest; one is drawn for the batch, with a
+            seed of each sample for each.
         angle: degrees: a number a for -a to a, or a pair.
         direction: a number d for -d to d, or a pair, within -1 and 1: where along the line the weight is.
         border_type: 'constant', 'reflect', 'replicate' or 'circular'.
@@ -216,9 +236,8 @@ class RandomMotionBlur(OneKernelSize, IntensityAugmentationBase2D):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        size = self._param_generator.size_of(params["ksize_factor"])
         mode, border = Resample.get(flags["resample"]).name.lower(), border_name(flags["border_type"])
-        return filters.motion_blur(input, size, params["angle_factor"], params["direction_factor"], border, mode)
+        return self._blurred(input, params, lambda x, *drawn: filters.motion_blur(x, *drawn, border, mode))
 
 
 class RandomSharpness(IntensityAugmentationBase2D):

@@ -38,7 +38,7 @@ class Keys(NamedTuple):
 
     def on_host(self, op: str) -> list[int]:
         """The keys as numbers, for decisions about sizes and modules."""
-        keys = self.keys if self.seeds is None else self.seeds[:1]
+        keys = self.keys if self.seeds is None or not len(self.seeds) else self.seeds[:1]
         if keys.is_cuda:
             refuse_capture(op)
         return [int(k) for k in keys.tolist()]

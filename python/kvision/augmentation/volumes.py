@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision import enhance, filters
 from kvision.augmentation import ranges
 from kvision.augmentation.base import Params
-from kvision.augmentation.filters import OneKernelSize, border_name
+from kvision.augmentation.filters import DrawnKernelSize, border_name
 from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D, parse_resample
 from kvision.augmentation.intensity_base import IntensityAugmentationBase3D
 from kvision.augmentation.random_generator.volumes import (
@@ -317,11 +317,12 @@ class RandomEqualize3D(IntensityAugmentationBase3D):
         return enhance.equalize3d(input)
 
 
-class RandomMotionBlur3D(OneKernelSize, IntensityAugmentationBase3D):
+class RandomMotionBlur3D(DrawnKernelSize, IntensityAugmentationBase3D):
     """Blur volumes along a random line.
 
     Args:
-        kernel_size: length of the line, odd and at least 3, or a pair of lowest and highest; one is drawn for the batch.
+        kernel_size: length of the line, odd and at least 3, or a pair of lowest and highest; one is drawn for the batch, with a
+            seed of each sample for each.
         angle: the axis of rotation times the angle in degrees: a number a for -a to a along x, y and z, a pair, or three
             of either.
         direction: a number d for -d to d, or a pair, within -1 and 1: where along the line the weight is.
@@ -365,6 +366,5 @@ class RandomMotionBlur3D(OneKernelSize, IntensityAugmentationBase3D):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        size = self._param_generator.size_of(params["ksize_factor"])
         mode, border = Resample.get(flags["resample"]).name.lower(), border_name(flags["border_type"])
-        return filters.motion_blur3d(input, size, params["angle_factor"], params["direction_factor"], border, mode)
+        return self._blurred(input, params, lambda x, *drawn: filters.motion_blur3d(x, *drawn, border, mode))

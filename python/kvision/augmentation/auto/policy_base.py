@@ -11,6 +11,7 @@ from torch import Generator, Tensor
 from kvision import _check
 from kvision._ops import FastPath
 from kvision.augmentation.auto.operation_table import OPERATIONS, execute_steps
+from kvision.augmentation.base import where_chosen
 from kvision.augmentation.base.execution import check_batch_of_params
 from kvision.augmentation.columns import DrawPlan, fits_one_launch, plan_draws
 from kvision.augmentation.container.image import ImageSequential, ParamItem, identity_of
@@ -44,6 +45,13 @@ class Drawn(NamedTuple):
     operation: Tensor  # (B, steps), int64; -1 for none
     value: Tensor  # (B, steps)
     weights: Tensor | None = None  # of a mixture (B, 1 + chains): that of the image, then those of its chains
+
+    def restricted(self, chosen: Tensor) -> Drawn:
+        """The same for chosen samples, (B,) bool, and nothing for the others."""
+        here, weights = chosen.to(self.operation.device), self.weights
+        if weights is not None:
+            weights = where_chosen(here, weights, torch.eye(weights.shape[1], device=weights.device)[0])
+        return Drawn(where_chosen(here, self.operation, -1), self.value, weights)
 
 
 class PolicyAugmentBase(ImageSequential):

@@ -91,18 +91,23 @@ class Engine(Declaration):
             else:  # nothing was drawn, as at p = 0: what stands for samples that are not chosen
                 values = self._identity_columns(shape)
             if self._param_generator is not None and not self._draws_by_name:
-                params = self._param_generator.to_params(values, shape)
+                params = self._named(values, execution)
                 if self._param_generator.per_pixel:
                     redraw = redraw or (draw_keys(type(self).__name__, 1, values.device, 0, None), 0)
                     noise = PixelNoise(*redraw, self.same_on_batch, values.device)
                     params.update(self._pixel_params(values, execution, noise))
-            params["batch_prob"] = chosen
+            params["batch_prob"] = chosen if execution.only is None else chosen * execution.only
             params["forward_input_shape"] = torch.tensor(shape)
             execution.params = {
                 name: x.to(device, dtype if x.is_floating_point() else None) if isinstance(x, Tensor) else x
                 for name, x in params.items()
             }
         return execution.params
+
+    def _named(self, values: Tensor, execution: Execution) -> Params:
+        """Parameters by name from their columns (B, P)."""
+        assert self._param_generator is not None
+        return self._param_generator.to_params(values, execution.shape)
 
     def _identity_columns(self, shape: Shape) -> Tensor:
         """The columns (B, P) of samples of which none is chosen."""
@@ -111,15 +116,15 @@ class Engine(Declaration):
         values = identity_values(list(self._param_generator.draws(shape)))
         return torch.tensor(values, dtype=torch.float32).expand(shape[0], len(values))
 
-    def _first_value_on_host(self, execution: Execution) -> Tensor:
-        """The first value of the first sample, for decisions of the host, without waiting for what the device has drawn."""
+    def _values_on_host(self, execution: Execution) -> Tensor:
+        """The values (B, P) for decisions of the host, without waiting for what the device has drawn."""
         request = self._request(execution.shape)
         assert request is not None and execution.redraw is not None
         keys, index = execution.redraw
         keys.on_host(type(self).__name__)  # which raises where it cannot be read
-        one = keys._replace(seeds=None if keys.seeds is None else keys.seeds[:1]).cpu()
-        first = 1 if request.draws[0].kind == "chosen" else 0
-        return self._drawn_again(request._replace(draws=request.draws[: first + 1]), 1, one, index).values[0, 0]
+        frames = execution.frames
+        values = self._drawn_again(request, execution.shape[0] // frames, keys.cpu(), index).values
+        return values.repeat_interleave(frames, 0) if frames > 1 else values
 
     @staticmethod
     def _drawn_again(request: Request, samples: int, keys: Keys, index: int) -> Columns:
@@ -137,8 +142,8 @@ class Engine(Declaration):
         generator = self._param_generator
         if execution.columns is None or generator is None:
             return params
-        values, shape = execution.columns.values, execution.shape
-        params.update(generator.to_params(values, shape))
+        values = execution.columns.values
+        params.update(self._named(values, execution))
         if generator.per_pixel and execution.redraw is not None:
             noise = PixelNoise(*execution.redraw, self.same_on_batch, x.device)
             if self.fuses_noise and execution.frames == 1 and not self._is_customized():

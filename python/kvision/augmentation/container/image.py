@@ -18,6 +18,7 @@ from kvision.augmentation.base import (
     without_added_axes,
 )
 from kvision.augmentation.base.configuration import Plans, settings_changed
+from kvision.augmentation.container.choices import Choices, execute_turns
 from kvision.augmentation.container.record import Child, Record
 from kvision.augmentation.container.runs import Randomness, execute
 from kvision.augmentation.container.stages import (
@@ -30,7 +31,6 @@ from kvision.augmentation.container.stages import (
     move_masks,
     product,
 )
-from kvision.augmentation.draws import philox, unit
 from kvision.augmentation.inputs import (
     WIDE_INTEGERS,
     as_output_type,
@@ -42,7 +42,7 @@ from kvision.augmentation.inputs import (
     in_type_of,
 )
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
-from kvision.augmentation.keys import PortableGenerator, Seed, draw_keys, refuse_capture
+from kvision.augmentation.keys import PortableGenerator, Seed, check_seeds, draw_keys, refuse_capture
 from kvision.augmentation.warp_and_color import SAME, Output
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
@@ -58,7 +58,18 @@ class ParamItem(NamedTuple):
     data: Any
 
 
-torch.serialization.add_safe_globals([ParamItem])  # torch.load reads `_params`
+class TurnParamItem(ParamItem):
+    """Those of a child that ran for some samples of a batch, and runs without its neighbors in a replay, too."""
+
+    __slots__ = ()
+
+
+def item_of(child: Child) -> ParamItem:
+    """The parameters of an executed child."""
+    return (TurnParamItem if child.runs_alone else ParamItem)(child.name, child.read_params())
+
+
+torch.serialization.add_safe_globals([ParamItem, TurnParamItem])  # torch.load reads `_params`
 
 
 class ImageSequentialBase(nn.Sequential):
@@ -271,24 +282,27 @@ class ImageSequential(ImageSequentialBase):
         if seed is None:
             refuse_capture(op)
         keys = draw_keys(op, 1, torch.device("cpu"), seed, generator or self.generator)
-        key = keys.on_host(op)[0]
-        low, high = self.random_apply or (len(children), len(children) + 1)
-        words = (unit(philox(key, (i, 0, 0, _CHOICE))[0]) for i in range(2 * (high + len(children)) + 2))
-        count = low + int(next(words) * (high - low))
-        weights = list(self.random_apply_weights or [1.0] * len(children))
-        chosen: list[tuple[str, nn.Module]] = []
-        left, mixed = list(weights), False
-        for _ in range(count):
-            if sum(left) == 0:  # with replacement
-                left = list(weights)
-            at = _pick(left, next(words))
-            left[at] = 0.0
-            mixes = getattr(children[at][1], "mixes_samples", False)
-            if mixes and (mixed or not with_mix):
-                continue
-            mixed = mixed or mixes
-            chosen.append(children[at])
-        return iter(chosen)
+        return iter([children[at] for at in self._choices().of_key(keys.on_host(op)[0], with_mix)])
+
+    def _choices(self) -> Choices:
+        """Which children may run, as `random_apply` says."""
+        children = list(self.children())
+        low, end = self.random_apply or (len(children), len(children) + 1)
+        mixes = [bool(getattr(child, "mixes_samples", False)) for child in children]
+        return Choices(low, end, self.random_apply_weights or [1.0] * len(children), mixes)
+
+    def _chooses_for_samples(self, source: Randomness) -> bool:
+        """Whether each sample gets children of its own. What mixes samples runs for the batch or not at all."""
+        seed = source.seed
+        if self.random_apply is None or not isinstance(seed, Tensor) or seed.dim() != 1:
+            return False
+        return not any(getattr(module, "mixes_samples", False) for module in self.modules())
+
+    def _sequences_of_samples(self, source: Randomness, samples: int) -> list[list[int]]:
+        """The numbers of the children of each sample, whose seeds the call has."""
+        check_seeds(source.op, draw_keys(source.op, 1, torch.device("cpu"), source.seed, None), samples)
+        assert isinstance(source.seed, Tensor)
+        return self._choices().of_seeds(_moved(source.seed, source.position))
 
     # --- execution ---
 
@@ -313,20 +327,25 @@ class ImageSequential(ImageSequentialBase):
     def _children_of_call(self, params: Sequence[ParamItem] | None, source: Randomness) -> list[Child]:
         if params is not None:
             by_name = self.get_children_by_params(params)
-            return [Child(name, module, item.data) for (name, module), item in zip(by_name, params)]
+            return [
+                Child(name, module, item.data, runs_alone=isinstance(item, TurnParamItem))
+                for (name, module), item in zip(by_name, params)
+            ]
         if self.random_apply is None:
             sequence = self.get_forward_sequence()
         else:
-            seed = source.seed
-            if seed is not None and source.position:
-                seed = seed + (source.position << 32)  # other children for other containers
+            seed = None if source.seed is None else _moved(source.seed, source.position)
             sequence = self.get_random_forward_sequence(seed=seed, generator=source.generator_of(self))
         return [Child(name, module) for name, module in sequence]
 
     def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> tuple[Tensor, Record]:
         """Run the children on images (B, C, H, W); gives the images and what the call did."""
-        children = self._children_of_call(params, source)
-        y, stages = execute(x, children, source)
+        if params is None and self._chooses_for_samples(source):
+            sequences = self._sequences_of_samples(source, len(x) // max(source.time, source.frames))
+            y, stages, children = execute_turns(x, list(self.named_children()), sequences, source, source.position)
+        else:
+            children = self._children_of_call(params, source)
+            y, stages = execute(x, children, source)
         return y, Record(tuple(x.shape), children, stages)
 
     def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage, Record]:
@@ -370,7 +389,7 @@ class ImageSequential(ImageSequentialBase):
         return record.items
 
     def _items(self, record: Record) -> list[Any]:
-        return [ParamItem(child.name, child.read_params()) for child in record.children]
+        return [item_of(child) for child in record.children]
 
     def forward(
         self,
@@ -548,17 +567,9 @@ class ImageSequential(ImageSequentialBase):
         return items
 
 
-_CHOICE = 1 << 20  # the position in the chain of draws that choose children
-
-
-def _pick(weights: Sequence[float], u: float) -> int:
-    """The index at which the sum of weights passes `u` of the total."""
-    target, total = u * sum(weights), 0.0
-    for i, weight in enumerate(weights):
-        total += weight
-        if target < total:
-            return i
-    return max(i for i, weight in enumerate(weights) if weight)
+def _moved(seed: Any, position: int) -> Any:
+    """Another seed at each position in the chain, for the choices of other containers."""
+    return seed + (position << 32) if position else seed
 
 
 def _input_shape(params: Sequence[ParamItem]) -> tuple[int, ...] | None:

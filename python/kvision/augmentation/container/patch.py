@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -11,7 +12,8 @@ import torch.nn.functional as F
 from torch import Generator, Tensor, nn
 
 from kvision.augmentation.base import AugmentationBase
-from kvision.augmentation.container.image import ImageSequential, ParamItem
+from kvision.augmentation.container.choices import execute_turns
+from kvision.augmentation.container.image import ImageSequential, ParamItem, TurnParamItem, item_of
 from kvision.augmentation.container.record import Child, Record
 from kvision.augmentation.container.runs import Randomness, execute
 from kvision.augmentation.container.stages import Cells
@@ -183,25 +185,59 @@ class PatchSequential(ImageSequential):
     def _execute(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Record]:
         pad = self.compute_padding(x, self.padding)
         cells = self._cells(x, pad)
-        if params is None:
-            chains = self._chains(len(cells), source)
+        executed: list[tuple[list[int] | None, Child]]
+        if params is None and self._chooses_for_samples(source):
+            chains = [self._run_turns(cells, source)]
+            executed = [(None, child) for child in chains[0]]
         else:
-            chains = self._replayed_chains(len(cells), params)
-        executed: list[tuple[list[int] | None, Child]] = []
-        position = source.position
-        for numbers in _groups(chains):
-            children = [replace(child) for child in chains[numbers[0]]]
-            self._run_cells(cells, numbers, children, source, position)
-            indices = None if len(numbers) == len(cells) else numbers
-            executed += [(indices, child) for child in children]
-            position += len(children)
+            count = len(cells)
+            chains = self._chains(count, source) if params is None else self._replayed_chains(count, params)
+            executed = self._run_chains(cells, chains, source)
         is_cropped = any(pad) and self.padding == "valid"
         moves = is_cropped or any(_moves(child.module) for chain in chains for child in chain)
         record = Record(tuple(x.shape), (), [Cells()] if moves else [])
+        record.cell_count = len(cells)
         record.cells, record.items = executed, None if params is None else list(params)
         if any(cell.dtype != cells[0].dtype for cell in cells):  # some of bytes became floating point
             cells = [to_unit(cell) for cell in cells]
         return self.restore_from_patches(torch.stack(cells, 1), pad=pad), record
+
+    def _run_chains(
+        self, cells: list[Tensor], chains: Sequence[Sequence[Child]], source: Randomness
+    ) -> list[tuple[list[int] | None, Child]]:
+        """Run the children of each cell; cells with the same ones are one batch. Gives them with the numbers of their cells."""
+        executed: list[tuple[list[int] | None, Child]] = []
+        position = source.position
+        for numbers in _groups(chains):
+            children = [replace(child) for child in chains[numbers[0]]]
+            run = functools.partial(_run_all, children=children, position=position)
+            executed += [(None if len(numbers) == len(cells) else numbers, child) for child in children]
+            self._run_cells(cells, numbers, source, run)
+            position += len(children)
+        return executed
+
+    def _run_turns(self, cells: list[Tensor], source: Randomness) -> list[Child]:
+        """Run the children of each sample, or of each cell of each sample; all cells are one batch."""
+        samples = len(cells[0]) // max(source.time, source.frames)
+        if self.patchwise_apply:
+            of_cells = (source._replace(seed=seed, position=0) for seed in self._seeds_of_choices(len(cells), source))
+            sequences = [own for of_cell in of_cells for own in self._sequences_of_samples(of_cell, samples)]
+        else:
+            sequences = self._sequences_of_samples(source, samples) * len(cells)
+        children: list[Child] = []
+
+        def run(x: Tensor, own: Randomness) -> Tensor:
+            y, _, turns = execute_turns(x, list(self.named_children()), sequences, own, source.position)
+            children.extend(turns)
+            return y
+
+        self._run_cells(cells, list(range(len(cells))), source, run)
+        return children
+
+    def _seeds_of_choices(self, count: int, source: Randomness) -> list[Seed]:
+        """The seeds by which each cell gets children of its own."""
+        seed = source.seed
+        return [seed if seed is None else seed + ((source.position * count + i + 1) << 32) for i in range(count)]
 
     def _cells(self, x: Tensor, pad: Padding) -> list[Tensor]:
         """The cells (B, C, h, w), by rows: views of the images."""
@@ -219,10 +255,7 @@ class PatchSequential(ImageSequential):
         if self.random_apply is None:
             return [[child] for child in named]
         chains = []
-        for cell in range(count):
-            seed = source.seed
-            if seed is not None:
-                seed = seed + ((source.position * count + cell + 1) << 32)  # other children for other cells
+        for seed in self._seeds_of_choices(count, source):
             chosen = self.get_random_forward_sequence(seed=seed, generator=source.generator_of(self))
             chains.append([Child(name, module) for name, module in chosen])
         return chains
@@ -231,15 +264,19 @@ class PatchSequential(ImageSequential):
         modules = dict(self.named_children())
         chains: list[list[Child]] = [[] for _ in range(count)]
         for indices, item in params:
-            child = Child(item.name, modules[item.name], item.data)
+            child = Child(item.name, modules[item.name], item.data, runs_alone=isinstance(item, TurnParamItem))
             for cell in range(count) if indices is None else indices:
                 chains[cell].append(child)
         return chains
 
     def _run_cells(
-        self, cells: list[Tensor], numbers: list[int], children: list[Child], source: Randomness, position: int
+        self,
+        cells: list[Tensor],
+        numbers: list[int],
+        source: Randomness,
+        run: Callable[[Tensor, Randomness], Tensor],
     ) -> None:
-        """Run children on some cells."""
+        """Run what changes a batch of images on some cells."""
         batch = len(cells[0])
         x = cells[numbers[0]] if len(numbers) == 1 else torch.cat([cells[n] for n in numbers])
         seed = source.seed
@@ -247,7 +284,7 @@ class PatchSequential(ImageSequential):
             of_cells = frame_seeds(seed, len(cells)).unflatten(0, (len(seed), len(cells)))
             seed = torch.cat([of_cells[:, n] for n in numbers])
         own = source._replace(seed=seed, output=SAME, plans=self._plans, has_labels=False)
-        y, _ = execute(x, children, own, position)
+        y = run(x, own)
         if y.shape != x.shape:
             raise ShapeError(
                 f"PatchSequential: expected augmentations that keep the size of cells, got {tuple(y.shape)} from "
@@ -272,7 +309,11 @@ class PatchSequential(ImageSequential):
         return items
 
     def _items(self, record: Record) -> list[Any]:
-        return [PatchParamItem(indices, ParamItem(child.name, child.read_params())) for indices, child in record.cells]
+        return [PatchParamItem(indices, item_of(child)) for indices, child in record.cells]
+
+
+def _run_all(x: Tensor, own: Randomness, children: list[Child], position: int) -> Tensor:
+    return execute(x, children, own, position)[0]
 
 
 def _groups(chains: Sequence[Sequence[Child]]) -> list[list[int]]:

@@ -26,6 +26,7 @@ class Child:
     module: nn.Module
     params: Any = None
     record: Any = None  # what it did: the Execution of an augmentation, the Record of a container
+    runs_alone: bool = False  # without its neighbors, as what some samples run has to give the same in all batches
     foreign_params: Any = None  # `_params` of a module that has no records, after its call
 
     def read_params(self) -> Any:
@@ -48,6 +49,7 @@ class Record:
     labels: LabelRecord | None = None
     drawn: Any = None  # of policies
     cells: Sequence[tuple[list[int] | None, Child]] = ()  # of grids: the numbers of cells with their child
+    cell_count: int = 0  # of grids
     chosen: Tensor | None = None  # (B,) bool, the samples that the container as a whole has augmented; None for all
 
     def __init__(

@@ -148,7 +148,7 @@ def _key(x: Tensor, children: Sequence[Child], source: Randomness, position: int
 
 def _runs(children: Sequence[Child], plans: Plans) -> list[list[Child]]:
     """Split children into augmentations that draw together, and modules that run by themselves."""
-    key = ("runs", *[(id(child.module), child.params is None) for child in children])
+    key = ("runs", *[(id(child.module), child.params is None, child.runs_alone) for child in children])
     lengths: list[int] | None = plans.get(key)
     if lengths is None:
         lengths = _lengths_of_runs(children)
@@ -167,6 +167,7 @@ def _lengths_of_runs(children: Sequence[Child]) -> list[int]:
         if (
             before is not None
             and (child.params is None) == (before.params is None)
+            and not (child.runs_alone or before.runs_alone)
             and _has_known_size(child)
             and _has_known_size(before)
         ):

@@ -104,20 +104,33 @@ class MotionBlurGenerator(RandomGeneratorBase):
 
     def draws(self, shape: Shape) -> Sequence[Any]:
         low, high = self._sizes
-        return [Draw("integer", (low, 2, (high - low) // 2 + 1, low)), self._angle.uniform(), self._direction.uniform()]
+        # 0 for samples that are not chosen, by which the first of the others is known.
+        return [Draw("integer", (low, 2, (high - low) // 2 + 1, 0)), self._angle.uniform(), self._direction.uniform()]
 
     @property
     def _has_one_size(self) -> bool:
         return self._sizes[0] == self._sizes[1]
 
-    def size_of(self, ksize: Tensor) -> int:
-        """The size of the batch: that of the first sample."""
-        return self._sizes[0] if self._has_one_size or ksize.numel() == 0 else int(ksize[0])
+    def sizes_on_host(self, ksize: Tensor) -> list[int]:
+        """The sizes of samples; one for all if it is the same."""
+        sizes = [self._sizes[0]] if self._has_one_size or ksize.numel() == 0 else ksize.tolist()
+        return sizes if len(set(sizes)) > 1 else sizes[:1]
+
+    def sizes_of_samples(self, columns: Tensor) -> Tensor:
+        """ksize_factor (B,) of samples with a size each."""
+        return columns[:, 0].int().clamp(min=self._sizes[0])
+
+    def size_of_batch(self, columns: Tensor) -> Tensor:
+        """ksize_factor (B,), the same for all: the size drawn for the first sample that is chosen."""
+        if columns.shape[0] == 0:
+            return columns[:, 0].int()
+        sizes = columns[:, 0].int()
+        first = (sizes > 0).int().argmax(0, keepdim=True)
+        return sizes[first].clamp(min=self._sizes[0]).expand(columns.shape[0])
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
-        # The kernels of a batch have one size: the first one drawn.
         return {
-            "ksize_factor": columns[:1, 0].int().expand(columns.shape[0]),
+            "ksize_factor": self.size_of_batch(columns),
             "angle_factor": columns[:, 1],
             "direction_factor": columns[:, 2],
             "idx": torch.zeros(1, dtype=torch.int64, device=columns.device),

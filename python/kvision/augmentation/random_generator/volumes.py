@@ -403,9 +403,8 @@ class MotionBlurGenerator3D(MotionBlurGenerator):
         return [size, *(r.uniform() for r in self._angles), direction]
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
-        # The kernels of a batch have one size: the first one drawn.
         return {
-            "ksize_factor": columns[:1, 0].int().expand(columns.shape[0]),
+            "ksize_factor": self.size_of_batch(columns),
             "angle_factor": columns[:, 1:4],
             "direction_factor": columns[:, 4],
         }

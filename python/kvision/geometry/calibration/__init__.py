@@ -1,5 +1,6 @@
 """Camera calibration: intrinsics, lens distortion and camera poses."""
 
+from kvision.geometry.calibration.alignment import kabsch, umeyama
 from kvision.geometry.calibration.camera import CameraCalibration, calibrate_camera
 from kvision.geometry.calibration.distortion import (
     distort_points,
@@ -8,13 +9,17 @@ from kvision.geometry.calibration.distortion import (
     undistort_points,
 )
 from kvision.geometry.calibration.pnp import solve_pnp_dlt
+from kvision.geometry.calibration.refined_pnp import solve_pnp
 
 __all__ = [
     "CameraCalibration",
     "calibrate_camera",
     "distort_points",
+    "kabsch",
+    "solve_pnp",
     "solve_pnp_dlt",
     "tilt_projection",
+    "umeyama",
     "undistort_image",
     "undistort_points",
 ]

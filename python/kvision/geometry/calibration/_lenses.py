@@ -22,7 +22,7 @@ COUNTS = {"brown_conrady": (4, 5, 8, 12), "kannala_brandt": (4,)}
 def distorted(model: str, points: Tensor, k: Tensor) -> Tensor:
     """Points (B, M, 2) behind the lens."""
     if model == "kannala_brandt":
-        return distort_points_kannala_brandt(points, _with_unit_camera(k))  # type: ignore[return-value]  # without a mask
+        return distort_points_kannala_brandt(points, _with_unit_camera(k))
     x, y = points.unbind(-1)
     c = _coefficients(k)
     r2 = x * x + y * y
@@ -40,7 +40,7 @@ def distorted_with_jacobians(model: str, points: Tensor, k: Tensor) -> tuple[Ten
         square = per_radius.square() * r2
         powers = torch.stack([square ** (i + 1) for i in range(4)], -1)
         to_k = points[..., None] * (per_radius[..., None] * powers)[..., None, :]
-        image: Tensor = distort_points_kannala_brandt(points, camera)  # type: ignore[assignment]  # without a mask
+        image: Tensor = distort_points_kannala_brandt(points, camera)
         return image, dx_distort_points_kannala_brandt(points, camera), to_k
     c = _coefficients(k)
     u, v, jacobian, _ = _with_jacobian(x, y, c)

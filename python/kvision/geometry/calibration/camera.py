@@ -219,7 +219,7 @@ def _start(
         H = _homographies(X, offset, weights)
         focal = _focal_lengths(H, weights.sum(-1) > 0, float(max(height, width)))
         H = H / torch.cat([focal, torch.ones_like(focal[:, :1])], -1)[:, None, :, None]
-    rotation, translation = _poses(H)
+    rotation, translation = poses_of_homographies(H)
     return torch.cat([focal, center.expand_as(focal)], -1), rotation, translation
 
 
@@ -251,7 +251,7 @@ def _focal_lengths(H: Tensor, is_used: Tensor, size: float) -> Tensor:
     return size * torch.where(is_known, known, torch.where(is_known.flip(-1), other, 1))
 
 
-def _poses(H: Tensor) -> tuple[Tensor, Tensor]:
+def poses_of_homographies(H: Tensor) -> tuple[Tensor, Tensor]:
     """Rotations and translations of targets in front of the camera, from homographies [r1 r2 t] up to scale."""
     a, b, t = H.unbind(-1)
     scale = 2 / (torch.linalg.vector_norm(a, dim=-1) + torch.linalg.vector_norm(b, dim=-1))

@@ -56,5 +56,5 @@ def with_derivatives(rho: Loss, s: Tensor) -> tuple[Tensor, Tensor]:
         derivative: Tensor = torch.func.jvp(rho, (s,), (one,))[1]
         return derivative
 
-    first, second = torch.func.jvp(slope, (s,), (one,))
-    return first, second
+    derivatives: tuple[Tensor, Tensor] = torch.func.jvp(slope, (s,), (one,))  # type: ignore[assignment]  # no has_aux
+    return derivatives

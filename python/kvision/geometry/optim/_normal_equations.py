@@ -90,9 +90,10 @@ class Assembly:
             return x.sum(1, keepdim=True)
         key = tuple(self.layout.references.index(r) for r in references)
         if key not in self._sums:
-            keys = torch.zeros_like(indexed[0].index)
+            keys: Tensor | int = 0
             for r in references:
                 keys = keys * r.count + (0 if r.index is None else r.index)
+            assert isinstance(keys, Tensor)
             self._sums[key] = _SumByKey(keys, _count(*references))
         return self._sums[key](x)
 

@@ -1,0 +1,118 @@
+"""Camera poses from points in space and their projections, with the least reprojection error."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError
+from kvision.geometry.calibration.camera import poses_of_homographies
+from kvision.geometry.calibration.pnp import _before_camera, solve_pnp_dlt
+from kvision.geometry.homography.dlt import find_homography_dlt
+from kvision.geometry.liegroup import Se3, So3
+from kvision.geometry.solvers.null_vector import null_vector
+
+__all__ = ["solve_pnp"]
+
+
+def solve_pnp(
+    world_points: Tensor,
+    img_points: Tensor,
+    intrinsics: Tensor,
+    weights: Tensor | None = None,
+    loss: str = "linear",
+    f_scale: float = 1.0,
+    max_iterations: int = 30,
+) -> tuple[Se3, Tensor]:
+    """Estimate camera poses with the least reprojection error from points in space and their projections.
+
+    Starts are the direct linear transformation of six or more points, and the homography of the plane that fits the points best,
+    of four or more; :func:`optim.least_squares` refines both, and the better one counts. Gradients reach points, pixels, intrinsics
+    and weights by the implicit function theorem.
+
+    Args:
+        world_points: (B, N, 3), float32 or float64, at least four; fewer than six must be coplanar.
+        img_points: (B, N, 2) as (x, y) in pixels, without distortion.
+        intrinsics: camera matrices, (B, 3, 3), upper triangular.
+        weights: of the squared errors, at least 0, (B, N). Points of weight 0 do not count.
+        loss: the robust kernel of :func:`optim.least_squares`.
+        f_scale: the error in pixels at which a robust kernel sets in.
+        max_iterations: of the refinement.
+
+    Returns:
+        The poses from world to camera (B,), and a mask (B,) of those that were found; others are NaN.
+
+    Raises:
+        TypeError: points, intrinsics or weights are not floating-point tensors.
+        ValueError: a shape, name or number is not as in Args.
+
+    Source: R. Hartley and A. Zisserman, "Multiple View Geometry" (2003), sections 7.1 to 7.3.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> points = torch.rand(1, 8, 3, dtype=torch.float64) + torch.tensor([0.0, 0.0, 2.0])
+        >>> projections = points[..., :2] / points[..., 2:]
+        >>> pose, valid = K.geometry.solve_pnp(points, projections, torch.eye(3).double()[None])
+        >>> pose.log().abs().max() < 1e-5, valid
+        (tensor(True), tensor([True]))
+    """
+    from kvision.geometry.optim import ReprojectionError, least_squares  # which need the groups
+
+    op = "solve_pnp"
+    for name, x, axes in (
+        ("world_points", world_points, ("B", "N", 3)),
+        ("img_points", img_points, ("B", "N", 2)),
+        ("intrinsics", intrinsics, ("B", 3, 3)),
+    ):
+        _check.shape(op, name, x, *axes)
+        _check.floating(op, name, x)
+    batch, count = world_points.shape[:2]
+    if count < 4:
+        raise ShapeError(f"{op}: expected world_points of at least four points, got {tuple(world_points.shape)}")
+    _check.shape(op, "img_points", img_points, batch, count, 2)
+    _check.shape(op, "intrinsics", intrinsics, batch, 3, 3)
+    _check.same_device(op, world_points=world_points, img_points=img_points, intrinsics=intrinsics)
+    if weights is not None:
+        _check.shape(op, "weights", weights, batch, count)
+        _check.same_device(op, world_points=world_points, weights=weights)
+    error = ReprojectionError(img_points, intrinsics, world_points)
+    options = {"weights": weights, "loss": loss, "f_scale": f_scale}
+    with torch.no_grad():
+        used = torch.ones_like(img_points[..., 0]) if weights is None else (weights > 0).to(img_points.dtype)
+        X, x = (torch.where(used[..., None] > 0, p, 0) for p in (world_points, img_points))
+        starts = [_planar_start(X, _before_camera(x, intrinsics), used)]
+        if count >= 6:
+            starts.append(solve_pnp_dlt(X, x, intrinsics, used))
+        fits = [
+            least_squares(error, {"pose": _as_se3(P)}, max_iterations=max_iterations, gradient="none", **options)  # type: ignore[arg-type]
+            for P in starts
+        ]
+        depths = [((f.variables["pose"][:, None] * X)[..., 2] > 0) | (used == 0) for f in fits]
+        costs = torch.stack([torch.where(d.all(-1) & ~f.cost.isnan(), f.cost, torch.inf) for d, f in zip(depths, fits)])
+        best = costs.argmin(0)
+        is_valid = (costs.amin(0) < torch.inf) & (used.sum(-1) >= 4)
+        matrices = torch.stack([f.variables["pose"].matrix() for f in fits])
+        start = matrices[best, torch.arange(batch, device=best.device)]
+    pose = least_squares(error, {"pose": _as_se3(start)}, max_iterations=1, **options).variables["pose"]  # type: ignore[arg-type]
+    q, t = (torch.where(is_valid[:, None], v, torch.nan) for v in (pose.quaternion.data, pose.t))
+    result = Se3(So3.from_wxyz(q), t)
+    return result if q.requires_grad else result.requires_grad_(False), is_valid
+
+
+def _as_se3(P: Tensor) -> Se3:
+    return Se3(So3.from_matrix(P[:, :3, :3]), P[:, :3, 3]).requires_grad_(False)
+
+
+def _planar_start(X: Tensor, x: Tensor, used: Tensor) -> Tensor:
+    """[R | t] (B, 3, 4) of the plane that fits points best, from the homography to the plane z = 1 of the camera."""
+    center = (used[..., None] * X).sum(1, keepdim=True) / used.sum(1)[:, None, None]
+    offset = (X - center) * used[..., None]
+    normal = null_vector(offset.mT @ offset)
+    other = torch.eye(3, dtype=X.dtype, device=X.device)[normal.abs().argmin(-1)]
+    first = torch.nn.functional.normalize(torch.linalg.cross(normal, other), dim=-1)
+    basis = torch.stack([first, torch.linalg.cross(normal, first), normal], 1)  # rows: from world to plane
+    H = find_homography_dlt((offset @ basis.mT)[..., :2], x, used)
+    rotation, t = poses_of_homographies(H)
+    R = rotation @ basis
+    return torch.cat([R, t[..., None] - R @ center.mT], -1)

@@ -169,7 +169,8 @@ def clear_boxes(boxes: Any, kept: Any) -> Any:
         return cleared
     if kept.shape != boxes.shape[: kept.dim()]:  # boxes were mixed since
         return boxes
-    return torch.where(kept[(..., *[None] * (boxes.dim() - kept.dim()))], boxes, 0)
+    axes = (..., *[None] * (boxes.dim() - kept.dim()))
+    return torch.where(kept[axes], boxes, 0)
 
 
 def _filtered(

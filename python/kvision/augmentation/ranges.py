@@ -57,14 +57,14 @@ class ParameterOf(Sequence["ParameterOf"]):
     parametrizations, `.to` and an assignment.
     """
 
-    def __init__(self, module: nn.Module, name: str, index: tuple[int | slice, ...] = ()) -> None:
-        self.module, self.name, self.index = module, name, index
+    def __init__(self, module: nn.Module, name: str, entry: tuple[int | slice, ...] = ()) -> None:
+        self.module, self.name, self.entry = module, name, entry
 
     @property
     def tensor(self) -> Tensor:
         """The parameter as it is now."""
         parameter: Tensor = getattr(self.module, self.name)
-        return parameter[self.index] if self.index else parameter
+        return parameter[self.entry] if self.entry else parameter
 
     def __len__(self) -> int:
         tensor = self.tensor
@@ -73,7 +73,7 @@ class ParameterOf(Sequence["ParameterOf"]):
     def __getitem__(self, i: Any) -> Any:
         if isinstance(i, int) and not 0 <= i < len(self):
             raise IndexError(i)
-        return ParameterOf(self.module, self.name, (*self.index, i))
+        return ParameterOf(self.module, self.name, (*self.entry, i))
 
 
 class Range:
@@ -86,7 +86,7 @@ class Range:
     """
 
     def __init__(
-        self, low: float, high: float, learned: Tensor | ParameterOf | None = None, center: float | None = None
+        self, low: float, high: float, learned: Tensor | ParameterOf | None = None, center: float = 0.0
     ) -> None:
         self._numbers, self.learned, self.center = (low, high), learned, center
 
@@ -197,7 +197,7 @@ def parse_each(op: str, name: str, value: Any, count: int, **options: Any) -> li
 def _learned(op: str, name: str, value: Tensor, learned: Tensor | ParameterOf, center: float | None) -> Range:
     if value.shape != (2,) and (value.numel() != 1 or center is None):
         raise ValueCheckError(f"{op}: expected {name} of shape (2,), got {tuple(value.shape)}")
-    return Range(0.0, 0.0, learned, center)
+    return Range(0.0, 0.0, learned, center or 0.0)
 
 
 def _numbers(op: str, name: str, value: Any) -> list[float]:

@@ -13,8 +13,9 @@ so that a second start does what is left of the first. An image that cannot be r
 RESULTS/broken.csv and is left alone until --retry. So is one of more than --max-pixels, one whose name is no text or longer than
 200 bytes, and what is no regular file. Only one job at a time works in a folder of results, which is not inside that of the images.
 
-On one machine the workers of a DataLoader decode, each with several threads. A worker that dies is replaced; an image whose worker
-dies again, when it is alone, counts as broken. Workers end with the program, even if it is killed.
+On one machine the workers of a DataLoader decode, each with several threads. A worker that dies, or is not done with a batch after
+--timeout seconds, is replaced; an image whose worker dies or hangs again, when it is alone, counts as broken. Workers end with the
+program, even if it is killed.
 
 With Ray, a pool of actors, one a GPU, grows with what waits, and tasks decode on all CPUs; without GPUs the actors decode as well.
 Ray holds back what the actors are too busy for, and repeats what was lost with a machine.
@@ -385,13 +386,13 @@ class Job:
 
 
 def next_of(batches: Iterator[list[Read]]) -> list[Read] | None:
-    """The next batch; nothing at the end, or when a worker died. What it had sent may be lost with it."""
+    """The next batch; nothing at the end, or when a worker died or hangs. What it had sent may be lost with it."""
     try:
         return next(batches, None)
     except (ConnectionError, EOFError, FileNotFoundError):
         return None
     except RuntimeError as error:
-        if "DataLoader worker" in str(error):
+        if "DataLoader worker" in str(error) or "DataLoader timed out" in str(error):
             return None
         raise
 
@@ -402,7 +403,7 @@ def run_here(tasks: Sequence[Task], options: argparse.Namespace, job: Job) -> No
     pictures = Pictures(tasks, options.threads, options.decoder != "opencv", options.max_pixels)
     waiting = deque(range(len(tasks)))
     context = "forkserver"  # workers without the threads and the GPU of this process
-    careful = 0  # images to read alone, after a worker died
+    careful = 0  # images to read alone, after a worker died or hung
     while waiting:
         workers, size = (1, 1) if careful else (options.workers, options.batch)
         numbers = list(waiting)[: careful or None]
@@ -414,6 +415,7 @@ def run_here(tasks: Sequence[Task], options: argparse.Namespace, job: Job) -> No
             worker_init_fn=exit_with_parent,
             prefetch_factor=(1 if careful else 2) if workers else None,
             multiprocessing_context=context if workers else None,
+            timeout=options.timeout if workers else 0,
         )
         batches = iter(loader)
         while (batch := next_of(batches)) is not None:
@@ -422,7 +424,7 @@ def run_here(tasks: Sequence[Task], options: argparse.Namespace, job: Job) -> No
                 waiting.remove(item.number)  # the first ones
         unread = bool(waiting) and waiting[0] <= numbers[-1]
         if unread and careful:
-            job.finish([(waiting.popleft(), "the process that decoded it died")])
+            job.finish([(waiting.popleft(), "the process that decoded it died or hung")])
         careful = options.workers * 2 * options.batch if unread else 0
     job.wait()
 
@@ -585,6 +587,8 @@ def check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     """End the program in one line where the options ask for what is not there."""
     if options.max_pixels < 1:
         parser.error(f"--max-pixels {options.max_pixels}: expected at least 1")
+    if not options.timeout > 0:
+        parser.error(f"--timeout {options.timeout:g}: expected more than 0")
     device = device_of(parser, options.device) if options.engine == "local" else torch.device(options.device)
     if not options.source.exists():
         parser.error(f"{options.source}: expected a folder of images or a list of paths, there is none")
@@ -622,6 +626,7 @@ def main(arguments: list[str] | None = None) -> int:
     actors = torch.cuda.device_count() or cores
     parser.add_argument("--actors", type=int, default=actors, help="most, with Ray; default: GPUs, else CPUs, here")
     parser.add_argument("--max-pixels", type=int, default=MAX_PIXELS, help="of an image; default: %(default)s")
+    parser.add_argument("--timeout", type=float, default=300, help="seconds for a worker's batch; default: %(default)s")
     parser.add_argument("--retry", action="store_true", help="try the images of broken.csv again")
     parser.add_argument("--compare", type=int, default=64, metavar="N", help="images for OpenCV's loop; 0 for none")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")

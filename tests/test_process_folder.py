@@ -262,12 +262,14 @@ def test_bad_files_are_lines_of_the_report(tmp_path: Path, monkeypatch, capsys) 
 
 # Workers import the program as their main module, and with it the function that dies.
 DIES = """
-import os, sys
+import os, sys, time
 import process_folder
 
 read = process_folder.read
 
 def read_or_die(number, task, *options):
+    if "slow" in task.path:
+        time.sleep(1000)
     return os._exit(1) if "deadly" in task.path else read(number, task, *options)
 
 process_folder.read = read_or_die
@@ -278,24 +280,26 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow
-def test_a_worker_that_dies_costs_a_line(tmp_path: Path) -> None:
+def test_a_worker_that_dies_or_hangs_costs_a_line(tmp_path: Path) -> None:
     """In a job without stderr, and with OpenCV's own check of a header that asks for more than there is."""
     pictures, out = tmp_path / "pictures", tmp_path / "out"
     pictures.mkdir()
     good = {f"{i}.png" for i in range(12)}
-    for name in (*good, "3deadly.png", "large.png"):
+    for name in (*good, "3deadly.png", "large.png", "slow.png"):
         K.io.write_image(pictures / name, torch.rand(3, 9, 101 if name == "large.png" else 9))
     (tmp_path / "program.py").write_text(DIES)
     options = (pictures, out, "--device", "cpu", "--workers", 2, "--batch", 4, "--max-pixels", 900, "--compare", 0)
+    options += ("--timeout", 8)
     command = [sys.executable, tmp_path / "program.py", *map(str, options)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(EXAMPLES), *sys.path])}
     shell = f"exec {shlex.join(map(str, command))} 2>&-"
     job = subprocess.run(shell, shell=True, env=environment, stdout=subprocess.PIPE, text=True, timeout=200)
-    assert job.returncode == 0 and "14 images, 0 of them done before; 12 done and 2 broken" in job.stdout
+    assert job.returncode == 0 and "15 images, 0 of them done before; 12 done and 3 broken" in job.stdout
     assert results(out).keys() == {f"{name}.png" for name in good}
     rows = dict(list(csv.reader((out / "broken.csv").open()))[1:])
     assert rows == {
-        str(pictures / "3deadly.png"): "the process that decoded it died",
+        str(pictures / "3deadly.png"): "the process that decoded it died or hung",
+        str(pictures / "slow.png"): "the process that decoded it died or hung",
         str(pictures / "large.png"): "the image has more than 900 pixels (--max-pixels)",
     }
 

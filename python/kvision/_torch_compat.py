@@ -119,6 +119,7 @@ class ConstantModule(nn.Module):
         super()._apply(fn, recurse)
         for name, x in constants.items():
             moved = self._buffers[name]
+            assert moved is not None  # nn.Module moves what is there
             if x.is_meta and not moved.is_meta:
                 raise RuntimeError(
                     f"{type(self).__name__}: {name} was made on 'meta', has no values and is in no state dict; make the module "

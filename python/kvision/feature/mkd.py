@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -46,7 +47,7 @@ def _positions(n: int, kernel: str) -> tuple[Tensor, Tensor]:
     """Features (n * n, d) of the pixels of a patch, weighted by a Gaussian, and the angles (n, n) of the pixels."""
     device = torch.get_default_device()
     device = torch.device("cpu") if device.type == "meta" else device  # a state dict does not have these
-    options = dict(dtype=torch.float64, device=device)
+    options: dict[str, Any] = dict(dtype=torch.float64, device=device)
     u = torch.linspace(-1, 1, n, **options) if n > 1 else torch.zeros(1, **options)
     y, x = torch.meshgrid(u, u, indexing="ij")
     radius, angle = (x * x + y * y + _EPSILON).sqrt(), torch.atan2(y, x)

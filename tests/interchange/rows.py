@@ -29,6 +29,7 @@ SUBJECTS = (
     "measures",
     "rotations",
     "boxes",
+    "training",
 )
 # The name on the page: the module to import, the distribution.
 LIBRARIES = {
@@ -41,6 +42,7 @@ LIBRARIES = {
     "Matplotlib": ("matplotlib", "matplotlib"),
     "NumPy": ("numpy", "numpy"),
     "OpenCV": ("cv2", "opencv-python-headless"),
+    "OpenVINO": ("openvino", "openvino"),
     "Pillow": ("PIL", "pillow"),
     "piq": ("piq", "piq"),
     "PyAV": ("av", "av"),
@@ -51,6 +53,7 @@ LIBRARIES = {
     "scikit-image": ("skimage", "scikit-image"),
     "SciPy": ("scipy", "scipy"),
     "torch": ("torch", "torch"),
+    "torchdata": ("torchdata", "torchdata"),
     "torchmetrics": ("torchmetrics", "torchmetrics"),
     "transforms3d": ("transforms3d", "transforms3d"),
     "torchvision": ("torchvision", "torchvision"),

@@ -11,7 +11,7 @@ from torch.compiler import is_compiling
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._ops import without_autocast_and_tf32
-from kvision._torch_compat import function_caller, in_function_transform
+from kvision._torch_compat import carry_tangents, function_caller, in_function_transform
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 
@@ -51,6 +51,10 @@ _apply_root = function_caller(_Root)
 
 
 def _root(a: Tensor, eps: float) -> tuple[Tensor, Tensor]:
+    if is_compiling() and carry_tangents(a):
+        raise NotImplementedError(
+            "zca_mean: torch.compile does not see its forward mode; call torch.func.jvp outside of the graph"
+        )
     apply = _Root.apply if is_compiling() or in_function_transform() else _apply_root
     return apply(a, eps)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import inspect
 import io
 import json
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
+from torch.utils import _pytree as pytree
 
 import kvision.augmentation as A
 from benchmarks.sample_calls.augmentations import GEOMETRIC, IMAGES, Augmentation
@@ -46,6 +48,34 @@ def test_all_classes_have_a_case() -> None:
         and not name.endswith("3D")  # test_volumes.py
     }
     assert classes == {case.name for case in IMAGES}
+
+
+MADE = {
+    **{case.name: functools.partial(case.make, p=0.7) for case in IMAGES},
+    "RandAugment": functools.partial(A.auto.RandAugment, 2, 10),
+    "AugMix": A.auto.AugMix,
+    "RandomMixUpV2": A.RandomMixUpV2,
+    "RandomCutMixV2": A.RandomCutMixV2,
+    "RandomMosaic": functools.partial(A.RandomMosaic, (16, 20)),
+    "RandomJigsaw": functools.partial(A.RandomJigsaw, (2, 2)),
+    "once": lambda: A.ImageSequential(A.RandomAffine(30.0), A.RandomPerspective(), resample="once"),
+    "random_apply": lambda: A.ImageSequential(A.RandomAffine(30.0), A.RandomJPEG(), random_apply=1),
+}
+
+
+def test_nothing_depends_on_the_default_device(device: torch.device) -> None:
+    x, differs = images(device), []
+    for name, make in MADE.items():
+        expected, augment = make(), make()
+        has_matrix = not getattr(augment, "mixes_samples", False)
+        results = [expected(x, seed=3), expected._params, has_matrix and expected.transform_matrix]
+        with torch.device("meta"):
+            others = [augment(x, seed=3), augment._params, has_matrix and augment.transform_matrix]
+        pairs = zip(pytree.tree_leaves(results), pytree.tree_leaves(others), strict=True)
+        tensors = [(a, b) for a, b in pairs if isinstance(a, Tensor)]
+        if not all(a.device == b.device and torch.equal(a, b) for a, b in tensors):
+            differs.append(name)
+    assert not differs
 
 
 @names

@@ -92,7 +92,7 @@ def label_of(key: DataKey, value: Any, image: Any, keepdim: bool = False) -> Any
         return value
     if key == DataKey.MASK:
         return _mask_of(value, image, keepdim)
-    return torch.as_tensor(value) if key in BOX_FORMATS or key == DataKey.KEYPOINTS else value
+    return torch.as_tensor(value, device="cpu") if key in BOX_FORMATS or key == DataKey.KEYPOINTS else value
 
 
 def _mask_of(value: Any, image: Any, keepdim: bool) -> Tensor:
@@ -101,9 +101,9 @@ def _mask_of(value: Any, image: Any, keepdim: bool) -> Tensor:
 
     if _check.is_array(value) and isinstance(image, Tensor):
         if image.dim() > 4:
-            return torch.as_tensor(value)
+            return torch.as_tensor(value, device="cpu")
         if image.dim() == 4 and value.shape == (len(image), *image.shape[2:]):
-            return torch.as_tensor(value)[:, None]
+            return torch.as_tensor(value, device="cpu")[:, None]
     mask = label_image(value)
     return mask[None] if mask.dim() == 3 and not keepdim else mask
 
@@ -243,7 +243,7 @@ def _is_label(key: DataKey, value: Any, axes: int) -> bool:
     """Whether a value has the trailing axes of boxes or points, behind `axes` and that of their number."""
     if not isinstance(value, Tensor) and not _check.is_array(value):
         return False
-    value = torch.as_tensor(value)
+    value = value if isinstance(value, Tensor) else torch.as_tensor(value, device="cpu")
     if key == DataKey.KEYPOINTS:
         return value.is_floating_point() and value.dim() > 1 + axes and value.shape[-1] in (2, 3)
     trailing = (4, 2) if key == DataKey.BBOX else (4,)

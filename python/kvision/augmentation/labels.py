@@ -295,7 +295,7 @@ def _padded_rows(rows: Sequence[Tensor]) -> Tensor:
     """Rows in one tensor, filled up with True: what is not there is not removed."""
     longest = max((len(row) for row in rows), default=0)
     if all(len(row) == longest for row in rows):
-        return torch.stack(list(rows)) if rows else torch.ones(0, 0, dtype=torch.bool)
+        return torch.stack(list(rows)) if rows else torch.ones(0, 0, dtype=torch.bool, device="cpu")
     return torch.stack([torch.cat([row, row.new_ones(longest - len(row))]) for row in rows])
 
 

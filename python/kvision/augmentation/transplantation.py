@@ -155,7 +155,7 @@ class RandomTransplantation(MixAugmentationBaseV2):
         if masks.dim() != x.dim() - 1:
             raise ShapeError(f"{op}: expected masks of one channel, got {tuple(masks.shape)}")
         execution = self.__dict__["_execution"] = self._transplants(masks, params, seed, generator)
-        execution.params = {**self._read_params(execution), "forward_input_shape": torch.tensor(x.shape)}
+        execution.params = {**self._read_params(execution), "forward_input_shape": torch.tensor(x.shape, device="cpu")}
         return self._pasted(DataKey.INPUT, x, execution), execution
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
@@ -179,14 +179,14 @@ class RandomTransplantation(MixAugmentationBaseV2):
         execution = self._draw(images, seed, generator)
         columns = execution.columns
         if columns is None or not execution.applied:
-            none = torch.zeros(0, dtype=torch.int64)
+            none = torch.zeros(0, dtype=torch.int64, device="cpu")
             drawn: Params = {
                 "acceptor_indices": none,
                 "donor_indices": none,
                 "selected_labels": none,
-                "selection": torch.zeros(0, *shape[1:], dtype=torch.bool),
+                "selection": torch.zeros(0, *shape[1:], dtype=torch.bool, device="cpu"),
             }
-            chosen = torch.zeros(shape[0])
+            chosen = torch.zeros(shape[0], device="cpu")
         else:
             donors = masks.roll(1, 0)
             labels, has_label = self._labels(donors, columns.values[:, 0].long())
@@ -202,7 +202,7 @@ class RandomTransplantation(MixAugmentationBaseV2):
                 "selected_labels": labels,
                 "selection": selection,
             }
-        execution.params = {**drawn, "batch_prob": chosen, "forward_input_shape": torch.tensor(shape)}
+        execution.params = {**drawn, "batch_prob": chosen, "forward_input_shape": torch.tensor(shape, device="cpu")}
         return execution
 
     def _labels(self, donors: Tensor, words: Tensor) -> tuple[Tensor, Tensor]:

@@ -211,7 +211,7 @@ class OperationBase(nn.Module):
         relaxed = ((self.probability.logit() + u.logit()) / self.temperature).sigmoid()
         hard = (relaxed > 0.5).to(relaxed)
         params["batch_prob"] = hard + (relaxed - relaxed.detach()) if torch.is_grad_enabled() else hard
-        params["forward_input_shape"] = torch.tensor(shape)
+        params["forward_input_shape"] = torch.tensor(shape, device="cpu")
         return params
 
     def _value(self, value: Tensor, drawn: Tensor, shape: Sequence[int]) -> Tensor:

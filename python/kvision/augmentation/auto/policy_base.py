@@ -194,7 +194,7 @@ class PolicyAugmentBase(ImageSequential):
         drawn, items = record.drawn, []
         if drawn is None:
             return []
-        shape = torch.tensor(record.shape)
+        shape = torch.tensor(record.shape, device="cpu")
         for i, (operation, value) in enumerate(zip(drawn.operation.cpu().unbind(1), drawn.value.cpu().unbind(1))):
             data = {"operation": operation, "magnitude": value, "batch_prob": (operation >= 0).float()}
             items.append(ParamItem(f"step_{i}", {**data, "forward_input_shape": shape}))
@@ -202,7 +202,7 @@ class PolicyAugmentBase(ImageSequential):
 
     def forward_parameters(self, batch_shape: Sequence[int]) -> list[ParamItem]:
         """Draw the parameters of a call on images of a shape, without executing it."""
-        drawn = self._draw(torch.empty(batch_shape[0]), self._source(None, None))
+        drawn = self._draw(torch.empty(batch_shape[0], device="cpu"), self._source(None, None))
         record = Record(tuple(batch_shape))
         record.drawn = drawn
         self._keep(record)

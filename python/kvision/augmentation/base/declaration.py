@@ -170,7 +170,7 @@ class Declaration(_KeepsArguments):
             like, batch = input, input.shape[0]
             dtype = input.dtype if input.dtype in (torch.float32, torch.float64) else torch.float32
             return torch.eye(n, device=like.device, dtype=dtype).expand(batch, n, n)
-        return torch.eye(n).expand(input[0], n, n)
+        return torch.eye(n, device="cpu").expand(input[0], n, n)
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         """The matrices (B, 3, 3), (B, 4, 4) of volumes, from image pixels to result pixels."""

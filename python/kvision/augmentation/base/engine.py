@@ -75,7 +75,7 @@ class Engine(Declaration):
         if execution.params is None:
             device, dtype = self._rng
             shape, columns = execution.shape, execution.columns
-            chosen = torch.full((shape[0],), float(execution.applied))
+            chosen = torch.full((shape[0],), float(execution.applied), device="cpu")
             request = self._request(shape)
             redraw = execution.redraw
             if request is not None and redraw is not None and columns is not None and columns.drawn.is_cuda:
@@ -97,7 +97,7 @@ class Engine(Declaration):
                     noise = PixelNoise(*redraw, self.same_on_batch, values.device)
                     params.update(self._pixel_params(values, execution, noise))
             params["batch_prob"] = chosen if execution.only is None else chosen * execution.only
-            params["forward_input_shape"] = torch.tensor(shape)
+            params["forward_input_shape"] = torch.tensor(shape, device="cpu")
             execution.params = {
                 name: x.to(device, dtype if x.is_floating_point() else None) if isinstance(x, Tensor) else x
                 for name, x in params.items()
@@ -112,9 +112,9 @@ class Engine(Declaration):
     def _identity_columns(self, shape: Shape) -> Tensor:
         """The columns (B, P) of samples of which none is chosen."""
         if self._param_generator is None or self._draws_by_name:
-            return torch.empty(shape[0], 0)
+            return torch.empty(shape[0], 0, device="cpu")
         values = identity_values(list(self._param_generator.draws(shape)))
-        return torch.tensor(values, dtype=torch.float32).expand(shape[0], len(values))
+        return torch.tensor(values, dtype=torch.float32, device="cpu").expand(shape[0], len(values))
 
     def _values_on_host(self, execution: Execution) -> Tensor:
         """The values (B, P) for decisions of the host, without waiting for what the device has drawn."""
@@ -129,7 +129,7 @@ class Engine(Declaration):
     @staticmethod
     def _drawn_again(request: Request, samples: int, keys: Keys, index: int) -> Columns:
         """The columns of a request on the host, which are the same numbers and wait for nothing but keys on the device."""
-        (columns,) = draw_columns(torch.empty(samples), keys, [request], index)
+        (columns,) = draw_columns(torch.empty(samples, device="cpu"), keys, [request], index)
         return columns
 
     def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
@@ -138,7 +138,7 @@ class Engine(Declaration):
         if self._draws_by_name:
             execution.params = {**self._read_params(execution), **self.generate_parameters(execution.shape)}
             return self._on_device(execution.params, x.device)
-        params: Params = {"forward_input_shape": torch.tensor(execution.shape)} if for_users else {}
+        params: Params = {"forward_input_shape": torch.tensor(execution.shape, device="cpu")} if for_users else {}
         generator = self._param_generator
         if execution.columns is None or generator is None:
             return params
@@ -175,7 +175,7 @@ class Engine(Declaration):
             check_batch_of_params(type(self).__name__, len(chosen), shape[0])
         applied = True
         if chosen is None:
-            params = {**params, "batch_prob": torch.ones(shape[0])}
+            params = {**params, "batch_prob": torch.ones(shape[0], device="cpu")}
         elif chosen.device.type == "cpu" and not is_compiling():
             is_chosen = chosen > 0.5
             applied = bool(is_chosen.any()) or shape[0] == 0 or self._was_planned(params)
@@ -183,7 +183,7 @@ class Engine(Declaration):
         else:
             chosen = chosen > 0.5
         if "forward_input_shape" not in params:
-            params = {**params, "forward_input_shape": torch.tensor(shape)}
+            params = {**params, "forward_input_shape": torch.tensor(shape, device="cpu")}
         chosen = None if chosen is None else chosen.to(x.device)
         columns = None
         if applied and not self._is_customized() and self._executes_columns(shape):

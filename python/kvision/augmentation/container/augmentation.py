@@ -311,7 +311,7 @@ class AugmentationSequential(ImageSequential):
         stages, size, videos = record.stages, record.size, record.videos
         inputs, restore = _of_frames(videos, keys, inputs)
         if params is not None:
-            image, stages = self._replayed(torch.zeros(1), params)
+            image, stages = self._replayed(torch.zeros(1, device="cpu"), params)
             size = tuple(image.shape[2:])
         moves = LabelRecord(self._label_settings, record.shape, size)
         outputs = moves.move(keys, inputs, stages)
@@ -384,7 +384,7 @@ class AugmentationSequential(ImageSequential):
         if DataKey.INPUT in keys:
             videos = self._video_layout(inputs[keys.index(DataKey.INPUT)])
         inputs, restore = _of_frames(videos, keys, inputs)
-        stages = record.stages if params is None else self._stages_of(torch.zeros(1), params)
+        stages = record.stages if params is None else self._stages_of(torch.zeros(1, device="cpu"), params)
         outputs = []
         for key, value in zip(keys, inputs):
             if key == DataKey.INPUT:

@@ -586,4 +586,4 @@ def _input_shape(params: Sequence[ParamItem]) -> tuple[int, ...] | None:
 def identity_of(shape: tuple[int, ...]) -> Tensor:
     """Identity matrices for the samples of images or volumes of a shape."""
     axes = len(shape) - 1
-    return torch.eye(axes).expand(shape[0], axes, axes)
+    return torch.eye(axes, device="cpu").expand(shape[0], axes, axes)

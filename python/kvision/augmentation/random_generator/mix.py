@@ -120,7 +120,7 @@ class CutmixGenerator(RandomGeneratorBase):
         return {
             "mix_pairs": torch.stack(pairs),
             "crop_src": torch.stack(windows),
-            "image_shape": torch.tensor([height, width]),
+            "image_shape": torch.tensor([height, width], device="cpu"),
         }
 
 
@@ -264,5 +264,5 @@ class MosaicGenerator(RandomGeneratorBase):
             "permutation": torch.stack([own, *others], 1),
             "src": src,
             "dst": dst.repeat(columns.shape[0], 1, 1),
-            "batch_shapes": torch.tensor(tuple(shape[1:])).expand(columns.shape[0], len(shape) - 1),
+            "batch_shapes": torch.tensor(tuple(shape[1:]), device="cpu").expand(columns.shape[0], len(shape) - 1),
         }

@@ -167,8 +167,8 @@ class PerspectiveGenerator3D(RandomGeneratorBase):
 
 def corners(shape: Shape) -> Tensor:
     """(8, 3), the corners of a volume: the front four clockwise from top left, then the back four."""
-    far = torch.tensor([float(max(n - 1, 1)) for n in reversed(shape[-3:])])
-    return bbox.corners(torch.zeros(3), far)
+    far = torch.tensor([float(max(n - 1, 1)) for n in reversed(shape[-3:])], device="cpu")
+    return bbox.corners(torch.zeros(3, device="cpu"), far)
 
 
 def parse_size3d(op: str, size: Any) -> tuple[int, int, int]:

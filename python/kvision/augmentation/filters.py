@@ -167,7 +167,7 @@ class DrawnKernelSize(AugmentationBase):
     def _named(self, values: Tensor, execution: Execution) -> Params:
         params = super()._named(values, execution)
         if execution.redraw is not None and execution.redraw[0].seeds is not None:
-            params["ksize_factor"] = self._param_generator.sizes_of_samples(values)
+            params["ksize_factor"] = self._param_generator._sizes_of_samples(values)
         return params
 
     def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
@@ -180,7 +180,7 @@ class DrawnKernelSize(AugmentationBase):
     def _blurred(self, input: Tensor, params: Params, blur: Callable[[Tensor, int, Tensor, Tensor], Tensor]) -> Tensor:
         """Images blurred by `blur`, all samples of a size at once."""
         ksize, angle, direction = (params[f"{name}_factor"] for name in ("ksize", "angle", "direction"))
-        sizes = self._param_generator.sizes_on_host(ksize)
+        sizes = self._param_generator._sizes_on_host(ksize)
         if len(sizes) == 1:
             return blur(input, sizes[0], angle, direction)
         y = torch.empty_like(input)

@@ -111,16 +111,16 @@ class MotionBlurGenerator(RandomGeneratorBase):
     def _has_one_size(self) -> bool:
         return self._sizes[0] == self._sizes[1]
 
-    def sizes_on_host(self, ksize: Tensor) -> list[int]:
+    def _sizes_on_host(self, ksize: Tensor) -> list[int]:
         """The sizes of samples; one for all if it is the same."""
         sizes = [self._sizes[0]] if self._has_one_size or ksize.numel() == 0 else ksize.tolist()
         return sizes if len(set(sizes)) > 1 else sizes[:1]
 
-    def sizes_of_samples(self, columns: Tensor) -> Tensor:
+    def _sizes_of_samples(self, columns: Tensor) -> Tensor:
         """ksize_factor (B,) of samples with a size each."""
         return columns[:, 0].int().clamp(min=self._sizes[0])
 
-    def size_of_batch(self, columns: Tensor) -> Tensor:
+    def _size_of_batch(self, columns: Tensor) -> Tensor:
         """ksize_factor (B,), the same for all: the size drawn for the first sample that is chosen."""
         if columns.shape[0] == 0:
             return columns[:, 0].int()
@@ -130,7 +130,7 @@ class MotionBlurGenerator(RandomGeneratorBase):
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {
-            "ksize_factor": self.size_of_batch(columns),
+            "ksize_factor": self._size_of_batch(columns),
             "angle_factor": columns[:, 1],
             "direction_factor": columns[:, 2],
             "idx": torch.zeros(1, dtype=torch.int64, device=columns.device),

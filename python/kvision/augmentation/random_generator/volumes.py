@@ -404,7 +404,7 @@ class MotionBlurGenerator3D(MotionBlurGenerator):
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {
-            "ksize_factor": self.size_of_batch(columns),
+            "ksize_factor": self._size_of_batch(columns),
             "angle_factor": columns[:, 1:4],
             "direction_factor": columns[:, 4],
         }

@@ -474,6 +474,15 @@ def test_every_condition_is_stated_in_info():
             assert condition.endswith(".") and f"  {name}: {condition}\n" in text
 
 
+def test_info_names_flavors_of_opencv(monkeypatch):
+    from kvision import info
+
+    assert "overwrite" not in info.report()
+    monkeypatch.setattr(info.metadata, "version", lambda name: "5.0")
+    text = " ".join(info.report().split())
+    assert "opencv-python 5.0 and opencv-python-headless 5.0 and" in text and "overwrite one another's files" in text
+
+
 def test_info_fits_a_screen():
     """The report has at most 80 columns, except for a path, and 40 lines. The table of operators is optional."""
     from kvision import info

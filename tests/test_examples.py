@@ -232,7 +232,17 @@ def test_autoencoder_keeps_edges(data, device, tmp_path: Path, capsys: pytest.Ca
     assert (out / "faces.png").stat().st_size > 0 and (out / "curves.png").stat().st_size > 0
 
 
+@pytest.mark.slow
+def test_calibration_of_a_rendered_board(tmp_path: Path) -> None:
+    pytest.importorskip("cv2")
+    calibration = example("calibration")
+    fit = calibration.main(["--out", str(tmp_path), "--device", "cpu"])
+    assert (fit.camera_matrix[0] - calibration.CAMERA).abs().max() < 3 and fit.rms.item() < 0.15
+    assert (tmp_path / "calibration.png").stat().st_size > 0
+
+
 NAMES = (
+    "calibration",
     "image_registration",
     "depth_estimation",
     "segmentation_losses",

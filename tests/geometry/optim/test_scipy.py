@@ -80,6 +80,7 @@ def relative_difference(name: str, loss: str, count: int) -> list[tuple[float, f
     return differences
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", MODELS)
 def test_solutions_are_those_of_scipy(name: str) -> None:
     """A tenth of the 200 problems; `python tests/geometry/optim/test_scipy.py` compares all."""

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.geometry.liegroup import Se3, Sim3, So3
+from kvision.geometry.optim import least_squares
 
 __all__ = ["kabsch", "umeyama"]
 
@@ -72,8 +73,6 @@ def umeyama(points1: Tensor, points2: Tensor, weights: Tensor | None = None) -> 
 
 
 def _aligned(op: str, group: Any, points1: Tensor, points2: Tensor, weights: Tensor | None) -> tuple[Any, Tensor]:
-    from kvision.geometry.optim import least_squares  # which needs the groups, which need this package's siblings
-
     for name, x in (("points1", points1), ("points2", points2)):
         _check.floating_trailing_shape(op, name, x, "B", "N", 3)
     _check.same_shape(op, points1=points1, points2=points2)

@@ -15,6 +15,7 @@ from kvision.geometry.calibration._lenses import COUNTS, distorted, distorted_wi
 from kvision.geometry.homography.dlt import find_homography_dlt
 from kvision.geometry.liegroup import Se3, So3
 from kvision.geometry.liegroup.so3 import skew
+from kvision.geometry.optim import least_squares
 
 __all__ = ["CameraCalibration", "calibrate_camera"]
 
@@ -133,8 +134,6 @@ def calibrate_camera(
         >>> fit.rms.item() < 1e-6
         True
     """
-    from kvision.geometry.optim import least_squares  # which needs the groups, which need this package's siblings
-
     op = "calibrate_camera"
     _check.floating_trailing_shape(op, "object_points", object_points, "B", "V", "N", 3)
     _check.floating_trailing_shape(op, "image_points", image_points, "B", "V", "N", 2)

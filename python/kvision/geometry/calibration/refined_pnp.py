@@ -11,6 +11,7 @@ from kvision.geometry.calibration.camera import poses_of_homographies
 from kvision.geometry.calibration.pnp import _before_camera, solve_pnp_dlt
 from kvision.geometry.homography.dlt import find_homography_dlt
 from kvision.geometry.liegroup import Se3, So3
+from kvision.geometry.optim import ReprojectionError, least_squares
 from kvision.geometry.solvers.null_vector import null_vector
 
 __all__ = ["solve_pnp"]
@@ -57,8 +58,6 @@ def solve_pnp(
         >>> pose.log().abs().max() < 1e-5, valid
         (tensor(True), tensor([True]))
     """
-    from kvision.geometry.optim import ReprojectionError, least_squares  # which need the groups
-
     op = "solve_pnp"
     for name, x, axes in (
         ("world_points", world_points, ("B", "N", 3)),

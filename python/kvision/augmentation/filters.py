@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torch
@@ -237,7 +238,7 @@ class RandomMotionBlur(DrawnKernelSize, IntensityAugmentationBase2D):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         mode, border = Resample.get(flags["resample"]).name.lower(), border_name(flags["border_type"])
-        return self._blurred(input, params, lambda x, *drawn: filters.motion_blur(x, *drawn, border, mode))
+        return self._blurred(input, params, partial(filters.motion_blur, border_type=border, mode=mode))
 
 
 class RandomSharpness(IntensityAugmentationBase2D):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import torch
@@ -367,4 +368,4 @@ class RandomMotionBlur3D(DrawnKernelSize, IntensityAugmentationBase3D):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         mode, border = Resample.get(flags["resample"]).name.lower(), border_name(flags["border_type"])
-        return self._blurred(input, params, lambda x, *drawn: filters.motion_blur3d(x, *drawn, border, mode))
+        return self._blurred(input, params, partial(filters.motion_blur3d, border_type=border, mode=mode))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
 from torch import Tensor
@@ -118,3 +120,37 @@ def test_visible_points(device: torch.device) -> None:
     back = A.AugmentationSequential(*apart, data_keys=["input", "keypoints"])
     back(image, points)
     assert back.visible_points[0].tolist() == [[True, True, False]]
+
+
+@pytest.mark.parametrize("name", ["flip", "crop", "rotation", "elastic", "once", "volume"])
+def test_predictions_of_another_size_are_moved_at_their_scale(name: str) -> None:
+    """As their nearest enlarged forms, whose results are read at the smaller scale."""
+    children: dict[str, Any] = {
+        "flip": [A.RandomHorizontalFlip(p=1.0)],
+        "crop": [A.RandomCrop((32, 32), p=1.0)],
+        "rotation": [A.RandomRotation(30.0, p=1.0)],
+        "elastic": [A.RandomElasticTransform((9, 9), (4.0, 4.0), p=1.0)],
+        "once": [A.RandomAffine(20.0, p=1.0), A.RandomElasticTransform((9, 9), (4.0, 4.0), p=1.0)],
+        "volume": [A.RandomHorizontalFlip3D(p=1.0)],
+    }
+    x = torch.rand(2, 1, 8, 64, 64) if name == "volume" else torch.rand(2, 1, 64, 64)
+    resample = "once" if name == "once" else "each"
+    augment = A.AugmentationSequential(*children[name], data_keys=["input", "mask"], resample=resample)
+    y, _ = augment(x, x, seed=3)
+    small = torch.rand(2, 1, *(n // 4 for n in y.shape[2:]))
+    large = small
+    for axis in range(2, small.dim()):
+        large = large.repeat_interleave(4, axis)
+    center = (..., *[slice(2, None, 4)] * (small.dim() - 2))
+    for params in (None, augment._params):
+        back, masks = augment.inverse(small, [*small], params=params)
+        expected, mask = augment.inverse(large, large, params=params)
+        assert torch.equal(back, expected[center]) and torch.equal(torch.stack(masks), mask[center])
+    if len(children[name]) == 1:
+        child = augment[0]
+        assert torch.equal(child.inverse(small), child.inverse(large)[center])
+    if name == "rotation":
+        chain, videos = A.ImageSequential(*children[name]), A.VideoSequential(*children[name])
+        chain(x), videos(x[:, None])
+        assert torch.equal(chain.inverse(small), chain.inverse(large)[center])
+        assert torch.equal(videos.inverse(small[:, None]), videos.inverse(large[:, None])[..., 2::4, 2::4])

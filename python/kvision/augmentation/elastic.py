@@ -12,7 +12,7 @@ from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision._ops import match_layout
 from kvision.augmentation import maps
-from kvision.augmentation.base import AugmentationBase2D, Execution, Params, where_chosen
+from kvision.augmentation.base import AugmentationBase2D, Execution, Params, inverse_at, where_chosen
 from kvision.augmentation.displacements import NoiseField, blur_settings, elastic_displacements, scaled_blur
 from kvision.augmentation.maps import vector
 from kvision.augmentation.noise import PixelNoise, noise_plan
@@ -103,8 +103,12 @@ class MapAugmentation(AugmentationBase2D):
         if not execution.applied or 0 in x.shape:
             return output
         back, converged = self._inverse_map(x, execution, flags)
-        y = torch.where(converged, maps.read(x, back, self.resampling(flags).for_inverse()), 0).to(x.dtype)
-        return self._restored(where_chosen(execution.chosen, y, x), output)
+
+        def moved_back(x: Tensor) -> Tensor:
+            y = torch.where(converged, maps.read(x, back, self.resampling(flags).for_inverse()), 0).to(x.dtype)
+            return where_chosen(execution.chosen, y, x)
+
+        return self._restored(inverse_at(x, execution.shape[2:], moved_back), output)
 
     def inverse_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or 0 in masks.shape:

@@ -10,7 +10,14 @@ from torch import Tensor
 
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modes import INTERPOLATION
-from kvision.augmentation.base import AugmentationBase, Execution, Params, RigidAffineAugmentationBase2D, Shape
+from kvision.augmentation.base import (
+    AugmentationBase,
+    Execution,
+    Params,
+    RigidAffineAugmentationBase2D,
+    Shape,
+    inverse_at,
+)
 from kvision.augmentation.columns import Span
 from kvision.augmentation.maps import exact
 from kvision.augmentation.transforms import Transform, transform_matrix
@@ -66,7 +73,9 @@ class GeometricAugmentation(AugmentationBase):
         x, execution = self._call_to_invert(output, params, flags)
         if not execution.applied:
             return output
-        y = self.inverse_transform(x, flags, self._matrix(execution), execution.shape[2:])
+        matrix, size = self._matrix(execution), execution.shape[2:]
+        result = self.output_shape(execution.shape, flags)[2:]
+        y = inverse_at(x, result, lambda x: self.inverse_transform(x, flags, matrix, size))
         return self._restored(y, output)
 
 

@@ -214,7 +214,7 @@ class PolicyAugmentBase(ImageSequential):
         drawn = self._draw(x, source) if params is None else self._redrawn(params, x)
         y, stages = self._run(x, drawn)
         record = Record(tuple(x.shape), (), stages)
-        record.drawn = drawn
+        record.drawn, record.size = drawn, tuple(y.shape[2:])
         return y, record
 
     def _run(self, x: Tensor, drawn: Drawn) -> tuple[Tensor, list[Stage]]:

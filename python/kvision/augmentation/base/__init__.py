@@ -26,6 +26,7 @@ from kvision.augmentation.base.augmentation import (
 )
 from kvision.augmentation.base.execution import Execution, Params, Shape, matrix_type
 from kvision.augmentation.base.samples import (
+    inverse_at,
     is_known,
     known_everywhere,
     per_sample,
@@ -43,6 +44,7 @@ __all__ = [
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",
     "Shape",
+    "inverse_at",
     "is_known",
     "known_everywhere",
     "matrix_type",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -30,6 +31,26 @@ def per_sample(values: Tensor, like: Tensor) -> Tensor:
 def where_chosen(chosen: Tensor | None, y: Tensor, x: Tensor | float) -> Tensor:
     """`y` of the samples that are chosen, None for all, and `x` of the others."""
     return y if chosen is None else torch.where(per_sample(chosen, y), y, x)
+
+
+def inverse_at(x: Tensor, size: Sequence[int], invert: Callable[[Tensor], Tensor]) -> Tensor:
+    """The inverse of predictions of any size for results of a size: enlarged, moved back, and read at their own scale.
+
+    Both are read as `resize` reads in mode nearest, with the edges of the images in place.
+    """
+    own = x.shape[2:]
+    if tuple(own) == tuple(size) or 0 in x.shape or 0 in size or len(own) != len(size):
+        return invert(x)
+    y = invert(_read_nearest(x, size))
+    return _read_nearest(y, [max(round(n * m / k), 1) for n, m, k in zip(y.shape[2:], own, size)])
+
+
+def _read_nearest(x: Tensor, size: Sequence[int]) -> Tensor:
+    """Images (B, C, ...) of a size, each pixel of which is the one at its center."""
+    for axis, n in enumerate(size, start=2):
+        at = (torch.arange(n, device=x.device) * 2 + 1) * x.shape[axis] // (2 * n)
+        x = x.index_select(axis, at)
+    return x
 
 
 def known_everywhere(shape: Shape, device: torch.device) -> Tensor:

@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision.augmentation import labels
-from kvision.augmentation.base import RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D
+from kvision.augmentation.base import RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D, inverse_at
 from kvision.augmentation.container.image import ImageSequential, ParamItem
 from kvision.augmentation.container.label_moves import move_boxes_back
 from kvision.augmentation.container.label_record import LabelRecord, moved_masks
@@ -384,14 +384,13 @@ class AugmentationSequential(ImageSequential):
         if DataKey.INPUT in keys:
             videos = self._video_layout(inputs[keys.index(DataKey.INPUT)])
         inputs, restore = _of_frames(videos, keys, inputs)
-        stages = record.stages if params is None else self._stages_of(torch.zeros(1, device="cpu"), params)
+        stages, size = self._stages_and_size(torch.zeros(1, device="cpu"), params)
         outputs = []
         for key, value in zip(keys, inputs):
             if key == DataKey.INPUT:
-                outputs.append(self._restored(invert(self.transform_tensor(value), stages), value))
+                outputs.append(self._inverse_of(value, stages, size))
             elif key == DataKey.MASK:
-                labels.check_tensors("mask", [value])
-                outputs.append(move_masks_back(value, stages))
+                outputs.append(_masks_back(value, stages, size))
             elif key == DataKey.KEYPOINTS:
                 numbers = 2 if record.shape is None else len(record.shape) - 2
                 outputs.append(labels.move_points(value, lambda points: move_points_back(points, stages), numbers))
@@ -402,10 +401,26 @@ class AugmentationSequential(ImageSequential):
                 outputs.append(value)
         return _of_videos(videos, outputs, restore)
 
+    def _inverse_of(self, images: Tensor, stages: Sequence[Stage], size: Sequence[int]) -> Tensor:
+        back = inverse_at(self.transform_tensor(images), size, functools.partial(invert, stages=stages))
+        return self._restored(back, images)
+
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
         videos = self._video_layout(output)
         known = super().known_pixels(output if videos is None else videos.frames(output), params)
         return known if videos is None else videos.videos(known)
+
+
+def _masks_back(masks: Any, stages: Sequence[Stage], size: Sequence[int]) -> Any:
+    """Masks (B, C, h, w), or a list of (N, h, w), moved back from results of a size."""
+    if isinstance(masks, (list, tuple)):
+        labels.check_tensors("the masks of an image", masks)
+        if not masks:
+            return masks
+        padded, counts = labels.pad(masks)  # as many instances for each image
+        return type(masks)(row[:n] for row, n in zip(_masks_back(padded, stages, size), counts))
+    labels.check_tensors("mask", [masks])
+    return inverse_at(masks, size, functools.partial(move_masks_back, stages=stages))
 
 
 def _of_frames(

@@ -12,6 +12,7 @@ from torch import Generator, Tensor, nn
 from kvision._ops import FLOATS
 from kvision.augmentation.base import (
     AugmentationBase,
+    inverse_at,
     is_known,
     known_everywhere,
     with_matrix,
@@ -346,13 +347,14 @@ class ImageSequential(ImageSequentialBase):
         else:
             children = self._children_of_call(params, source)
             y, stages = execute(x, children, source)
-        return y, Record(tuple(x.shape), children, stages)
+        record = Record(tuple(x.shape), children, stages)
+        record.size = tuple(y.shape[2:])
+        return y, record
 
     def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage, Record]:
         once = source.once or self.resample == "once"
         own = source.inside(self)._replace(once=once, plans=self._plans, output=self._output)
         y, record = self._execute(x, params, own)
-        record.size = tuple(y.shape[2:])
         self._keep(record)
         return y, Applied(self, None, {}, record.stages, self._label_settings), record
 
@@ -513,8 +515,8 @@ class ImageSequential(ImageSequentialBase):
             Images of the size that the input had; 0 where the result has no data of them.
         """
         x = self.transform_tensor(input)
-        stages = self._record.stages if params is None else self._stages_of(x, params)
-        return self._restored(invert(x, stages), input)
+        stages, size = self._stages_and_size(x, params)
+        return self._restored(inverse_at(x, size, lambda x: invert(x, stages)), input)
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
         """Which pixels of the images :meth:`inverse` finds in a result; the others were lost in the call, or in part.
@@ -532,6 +534,13 @@ class ImageSequential(ImageSequentialBase):
         if params is not None:
             shape, stages = _input_shape(params) or shape, self._stages_of(x, params)
         return is_known(invert(move_masks(known_everywhere(shape, x.device), stages, KNOWN), stages))
+
+    def _stages_and_size(self, x: Tensor, params: Sequence[ParamItem] | None) -> tuple[Sequence[Stage], Sequence[int]]:
+        """What a call did, the last one unless parameters are given, and the size of its results."""
+        if params is None:
+            return self._record.stages, self._record.size
+        image, stages = self._replayed(x, params)
+        return stages, image.shape[2:]
 
     def _stages_of(self, x: Tensor, params: Sequence[ParamItem]) -> list[Stage]:
         """What a call with given parameters did, on images of which only the size counts."""

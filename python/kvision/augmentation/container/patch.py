@@ -200,7 +200,9 @@ class PatchSequential(ImageSequential):
         record.cells, record.items = executed, None if params is None else list(params)
         if any(cell.dtype != cells[0].dtype for cell in cells):  # some of bytes became floating point
             cells = [to_unit(cell) for cell in cells]
-        return self.restore_from_patches(torch.stack(cells, 1), pad=pad), record
+        y = self.restore_from_patches(torch.stack(cells, 1), pad=pad)
+        record.size = tuple(y.shape[2:])
+        return y, record
 
     def _run_chains(
         self, cells: list[Tensor], chains: Sequence[Sequence[Child]], source: Randomness

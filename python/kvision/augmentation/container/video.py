@@ -9,6 +9,7 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision import _check
+from kvision.augmentation.base import inverse_at
 from kvision.augmentation.container.image import ImageSequential, ParamItem, invert
 from kvision.augmentation.container.record import Record
 from kvision.augmentation.container.runs import Randomness, Stage
@@ -192,8 +193,8 @@ class VideoSequential(ImageSequential):
         """
         layout = self._layout(input)
         frames = layout.frames(input)
-        stages = self._record.stages if params is None else self._stages_of(frames, params)
-        return layout.videos(invert(frames, stages))
+        stages, size = self._stages_and_size(frames, params)
+        return layout.videos(inverse_at(frames, size, lambda x: invert(x, stages)))
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
         """Which pixels of the videos :meth:`inverse` finds in a result; the others were lost in the call, or in part.

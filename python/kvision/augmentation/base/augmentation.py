@@ -162,7 +162,8 @@ class AugmentationBase(OnePass):
             **kwargs: flags, such as `resample`.
 
         Returns:
-            Images of the size that the input had; 0 where the result has no data of them.
+            Images of the size that the input had; 0 where the result has no data of them. Predictions of another size than the
+            results give one that is smaller or larger by the same ratio.
         """
         return output
 

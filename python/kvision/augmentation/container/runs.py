@@ -468,9 +468,9 @@ def _more_keys(keys: Keys | None, modules: Sequence[AugmentationBase], x: Tensor
     """A key of each module, each from its generator; `keys` has those of the first ones, if they have been drawn."""
     if source.seed is not None:
         return keys or draw_keys(source.op, len(modules), x.device, source.seed_of_samples, None)
+    if keys is None and (source.generator is not None or not any([module.generator for module in modules])):
+        return draw_keys(source.op, len(modules), x.device, None, source.generator or source.default_generator)
     generators = [source.generator_of(module) for module in modules[0 if keys is None else len(keys.keys) :]]
-    if keys is None and all(generator is generators[0] for generator in generators):
-        return draw_keys(source.op, len(modules), x.device, None, generators[0] if generators else source.generator)
     each = [draw_keys(source.op, 1, x.device, None, generator).keys for generator in generators]
     parts = each if keys is None else [keys.keys, *each]
     on_device = next((part.device for part in parts if part.is_cuda), parts[0].device)

@@ -26,6 +26,7 @@ from kvision.geometry import (
     subpix,
     transform,
     vector,
+    volumes,
 )
 from kvision.geometry.bbox import *  # noqa: F403
 from kvision.geometry.boxes import *  # noqa: F403
@@ -51,5 +52,6 @@ from kvision.geometry.solvers import *  # noqa: F403
 from kvision.geometry.subpix import *  # noqa: F403
 from kvision.geometry.transform import *  # noqa: F403
 from kvision.geometry.vector import *  # noqa: F403
+from kvision.geometry.volumes import *  # noqa: F403
 
 _torch_compat.refuse_script(globals())

@@ -1,7 +1,12 @@
-"""Conversions between representations of points, rotations, homographies and poses."""
+"""Conversions between representations of points, boxes, rotations, homographies, poses and cameras."""
 
 from kvision.geometry.conversions.angles import angle_to_rotation_matrix, cart2pol, deg2rad, pol2cart, rad2deg
-from kvision.geometry.conversions.colmap import ARKitQTVecs_to_ColmapQTVecs, ColmapQTVecs_to_ARKitQTVecs
+from kvision.geometry.conversions.colmap import (
+    ARKitQTVecs_to_ColmapQTVecs,
+    ColmapQTVecs_to_ARKitQTVecs,
+    camera_from_colmap,
+    camera_to_colmap,
+)
 from kvision.geometry.conversions.euler import euler_from_quaternion, quaternion_from_euler
 from kvision.geometry.conversions.homogeneous import (
     convert_affinematrix_to_homography,
@@ -9,6 +14,7 @@ from kvision.geometry.conversions.homogeneous import (
     convert_points_from_homogeneous,
     convert_points_to_homogeneous,
 )
+from kvision.geometry.conversions.labels import convert_boxes, convert_keypoints
 from kvision.geometry.conversions.pixels import (
     denormalize_homography,
     denormalize_homography3d,
@@ -23,6 +29,7 @@ from kvision.geometry.conversions.pixels import (
     normalize_pixel_coordinates3d,
     normalize_points_with_intrinsics,
 )
+from kvision.geometry.conversions.pose_vectors import matrix4x4_to_pose_vector, pose_vector_to_matrix4x4
 from kvision.geometry.conversions.poses import (
     Rt_to_matrix4x4,
     camtoworld_graphics_to_vision_4x4,

@@ -1,10 +1,13 @@
-"""Conversions between ARKit's poses (graphics camera to world) and COLMAP's (world to vision camera)."""
+"""COLMAP's cameras, and conversions between ARKit's poses (graphics camera to world) and COLMAP's (world to vision camera)."""
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._ops import with_kernel_casts
+from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.poses import (
     camtoworld_graphics_to_vision_Rt,
     camtoworld_to_worldtocam_Rt,
@@ -13,7 +16,7 @@ from kvision.geometry.conversions.poses import (
 )
 from kvision.geometry.conversions.rotations import quaternion_to_rotation_matrix, rotation_matrix_to_quaternion
 
-__all__ = ["ARKitQTVecs_to_ColmapQTVecs", "ColmapQTVecs_to_ARKitQTVecs"]
+__all__ = ["ARKitQTVecs_to_ColmapQTVecs", "ColmapQTVecs_to_ARKitQTVecs", "camera_from_colmap", "camera_to_colmap"]
 
 
 def ARKitQTVecs_to_ColmapQTVecs(qvec: Tensor, tvec: Tensor) -> tuple[Tensor, Tensor]:
@@ -75,3 +78,107 @@ def _rotation(op: str, qvec: Tensor, tvec: Tensor) -> Tensor:
     _check.floating(op, "tvec", tvec)
     _check.same_device(op, qvec=qvec, tvec=tvec)
     return quaternion_to_rotation_matrix(qvec)
+
+
+# The models of COLMAP that kvision has too: the number of focal lengths, and of coefficients in OpenCV's order. Models of
+# fisheye lenses are Kannala-Brandt, others Brown-Conrady.
+_MODELS = {
+    "SIMPLE_PINHOLE": (1, 0),
+    "PINHOLE": (2, 0),
+    "SIMPLE_RADIAL": (1, 1),
+    "RADIAL": (1, 2),
+    "OPENCV": (2, 4),
+    "FULL_OPENCV": (2, 8),
+    "SIMPLE_FISHEYE": (1, 0),
+    "FISHEYE": (2, 0),
+    "SIMPLE_RADIAL_FISHEYE": (1, 1),
+    "RADIAL_FISHEYE": (1, 2),
+    "OPENCV_FISHEYE": (2, 4),
+}
+_WITH_ALL = ("OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE")
+
+
+def camera_from_colmap(params: Tensor, model: str) -> tuple[Tensor, Tensor]:
+    """Convert COLMAP's camera parameters to a camera matrix and coefficients of distortion.
+
+    COLMAP's pixel coordinates begin at the edge of the first pixel, kvision's and OpenCV's at its center: principal points become
+    half a pixel less, as key points do by `convert_keypoints(points, "edges", "centers")`.
+
+    Args:
+        params: parameters of shape (*, n) in COLMAP's order: one or two focal lengths and the principal point, in pixels, then the
+            coefficients.
+        model: "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "SIMPLE_FISHEYE", "FISHEYE",
+            "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE" or "OPENCV_FISHEYE".
+
+    Returns:
+        Camera matrices (*, 3, 3) in pixels, and coefficients in OpenCV's order: (*, 4), or (*, 8) of "FULL_OPENCV", for
+        :func:`distort_points`; of the models of fisheye lenses k1, k2, k3, k4 (*, 4) of
+        :func:`distort_points_kannala_brandt`. Coefficients that the model lacks are 0.
+
+    Raises:
+        TypeError: `params` is not a floating-point tensor.
+        ValueError: `model` is none of those above, or `params` has another number of parameters.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.camera_from_colmap(torch.tensor([500.0, 320, 240, -0.1]), "SIMPLE_RADIAL")
+        (tensor([[500.0000,   0.0000, 319.5000],
+                [  0.0000, 500.0000, 239.5000],
+                [  0.0000,   0.0000,   1.0000]]), tensor([-0.1000,  0.0000,  0.0000,  0.0000]))
+    """
+    _check.choice("camera_from_colmap", "model", model, tuple(_MODELS))
+    focal, count = _MODELS[model]
+    _check.floating_trailing_shape("camera_from_colmap", "params", params, focal + 2 + count)
+    return _camera(params, focal, max(count, 4) - count)
+
+
+@with_kernel_casts
+def _camera(params: Tensor, focal: int, missing: int) -> tuple[Tensor, Tensor]:
+    fx, fy, cx, cy = params[..., 0], params[..., focal - 1], params[..., focal], params[..., focal + 1]
+    zero, one = torch.zeros_like(fx), torch.ones_like(fx)
+    matrix = torch.stack([fx, zero, cx - 0.5, zero, fy, cy - 0.5, zero, zero, one], -1).unflatten(-1, (3, 3))
+    return matrix, torch.nn.functional.pad(params[..., focal + 2 :], (0, missing))
+
+
+def camera_to_colmap(camera_matrix: Tensor, coefficients: Tensor, model: str = "OPENCV") -> Tensor:
+    """Convert camera matrices and coefficients of distortion to COLMAP's parameters: back from :func:`camera_from_colmap`.
+
+    Args:
+        camera_matrix: camera matrices of shape (*, 3, 3) in pixels, the first pixel's center at 0. COLMAP has no skew.
+        coefficients: coefficients in OpenCV's order, of shape (*, n): at most 4 of "OPENCV" and "OPENCV_FISHEYE", at most 8 of
+            "FULL_OPENCV". Those that are missing are 0.
+        model: "OPENCV" or "FULL_OPENCV" for Brown-Conrady's coefficients, "OPENCV_FISHEYE" for Kannala-Brandt's.
+
+    Returns:
+        Parameters (*, 8), or (*, 12) of "FULL_OPENCV", in COLMAP's order: fx, fy, cx, cy and the coefficients.
+
+    Raises:
+        TypeError: a tensor is not of floating-point type.
+        ValueError: a shape is not as in Args, leading axes differ, `model` is unknown, or the tensors are on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> camera = torch.tensor([[500.0, 0, 319.5], [0, 500, 239.5], [0, 0, 1]])
+        >>> K.geometry.camera_to_colmap(camera, torch.zeros(4))
+        tensor([500., 500., 320., 240.,   0.,   0.,   0.,   0.])
+    """
+    op = "camera_to_colmap"
+    _check.choice(op, "model", model, _WITH_ALL)
+    _check.floating_trailing_shape(op, "camera_matrix", camera_matrix, 3, 3)
+    _check.floating_trailing_shape(op, "coefficients", coefficients, "n")
+    count = _MODELS[model][1]
+    leading, n = camera_matrix.shape[:-2], coefficients.shape[-1]
+    if coefficients.shape[:-1] != leading or n > count:
+        listed = ", ".join(map(str, (*leading, "n")))
+        raise ShapeError(
+            f"{op}: expected coefficients of shape ({listed}) with n at most {count}, got {tuple(coefficients.shape)}",
+            actual_shape=coefficients.shape,
+        )
+    _check.same_device(op, camera_matrix=camera_matrix, coefficients=coefficients)
+    return _parameters(camera_matrix, coefficients, count - n)
+
+
+@with_kernel_casts
+def _parameters(matrix: Tensor, coefficients: Tensor, missing: int) -> Tensor:
+    focal, center = matrix.diagonal(dim1=-2, dim2=-1)[..., :2], matrix[..., :2, 2]
+    return torch.cat([focal, center + 0.5, torch.nn.functional.pad(coefficients, (0, missing))], -1)

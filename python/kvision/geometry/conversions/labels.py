@@ -1,0 +1,151 @@
+"""Boxes and key points of data sets and of other libraries: corners or sizes, pixels or fractions, edges or centers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._ops import with_kernel_casts
+from kvision.core.exceptions import ValueCheckError
+from kvision.geometry.conversions.pixels import filled
+
+__all__ = ["convert_boxes", "convert_keypoints"]
+
+_NORMALIZED = "normalized_"
+_CORNERS = ("xyxy", "xywh", "cxcywh")
+_BOXES = (*_CORNERS, "xyxy_plus", *(_NORMALIZED + mode for mode in _CORNERS))
+_POINTS = ("centers", "edges", "normalized_edges")
+
+
+def convert_boxes(boxes: Tensor, in_mode: str, out_mode: str, image_size: tuple[int, int] | None = None) -> Tensor:
+    """Convert boxes from one of the formats of data sets and libraries to another.
+
+    The modes, x before y, where all of an image is a box of width W and height H:
+
+    - "xyxy": the edges at the upper left and the lower right, (0, 0, W, H), as torchvision and Pascal VOC in Albumentations;
+    - "xywh": the edge at the upper left and the size, (0, 0, W, H), as COCO;
+    - "cxcywh": the middle and the size, (W / 2, H / 2, W, H), as DETR;
+    - "xyxy_plus": the first and the last pixel, (0, 0, W - 1, H - 1), as torchvision's masks_to_boxes;
+    - "normalized_xyxy", "normalized_xywh", "normalized_cxcywh": the same in fractions of the image; the last is YOLO's.
+
+    Args:
+        boxes: boxes of shape (*, 4), in pixels or in fractions of the image. Integers give float32.
+        in_mode: the mode of `boxes`.
+        out_mode: the mode of the result.
+        image_size: height and width of the image in pixels, needed where one mode alone is normalized.
+
+    Returns:
+        Boxes of shape (*, 4). Boxes of size 0 or less are converted by the same formulas.
+
+    Raises:
+        TypeError: `boxes` is not a tensor of real numbers, or `image_size` is not two ints.
+        ValueError: `boxes` is not of shape (*, 4), a mode is unknown, or `image_size` is missing or below 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> coco = torch.tensor([[10.0, 20, 30, 40]])
+        >>> K.geometry.convert_boxes(coco, "xywh", "xyxy")
+        tensor([[10., 20., 40., 60.]])
+        >>> K.geometry.convert_boxes(coco, "xywh", "normalized_cxcywh", (80, 100))
+        tensor([[0.2500, 0.5000, 0.3000, 0.5000]])
+    """
+    op = "convert_boxes"
+    _check.trailing_shape(op, "boxes", boxes, 4)
+    _check.choice(op, "in_mode", in_mode, _BOXES)
+    _check.choice(op, "out_mode", out_mode, _BOXES)
+    size = _size(op, in_mode, out_mode, image_size)
+    return _converted_boxes(floats(boxes), in_mode, out_mode, size)
+
+
+@with_kernel_casts
+def _converted_boxes(boxes: Tensor, in_mode: str, out_mode: str, size: Sequence[int] | None) -> Tensor:
+    near, far = boxes.split(2, -1)
+    form = in_mode.removeprefix(_NORMALIZED)
+    if form == "xywh":
+        far = near + far
+    elif form == "cxcywh":
+        near, far = near - far / 2, near + far / 2
+    elif form == "xyxy_plus":
+        far = far + 1
+    near, far = (_scaled(edge, in_mode, out_mode, size) for edge in (near, far))
+    form = out_mode.removeprefix(_NORMALIZED)
+    if form == "xywh":
+        far = far - near
+    elif form == "cxcywh":
+        near, far = (near + far) / 2, far - near
+    elif form == "xyxy_plus":
+        far = far - 1
+    return torch.cat([near, far], -1)
+
+
+def convert_keypoints(
+    keypoints: Tensor, in_mode: str, out_mode: str, image_size: tuple[int, int] | None = None
+) -> Tensor:
+    """Convert key points between coordinates that begin at the first pixel's center and such that begin at its edge.
+
+    The modes, x before y, where the first pixel's center is:
+
+    - "centers": (0, 0), as everywhere in kvision, in OpenCV and in scikit-image;
+    - "edges": (.5, .5), as in COLMAP, PyTorch3D and Pillow's transforms;
+    - "normalized_edges": (.5 / W, .5 / H), in fractions of the image, as YOLO and MediaPipe.
+
+    :func:`normalize_pixel_coordinates` converts to the coordinates from -1 to 1 of `grid_sample`.
+
+    Args:
+        keypoints: points (x, y) of shape (*, 2). Integers give float32.
+        in_mode: the mode of `keypoints`.
+        out_mode: the mode of the result.
+        image_size: height and width of the image in pixels, needed where one mode alone is normalized.
+
+    Returns:
+        Points (x, y) of shape (*, 2).
+
+    Raises:
+        TypeError: `keypoints` is not a tensor of real numbers, or `image_size` is not two ints.
+        ValueError: `keypoints` is not of shape (*, 2), a mode is unknown, or `image_size` is missing or below 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.convert_keypoints(torch.tensor([[0.5, 0.5]]), "edges", "centers")
+        tensor([[0., 0.]])
+        >>> K.geometry.convert_keypoints(torch.tensor([[0.5, 0.5]]), "normalized_edges", "centers", (4, 8))
+        tensor([[3.5000, 1.5000]])
+    """
+    op = "convert_keypoints"
+    _check.trailing_shape(op, "keypoints", keypoints, 2)
+    _check.choice(op, "in_mode", in_mode, _POINTS)
+    _check.choice(op, "out_mode", out_mode, _POINTS)
+    size = _size(op, in_mode, out_mode, image_size)
+    return _converted_points(floats(keypoints), in_mode, out_mode, size)
+
+
+@with_kernel_casts
+def _converted_points(points: Tensor, in_mode: str, out_mode: str, size: Sequence[int] | None) -> Tensor:
+    if in_mode == out_mode:
+        return points.clone()
+    edges = points + 0.5 if in_mode == "centers" else points
+    edges = _scaled(edges, in_mode, out_mode, size)
+    return edges - 0.5 if out_mode == "centers" else edges
+
+
+def _size(op: str, in_mode: str, out_mode: str, image_size: Any) -> tuple[int, ...] | None:
+    """Height and width, where they are given."""
+    if image_size is not None:
+        return _check.ints(op, "image_size", image_size, 2)
+    if in_mode.startswith(_NORMALIZED) != out_mode.startswith(_NORMALIZED):
+        raise ValueCheckError(f"{op}: expected image_size, (height, width), from {in_mode!r} to {out_mode!r}, got None")
+    return None
+
+
+def _scaled(points: Tensor, in_mode: str, out_mode: str, size: Sequence[int] | None) -> Tensor:
+    """Points (*, 2) by edges, from fractions to pixels or back where the modes ask for it."""
+    normalized = in_mode.startswith(_NORMALIZED)
+    if size is None or normalized == out_mode.startswith(_NORMALIZED):
+        return points
+    width_height = filled([size[::-1]], points)[0]
+    return points * width_height if normalized else points / width_height

@@ -117,6 +117,15 @@ GEOMETRY = {
     "ARKitQTVecs_to_ColmapQTVecs ColmapQTVecs_to_ARKitQTVecs": dict(
         qvec=made("B 4", lambda s: normalize(torch.rand(s.b, 4), dim=1)), tvec=TRANSLATION
     ),
+    "camera_from_colmap": dict(params=rand("B 8"), model="OPENCV"),
+    "camera_to_colmap": dict(camera_matrix=CAMERA, coefficients=rand("B 4", 0, 0.1)),
+    "convert_boxes": dict(boxes=BOXES_XYXY, in_mode="xyxy", out_mode="normalized_cxcywh", image_size=(20, 24)),
+    "convert_keypoints": dict(keypoints=POINTS, in_mode="centers", out_mode="normalized_edges", image_size=(20, 24)),
+    "pose_vector_to_matrix4x4": dict(pose=rand("B 7", 0.1, 1), order="t_xyzw"),
+    "matrix4x4_to_pose_vector": dict(extrinsics=POSES, order="t_xyzw"),
+    "affine_ras_to_lps affine_to_spacing": dict(affine=POSES),
+    "affine_from_spacing": dict(spacing=rand("B 3", 1, 2), origin=rand("B 3"), direction=ROTATION),
+    "voxel_transform": dict(affine_src=POSES, affine_dst=POSES),
     "euler_from_quaternion": dict(w=NUMBERS, x=NUMBERS, y=NUMBERS, z=NUMBERS),
     "quaternion_from_euler": dict(roll=NUMBERS, pitch=NUMBERS, yaw=NUMBERS),
     "convert_affinematrix_to_homography": dict(A=AFFINE),

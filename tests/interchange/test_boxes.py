@@ -1,8 +1,11 @@
 """Boxes.
 
 The key "bbox_xyxy" and `mean_iou_bbox` take edges: all of an image is (0, 0, W, H). `Boxes` and "bbox_xyxy_plus" take the first and
-the last pixel.
+the last pixel. `convert_boxes` converts tensors between them, (x, y, w, h), (cx, cy, w, h) and fractions of the image.
 """
+
+import contextlib
+import io
 
 import numpy as np
 import torch
@@ -22,11 +25,25 @@ def test_torchvision_iou(torchvision):
 
 @row(
     "torchvision",
+    '`box_convert`: "xyxy", "xywh" and "cxcywh", all by edges',
+    "`convert_boxes`: the same names",
+)
+def test_torchvision_formats(torchvision):
+    modes = "xyxy", "xywh", "cxcywh"
+    for a in modes:
+        for b in modes:
+            assert same(torchvision.ops.box_convert(B, a, b), K.geometry.convert_boxes(B, a, b))
+
+
+@row(
+    "torchvision",
     "`masks_to_boxes`: the first and the last pixel",
-    '"bbox_xyxy_plus"; add 1 to x2 and y2 for "bbox_xyxy"',
+    '"bbox_xyxy_plus"; `convert_boxes(boxes, "xyxy_plus", "xyxy")` adds 1 to x2 and y2',
 )
 def test_torchvision_masks(torchvision):
     assert torchvision.ops.masks_to_boxes(torch.from_numpy(MASK)[None]).tolist() == [[3, 2, 7, 5]]
+    edges = K.geometry.convert_boxes(torch.tensor([3.0, 2, 7, 5]), "xyxy_plus", "xyxy")
+    assert edges.tolist() == [3, 2, 8, 6]
     mask = K.geometry.Boxes.from_tensor(torch.tensor([[[3.0, 2, 7, 5]]]), mode="xyxy_plus").to_mask(9, 12)
     assert same(mask, MASK)
 
@@ -57,9 +74,44 @@ def test_pycocotools(pycocotools):
 
 
 @row(
+    "pycocotools",
+    "`COCOeval`: mean of 10 thresholds of the overlap, .5 to .95, and of 101 recalls; an overlap equal to the threshold is right",
+    "`mean_average_precision`: one threshold, 11 recalls, as Pascal VOC 2007; an overlap above it is right",
+)
+def test_pycocotools_precision(pycocotools):
+    """Right, wrong, right: the precision is 1 up to a recall of .5, and 2/3 beyond."""
+    from pycocotools.coco import COCO
+    from pycocotools.cocoeval import COCOeval
+
+    true = torch.tensor([[10.0, 10, 30, 30], [50, 50, 90, 90]])
+    found, scores = torch.cat([true[:1], true[:1] + 200, true[1:]]), torch.tensor([0.9, 0.8, 0.7])
+
+    def entries(boxes, **more):
+        xywh = K.geometry.convert_boxes(boxes, "xyxy", "xywh")
+        boxes = [dict(bbox=b.tolist(), area=float(b[2] * b[3]), iscrowd=0) for b in xywh]
+        return [
+            dict(b, id=i + 1, image_id=1, category_id=1, **{k: float(v[i]) for k, v in more.items()})
+            for i, b in enumerate(boxes)
+        ]
+
+    with contextlib.redirect_stdout(io.StringIO()):
+        data = COCO()
+        data.dataset = dict(info={}, images=[dict(id=1)], categories=[dict(id=1)], annotations=entries(true))
+        data.createIndex()
+        evaluation = COCOeval(data, data.loadRes(entries(found, score=scores)), "bbox")
+        evaluation.evaluate()
+        evaluation.accumulate()
+        evaluation.summarize()
+    assert same(evaluation.stats[:2], [(51 + 50 * 2 / 3) / 101] * 2)  # the boxes are exact at every threshold
+    labels = [torch.ones(3, dtype=torch.long)], [torch.ones(2, dtype=torch.long)]
+    mean, _ = K.metrics.mean_average_precision([found], labels[0], [scores], [true], labels[1], 2)
+    assert same(mean, (6 + 5 * 2 / 3) / 11)
+
+
+@row(
     "AlbumentationsX",
     '"yolo": center and size in fractions of the image; "coco" (x, y, w, h), "pascal_voc" (x1, y1, x2, y2), edges',
-    'times (W, H, W, H); "bbox_xywh", "bbox_xyxy"',
+    '"bbox_xywh", "bbox_xyxy"; `convert_boxes(boxes, "normalized_cxcywh", "xyxy", (H, W))` of "yolo"',
 )
 def test_albumentations(albumentations):
     image = np.zeros((10, 20, 3), np.uint8)
@@ -70,3 +122,6 @@ def test_albumentations(albumentations):
     ):
         flip = albumentations.Compose([albumentations.HorizontalFlip(p=1)], bbox_params=albumentations.BboxParams(name))
         assert same(flip(image=image, bboxes=[box])["bboxes"], expected, 1e-3)
+    boxes = torch.tensor([[1.0, 2, 4, 6]])
+    for mode, expected in (("xywh", [1, 2, 3, 4]), ("normalized_cxcywh", [0.125, 0.4, 0.15, 0.4])):
+        assert same(K.geometry.convert_boxes(boxes, "xyxy", mode, (10, 20)), expected)

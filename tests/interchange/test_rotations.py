@@ -1,10 +1,9 @@
 """Rotations and poses.
 
-Quaternions are (w, x, y, z). Tangents of `Se3` are (translation, rotation). Cameras look along z, with x to the right and
-y down; extrinsics take the world to the camera.
+Quaternions are (w, x, y, z). Tangents of `Se3` are (translation, rotation). Extrinsics take the world to the camera;
+`inverse_transformation` inverts.
 """
 
-import numpy as np
 import torch
 
 import kvision as K
@@ -64,10 +63,38 @@ def test_scipy_tangents(scipy):
     assert same(theirs, ours[[3, 4, 5, 0, 1, 2]])
 
 
+@row(
+    "SciPy",
+    "`RigidTransform.as_components`: translation and rotation of x -> R x + t; products apply the right one first",
+    '`pose_vector_to_matrix4x4(torch.cat([t, r.as_quat()], -1), "t_xyzw")`',
+)
+def test_scipy_poses(scipy):
+    from scipy.spatial.transform import RigidTransform, Rotation
+
+    pose = RigidTransform.from_components(T.numpy(), Rotation.from_quat(XYZW.numpy()))
+    t, r = pose.as_components()
+    ours = G.pose_vector_to_matrix4x4(torch.tensor([*t, *r.as_quat()], dtype=torch.float64), "t_xyzw")
+    assert same(pose.as_matrix(), ours) and same((pose * pose).as_matrix(), ours @ ours)
+    assert same(pose.apply([1.0, 2, 3]), (ours @ ours.new_tensor([1.0, 2, 3, 1]))[:3])
+
+
 @row("COLMAP", "`Rotation3d.quat`: (x, y, z, w) in Python; in its text files (w, x, y, z)", "`q[..., [3, 0, 1, 2]]`")
 def test_colmap(pycolmap):
     rotation = pycolmap.Rotation3d(XYZW.numpy())
     assert same(rotation.matrix(), R) and same(rotation.quat, XYZW)
+
+
+@row(
+    "COLMAP",
+    "`Rigid3d.params`: (x, y, z, w, tx, ty, tz); a line of images.txt has (w, x, y, z, tx, ty, tz)",
+    '`pose_vector_to_matrix4x4(params, "xyzw_t")`; "wxyz_t" of images.txt',
+)
+def test_colmap_vectors(pycolmap):
+    pose = pycolmap.Rigid3d(pycolmap.Rotation3d(XYZW.numpy()), T.numpy())
+    ours = G.pose_vector_to_matrix4x4(torch.tensor(pose.params, dtype=torch.float64), "xyzw_t")
+    assert same(pose.matrix(), ours[:3]) and same(
+        pycolmap.Rigid3d(ours[:3].numpy()).params, G.matrix4x4_to_pose_vector(ours, "xyzw_t")
+    )
 
 
 @row(
@@ -84,23 +111,12 @@ def test_colmap_poses(pycolmap):
     assert same(pose.inverse().translation, center) and same(pose.inverse().rotation.matrix(), back)
 
 
-@row(
-    "COLMAP",
-    "pixel coordinates begin at the edge: the first pixel's center is (.5, .5)",
-    "centers at (0, 0): subtract .5 from points and principal points",
-)
-def test_colmap_pixels(pycolmap):
-    camera = pycolmap.Camera(model="PINHOLE", width=8, height=6, params=[5.0, 6.0, 4.0, 3.0])
-    pixel = camera.img_from_cam(np.array([[0.2, -0.1, 1.0]]))
-    matrix = torch.tensor([[5.0, 0, 3.5], [0, 6, 2.5], [0, 0, 1]], dtype=torch.float64)
-    ours = G.project_points(torch.tensor([[0.2, -0.1, 1.0]], dtype=torch.float64), matrix[None])
-    assert same(pixel - 0.5, ours)
-
-
-@row("PyPose", "`SO3` and `SE3`: (x, y, z, w), after the translation", "`q[..., [3, 0, 1, 2]]`")
+@row("PyPose", "`SO3` and `SE3`: (x, y, z, w), after the translation", '`pose_vector_to_matrix4x4(pose, "t_xyzw")`')
 def test_pypose(pypose):
     assert same(pypose.SO3(XYZW).matrix(), R)
-    assert same(pypose.SE3(torch.cat([T, XYZW])).matrix(), G.Rt_to_matrix4x4(R[None], T.view(1, 3, 1)))
+    pose = pypose.SE3(torch.cat([T, XYZW]))
+    assert same(pose.matrix(), G.pose_vector_to_matrix4x4(pose.tensor(), "t_xyzw"))
+    assert same(pose.matrix(), G.Rt_to_matrix4x4(R[None], T.view(1, 3, 1)))
 
 
 @row("PyPose", "`SE3.Log`: (translation, rotation)", "`Se3.log`")
@@ -119,56 +135,3 @@ def test_transforms3d(transforms3d):
     import transforms3d.quaternions
 
     assert same(transforms3d.quaternions.quat2mat(WXYZ.numpy()), R)
-
-
-@row(
-    "OpenCV",
-    "`projectPoints(rvec, tvec)`: world to camera",
-    "`PinholeCamera` with `Rt_to_matrix4x4`; `project_points` of points in the camera",
-)
-def test_opencv_poses(cv2):
-    points = np.float64([[0.5, 0.2, 4.0], [-1, 0.3, 5]])
-    camera = np.float64([[50, 0, 20], [0, 60, 15], [0, 0, 1]])
-    theirs = cv2.projectPoints(points, AXIS_ANGLE.numpy(), T.numpy(), camera, None)[0]
-    moved = G.transform_points(G.Rt_to_matrix4x4(R[None], T.view(1, 3, 1)), torch.from_numpy(points)[None])[0]
-    assert same(theirs, G.project_points(moved, torch.from_numpy(camera)[None]), 1e-4)
-
-
-@row("OpenCV", "distortion: (k1, k2, p1, p2, k3, ...)", "`distort_points`, the same order")
-def test_opencv_distortion(cv2):
-    camera, k = np.float64([[50, 0, 20], [0, 60, 15], [0, 0, 1]]), np.float64([0.1, -0.05, 0.01, 0.003, 0.02])
-    theirs = cv2.projectPoints(np.float64([[0.5, 0.2, 1.0]]), np.zeros(3), np.zeros(3), camera, k)[0]
-    pixel = torch.tensor([[[50 * 0.5 + 20, 60 * 0.2 + 15]]], dtype=torch.float64)
-    assert same(theirs, G.distort_points(pixel, torch.from_numpy(camera)[None], torch.from_numpy(k)[None]), 1e-4)
-
-
-@row(
-    "OpenCV",
-    "`fisheye.distortPoints`: Kannala-Brandt, k1 to k4",
-    "`distort_points_kannala_brandt` of (fx, fy, cx, cy, k1, k2, k3, k4)",
-)
-def test_opencv_fisheye(cv2):
-    camera, k = np.float64([[50, 0, 20], [0, 60, 15], [0, 0, 1]]), np.float64([0.1, -0.05, 0.01, 0.003])
-    theirs = cv2.fisheye.distortPoints(np.float64([[[0.5, 0.2]]]), camera, k)
-    params = torch.tensor([50, 60, 20, 15, *k], dtype=torch.float64)
-    assert same(theirs, G.distort_points_kannala_brandt(torch.tensor([0.5, 0.2], dtype=torch.float64), params), 1e-4)
-
-
-@row("OpenCV", "`findHomography(src, dst)`: src to dst", "`find_homography_dlt(src, dst)`")
-def test_opencv_homography(cv2):
-    source, matrix = (
-        np.random.default_rng(0).random((8, 2)) * 20,
-        np.float64([[1.1, 0.1, 3], [-0.05, 0.9, 2], [1e-3, 2e-3, 1]]),
-    )
-    target = G.transform_points(torch.from_numpy(matrix)[None], torch.from_numpy(source)[None])
-    ours = G.find_homography_dlt(torch.from_numpy(source)[None], target)
-    assert same(cv2.findHomography(source, target[0].numpy())[0], matrix, 1e-4) and same(
-        ours / ours[..., 2:, 2:], matrix, 1e-4
-    )
-
-
-@row("Kornia", "`scale_intrinsics`: coordinates that begin at the edge", "`pixel_centers=True` agrees with `resize`")
-def test_kornia_intrinsics(kornia):
-    camera, half = torch.tensor([[[50.0, 0, 19.5], [0, 60, 14.5], [0, 0, 1]]]), torch.tensor([0.5])
-    assert same(kornia.geometry.scale_intrinsics(camera, half)[0, :2, 2], [9.75, 7.25])
-    assert same(G.scale_intrinsics(camera, half, pixel_centers=True)[0, :2, 2], [9.5, 7])

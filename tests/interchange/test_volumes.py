@@ -46,7 +46,7 @@ def itk_image(SimpleITK, array, affine):
 @row("nibabel", "arrays are (x, y, z), z last", "`torch.from_numpy(array.transpose(2, 1, 0))[None, None]`")
 def test_nibabel_axes(nibabel):
     image = nibabel.Nifti1Image(VOLUME.transpose(2, 1, 0), RAS.numpy())
-    assert image.header.get_zooms() == (1.5, 2, 3)
+    assert same(image.header.get_zooms(), [1.5, 2, 3])
     back = nibabel.Nifti1Image.from_bytes(image.to_bytes())
     assert same(back.get_fdata().transpose(2, 1, 0), VOLUME)
 
@@ -70,7 +70,7 @@ def test_nibabel_spacing(nibabel):
 @row(
     "nibabel",
     "`resample_from_to(image, (shape, affine), order=1)`: linear, 0 outside",
-    "`warp_affine3d(x, voxel_transform(affine, other)[:, :3], size)`, to 1e-5 in the interior",
+    "`warp_affine3d(x, voxel_transform(affine, other)[:, :3], size)`, in the interior",
 )
 def test_nibabel_resampling(nibabel):
     from nibabel.processing import resample_from_to
@@ -150,21 +150,25 @@ def test_scipy(scipy):
 @row(
     "torch",
     "`grid_sample` of volumes: coordinates (x, y, z) from -1 to 1, x along the last axis",
-    "`warp_grid3d` gives such grids; `normalize_pixel_coordinates3d` converts voxels with `align_corners=True`",
+    "`normal_transform_pixel3d` takes (x, y, z), `normalize_pixel_coordinates3d` (z, x, y), for `align_corners=True`",
 )
 def test_torch(torch_):
     voxels = torch.tensor([[6.0, 1, 2], [3, 5, 4]])
-    grid = G.normalize_pixel_coordinates3d(voxels, *VOLUME.shape)[None, :, None, None]
-    read = torch_.nn.functional.grid_sample(torch.from_numpy(VOLUME)[None, None], grid, align_corners=True)
+    grid = G.transform_points(G.normal_transform_pixel3d(*VOLUME.shape), voxels[None])
+    zxy = G.normalize_pixel_coordinates3d(voxels[:, [2, 0, 1]], *VOLUME.shape)
+    assert same(grid, zxy[:, [1, 2, 0]])
+    read = torch_.nn.functional.grid_sample(
+        torch.from_numpy(VOLUME)[None, None], grid[:, :, None, None], align_corners=True
+    )
     assert same(read, [VOLUME[2, 1, 6], VOLUME[4, 5, 3]])
 
 
 @row(
     "scikit-image",
     "`resize` of volumes: (z, y, x), edges in place",
-    '`torch.nn.functional.interpolate(x, size, mode="trilinear")`; kvision\'s `Resize3D` keeps edges too',
+    "`Resize3D(size, align_corners=False)`",
 )
 def test_skimage(skimage):
     theirs = skimage.transform.resize(VOLUME, (10, 12, 14), order=1, anti_aliasing=False, mode="edge")
-    ours = K.augmentation.Resize3D((10, 12, 14), p=1.0)(torch.from_numpy(VOLUME)[None, None])
+    ours = K.augmentation.Resize3D((10, 12, 14), align_corners=False)(torch.from_numpy(VOLUME)[None, None])
     assert same(theirs, ours)

@@ -2,6 +2,7 @@
 
 - The libraries need torch's stable C interface and the C and C++ runtimes, nothing else of torch or CUDA. So one build
   serves every torch from 2.11 on, and the CPU library loads where there is no CUDA.
+- The libstdc++ of GCC 12 is new enough, whichever compiler built them.
 - No two instruction sets share a symbol. The linker keeps one of equal symbols, and code for AVX-512 must not run on a
   processor without it.
 - torch is included by csrc/glue and the *_op.cpp files alone.
@@ -26,6 +27,7 @@ ISAS = ("baseline", "avx2", "avx512")
 ALLOWED = re.compile(
     r".+@(GLIBC|GLIBCXX|CXXABI|GCC)_[\w.]+|(aoti_)?torch_\w+|_ITM_\w+|_ZGT\w+|__gmon_start__|__cxa_(finalize|pure_virtual)"
 )
+NEWEST_LIBSTDCXX = (3, 4, 30)  # GLIBCXX of GCC 12
 RUNTIMES = re.compile(r"(libc|libm|libstdc\+\+|libgcc_s|libpthread|libdl|librt|ld-linux[\w-]*)\.so\.\d+")
 
 
@@ -42,6 +44,10 @@ def undefined_symbols(library: Path) -> Iterator[str]:
     symbols = [line.split()[-1] for line in run("nm", "-D", "--undefined-only", library).splitlines()]
     for symbol in demangled(symbol for symbol in symbols if not ALLOWED.fullmatch(symbol)):
         yield f"{library.name}: needs {symbol}, which is not part of the stable interface"
+    for symbol in symbols:
+        version = re.search(r"@GLIBCXX_([\d.]+)", symbol)
+        if version and tuple(map(int, version[1].split("."))) > NEWEST_LIBSTDCXX:
+            yield f"{library.name}: needs {symbol}, which is newer than the libstdc++ of GCC 12"
 
 
 def needed_libraries(library: Path, torch: set[str]) -> Iterator[str]:

@@ -60,16 +60,22 @@ def test_instruction_sets_share_no_symbols() -> None:
 
 
 @built
-def test_audit_reports_forbidden_symbols(tmp_path: Path) -> None:
-    """A library with an unstable symbol is found out."""
+def test_audit_reports_forbidden_symbols(tmp_path: Path, monkeypatch) -> None:
+    """A library with an unstable symbol is found out, and one that needs a libstdc++ newer than allowed."""
     if shutil.which("c++") is None:
         pytest.skip("there is no C++ compiler")
     source = tmp_path / "unstable.cpp"
-    source.write_text("namespace c10 { void get_backtrace(); } void f() { c10::get_backtrace(); }")
+    source.write_text("""
+#include <new>
+namespace c10 { void get_backtrace(); }
+void f() { c10::get_backtrace(); throw std::bad_alloc(); }
+""")
     subprocess.run(["c++", "-shared", "-fPIC", source, "-o", tmp_path / "unstable.so"], check=True)
-    assert list(audit_symbols.undefined_symbols(tmp_path / "unstable.so")) == [
-        "unstable.so: needs c10::get_backtrace(), which is not part of the stable interface"
-    ]
+    unstable = "unstable.so: needs c10::get_backtrace(), which is not part of the stable interface"
+    assert list(audit_symbols.undefined_symbols(tmp_path / "unstable.so")) == [unstable]
+    monkeypatch.setattr(audit_symbols, "NEWEST_LIBSTDCXX", (3, 3))
+    newer = set(audit_symbols.undefined_symbols(tmp_path / "unstable.so")) - {unstable}
+    assert any(re.search(r"needs _ZNSt9bad_alloc\w+@GLIBCXX_3.4, which is newer", line) for line in newer)
     assert list(audit_symbols.needed_libraries(tmp_path / "unstable.so", {"libtorch_cpu.so"}))
 
 

@@ -53,6 +53,50 @@ inline Tensor converted(char const* op, Tensor const& image, ColorProgram::Step 
   return run(ops::color_program, floats(colors(op, "image", image)), {{step}, std::move(numbers)});
 }
 
+// RGB images in floating point; bytes are 255ths.
+inline Tensor units(Tensor const& image) {
+  return image.scalar_type() == at::kByte ? image.to(at::kFloat) / 255 : floats(image);
+}
+
+// OpenCV's 8-bit codes of a color space are its values times `scale` plus `offset`, rounded and saturated.
+struct Codes {
+  std::array<double, 3> scale, offset;
+};
+
+// Whether the call takes and gives OpenCV's codes, which are bytes.
+inline bool are_codes(char const* op, Tensor const& image, bool opencv) {
+  TORCH_CHECK_TYPE(!opencv || image.scalar_type() == at::kByte, op, ": expected image to be uint8 with opencv, got ",
+                   image.scalar_type());
+  return opencv;
+}
+inline Tensor from_rgb(char const* op, Tensor const& image, ColorProgram::Step step, std::vector<double> numbers,
+                       Codes const& codes, bool opencv) {
+  if (!are_codes(op, colors(op, "image", image), opencv)) return converted(op, units(image), step, std::move(numbers));
+  for (double scale : codes.scale) numbers.push_back(scale / 255);
+  for (double offset : codes.offset) numbers.push_back(offset / 255);
+  numbers.push_back(0);  // not clipped
+  return run(ops::color_program, image, {{step, ColorProgram::scale_shift_rgb}, std::move(numbers)});
+}
+inline Tensor to_rgb(char const* op, Tensor const& image, ColorProgram::Step step, std::vector<double> const& numbers,
+                     Codes const& codes, bool opencv) {
+  if (!are_codes(op, colors(op, "image", image), opencv)) {
+    TORCH_CHECK_TYPE(image.scalar_type() != at::kByte, op,
+                     ": expected image to be floating point, or opencv=true for 8-bit codes, got Byte");
+    return converted(op, image, step, numbers);
+  }
+  std::vector<double> of_codes;
+  for (double scale : codes.scale) of_codes.push_back(255 / scale);
+  for (int c = 0; c < 3; ++c) of_codes.push_back(-codes.offset[c] / codes.scale[c]);
+  of_codes.push_back(0);
+  of_codes.insert(of_codes.end(), numbers.begin(), numbers.end());
+  return run(ops::color_program, image, {{ColorProgram::scale_shift_rgb, step}, std::move(of_codes)});
+}
+
+inline Codes const hue_codes{{28.647889756541160438, 255, 255}, {0, 0, 0}};  // hue is radians, codes are 2 degrees
+inline Codes const lab_codes{{2.55, 1, 1}, {0, 128, 128}};
+inline Codes const luv_codes{{2.55, 255. / 354, 255. / 262}, {0, 134 * 255. / 354, 140 * 255. / 262}};
+inline Codes const ycbcr_codes{{255, 255, 255}, {0, 0.5, 0.5}};
+
 }  // namespace detail
 
 inline Tensor color_program(Tensor const& image, ColorProgram const& program) {
@@ -76,50 +120,58 @@ inline Tensor rgb_to_grayscale(Tensor const& image,
   return detail::converted("rgb_to_grayscale", image, ColorProgram::weighted_sum, rgb_weights);
 }
 
-inline Tensor rgb_to_hsv(Tensor const& image, double eps = 1e-8) {
-  return detail::converted("rgb_to_hsv", image, ColorProgram::rgb_to_hsv, {eps});
+// With `opencv`, conversions from RGB take bytes and give OpenCV's 8-bit codes, and conversions to RGB the other way
+// round. Without, bytes of RGB are 255ths, and those of other color spaces are an error.
+inline Tensor rgb_to_hsv(Tensor const& image, double eps = 1e-8, bool opencv = false) {
+  if (detail::are_codes("rgb_to_hsv", detail::colors("rgb_to_hsv", "image", image), opencv))
+    return color_program(image, {{ColorProgram::hsv_u8}, {}});
+  return detail::converted("rgb_to_hsv", detail::units(image), ColorProgram::rgb_to_hsv, {eps});
 }
-inline Tensor hsv_to_rgb(Tensor const& image) {
-  return detail::converted("hsv_to_rgb", image, ColorProgram::hsv_to_rgb);
+inline Tensor hsv_to_rgb(Tensor const& image, bool opencv = false) {
+  return detail::to_rgb("hsv_to_rgb", image, ColorProgram::hsv_to_rgb, {}, detail::hue_codes, opencv);
 }
 
-inline Tensor rgb_to_hls(Tensor const& image, double eps = 1e-8) {
-  return detail::converted("rgb_to_hls", image, ColorProgram::rgb_to_hls, {eps});
+inline Tensor rgb_to_hls(Tensor const& image, double eps = 1e-8, bool opencv = false) {
+  return detail::from_rgb("rgb_to_hls", image, ColorProgram::rgb_to_hls, {eps}, detail::hue_codes, opencv);
 }
-inline Tensor hls_to_rgb(Tensor const& image) {
-  return detail::converted("hls_to_rgb", image, ColorProgram::hls_to_rgb);
+inline Tensor hls_to_rgb(Tensor const& image, bool opencv = false) {
+  return detail::to_rgb("hls_to_rgb", image, ColorProgram::hls_to_rgb, {}, detail::hue_codes, opencv);
 }
 
 inline Tensor rgb_to_linear_rgb(Tensor const& image) {
-  return detail::converted("rgb_to_linear_rgb", image, ColorProgram::rgb_to_linear_rgb);
+  return detail::converted("rgb_to_linear_rgb", detail::units(image), ColorProgram::rgb_to_linear_rgb);
 }
 inline Tensor linear_rgb_to_rgb(Tensor const& image) {
-  return detail::converted("linear_rgb_to_rgb", image, ColorProgram::linear_rgb_to_rgb);
+  return detail::converted("linear_rgb_to_rgb", detail::units(image), ColorProgram::linear_rgb_to_rgb);
 }
 
-inline Tensor rgb_to_lab(Tensor const& image) {
-  return detail::converted("rgb_to_lab", image, ColorProgram::rgb_to_lab);
+inline Tensor rgb_to_lab(Tensor const& image, bool opencv = false) {
+  return detail::from_rgb("rgb_to_lab", image, ColorProgram::rgb_to_lab, {}, detail::lab_codes, opencv);
 }
-inline Tensor lab_to_rgb(Tensor const& image, bool clip = true) {
-  return detail::converted("lab_to_rgb", image, ColorProgram::lab_to_rgb, {double(clip)});
-}
-
-inline Tensor rgb_to_luv(Tensor const& image, double eps = 1e-12) {
-  return detail::converted("rgb_to_luv", image, ColorProgram::rgb_to_luv, {eps});
-}
-inline Tensor luv_to_rgb(Tensor const& image, double eps = 1e-12) {
-  return detail::converted("luv_to_rgb", image, ColorProgram::luv_to_rgb, {eps});
+inline Tensor lab_to_rgb(Tensor const& image, bool clip = true, bool opencv = false) {
+  return detail::to_rgb("lab_to_rgb", image, ColorProgram::lab_to_rgb, {double(clip)}, detail::lab_codes, opencv);
 }
 
-inline Tensor rgb_to_ycbcr(Tensor const& image) {
+inline Tensor rgb_to_luv(Tensor const& image, double eps = 1e-12, bool opencv = false) {
+  return detail::from_rgb("rgb_to_luv", image, ColorProgram::rgb_to_luv, {eps}, detail::luv_codes, opencv);
+}
+inline Tensor luv_to_rgb(Tensor const& image, double eps = 1e-12, bool opencv = false) {
+  return detail::to_rgb("luv_to_rgb", image, ColorProgram::luv_to_rgb, {eps}, detail::luv_codes, opencv);
+}
+
+inline Tensor rgb_to_ycbcr(Tensor const& image, bool opencv = false) {
   double const r = kLuma[0], g = kLuma[1], b = kLuma[2], blue = 0.564, red = 0.713;
-  return mix_channels(image, {r, g, b, -blue * r, -blue * g, blue * (1 - b), red * (1 - r), -red * g, -red * b},
-                      {0, 0.5, 0.5});
+  return detail::from_rgb("rgb_to_ycbcr", image, ColorProgram::affine,
+                          {r, g, b, -blue * r, -blue * g, blue * (1 - b), red * (1 - r), -red * g, -red * b,  //
+                           0, 0.5, 0.5, 0},
+                          detail::ycbcr_codes, opencv);
 }
-inline Tensor ycbcr_to_rgb(Tensor const& image) {
+inline Tensor ycbcr_to_rgb(Tensor const& image, bool opencv = false) {
   double const r = kLuma[0], g = kLuma[1], b = kLuma[2], blue = 0.564, red = 0.713;
-  return mix_channels(image, {1, 0, 1 / red, 1, -b / g / blue, -r / g / red, 1, 1 / blue, 0},
-                      {-0.5 / red, (b / blue + r / red) / (2 * g), -0.5 / blue}, true);
+  return detail::to_rgb("ycbcr_to_rgb", image, ColorProgram::affine,
+                        {1, 0, 1 / red, 1, -b / g / blue, -r / g / red, 1, 1 / blue, 0,  //
+                         -0.5 / red, (b / blue + r / red) / (2 * g), -0.5 / blue, 1},
+                        detail::ycbcr_codes, opencv);
 }
 
 // Color filter arrays, by OpenCV's names.

@@ -121,6 +121,25 @@ void results() {
   expect_close("rgb_to_luv", kvision::luv_to_rgb(kvision::rgb_to_luv(colors)), colors, 1e-3);
   expect_close("rgb_to_ycbcr", kvision::ycbcr_to_rgb(kvision::rgb_to_ycbcr(colors)), colors, 1e-3);
   expect_close("rgb_to_grayscale", kvision::rgb_to_grayscale(colors), kvision::rgb_to_ycbcr(colors).slice(1, 0, 1));
+  // OpenCV's codes of red, and the way back.
+  auto const bytes = [](std::vector<int64_t> const& c) {
+    return torch::tensor(c).to(torch::kByte).view({1, 3, 1, 1}).expand({2, 3, 4, 6}).contiguous();
+  };
+  Tensor const red = bytes({255, 0, 0});
+  auto const expect_codes = [&](char const* name, Tensor const& codes, Tensor const& back,
+                                std::vector<int64_t> const& expected) {
+    expect(name, codes.equal(bytes(expected)) && back.scalar_type() == torch::kByte);
+    expect_close(name, back.to(torch::kInt), red.to(torch::kInt), 3);
+  };
+  Tensor const hsv = kvision::rgb_to_hsv(red, 1e-8, true), hls = kvision::rgb_to_hls(red, 1e-8, true);
+  Tensor const lab = kvision::rgb_to_lab(red, true), luv = kvision::rgb_to_luv(red, 1e-12, true);
+  Tensor const ycbcr = kvision::rgb_to_ycbcr(red, true);
+  expect_codes("HSV of bytes", hsv, kvision::hsv_to_rgb(hsv, true), {0, 255, 255});
+  expect_codes("HLS of bytes", hls, kvision::hls_to_rgb(hls, true), {0, 128, 255});
+  expect_codes("Lab of bytes", lab, kvision::lab_to_rgb(lab, true, true), {136, 208, 195});
+  expect_codes("Luv of bytes", luv, kvision::luv_to_rgb(luv, 1e-12, true), {136, 223, 173});
+  expect_codes("YCbCr of bytes", ycbcr, kvision::ycbcr_to_rgb(ycbcr, true), {76, 85, 255});
+  expect_close("bytes without codes", kvision::rgb_to_lab(red), kvision::rgb_to_lab(red.to(torch::kFloat) / 255));
   Tensor const flat = colors.narrow(2, 0, 1).narrow(3, 0, 1).repeat({1, 1, 4, 6});
   auto const [luma, chroma] = kvision::rgb_to_yuv420(flat);
   expect_close("rgb_to_yuv420", kvision::yuv420_to_rgb(luma, chroma), flat);
@@ -243,6 +262,8 @@ void errors() {
   });
   expect_error<Value>("rgb_to_hsv: expected image of shape (B, 3, H, W), got [1, 2, 8, 8]",
                       [&] { kvision::rgb_to_hsv(x.narrow(1, 0, 2)); });
+  expect_error<c10::TypeError>("rgb_to_lab: expected image to be uint8 with opencv, got Float",
+                               [&] { kvision::rgb_to_lab(x, true); });
   expect_error<Value>("ssim: expected img2 of shape [1, 3, 8, 8], got [1, 3, 4, 8]",
                       [&] { kvision::ssim(x, x.narrow(2, 0, 4), 5); });
   expect_error<Value>("dice_loss: expected target of shape (B, H, W) for pred of [1, 3, 8, 8], got [8, 8]",

@@ -136,14 +136,16 @@ int main() {
 
   Tensor const colors = torch::rand({2, 3, 4, 6}) * 0.3 + torch::tensor({0.3f, 0.f, 0.6f}).view({3, 1, 1});
   using Conversion = Tensor (*)(Tensor const&);
+#define CONVERSION(name) [](Tensor const& x) { return kvision::name(x); }
   Conversion const there_and_back[][2] = {
-      {[](Tensor const& x) { return kvision::rgb_to_hsv(x); }, kvision::hsv_to_rgb},
-      {[](Tensor const& x) { return kvision::rgb_to_hls(x); }, kvision::hls_to_rgb},
-      {kvision::rgb_to_linear_rgb, kvision::linear_rgb_to_rgb},
-      {kvision::rgb_to_lab, [](Tensor const& x) { return kvision::lab_to_rgb(x); }},
-      {[](Tensor const& x) { return kvision::rgb_to_luv(x); }, [](Tensor const& x) { return kvision::luv_to_rgb(x); }},
-      {kvision::rgb_to_ycbcr, kvision::ycbcr_to_rgb},
+      {CONVERSION(rgb_to_hsv), CONVERSION(hsv_to_rgb)},
+      {CONVERSION(rgb_to_hls), CONVERSION(hls_to_rgb)},
+      {CONVERSION(rgb_to_linear_rgb), CONVERSION(linear_rgb_to_rgb)},
+      {CONVERSION(rgb_to_lab), CONVERSION(lab_to_rgb)},
+      {CONVERSION(rgb_to_luv), CONVERSION(luv_to_rgb)},
+      {CONVERSION(rgb_to_ycbcr), CONVERSION(ycbcr_to_rgb)},
   };
+#undef CONVERSION
   for (auto const [there, back] : there_and_back) {
     check("a conversion", [=](auto const& t) { return there(t[0]); }, {colors}, false);
     check("its inverse", [=](auto const& t) { return back(t[0]); }, {there(colors)}, false);

@@ -58,6 +58,8 @@ OTHER_KINDS = {
     "to_pil": "takes arrays, PIL images and paths, and lists of them",
     "to_tensor": "takes arrays, PIL images and paths, and lists of them",
     "PassLAF.forward": "returns what it gets",
+    "CameraCalibration": "holds results",
+    "LeastSquaresResult": "holds results",
     "Affine": "takes None for an angle",
     "RandomFisheye": "takes pairs of numbers, too",
 }

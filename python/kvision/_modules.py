@@ -65,9 +65,10 @@ class FunctionModule(ConstantModule):
         subject = re.match(r"\w+: (?:expected )?(\w+)", str(error))
         if subject is None or not any(name.endswith(subject[1]) for name in self._argument_names):
             return
-        if isinstance(error, ValueError) and tensors:
-            # One with a row for each sample or channel fits some number of them. One of more axes may have the size of images.
-            sizes = (0, *sorted({n for x in tensors for n in x.shape if n > 0}))
+        lengths = {len(x) for name in self._argument_names if isinstance(x := getattr(self, name), (tuple, list))}
+        sizes = (0, *sorted({n for x in tensors for n in x.shape if n > 0} | lengths))
+        if isinstance(error, ValueError) and len(sizes) > 1:
+            # What has a row for each sample or channel fits some number of them. One of more axes may have the size of images.
             calls = (self._error_of_a_call(*each, device) for each in product(sizes, sizes))
             is_known = sizes[-1] <= _MOST_SAMPLES and all(x.dim() < 3 for x in tensors)
             if not is_known or any(not isinstance(each, (TypeError, ValueError)) for each in calls):

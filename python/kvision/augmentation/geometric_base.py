@@ -74,7 +74,7 @@ class GeometricAugmentation(AugmentationBase):
         if not execution.applied:
             return output
         matrix, size = self._matrix(execution), execution.shape[2:]
-        result = self.output_shape(execution.shape, flags)[2:]
+        result = self.output_shape(execution.shape, flags)[2:] if self.has_known_size else x.shape[2:]
         y = inverse_at(x, result, lambda x: self.inverse_transform(x, flags, matrix, size))
         return self._restored(y, output)
 

@@ -42,7 +42,7 @@ def integral_tensor(input: Tensor, dim: tuple[int, ...] | None = None) -> Tensor
     _check.numbers("integral_tensor", "input", input)
     if input.dim() == 0:
         raise ShapeError("integral_tensor: expected input with at least one axis, got ()", actual_shape=input.shape)
-    dims = (-1,) if dim is None else dim
+    dims = (-1,) if dim is None else _check.scalars("integral_tensor", "dim", dim)
     if not isinstance(dims, (tuple, list)) or any(type(d) is not int for d in dims):
         raise TypeCheckError(f"integral_tensor: expected dim to be a tuple of ints, got {dim!r}", actual_type=type(dim))
     axes = {d % input.dim() for d in dims if -input.dim() <= d < input.dim()}

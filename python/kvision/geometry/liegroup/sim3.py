@@ -53,8 +53,8 @@ class Sim3(RigidMotion[So3]):
         >>> twice = Sim3.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, torch.pi, 0.6931472]))
         >>> (twice * torch.tensor([1.0, 2.0, 3.0])).round().long()
         tensor([-2, -4,  6])
-        >>> (twice * twice).scale.detach()
-        tensor(4.0000)
+        >>> round((twice * twice).scale.item(), 4)
+        4.0
     """
 
     def __init__(self, rotation: Quaternion | So3, translation: Vector3 | Tensor, scale: Tensor | None = None) -> None:

@@ -127,9 +127,9 @@ def least_squares(
         >>> x = torch.linspace(0, 1, 20, dtype=torch.float64)
         >>> y = 2 * (-3 * x).exp()
         >>> start = {"a": torch.ones(1, 1).double(), "b": torch.zeros(1, 1).double()}
-        >>> fit = K.geometry.optim.least_squares(lambda v: v["a"] * (v["b"] * x).exp() - y, start)
-        >>> fit.variables["a"].item(), fit.variables["b"].item(), fit.converged.item()
-        (2.0..., -3.0..., True)
+        >>> fit = K.geometry.optim.least_squares(lambda v, x=x, y=y: v["a"] * (v["b"] * x).exp() - y, start)
+        >>> round(fit.variables["a"].item(), 6), round(fit.variables["b"].item(), 6), fit.converged.item()
+        (2.0, -3.0, True)
     """
     op = "least_squares"
     _check.function(op, "residuals", residuals)

@@ -119,7 +119,11 @@ def test_bytes_stay_bytes(device):
     [
         (lambda: F.get_motion_kernel2d(4, 0.0), ValueCheckError, "get_motion_kernel2d: expected kernel_size to be odd"),
         (lambda: F.get_motion_kernel2d(1, 0.0), ValueCheckError, "at least 3"),
-        (lambda: F.get_motion_kernel2d((3, 5), 0.0), TypeCheckError, "get_motion_kernel2d: expected kernel_size to be an int"),
+        (
+            lambda: F.get_motion_kernel2d((3, 5), 0.0),
+            TypeCheckError,
+            "get_motion_kernel2d: expected kernel_size to be an int",
+        ),
         (lambda: F.get_motion_kernel2d(3, float("nan")), ValueCheckError, "expected angle to be 1 finite"),
         (lambda: F.get_motion_kernel2d(3, "0"), TypeCheckError, "expected angle to be a Tensor or numbers, got '0'"),
         (lambda: F.get_motion_kernel2d(3, 0.0, None), TypeCheckError, "expected direction"),

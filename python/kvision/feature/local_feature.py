@@ -329,7 +329,7 @@ class SIFTFeature(_SIFT):
         _check.ints("SIFTFeature", "num_features", num_features, 1)
         _check.flag("SIFTFeature", "opencv", opencv)
         if opencv:
-            if config is not None or descriptor_backend != "patch":
+            if config is not None or not isinstance(descriptor_backend, str) or descriptor_backend != "patch":
                 raise ValueCheckError("SIFTFeature: opencv takes no config, and no descriptor_backend but 'patch'")
             detector, scale = OpenCVSIFT(num_features, upright, score_threshold), 1.0
         elif config is None:

@@ -675,7 +675,7 @@ def test_children_and_kernel_sizes_follow_the_seeds_of_samples(grid: bool, devic
 
 
 def test_the_kernel_size_of_a_batch_is_that_of_a_chosen_sample() -> None:
-    """Samples that are not chosen made the smallest size of three likelier: 54 of 100 at p = .3."""
+    """Samples that are not chosen made the smallest of the three sizes likelier."""
     blur = A.RandomMotionBlur((3, 7), 35.0, 0.5, p=0.3)
     sizes = []
     for seed in range(300):

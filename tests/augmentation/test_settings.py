@@ -172,6 +172,10 @@ def test_rotations_fill_and_mirror(device: torch.device) -> None:
     assert colors[0, :, 0, 0].tolist() == [51, 102, 153]
     with pytest.raises(ValueError, match="RandomRotation: expected padding_mode 'fill' with fill"):
         A.RandomRotation(30.0, padding_mode="border", fill=0.4)
+    filled = A.RandomAffine(0.0, (0.5, 0.5), p=1.0, fill_value=0.4)(torch.ones_like(x), seed=2)
+    assert filled.min() == pytest.approx(0.4)
+    with pytest.raises(ValueError, match="RandomAffine: expected padding_mode 'fill' with fill_value"):
+        A.RandomAffine(30.0, padding_mode="reflection", fill_value=0.4)
 
 
 def test_rotations_expand_to_the_largest_of_a_batch(device: torch.device) -> None:

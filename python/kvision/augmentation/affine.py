@@ -37,12 +37,13 @@ class RandomAffine(GeometricAugmentationBase2D):
         same_on_batch: all samples get the same parameters.
         align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
         padding_mode: values out of bounds: 'zeros', 'border', 'reflection', or 'fill' for `fill_value`.
-        fill_value: a number, or one of each channel.
+        fill_value: value out of bounds, in place of 0: a number, or one of each channel.
         p: probability that a sample is augmented.
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds; `fill_value` with another
+            `padding_mode` than 'zeros' or 'fill'.
 
     Example:
         >>> import torch, kvision as K
@@ -69,9 +70,9 @@ class RandomAffine(GeometricAugmentationBase2D):
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator: AffineGenerator = AffineGenerator(degrees, translate, scale, shear)
-        self.flags = {**_flags(resample, padding_mode, align_corners), "fill_value": fill_value}
-        if self.flags["padding_mode"] == SamplePadding.FILL:
-            ranges.fill("RandomAffine", "fill_value", fill_value)
+        self.flags = {"fill_value": None, **_flags(resample, padding_mode, align_corners)}
+        if fill_value is not None:
+            self.flags.update(_fill_flags("RandomAffine", "fill_value", fill_value, padding_mode))
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
         chain = transforms.affine(
@@ -127,9 +128,7 @@ class RandomRotation(GeometricAugmentationBase2D):
         self._param_generator = PlainUniformGenerator((degrees, "degrees", 0.0, (-360.0, 360.0)), op="RandomRotation")
         self.flags = _flags(resample, padding_mode, align_corners)
         if fill is not None:
-            if self.flags["padding_mode"] not in (SamplePadding.ZEROS, SamplePadding.FILL):
-                raise ValueCheckError(f"RandomRotation: expected padding_mode 'fill' with fill, got {padding_mode!r}")
-            self.flags.update(padding_mode=SamplePadding.FILL, fill_value=ranges.fill("RandomRotation", "fill", fill))
+            self.flags.update(_fill_flags("RandomRotation", "fill", fill, padding_mode))
         self.has_known_size = not _check.switch("RandomRotation", "expand", expand)
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform] | None:
@@ -343,3 +342,10 @@ def _flags(resample: Any, padding_mode: Any, align_corners: bool) -> dict[str, A
         "padding_mode": SamplePadding.get(padding_mode),
         "align_corners": align_corners,
     }
+
+
+def _fill_flags(op: str, name: str, value: Any, padding_mode: Any) -> dict[str, Any]:
+    """The flags of a value out of bounds, which replaces the default of 0; raise beside another padding mode."""
+    if SamplePadding.get(padding_mode) not in (SamplePadding.ZEROS, SamplePadding.FILL):
+        raise ValueCheckError(f"{op}: expected padding_mode 'fill' with {name}, got {padding_mode!r}")
+    return {"padding_mode": SamplePadding.FILL, "fill_value": ranges.fill(op, name, value)}

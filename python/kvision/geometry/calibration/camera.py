@@ -177,7 +177,7 @@ def calibrate_camera(
     found = fit.variables
     error = _BoardError(model, X.flatten(1, 2), pixels.flatten(1, 2))({**found, "pose": found["pose"][:, view]})
     square = torch.where(w > 0, w * error.square().sum(-1).unflatten(1, (views, count)), 0)
-    poses = _masked(found["pose"], is_fitted[:, None] & is_seen)
+    poses = poses_where(is_fitted[:, None] & is_seen, found["pose"])
 
     def known(x: Tensor) -> Tensor:
         return torch.where(is_fitted.reshape(-1, *(1,) * (x.dim() - 1)), x, torch.nan)
@@ -196,7 +196,8 @@ def calibrate_camera(
     )
 
 
-def _masked(pose: Se3, condition: Tensor) -> Se3:
+def poses_where(condition: Tensor, pose: Se3) -> Se3:
+    """The poses where a condition is true, NaN elsewhere."""
     q, t = (torch.where(condition[..., None], x, torch.nan) for x in (pose.quaternion.data, pose.t))
     result = Se3(So3.from_wxyz(q), t)
     return result if q.requires_grad else result.requires_grad_(False)

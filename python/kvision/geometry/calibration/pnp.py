@@ -54,7 +54,15 @@ def solve_pnp_dlt(
         >>> (pose - torch.eye(3, 4)).abs().max() < 1e-5
         tensor(True)
     """
-    op = "solve_pnp_dlt"
+    check_correspondences("solve_pnp_dlt", world_points, img_points, intrinsics, weights, 6, "six")
+    _check.number("solve_pnp_dlt", "svd_eps", svd_eps)
+    return _pose_dlt(world_points, img_points, intrinsics, weights, float(svd_eps))
+
+
+def check_correspondences(
+    op: str, world_points: Tensor, img_points: Tensor, intrinsics: Tensor, weights: Tensor | None, least: int, word: str
+) -> None:
+    """Raise unless the arguments are at least so many points in space, their pixels, cameras and weights."""
     for name, x, sizes in (
         ("world_points", world_points, ("B", "N", 3)),
         ("img_points", img_points, ("B", "N", 2)),
@@ -63,17 +71,14 @@ def solve_pnp_dlt(
         _check.shape(op, name, x, *sizes)
         _check.floating(op, name, x)
     batch, count = world_points.shape[:2]
-    if count < 6:
-        raise ShapeError(f"{op}: expected world_points of at least six points, got {tuple(world_points.shape)}")
+    if count < least:
+        raise ShapeError(f"{op}: expected world_points of at least {word} points, got {tuple(world_points.shape)}")
     _check.shape(op, "img_points", img_points, batch, count, 2)
     _check.shape(op, "intrinsics", intrinsics, batch, 3, 3)
     _check.same_device(op, world_points=world_points, img_points=img_points, intrinsics=intrinsics)
-    _check.number(op, "svd_eps", svd_eps)
     if weights is not None:
         _check.shape(op, "weights", weights, batch, count)
         _check.same_device(op, world_points=world_points, weights=weights)
-
-    return _pose_dlt(world_points, img_points, intrinsics, weights, float(svd_eps))
 
 
 def _reference(points: Tensor, pixels: Tensor, camera: Tensor, weights: Tensor | None, flat: float) -> Tensor:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from kvision import _check
-from kvision.core.exceptions import ShapeError
-from kvision.geometry.calibration.camera import poses_of_homographies
-from kvision.geometry.calibration.pnp import _before_camera, solve_pnp_dlt
+from kvision.geometry.calibration.camera import poses_of_homographies, poses_where
+from kvision.geometry.calibration.pnp import _before_camera, check_correspondences, solve_pnp_dlt
 from kvision.geometry.homography.dlt import find_homography_dlt
 from kvision.geometry.liegroup import Se3, So3
 from kvision.geometry.optim import ReprojectionError, least_squares
@@ -58,23 +56,8 @@ def solve_pnp(
         >>> pose.log().abs().max() < 1e-5, valid
         (tensor(True), tensor([True]))
     """
-    op = "solve_pnp"
-    for name, x, axes in (
-        ("world_points", world_points, ("B", "N", 3)),
-        ("img_points", img_points, ("B", "N", 2)),
-        ("intrinsics", intrinsics, ("B", 3, 3)),
-    ):
-        _check.shape(op, name, x, *axes)
-        _check.floating(op, name, x)
+    check_correspondences("solve_pnp", world_points, img_points, intrinsics, weights, 4, "four")
     batch, count = world_points.shape[:2]
-    if count < 4:
-        raise ShapeError(f"{op}: expected world_points of at least four points, got {tuple(world_points.shape)}")
-    _check.shape(op, "img_points", img_points, batch, count, 2)
-    _check.shape(op, "intrinsics", intrinsics, batch, 3, 3)
-    _check.same_device(op, world_points=world_points, img_points=img_points, intrinsics=intrinsics)
-    if weights is not None:
-        _check.shape(op, "weights", weights, batch, count)
-        _check.same_device(op, world_points=world_points, weights=weights)
     error = ReprojectionError(img_points, intrinsics, world_points)
     options = {"weights": weights, "loss": loss, "f_scale": f_scale}
     with torch.no_grad():
@@ -94,9 +77,7 @@ def solve_pnp(
         matrices = torch.stack([f.variables["pose"].matrix() for f in fits])
         start = matrices[best, torch.arange(batch, device=best.device)]
     pose = least_squares(error, {"pose": _as_se3(start)}, max_iterations=1, **options).variables["pose"]  # type: ignore[arg-type]
-    q, t = (torch.where(is_valid[:, None], v, torch.nan) for v in (pose.quaternion.data, pose.t))
-    result = Se3(So3.from_wxyz(q), t)
-    return result if q.requires_grad else result.requires_grad_(False), is_valid
+    return poses_where(is_valid, pose), is_valid
 
 
 def _as_se3(P: Tensor) -> Se3:

@@ -333,7 +333,7 @@ def test_tasks_choose_their_own_backend(default_backend):
         return await asyncio.gather(work("reference", "native"), work("native", "auto"), outside())
 
     assert asyncio.run(main()) == [("native", "reference"), ("auto", "native"), "auto"]
-    assert not _backend.ask_backend and _backend._blocks == 0
+    assert not _backend.ask_backend and _backend._blocks == 0 and _backend._thread_backend.name is None
 
 
 def test_blocks_nest_and_survive_errors(default_backend):

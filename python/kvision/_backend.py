@@ -142,6 +142,7 @@ class _ThreadBackend(threading.local):
 
     def __init__(self) -> None:
         self.name: str | None = None
+        self.blocks: list[list[str]] = []  # names of the open ones, which tasks that take turns end in any order
 
 
 _task_backend: ContextVar[str | None] = ContextVar("kvision_backend", default=None)
@@ -199,15 +200,17 @@ def backend(name: str) -> Iterator[None]:
         with _traced_backend(name):
             yield
         return
-    task, thread = _task_backend.get(), _thread_backend.name
+    task, blocks, block = _task_backend.get(), _thread_backend.blocks, [name]
     _count_blocks(1)
     _task_backend.set(name)
+    blocks.append(block)
     _thread_backend.name = name
     try:
         yield
     finally:
         _task_backend.set(task)  # not reset(): an asynchronous generator may end in another context
-        _thread_backend.name = thread
+        blocks[:] = [other for other in blocks if other is not block]
+        _thread_backend.name = _thread_backend.blocks[-1][0] if _thread_backend.blocks else None
         _count_blocks(-1)
 
 

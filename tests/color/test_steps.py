@@ -70,7 +70,6 @@ PLAN = [-1, -1, 4, 23, 22, 20, 16]
 
 @pytest.mark.native
 @pytest.mark.skipif("cpu" in _backend.unserved, reason="the operators are declared by libkvision.so")
-@pytest.mark.tracing
 def test_exported_programs_outlive_new_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     image = torch.rand(2, 3, 5, 7)
     chain = K.enhance.ColorProgram(*CHAIN)

@@ -163,10 +163,8 @@ def operators_header(module: str, files: list[tuple[str, list[tuple[str, str]]]]
         for name, comment in names:
             of = schema(name)
             arguments = ", ".join(f"{TYPES[str(a.type)]} {a.name}" for a in of.arguments)
-            rule = rules.rule(name)
-            value = f"{{{rule}}}" if rule != "no_gradient" else "{no_gradient}"
             kind = f'Operator<"{name}", {RESULTS[len(of.returns)]}({arguments})>'
-            declarations.append(f"{comment}inline constexpr {kind} {name}{value};\n")
+            declarations.append(f"{comment}inline constexpr {kind} {name}{{{rules.rule(name)}}};\n")
     include = f'#include "kvision/ops/rules/{module}.h"\n' if rules.written else ""
     functions = rules.functions
     before = "".join(f"inline variable_list {name}_gradients(Backward const& b);\n" for name in functions)

@@ -12,12 +12,12 @@ from torch import Tensor, nn
 import kvision as K
 from benchmarks.sample_calls import SampleCall, Size, sample_calls
 
-# The program is traced at one size and called at another one. No two numbers of a size are equal, nor equal to the 2, 3, 4, 5 of
-# coordinates, matrices and kernels: torch takes equal sizes of an example for the same. Functions of colors take three
+# The program is traced at one size and called at another one. No two numbers of a size are equal, nor equal to the 2, 3, 4, 5, 7 of
+# coordinates, matrices, kernels and poses: torch takes equal sizes of an example for the same. Functions of colors take three
 # channels only.
 SIZES = (
-    (Size(7, 6, 22, 38), Size(11, 8, 34, 52)),
-    (Size(7, 3, 22, 38), Size(11, 3, 34, 52)),
+    (Size(14, 6, 22, 38), Size(11, 8, 34, 52)),
+    (Size(14, 3, 22, 38), Size(11, 3, 34, 52)),
 )
 
 # Functions that do not export, and why; at most 5% of the public names.

@@ -31,6 +31,8 @@ from kvision.augmentation.container import (
     PatchSequential,
     VideoSequential,
 )
+from kvision.augmentation.container.saving import allow_loading as _allow_loading
+from kvision.augmentation.container.saving import from_json, to_json
 from kvision.augmentation.crop import CenterCrop, RandomCrop, RandomResizedCrop
 from kvision.augmentation.elastic import RandomElasticTransform, RandomFisheye, RandomThinPlateSpline
 from kvision.augmentation.erasing import RandomErasing
@@ -174,10 +176,14 @@ __all__ = [
     "VideoSequential",
     "auto",
     "container",
+    "from_json",
     "presets",
     "preview",
     "random_generator",
+    "to_json",
 ]
+
+_allow_loading()
 
 for _package in (globals(), vars(auto), vars(auto.operations)):
     _torch_compat.refuse_script(dict(_package))

@@ -12,7 +12,13 @@ from kvision.augmentation import ranges, transforms
 from kvision.augmentation.base import Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Resampling
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
-from kvision.augmentation.random_generator.crop import CropGenerator, ResizedCropGenerator, box_params, parse_size
+from kvision.augmentation.random_generator.crop import (
+    CropGenerator,
+    PaddingOf,
+    ResizedCropGenerator,
+    box_params,
+    parse_size,
+)
 from kvision.augmentation.transforms import Transform
 from kvision.constants import Resample
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
@@ -84,7 +90,7 @@ class RandomCrop(GeometricAugmentationBase2D):
     ) -> None:
         super().__init__(p=1.0, p_batch=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         generator = CropGenerator(size)
-        generator.padding_of = self.compute_padding
+        generator.padding_of = PaddingOf(self)
         self._param_generator = generator
         self.size = generator.size
         self._padding = _four_sides(padding)

@@ -145,10 +145,10 @@ class PortableGenerator:
         return cls._made.setdefault(id(generator), cls(generator))
 
     def __reduce__(self) -> Any:
-        return _restored_generator, (str(self.generator.device), self.generator.get_state().numpy().tobytes())
+        return restored_generator, (str(self.generator.device), self.generator.get_state().numpy().tobytes())
 
 
-def _restored_generator(device: str, state: bytes) -> Generator:
+def restored_generator(device: str, state: bytes) -> Generator:
     generator = Generator(device)
     generator.set_state(torch.frombuffer(bytearray(state), dtype=torch.uint8))
     return generator

@@ -16,6 +16,7 @@ from kvision.augmentation.crop import padding_resampling
 from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D, parse_resample
 from kvision.augmentation.geometric_base import Resampling
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
+from kvision.augmentation.random_generator.crop import PaddingOf
 from kvision.augmentation.random_generator.volumes import (
     CropGenerator3D,
     ResizedCropGenerator3D,
@@ -74,7 +75,7 @@ class RandomCrop3D(GeometricAugmentationBase3D):
     ) -> None:
         super().__init__(p=1.0, p_batch=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         generator = CropGenerator3D(size)
-        generator.padding_of = self.compute_padding
+        generator.padding_of = PaddingOf(self)
         self._param_generator = generator
         self.size = generator.size
         self._padding = _six_sides(padding)

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any
 
+import torch
 from torch.compiler import is_compiling
+
+from kvision.augmentation.keys import PortableGenerator
 
 _MOST = 64  # plans of an object: images of many sizes are rarer than plans are large
 
@@ -70,3 +73,32 @@ class Flags(dict[str, Any]):
     for _name in ("__setitem__", "__delitem__", "__ior__", "clear", "pop", "popitem", "setdefault", "update"):
         locals()[_name] = _noticing(_name)
     del _name
+
+    def __reduce__(self) -> Any:
+        return Flags, (dict(self),)  # torch.load with weights_only sets no items of other dicts
+
+
+class PortableFormat:
+    """Stands for a memory format in the state of a module: torch.save cannot write one (torch 2.13). Copies are formats again."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __reduce__(self) -> Any:
+        return restored_format, (self.name,)
+
+
+def restored_format(name: str) -> torch.memory_format:
+    """The memory format that torch has by this name."""
+    return {"contiguous_format": torch.contiguous_format, "channels_last": torch.channels_last}[name]
+
+
+def portable(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings by name, with what stands for those that pickles do not carry."""
+    return {name: _portable(value) for name, value in settings.items()}
+
+
+def _portable(value: Any) -> Any:
+    if isinstance(value, torch.Generator):
+        return PortableGenerator.of(value)
+    return PortableFormat(str(value).removeprefix("torch.")) if isinstance(value, torch.memory_format) else value

@@ -15,11 +15,10 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision import _check
-from kvision.augmentation.base.configuration import SWITCHES, Flags, Plans, settings_changed
+from kvision.augmentation.base.configuration import SWITCHES, Flags, Plans, portable, settings_changed
 from kvision.augmentation.base.execution import Params, Shape
 from kvision.augmentation.columns import Span
 from kvision.augmentation.draws import Draw, Request
-from kvision.augmentation.keys import PortableGenerator
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.warp_and_color import Pass
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
@@ -27,18 +26,24 @@ from kvision.core.exceptions import TypeCheckError, ValueCheckError
 _OVERRIDABLE = ("compute_transformation", "apply_transform")
 
 
-class _KeepsArguments(nn.Module):
-    """A module that keeps the arguments of its constructor for `repr`."""
+class KeepsArguments(nn.Module):
+    """A module that keeps the arguments of its constructor, for `repr` and `to_json`."""
 
-    _arguments: Any = ((), {})  # or their text by name
+    _arguments: tuple[tuple[Any, ...], dict[str, Any]] = ((), {})
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Any:
         self = super().__new__(cls)
         self.__dict__["_arguments"] = (args, kwargs)
         return self
 
+    def _portable_arguments(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
+        """The arguments for copies and pickles: children that a container has by its own right are left out."""
+        args, kwargs = self._arguments
+        kept = args if not isinstance(self, nn.Sequential) else tuple(x for x in args if not isinstance(x, nn.Module))
+        return kept, portable(kwargs)
 
-class Declaration(_KeepsArguments):
+
+class Declaration(KeepsArguments):
     """What an augmentation is: settings, and what subclasses override."""
 
     axes: ClassVar[int]  # of an image with its channels: 3, of a volume: 4
@@ -96,8 +101,7 @@ class Declaration(_KeepsArguments):
     def __getstate__(self) -> dict[str, Any]:
         # Copies and pickles have the settings, not the last call.
         state = {name: value for name, value in self.__dict__.items() if name != "_execution"}
-        generator = PortableGenerator.of(self.generator)
-        return {**state, "_arguments": self._constructor_arguments(), "generator": generator}
+        return portable({**state, "_arguments": self._portable_arguments()})
 
     def __repr__(self) -> str:
         if any(name != "_param_generator" for name, _ in self.named_children()):
@@ -111,8 +115,6 @@ class Declaration(_KeepsArguments):
 
     def _constructor_arguments(self) -> dict[str, str]:
         """The arguments of the constructor as text, without those that all augmentations have."""
-        if isinstance(self._arguments, dict):
-            return self._arguments
         args, kwargs = self._arguments
         bound = inspect.signature(type(self).__init__).bind_partial(self, *args, **kwargs)
         bound.apply_defaults()

@@ -18,7 +18,8 @@ from kvision.augmentation.base import (
     with_matrix,
     without_added_axes,
 )
-from kvision.augmentation.base.configuration import Plans, settings_changed
+from kvision.augmentation.base.configuration import Plans, portable, settings_changed
+from kvision.augmentation.base.declaration import KeepsArguments
 from kvision.augmentation.container.choices import Choices, execute_turns
 from kvision.augmentation.container.record import Child, Record
 from kvision.augmentation.container.runs import Randomness, execute
@@ -43,7 +44,7 @@ from kvision.augmentation.inputs import (
     in_type_of,
 )
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
-from kvision.augmentation.keys import PortableGenerator, Seed, check_seeds, draw_keys, refuse_capture
+from kvision.augmentation.keys import Seed, check_seeds, draw_keys, refuse_capture
 from kvision.augmentation.warp_and_color import SAME, Output
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
@@ -70,10 +71,7 @@ def item_of(child: Child) -> ParamItem:
     return (TurnParamItem if child.runs_alone else ParamItem)(child.name, child.read_params())
 
 
-torch.serialization.add_safe_globals([ParamItem, TurnParamItem])  # torch.load reads `_params`
-
-
-class ImageSequentialBase(nn.Sequential):
+class ImageSequentialBase(KeepsArguments, nn.Sequential):
     """Base of the containers: children in order, with what they share.
 
     Args:
@@ -115,7 +113,7 @@ class ImageSequentialBase(nn.Sequential):
     def __getstate__(self) -> dict[str, Any]:
         # Copies and pickles have the settings, not the last call.
         state = {name: value for name, value in self.__dict__.items() if name != "_record"}
-        return {**state, "generator": PortableGenerator.of(self.generator)}
+        return portable({**state, "_arguments": self._portable_arguments()})
 
     def _set_options_of_children(self) -> None:
         for child in self.children():

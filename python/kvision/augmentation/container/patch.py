@@ -36,9 +36,6 @@ class PatchParamItem(NamedTuple):
     param: ParamItem
 
 
-torch.serialization.add_safe_globals([PatchParamItem])
-
-
 class PatchSequential(ImageSequential):
     """Cut images into the cells of a grid, augment the cells, and join them again.
 

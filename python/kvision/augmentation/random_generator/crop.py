@@ -53,6 +53,16 @@ def box_params(x: Tensor, y: Tensor, w: Tensor, h: Tensor, shape: Shape, size: t
     }
 
 
+class PaddingOf:
+    """The padding that a crop computes for images of a shape; unlike its bound method, torch.load makes it with weights_only."""
+
+    def __init__(self, crop: Any) -> None:
+        self.crop = crop
+
+    def __call__(self, shape: Any) -> Any:
+        return self.crop.compute_padding(shape)
+
+
 class CropGenerator(RandomGeneratorBase):
     """Draws the parameters of :class:`RandomCrop`.
 

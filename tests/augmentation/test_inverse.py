@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import Any
 
 import pytest
@@ -122,35 +123,67 @@ def test_visible_points(device: torch.device) -> None:
     assert back.visible_points[0].tolist() == [[True, True, False]]
 
 
-@pytest.mark.parametrize("name", ["flip", "crop", "rotation", "elastic", "once", "volume"])
-def test_predictions_of_another_size_are_moved_at_their_scale(name: str) -> None:
+def at_centers(x: Tensor, size: list[int]) -> Tensor:
+    """Each pixel of a result of a size is the one of `x` that contains its center."""
+    for axis, n in enumerate(size, start=2):
+        at = [int(Fraction(2 * i + 1, 2 * n) * x.shape[axis]) for i in range(n)]
+        x = x.index_select(axis, torch.tensor(at, device=x.device))
+    return x
+
+
+@pytest.mark.parametrize(
+    "name", ["flip", "crop", "rotation", "expand", "elastic", "once", "policy", "nested policy", "volume"]
+)
+def test_predictions_of_another_size_are_moved_at_their_scale(name: str, device: torch.device) -> None:
     """As their nearest enlarged forms, whose results are read at the smaller scale."""
+    size = {"flip": (8, 8), "crop": (41, 33)}.get(name, (13, 9))
     children: dict[str, Any] = {
         "flip": [A.RandomHorizontalFlip(p=1.0)],
-        "crop": [A.RandomCrop((32, 32), p=1.0)],
+        "crop": [A.RandomCrop((16, 20), p=1.0)],
         "rotation": [A.RandomRotation(30.0, p=1.0)],
+        "expand": [A.RandomRotation(30.0, p=1.0, expand=True)],
         "elastic": [A.RandomElasticTransform((9, 9), (4.0, 4.0), p=1.0)],
         "once": [A.RandomAffine(20.0, p=1.0), A.RandomElasticTransform((9, 9), (4.0, 4.0), p=1.0)],
-        "volume": [A.RandomHorizontalFlip3D(p=1.0)],
+        "policy": [A.auto.RandAugment(2, 20)],
+        "nested policy": [A.ImageSequential(A.auto.AutoAugment()), A.CenterCrop((24, 28))],
+        "volume": [A.RandomRotation3D((0.0, 0.0, 30.0), p=1.0)],
     }
-    x = torch.rand(2, 1, 8, 64, 64) if name == "volume" else torch.rand(2, 1, 64, 64)
+    x = torch.rand((2, 3, 4, 32, 32) if name == "volume" else (2, 3, 32, 32), device=device)
     resample = "once" if name == "once" else "each"
-    augment = A.AugmentationSequential(*children[name], data_keys=["input", "mask"], resample=resample)
+    augment = A.AugmentationSequential(*children[name], data_keys=["input", "mask"], resample=resample).to(device)
     y, _ = augment(x, x, seed=3)
-    small = torch.rand(2, 1, *(n // 4 for n in y.shape[2:]))
-    large = small
-    for axis in range(2, small.dim()):
-        large = large.repeat_interleave(4, axis)
-    center = (..., *[slice(2, None, 4)] * (small.dim() - 2))
+    result = y.shape[2:]
+    own = [*result[:-2], *size]
+    small = torch.rand(2, 3, *own, device=device)
+    large = at_centers(small, [*result])
+    expected_size = [int(Fraction(n * m, k) + Fraction(1, 2)) for n, m, k in zip(x.shape[2:], own, result)]
+    known = at_centers(augment.known_pixels(large), expected_size)
     for params in (None, augment._params):
         back, masks = augment.inverse(small, [*small], params=params)
         expected, mask = augment.inverse(large, large, params=params)
-        assert torch.equal(back, expected[center]) and torch.equal(torch.stack(masks), mask[center])
+        assert torch.equal(back, at_centers(expected, expected_size))
+        assert torch.equal(torch.stack(masks), at_centers(mask, expected_size))
+        assert torch.equal(augment.known_pixels(small, params=params), known)
     if len(children[name]) == 1:
         child = augment[0]
-        assert torch.equal(child.inverse(small), child.inverse(large)[center])
-    if name == "rotation":
-        chain, videos = A.ImageSequential(*children[name]), A.VideoSequential(*children[name])
-        chain(x), videos(x[:, None])
-        assert torch.equal(chain.inverse(small), chain.inverse(large)[center])
-        assert torch.equal(videos.inverse(small[:, None]), videos.inverse(large[:, None])[..., 2::4, 2::4])
+        assert torch.equal(child.inverse(small), at_centers(child.inverse(large), expected_size))
+        assert torch.equal(child.inverse(small), child.inverse(small, params=child._params))
+        assert torch.equal(child.known_pixels(small), at_centers(child.known_pixels(large), expected_size))
+
+
+def test_predictions_of_another_size_of_videos(device: torch.device) -> None:
+    rotation = A.RandomRotation(30.0, p=1.0)
+    videos = torch.rand(2, 3, 1, 32, 32, device=device)
+    chain = A.VideoSequential(rotation, same_on_frame=False)
+    container = A.AugmentationSequential(A.VideoSequential(rotation), data_keys=["input"])
+    small = torch.rand(2, 3, 1, 11, 16, device=device)
+    for augment in (chain, container):
+        augment(videos, seed=1)
+        large = at_centers(small.flatten(0, 1), [32, 32]).unflatten(0, (2, 3))
+        for params in (None, augment._params):
+            back = augment.inverse(large, params=params).flatten(0, 1)
+            assert torch.equal(augment.inverse(small, params=params), at_centers(back, [11, 16]).unflatten(0, (2, 3)))
+            known = augment.known_pixels(large, params=params).flatten(0, 1)
+            assert torch.equal(
+                augment.known_pixels(small, params=params), at_centers(known, [11, 16]).unflatten(0, (2, 3))
+            )

@@ -152,6 +152,9 @@ class RandomRotation(GeometricAugmentationBase2D):
         h, w = sides.amax(0).tolist() if len(sides) else (height, width)
         return h, w
 
+    def _size_of(self, execution: Execution, flags: dict[str, Any]) -> Sequence[int]:
+        return super()._size_of(execution, flags) if self.has_known_size else self._canvas(execution)
+
     def _matrix_of(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if self.has_known_size:
             return super()._matrix_of(x, execution, flags)

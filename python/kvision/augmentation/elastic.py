@@ -102,13 +102,15 @@ class MapAugmentation(AugmentationBase2D):
         x, execution = self._call_to_invert(output, params, flags)
         if not execution.applied or 0 in x.shape:
             return output
+        y = inverse_at(x, execution.shape[2:], lambda x: self.inverse_images(x, execution, flags))
+        return self._restored(y, output)
+
+    def inverse_images(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if not execution.applied or 0 in x.shape:
+            return x
         back, converged = self._inverse_map(x, execution, flags)
-
-        def moved_back(x: Tensor) -> Tensor:
-            y = torch.where(converged, maps.read(x, back, self.resampling(flags).for_inverse()), 0).to(x.dtype)
-            return where_chosen(execution.chosen, y, x)
-
-        return self._restored(inverse_at(x, execution.shape[2:], moved_back), output)
+        y = torch.where(converged, maps.read(x, back, self.resampling(flags).for_inverse()), 0).to(x.dtype)
+        return where_chosen(execution.chosen, y, x)
 
     def inverse_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or 0 in masks.shape:

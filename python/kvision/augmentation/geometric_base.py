@@ -73,10 +73,17 @@ class GeometricAugmentation(AugmentationBase):
         x, execution = self._call_to_invert(output, params, flags)
         if not execution.applied:
             return output
-        matrix, size = self._matrix(execution), execution.shape[2:]
-        result = self.output_shape(execution.shape, flags)[2:] if self.has_known_size else x.shape[2:]
-        y = inverse_at(x, result, lambda x: self.inverse_transform(x, flags, matrix, size))
+        y = inverse_at(x, self._size_of(execution, flags), lambda x: self.inverse_images(x, execution, flags))
         return self._restored(y, output)
+
+    def _size_of(self, execution: Execution, flags: dict[str, Any]) -> Sequence[int]:
+        """The size of the results of an execution."""
+        return self.output_shape(execution.shape, flags)[2:]
+
+    def inverse_images(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if not execution.applied:
+            return x
+        return self.inverse_transform(x, flags, self._matrix(execution), tuple(execution.shape[2:]))
 
 
 class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentationBase2D):

@@ -265,6 +265,8 @@ class MixAugmentationBaseV2(AugmentationBase2D):
         """Mixing has no inverse."""
         raise _NoMatrixError(f"{type(self).__name__}: mixed samples cannot be taken apart")
 
+    inverse_images = inverse
+
 
 def _of_boxes(labels: Tensor, partners: Sequence[Tensor], params: Params) -> Tensor:
     """Labels of boxes (B, N), followed by those of the partners' boxes; -1 for samples that are not chosen."""

@@ -17,7 +17,7 @@ from kvision.augmentation.columns import DrawPlan, fits_one_launch, plan_draws
 from kvision.augmentation.container.image import ImageSequential, ParamItem, identity_of
 from kvision.augmentation.container.record import Record
 from kvision.augmentation.container.runs import Randomness
-from kvision.augmentation.container.stages import Stage, invert, product
+from kvision.augmentation.container.stages import Stage, product
 from kvision.augmentation.draws import MAX_DRAWS, Draw, Request
 from kvision.augmentation.keys import check_seeds, draw_keys
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -235,13 +235,6 @@ class PolicyAugmentBase(ImageSequential):
         x = self.transform_tensor(input)
         stages = self._run(x, self._redrawn(params or self._params, x))[1]
         return product(identity_of(tuple(x.shape)), stages)
-
-    def inverse(
-        self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
-    ) -> Tensor:
-        x = self.transform_tensor(input)
-        stages = self._record.stages if params is None else self._run(x, self._redrawn(params, x))[1]
-        return self._restored(invert(x, stages), input)
 
     def is_intensity_only(self, strict: bool = True) -> bool:
         return all(OPERATIONS[name].neutral != 0 for names in self._names for name in names)

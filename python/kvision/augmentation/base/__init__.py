@@ -26,6 +26,7 @@ from kvision.augmentation.base.augmentation import (
 )
 from kvision.augmentation.base.execution import Execution, Params, Shape, matrix_type
 from kvision.augmentation.base.samples import (
+    at_scale,
     inverse_at,
     is_known,
     known_everywhere,
@@ -44,6 +45,7 @@ __all__ = [
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",
     "Shape",
+    "at_scale",
     "inverse_at",
     "is_known",
     "known_everywhere",

@@ -11,6 +11,7 @@ from torch import Generator, Tensor
 from kvision.augmentation.base.execution import Execution, Params
 from kvision.augmentation.base.one_pass import OnePass
 from kvision.augmentation.base.samples import (
+    at_scale,
     is_known,
     known_everywhere,
     where_chosen,
@@ -145,6 +146,13 @@ class AugmentationBase(OnePass):
 
     # --- the inverse ---
 
+    def inverse_images(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        """Images (B, C, h, w) of the size of results, moved back."""
+        if self._is_overridden("inverse"):
+            self._execution = execution
+            x = self.inverse(x)
+        return x
+
     def inverse_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         """Masks (B, C, h, w) of results, moved back."""
         return masks
@@ -171,11 +179,11 @@ class AugmentationBase(OnePass):
         """Which pixels of the images :meth:`inverse` finds in a result; the others were lost in the call, or in part.
 
         Args:
-            output: images (B, C, h, w) as that call returned them, of which only the device counts.
+            output: images (B, C, h, w) as that call returned them, of which only the size and the device count.
             params: the `_params` of the call.
 
         Returns:
-            bool (B, 1, H, W), of the size that the input had.
+            bool (B, 1, H, W), of the size that :meth:`inverse` gives.
         """
         x = self.transform_tensor(output)
         execution = self._execution_of(params, x, self.flags)
@@ -183,7 +191,8 @@ class AugmentationBase(OnePass):
             return is_known(known_everywhere(x.shape, x.device))
         ones = known_everywhere(execution.shape, x.device)
         moved = self.transform_masks(ones, execution, {**self.flags, "resample": "bilinear"})
-        return is_known(self.inverse(moved, params).reshape(ones.shape))
+        known = is_known(self.inverse(moved, params).reshape(ones.shape))
+        return at_scale(known, x.shape[2:], moved.shape[2:])
 
     def _restored(self, y: Tensor, input: Tensor) -> Tensor:
         """A result of the type of the input, and with as many axes if `keepdim` is True."""

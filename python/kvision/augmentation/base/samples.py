@@ -36,13 +36,19 @@ def where_chosen(chosen: Tensor | None, y: Tensor, x: Tensor | float) -> Tensor:
 def inverse_at(x: Tensor, size: Sequence[int], invert: Callable[[Tensor], Tensor]) -> Tensor:
     """The inverse of predictions of any size for results of a size: enlarged, moved back, and read at their own scale.
 
-    Both are read as `resize` reads in mode nearest, with the edges of the images in place.
+    Both times the pixels at the centers are read, with the edges of the images in place.
     """
     own = x.shape[2:]
     if tuple(own) == tuple(size) or 0 in x.shape or 0 in size or len(own) != len(size):
         return invert(x)
-    y = invert(_read_nearest(x, size))
-    return _read_nearest(y, [max(round(n * m / k), 1) for n, m, k in zip(y.shape[2:], own, size)])
+    return at_scale(invert(_read_nearest(x, size)), own, size)
+
+
+def at_scale(y: Tensor, own: Sequence[int], size: Sequence[int]) -> Tensor:
+    """What is as large as the images before a call, read at the scale of predictions of a size `own` for results of `size`."""
+    if tuple(own) == tuple(size) or 0 in own or 0 in size or len(own) != len(size):
+        return y
+    return _read_nearest(y, [max((2 * n * m + k) // (2 * k), 1) for n, m, k in zip(y.shape[2:], own, size)])
 
 
 def _read_nearest(x: Tensor, size: Sequence[int]) -> Tensor:

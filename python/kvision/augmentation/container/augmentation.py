@@ -307,16 +307,12 @@ class AugmentationSequential(ImageSequential):
 
     def _move_alone(self, keys: list[DataKey], inputs: list[Any], params: Any) -> tuple[list[Any], Record]:
         """Labels without their images, moved by the last call or by given parameters."""
-        record = self._record
-        stages, size, videos = record.stages, record.size, record.videos
-        inputs, restore = _of_frames(videos, keys, inputs)
-        if params is not None:
-            image, stages = self._replayed(torch.zeros(1, device="cpu"), params)
-            size = tuple(image.shape[2:])
-        moves = LabelRecord(self._label_settings, record.shape, size)
-        outputs = moves.move(keys, inputs, stages)
-        forget_coordinates(stages)
-        return _of_videos(videos, outputs, restore), record.replaced(labels=moves)
+        last, record = self._record, self._record_of(torch.zeros(1, device="cpu"), params)
+        inputs, restore = _of_frames(last.videos, keys, inputs)
+        moves = LabelRecord(self._label_settings, record.shape, record.size)
+        outputs = moves.move(keys, inputs, record.stages)
+        forget_coordinates(record.stages)
+        return _of_videos(last.videos, outputs, restore), last.replaced(labels=moves)
 
     @property
     def _label_settings(self) -> LabelSettings:
@@ -379,12 +375,12 @@ class AugmentationSequential(ImageSequential):
         return outputs[0] if len(outputs) == 1 else outputs
 
     def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
-        record = self._record
-        videos = record.videos
+        videos = self._record.videos
         if DataKey.INPUT in keys:
             videos = self._video_layout(inputs[keys.index(DataKey.INPUT)])
         inputs, restore = _of_frames(videos, keys, inputs)
-        stages, size = self._stages_and_size(torch.zeros(1, device="cpu"), params)
+        record = self._record_of(torch.zeros(1, device="cpu"), params)
+        stages, size = record.stages, record.size
         outputs = []
         for key, value in zip(keys, inputs):
             if key == DataKey.INPUT:

@@ -12,6 +12,7 @@ from torch import Generator, Tensor, nn
 from kvision._ops import FLOATS
 from kvision.augmentation.base import (
     AugmentationBase,
+    at_scale,
     inverse_at,
     is_known,
     known_everywhere,
@@ -513,42 +514,30 @@ class ImageSequential(ImageSequentialBase):
             Images of the size that the input had; 0 where the result has no data of them.
         """
         x = self.transform_tensor(input)
-        stages, size = self._stages_and_size(x, params)
-        return self._restored(inverse_at(x, size, lambda x: invert(x, stages)), input)
+        record = self._record_of(x, params)
+        return self._restored(inverse_at(x, record.size, lambda x: invert(x, record.stages)), input)
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
         """Which pixels of the images :meth:`inverse` finds in a result; the others were lost in the call, or in part.
 
         Args:
-            output: images (B, C, h, w) as that call returned them, of which only the device counts.
+            output: images (B, C, h, w) as that call returned them, of which only the size and the device count.
             params: the `_params` of the call.
 
         Returns:
-            bool (B, 1, H, W), of the size that the images had before the call.
+            bool (B, 1, H, W), of the size that :meth:`inverse` gives.
         """
         x = self.transform_tensor(output)
-        record = self._record
-        shape, stages = record.shape or tuple(x.shape), record.stages
-        if params is not None:
-            shape, stages = _input_shape(params) or shape, self._stages_of(x, params)
-        return is_known(invert(move_masks(known_everywhere(shape, x.device), stages, KNOWN), stages))
+        record = self._record_of(x, params)
+        moved = move_masks(known_everywhere(record.shape or tuple(x.shape), x.device), record.stages, KNOWN)
+        return at_scale(is_known(invert(moved, record.stages)), x.shape[2:], moved.shape[2:])
 
-    def _stages_and_size(self, x: Tensor, params: Sequence[ParamItem] | None) -> tuple[Sequence[Stage], Sequence[int]]:
-        """What a call did, the last one unless parameters are given, and the size of its results."""
+    def _record_of(self, x: Tensor, params: Sequence[ParamItem] | None) -> Record:
+        """The last call, or one with given parameters on images of which only the size counts."""
         if params is None:
-            return self._record.stages, self._record.size
-        image, stages = self._replayed(x, params)
-        return stages, image.shape[2:]
-
-    def _stages_of(self, x: Tensor, params: Sequence[ParamItem]) -> list[Stage]:
-        """What a call with given parameters did, on images of which only the size counts."""
-        return self._replayed(x, params)[1]
-
-    def _replayed(self, x: Tensor, params: Sequence[ParamItem]) -> tuple[Tensor, list[Stage]]:
-        shape = _input_shape(params)
-        image = x.new_zeros(1).expand(tuple(x.shape) if shape is None else shape)
-        source = self._source(None, None)
-        return execute(image, self._children_of_call(params, source), source)
+            return self._record
+        image = x.new_zeros(1).expand(_input_shape(params) or tuple(x.shape))
+        return self._execute(image, params, self._source(None, None))[1]
 
     def is_intensity_only(self, strict: bool = True) -> bool:
         """Whether all children keep the positions of pixels; other modules count as moving them if `strict`."""

@@ -13,7 +13,7 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation import maps
 from kvision.augmentation.base import AugmentationBase, Execution
 from kvision.augmentation.elastic import MapAugmentation
-from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp, warp_labels
+from kvision.augmentation.geometric_base import warp, warp_labels
 from kvision.augmentation.labels import BoxFilter
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
@@ -131,12 +131,7 @@ class Applied(NamedTuple):
         if self.stages is not None:
             return invert(x, self.stages)
         if own := self._augmentation:
-            module, execution = own
-            if isinstance(module, GeometricAugmentationBase2D):
-                size = tuple(execution.shape[-2:])
-                return module.inverse_transform(x, self.flags, module._matrix(execution), size)
-            module._execution = execution
-            x = module.inverse(x)
+            x = own[0].inverse_images(x, own[1], self.flags)
         return x
 
     def product(self, matrix: Tensor) -> Tensor:

@@ -174,9 +174,9 @@ class VideoSequential(ImageSequential):
         return source._replace(frames=time if self.same_on_frame else 1, time=time)
 
     def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage, Record]:
-        if source.time == 0:
+        if source.time == 0 and params is None:
             raise _RankError("VideoSequential: expected videos, got the images of another container")
-        return super()._execute_nested(x, params, self._of_frames(source, source.time))
+        return super()._execute_nested(x, params, self._of_frames(source, max(source.time, 1)))
 
     def inverse(
         self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
@@ -193,8 +193,8 @@ class VideoSequential(ImageSequential):
         """
         layout = self._layout(input)
         frames = layout.frames(input)
-        stages, size = self._stages_and_size(frames, params)
-        return layout.videos(inverse_at(frames, size, lambda x: invert(x, stages)))
+        record = self._record_of(frames, params)
+        return layout.videos(inverse_at(frames, record.size, lambda x: invert(x, record.stages)))
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
         """Which pixels of the videos :meth:`inverse` finds in a result; the others were lost in the call, or in part.

@@ -15,7 +15,13 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 from torch._C import _are_functorch_transforms_active, _AutoDispatchBelowAutograd
-from torch._C._functorch import TransformType, get_interpreter_stack, get_unwrapped, is_functorch_wrapped_tensor
+from torch._C._functorch import (
+    TransformType,
+    get_interpreter_stack,
+    get_unwrapped,
+    is_batchedtensor,
+    is_functorch_wrapped_tensor,
+)
 from torch._functorch.utils import unwrap_dead_wrappers
 from torch._ops import OpOverload
 from torch.autograd import forward_ad
@@ -39,6 +45,7 @@ __all__ = [
     "in_function_transform",
     "in_onnx_export",
     "is_any_autocast_enabled",
+    "is_mapped",
     "is_tracing",
     "keep_calls_apart",
     "kernel_caller",
@@ -80,6 +87,15 @@ def without_transforms(x: Tensor) -> Tensor:
     while is_functorch_wrapped_tensor(x):
         x = get_unwrapped(x)
     return x
+
+
+def is_mapped(x: Tensor) -> bool:
+    """Whether `x` has an axis that torch.func.vmap hides. Waits for what `without_transforms` waits for."""
+    while is_functorch_wrapped_tensor(x):
+        if is_batchedtensor(x):
+            return True
+        x = get_unwrapped(x)
+    return False
 
 
 class LoadedModule(nn.Module):

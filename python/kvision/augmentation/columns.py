@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from kvision._torch_compat import in_function_transform
 from kvision.augmentation.draws import MAX_DRAWS, MAX_NUMBERS, Draw, Request, draw_parameters, make_plan
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.ranges import LearnedPair, LearnedUniform
@@ -64,7 +65,10 @@ class DrawPlan(NamedTuple):
         """The columns (B, P)."""
         own = self.keys_of(keys)
         seeds = keys.seeds_on(images.device)
-        images = images.detach() if images.requires_grad else images
+        if in_function_transform():  # the elements of a vmap share what is drawn, unless their keys differ
+            images = torch.empty(images.shape[0], device=images.device)
+        elif images.requires_grad:
+            images = images.detach()
         drawn: Tensor = draw_parameters(images, own, seeds, self.plan, self.numbers)
         return drawn if self.learned is None else _with_learned(drawn, self.learned)
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._modes import BORDER
 from kvision._ops import register
+from kvision.augmentation.keys import flatten_draws
 from kvision.augmentation.maps import vector
 from kvision.augmentation.noise import PixelNoise, uniform_noise
 from kvision.filters.kernels import sigmas
@@ -41,7 +42,9 @@ def _backward(needs: Sequence[bool], grad: Tensor, noise: Tensor, keys: Any, see
     return [gaussian._transposed(scaled, None, *blur, BORDER["constant"]), None, None]
 
 
-_elastic_displacements = register("elastic_displacements", _reference, backward=_backward)
+_elastic_displacements = register(
+    "elastic_displacements", _reference, backward=_backward, flatten=flatten_draws(keys=1)
+)
 
 
 def blur_settings(kernel_size: Any, sigma: Any) -> tuple[int, int, Any, Any]:

@@ -23,6 +23,7 @@ from torch import Tensor
 from kvision._limits import MAX_DRAW_NUMBERS as MAX_NUMBERS  # noqa: F401
 from kvision._limits import MAX_DRAWS as MAX_DRAWS
 from kvision._ops import register
+from kvision.augmentation.keys import flatten_draws
 
 # --- kinds ----------------------------------------------------------------------------------------------------------
 
@@ -365,4 +366,5 @@ draw_parameters = register(
     non_differentiable=(0,),
     bytes=True,
     casts_outputs=True,
+    flatten=flatten_draws(keys=1),
 )

@@ -13,6 +13,7 @@ from kvision import _check, enhance, filters
 from kvision._clamp import clamp
 from kvision.augmentation.base import AugmentationBase, Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.keys import refuse_mapped
 from kvision.augmentation.random_generator.filters import (
     JPEGGenerator,
     MotionBlurGenerator,
@@ -181,6 +182,8 @@ class DrawnKernelSize(AugmentationBase):
     def _blurred(self, input: Tensor, params: Params, blur: Callable[[Tensor, int, Tensor, Tensor], Tensor]) -> Tensor:
         """Images blurred by `blur`, all samples of a size at once."""
         ksize, angle, direction = (params[f"{name}_factor"] for name in ("ksize", "angle", "direction"))
+        if not self._param_generator._has_one_size:
+            refuse_mapped(type(self).__name__, ksize)
         sizes = self._param_generator._sizes_on_host(ksize)
         if len(sizes) == 1:
             return blur(input, sizes[0], angle, direction)

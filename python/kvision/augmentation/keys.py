@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
@@ -11,7 +12,8 @@ from torch.compiler import is_compiling
 from torch.utils.data import get_worker_info
 
 from kvision import _check
-from kvision._ops import register_random
+from kvision._ops import flatten_batches, register_random
+from kvision._torch_compat import in_function_transform, is_mapped
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 Seed = int | Tensor | None
@@ -41,6 +43,7 @@ class Keys(NamedTuple):
         keys = self.keys if self.seeds is None or not len(self.seeds) else self.seeds[:1]
         if keys.is_cuda:
             refuse_capture(op)
+        refuse_mapped(op, keys)
         return [int(k) for k in keys.tolist()]
 
 
@@ -53,10 +56,20 @@ def refuse_capture(op: str) -> None:
         )
 
 
+def refuse_mapped(op: str, drawn: Tensor) -> None:
+    """Raise where torch.func.vmap hides what each of its elements has drawn for a choice of the host."""
+    if in_function_transform() and is_mapped(drawn):
+        raise RuntimeError(
+            f"{op}: a random choice that changes sizes or modules cannot differ between the elements of torch.func.vmap; use "
+            "randomness='same', or an int as seed"
+        )
+
+
 def draw_keys(op: str, count: int, device: torch.device, seed: Seed, generator: Generator | None) -> Keys:
     """Keys for `count` augmentations of a batch on `device`: from a seed, a generator, or torch's default generator.
 
-    While a CUDA graph is captured, torch's default generator of the device draws them, so that each replay has new ones.
+    While a CUDA graph is captured, torch's default generator of the device draws them, so that each replay has new ones. Under
+    torch.func.vmap its `randomness` says whether the elements share them.
     """
     if seed is not None:
         return _from_seed(op, seed)
@@ -76,14 +89,11 @@ def _word_of_worker() -> int:
 def _drawn_keys(op: str, count: int, device: torch.device, generator: Generator | None) -> Tensor:
     """int64 (count,) of a generator, None for torch's default one."""
     compiles = is_compiling()
-    if generator is None and not compiles and not _captures(device):
-        return _random_words(count)
+    if generator is None and (compiles or not _captures(device)):
+        return _random_keys(count) if compiles and not in_function_transform() else _random_words(count)
     where = device if generator is None else generator.device
     if compiles:
-        if generator is None:
-            return _random_keys(count)
-        # Compilers know no random_ of a generator. The lowest number is added to the words of a range, as random_ does not.
-        return torch.randint(_LOWEST, 2**63 - 1, (count,), generator=generator, device=where) ^ _LOWEST
+        return _random_words(count, generator, where)
     if where.type == "cpu":
         if _captures(device):
             raise RuntimeError(
@@ -91,10 +101,7 @@ def _drawn_keys(op: str, count: int, device: torch.device, generator: Generator 
             )
         return _random_words(count, generator)
     # A CUDA generator gives other numbers for several in one call than for several calls.
-    each = [
-        torch.empty(1, dtype=torch.int64, device=where).random_(_LOWEST, None, generator=generator)
-        for _ in range(count)
-    ]
+    each = [_random_words(1, generator, where) for _ in range(count)]
     return torch.cat(each) if each else torch.empty(0, dtype=torch.int64, device="cpu")
 
 
@@ -107,9 +114,13 @@ def _captures(device: torch.device) -> bool:
     return device != _CPU and device.type == "cuda" and torch.cuda.is_current_stream_capturing()
 
 
-def _random_words(count: int, generator: Generator | None = None) -> Tensor:
-    """int64 (count,) of the CPU's generator."""
-    return torch.empty(count, dtype=torch.int64, device="cpu").random_(_LOWEST, None, generator=generator)
+def _random_words(count: int, generator: Generator | None = None, device: torch.device = _CPU) -> Tensor:
+    """int64 (count,) of a generator."""
+    if is_compiling() or in_function_transform():
+        # Compilers know no random_ of a generator, and vmap only maps a function that makes a tensor. The lowest number is added to
+        # the words of a range, as random_ does not.
+        return torch.randint(_LOWEST, 2**63 - 1, (count,), generator=generator, device=device) ^ _LOWEST
+    return torch.empty(count, dtype=torch.int64, device=device).random_(_LOWEST, None, generator=generator)
 
 
 # In a graph torch's own functions draw from generators that inductor seeds in its way. This one gives what eager calls draw.
@@ -152,6 +163,18 @@ def restored_generator(device: str, state: bytes) -> Generator:
     generator = Generator(device)
     generator.set_state(torch.frombuffer(bytearray(state), dtype=torch.uint8))
     return generator
+
+
+def flatten_draws(keys: int) -> Callable[[int, tuple[Any, ...], tuple[Any, ...]], list[Any] | None]:
+    """The `flatten` of operators with keys, or None, as argument number `keys` and seeds behind it.
+
+    A sample draws by its index, or by its seed alone: without seeds a call for each element, which counts its own samples.
+    """
+
+    def flatten(n: int, in_dims: tuple[Any, ...], args: tuple[Any, ...]) -> list[Any] | None:
+        return None if args[keys] is not None and args[keys + 1] is None else flatten_batches(n, in_dims, args)
+
+    return flatten
 
 
 def check_seeds(op: str, keys: Keys, samples: int) -> None:

@@ -16,12 +16,13 @@ from torch import Tensor
 from kvision._constants import constant
 from kvision._ops import Operator, match_layout, register, saturate_to_byte
 from kvision.augmentation.draws import MAX_DRAWS, philox, unit
-from kvision.augmentation.keys import Keys
+from kvision.augmentation.keys import Keys, flatten_draws
 
 # Arguments of the operators: images (B, C, H, W); parameters (B, 2) of the type that is computed in, for images in [0, 1]
 # (bytes have 255 times their noise); keys (K,) int64 on the CPU or the images' device; seeds (B,) int64, which replace the
 # keys, or None; chosen (B,) float32, 0 for samples that stay as they are, or None; and the plan: index of the key, position
 # in the chain, index of the draw, same_on_batch.
+_FLATTEN = flatten_draws(keys=2)
 
 
 def _words(
@@ -134,7 +135,8 @@ def _noise_backward(
 
 
 def _register_added(name: str, reference: Callable[..., Tensor]) -> Operator:
-    return register(name, reference, backward=partial(_noise_backward, name), bytes=True, casts_outputs=True)
+    backward = partial(_noise_backward, name)
+    return register(name, reference, backward=backward, bytes=True, casts_outputs=True, flatten=_FLATTEN)
 
 
 gaussian_noise = _register_added("gaussian_noise", _gaussian_reference)
@@ -183,6 +185,7 @@ _salt_and_pepper_backward: Operator = register(
     gradients="grad: salt_and_pepper_backward(grad=grad_grad)",
     linear=True,
     casts_outputs=True,
+    flatten=_FLATTEN,
 )
 salt_and_pepper = register(
     "salt_and_pepper",
@@ -190,6 +193,7 @@ salt_and_pepper = register(
     gradients="images: salt_and_pepper_backward",
     bytes=True,
     casts_outputs=True,
+    flatten=_FLATTEN,
 )
 
 

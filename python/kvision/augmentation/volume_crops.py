@@ -301,9 +301,8 @@ _SIDE = 2.0**-20
 
 def _translation(shift: Tensor) -> Tensor:
     """(B, 4, 4) that moves voxels by `shift` (B, 3)."""
-    matrix = torch.eye(4, device=shift.device, dtype=shift.dtype).repeat(shift.shape[0], 1, 1)
-    matrix[:, :3, 3] = shift
-    return matrix
+    identity = torch.eye(4, device=shift.device, dtype=shift.dtype).expand(len(shift), 4, 4)
+    return torch.cat([identity[..., :3], torch.nn.functional.pad(shift, (0, 1), value=1.0)[..., None]], -1)
 
 
 def _six_sides(padding: Any) -> tuple[int, ...]:

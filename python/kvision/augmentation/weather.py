@@ -76,7 +76,7 @@ class RandomRain(IntensityAugmentationBase2D):
         first_row = torch.minimum((at[..., 0] * rows).long(), rows - 1)
         first_column = torch.minimum((at[..., 1] * columns).long(), columns - 1) + (-right).clamp(min=0)
         falls = torch.arange(at.shape[1], device=input.device) < count
-        wet = torch.zeros(input.shape[0], height * width, dtype=torch.int32, device=input.device)
+        wet = at.new_zeros(input.shape[0], height * width, dtype=torch.int32)
         for step in range(longest):
             k = steps.clamp(max=step)  # shorter drops repeat their last pixel
             row = first_row + k * down // steps.clamp(min=1)

@@ -54,6 +54,7 @@ OTHER_KINDS = {
     "print_image": "takes the path of a file, too",
     "Lambda.forward": "passes what it gets to the user's function",
     "ImageSequential.forward": "takes arrays, PIL images and paths, and passes on what else it gets",
+    "show": "takes arrays, PIL images and paths, and lists of them",
     "to_numpy": "takes arrays, PIL images and paths, and lists of them",
     "to_pil": "takes arrays, PIL images and paths, and lists of them",
     "to_tensor": "takes arrays, PIL images and paths, and lists of them",
@@ -71,7 +72,7 @@ for home in (K.augmentation, K.augmentation.auto, K.augmentation.auto.operations
 
 
 # Their examples write files that are gone when the call is made again.
-WRITERS = {"write_image", "save_pointcloud_ply", "save_pointcloud_ply_binary"}
+WRITERS = {"write_image", "show", "save_pointcloud_ply", "save_pointcloud_ply_binary"}
 
 
 def tensors(home: str) -> Iterator[tuple[Call, str | int, bool]]:

@@ -66,6 +66,7 @@ WITHOUT_SAMPLE = {
     **dict.fromkeys(("image.to_tensor", "image.to_numpy", "image.to_pil"), "converts images of other libraries"),
     **dict.fromkeys(("image.perform_keep_shape_image", "image.perform_keep_shape_video"), "decorates functions"),
     "image.print_image": "prints",
+    "image.show": "draws pictures",
     "image.image_to_string": "gives a string",
     "image.tensor_to_image": "gives a NumPy array",
     "utils.get_sample_images": "reads files",

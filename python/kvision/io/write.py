@@ -52,6 +52,12 @@ def write_image(path_file: str | os.PathLike[str], image: Tensor, quality: int =
         ...     K.io.load_image(path, K.io.ImageLoadType.UNCHANGED)
         tensor([[[  0, 128, 255]]], dtype=torch.uint8)
     """
+    data = encoded(path_file, image, quality)
+    Path(path_file).write_bytes(data)  # an OSError names the file and the reason by itself
+
+
+def encoded(path_file: str | os.PathLike[str], image: Tensor, quality: int = 80) -> bytes:
+    """What :func:`write_image` writes to a file of this name."""
     if not isinstance(path_file, (str, os.PathLike)):
         raise TypeCheckError(
             f"write_image: expected path_file to be a str or a path, got {type(path_file).__name__}",
@@ -86,7 +92,7 @@ def write_image(path_file: str | os.PathLike[str], image: Tensor, quality: int =
             f"write_image: expected image to be floating point or {listed} for {suffix}, got {image.dtype}",
             actual_type=image.dtype,
         )
-    path.write_bytes(_encode(path, planes, quality))  # an OSError names the file and the reason by itself
+    return _encode(path, planes, quality)
 
 
 def _encode(path: Path, planes: Tensor, quality: int) -> bytes:

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         morphology,
         utils,
     )
+    from kvision._hints import RangeWarning
     from kvision.color import bgr_to_rgb, rgb_to_grayscale
     from kvision.constants import pi
     from kvision.contrib import extract_tensor_patches
@@ -106,6 +107,7 @@ __all__ = [
     "HomographyWarper",
     "LAFAffineShapeEstimator",
     "LAFOrienter",
+    "RangeWarning",
     "ScalePyramid",
     "ScaleSpaceDetector",
     "__version__",
@@ -175,6 +177,7 @@ __all__ = [
 
 # Names at the top level, and their modules: those in the examples of Kornia's paper, and those that Kornia 0.9 has there.
 _HOMES = {
+    "RangeWarning": "_hints",
     "pi": "constants",
     "eye_like": "core",
     "vec_like": "core",

@@ -84,7 +84,7 @@ def _old_driver(library: Path) -> str:
 
 
 # What the library and its build read from the environment, after KVISION_.
-_VARIABLES = ("BACKEND", "BUILD", "CUDA", "ISA", "PYTHONS", "SHARED_MEMORY")
+_VARIABLES = ("BACKEND", "BUILD", "CUDA", "HINTS", "ISA", "PYTHONS", "SHARED_MEMORY")
 
 
 def _check_environment() -> None:

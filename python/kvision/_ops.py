@@ -28,6 +28,7 @@ from kvision import _backend
 from kvision._backend import backend, current_backend, unserved_devices
 from kvision._dtype import is_autocast_on
 from kvision._gradients import compile_words
+from kvision._hints import look_at_range
 from kvision._torch_compat import (
     before_first_lookup,
     below_autograd,
@@ -148,6 +149,8 @@ class Operator:
         nondeterministic: True, or a function of the arguments that tells whether the kernel may give other bits on a
             second run. Under torch.use_deterministic_algorithms the reference then serves, whose own operators raise
             or warn if they are not deterministic either.
+        clamps: the result of images is clamped to [0, 1]; or a function of the arguments that tells whether it is. The first call
+            looks at the range of the images.
         flatten: the rule of vmap where not all tensors have the same axis 0: `flatten(n, in_dims, args)` returns the
             arguments of one call for all n of them, or None where there is none. Default: flatten_batches.
     """
@@ -171,6 +174,7 @@ class Operator:
         casts_outputs: bool = False,
         supports: Callable[..., str | None] | None = None,
         nondeterministic: bool | Callable[..., bool] = False,
+        clamps: bool | Callable[..., bool] = False,
         flatten: Callable[[int, tuple[Any, ...], tuple[Any, ...]], list[Any] | None] | None = None,
     ) -> None:
         self.name = name
@@ -198,7 +202,8 @@ class Operator:
         self._is_constant = bool(non_differentiable) and len(non_differentiable) == self._count_results()
         self.function = self._make_function()
         self._apply = function_caller(self.function)
-        self._call_kernel: Any = kernel_caller(self.kernel)
+        self._clamps = clamps if callable(clamps) else (lambda *_: True) if clamps else None
+        self._call_kernel: Any = kernel_caller(self.kernel) if self._clamps is None else self._first_call
         # The types that kernels serve; looked up on every call.
         self._on_cpu, self._on_cuda = (
             frozenset(() if device in self.unserved else self.dtypes) for device in ("cpu", "cuda")
@@ -234,6 +239,14 @@ class Operator:
             return self._apply(*args)
         with below_autograd():
             return self._call_kernel(*args)
+
+    def _first_call(self, *args: Any) -> Any:
+        """The kernel, which later calls do not reach by way of this."""
+        call = self._call_kernel = kernel_caller(self.kernel)
+        if self._clamps is not None and self._clamps(*args):
+            look_at_range(args[0])
+        assert call is not None  # what is not built is not called
+        return call(*args)
 
     def _call_traced(self, args: Sequence[Any]) -> Any:
         """What a graph is to hold: the operator, or the operators of its reference.
@@ -463,17 +476,24 @@ class FastPath:
     Args:
         name: name of the kernel, `torch.ops.kvision.<name>`.
         dtypes: types of images that the kernel supports.
+        clamps: as that of Operator.
     """
 
     all: ClassVar[list[FastPath]] = []
 
-    def __init__(self, name: str, dtypes: Collection[torch.dtype]) -> None:
+    def __init__(self, name: str, dtypes: Collection[torch.dtype], clamps: bool = False) -> None:
         self.all.append(self)
         unserved = unserved_devices(name)
         self._on_cpu, self._on_cuda = (
             frozenset(() if "cpu" in unserved or device in unserved else dtypes) for device in ("cpu", "cuda")
         )
-        self.kernel: Any = None if "cpu" in unserved else kernel_caller(find_operator("kvision", name).default)
+        self._call_kernel = None if "cpu" in unserved else kernel_caller(find_operator("kvision", name).default)
+        self.kernel: Any = self._first_call if clamps else self._call_kernel
+
+    def _first_call(self, x: Tensor, *args: Any) -> Any:
+        self.kernel = self._call_kernel
+        look_at_range(x)
+        return self.kernel(x, *args)
 
     def serves(self, x: Tensor) -> bool:
         """Whether a call on images `x` needs kernels only: no reference, gradient, function transform or tracing."""

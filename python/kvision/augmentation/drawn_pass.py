@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from kvision._hints import look_at_range
 from kvision._ops import FastPath
 from kvision.augmentation.columns import DrawPlan
 from kvision.augmentation.keys import Keys
@@ -45,6 +46,8 @@ class DrawnPass:
         if self.has_kernel and _draw_warp_and_color.serves(x):
             if self._plan is None:
                 self._plan = self._packed()
+                if self.image_pass.clamps:
+                    look_at_range(x)
             y, matrix, columns = _draw_warp_and_color.kernel(
                 x, self.draws.keys_of(keys), keys.seeds_on(x.device), *self._plan
             )

@@ -244,6 +244,11 @@ def _supports_backward(grad: Tensor, image: Tensor, columns: Tensor | None, *res
     return _unsupported_channels(image, rest[4])
 
 
+def _plan_clamps(plan: Sequence[int], numbers: Sequence[float]) -> bool:
+    parts = _parse(plan, numbers)
+    return program.clamps(parts.steps, parts.numbers)
+
+
 def _adds_by_atomics(grad: Tensor, image: Tensor, *rest: Any) -> bool:
     """The gradient of an image on CUDA, unless the padding is the fill value, whose gradient is a gather.
 
@@ -264,6 +269,7 @@ warp_and_color = register(
     bytes=True,
     casts_outputs=True,
     supports=_supports,
+    clamps=lambda *args: _plan_clamps(*args[-2:]),
 )
 _warp_and_color_backward = register(
     "warp_and_color_backward",
@@ -362,6 +368,11 @@ class Pass(NamedTuple):
     @property
     def has_contrast(self) -> bool:
         return _has_contrast(self.plan)
+
+    @property
+    def clamps(self) -> bool:
+        """Whether a color step clamps."""
+        return _plan_clamps(self.plan, self.numbers)
 
     def run(self, x: Tensor, columns: Tensor | None) -> tuple[Tensor, Tensor]:
         """The result, and the matrices (B, 3, 3) of the warp, which do not carry gradients."""

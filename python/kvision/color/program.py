@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from kvision._hints import look_at_range
 from kvision._limits import MAX_COLOR_NUMBERS as MAX_NUMBERS  # noqa: F401
 from kvision._limits import MAX_COLOR_STEPS as MAX_STEPS  # noqa: F401
 from kvision._limits import MAX_COLOR_TENSORS as MAX_TENSORS
@@ -21,6 +22,8 @@ from kvision.color.steps import CONTRAST, NAMES, STEPS
 
 _references: dict[str, Callable[..., Tensor]] = {}
 _measurements: dict[str, Callable[[Tensor], Tensor]] = {}  # computes the last parameter of a step
+_CLAMPING = ("contrast", "gamma", "posterize", "saturation", "saturation_gray")
+_CLIPPING = ("affine", "log", "scale_shift", "scale_shift_rgb", "solarize")
 _PER_VALUE = [name for name, step in STEPS.items() if step.domain == "any" and name != "contrast"]
 
 # --- the operators --------------------------------------------------------------------------------------------------
@@ -180,6 +183,21 @@ def _backward_around_mean(needs, grad, _, y, mean, *arguments):
     return _backward(needs, grad, *arguments, mean=mean)
 
 
+def clamps(steps: Sequence[int], numbers: Sequence[Any]) -> bool:
+    """Whether one of the steps clamps to [0, 1]; the last parameter of some says whether they do."""
+    end = 0
+    for step in (STEPS[NAMES[i]] for i in steps):
+        end += step.parameters
+        if NAMES[step.number] in _CLAMPING or (NAMES[step.number] in _CLIPPING and numbers[end - 1]):
+            return True
+    return False
+
+
+def _plan_clamps(x: Tensor, *arguments: Any) -> bool:
+    *_, plan, numbers = arguments
+    return clamps(_parse_plan(plan).steps, numbers)
+
+
 def _supports(x: Tensor, *arguments: Any) -> str | None:
     """The kernels compute in one type: image and result are both float64, or neither is."""
     dtype = arguments[-2][0]
@@ -189,7 +207,14 @@ def _supports(x: Tensor, *arguments: Any) -> str | None:
 
 
 _program = register(
-    "color_program", _reference, fake=_result, backward=_backward, bytes=True, casts_outputs=True, supports=_supports
+    "color_program",
+    _reference,
+    fake=_result,
+    backward=_backward,
+    bytes=True,
+    casts_outputs=True,
+    supports=_supports,
+    clamps=_plan_clamps,
 )
 _program_around_mean = register(
     "color_program_around_mean",
@@ -201,6 +226,7 @@ _program_around_mean = register(
     bytes=True,
     casts_outputs=True,
     supports=_supports,
+    clamps=_plan_clamps,
 )
 _program_of_numbers = FastPath("color_program_of_numbers", (*FLOATS, torch.uint8))
 _program_backward = register("color_program_backward", _reference_backward, fake=_gradients, casts_outputs=True)
@@ -345,6 +371,8 @@ def step(
             if _program_of_numbers.serves(x):
                 if plan_tensor is None:
                     plan_tensor = torch.tensor(plan, device="cpu")
+                    if clamps(steps, numbers):
+                        look_at_range(x)
                 return _program_of_numbers.kernel(x, plan_tensor, numbers)
             if rest:
                 return _program_around_mean(x, *_NO_TENSORS, None, plan, numbers)[0]

@@ -35,6 +35,7 @@ _equalize_clahe = register(
     native_half=True,
     bytes="cpu",
     levels=255,
+    clamps=True,
 )
 
 

@@ -82,6 +82,7 @@ _equalize = register(
     native_half=True,
     bytes="cpu",
     levels=255,
+    clamps=True,
 )
 
 

@@ -160,7 +160,7 @@ def _backward(needs, grad, x, quality, table_y, table_c, number):
     ]
 
 
-_jpeg = register("jpeg", _reference, backward=_backward)
+_jpeg = register("jpeg", _reference, backward=_backward, clamps=True)
 _jpeg_backward = register("jpeg_backward", _reference_backward, fake=_fake_backward)
 
 

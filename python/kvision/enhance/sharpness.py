@@ -54,6 +54,7 @@ _sharpness = register(
     gradients="input, factor: sharpness_backward(of_image=needs(input), of_factor=needs(factor))",
     bytes="cpu",
     levels=255,
+    clamps=True,
 )
 register("sharpness_backward", _reference_backward, fake=_fake_backward)
 _composed = with_kernel_casts(_sharpened, levels=255)  # factors of single pixels

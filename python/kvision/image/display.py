@@ -210,7 +210,7 @@ def _display(sheet: Tensor) -> None:
     ipython = sys.modules.get("IPython")
     shell = None if ipython is None else ipython.get_ipython()
     if hasattr(shell, "kernel"):  # a notebook, not a terminal
-        from IPython.display import Image, display
+        from IPython.display import Image, display  # type: ignore[import-not-found,unused-ignore]
 
         display(Image(data=encoded("sheet.png", sheet)))
     elif not _in_window(sheet):

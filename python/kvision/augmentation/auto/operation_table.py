@@ -78,7 +78,7 @@ _COLOR = {  # all take the value from column 0
 }
 _BILINEAR = Resampling("bilinear", "zeros")
 
-_apply_operations = FastPath("apply_operations", COMPUTED_IN_FLOAT32)
+_apply_operations = FastPath("apply_operations", COMPUTED_IN_FLOAT32, clamps=True)
 
 
 def execute_steps(
@@ -157,6 +157,7 @@ _apply_operation = register(
     non_differentiable=(1,),
     casts_outputs=True,
     supports=_supports,
+    clamps=True,
 )
 register(
     "apply_operation_backward",

@@ -1,0 +1,57 @@
+"""Hints at arguments that are valid, and hardly what was meant. KVISION_HINTS=0 in the environment turns them off."""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from kvision import _check
+
+__all__ = ["RangeWarning"]
+
+_PACKAGES = tuple(
+    f"{Path(module.__file__).parent}{os.sep}" for module in (_check, torch) if module.__file__
+)  # between a call and this
+_MOST_VALUES = 1 << 20  # that are looked at
+
+
+class RangeWarning(UserWarning):
+    """Floating-point images with values up to 255, which an operator clamps to [0, 1]: said once in a process.
+
+    Looked at are images on the CPU of at most 2^20 values, in the first call of each operator that clamps. KVISION_HINTS=0 in the
+    environment turns it off, as does `warnings.simplefilter("ignore", kvision.RangeWarning)`.
+
+    Example:
+        >>> import kvision as K
+        >>> issubclass(K.RangeWarning, UserWarning)
+        True
+    """
+
+
+class _Hints:
+    are_on = os.environ.get("KVISION_HINTS") != "0"
+
+
+def look_at_range(image: Tensor) -> None:
+    """Warn if the values of an image that is clamped to [0, 1] are those of bytes. To be called where time does not matter."""
+    if not _Hints.are_on or type(image) not in (Tensor, nn.Parameter) or not _check.values_are_readable(image):
+        return
+    if not image.is_cpu or not image.is_floating_point() or not 0 < image.numel() <= _MOST_VALUES:
+        return
+    if not 2 < (largest := image.detach().amax().item()) <= 255:
+        return
+    _Hints.are_on = False
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGES):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(
+        f"kvision: expected floating-point images in [0, 1], which values are clamped to, got values up to {largest:g}: divide by "
+        "255, or pass uint8",
+        RangeWarning,
+        stacklevel=level,
+    )

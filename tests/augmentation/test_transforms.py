@@ -7,25 +7,20 @@ import torch
 from torch import Tensor
 
 import kvision as K
-from kvision.augmentation.transforms import (
-    MAX_TRANSFORMS,
-    Transform,
-    affine,
-    constant,
-    make_plan,
-    transform_matrix,
-)
+from kvision.augmentation.columns import Column
+from kvision.augmentation.transforms import MAX_TRANSFORMS, Transform, make_plan, transform_matrix
 from op_tests import assert_close
 from point_op_tests import Call, PointOpTests, vector
 
+affine, C = Transform.affine, [Column(i) for i in range(17)]
 CENTER = (7.5, 4.0)
-AFFINE = affine(CENTER, angle=0, translation=(1, 2), scale=(3, 4), shear=(5, 6), about=(7, 8))
+AFFINE = affine((C[7], C[8]), angle=C[0], translation=(C[1], C[2]), scale=(C[3], C[4]), shear=(C[5], C[6]))
 CORNERS = (0.0, 0.0, 15.0, 0.0, 15.0, 8.0, 0.0, 8.0)
-PERSPECTIVE = Transform("perspective", CORNERS * 2, [-1] * 8 + list(range(9, 17)))
-MOVING = Transform("perspective", CORNERS * 2, list(range(8)) + list(range(8, 16)))
-CROP = Transform("crop", (0, 0, 16, 9, 8, 6, 0), (0, 1, 2, 3, -1, -1, -1))
-CROP_OF_CENTERS = Transform("crop", (0, 0, 16, 9, 8, 6, 1), (0, 1, 2, 3, -1, -1, -1))
-FLIP = constant([[-1, 0, 15], [0, 1, 0], [0, 0, 1]])
+PERSPECTIVE = Transform("perspective", *CORNERS, *C[9:])
+MOVING = Transform("perspective", *C[:16])
+CROP = Transform("crop", *C[:4], 8, 6, 0)
+CROP_OF_CENTERS = Transform("crop", *C[:4], 8, 6, 1)
+FLIP = Transform.constant([[-1, 0, 15], [0, 1, 0], [0, 0, 1]])
 
 
 def parameters() -> Tensor:
@@ -44,11 +39,11 @@ class TestTransformMatrix(PointOpTests):
     calls = {
         "transform_matrix": [
             Call((parameters,), make_plan([AFFINE])),
-            Call((parameters,), make_plan([FLIP, PERSPECTIVE, AFFINE.moved(0), CROP])),
+            Call((parameters,), make_plan([FLIP, PERSPECTIVE, AFFINE, CROP])),
             Call((quads,), make_plan([MOVING])),
             Call((vector(4, scale=9),), make_plan([CROP, CROP_OF_CENTERS])),
-            Call((vector(9),), make_plan([Transform("matrix", [0.0] * 9, range(9)), FLIP])),
-            Call((vector(3),), make_plan([affine(CENTER, angle=0, scale=(1, 1)), affine(CENTER, angle=0)])),
+            Call((vector(9),), make_plan([Transform("matrix", *C[:9]), FLIP])),
+            Call((vector(3),), make_plan([affine(CENTER, angle=C[0], scale=(C[1], C[1])), affine(CENTER, angle=C[0])])),
         ]
     }
 
@@ -63,15 +58,16 @@ def moved(matrix: Tensor, points: list[list[float]]) -> Tensor:
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
 def test_identity_is_exact(dtype, device):
-    unmoved = Transform("perspective", (), ())
     for h, w in ((9, 16), (223, 317), (4095, 8191), (1, 1)):
         corners = [0.0, 0.0, w - 1, 0.0, w - 1, h - 1, 0.0, h - 1]
         shifted = [x + 0.3 for x in corners]
         chain = (
-            affine(((w - 1) / 2, (h - 1) / 2), angle=0, translation=(0, 0), scale=(1, 1), shear=(0, 0)),
-            Transform("crop", (0, 0, w, h, w, h, 0), (2, 3, -1, -1, -1, -1, -1)),
-            Transform("crop", (0, 0, w, h, w, h, 1), (2, 3, -1, -1, -1, -1, -1)),
-            *(unmoved._replace(inputs=(*c, *c), columns=[-1] * 16) for c in ((corners, shifted) if h > 1 else ())),
+            affine(
+                ((w - 1) / 2, (h - 1) / 2), angle=C[0], translation=(C[0], C[0]), scale=(C[1], C[1]), shear=(C[0], C[0])
+            ),
+            Transform("crop", C[2], C[3], w, h, w, h, 0),
+            Transform("crop", C[2], C[3], w, h, w, h, 1),
+            *(Transform("perspective", *c, *c) for c in ((corners, shifted) if h > 1 else ())),
         )
         result = matrices([[0.0, 1.0, 0.0, 0.0], [-0.0, 1.0, 0.0, 0.0]], *chain, device=device, dtype=dtype)
         assert torch.equal(result, torch.eye(3, dtype=dtype, device=device).expand(2, 3, 3))
@@ -79,20 +75,20 @@ def test_identity_is_exact(dtype, device):
 
 
 def test_flips_and_quarter_turns_are_exact(device):
-    turn = affine((3.5, 3.5), angle=0)
+    turn = affine((3.5, 3.5), angle=C[0])
     result = matrices([[90.0], [180.0], [270.0], [-90.0], [360.0]], turn, device=device)
     quarter = [[0, 1, 0], [-1, 0, 7], [0, 0, 1]]  # counter-clockwise, with the y axis down
     half, three = [[-1, 0, 7], [0, -1, 7], [0, 0, 1]], [[0, -1, 7], [1, 0, 0], [0, 0, 1]]
     expected = torch.tensor([quarter, half, three, three, [[1, 0, 0], [0, 1, 0], [0, 0, 1]]])
     assert torch.equal(result.cpu(), expected.float())
-    scale = affine((100.5, 20.0), scale=(0, 1))
+    scale = affine((100.5, 20.0), scale=(C[0], C[1]))
     result = matrices([[-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]], scale, device=device)
     assert result[:, 0, 2].tolist() == [201, 0, 201] and result[:, 1, 2].tolist() == [0, 40, 40]
     assert torch.equal(result[:, :2, :2].diagonal(0, 1, 2).cpu(), torch.tensor([[-1.0, 1], [1, -1], [-1, -1]]))
 
 
 def test_affine_is_a_rotation_counter_clockwise_about_the_center(device):
-    result = matrices([[30.0]], affine(CENTER, angle=0), device=device, dtype=torch.float64)
+    result = matrices([[30.0]], affine(CENTER, angle=C[0]), device=device, dtype=torch.float64)
     expected = K.geometry.get_rotation_matrix2d(
         torch.tensor([CENTER], dtype=torch.float64, device=device),
         torch.tensor([30.0], dtype=torch.float64, device=device),
@@ -103,7 +99,7 @@ def test_affine_is_a_rotation_counter_clockwise_about_the_center(device):
 
 def test_affine_shears_then_scales_then_rotates_then_translates(device):
     columns = [[25.0, 3.0, -2.0, 1.2, 0.8, 10.0, -20.0]]
-    about = affine(CENTER, angle=0, translation=(1, 2), scale=(3, 4), shear=(5, 6))
+    about = affine(CENTER, angle=C[0], translation=(C[1], C[2]), scale=(C[3], C[4]), shear=(C[5], C[6]))
     result = matrices(columns, about, device=device, dtype=torch.float64)[0].cpu()
     a, b, t = math.tan(math.radians(10)), math.tan(math.radians(-20)), math.radians(25)
     shear = torch.tensor([[1, 0], [-b, 1]], dtype=torch.float64) @ torch.tensor([[1, -a], [0, 1]], dtype=torch.float64)
@@ -131,7 +127,7 @@ def test_crops_take_corners_to_corners(device):
 
 
 def test_crops_of_a_pixel_can_be_inverted(device):
-    single = Transform("crop", (5, 6, 1, 1, 4, 1, 1), [-1] * 7)
+    single = Transform("crop", 5, 6, 1, 1, 4, 1, 1)
     result = matrices([[0.0]], single, device=device, dtype=torch.float64)
     assert result.inverse().isfinite().all()
 
@@ -160,14 +156,14 @@ def test_an_empty_chain_is_the_identity(device):
 
 def test_float32_columns_are_computed_in_double(device):
     """A rotation and its inverse about a far center leave nothing of float32's rounding."""
-    far, back = affine((1e5, 1e5), angle=0), affine((1e5, 1e5), angle=1)
+    far, back = affine((1e5, 1e5), angle=C[0]), affine((1e5, 1e5), angle=C[1])
     result = matrices([[33.0, -33.0]], far, back, device=device)
     assert (result - torch.eye(3, device=device)).abs().max() < 1e-6
 
 
 def test_gradient_of_a_column_that_is_used_twice(device):
     columns = torch.tensor([[0.3]], dtype=torch.float64, device=device, requires_grad=True)
-    transform_matrix(columns, [affine((0.0, 0.0), scale=(0, 0))])[0, :2, :2].sum().backward()
+    transform_matrix(columns, [affine((0.0, 0.0), scale=(C[0], C[0]))])[0, :2, :2].sum().backward()
     assert columns.grad.item() == 2
 
 

@@ -12,10 +12,9 @@ import torch
 from torch import Tensor
 
 import kvision.augmentation as A
+from benchmarks.sample_calls.augmentations import IMAGES
 from kvision import _backend, geometry
-from kvision.augmentation import random_generator, transforms
-from kvision.augmentation.intensity_base import ColorSteps
-from kvision.augmentation.warp_and_color import ColorStep
+from kvision.augmentation import columns, random_generator, transforms
 from kvision.constants import Resample, SamplePadding
 from op_tests import DispatchedOperators
 
@@ -191,8 +190,8 @@ class Dim(A.IntensityAugmentationBase2D):
         super().__init__(**options)
         self._param_generator = random_generator.PlainUniformGenerator(((0.2, 0.8), "factor", None, None))
 
-    def color_steps(self, shape: Any, flags: dict[str, Any]) -> ColorSteps:
-        return ColorSteps([ColorStep("scale_shift", (1.0, 0.0, 0.0), (0,))])
+    def color_steps(self, shape: Any, flags: dict[str, Any]) -> list[A.ColorStep]:
+        return [A.ColorStep("scale_shift", "factor")]
 
 
 class Tilt(A.GeometricAugmentationBase2D):
@@ -203,8 +202,8 @@ class Tilt(A.GeometricAugmentationBase2D):
         self._param_generator = random_generator.PlainUniformGenerator(((-20.0, 20.0), "angle", None, None))
         self.flags = {"resample": Resample.BILINEAR, "padding_mode": SamplePadding.ZEROS, "align_corners": True}
 
-    def transforms(self, shape: Any, flags: dict[str, Any]) -> list[transforms.Transform]:
-        return [transforms.affine(transforms.center_of(shape), angle=0)]
+    def transforms(self, shape: Any, flags: dict[str, Any]) -> list[A.Transform]:
+        return [A.Transform.affine(((shape[-1] - 1) / 2, (shape[-2] - 1) / 2), angle="angle")]
 
 
 def test_declared_classes_are_joined_with_their_neighbors(device: torch.device, backend: str) -> None:
@@ -225,3 +224,32 @@ def test_declared_classes_are_joined_with_their_neighbors(device: torch.device, 
     angles, chosen = (chain._params[1].data[name] for name in ("angle", "batch_prob"))
     cosines = torch.where(chosen > 0.5, angles.deg2rad().cos(), 1.0)
     torch.testing.assert_close(chain[1].transform_matrix[:, 0, 0].cpu(), cosines)
+
+
+def test_names_of_columns() -> None:
+    """A field names its columns, and what no field is called is refused where it is used."""
+    names = columns.name_columns([("angle", 0), ("shift", 2)], 3)
+    move = A.Transform.affine((0.0, 0.0), angle="angle", translation="shift", scale=("shift[1]", 1.0))._bound(names)
+    assert transforms.make_plan([move])[0] == [0, 3, 4, 5, 5, -1, -1, -1, -1, -1]
+    for make, message in (
+        (lambda: A.Transform("shear", 1.0), "expected kind to be one of affine"),
+        (lambda: A.Transform("crop", "shift")._bound(names), "expected 7 inputs of 'crop', got 2"),
+        (lambda: A.Transform("crop", "window")._bound(names), "expected the name of a field, .*, got 'window'"),
+        (lambda: A.ColorStep("brighten"), "expected name to be one of affine"),
+        (lambda: A.ColorStep("hue", 1.0, 2.0), "expected at most 1 parameters of 'hue'"),
+        (lambda: A.ColorStep("affine", "angle")._bound(names), "expected numbers as parameters of 'affine'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            make()
+
+
+def test_fields_are_the_columns_that_are_drawn() -> None:
+    """Of all generators that name their columns, for images of any size."""
+    named = 0
+    for case in IMAGES:
+        generator: Any = case.make(p=0.7)._param_generator
+        if generator is not None and generator.fields:
+            drawn = sum(draw.columns for draw in generator.draws((2, 3, 12, 16)))
+            assert sum(width or 1 for _, width in generator.fields) == drawn, case.name
+            named += 1
+    assert named > 20

@@ -4,7 +4,8 @@ import pytest
 import torch
 
 import kvision as K
-from kvision.augmentation.transforms import Transform, affine
+from kvision.augmentation.columns import name_columns
+from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color import SAME, ColorPart, ColorStep, Output, Resampling, make_pass
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from op_tests import OpTests, assert_close
@@ -41,23 +42,24 @@ def columns_of_windows(x):
     return drawn
 
 
-TURN = [affine((8.0, 6.0), angle=0, translation=(1, 2))]
-CROP = [Transform("crop", (0, 0, 0, 0, 9, 7, 0), (3, 4, 5, 6, -1, -1, -1)), affine((4.0, 3.0), scale=(-1, -1))]
+FIELDS = [("angle", 0), ("translation", 2), ("window", 4), ("factors", 3), ("radians", 0), ("order", 4)]
+NAMES = name_columns(FIELDS)
+TURN = [Transform.affine((8.0, 6.0), angle="angle", translation="translation")._bound(NAMES)]
+CROP = [Transform("crop", "window", 9, 7, 0)._bound(NAMES), Transform.affine((4.0, 3.0))]
 LINEAR, NEAREST = Resampling("bilinear", "border", False), Resampling("nearest", "zeros")
 FILLED = Resampling("bilinear", "fill", True, 0.3)
 WINDOWS, CUBIC_WINDOWS = (Resampling(mode, "border", False, antialias=True) for mode in ("bilinear", "bicubic"))
-JITTER = ColorPart(
-    [
-        ColorStep("scale_shift", (0.0, 0.0, 1.0), (7,)),
-        ColorStep("contrast", (0.0,), (8,)),
-        ColorStep("saturation_gray", (0.0,), (9,)),
-        ColorStep("hue", (0.0,), (10,)),
-    ],
-    0,
-    range(11, 15),
-)
-PLAIN = ColorPart([ColorStep("saturation_gray", (0.0,), (9,)), ColorStep("scale_shift", (0.0, 0.1, 0.0), (7,))])
-NORMALIZE = ColorPart([ColorStep("standardize_rgb", (0.5, 0.4, 0.3, 0.3, 0.2, 0.4))])
+BRIGHT = ColorStep("scale_shift", "factors[0]", 0.0, 1.0)
+CONTRAST, SATURATION = ColorStep("contrast", "factors[1]"), ColorStep("saturation_gray", "factors[2]")
+
+
+def part(*steps, names=NAMES, order=None):
+    return ColorPart([step._bound(names) for step in steps], order and [column.position for column in names[order]])
+
+
+JITTER = part(BRIGHT, CONTRAST, SATURATION, ColorStep("hue", "radians"), order="order")
+PLAIN = part(SATURATION, ColorStep("scale_shift", "factors[0]", 0.1))
+NORMALIZE = ColorPart([ColorStep("standardize_rgb", 0.5, 0.4, 0.3, 0.3, 0.2, 0.4)])
 
 
 class TestWarpAndColor(OpTests):
@@ -89,6 +91,11 @@ class TestWarpAndColor(OpTests):
         if shape[-3] == 3:
             x = 0.25 + 0.1 * x + torch.tensor([0.2, 0.0, 0.4], dtype=torch.float64)[:, None, None]
         return (255 * x).to(dtype).to(device) if dtype == torch.uint8 else x.to(dtype).to(device)
+
+
+def crop_and_flip(size, names):
+    box = Transform("crop", "window", float(size[1]), float(size[0]), 0)._bound(names)
+    return box, Transform.affine(((size[1] - 1) / 2, (size[0] - 1) / 2), scale="scale")._bound(names)
 
 
 def pipeline(**options):
@@ -151,16 +158,15 @@ def test_joined_equals_warp_then_program(channels, dtype, size, device):
     drawn[:, 9] = drawn[:, 9] / 5 - 0.1
     orders = torch.tensor([[2, 0, 1, 3], [-1, 3, 2, 1], [0, 1, 2, 3], [3, -1, 0, 2], [1, 0, 2, 3]])
     drawn = torch.cat([drawn, orders], 1).to(device)
-    box = Transform("crop", (0, 0, 0, 0, float(size[1]), float(size[0]), 0), (0, 1, 2, 3, -1, -1, -1))
-    flip = affine(((size[1] - 1) / 2, (size[0] - 1) / 2), scale=(4, 5))
-    bright, contrast = ColorStep("scale_shift", (0.0, 0.0, 1.0), (6,)), ColorStep("contrast", (0.0,), (7,))
-    gamma = ColorStep("gamma", (0.0, 1.0), (8,))
+    names = name_columns([("window", 4), ("scale", 2), ("factors", 3), ("radians", 0), ("order", 4)])
+    box, flip = crop_and_flip(size, names)
     if channels == 3:
-        steps = [bright, contrast, ColorStep("saturation_gray", (0.0,), (8,)), ColorStep("hue", (0.0,), (9,))]
+        steps = [BRIGHT, CONTRAST, SATURATION, ColorStep("hue", "radians")]
         normalize = NORMALIZE
     else:
-        steps, normalize = [bright, contrast, gamma, bright], ColorPart([ColorStep("standardize", (0.4, 0.3))])
-    with_mean, without = ColorPart(steps, 0, range(10, 14)), ColorPart([steps[0], steps[2], steps[3]])
+        steps = [BRIGHT, CONTRAST, ColorStep("gamma", "factors[2]", 1.0), BRIGHT]
+        normalize = ColorPart([ColorStep("standardize", 0.4, 0.3)])
+    with_mean, without = part(*steps, names=names, order="order"), part(steps[0], steps[2], steps[3], names=names)
     x = torch.rand(batch, channels, h, w, generator=generator)
     x = ((255 * x).to(dtype) if dtype == torch.uint8 else x.to(dtype)).to(device)
     results = (
@@ -208,11 +214,10 @@ def test_gradients_of_warps_that_keep_rows(padding, size, device):
     drawn[:, 4:6] = (drawn[:, 4:6] - 0.5).sign()
     drawn[:, 6:] = 0.8 + 0.4 * drawn[:, 6:]
     drawn = torch.cat([drawn, torch.tensor([[2, 0, 1], [-1, -1, 2], [0, 1, 2], [1, 2, 0]])], 1).to(device)
-    box = Transform("crop", (0, 0, 0, 0, float(size[1]), float(size[0]), 0), (0, 1, 2, 3, -1, -1, -1))
-    flip = affine(((size[1] - 1) / 2, (size[0] - 1) / 2), scale=(4, 5))
-    steps = [ColorStep("scale_shift", (0.0, 0.0, 1.0), (6,)), ColorStep("contrast", (0.0,), (7,))]
-    steps.append(ColorStep("saturation_gray", (0.0,), (6,)))
-    for parts, channels in (((), 4), ((ColorPart(steps, 0, range(8, 11)), NORMALIZE), 3), ((NORMALIZE,), 3)):
+    names = name_columns([("window", 4), ("scale", 2), ("factors", 2), ("order", 3)])
+    box, flip = crop_and_flip(size, names)
+    jitter = part(BRIGHT, CONTRAST, ColorStep("saturation_gray", "factors[0]"), names=names, order="order")
+    for parts, channels in (((), 4), ((jitter, NORMALIZE), 3), ((NORMALIZE,), 3)):
         own = make_pass([box, flip], size, Resampling("bilinear", padding, padding == "reflection"), parts)
         x = (0.1 + 0.6 * torch.rand(batch, channels, h, w, generator=generator)).to(device).requires_grad_()
         y = own.run(x, drawn)[0]
@@ -264,8 +269,8 @@ def test_joined_keeps_what_is_not_finite(size, device):
     x = torch.rand(3, 3, 24, 21, device=device)
     x[0, 0, 5, 7], x[1, 1, 0, 3], x[2, :, 23, 20] = float("inf"), float("nan"), -float("inf")
     boxes = torch.tensor([[0.0, 0, size[1], size[0]], [0, 0, 21, 24], [0.5, 1, 13, 11]], device=device)
-    chain = [Transform("crop", (0, 0, 0, 0, float(size[1]), float(size[0]), 0), (0, 1, 2, 3, -1, -1, -1))]
-    shift = ColorPart([ColorStep("scale_shift", (0.5, 0.25, 0.0))])
+    chain = [Transform("crop", "window", float(size[1]), float(size[0]), 0)._bound(name_columns([("window", 4)]))]
+    shift = ColorPart([ColorStep("scale_shift", 0.5, 0.25)])
     warped = make_pass(chain, size, LINEAR).run(x, boxes)[0]
     y = make_pass(chain, size, LINEAR, (shift,)).run(x, boxes)[0]
     assert torch.equal(y.isfinite(), warped.isfinite()) and torch.equal(y.isnan(), warped.isnan())

@@ -70,6 +70,7 @@ from kvision.augmentation.plasma import RandomPlasmaBrightness, RandomPlasmaCont
 from kvision.augmentation.random_noise import RandomGaussianNoise, RandomSaltAndPepperNoise
 from kvision.augmentation.resize import LongestMaxSize, PadTo, Resize, SmallestMaxSize
 from kvision.augmentation.sheet import preview
+from kvision.augmentation.transforms import Transform
 from kvision.augmentation.transplantation import RandomTransplantation, RandomTransplantation3D
 from kvision.augmentation.volume_crops import CenterCrop3D, RandomCrop3D, RandomResizedCrop3D, Resize3D
 from kvision.augmentation.volumes import (
@@ -82,6 +83,7 @@ from kvision.augmentation.volumes import (
     RandomRotation3D,
     RandomVerticalFlip3D,
 )
+from kvision.augmentation.warp_and_color import ColorStep
 from kvision.augmentation.weather import RandomRain, RandomSnow
 
 __all__ = [
@@ -92,6 +94,7 @@ __all__ = [
     "CenterCrop3D",
     "ColorJiggle",
     "ColorJitter",
+    "ColorStep",
     "Denormalize",
     "GeometricAugmentationBase2D",
     "GeometricAugmentationBase3D",
@@ -173,6 +176,7 @@ __all__ = [
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",
     "SmallestMaxSize",
+    "Transform",
     "VideoSequential",
     "auto",
     "container",

@@ -12,7 +12,7 @@ from kvision import _check
 from kvision._constants import constant
 from kvision._limits import LUMA
 from kvision.augmentation.base import Params, Shape
-from kvision.augmentation.intensity_base import ColorStep, ColorSteps, IntensityAugmentationBase2D
+from kvision.augmentation.intensity_base import ColorStep, IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.color import PosterizeGenerator, ScaledGenerator
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.core.exceptions import ShapeError, ValueCheckError
@@ -60,11 +60,13 @@ class RandomBrightness(IntensityAugmentationBase2D):
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
-        self._param_generator = ScaledGenerator("RandomBrightness", "brightness", brightness, (0.0, 2.0), 1.0, -1.0)
+        self._param_generator = ScaledGenerator(
+            "RandomBrightness", "brightness", brightness, (0.0, 2.0), "addition", 1.0, -1.0
+        )
         self.clip_output = _check.switch(type(self).__name__, "clip_output", clip_output)
 
-    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
-        return ColorSteps([ColorStep("scale_shift", (1.0, 0.0, float(self.clip_output)), (-1, 1))])
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep]:
+        return [ColorStep("scale_shift", 1.0, "addition", float(self.clip_output))]
 
 
 class RandomContrast(IntensityAugmentationBase2D):
@@ -102,8 +104,8 @@ class RandomContrast(IntensityAugmentationBase2D):
         )
         self.clip_output = _check.switch(type(self).__name__, "clip_output", clip_output)
 
-    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
-        return ColorSteps([ColorStep("scale_shift", (0.0, 0.0, float(self.clip_output)), (0,))])
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep]:
+        return [ColorStep("scale_shift", "contrast_factor", 0.0, float(self.clip_output))]
 
 
 class RandomSaturation(IntensityAugmentationBase2D):
@@ -139,8 +141,8 @@ class RandomSaturation(IntensityAugmentationBase2D):
             (saturation, "saturation_factor", None, bounds), identity=[1.0], op="RandomSaturation"
         )
 
-    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
-        return ColorSteps([ColorStep("saturation", (0.0,), (0,))])
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep]:
+        return [ColorStep("saturation", "saturation_factor")]
 
 
 class RandomHue(IntensityAugmentationBase2D):
@@ -171,10 +173,10 @@ class RandomHue(IntensityAugmentationBase2D):
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
-        self._param_generator = ScaledGenerator("RandomHue", "hue", hue, (-0.5, 0.5), 2 * math.pi, 0.0)
+        self._param_generator = ScaledGenerator("RandomHue", "hue", hue, (-0.5, 0.5), "radians", 2 * math.pi, 0.0)
 
-    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
-        return ColorSteps([ColorStep("hue", (0.0,), (1,))])
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep]:
+        return [ColorStep("hue", "radians")]
 
 
 class RandomGamma(IntensityAugmentationBase2D):
@@ -214,8 +216,8 @@ class RandomGamma(IntensityAugmentationBase2D):
             op="RandomGamma",
         )
 
-    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
-        return ColorSteps([ColorStep("gamma", (0.0, 0.0), (0, 1))])
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep]:
+        return [ColorStep("gamma", "gamma_factor", "gain_factor")]
 
 
 class RandomInvert(IntensityAugmentationBase2D):
@@ -247,8 +249,8 @@ class RandomInvert(IntensityAugmentationBase2D):
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self.flags = {"max_val": float(max_val)}
 
-    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
-        return ColorSteps([ColorStep("scale_shift", (-1.0, flags["max_val"], 0.0))])
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep]:
+        return [ColorStep("scale_shift", -1.0, flags["max_val"])]
 
 
 class RandomSolarize(IntensityAugmentationBase2D):
@@ -285,8 +287,8 @@ class RandomSolarize(IntensityAugmentationBase2D):
             (thresholds, "thresholds", 0.5, (0.0, 1.0)), (additions, "additions", 0.0, (-0.5, 0.5)), op="RandomSolarize"
         )
 
-    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
-        return ColorSteps([ColorStep("solarize", (0.0, 0.0, 1.0), (0, 1))])
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep]:
+        return [ColorStep("solarize", "thresholds", "additions", 1.0)]
 
 
 class RandomPosterize(IntensityAugmentationBase2D):
@@ -318,8 +320,8 @@ class RandomPosterize(IntensityAugmentationBase2D):
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator = PosterizeGenerator(bits)
 
-    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
-        return ColorSteps([ColorStep("posterize", (0.0, 1.0), (0, -1))])
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep]:
+        return [ColorStep("posterize", "bits_factor", 1.0)]
 
 
 class RandomRGBShift(IntensityAugmentationBase2D):
@@ -357,8 +359,8 @@ class RandomRGBShift(IntensityAugmentationBase2D):
         samplers = [(limit, f"{name}_shift", 0.0, None) for name, limit in limits]
         self._param_generator = PlainUniformGenerator(*samplers, op="RandomRGBShift")
 
-    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
-        return ColorSteps([ColorStep("scale_shift_rgb", (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0), (-1, -1, -1, 0, 1, 2))])
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep]:
+        return [ColorStep("scale_shift_rgb", 1.0, 1.0, 1.0, "r_shift", "g_shift", "b_shift", 1.0)]
 
 
 class RandomGrayscale(IntensityAugmentationBase2D):
@@ -399,13 +401,13 @@ class RandomGrayscale(IntensityAugmentationBase2D):
             _check.numbers("RandomGrayscale", "rgb_weights", weights)
             self._weights = weights.flatten().tolist()
 
-    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps | None:
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep] | None:
         if shape[1] != 3:
             return None
         row = self._weights or list(LUMA)
         if len(row) != 3:
             raise ValueCheckError(f"RandomGrayscale: expected 3 rgb_weights for 3 channels, got {len(row)}")
-        return ColorSteps([ColorStep("affine", (*row, *row, *row, 0.0, 0.0, 0.0, 0.0))])
+        return [ColorStep("affine", *row, *row, *row)]
 
     accepts_bytes = False
 

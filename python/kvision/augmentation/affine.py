@@ -11,14 +11,14 @@ from torch import Tensor
 from kvision import _check
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
-from kvision.augmentation import ranges, transforms
+from kvision.augmentation import ranges
 from kvision.augmentation.base import Execution, Shape
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp, warp_labels
 from kvision.augmentation.random_generator.affine import AffineGenerator, ShearGenerator, TranslateGenerator
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
-from kvision.augmentation.transforms import Transform, transform_matrix
+from kvision.augmentation.transforms import Transform, center_of, transform_matrix
 from kvision.constants import Resample, SamplePadding
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
@@ -75,14 +75,8 @@ class RandomAffine(GeometricAugmentationBase2D):
             self.flags.update(_fill_flags("RandomAffine", "fill_value", fill_value, padding_mode))
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        chain = transforms.affine(
-            transforms.center_of(shape),
-            angle=0,
-            translation=(1, 2),
-            scale=self._param_generator.scale_columns,
-            shear=(5, 6),
-        )
-        return [chain]
+        scale, shear = self._param_generator.scale_columns, ("shear_x", "shear_y")
+        return [Transform.affine(center_of(shape), angle="angle", translation="translations", scale=scale, shear=shear)]
 
 
 class RandomRotation(GeometricAugmentationBase2D):
@@ -136,7 +130,7 @@ class RandomRotation(GeometricAugmentationBase2D):
 
     @staticmethod
     def _rotation(shape: Shape) -> Sequence[Transform]:
-        return [transforms.affine(transforms.center_of(shape), angle=0)]
+        return [Transform.affine(center_of(shape), angle="degrees")]
 
     # --- results of another size, which depends on the angles ---
 
@@ -163,7 +157,9 @@ class RandomRotation(GeometricAugmentationBase2D):
         else:
             angles = execution.columns.values
         dtype = compute_dtype(x) if execution.identity is None else execution.identity[1]
-        rotation = transform_matrix(angles.to(x.device, dtype), self._rotation(execution.shape))
+        names = self._names_of_columns(0)
+        chain = [t._bound(names) for t in self._rotation(execution.shape)]
+        rotation = transform_matrix(angles.to(x.device, dtype), chain)
         (height, width), (h, w) = execution.shape[-2:], self._canvas(execution)
         middle = constant(((w - width) / 2, (h - height) / 2), rotation)
         moved = rotation + torch.nn.functional.pad(middle[:, None], (2, 0, 0, 1))
@@ -226,7 +222,7 @@ class RandomShear(GeometricAugmentationBase2D):
         self.flags = _flags(resample, padding_mode, align_corners)
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        return [transforms.affine(transforms.center_of(shape), shear=(0, 1))]
+        return [Transform.affine(center_of(shape), shear=("shear_x", "shear_y"))]
 
 
 class RandomTranslate(GeometricAugmentationBase2D):
@@ -268,13 +264,13 @@ class RandomTranslate(GeometricAugmentationBase2D):
         self.flags = _flags(resample, padding_mode, align_corners)
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        return [transforms.affine(transforms.center_of(shape), translation=(0, 1))]
+        return [Transform.affine(center_of(shape), translation=("translate_x", "translate_y"))]
 
 
 class _Rotation90Generator(RandomGeneratorBase):
     """Draws a number of quarter turns."""
 
-    fields = (("times", 0),)
+    fields = (("angle", 0),)
 
     def __init__(self, times: Any) -> None:
         super().__init__()
@@ -336,7 +332,7 @@ class RandomRotation90(GeometricAugmentationBase2D):
         self.flags = {"resample": Resample.get(resample), "align_corners": align_corners}
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        return [transforms.affine(transforms.center_of(shape), angle=0)]
+        return [Transform.affine(center_of(shape), angle="angle")]
 
 
 def _flags(resample: Any, padding_mode: Any, align_corners: bool) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from kvision.augmentation.base import Shape
-from kvision.augmentation.intensity_base import ColorStep, ColorSteps, IntensityAugmentationBase2D
+from kvision.augmentation.intensity_base import ColorStep, IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.color_jitter import ColorJiggleGenerator, ColorJitterGenerator
 from kvision.core.exceptions import ValueCheckError
 
@@ -36,6 +36,8 @@ class ColorJitter(IntensityAugmentationBase2D):
         tensor([0.5000, 0.5000, 0.5000])
     """
 
+    order_of_steps = "order"
+
     def __init__(
         self,
         brightness: Any = 0.0,
@@ -52,14 +54,13 @@ class ColorJitter(IntensityAugmentationBase2D):
         _check_order("ColorJitter", order)
         self._param_generator = ColorJitterGenerator(brightness, contrast, saturation, hue, order)
 
-    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
-        steps = [
-            ColorStep("scale_shift", (0.0, 0.0, 1.0), (0,)),  # clamped
-            ColorStep("contrast", (0.0,), (1,)),
-            ColorStep("saturation_gray", (0.0,), (2,)),
-            ColorStep("hue", (0.0,), (4,)),
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep]:
+        return [
+            ColorStep("scale_shift", "brightness_factor", 0.0, 1.0),  # clamped
+            ColorStep("contrast", "contrast_factor"),
+            ColorStep("saturation_gray", "saturation_factor"),
+            ColorStep("hue", "radians"),
         ]
-        return ColorSteps(steps, range(5, 9))
 
 
 class ColorJiggle(IntensityAugmentationBase2D):
@@ -85,6 +86,8 @@ class ColorJiggle(IntensityAugmentationBase2D):
         tensor([0.7500, 0.7500, 0.7500])
     """
 
+    order_of_steps = "order"
+
     def __init__(
         self,
         brightness: Any = 0.0,
@@ -101,14 +104,13 @@ class ColorJiggle(IntensityAugmentationBase2D):
         _check_order("ColorJiggle", order)
         self._param_generator = ColorJiggleGenerator(brightness, contrast, saturation, hue, order)
 
-    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps:
-        steps = [
-            ColorStep("scale_shift", (1.0, 0.0, 1.0), (-1, 1)),
-            ColorStep("scale_shift", (0.0, 0.0, 1.0), (2,)),
-            ColorStep("saturation", (0.0,), (3,)),
-            ColorStep("hue", (0.0,), (5,)),
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep]:
+        return [
+            ColorStep("scale_shift", 1.0, "addition", 1.0),
+            ColorStep("scale_shift", "contrast_factor", 0.0, 1.0),
+            ColorStep("saturation", "saturation_factor"),
+            ColorStep("hue", "radians"),
         ]
-        return ColorSteps(steps, range(6, 10))
 
 
 def _check_order(op: str, order: Sequence[int] | None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -12,8 +12,58 @@ from kvision._torch_compat import in_function_transform
 from kvision.augmentation.draws import MAX_DRAWS, MAX_NUMBERS, Draw, Request, draw_parameters, make_plan
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.ranges import LearnedPair, LearnedUniform
+from kvision.core.exceptions import ValueCheckError
 
 Learned = LearnedUniform | LearnedPair
+
+
+class Column(NamedTuple):
+    """A column of drawn parameters, which is another number for each sample."""
+
+    position: int  # among the columns of a launch
+
+
+Input = float | str | Column  # of a formula: a number, the name of columns (`name_columns`), or a column
+Names = Mapping[str, Sequence[Column]]
+
+
+def name_columns(fields: Sequence[tuple[str, int]], first: int = 0) -> Names:
+    """The columns by name of fields, pairs of a name and a width, of which the first begins at column `first`.
+
+    A field of width 0 is one column. One of width n is n of them, each of which is `name[i]` besides.
+    """
+    names: dict[str, list[Column]] = {}
+    for name, width in fields:
+        own = names[name] = [Column(first + i) for i in range(width or 1)]
+        names.update({f"{name}[{i}]": [own[i]] for i in range(width)})
+        first += len(own)
+    return names
+
+
+def bind(inputs: Sequence[Input], names: Names) -> tuple[float | Column, ...]:
+    """Inputs of a formula with columns in place of their names."""
+    bound: list[float | Column] = []
+    for value in inputs:
+        if isinstance(value, str):
+            if value not in names:
+                raise ValueCheckError(
+                    f"expected the name of a field, {' or '.join(names) or 'of which there are none'}, got {value!r}"
+                )
+            bound += names[value]
+        else:
+            bound.append(value)
+    return tuple(bound)
+
+
+def split_inputs(inputs: Sequence[Input]) -> tuple[list[float], list[int]]:
+    """Bound inputs as plans have them: numbers, 0 for a column, and the indices of columns, -1 for a number."""
+    numbers: list[float] = []
+    columns: list[int] = []
+    for x in inputs:
+        assert not isinstance(x, str)
+        numbers.append(0.0 if isinstance(x, Column) else x)
+        columns.append(x.position if isinstance(x, Column) else -1)
+    return numbers, columns
 
 
 class Span(NamedTuple):

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision.augmentation import ranges, transforms
+from kvision.augmentation import ranges
 from kvision.augmentation.base import Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Resampling
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
@@ -124,7 +124,7 @@ class RandomCrop(GeometricAugmentationBase2D):
         return self.size
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        return [transforms.affine((0.0, 0.0), translation=(0, 1))]
+        return [Transform.affine((0.0, 0.0), translation="shift")]
 
     def resampling(self, flags: dict[str, Any]) -> Resampling:
         return padding_resampling("RandomCrop", flags["padding_mode"], flags["fill"])
@@ -196,7 +196,7 @@ class RandomResizedCrop(GeometricAugmentationBase2D):
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
         h, w = self.size
         corners = float(flags["align_corners"] is not False)
-        return [Transform("crop", (0, 0, 0, 0, float(w), float(h), corners), (0, 1, 2, 3, -1, -1, -1))]
+        return [Transform("crop", "window", float(w), float(h), corners)]
 
     def resampling(self, flags: dict[str, Any]) -> Resampling:
         read = super().resampling(flags)
@@ -277,7 +277,7 @@ class CenterCrop(GeometricAugmentationBase2D):
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
         x, y = self._param_generator.corner(shape)
-        return [transforms.constant([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, 1.0]])]
+        return [Transform.constant([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, 1.0]])]
 
 
 def check_cropping_mode(op: str, mode: str) -> None:

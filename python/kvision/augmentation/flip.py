@@ -10,22 +10,22 @@ from torch import Generator, Tensor
 
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
-from kvision.augmentation import transforms
 from kvision.augmentation.base import Execution, Shape, matrix_type
 from kvision.augmentation.columns import Columns, Span
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
-from kvision.augmentation.transforms import Transform
+from kvision.augmentation.transforms import Transform, center_of
 from kvision.geometry.transform.flip import flipped
 
 __all__ = ["RandomHorizontalFlip", "RandomVerticalFlip"]
 
 
 class _FlipGenerator(RandomGeneratorBase):
-    """One column: -1 for samples that are flipped, else 1. It has no name among the parameters."""
+    """One column: -1 for samples that are flipped, else 1. It is no parameter."""
 
+    fields, hidden = (("sign", 0),), ("sign",)
     has_names = False
 
     def draws(self, shape: Sequence[int]) -> Sequence[Draw]:
@@ -86,7 +86,7 @@ class RandomHorizontalFlip(_RandomFlip):
     flips_columns = True
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        return [transforms.affine(transforms.center_of(shape), scale=(0, -1))]
+        return [Transform.affine(center_of(shape), scale=("sign", 1.0))]
 
 
 class RandomVerticalFlip(_RandomFlip):
@@ -112,4 +112,4 @@ class RandomVerticalFlip(_RandomFlip):
     flips_columns = False
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        return [transforms.affine(transforms.center_of(shape), scale=(-1, 0))]
+        return [Transform.affine(center_of(shape), scale=(1.0, "sign"))]

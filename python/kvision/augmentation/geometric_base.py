@@ -121,7 +121,7 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
     # --- what subclasses declare ---
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform] | None:
-        """The chain of formulas of the drawn columns; None if `compute_transformation` is overridden instead."""
+        """The formulas of the matrix, the first one first; None if `compute_transformation` is overridden instead."""
         return None
 
     def matrix_transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform] | None:
@@ -158,8 +158,8 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         chain = None if self._is_customized() else self.transforms(shape, flags)
         if chain is None:
             return None
-        first = 0 if span is None else span.first_value
-        return make_pass([t.moved(first) for t in chain], self.output_size(shape, flags), self.resampling(flags))
+        names = self._names_of_columns(0 if span is None else span.first_value)
+        return make_pass([t._bound(names) for t in chain], self.output_size(shape, flags), self.resampling(flags))
 
     def _warp(self, x: Tensor, matrix: Tensor, flags: dict[str, Any]) -> Tensor:
         return warp(x, matrix, self.output_size(tuple(x.shape), flags), self.resampling(flags))
@@ -176,7 +176,8 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         chain, columns = self.matrix_transforms(execution.shape, flags) or (), execution.columns
         if columns is None:
             return torch.empty(execution.shape[0], 0, device=x.device), list(chain)
-        return columns.drawn, [t.moved(columns.span.first_value) for t in chain]
+        names = self._names_of_columns(columns.span.first_value)
+        return columns.drawn, [t._bound(names) for t in chain]
 
     def _matrix(self, execution: Execution) -> Tensor:
         if execution.matrix is None and execution.applied and execution.columns is not None:
@@ -191,7 +192,8 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
             columns = torch.empty(input.shape[0], 0, device=input.device)
         else:
             columns = self._param_generator.to_columns(params, tuple(input.shape))
-        return transform_matrix(columns.to(input.device, compute_dtype(input)), chain)
+        names = self._names_of_columns(0)
+        return transform_matrix(columns.to(input.device, compute_dtype(input)), [t._bound(names) for t in chain])
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -25,15 +25,8 @@ from kvision.core.exceptions import ShapeError
 __all__ = ["IntensityAugmentationBase2D", "IntensityAugmentationBase3D"]
 
 
-class ColorSteps(NamedTuple):
-    """The steps of an augmentation. Their order is that of the list, or of `order`, columns with positions in the list."""
-
-    steps: Sequence[ColorStep]
-    order: Sequence[int] | None = None
-
-
 _OF_COLORS = ("hue", "saturation", "saturation_gray")
-_NOTHING = ColorStep("scale_shift", (1.0, 0.0, 0.0))
+_NOTHING = ColorStep("scale_shift", 1.0)
 
 
 class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
@@ -64,30 +57,31 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
     """
 
     takes_volumes = False
+    order_of_steps: ClassVar[str | None] = None  # the field with numbers of steps in their order; None: as listed
 
-    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps | None:
-        """The steps of the drawn columns; None if `apply_transform` is overridden instead."""
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep] | None:
+        """The steps, whose parameters are numbers or names of fields; None if `apply_transform` is overridden instead."""
         return None
 
-    def _steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps | None:
+    def _steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep] | None:
         """The steps for images of a shape: those that change colors change nothing where there are none."""
         steps = self.color_steps(shape, flags)
         if steps is None or shape[1] == 3:
             return steps
-        served = [_NOTHING if step.name in _OF_COLORS else step for step in steps.steps]
+        served = [_NOTHING if step.name in _OF_COLORS else step for step in steps]
         if any(STEPS[step.name].domain == "rgb" for step in served):
             raise ShapeError(
                 f"{type(self).__name__}: expected images of 3 channels, got {tuple(shape)}{_check.channels_advice(shape)}"
             )
-        return steps._replace(steps=served)
+        return served
 
     def _request(self, shape: Shape) -> Request | None:
         request = super()._request(shape)
         steps = self.color_steps(shape, self.flags)
-        if request is None or steps is None or steps.order is not None or request.draws[0].kind != "chosen":
+        if request is None or steps is None or self.order_of_steps or request.draws[0].kind != "chosen":
             return request
         # Samples that are not chosen have an order without steps.
-        order = [Draw("integer", (i, 1, 1, -1)) for i in range(len(steps.steps))]
+        order = [Draw("integer", (i, 1, 1, -1)) for i in range(len(steps))]
         return request._replace(draws=[*request.draws, *order])
 
     def _executes_columns(self, shape: Shape) -> bool:
@@ -95,9 +89,9 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
 
     def _further_columns(self, shape: Shape, values: Tensor, chosen: Tensor | None) -> list[Tensor]:
         steps = self.color_steps(shape, self.flags)
-        if steps is None or steps.order is not None or chosen is None:
+        if steps is None or self.order_of_steps or chosen is None:
             return []
-        order = torch.arange(len(steps.steps), device=values.device, dtype=values.dtype)
+        order = torch.arange(len(steps), device=values.device, dtype=values.dtype)
         return [torch.where(chosen[:, None], order, -1)]
 
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
@@ -124,7 +118,13 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
         columns = None
         if self._param_generator is not None:
             columns = self._param_generator.to_columns(params, tuple(input.shape)).to(input.device)
-        return make_pass(None, parts=[ColorPart(steps.steps, 0, steps.order)]).run(input, columns)[0]
+        return make_pass(None, parts=[self._bound(steps, 0)]).run(input, columns)[0]
+
+    def _bound(self, steps: Sequence[ColorStep], first: int) -> ColorPart:
+        """Steps with their columns, of which the first parameter is column `first`."""
+        names = self._names_of_columns(first)
+        order = None if self.order_of_steps is None else [column.position for column in names[self.order_of_steps]]
+        return ColorPart([step._bound(names) for step in steps], order)
 
 
 class IntensityAugmentationBase3D(RigidAffineAugmentationBase3D):
@@ -155,12 +155,8 @@ def color_part(
     steps = module._steps(shape, flags)
     if steps is None:
         return None
-    if span is None:
-        return ColorPart(steps.steps)
-    order = None
-    if steps.order is not None:
-        order = [span.first_value + c for c in steps.order]
-    elif span.has_chosen:
+    part = module._bound(steps, 0 if span is None else span.first_value)
+    if part.order is None and span is not None and span.has_chosen:  # by the columns that `_request` adds
         end = span.first + span.width
-        order = list(range(end - len(steps.steps), end))
-    return ColorPart(steps.steps, span.first_value, order)
+        part = ColorPart(part.steps, range(end - len(steps), end))
+    return part

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision import enhance
 from kvision.augmentation.base import Params, Shape
-from kvision.augmentation.intensity_base import ColorStep, ColorSteps, IntensityAugmentationBase2D
+from kvision.augmentation.intensity_base import ColorStep, IntensityAugmentationBase2D
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = ["Denormalize", "Normalize"]
@@ -46,14 +46,12 @@ class _Statistics(IntensityAugmentationBase2D):
         known, numbers = self._known[name]
         return numbers if flags[name] is known else _tensor(type(self).__name__, name, flags[name]).flatten().tolist()
 
-    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> ColorSteps | None:
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep] | None:
         mean, std = self._numbers(flags, "mean"), self._numbers(flags, "std")
         if shape[1] != 3 or len(mean) not in (1, 3) or len(std) not in (1, 3):
             return None
         mean, std = (x * (3 // len(x)) for x in (mean, std))
-        return ColorSteps(
-            [ColorStep(self.step, (*mean, *std) if self.step == "standardize_rgb" else (*std, *mean, 0.0))]
-        )
+        return [ColorStep(self.step, *((mean + std) if self.step == "standardize_rgb" else (std + mean)))]
 
 
 def _tensor(op: str, name: str, value: Any) -> Tensor:

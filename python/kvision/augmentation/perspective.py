@@ -56,4 +56,4 @@ class RandomPerspective(GeometricAugmentationBase2D):
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
         start = [coordinate for corner in corners(shape) for coordinate in corner]
-        return [Transform("perspective", [*start, *start], [*[-1] * 8, *range(8)])]
+        return [Transform("perspective", *start, "end_points")]

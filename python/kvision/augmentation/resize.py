@@ -8,7 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from kvision import geometry
-from kvision.augmentation import ranges, transforms
+from kvision.augmentation import ranges
 from kvision.augmentation.base import Shape
 from kvision.augmentation.crop import padding_resampling
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Resampling
@@ -73,8 +73,7 @@ class Resize(GeometricAugmentationBase2D):
     def matrix_transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
         h, w = self.output_size(shape, flags)
         corners = float(flags["align_corners"] is not False)
-        inputs = (0.0, 0.0, float(shape[-1]), float(shape[-2]), float(w), float(h), corners)
-        return [Transform("crop", inputs, [-1] * 7)]
+        return [Transform("crop", 0.0, 0.0, float(shape[-1]), float(shape[-2]), float(w), float(h), corners)]
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform] | None:
         return None if flags["antialias"] else self.matrix_transforms(shape, flags)
@@ -195,7 +194,7 @@ class PadTo(GeometricAugmentationBase2D):
         return (h, w) if flags["crop_if_exceeds"] else (max(h, shape[-2]), max(w, shape[-1]))
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        return [transforms.constant([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])]
+        return [Transform.constant([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])]
 
     def resampling(self, flags: dict[str, Any]) -> Resampling:
         return padding_resampling("PadTo", flags["pad_mode"], flags["pad_value"])

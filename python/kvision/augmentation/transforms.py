@@ -3,38 +3,96 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from kvision._limits import MAX_TRANSFORMS
 from kvision._ops import register, vjp
+from kvision.augmentation.columns import Input, Names, bind, split_inputs
+from kvision.core.exceptions import ValueCheckError
 from kvision.geometry.conversions.angles import cos_sin
 from kvision.geometry.transform.matrices import from_unit_square, matrix_of
 
-# Kinds of transforms by name: number (csrc/augmentation/transforms.h) and inputs. All map image pixels to result pixels.
-#   affine: angle in degrees, counter-clockwise; translation x, y; scale x, y; shear x, y in degrees; center x, y. Shears,
-#       scales and rotates about the center, then translates.
-#   perspective: four source points x, y, four destination points x, y.
-#   crop: first column, first row, width, height of a box; columns and rows of the result; 1 if the centers of the outermost
-#       pixels correspond, 0 if their edges do.
-#   matrix: nine entries by rows.
+# Kinds of transforms by name, as Transform says: number (csrc/augmentation/transforms.h) and inputs. All map image pixels to
+# result pixels.
 KINDS = {"affine": (0, 9), "perspective": (1, 16), "crop": (2, 7), "matrix": (3, 9)}
 _NAMES = tuple(KINDS)
 
 
-class Transform(NamedTuple):
-    """One transform of a chain: each input is the index of a column, or a number."""
+class Transform:
+    """A formula of the matrix by which an augmentation moves pixels: its kind, and inputs that are drawn or given.
 
-    kind: str
-    inputs: Sequence[float]
-    columns: Sequence[int]  # one of an input; -1 for a number
+    An augmentation lists the transforms of its images in `transforms`, the first one first.
 
-    def moved(self, first: int) -> Transform:
-        """The same transform of columns that begin at column `first` of another tensor."""
-        return self._replace(columns=[c + first if c >= 0 else c for c in self.columns])
+    Args:
+        kind: 'affine', 'perspective', 'crop' or 'matrix'; :meth:`affine` and :meth:`constant` make the usual ones.
+        *inputs: numbers, or names of fields of the generator, each of which stands for all columns of its field:
 
+            - 'affine': angle in degrees, counter-clockwise; translation x, y; scale x, y; shear x, y in degrees; center x, y
+            - 'perspective': four points x, y of the image, and where they go
+            - 'crop': first column, first row, width and height of a window; columns and rows of the result; 1 if the centers
+              of the outermost pixels correspond, 0 if their edges do
+            - 'matrix': nine entries by rows
+
+    Raises:
+        ValueError: `kind` is unknown; in a call, a name that is none of a field, or another number of inputs.
+
+    Example:
+        >>> import kvision as K
+        >>> K.augmentation.Transform.affine((7.5, 7.5), angle="degrees")
+        Transform('affine', 'degrees', 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 7.5, 7.5)
+    """
+
+    def __init__(self, kind: str, *inputs: Input) -> None:
+        if kind not in KINDS:
+            raise ValueCheckError(f"Transform: expected kind to be one of {', '.join(KINDS)}, got {kind!r}")
+        self.kind, self.inputs = kind, inputs
+
+    def __repr__(self) -> str:
+        return f"Transform({', '.join(map(repr, (self.kind, *self.inputs)))})"
+
+    @staticmethod
+    def affine(
+        center: Pair,
+        *,
+        angle: Input = 0.0,
+        translation: Pair = (0.0, 0.0),
+        scale: Pair = (1.0, 1.0),
+        shear: Pair = (0.0, 0.0),
+    ) -> Transform:
+        """Shear, scale and rotate about a center, then translate.
+
+        Args:
+            center: x, y: integer coordinates are the centers of pixels.
+            angle: in degrees, counter-clockwise.
+            translation: along x and y, in pixels; a pair, or the name of a field of two columns.
+            scale: along x and y.
+            shear: along x and y, in degrees.
+
+        Returns:
+            The transform.
+        """
+        pairs = [(pair,) if isinstance(pair, str) else pair for pair in (translation, scale, shear, center)]
+        return Transform("affine", angle, *[x for pair in pairs for x in pair])
+
+    @staticmethod
+    def constant(matrix: Sequence[Sequence[float]]) -> Transform:
+        """The same matrix (3, 3) for all samples, from pixels of the image to those of the result."""
+        return Transform("matrix", *[entry for row in matrix for entry in row])
+
+    def _bound(self, names: Names) -> Transform:
+        """The same transform with columns in place of their names."""
+        transform = Transform(self.kind, *bind(self.inputs, names))
+        count = KINDS[self.kind][1]
+        if len(transform.inputs) != count:
+            raise ValueCheckError(
+                f"Transform: expected {count} inputs of {self.kind!r}, got {len(transform.inputs)} of {self!r}"
+            )
+        return transform
+
+
+Pair = str | tuple[Input, Input]
 
 # The inputs that have to be 0 so that rows are mapped to rows: the angle and the shears, and the entries of a matrix that are
 # neither scales nor translations.
@@ -43,30 +101,12 @@ _ZEROS = {"affine": (0, 5, 6), "crop": (), "matrix": (1, 3, 6, 7)}
 
 def keeps_rows(chain: Sequence[Transform]) -> bool:
     """Whether the matrices of a chain map rows to rows, whatever the columns are."""
-    return all(t.kind in _ZEROS and all(t.columns[i] < 0 and t.inputs[i] == 0 for i in _ZEROS[t.kind]) for t in chain)
+    return all(t.kind in _ZEROS and all(t.inputs[i] == 0 for i in _ZEROS[t.kind]) for t in chain)
 
 
 def center_of(shape: Sequence[int]) -> tuple[float, float]:
     """The center x, y of images of a shape (..., H, W): integer coordinates are the centers of pixels."""
     return (shape[-1] - 1) / 2, (shape[-2] - 1) / 2
-
-
-def affine(
-    center: tuple[float, float],
-    *,
-    angle: int = -1,
-    translation: tuple[int, int] = (-1, -1),
-    scale: tuple[int, int] = (-1, -1),
-    shear: tuple[int, int] = (-1, -1),
-    about: tuple[int, int] = (-1, -1),
-) -> Transform:
-    """An affine transform from the columns of its parameters; those at -1 are the identity's, and `center`."""
-    return Transform("affine", (0, 0, 0, 1, 1, 0, 0, *center), (angle, *translation, *scale, *shear, *about))
-
-
-def constant(matrix: Sequence[Sequence[float]]) -> Transform:
-    """A matrix that is the same for all samples."""
-    return Transform("matrix", [entry for row in matrix for entry in row], [-1] * 9)
 
 
 # Arguments of the operator: columns (B, P), the plan, numbers. The plan has for each transform its kind and the columns of
@@ -159,13 +199,13 @@ _transform_matrix = register(
 
 
 def make_plan(transforms: Sequence[Transform]) -> tuple[list[int], list[float]]:
-    """The plan of at most MAX_TRANSFORMS transforms, and their numbers."""
+    """The plan of at most MAX_TRANSFORMS bound transforms, and their numbers."""
     plan: list[int] = []
     numbers: list[float] = []
-    for kind, inputs, columns in transforms:
-        plan.append(KINDS[kind][0])
-        plan += columns
-        numbers += inputs
+    for transform in transforms:
+        own, columns = split_inputs(transform.inputs)
+        plan += [KINDS[transform.kind][0], *columns]
+        numbers += own
     return plan, numbers
 
 

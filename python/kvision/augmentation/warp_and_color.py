@@ -17,10 +17,12 @@ from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION, PADDING
 from kvision._ops import register
 from kvision.augmentation import transforms
+from kvision.augmentation.columns import Column, Input, Names, bind, split_inputs
 from kvision.augmentation.transforms import MAX_TRANSFORMS, Transform
 from kvision.color import program
 from kvision.color.program import MAX_TENSORS
 from kvision.color.steps import CONTRAST, STEPS
+from kvision.core.exceptions import ValueCheckError
 from kvision.enhance.posterize import SPLIT
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.resize_windows import resized_windows
@@ -315,26 +317,62 @@ def fill_of_images(x: Tensor, fill: Any) -> Any:
     return 255 * (fill if isinstance(fill, (int, float)) else torch.as_tensor(fill))
 
 
-class ColorStep(NamedTuple):
-    """A step of a color program: its name (kvision.color.steps) and its parameters, a number or the index of a column each."""
+class ColorStep:
+    """A step of what an augmentation does to the values of pixels: its name, and parameters that are drawn or given.
 
-    name: str
-    parameters: Sequence[float] = ()
-    columns: Sequence[int] = ()  # one of a parameter, -1 for a number; empty if all are numbers
+    An augmentation lists its steps in `color_steps`. The steps of neighbors run in one pass over the images.
 
-    @property
-    def number(self) -> int:
-        return STEPS[self.name].number
+    Args:
+        name: a step for images of any number of channels, or one for three.
+        *parameters: those of the step, each a number, or the name of a field of the generator; those that are left out are 0:
+
+            - 'scale_shift': factor, offset, 1 to clip to [0, 1]
+            - 'contrast': factor of the distance from the mean of the luma
+            - 'gamma': exponent, gain
+            - 'log': gain, 1 for the inverse, 1 to clip
+            - 'sigmoid': cutoff, gain, 1 to fall
+            - 'standardize': mean, standard deviation
+            - 'solarize': threshold, addition, 1 to add
+            - 'posterize': bits, 1
+            - 'scale_shift_rgb': three factors, three offsets, 1 to clip
+            - 'standardize_rgb': three means, three standard deviations
+            - 'saturation', 'saturation_gray': factor of the saturation in HSV, of the distance from the luma
+            - 'hue': angle in radians
+            - 'affine': a matrix (3, 3) of the channels by rows, three offsets, 1 to clip; numbers only
+
+    Raises:
+        ValueError: there is no step of this name, or it has fewer parameters; in a call, a name that is none of a field.
+
+    Example:
+        >>> import kvision as K
+        >>> K.augmentation.ColorStep("scale_shift", "brightness_factor", 0.0, 1.0)
+        ColorStep('scale_shift', 'brightness_factor', 0.0, 1.0)
+    """
+
+    def __init__(self, name: str, *parameters: Input) -> None:
+        if name not in STEPS:
+            raise ValueCheckError(f"ColorStep: expected name to be one of {', '.join(STEPS)}, got {name!r}")
+        count = STEPS[name].parameters
+        self.name, self.parameters = name, parameters
+        if len(parameters) > count:
+            raise ValueCheckError(f"ColorStep: expected at most {count} parameters of {name!r}, got {self!r}")
+
+    def __repr__(self) -> str:
+        return f"ColorStep({', '.join(map(repr, (self.name, *self.parameters)))})"
+
+    def _bound(self, names: Names) -> ColorStep:
+        """The same step with columns in place of their names."""
+        bound = ColorStep(self.name, *bind(self.parameters, names))
+        if STEPS[self.name].arguments == "numbers" and any(isinstance(x, Column) for x in bound.parameters):
+            raise ValueCheckError(f"ColorStep: expected numbers as parameters of {self.name!r}, got {self!r}")
+        return bound
 
 
 class ColorPart(NamedTuple):
-    """The steps of one augmentation, whose parameters begin at column `first`."""
+    """The bound steps of one augmentation, and the columns with the order of them, -1 for none; None: all follow each other."""
 
     steps: Sequence[ColorStep]
-    first: int = 0
-    order: Sequence[int] | None = (
-        None  # columns with the steps in their order, -1 for none; None: all follow each other
-    )
+    order: Sequence[int] | None = None
 
 
 class Output(NamedTuple):
@@ -420,7 +458,7 @@ def make_pass(
         ]
         if len(chain) > MAX_TRANSFORMS:
             assert not parts  # whose columns would be others
-            before, chain = chain, [Transform("matrix", [0.0] * 9, range(9))]
+            before, chain = chain, [Transform("matrix", *[Column(i) for i in range(9)])]
         transform_plan, numbers = transforms.make_plan(chain)
     steps: list[int] = []
     columns: list[int] = []
@@ -430,12 +468,12 @@ def make_pass(
     for part in parts:
         first = len(steps)
         for step in part.steps:
-            count = STEPS[step.name].parameters
-            steps.append(step.number)
+            number, count, *_ = STEPS[step.name]
+            steps.append(number)
             if step.name == "posterize":
                 splits.append(len(numbers) + 1)
-            numbers += [*step.parameters, *[0.0] * (count - len(step.parameters))]
-            columns += [part.first + c if c >= 0 else -1 for c in step.columns] + [-1] * (count - len(step.columns))
+            own_numbers, own_columns = split_inputs([*step.parameters, *[0.0] * (count - len(step.parameters))])
+            numbers, columns = numbers + own_numbers, columns + own_columns
         if is_ordered:
             for i in range(len(part.steps)):
                 order += (-1, first + i) if part.order is None else (part.order[i], first)
@@ -459,5 +497,5 @@ def fits_one_program(parts: Sequence[ColorPart]) -> bool:
     return (
         len(steps) <= program.MAX_STEPS
         and numbers <= program.MAX_NUMBERS
-        and sum(step.number == CONTRAST for step in steps) <= 1
+        and sum(STEPS[step.name].number == CONTRAST for step in steps) <= 1
     )

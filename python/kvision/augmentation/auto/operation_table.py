@@ -20,12 +20,12 @@ from torch import Tensor
 from kvision import enhance
 from kvision._constants import constant
 from kvision._ops import FastPath, behind_grad, register, vjp
-from kvision.augmentation import transforms
+from kvision.augmentation.columns import name_columns
 from kvision.augmentation.container.stages import Stage, Warp
 from kvision.augmentation.drawn_pass import COMPUTED_IN_FLOAT32
 from kvision.augmentation.filters import has_range
 from kvision.augmentation.geometric_base import warp
-from kvision.augmentation.transforms import transform_matrix
+from kvision.augmentation.transforms import Transform, center_of, transform_matrix
 from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Pass, Resampling, make_pass
 
 
@@ -67,15 +67,16 @@ _GEOMETRIC = (
     "translate_x_pixels",
     "translate_y_pixels",
 )
-_COLOR = {  # all take the value from column 0
-    "invert": ColorStep("scale_shift", (-1.0, 1.0, 0.0)),
-    "posterize": ColorStep("posterize", (0.0, 1.0), (0, -1)),
-    "solarize": ColorStep("solarize", (0.0, 0.0, 1.0), (0, -1)),
-    "solarize_add": ColorStep("solarize", (0.5, 0.0, 1.0), (-1, 0)),
-    "color": ColorStep("saturation_gray", (0.0,), (0,)),
-    "contrast": ColorStep("contrast", (0.0,), (0,)),
-    "brightness": ColorStep("scale_shift", (0.0, 0.0, 1.0), (0,)),
+_COLOR = {
+    "invert": ColorStep("scale_shift", -1.0, 1.0),
+    "posterize": ColorStep("posterize", "value", 1.0),
+    "solarize": ColorStep("solarize", "value", 0.0, 1.0),
+    "solarize_add": ColorStep("solarize", 0.5, "value", 1.0),
+    "color": ColorStep("saturation_gray", "value"),
+    "contrast": ColorStep("contrast", "value"),
+    "brightness": ColorStep("scale_shift", "value", 0.0, 1.0),
 }
+_FIELDS_OF_MATRIX = (("angle", 0), ("translation", 2), ("shear", 2))
 _BILINEAR = Resampling("bilinear", "zeros")
 
 _apply_operations = FastPath("apply_operations", COMPUTED_IN_FLOAT32, clamps=True)
@@ -218,8 +219,9 @@ def _matrix(operation: Tensor, value: Tensor, height: int, width: int) -> Tensor
     """The matrices (B, 3, 3) of the samples' operations, about the centers of images."""
     columns = value[:, None] * constant(_factors(height, width), value)[operation]
     columns = torch.cat([columns[:, :3], columns[:, 3:].atan().rad2deg()], 1)
-    chain = transforms.affine(transforms.center_of((height, width)), angle=0, translation=(1, 2), shear=(3, 4))
-    return transform_matrix(columns, [chain])
+    center = center_of((height, width))
+    chain = Transform.affine(center, angle="angle", translation="translation", shear="shear")
+    return transform_matrix(columns, [chain._bound(name_columns(_FIELDS_OF_MATRIX))])
 
 
 # Tables by the number of an operation, which -1 for none reads from the end.
@@ -249,8 +251,9 @@ def _orders(color: tuple[str, ...]) -> tuple[tuple[float, ...], ...]:
 
 @functools.lru_cache(maxsize=32)
 def _color_pass(color: tuple[str, ...]) -> Pass:
-    steps = [_COLOR[name] for name in color]
-    return make_pass(None, parts=[ColorPart(steps, 0, range(1, 1 + len(steps)))])
+    names = name_columns([("value", 0), ("order", len(color))])
+    steps = [_COLOR[name]._bound(names) for name in color]
+    return make_pass(None, parts=[ColorPart(steps, [column.position for column in names["order"]])])
 
 
 def _on_floats(function: Callable[..., Tensor], x: Tensor, chosen: Tensor, value: Tensor) -> Tensor:

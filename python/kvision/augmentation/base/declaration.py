@@ -17,7 +17,7 @@ from torch import Generator, Tensor, nn
 from kvision import _check
 from kvision.augmentation.base.configuration import SWITCHES, Flags, Plans, portable, settings_changed
 from kvision.augmentation.base.execution import Params, Shape
-from kvision.augmentation.columns import Span
+from kvision.augmentation.columns import Names, Span, name_columns
 from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.warp_and_color import Pass
@@ -154,6 +154,10 @@ class Declaration(KeepsArguments):
     def _is_certain(self) -> bool:
         """Whether all samples of all batches are augmented."""
         return self.p == 1 and self.p_batch == 1
+
+    def _names_of_columns(self, first: int) -> Names:
+        """The columns of the parameters by name, of which the first is column `first`."""
+        return name_columns(() if self._param_generator is None else self._param_generator.fields, first)
 
     # --- what is done to images ---
 

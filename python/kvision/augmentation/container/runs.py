@@ -555,13 +555,13 @@ class _Pending:
             if chain is None and self.once:
                 chain = module.matrix_transforms(execution.shape, module.flags)
             if chain is not None:
-                first = 0 if span is None else span.first_value
-                moved = [t.moved(first) for t in chain]
+                names = module._names_of_columns(0 if span is None else span.first_value)
+                bound = [t._bound(names) for t in chain]
                 shrinks = 1
                 if antialiased:
                     size = module.output_size(execution.shape, module.flags)
                     shrinks = max(-(-n // m) for n, m in zip(execution.shape[-2:], size))
-                geometric = _Geometric(number, module, execution, moved, antialiased, shrinks)
+                geometric = _Geometric(number, module, execution, bound, antialiased, shrinks)
                 if self.parts or (self.geometric and not self._joins(geometric)):
                     self._flush()
                 self.geometric.append(geometric)

@@ -78,9 +78,9 @@ class AffineGenerator(RandomGeneratorBase):
         return {**params, "center": center.expand(columns.shape[0], 2)}
 
     @property
-    def scale_columns(self) -> tuple[int, int]:
-        """The columns of the scales along x and y."""
-        return (3, 3) if self._one_scale else (3, 4)
+    def scale_columns(self) -> tuple[str, str]:
+        """The names of the columns of the scales along x and y."""
+        return ("scale[0]", "scale[0]" if self._one_scale else "scale[1]")
 
 
 def _translations(op: str, value: Any) -> list[ranges.Range]:

@@ -22,8 +22,9 @@ class RandomGeneratorBase(nn.Module):
     """Base of the generators: draws of one augmentation, and the names that its parameters have for users.
 
     A subclass implements :meth:`draws`, and lists in `fields` how the columns that they give are called: pairs of a name and
-    a width, 0 for a column that is a vector (B,). One with other parameters overrides :meth:`to_params` and
-    :meth:`to_columns`.
+    a width, 0 for a column that is a vector (B,). By these names the transforms and color steps of an augmentation refer to
+    columns. Those in `hidden` are for them alone. A generator with other parameters than its columns overrides
+    :meth:`to_params` and :meth:`to_columns`.
 
     Example:
         >>> import torch, kvision as K
@@ -36,6 +37,7 @@ class RandomGeneratorBase(nn.Module):
     """
 
     fields: Sequence[tuple[str, int]] = ()
+    hidden: Sequence[str] = ()  # fields that are no parameters
     per_pixel = False  # there are `pixel_params` besides
     has_names = True  # False if users see none of the columns, so that given parameters can lack none
 
@@ -70,12 +72,13 @@ class RandomGeneratorBase(nn.Module):
         """The parameters by name, from their columns (B, P)."""
         params, first = {}, 0
         for name, width in self.fields:
-            params[name] = columns[:, first : first + width] if width else columns[:, first]
+            if name not in self.hidden:
+                params[name] = columns[:, first : first + width] if width else columns[:, first]
             first += width or 1
         return params
 
     def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
-        """The columns (B, P) of parameters by name: the inverse of :meth:`to_params`."""
+        """The columns (B, P) of parameters by name, hidden ones among them: the inverse of :meth:`to_params`."""
         parts = [params[name] if width else params[name][:, None] for name, width in self.fields]
         return torch.cat(parts, 1) if parts else torch.empty(shape[0], 0, device="cpu")
 

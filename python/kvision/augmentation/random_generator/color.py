@@ -24,25 +24,23 @@ __all__ = [
 
 
 class ScaledGenerator(RandomGeneratorBase):
-    """Draws one factor, and scale * factor + offset for the kernels."""
+    """Draws one factor, and for the kernels scale * factor + offset, by another name."""
 
     def __init__(
-        self, op: str, name: str, value: Any, bounds: tuple[float, float], scale: float, offset: float
+        self, op: str, name: str, value: Any, bounds: tuple[float, float], scaled: str, scale: float, offset: float
     ) -> None:
         super().__init__()
         (value,) = ranges.keep_parameters(self, **{name: value})
-        self._range, self._name = ranges.parse(op, name, value, bounds=bounds), f"{name}_factor"
+        self._range = ranges.parse(op, name, value, bounds=bounds)
+        self.fields, self.hidden = ((f"{name}_factor", 0), (scaled, 0)), (scaled,)
         self._scale, self._offset = scale, offset
 
     def draws(self, shape: Shape) -> Sequence[Any]:
         return [self._range.uniform_and_affine(self._scale, self._offset, -self._offset / self._scale)]
 
-    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
-        return {self._name: columns[:, 0]}
-
     def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
-        factor = params[self._name][:, None]
-        return torch.cat([factor, ranges.affine(factor, self._scale, self._offset)], 1)
+        (factor, _), (scaled, _) = self.fields
+        return super().to_columns({**params, scaled: ranges.affine(params[factor], self._scale, self._offset)}, shape)
 
 
 class PosterizeGenerator(RandomGeneratorBase):
@@ -63,6 +61,8 @@ class PosterizeGenerator(RandomGeneratorBase):
         {'bits_factor': tensor([3, 3], dtype=torch.int32)}
     """
 
+    fields = (("bits_factor", 0),)
+
     def __init__(self, bits: Any) -> None:
         super().__init__()
         if not isinstance(bits, (Sequence, Tensor)):
@@ -79,7 +79,7 @@ class PosterizeGenerator(RandomGeneratorBase):
         return {"bits_factor": columns[:, 0].int()}
 
     def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
-        return params["bits_factor"][:, None].float()
+        return super().to_columns(params, shape).float()
 
 
 class ChannelShuffleGenerator(RandomGeneratorBase):

@@ -36,7 +36,6 @@ class ColorJitterGenerator(RandomGeneratorBase):
         ['brightness_factor', 'contrast_factor', 'hue_factor', 'order', 'saturation_factor']
     """
 
-    # Hue has a second column, in radians, which kernels take.
     fields: Sequence[tuple[str, int]] = (
         ("brightness_factor", 0),
         ("contrast_factor", 0),
@@ -45,6 +44,7 @@ class ColorJitterGenerator(RandomGeneratorBase):
         ("radians", 0),
         ("order", 4),
     )
+    hidden: Sequence[str] = ("radians",)  # hue, as kernels take it
 
     def __init__(
         self, brightness: Any = 0.0, contrast: Any = 0.0, saturation: Any = 0.0, hue: Any = 0.0, order: Any = None
@@ -80,7 +80,6 @@ class ColorJitterGenerator(RandomGeneratorBase):
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
         params = super().to_params(columns, shape)
-        del params["radians"]
         params["order"] = params["order"].long()
         return params
 
@@ -106,7 +105,6 @@ class ColorJiggleGenerator(ColorJitterGenerator):
         torch.Size([2, 4])
     """
 
-    # Brightness is added: its second column is the factor less 1.
     fields = (
         ("brightness_factor", 0),
         ("addition", 0),
@@ -116,15 +114,11 @@ class ColorJiggleGenerator(ColorJitterGenerator):
         ("radians", 0),
         ("order", 4),
     )
+    hidden = ("addition", "radians")  # the factor of brightness less 1, which is added
     _largest_brightness = 2.0
 
     def draws(self, shape: Shape) -> Sequence[Any]:
         return [self._brightness.uniform_and_affine(1.0, -1.0, identity=1.0), *super().draws(shape)[1:]]
-
-    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
-        params = super().to_params(columns, shape)
-        del params["addition"]
-        return params
 
     def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
         addition = ranges.affine(params["brightness_factor"], 1.0, -1.0)

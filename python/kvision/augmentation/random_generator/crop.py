@@ -86,6 +86,8 @@ class CropGenerator(RandomGeneratorBase):
                 [0., 1.]])
     """
 
+    fields = (("shift", 2),)
+
     def __init__(self, size: Any, resize_to: tuple[int, int] | None = None) -> None:
         super().__init__()
         self.size = parse_size("RandomCrop", size)
@@ -151,6 +153,8 @@ class ResizedCropGenerator(RandomGeneratorBase):
                 [3., 3.],
                 [0., 3.]])
     """
+
+    fields = (("window", 4),)  # first column, first row, width, height
 
     def __init__(self, output_size: Any, scale: Any = (0.08, 1.0), ratio: Any = (3.0 / 4.0, 4.0 / 3.0)) -> None:
         super().__init__()

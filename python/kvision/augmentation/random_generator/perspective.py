@@ -40,6 +40,8 @@ class PerspectiveGenerator(RandomGeneratorBase):
                  [0., 7.]]])
     """
 
+    fields = (("end_points", 8),)
+
     def __init__(self, distortion_scale: float | Tensor = 0.5, sampling_method: str = "basic") -> None:
         super().__init__()
         op = "RandomPerspective"

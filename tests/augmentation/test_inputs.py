@@ -138,6 +138,17 @@ def test_names_of_data_keys_are_data() -> None:
     assert result["label"] is data["label"]
 
 
+@pytest.mark.parametrize("dtype", [torch.int16, torch.uint16], ids=str)
+def test_images_of_16_bit_integers_follow_geometric_children(dtype: torch.dtype) -> None:
+    depth = torch.arange(48).reshape(2, 1, 4, 6).to(dtype)
+    data = {"image": images(), "image_depth": depth}
+    assert torch.equal(as_dict(data)["image_depth"].int(), depth.int().flip(-1))
+    assert as_dict({"image_left": depth})["image_left"].dtype == dtype  # the first image
+    colors = A.AugmentationSequential(FLIP, A.RandomBrightness(p=1.0), data_keys=None)
+    with pytest.warns(UserWarning, match="'image_depth' passes through unchanged"):
+        assert colors(data)["image_depth"] is depth
+
+
 def test_everything_else_passes_through() -> None:
     x, ids, features = images(), torch.arange(2), images(2, 512)
     data = {

@@ -193,13 +193,13 @@ def parse_entries(
     first = next((name for name, key in exact.items() if key == DataKey.INPUT), None)
     if first is None:
         images = (name for name, key in suffixed.items() if key == DataKey.INPUT)
-        first = next((name for name in images if _is_image(data[name], None)), None)
+        first = next((name for name in images if _is_image(data[name], None, module)), None)
     image = None if first is None else image_of(module, data[first])
     like = image[0] if isinstance(image, tuple) and image else image
     entries = Entries([], [], [])
     for name in data if first is None else (first, *(name for name in data if name != first)):
         value, key = data[name], exact.get(name)
-        if key is None and name in suffixed and (name == first or _fits(suffixed[name], value, like)):
+        if key is None and name in suffixed and (name == first or _fits(suffixed[name], value, like, module)):
             key = suffixed[name]
         if key is None:
             _warn(op, name, value, like, warned)
@@ -223,10 +223,10 @@ def _key_of_suffixed(name: Any) -> DataKey | None:
     return None if key is None or name.rpartition("_")[2] in _NO_DATA else _DATA_NAMES[key]
 
 
-def _fits(key: DataKey, value: Any, image: Any) -> bool:
+def _fits(key: DataKey, value: Any, image: Any, module: Any) -> bool:
     """Whether the value of a suffixed name is what its data key says, next to an image."""
     if key == DataKey.INPUT:
-        return _is_image(value, image)
+        return _is_image(value, image, module)
     if key == DataKey.MASK:
         return _is_mask(value, image)
     batched = isinstance(image, Tensor) and image.dim() > 3
@@ -250,15 +250,18 @@ def _is_label(key: DataKey, value: Any, axes: int) -> bool:
     return value.dim() > len(trailing) + axes and value.shape[-len(trailing) :] == trailing
 
 
-def _is_image(value: Any, image: Any) -> bool:
-    """Whether a value is an image with as many axes as another one, if there is one."""
+def _is_image(value: Any, image: Any, module: Any) -> bool:
+    """Whether a value is an image that a container takes, with as many axes as another one, if there is one."""
     if _is_foreign(value):
         shape = value.shape if _check.is_array(value) else (*reversed(value.size), len(value.getbands()))
         if not isinstance(image, Tensor):
             return len(shape) in (2, 3, 4)
         return shape == image.shape[-2:] if len(shape) == 2 else len(shape) == image.dim()
-    if not isinstance(value, Tensor) or not (value.dtype.is_floating_point or value.dtype == torch.uint8):
+    if not isinstance(value, Tensor):
         return False
+    if not (value.dtype.is_floating_point or value.dtype == torch.uint8):
+        if value.dtype not in WIDE_INTEGERS or not module.accepts_wide_integers:
+            return False
     return value.dim() == image.dim() if isinstance(image, Tensor) else value.dim() >= 2
 
 

@@ -34,6 +34,22 @@ def pixels_around(result: Tensor, box: Tensor) -> Tensor | None:
     return torch.stack([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]).float()
 
 
+def position_read(result: Tensor, position: Tensor) -> Tensor | None:
+    """What a result (3, H, W) reads at a position, where the map is one to one and nearly linear around it; None elsewhere."""
+    column, row = (int(n) for n in position.floor())
+    if not (2 <= column < result.shape[2] - 4 and 2 <= row < result.shape[1] - 4):
+        return None
+    x, y, known = result[:, row - 2 : row + 4, column - 2 : column + 4]
+    determinant = x.diff(dim=1)[1:] * y.diff(dim=0)[:, 1:] - x.diff(dim=0)[:, 1:] * y.diff(dim=1)[1:]
+    curvature = max(float(t.diff(n=2, dim=dim).abs().max()) for t in (x, y) for dim in (0, 1))
+    if known.min() < 0.999 or not (determinant > 0.1).all() or curvature > 0.15:
+        return None
+    right, down = position - position.floor()
+    cell = torch.stack([x, y], -1)[2:4, 2:4]
+    along = cell[:, 0] + right * (cell[:, 1] - cell[:, 0])
+    return along[0] + down * (along[1] - along[0])
+
+
 def overlap(a: Tensor, b: Tensor) -> float:
     inside = (torch.minimum(a[2:], b[2:]) - torch.maximum(a[:2], b[:2])).clamp(min=0).prod()
     return float(inside / ((a[2:] - a[:2]).prod() + (b[2:] - b[:2]).prod() - inside))
@@ -50,6 +66,7 @@ def check_labels(
     points = (torch.rand(24, 2, generator=generator) * torch.tensor([width - 1, height - 1])).to(device)
     augment = A.AugmentationSequential(*children, data_keys=["input", "bbox_xyxy", "keypoints"], **options)
     result, moved, positions = augment(coordinate_image(height, width, device), boxes[None], points[None], seed=seed)
+    is_read_once = len(children) == 1 or augment.resample == "once"
     visible, (x, y, known) = augment.visible_points[0][0], result[0]
     reads = torch.stack([torch.where(known > 0.999, x, torch.inf), y], -1)
     for point, position, shown in zip(points, positions[0], visible):
@@ -58,6 +75,8 @@ def check_labels(
         if shown and float(miss.min()) < 1:
             nearest = torch.tensor([at % miss.shape[1], at // miss.shape[1]], device=device)
             assert (position - nearest).norm() <= 1.75, (point, position, nearest)  # 1.5 from one that is as near
+            read = position_read(result[0], position) if is_read_once else None
+            assert read is None or (read - point).norm() <= 0.05, (point, position, read)
         elif not shown:
             assert miss.min() > 0.2, (point, position)
     truths = [pixels_around(result[0], one) for one in boxes]

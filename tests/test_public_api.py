@@ -37,6 +37,7 @@ def public_modules() -> Iterator[ModuleType]:
         "augmentation.auto.operations",
         "augmentation.presets.ada",
         "augmentation.random_generator",
+        "sensors.camera",
     )
     yield from (importlib.import_module(f"kvision.{module}") for module in modules)  # modules of Kornia
 

@@ -161,6 +161,7 @@ __all__ = [
     "pyrdown",
     "rgb_to_grayscale",
     "save_pointcloud_ply",
+    "sensors",
     "show",
     "sobel",
     "ssim_loss",

@@ -267,7 +267,7 @@ class _SIFT(_OfGrayImages):
             descriptor = LAFDescriptor(SIFTDescriptor(41, rootsift=rootsift), 41)
         super().__init__(detector, descriptor, scaling_coef)
         self.descriptor_layout = layout
-        self.to(device or "cpu")
+        self.to(_check.device(type(self).__name__, device) or "cpu")
 
     def forward(self, img: Tensor, mask: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
         lafs, responses, descriptors = super().forward(img, mask)
@@ -328,6 +328,9 @@ class SIFTFeature(_SIFT):
         detector: nn.Module
         _check.ints("SIFTFeature", "num_features", num_features, 1)
         _check.flag("SIFTFeature", "opencv", opencv)
+        upright = _check.switch("SIFTFeature", "upright", upright)
+        rootsift = _check.switch("SIFTFeature", "rootsift", rootsift)
+        compile_model = _check.switch("SIFTFeature", "compile_model", compile_model)
         if opencv:
             if config is not None or not isinstance(descriptor_backend, str) or descriptor_backend != "patch":
                 raise ValueCheckError("SIFTFeature: opencv takes no config, and no descriptor_backend but 'patch'")
@@ -342,7 +345,7 @@ class SIFTFeature(_SIFT):
                     _Magnitude(),
                     num_features,
                     config,
-                    ori_module=_orienter(upright),
+                    ori_module=_orienter("SIFTFeature", upright),
                     compile_model=compile_model,
                     score_threshold=score_threshold,
                 ),
@@ -387,7 +390,7 @@ def _keynet_detector(
     return KeyNetDetector(
         True,
         num_features,
-        ori_module=PassLAF() if upright else LAFOrienter(angle_detector=OriNet(True)),
+        ori_module=PassLAF() if _check.switch(op, "upright", upright) else LAFOrienter(angle_detector=OriNet(True)),
         compile_model=compile_model,
         score_threshold=score_threshold,
         **modules,
@@ -427,18 +430,18 @@ class SIFTFeatureScaleSpace(_SIFT):
         descriptor_layout: str = "kornia",
     ) -> None:
         op = "SIFTFeatureScaleSpace"
-        detector = _dog_detector(op, num_features, compile_modules, ori_module=_orienter(upright))
+        detector = _dog_detector(op, num_features, compile_modules, ori_module=_orienter(op, upright))
         super().__init__(detector, rootsift, device, descriptor_backend, descriptor_layout)
 
 
 class _WithHardNet(_OfGrayImages):
     def __init__(self, detector: nn.Module, device: Device, scaling_coef: float = 1.0) -> None:
         super().__init__(detector, LAFDescriptor(), scaling_coef)
-        self.to(device or "cpu").eval()
+        self.to(_check.device(type(self).__name__, device) or "cpu").eval()
 
 
-def _orienter(upright: bool) -> nn.Module:
-    return PassLAF() if upright else LAFOrienter(19)
+def _orienter(op: str, upright: bool) -> nn.Module:
+    return PassLAF() if _check.switch(op, "upright", upright) else LAFOrienter(19)
 
 
 def _affine() -> nn.Module:
@@ -453,7 +456,7 @@ def _affine_detector(
         num_features,
         resp_module=response,
         scale_pyr_module=ScalePyramid(3, 1.6, 32, double_image=True, extra_levels=2),
-        ori_module=_orienter(upright),
+        ori_module=_orienter(op, upright),
         aff_module=_affine(),
         compile_modules=compile_modules,
     )
@@ -542,7 +545,8 @@ class DoGHardNet(_WithHardNet):
         device: Device = None,
         compile_modules: bool | Collection[str] = False,
     ) -> None:
-        detector = _dog_detector("DoGHardNet", num_features, compile_modules, ori_module=_orienter(upright))
+        orienter = _orienter("DoGHardNet", upright)
+        detector = _dog_detector("DoGHardNet", num_features, compile_modules, ori_module=orienter)
         super().__init__(detector, device, scaling_coef=2.0)
 
 
@@ -571,7 +575,7 @@ class DoGAffNetHardNet(_WithHardNet):
         device: Device = None,
         compile_modules: bool | Collection[str] = False,
     ) -> None:
-        modules = {"ori_module": _orienter(upright), "aff_module": _affine()}
+        modules = {"ori_module": _orienter("DoGAffNetHardNet", upright), "aff_module": _affine()}
         detector = _dog_detector("DoGAffNetHardNet", num_features, compile_modules, **modules)
         super().__init__(detector, device, scaling_coef=2.0)
 

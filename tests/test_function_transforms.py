@@ -92,6 +92,47 @@ def test_jacrev(name: str, batch: int, device: torch.device) -> None:
         assert_close(jacobian[k], v, 1e-7 if wide else 1e-4, (1e-9 if wide else 1e-5) * max(scale, 1))
 
 
+# Second derivatives of no samples map over no tangents; of few samples they are those of a formula.
+WITHOUT_SAMPLES = (
+    "enhance.shift_rgb",
+    "filters.get_motion_kernel3d",
+    "geometry.conv_soft_argmax2d",
+    "losses.l1_ssim_loss",
+    "losses.ssim3d_loss",
+    "losses.ssim_loss",
+    "metrics.mean_absolute_disparity_error",
+    "metrics.root_mean_squared_disparity_error",
+)
+NO_ONE_VALUE = (
+    "geometry.find_essential",  # candidates have no sign and no order
+    "geometry.photometric_depth_loss",  # NaN: its views see nothing
+)
+
+
+@pytest.mark.derivatives
+@pytest.mark.parametrize(
+    ("name", "batch"),
+    [*((name, 0) for name in WITHOUT_SAMPLES), *((n, b) for n in some(list(CALLS), 60) for b in (0, 1, 2))],
+)
+def test_jacfwd_and_hessian(name: str, batch: int, device: torch.device) -> None:
+    """In float64: in float32 whitening of fewer samples than features is conditioned too badly for second derivatives."""
+    if name in NO_ONE_VALUE:
+        pytest.skip("no one value")
+    sums, values = sums_of(CALLS[name], batch, device)
+    needs_gradient(CALLS[name], sums, values)
+    pairs = [(torch.func.jacfwd(sums)(values), torch.func.jacrev(sums)(values))]
+    if sum(v.numel() for v in values.values()) <= 300:
+        total = lambda x: sums(x).sum()  # noqa: E731
+        hessians = torch.func.hessian(total)(values), torch.func.jacrev(torch.func.jacrev(total))(values)
+        pairs += [(hessians[0][k], hessians[1][k]) for k in values]
+    wide = all(v.dtype == torch.float64 for v in values.values())
+    for actual, expected in pairs:
+        for k, v in expected.items():
+            scale = v.nan_to_num(posinf=0, neginf=0).abs().max().item() if v.numel() else 0
+            assert actual[k].shape == v.shape
+            assert_close(actual[k], v, 1e-6 if wide else 1e-3, (1e-8 if wide else 1e-4) * max(scale, 1))
+
+
 @pytest.mark.tracing
 @pytest.mark.parametrize("transform", ["jvp", "grad"])
 @pytest.mark.parametrize("name", some(list(CALLS), 40))

@@ -45,7 +45,7 @@ def parameter(op: str, name: str, value: float | Tensor, x: Tensor, minimum: flo
     if axes > 4 and sizes[: axes - 3].numel() > 1:
         value = value.reshape(*sizes[: axes - 3], *(1,) * (axes - 3 - len(sizes)), channels)
         value = value.expand(*x.shape[:-3], channels)
-    return value.reshape(-1 if channels else math.prod(value.shape[: axes - 3]), channels, 1)
+    return value.reshape(math.prod(value.shape[: axes - 3]), channels, 1)
 
 
 def broadcastable(op: str, name: str, value: Tensor, x: Tensor) -> Tensor:

@@ -157,7 +157,7 @@ def _reduced(error: Tensor, mask: Tensor | None, reduction: str) -> Tensor:
     if mask is not None:
         error = error.masked_fill(~mask, 0)
     if reduction == "mean":
-        return error.sum() / (error.numel() if mask is None else mask.sum())
+        return _over(error.sum(), error.numel() if mask is None else mask.sum())
     return error.sum() if reduction == "sum" else error
 
 
@@ -174,12 +174,18 @@ def _root_mean_squared(input: Tensor, target: Tensor, mask: Tensor | None, reduc
     if reduction == "none":
         return error.abs()
     flat = error.flatten()
-    square = flat.dot(flat)  # the gradient of torch's norm takes one more pass
+    # The gradient of torch's norm takes one more pass. Of no pixels, vmap has no tangents of dot and of single numbers.
+    square = (flat.dot(flat) if len(flat) else flat.sum())[None]
     is_zero = square == 0
-    length = square.masked_fill(is_zero, 1).sqrt().masked_fill(is_zero, 0)  # whose gradient at 0 is 0
+    length = square.masked_fill(is_zero, 1).sqrt().masked_fill(is_zero, 0)[0]  # whose gradient at 0 is 0
     if reduction == "sum":
         return length
-    return length / (error.numel() ** 0.5 if mask is None else mask.sum().to(error.dtype).sqrt())
+    return _over(length, error.numel() ** 0.5 if mask is None else mask.sum().to(error.dtype).sqrt())
+
+
+def _over(total: Tensor, count: Tensor | float) -> Tensor:
+    """`total / count`, also where vmap has no elements, for which torch divides no single numbers (2.13)."""
+    return (total[None] / count)[0]
 
 
 @with_kernel_casts

@@ -25,8 +25,10 @@ def _reference(x, window, stride, padding, temperature, normalized, scale_too, w
 
     def windows(outside):
         windows = F.pad(x, reach, value=outside)
-        for axis, (size, step) in enumerate(zip(window, stride), 2):
-            windows = windows.unfold(axis, size, step)
+        for axis, (size, step) in enumerate(zip(window, stride), 2):  # Tensor.unfold has no rule of vmap of no elements
+            count = (windows.shape[axis] - size) // step + 1
+            index = torch.arange(size, device=x.device) + step * torch.arange(count, device=x.device)[:, None]
+            windows = windows.index_select(axis, index.flatten()).unflatten(axis, (count, size)).movedim(axis + 1, -1)
         return windows.flatten(-3)
 
     weights = (windows(-torch.inf) / temperature).softmax(-1)

@@ -60,6 +60,7 @@ OTHER_KINDS = {
     "to_tensor": "takes arrays, PIL images and paths, and lists of them",
     "PassLAF.forward": "returns what it gets",
     "CameraCalibration": "holds results",
+    "StereoRectification": "holds results",
     "LeastSquaresResult": "holds results",
     "Affine": "takes None for an angle",
     "RandomFisheye": "takes pairs of numbers, too",

@@ -62,6 +62,7 @@ WITHOUT_SAMPLE = {
         ("geometry.calibrate_camera", "geometry.kabsch", "geometry.solve_pnp", "geometry.umeyama"),
         "solves by least_squares",
     ),
+    "geometry.stereo_rectify": "gives a record of matrices",
     **dict.fromkeys(("image.image_to_tensor", "image.image_list_to_tensor"), "takes NumPy arrays"),
     **dict.fromkeys(("image.to_tensor", "image.to_numpy", "image.to_pil"), "converts images of other libraries"),
     **dict.fromkeys(("image.perform_keep_shape_image", "image.perform_keep_shape_video"), "decorates functions"),

@@ -167,6 +167,24 @@ def test_opencv_reprojection(cv2):
     assert same(theirs, pair.reproject_disparity_to_3D(torch.from_numpy(disparity)[None, ..., None]), 1e-4)
 
 
+@row(
+    "OpenCV",
+    "`stereoRectify`: half of the rotation each, then the baseline onto x or y; sizes are (width, height)",
+    "`stereo_rectify`: the same matrices; sizes are (H, W)",
+)
+def test_opencv_rectification(cv2):
+    camera, rotation = (
+        np.float64([[500, 0, 320], [0, 500, 240], [0, 0, 1]]),
+        cv2.Rodrigues(np.float64([0.02, 0.1, 0.01]))[0],
+    )
+    t = np.float64([[-0.1], [0.01], [0]])
+    theirs = cv2.stereoRectify(camera, np.zeros(5), camera, np.zeros(5), (640, 480), rotation, t, alpha=0)[:5]
+    matrix = torch.from_numpy(camera)
+    pair = G.stereo_rectify(matrix, None, matrix, None, (480, 640), *map(torch.from_numpy, (rotation, t)), alpha=0.0)
+    for name, result in zip(("R1", "R2", "P1", "P2", "Q"), theirs):
+        assert same(result, getattr(pair, name), 1e-3)
+
+
 @row("OpenCV", "`findHomography(src, dst)`: src to dst", "`find_homography_dlt(src, dst)`")
 def test_opencv_homography(cv2):
     source, matrix = (

@@ -9,15 +9,18 @@ from kvision.geometry.calibration.distortion import (
     undistort_points,
 )
 from kvision.geometry.calibration.pnp import solve_pnp_dlt
+from kvision.geometry.calibration.rectification import StereoRectification, stereo_rectify
 from kvision.geometry.calibration.refined_pnp import solve_pnp
 
 __all__ = [
     "CameraCalibration",
+    "StereoRectification",
     "calibrate_camera",
     "distort_points",
     "kabsch",
     "solve_pnp",
     "solve_pnp_dlt",
+    "stereo_rectify",
     "tilt_projection",
     "umeyama",
     "undistort_image",

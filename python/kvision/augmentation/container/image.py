@@ -340,7 +340,7 @@ class ImageSequential(ImageSequentialBase):
 
     def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> tuple[Tensor, Record]:
         """Run the children on images (B, C, H, W); gives the images and what the call did."""
-        if params is None and self._chooses_for_samples(source):
+        if params is None and self.random_apply is not None and self._chooses_for_samples(source):
             sequences = self._sequences_of_samples(source, len(x) // max(source.time, source.frames))
             y, stages, children = execute_turns(x, list(self.named_children()), sequences, source, source.position)
         else:
@@ -352,8 +352,7 @@ class ImageSequential(ImageSequentialBase):
 
     def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage, Record]:
         once = source.once or self.resample == "once"
-        own = source.inside(self)._replace(once=once, plans=self._plans, output=self._output)
-        y, record = self._execute(x, params, own)
+        y, record = self._execute(x, params, source.inside(self, once, self._plans, self._output))
         self._keep(record)
         return y, Applied(self, None, {}, record.stages, self._label_settings), record
 

@@ -70,9 +70,10 @@ class Randomness(NamedTuple):
         """The generator that draws for a module; None for torch's."""
         return self.generator or getattr(module, "generator", None) or self.default_generator
 
-    def inside(self, module: nn.Module) -> Randomness:
+    def inside(self, module: nn.Module, once: bool, plans: Plans, output: Output) -> Randomness:
         """For the children of a container that is a child."""
-        return self._replace(default_generator=self.generator_of(module))
+        own = (self.frames, self.position, self.time, self.has_labels, self.masks, self.generator_of(module))
+        return Randomness(self.op, self.seed, self.generator, once, plans, output, *own)  # faster than _replace
 
     @property
     def seed_of_samples(self) -> Seed:
@@ -94,7 +95,7 @@ def execute(
     stages: list[Stage] = []
     runs = _runs(children, source.plans)
     for i, run in enumerate(runs):
-        own = source if i == len(runs) - 1 else source._replace(output=SAME)
+        own = source if i == len(runs) - 1 or source.output is SAME else source._replace(output=SAME)
         module = run[0].module
         if isinstance(module, AugmentationBase) and not module.needs_masks:
             x, more = _execute_run(x, run, own, position)

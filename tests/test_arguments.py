@@ -315,6 +315,82 @@ def test_constructors_draw_nothing_and_are_silent():
         K.filters.GaussianBlur2d("image", (1.0, 1.0))
 
 
+A = K.augmentation
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (
+            lambda x: A.RandomElasticTransform()(x, params={}),
+            ValueError,
+            "RandomElasticTransform: expected params with 'noise'",
+        ),
+        (
+            lambda x: A.RandomMixUpV2()(x, params={"a": 1}),
+            ValueError,
+            "RandomMixUpV2: expected params with 'mixup_lambdas', got",
+        ),
+        (lambda x: A.RandomJigsaw()(x, params=[]), TypeError, "RandomJigsaw: expected params to be a dict, got list"),
+        (
+            lambda x: A.RandomTransplantation()(x, x[:, 0], params={"selection": x}),
+            ValueError,
+            "expected params with '",
+        ),
+        (
+            lambda x: A.ImageSequential(A.RandomHue())(x, params=[1]),
+            TypeError,
+            "expected params to be the _params of a call",
+        ),
+        (
+            lambda x: A.PatchSequential(A.RandomHue(), grid_size=(1, 1))(x, params={}),
+            TypeError,
+            "to be the _params of a call",
+        ),
+        (
+            lambda x: A.RandomCutMixV2()(x, data_keys=["mask"]),
+            ValueError,
+            "RandomCutMixV2: expected data_keys with 'input'",
+        ),
+        (lambda x: A.RandomCrop((8, 8), padding=10**30), ValueError, "RandomCrop: expected padding of less than 2"),
+        (
+            lambda x: A.RandomCrop((8, 8), padding=1.5),
+            TypeError,
+            "RandomCrop: expected padding to be one, two or four ints",
+        ),
+        (
+            lambda x: A.RandomCrop3D((4, 4, 4), padding=-(10**30)),
+            ValueError,
+            "RandomCrop3D: expected padding of less than 2",
+        ),
+        (
+            lambda x: K.feature.KeyNetDetector(keynet_conf=3),
+            TypeError,
+            "KeyNet: expected keynet_conf to be a dict, got int",
+        ),
+        (
+            lambda x: K.feature.KeyNetDetector(num_features="a"),
+            TypeError,
+            "expected num_features to be an int, got 'a'",
+        ),
+        (
+            lambda x: K.feature.KeyNetDetector(ori_module=3),
+            TypeError,
+            "expected ori_module to be a module or function, got 3",
+        ),
+        (
+            lambda x: K.feature.KeyNet(False, {"num_filters": -8}),
+            ValueError,
+            "KeyNet: expected num_filters to be an int of at",
+        ),
+    ],
+)
+def test_what_the_sweeps_do_not_replace_is_named(call, error, message):
+    """Parameters of replays, paddings of crops, data keys of mixes, and detectors, before they download weights."""
+    with pytest.raises(error, match=message):
+        call(torch.rand(2, 3, 16, 20))
+
+
 @pytest.mark.parametrize("name", ["RandomMixUpV2", "RandomCutMixV2"])
 def test_labels_at_probability_0_are_as_those_of_samples_that_were_not_chosen(name):
     x, labels = torch.rand(2, 3, 8, 8), torch.tensor([3, 5])

@@ -17,11 +17,12 @@ from kvision.augmentation.random_generator.crop import (
     PaddingOf,
     ResizedCropGenerator,
     box_params,
+    parse_padding,
     parse_size,
 )
 from kvision.augmentation.transforms import Transform
 from kvision.constants import Resample
-from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.core.exceptions import ValueCheckError
 
 __all__ = ["CenterCrop", "RandomCrop", "RandomResizedCrop"]
 
@@ -288,11 +289,9 @@ def check_cropping_mode(op: str, mode: str) -> None:
 
 def _four_sides(padding: Any) -> tuple[int, int, int, int]:
     """Left, right, top and bottom from the forms that RandomCrop takes."""
-    sides = (0,) if padding is None else (padding,) if isinstance(padding, int) else tuple(padding)
-    if len(sides) not in (1, 2, 4) or any(type(n) is not int for n in sides):
-        raise TypeCheckError(f"RandomCrop: expected padding to be one, two or four ints, got {padding!r}")
+    sides = parse_padding("RandomCrop", padding, (1, 2, 4), "one, two or four")
     if len(sides) == 1:
-        return (*sides * 4,)
+        return sides[0], sides[0], sides[0], sides[0]
     if len(sides) == 2:
         return sides[0], sides[0], sides[1], sides[1]
     left, top, right, bottom = sides

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import torch
@@ -12,7 +13,7 @@ from kvision import _check, geometry
 from kvision._constants import constant
 from kvision._dtype import compute_dtype, floats
 from kvision._modes import INTERPOLATION, PADDING
-from kvision.augmentation.base import AugmentationBase2D, Execution, Params, where_chosen
+from kvision.augmentation.base import AugmentationBase2D, Execution, Params, replaying, where_chosen
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import BOX_FORMATS, parse_data_keys
 from kvision.augmentation.maps import exact
@@ -125,14 +126,17 @@ class MixAugmentationBaseV2(AugmentationBase2D):
         keys = self.data_keys if data_keys is None else parse_data_keys(op, data_keys)
         if len(input) < len(keys):
             raise ValueCheckError(f"{op}: expected {len(keys)} inputs, got {len(input)}")
+        if DataKey.INPUT not in keys:
+            raise ValueCheckError(f"{op}: expected data_keys with 'input', got {data_keys!r}", actual_value=data_keys)
         x = self.transform_tensor(input[keys.index(DataKey.INPUT)])
         for key, value in zip(keys, input):
             if key != DataKey.INPUT:
                 self._check_labels(key, value, x.shape[0])
-        execution = self._draw(x, seed, generator) if params is None else self._from_params(params, x)
-        self._execution = execution
         boxes = next((value.shape[1] for key, value in zip(keys, input) if key in BOX_FORMATS), None)
-        outputs = [self._mixed(key, value, x, execution, boxes) for key, value in zip(keys, input)]
+        with nullcontext() if params is None else replaying(op, params):
+            execution = self._draw(x, seed, generator) if params is None else self._from_params(params, x)
+            self._execution = execution
+            outputs = [self._mixed(key, value, x, execution, boxes) for key, value in zip(keys, input)]
         return outputs[0] if len(outputs) == 1 else outputs
 
     def _mixed(self, key: DataKey, value: Any, x: Tensor, execution: Execution, boxes: int | None) -> Any:

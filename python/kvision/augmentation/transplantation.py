@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import torch
 from torch import Generator, Tensor
 
 from kvision import _check
-from kvision.augmentation.base import Execution, Params, per_sample
+from kvision.augmentation.base import Execution, Params, per_sample, replaying
 from kvision.augmentation.draws import integer
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import parse_data_keys
@@ -113,9 +114,10 @@ class RandomTransplantation(MixAugmentationBaseV2):
             if x.dim() < 3:
                 raise ShapeError(f"{op}: expected images (B, C, H, W) and masks (B, H, W), got {tuple(x.shape)}")
         masks = input[keys.index(DataKey.MASK)]
-        execution = self._transplants(masks, params, seed, generator)
-        self._execution = execution
-        outputs = [self._pasted(key, x, execution) for key, x in zip(keys, input)]
+        with nullcontext() if params is None else replaying(op, params):
+            execution = self._transplants(masks, params, seed, generator)
+            self._execution = execution
+            outputs = [self._pasted(key, x, execution) for key, x in zip(keys, input)]
         return outputs[0] if len(outputs) == 1 else outputs
 
     def _pasted(self, key: DataKey, x: Tensor, execution: Execution) -> Tensor:

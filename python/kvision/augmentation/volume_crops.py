@@ -16,7 +16,7 @@ from kvision.augmentation.crop import padding_resampling
 from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D, parse_resample
 from kvision.augmentation.geometric_base import Resampling
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
-from kvision.augmentation.random_generator.crop import PaddingOf
+from kvision.augmentation.random_generator.crop import PaddingOf, parse_padding
 from kvision.augmentation.random_generator.volumes import (
     CropGenerator3D,
     ResizedCropGenerator3D,
@@ -26,7 +26,6 @@ from kvision.augmentation.random_generator.volumes import (
     parse_size3d,
 )
 from kvision.constants import Resample
-from kvision.core.exceptions import TypeCheckError
 
 __all__ = ["CenterCrop3D", "RandomCrop3D", "RandomResizedCrop3D", "Resize3D"]
 
@@ -307,7 +306,5 @@ def _translation(shift: Tensor) -> Tensor:
 
 def _six_sides(padding: Any) -> tuple[int, ...]:
     """Left, right, top, bottom, front and back from the forms that RandomCrop3D takes."""
-    sides = (0,) if padding is None else (padding,) if isinstance(padding, int) else tuple(padding)
-    if len(sides) not in (1, 3, 6) or any(type(n) is not int for n in sides):
-        raise TypeCheckError(f"RandomCrop3D: expected padding to be one, three or six ints, got {padding!r}")
+    sides = parse_padding("RandomCrop3D", padding, (1, 3, 6), "one, three or six")
     return sides if len(sides) == 6 else tuple(n for n in sides for _ in range(6 // len(sides)))

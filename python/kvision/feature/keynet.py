@@ -82,7 +82,7 @@ class KeyNet(nn.Module):
         if keynet_conf is not None and not isinstance(keynet_conf, Mapping):
             raise TypeCheckError(f"KeyNet: expected keynet_conf to be a dict, got {type(keynet_conf).__name__}")
         config = {**KEYNET_CONFIG, **(keynet_conf or {})}
-        filters, levels, kernel_size = (config[name] for name in KEYNET_CONFIG)
+        filters, levels, kernel_size = (_check.ints("KeyNet", name, config[name], 1)[0] for name in KEYNET_CONFIG)
         self.num_levels = levels
         self.feature_extractor = _FeatureExtractor(filters, kernel_size)
         convolution = nn.Conv2d(filters * levels, 1, kernel_size, padding=kernel_size // 2)
@@ -152,6 +152,7 @@ class KeyNetDetector(MultiResolutionDetector):
         compile_model: bool = False,
         score_threshold: float = 0.0,
     ) -> None:
+        network = KeyNet(False, keynet_conf)
         config = (keynet_conf or {}).get("Detector_conf", get_default_detector_config())
-        network = KeyNet(pretrained, keynet_conf)
         super().__init__(network, num_features, config, ori_module, aff_module, compile_model, score_threshold)
+        load_weights(network, pretrained)  # at last, since it may be a download

@@ -24,7 +24,7 @@ from kvision.augmentation.base.augmentation import (
     RigidAffineAugmentationBase2D,
     RigidAffineAugmentationBase3D,
 )
-from kvision.augmentation.base.execution import Execution, Params, Shape, matrix_type
+from kvision.augmentation.base.execution import Execution, Params, Shape, matrix_type, replaying
 from kvision.augmentation.base.samples import (
     at_scale,
     inverse_at,
@@ -51,6 +51,7 @@ __all__ = [
     "known_everywhere",
     "matrix_type",
     "per_sample",
+    "replaying",
     "where_chosen",
     "with_matrix",
     "without_added_axes",

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
-from kvision.augmentation.base.execution import Execution, Params
+from kvision.augmentation.base.execution import Execution, Params, replaying
 from kvision.augmentation.base.one_pass import OnePass
 from kvision.augmentation.base.samples import (
     at_scale,
@@ -92,8 +92,9 @@ class AugmentationBase(OnePass):
         if params is None:
             y, execution = self._draw_and_run(x, seed, generator, flags)
         else:
-            execution = self._execution = self._from_params(params, x)  # before it runs, as in _draw_and_run
-            y = self._run(x, execution, flags)
+            with replaying(type(self).__name__, params):
+                execution = self._execution = self._from_params(params, x)  # before it runs, as in _draw_and_run
+                y = self._run(x, execution, flags)
         if x is not image:
             y = self._restored(y, image)
         returns = self.return_transform if return_transform is None else return_transform

@@ -11,13 +11,12 @@ from torch.compiler import is_compiling
 from kvision._constants import constant
 from kvision._ops import match_layout
 from kvision.augmentation.base.declaration import Declaration
-from kvision.augmentation.base.execution import Execution, Params, Shape, check_batch_of_params, matrix_type
+from kvision.augmentation.base.execution import Execution, Params, Shape, check_batch_of_params, matrix_type, replaying
 from kvision.augmentation.base.samples import where_chosen
 from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, identity_values, plan_draws
 from kvision.augmentation.draws import Request, is_chosen_batch
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
 from kvision.augmentation.noise import PixelNoise
-from kvision.core.exceptions import ValueCheckError
 
 
 class Engine(Declaration):
@@ -208,12 +207,8 @@ class Engine(Declaration):
         if self._param_generator is None:
             values, draws = torch.empty(shape[0], 0, device=device), []
         else:
-            try:
+            with replaying(type(self).__name__, params):
                 values = self._param_generator.to_columns(self._on_device(params, device), shape).to(device)
-            except KeyError as error:
-                raise ValueCheckError(
-                    f"{type(self).__name__}: expected params with {error.args[0]!r}, got {', '.join(params)}"
-                ) from None
             draws = list(self._param_generator.draws(shape))
         if values.dtype != torch.float64:
             values = values.float()

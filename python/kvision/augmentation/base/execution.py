@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import torch
@@ -11,7 +12,7 @@ from torch import Tensor
 from kvision._dtype import compute_dtype
 from kvision.augmentation.columns import Columns
 from kvision.augmentation.keys import Keys
-from kvision.core.exceptions import ShapeError
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 Shape = tuple[int, ...]
 Params = dict[str, Any]
@@ -21,6 +22,21 @@ def check_batch_of_params(op: str, count: int, batch: int) -> None:
     """Raise ShapeError unless parameters of `count` images replay on `batch` of them."""
     if count != batch:
         raise ShapeError(f"{op}: expected params of a batch of {batch}, got those of {count} images")
+
+
+@contextlib.contextmanager
+def replaying(op: str, params: Any) -> Iterator[None]:
+    """Name in an error what is no dict of parameters, and the parameter that a replay does not find in it."""
+    if not isinstance(params, Mapping):
+        raise TypeCheckError(f"{op}: expected params to be a dict, got {type(params).__name__}")
+    try:
+        yield
+    except KeyError as error:
+        if error.args[0] in params:
+            raise
+        raise ValueCheckError(
+            f"{op}: expected params with {error.args[0]!r}, got {', '.join(map(str, params))}"
+        ) from None
 
 
 def matrix_type(images: Tensor) -> tuple[torch.device, torch.dtype]:

@@ -258,7 +258,7 @@ class ImageSequential(ImageSequentialBase):
     def get_children_by_params(self, params: Sequence[ParamItem]) -> Children:
         """The children that the parameters of a call name, in its order."""
         modules = dict(self.named_children())
-        for item in params:
+        for item in checked_items(type(self).__name__, params):
             if item.name not in modules:
                 raise ValueCheckError(
                     f"{type(self).__name__}: there is no child {item.name!r}, of which params has parameters"
@@ -565,6 +565,13 @@ class ImageSequential(ImageSequentialBase):
 def _moved(seed: Any, position: int) -> Any:
     """Another seed at each position in the chain, for the choices of other containers."""
     return seed + (position << 32) if position else seed
+
+
+def checked_items(op: str, params: Any, field: str = "name") -> Sequence[Any]:
+    """The parameters of children, as `_params` lists them: items with a field of this name."""
+    if not isinstance(params, (list, tuple)) or not all(hasattr(item, field) for item in params):
+        raise TypeCheckError(f"{op}: expected params to be the _params of a call, got {params!r:.80}")
+    return params
 
 
 def _input_shape(params: Sequence[ParamItem]) -> tuple[int, ...] | None:

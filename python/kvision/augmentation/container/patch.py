@@ -13,7 +13,7 @@ from torch import Generator, Tensor, nn
 
 from kvision.augmentation.base import AugmentationBase
 from kvision.augmentation.container.choices import execute_turns
-from kvision.augmentation.container.image import ImageSequential, ParamItem, TurnParamItem, item_of
+from kvision.augmentation.container.image import ImageSequential, ParamItem, TurnParamItem, checked_items, item_of
 from kvision.augmentation.container.record import Child, Record
 from kvision.augmentation.container.runs import Randomness, execute
 from kvision.augmentation.container.stages import Cells
@@ -262,6 +262,7 @@ class PatchSequential(ImageSequential):
     def _replayed_chains(self, count: int, params: Sequence[PatchParamItem]) -> list[list[Child]]:
         modules = dict(self.named_children())
         chains: list[list[Child]] = [[] for _ in range(count)]
+        checked_items(type(self).__name__, params, "param")
         for indices, item in params:
             child = Child(item.name, modules[item.name], item.data, runs_alone=isinstance(item, TurnParamItem))
             for cell in range(count) if indices is None else indices:

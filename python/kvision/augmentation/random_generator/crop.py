@@ -38,6 +38,17 @@ def parse_size(op: str, size: Any) -> tuple[int, int]:
     return sides[0], sides[1]
 
 
+def parse_padding(op: str, padding: Any, counts: tuple[int, int, int], words: str) -> tuple[int, ...]:
+    """Pixels around an image: as many ints as one of `counts`, whose words are `words`, or one; None is 0."""
+    sides = _check.scalars(op, "padding", 0 if padding is None else padding)
+    sides = (sides,) if isinstance(sides, int) else sides
+    if not isinstance(sides, (tuple, list)) or len(sides) not in counts or any(type(n) is not int for n in sides):
+        raise TypeCheckError(f"{op}: expected padding to be {words} ints, got {padding!r}")
+    if max(map(abs, sides)) > _check.LARGEST_INT:
+        raise ValueCheckError(f"{op}: expected padding of less than 2^31, got {padding!r}")
+    return tuple(sides)
+
+
 def box_params(x: Tensor, y: Tensor, w: Tensor, h: Tensor, shape: Shape, size: tuple[int, int]) -> dict[str, Tensor]:
     """Boxes by their corners, clockwise from top left, both ends inclusive: `src` in the image, `dst` in the result."""
     n = x.shape[0]

@@ -37,6 +37,43 @@ def test_point_clouds_are_those_of_kornia(i, tmp_path):
     assert_close(getattr(theirs, load.__name__)(path), points)
 
 
+@pytest.mark.parametrize("save, load", WRITERS, ids=["text", "binary"])
+def test_colors_come_back(save, load, tmp_path, device):
+    points, rgb = torch.randn(2, 5, 3, device=device), torch.randint(256, (2, 5, 3), device=device, dtype=torch.uint8)
+    path = tmp_path / "cloud.ply"
+    for colors in (rgb, rgb / 255):
+        save(path, points, colors)
+        xyz, back = load(path, return_colors=True)
+        assert_close(xyz, points.cpu().reshape(-1, 3))
+        assert back.dtype == torch.uint8 and torch.equal(back, rgb.cpu().reshape(-1, 3))
+        assert_close(load(path), xyz)
+    save(path, points[:0], rgb[:0])
+    assert [x.shape for x in load(path, return_colors=True)] == [(0, 3), (0, 3)]
+    save(path, points)
+    assert load(path, return_colors=True)[1] is None
+    with pytest.raises(ValueError, match=rf"{save.__name__}: expected colors of shape \(2, 5, 3\), got \(5, 3\)"):
+        save(path, points, rgb[0])
+
+
+def test_colors_of_others(tmp_path):
+    """Before the points, in another order, as 16-bit numbers."""
+    header = "ply\nformat {} 1.0\nelement vertex 2\n" + "".join(
+        f"property ushort {c}\n" for c in ("blue", "red", "green")
+    )
+    header += "".join(f"property float {c}\n" for c in "xyz") + "end_header\n"
+    path, expected = tmp_path / "cloud.ply", torch.tensor([[2, 3, 1], [500, 600, 65535]])
+    path.write_text(header.format("ascii") + "1 2 3 0 0 0\n65535 500 600 1 1 1\n")
+    colors = load_pointcloud_ply(path, return_colors=True)[1]
+    assert colors.dtype == torch.uint16 and torch.equal(colors.long(), expected)
+    import struct
+
+    for order, mark in (("little", "<"), ("big", ">")):
+        rows = b"".join(struct.pack(mark + "3H3f", b, r, g, 0, 0, 0) for r, g, b in expected.tolist())
+        path.write_bytes(header.format(f"binary_{order}_endian").encode() + rows)
+        colors = load_pointcloud_ply_binary(path, return_colors=True)[1]
+        assert colors.dtype == torch.uint16 and torch.equal(colors.long(), expected)
+
+
 def test_point_clouds_of_others(tmp_path):
     """Other types, orders, elements and byte orders; faces after the vertices."""
     header = (

@@ -18,6 +18,7 @@ import pytest
 import torch
 
 import kvision as K
+from benchmarks.sample_calls import sample_calls, sample_modules
 from kvision import _backend
 from test_public_api import arguments, public_modules, public_names, surface
 
@@ -215,6 +216,30 @@ if __name__ == "__main__":
     for page in sorted(FOLDER.rglob("*.md")):
         if page.stem != "kvision":
             renew_descriptions(page)
+
+
+def test_every_function_and_augmentation_of_images_has_a_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`make docs` renders them."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs/site"))
+    strips = importlib.import_module("strips").entries()
+    modules = ("augmentation", "color", "enhance", "filters", "image", "morphology")
+    calls = [call for call in (*sample_calls(), *sample_modules()) if call.name.startswith(modules) and call.axes]
+    inputs = {call.name: next(iter(call.axes.values())).axes for call in calls}
+    images = {name for name, axes in inputs.items() if re.match(r"(B )?[C134] H", axes)}
+    images |= {
+        f"geometry.{n}" for n in public_names(K.geometry) if re.search("warp_(affine|persp)|crop_|resize|pyr[du]", n)
+    }
+    volumes = {name for name in images if re.search("3d|3D$", name)}
+    assert images - volumes - strips.keys() == {
+        "color.normals_to_rgb255",
+        "color.rgb255_to_normals",
+        "color.rgb255_to_rgb",
+        "color.rgb_to_rgb255",
+        "enhance.adjust_hue_raw",
+        "enhance.adjust_saturation_raw",
+        "enhance.image_histogram2d",
+        "enhance.integral_tensor",
+    }  # whose pictures are those of others, or none
 
 
 def test_the_page_of_conventions_is_its_tests() -> None:

@@ -9,22 +9,43 @@ from __future__ import annotations
 
 import ast
 import functools
+import html as html_text
 import importlib
 import inspect
 import posixpath
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files, InclusionLevel
 from mkdocs.structure.pages import Page
+from mkdocs.utils import get_relative_url
+
+import kvision as K
+
+sys.path.insert(0, str(Path(__file__).parent))
+import strips
 
 ROOT = Path(__file__).parents[2]
 PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "benchmarks/README.md", "third_party/README.md")
 CPP = ("edges.cpp", "CMakeLists.txt", "save_pipeline.py", "run_pipeline.cpp")
 LANGUAGES = {".py": "python", ".cpp": "cpp", ".txt": "cmake"}
-MODULES_OF_KORNIA = {"reference/augmentation": ("augmentation", "augmentation.auto", "augmentation.auto.operations")}
+# The strips of the list of examples.
+THUMBNAILS = {
+    "attack_on_matching": "geometry.warp_perspective",
+    "augmentation": "augmentation.RandomAffine",
+    "autoencoder": "augmentation.RandomGaussianNoise",
+    "calibration": "geometry.undistort_image",
+    "depth_estimation": "filters.spatial_gradient",
+    "feature_matching": "feature.gftt_response",
+    "image_registration": "geometry.homography_warp",
+    "process_folder": "enhance.equalize_clahe",
+    "segmentation_losses": "contrib.connected_components",
+    "train_distributed": "augmentation.auto.RandAugment",
+}
+FURTHER = {"augmentation": ("auto", "auto.operations")}  # modules whose names a page of the reference has as well
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -37,12 +58,24 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     text = "# C++\n\nA complete CMake project; [cpp.md](../docs/cpp.md) and [deployment.md](../docs/deployment.md) explain it.\n\n"
     files.append(_example_page(config, "cpp", text + "\n".join(sources)))
     files.append(File.generated(config, "examples/index.md", content=list_of_examples(examples)))
+    for name, data in strips.strips().items():
+        files.append(File.generated(config, strips.uri(name), content=data))
+    files.append(File.generated(config, "reference/pictures.md", content=strips.overview(reference_of)))
     return files
 
 
 def _example_page(config: MkDocsConfig, stem: str, content: str) -> File:
     """A page that the list of examples links to, without a line in the navigation."""
     return File.generated(config, f"examples/{stem}.md", content=content, inclusion=InclusionLevel.NOT_IN_NAV)
+
+
+def reference_of(name: str) -> str:
+    """The place of a function in the reference, from a page there."""
+    first, last = name.split(".")[0], name.split(".")[-1]
+    if first != "geometry":
+        return f"{first}.md#kvision.{name}"
+    submodule = getattr(K.geometry, last).__module__.split(".")[2]
+    return f"geometry/{submodule}.md#kvision.geometry.{submodule}.{last}"
 
 
 def first_paragraph(path: Path) -> str:
@@ -65,7 +98,9 @@ def listing(path: Path) -> str:
 
 def list_of_examples(paths: list[Path]) -> str:
     lines = ["# Examples", "", "Programs to read and to run on your own images.", ""]
-    lines += [f"- [{title(path.stem)}]({path.name}): {first_paragraph(path)}" for path in paths]
+    for path in paths:
+        picture = f"![](../{strips.uri(THUMBNAILS[path.stem])}){{ .thumbnail }}<br>" if path.stem in THUMBNAILS else ""
+        lines.append(f"- {picture}[{title(path.stem)}]({path.name}): {first_paragraph(path)}")
     return "\n".join(
         [*lines, "- [C++](cpp): a CMake project that calls kvision, and one that runs saved pipelines.", ""]
     )
@@ -145,22 +180,51 @@ def documented_path(module: Any, name: str) -> str | None:
 def add_docstrings(text: str, uri: str) -> str:
     dotted = uri.removeprefix("reference/").removesuffix(".md").replace("/", ".")
     package = "kvision" if dotted == "kvision" else f"kvision.{dotted}"
-    module = importlib.import_module(package)
-    blocks: dict[str, str] = {}
+    packages = [package, *(f"{package}.{name}" for name in FURTHER.get(dotted, ()))]
+    anchors: dict[str, str] = {}  # public names by the places of their docstrings
+    blocks: list[str] = []
 
     def linked(row: re.Match[str]) -> str:
-        path = documented_path(module, row[1])
-        if path is None:
-            return row[0]
-        if path not in blocks:
-            blocks[path] = (
-                f"::: {path}\n    options:\n      heading: {package}.{row[1]}\n      toc_label: {row[1]}\n"
-                f"      members: {str(inspect.isclass(getattr(module, row[1]))).lower()}\n"
-            )
-        return f"| [`{row[1]}`](#{path}) |"
+        for package in packages:
+            module = importlib.import_module(package)
+            path = documented_path(module, row[1])
+            if path is None:
+                continue
+            if path not in anchors:
+                anchors[path] = f"{package}.{row[1]}"
+                members = (
+                    "null" if inspect.isclass(getattr(module, row[1])) else "false"
+                )  # null: those that pass the filters
+                blocks.append(
+                    f"::: {anchors[path]}\n    options:\n      heading: {anchors[path]}\n      toc_label: {row[1]}\n"
+                    f"      members: {members}\n"
+                )
+            return f"| [`{row[1]}`](#{anchors[path]}) |"
+        return row[0]
 
     text = ROW.sub(linked, text)
-    return "\n".join([text, "", "## Names in detail", "", *blocks.values()]) if blocks else text
+    return "\n".join([text, "", "## Names in detail", "", *blocks]) if blocks else text
+
+
+HEADING = re.compile(r'<h3 id="kvision\.[\w.]+"[^>]*class="doc doc-heading".*?</h3>', re.DOTALL)
+
+
+def with_strip(heading: re.Match[str], page: Page) -> str:
+    """The heading of a name in the reference, and its strip."""
+    path = re.search(r'id="(kvision\.[\w.]+)"', heading[0])
+    assert path is not None
+    module, _, name = path[1].rpartition(".")
+    value = getattr(importlib.import_module(module), name)
+    parts = module.split(".")[1:]
+    found = strips.name_of(".".join(parts), value) or strips.name_of(parts[0] if parts else "", value)
+    if found is None:
+        return heading[0]
+    call = html_text.escape(strips.entries()[found])
+    source = get_relative_url(strips.uri(found), page.url)
+    return (
+        f'{heading[0]}<figure class="strip"><img src="{source}" alt="{found}" loading="lazy">'
+        f"<figcaption><code>{call}</code></figcaption></figure>"
+    )
 
 
 GALLERY = re.compile(r"<div class=\"gallery\".*?</div>", re.DOTALL)
@@ -174,11 +238,13 @@ def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -
             .replace("</p>", "</div>")
         )
 
+    if page.file.src_uri.startswith("reference/"):
+        html = HEADING.sub(lambda heading: with_strip(heading, page), html)
     return GALLERY.sub(figures, html)
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     text = translate_links(markdown, page, files)
-    if page.file.src_uri.startswith("reference/"):
+    if page.file.src_uri.startswith("reference/") and page.file.src_uri != "reference/pictures.md":
         text = add_docstrings(text, page.file.src_uri)
     return text

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 import kvision.augmentation as A
 from benchmarks.sample_calls.augmentations import GEOMETRIC, MAPS, Augmentation
-from kvision.augmentation.container.runs import Warp
+from kvision.augmentation.container.stages import Warp
 
 JITTER = (0.2, 0.2, 0.2, 0.1)
 CHAINS = {

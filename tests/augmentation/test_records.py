@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 import kvision.augmentation as A
+from kvision.augmentation.container.definition import run_in_turn
 
 pytestmark = [pytest.mark.interface]
 
@@ -162,36 +163,16 @@ def test_replays_take_the_same_passes() -> None:
             assert torch.equal(chain(x, params=chain._params), y), seed
 
 
-def one_after_the_other(chain: A.ImageSequential, x: Tensor) -> Tensor:
-    """The definition of a plan: each augmentation by its parameters by name, and neighboring color steps of bytes in numbers."""
-    stored, y = x.dtype, x
-    children: list[Any] = list(chain.children())
-    for i, (child, item) in enumerate(zip(children, chain._params)):
-        is_color = [isinstance(c, COLORS) for c in children[i : i + 2]]
-        if stored == torch.uint8 and is_color[0] and y.dtype == torch.uint8:
-            y = y.float() / 255
-        chosen = (item.data["batch_prob"] > 0.5)[:, None, None, None]
-        params = {**item.data, "batch_prob": torch.ones(len(x))}
-        y = torch.where(chosen, child(y, params=params), y)
-        if y.dtype != stored and is_color[1:] != [True]:
-            y = (y * 255).round().clamp(0, 255).to(stored)
-    return y
+class Negative(A.IntensityAugmentationBase2D):
+    """Of a user: it runs by itself."""
 
-
-COLORS = (
-    A.ColorJitter,
-    A.RandomBrightness,
-    A.RandomContrast,
-    A.RandomGamma,
-    A.RandomSaturation,
-    A.RandomInvert,
-    A.RandomHue,
-)
+    def apply_transform(self, input: Any, params: Any, flags: Any, transform: Any = None) -> Tensor:
+        return 1 - input if input.is_floating_point() else 255 - input
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.float32], ids=str)
 def test_plans_give_what_their_definition_gives(dtype: torch.dtype) -> None:
-    """Random chains, with more colors than one program takes: bytes within a level, since sums are rounded in another order."""
+    """Random chains against `run_in_turn`, some with more colors than one program takes. Sums are rounded in another order."""
     makers = [
         lambda: A.ColorJitter(0.2, 0.2, 0.2, 0.05, p=0.7),
         lambda: A.RandomBrightness((0.8, 1.2), p=0.7),
@@ -203,14 +184,20 @@ def test_plans_give_what_their_definition_gives(dtype: torch.dtype) -> None:
         lambda: A.RandomVerticalFlip(p=0.7),
         lambda: A.RandomGaussianBlur(3, (0.5, 1.0), p=0.7),
         lambda: A.RandomRotation90((0, 2), p=0.7),
+        lambda: A.RandomCrop((14, 13), padding=2),
+        lambda: A.RandomResizedCrop((15, 14), scale=(0.6, 1.0)),
+        lambda: A.RandomAffine(15.0, (0.1, 0.1), p=0.7),
+        lambda: A.RandomThinPlateSpline(0.05, p=0.7),
+        lambda: Negative(p=0.7),
     ]
-    for seed in range(12):
+    for seed in range(30):
         rng = random.Random(seed)
-        chain = A.ImageSequential(*(rng.choice(makers[:6] * 2 + makers)() for _ in range(6)))
+        chain = A.ImageSequential(*(rng.choice(makers[:6] * 3 + makers)() for _ in range(6)))
         x = torch.rand(3, 3, 16, 16, generator=torch.Generator().manual_seed(seed))
         x = (255 * x).round().to(dtype) if dtype == torch.uint8 else x
         y = chain(x, seed=seed)
-        difference = (y.double() - one_after_the_other(chain, x).double()).abs()
+        expected = run_in_turn(x, list(chain.children()), [item.data for item in chain._params])
+        difference = (y.double() - expected.double()).abs()
         assert y.dtype == dtype
         if dtype == torch.uint8:
             # A value next to a half goes to either level, and steps behind it may double that.

@@ -363,7 +363,7 @@ class RandomRGBShift(IntensityAugmentationBase2D):
         return [ColorStep("scale_shift_rgb", 1.0, 1.0, 1.0, "r_shift", "g_shift", "b_shift", 1.0)]
 
 
-class RandomGrayscale(IntensityAugmentationBase2D):
+class RandomGrayscale(IntensityAugmentationBase2D, keeps_contract=True):
     """Replace all channels by their weighted sum.
 
     Args:

@@ -24,7 +24,7 @@ from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 __all__ = ["RandomChannelDropout", "RandomChannelShuffle", "RandomPlanckianJitter"]
 
 
-class RandomChannelShuffle(IntensityAugmentationBase2D):
+class RandomChannelShuffle(IntensityAugmentationBase2D, keeps_contract=True):
     """Put the channels of images in a random order.
 
     Args:
@@ -61,7 +61,7 @@ class RandomChannelShuffle(IntensityAugmentationBase2D):
         return planes.view(input.shape)
 
 
-class RandomChannelDropout(IntensityAugmentationBase2D):
+class RandomChannelDropout(IntensityAugmentationBase2D, keeps_contract=True):
     """Fill random channels with a value.
 
     Args:
@@ -116,7 +116,7 @@ class _UnknownModeError(ValueCheckError, RuntimeError):
     """Kornia raises a RuntimeError."""
 
 
-class RandomPlanckianJitter(IntensityAugmentationBase2D):
+class RandomPlanckianJitter(IntensityAugmentationBase2D, keeps_contract=True):
     """Change the color of light to that of another temperature.
 
     Args:

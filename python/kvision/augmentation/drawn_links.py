@@ -28,15 +28,15 @@ class DrawnLinks:
         self.has_kernel = draws.learned is None and all(len(m.launches) == 1 for m in self._matrices)
         self._plan: tuple[Tensor, Tensor] | None = None
 
-    def run(self, x: Tensor, keys: Keys) -> tuple[Tensor, list[Tensor] | None]:
-        """The columns, and the links for images `x`; None instead of these where there is no kernel of all."""
+    def draw(self, x: Tensor, keys: Keys) -> tuple[Tensor, None, list[Tensor] | None]:
+        """The columns, no result, and the links for images `x`; None instead of these where there is no kernel of all."""
         images = x.detach() if x.requires_grad else x
         if not self.has_kernel or not _draw_links.serves(images):
-            return self.draws.draw(images, keys), None
+            return self.draws.draw(images, keys), None, None
         if self._plan is None:
             self._plan = self._packed()
         columns, *results = _draw_links.kernel(images, self.draws.keys_of(keys), keys.seeds_on(x.device), *self._plan)
-        return columns, [results[i] for i in self._order]
+        return columns, None, [results[i] for i in self._order]
 
     def _packed(self) -> tuple[Tensor, Tensor]:
         """The plan and the numbers of the kernel.

@@ -56,6 +56,11 @@ class DrawnPass:
         y, matrix = self.image_pass.run(x, columns)
         return y, matrix, columns
 
+    def draw(self, x: Tensor, keys: Keys) -> tuple[Tensor, tuple[Tensor, Tensor], None]:
+        """The columns, the result with the matrices, and no links: what draws together with the first step give."""
+        y, matrix, columns = self.run(x, keys)
+        return columns, (y, matrix), None
+
     def _packed(self) -> tuple[Tensor, Tensor]:
         """The plan and the numbers of the kernel.
 

@@ -13,6 +13,7 @@ from kvision._dtype import compute_dtype
 from kvision._ops import match_layout
 from kvision.augmentation import maps
 from kvision.augmentation.base import AugmentationBase2D, Execution, Params, inverse_at, where_chosen
+from kvision.augmentation.base.contribution import Contribution, Motion
 from kvision.augmentation.displacements import NoiseField, blur_settings, elastic_displacements, scaled_blur
 from kvision.augmentation.maps import vector
 from kvision.augmentation.noise import PixelNoise, noise_plan
@@ -29,11 +30,11 @@ _WINDOW_SIZE = 256  # pixels along each side of the images that windows of `scal
 __all__ = ["RandomElasticTransform", "RandomFisheye", "RandomThinPlateSpline"]
 
 
-class MapAugmentation(AugmentationBase2D):
+class MapAugmentation(AugmentationBase2D, keeps_contract=True):
     """A deformation by a map: where each pixel of the result reads the image."""
 
     accepts_bytes = accepts_wide_integers = True
-    keeps_lines = moves_whole_pixels = permutes_pixels = False
+    keeps_lines = False
 
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
         """The map (B, 2, H, W), as maps.py stores it."""
@@ -45,6 +46,9 @@ class MapAugmentation(AugmentationBase2D):
         `number` is that of the augmentation, as draw_columns counts.
         """
         return None
+
+    def _declared(self, shape: tuple[int, ...], flags: dict[str, Any]) -> Contribution:
+        return Contribution(Motion((shape[-2], shape[-1]), self.resampling(flags), None))
 
     def resampling(self, flags: dict[str, Any]) -> Resampling:
         """How images are read."""
@@ -146,7 +150,7 @@ def _half_sizes(height: int, width: int, align_corners: bool, like: Tensor) -> T
     return vector(like, (width - less) / 2, (height - less) / 2)[:, None, None]
 
 
-class RandomElasticTransform(MapAugmentation):
+class RandomElasticTransform(MapAugmentation, keeps_contract=True):
     """Deform images by smooth random displacements: noise after a Gaussian blur.
 
     `alpha` scales with the image and the window of the blur does not, as in Kornia. So the default deforms a small image little,
@@ -246,7 +250,7 @@ class RandomElasticTransform(MapAugmentation):
         return elastic_displacements(params["noise"].to(like), None, *plan)
 
 
-class RandomThinPlateSpline(MapAugmentation):
+class RandomThinPlateSpline(MapAugmentation, keeps_contract=True):
     """Deform images by thin-plate splines through the corners and the center, which move at random.
 
     Args:
@@ -297,7 +301,7 @@ class RandomThinPlateSpline(MapAugmentation):
 _NEAREST = 2.0**-10
 
 
-class RandomFisheye(MapAugmentation):
+class RandomFisheye(MapAugmentation, keeps_contract=True):
     """Deform images as a fisheye lens does: pixels read the image farther from a center, more so at larger distances.
 
     The pixel at g, in coordinates from -1 to 1, reads the image at g (1 + |g - center| ** gamma). With a negative gamma it is

@@ -17,7 +17,7 @@ from kvision.augmentation.random_generator.erase import RectangleEraseGenerator
 __all__ = ["RandomErasing"]
 
 
-class RandomErasing(IntensityAugmentationBase2D):
+class RandomErasing(IntensityAugmentationBase2D, keeps_contract=True):
     """Fill a random rectangle of each image with a value, and of its masks with 0.
 
     Args:

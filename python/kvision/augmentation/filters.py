@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 
-class RandomBoxBlur(IntensityAugmentationBase2D):
+class RandomBoxBlur(IntensityAugmentationBase2D, keeps_contract=True):
     """Replace pixels by the mean of a window.
 
     Args:
@@ -75,7 +75,7 @@ class RandomBoxBlur(IntensityAugmentationBase2D):
         return filters.box_blur(input, flags["kernel_size"], border_name(flags["border_type"]))
 
 
-class RandomGaussianBlur(IntensityAugmentationBase2D):
+class RandomGaussianBlur(IntensityAugmentationBase2D, keeps_contract=True):
     """Blur images by Gaussians, each by its own.
 
     Args:
@@ -125,7 +125,7 @@ class RandomGaussianBlur(IntensityAugmentationBase2D):
         )
 
 
-class RandomMedianBlur(IntensityAugmentationBase2D):
+class RandomMedianBlur(IntensityAugmentationBase2D, keeps_contract=True):
     """Replace pixels by the median of a window.
 
     Args:
@@ -194,7 +194,7 @@ class DrawnKernelSize(AugmentationBase):
         return y
 
 
-class RandomMotionBlur(DrawnKernelSize, IntensityAugmentationBase2D):
+class RandomMotionBlur(DrawnKernelSize, IntensityAugmentationBase2D, keeps_contract=True):
     """Blur images along a random line.
 
     Args:
@@ -244,7 +244,7 @@ class RandomMotionBlur(DrawnKernelSize, IntensityAugmentationBase2D):
         return self._blurred(input, params, partial(filters.motion_blur, border_type=border, mode=mode))
 
 
-class RandomSharpness(IntensityAugmentationBase2D):
+class RandomSharpness(IntensityAugmentationBase2D, keeps_contract=True):
     """Sharpen images by a random factor.
 
     Args:
@@ -287,7 +287,7 @@ class RandomSharpness(IntensityAugmentationBase2D):
         return enhance.sharpness(input, params["sharpness"])
 
 
-class RandomEqualize(IntensityAugmentationBase2D):
+class RandomEqualize(IntensityAugmentationBase2D, keeps_contract=True):
     """Equalize the histogram of each channel.
 
     Args:
@@ -323,7 +323,7 @@ class RandomEqualize(IntensityAugmentationBase2D):
         return enhance.equalize(input)
 
 
-class RandomAutoContrast(IntensityAugmentationBase2D):
+class RandomAutoContrast(IntensityAugmentationBase2D, keeps_contract=True):
     """Stretch the values of each channel to 0 and 1; those of one value stay.
 
     Args:
@@ -370,7 +370,7 @@ def has_range(x: Tensor) -> Tensor:
     return (lowest != highest)[..., None, None]
 
 
-class RandomClahe(IntensityAugmentationBase2D):
+class RandomClahe(IntensityAugmentationBase2D, keeps_contract=True):
     """Equalize images by contrast-limited adaptive histograms (CLAHE).
 
     Args:
@@ -419,7 +419,7 @@ class RandomClahe(IntensityAugmentationBase2D):
         return enhance.equalize_clahe(input, limits, flags["grid_size"], flags["slow_and_differentiable"])
 
 
-class RandomJPEG(IntensityAugmentationBase2D):
+class RandomJPEG(IntensityAugmentationBase2D, keeps_contract=True):
     """Compress RGB images by JPEG with a random quality, differentiably.
 
     Args:

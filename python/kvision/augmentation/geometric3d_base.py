@@ -17,7 +17,7 @@ from kvision.geometry.transform import sampling, warp3d
 __all__ = ["GeometricAugmentationBase3D"]
 
 
-class GeometricAugmentationBase3D(GeometricAugmentation, RigidAffineAugmentationBase3D):
+class GeometricAugmentationBase3D(GeometricAugmentation, RigidAffineAugmentationBase3D, keeps_contract=True):
     """Base of augmentations that move voxels by a matrix (B, 4, 4), from voxels (x, y, z) of the volume to those of the result.
 
     A subclass overrides `compute_transformation`. One whose results have another size overrides `output_size`. Inverse,

@@ -18,6 +18,7 @@ from kvision.augmentation.base import (
     Shape,
     inverse_at,
 )
+from kvision.augmentation.base.contribution import Contribution, Motion
 from kvision.augmentation.columns import Span
 from kvision.augmentation.maps import exact
 from kvision.augmentation.transforms import Transform, transform_matrix
@@ -30,7 +31,7 @@ from kvision.geometry.transform.resize_windows import resized_windows
 __all__ = ["GeometricAugmentationBase2D"]
 
 
-class GeometricAugmentation(AugmentationBase):
+class GeometricAugmentation(AugmentationBase, keeps_contract=True):
     """What geometric augmentations of images and of volumes share: points and inverse from the matrix of a call."""
 
     accepts_wide_integers = True
@@ -86,7 +87,7 @@ class GeometricAugmentation(AugmentationBase):
         return self.inverse_transform(x, flags, self._matrix(execution), tuple(execution.shape[2:]))
 
 
-class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentationBase2D):
+class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentationBase2D, keeps_contract=True):
     """Base of augmentations that move pixels by a matrix (B, 3, 3), from image pixels to result pixels.
 
     A subclass declares a chain of formulas of its columns, `transforms`, or overrides `compute_transformation`. One whose
@@ -138,6 +139,16 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
 
     # --- execution ---
 
+    def _declared(self, shape: Shape, flags: dict[str, Any]) -> Contribution:
+        chain = self.transforms(shape, flags)
+        reads_by_matrix = chain is not None
+        chain = self.matrix_transforms(shape, flags) if chain is None else chain
+        if chain is None:
+            return Contribution()
+        height, width = self.output_size(shape, flags)[-2:]
+        whole = (self.moves_whole_pixels, self.stays_inside, self.permutes_pixels)
+        return Contribution(Motion((height, width), self.resampling(flags), chain, reads_by_matrix, *whole))
+
     def _executes_columns(self, shape: Shape) -> bool:
         return self.matrix_transforms(shape, self.flags) is not None
 
@@ -155,11 +166,12 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         return y
 
     def _pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
-        chain = None if self._is_customized() else self.transforms(shape, flags)
-        if chain is None:
+        contribution = self._contribution(shape, flags)
+        motion = None if contribution is None else contribution.motion
+        if motion is None or motion.chain is None or not motion.reads_by_matrix:
             return None
         names = self._names_of_columns(0 if span is None else span.first_value)
-        return make_pass([t._bound(names) for t in chain], self.output_size(shape, flags), self.resampling(flags))
+        return make_pass([t._bound(names) for t in motion.chain], motion.size, motion.resampling)
 
     def _warp(self, x: Tensor, matrix: Tensor, flags: dict[str, Any]) -> Tensor:
         return warp(x, matrix, self.output_size(tuple(x.shape), flags), self.resampling(flags))

@@ -18,7 +18,7 @@ from kvision.augmentation.random_generator.illumination import (
 __all__ = ["RandomGaussianIllumination", "RandomLinearCornerIllumination", "RandomLinearIllumination"]
 
 
-class RandomGaussianIllumination(IntensityAugmentationBase2D):
+class RandomGaussianIllumination(IntensityAugmentationBase2D, keeps_contract=True):
     """Add a patch of light or shade with the form of a Gaussian function.
 
     Args:
@@ -62,7 +62,7 @@ class RandomGaussianIllumination(IntensityAugmentationBase2D):
         return _lit(input, params)
 
 
-class RandomLinearIllumination(IntensityAugmentationBase2D):
+class RandomLinearIllumination(IntensityAugmentationBase2D, keeps_contract=True):
     """Add light or shade that grows toward an edge of the image.
 
     Args:
@@ -102,7 +102,7 @@ class RandomLinearIllumination(IntensityAugmentationBase2D):
         return _lit(input, params)
 
 
-class RandomLinearCornerIllumination(IntensityAugmentationBase2D):
+class RandomLinearCornerIllumination(IntensityAugmentationBase2D, keeps_contract=True):
     """Add light or shade that grows toward a corner of the image.
 
     Args:

@@ -16,9 +16,10 @@ from kvision.augmentation.base import (
     RigidAffineAugmentationBase3D,
     Shape,
 )
+from kvision.augmentation.base.contribution import Colors, Contribution
 from kvision.augmentation.columns import Span
 from kvision.augmentation.draws import Draw, Request
-from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Pass, make_pass
+from kvision.augmentation.warp_and_color import ColorStep, Pass, make_pass
 from kvision.color.steps import STEPS
 from kvision.core.exceptions import ShapeError
 
@@ -29,7 +30,7 @@ _OF_COLORS = ("hue", "saturation", "saturation_gray")
 _NOTHING = ColorStep("scale_shift", 1.0)
 
 
-class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
+class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D, keeps_contract=True):
     """Base of augmentations that change values and no positions; the matrix is the identity.
 
     A subclass declares a part of a color program, `color_steps`, or overrides `apply_transform`. One that gives each slice of
@@ -75,6 +76,12 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
             )
         return served
 
+    def _declared(self, shape: Shape, flags: dict[str, Any]) -> Contribution:
+        steps = self._steps(shape, flags)
+        if steps is None:
+            return Contribution(takes_volumes=self.takes_volumes)
+        return Contribution(None, Colors(steps, self.order_of_steps), takes_volumes=True)
+
     def _request(self, shape: Shape) -> Request | None:
         request = super()._request(shape)
         steps = self.color_steps(shape, self.flags)
@@ -106,25 +113,21 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D):
         return image_pass.run(x, None if columns is None else columns.drawn)[0]
 
     def _pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
-        part = None if self._is_customized() else color_part(self, shape, span, flags)
-        return None if part is None else make_pass(None, parts=[part])
+        contribution = self._contribution(shape, flags)
+        if contribution is None or contribution.colors is None:
+            return None
+        return make_pass(None, parts=[self._color_part(contribution.colors, span)])
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        steps = self._steps(tuple(input.shape), flags)
-        if steps is None:
+        colors = self._declared(tuple(input.shape), flags).colors
+        if colors is None:
             raise NotImplementedError(f"{type(self).__name__}.apply_transform")
         columns = None
         if self._param_generator is not None:
             columns = self._param_generator.to_columns(params, tuple(input.shape)).to(input.device)
-        return make_pass(None, parts=[self._bound(steps, 0)]).run(input, columns)[0]
-
-    def _bound(self, steps: Sequence[ColorStep], first: int) -> ColorPart:
-        """Steps with their columns, of which the first parameter is column `first`."""
-        names = self._names_of_columns(first)
-        order = None if self.order_of_steps is None else [column.position for column in names[self.order_of_steps]]
-        return ColorPart([step._bound(names) for step in steps], order)
+        return make_pass(None, parts=[self._color_part(colors, None)]).run(input, columns)[0]
 
 
 class IntensityAugmentationBase3D(RigidAffineAugmentationBase3D):
@@ -146,17 +149,3 @@ class IntensityAugmentationBase3D(RigidAffineAugmentationBase3D):
         >>> Negative(p=1.0)(torch.zeros(1, 1, 1, 1, 2))
         tensor([[[[[1., 1.]]]]])
     """
-
-
-def color_part(
-    module: IntensityAugmentationBase2D, shape: Shape, span: Span | None, flags: dict[str, Any]
-) -> ColorPart | None:
-    """What an augmentation contributes to a color program, by its columns; None for one without steps."""
-    steps = module._steps(shape, flags)
-    if steps is None:
-        return None
-    part = module._bound(steps, 0 if span is None else span.first_value)
-    if part.order is None and span is not None and span.has_chosen:  # by the columns that `_request` adds
-        end = span.first + span.width
-        part = ColorPart(part.steps, range(end - len(steps), end))
-    return part

@@ -43,7 +43,7 @@ class _GridError(ShapeError, RuntimeError):
     """Kornia raises a RuntimeError."""
 
 
-class MixAugmentationBaseV2(AugmentationBase2D):
+class MixAugmentationBaseV2(AugmentationBase2D, keeps_contract=True):
     """Base of augmentations that mix the samples of a batch.
 
     A subclass implements `apply_transform` for images, and those of `apply_transform_mask`, `apply_transform_boxes`,
@@ -290,7 +290,7 @@ def _labels(labels: Tensor, partners: Tensor, weights: Tensor, params: Params) -
     return torch.where(chosen.to(labels.device)[:, None], mixed, alone)
 
 
-class RandomMixUpV2(MixAugmentationBaseV2):
+class RandomMixUpV2(MixAugmentationBaseV2, keeps_contract=True):
     """Mix each image with another one of the batch: (1 - weight) * image + weight * partner.
 
     Labels (B,) become (B, 3): the label, that of the partner, and the weight of the partner. Labels (B, K), probabilities or
@@ -361,7 +361,7 @@ def _in_windows(windows: Tensor, height: int, width: int) -> Tensor:
     return ((columns >= x) & (columns < right) & (rows >= y) & (rows < bottom))[:, None]
 
 
-class RandomCutMixV2(MixAugmentationBaseV2):
+class RandomCutMixV2(MixAugmentationBaseV2, keeps_contract=True):
     """Paste a window of another image of the batch into each image.
 
     Labels (B,) become (num_mix, B, 3): the label, that of the partner, and the fraction of the image that is kept. Labels (B,
@@ -451,7 +451,7 @@ class RandomCutMixV2(MixAugmentationBaseV2):
         return torch.stack(rounds)
 
 
-class PatchMix(MixAugmentationBaseV2):
+class PatchMix(MixAugmentationBaseV2, keeps_contract=True):
     """Paste a square window of another image of the batch into each image; all windows have the same size.
 
     Labels (B,) become (B, 3): the label, that of the partner, and the fraction of the image that is kept. Labels (B, K),
@@ -511,7 +511,7 @@ class PatchMix(MixAugmentationBaseV2):
         return _labels(input, params["mix_pairs"], params["lam"], params)
 
 
-class RandomJigsaw(MixAugmentationBaseV2):
+class RandomJigsaw(MixAugmentationBaseV2, keeps_contract=True):
     """Put the cells of a grid over each image in a random order; masks, key points and parts of boxes move with them.
 
     Args:
@@ -599,7 +599,7 @@ class RandomJigsaw(MixAugmentationBaseV2):
         return input + shift.to(input)
 
 
-class RandomMosaic(MixAugmentationBaseV2):
+class RandomMosaic(MixAugmentationBaseV2, keeps_contract=True):
     """Join several images of the batch in a grid and cut a window out of them; boxes and masks follow.
 
     Args:

@@ -61,7 +61,7 @@ def _tensor(op: str, name: str, value: Any) -> Tensor:
         raise TypeCheckError(f"{op}: expected {name} to be a number or one of each channel, got {value!r}") from None
 
 
-class Normalize(_Statistics):
+class Normalize(_Statistics, keeps_contract=True):
     """Subtract a mean and divide by a standard deviation, of all channels or of each.
 
     uint8 images count as x / 255 and give float32, unless `p` is 0. `kvision.enhance.normalize` stays in the unit of its images.
@@ -95,7 +95,7 @@ class Normalize(_Statistics):
         return enhance.normalize(input, flags["mean"].to(input.device), flags["std"].to(input.device))
 
 
-class Denormalize(_Statistics):
+class Denormalize(_Statistics, keeps_contract=True):
     """Multiply by a standard deviation and add a mean, of all channels or of each.
 
     uint8 images count as x / 255 and give float32, unless `p` is 0. `kvision.enhance.denormalize` stays in the unit of its images.

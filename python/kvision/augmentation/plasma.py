@@ -17,7 +17,7 @@ from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 __all__ = ["RandomPlasmaBrightness", "RandomPlasmaContrast", "RandomPlasmaShadow"]
 
 
-class RandomPlasmaBrightness(IntensityAugmentationBase2D):
+class RandomPlasmaBrightness(IntensityAugmentationBase2D, keeps_contract=True):
     """Add a fractal map to images.
 
     Args:
@@ -59,7 +59,7 @@ class RandomPlasmaBrightness(IntensityAugmentationBase2D):
         return clamp(clamp(input, 0, 1) + change, 0, 1)
 
 
-class RandomPlasmaContrast(IntensityAugmentationBase2D):
+class RandomPlasmaContrast(IntensityAugmentationBase2D, keeps_contract=True):
     """Multiply the contrast of images by four times a fractal map.
 
     Args:
@@ -96,7 +96,7 @@ class RandomPlasmaContrast(IntensityAugmentationBase2D):
         return clamp((clamp(input, 0, 1) - 0.5) * (4 * params["plasma"]) + 0.5, 0, 1)
 
 
-class RandomPlasmaShadow(IntensityAugmentationBase2D):
+class RandomPlasmaShadow(IntensityAugmentationBase2D, keeps_contract=True):
     """Shade images where a fractal map is low, equally in all channels.
 
     Args:

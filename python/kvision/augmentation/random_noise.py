@@ -18,7 +18,7 @@ __all__ = ["RandomGaussianNoise", "RandomSaltAndPepperNoise"]
 # Noise is drawn where it is added. Reading `_params` makes a tensor of it, by the same key.
 
 
-class RandomGaussianNoise(IntensityAugmentationBase2D):
+class RandomGaussianNoise(IntensityAugmentationBase2D, keeps_contract=True):
     """Add normal noise to images, without clamping the result.
 
     Args:
@@ -65,7 +65,7 @@ class RandomGaussianNoise(IntensityAugmentationBase2D):
         return y
 
 
-class RandomSaltAndPepperNoise(IntensityAugmentationBase2D):
+class RandomSaltAndPepperNoise(IntensityAugmentationBase2D, keeps_contract=True):
     """Set random pixels to 1 and to 0, in all channels.
 
     Args:

@@ -30,7 +30,7 @@ from kvision.constants import Resample
 __all__ = ["CenterCrop3D", "RandomCrop3D", "RandomResizedCrop3D", "Resize3D"]
 
 
-class RandomCrop3D(GeometricAugmentationBase3D):
+class RandomCrop3D(GeometricAugmentationBase3D, keeps_contract=True):
     """Cut boxes of a size out of volumes, after padding them.
 
     Args:
@@ -128,7 +128,7 @@ class _CenterGenerator3D(RandomGeneratorBase):
         return torch.empty(shape[0], 0, device="cpu")
 
 
-class CenterCrop3D(GeometricAugmentationBase3D):
+class CenterCrop3D(GeometricAugmentationBase3D, keeps_contract=True):
     """Cut the box of a size out of the middle of volumes; smaller volumes are surrounded by the fill value.
 
     Args:
@@ -179,7 +179,7 @@ class CenterCrop3D(GeometricAugmentationBase3D):
         return _translation(-first.expand(input.shape[0], 3))
 
 
-class _ResizedBox3D(GeometricAugmentationBase3D):
+class _ResizedBox3D(GeometricAugmentationBase3D, keeps_contract=True):
     """A box of volumes, by the corners of its parameters, that becomes all of the result."""
 
     whole_batch = True

@@ -38,7 +38,7 @@ __all__ = [
 # --- warps ----------------------------------------------------------------------------------------------------------
 
 
-class RandomAffine3D(GeometricAugmentationBase3D):
+class RandomAffine3D(GeometricAugmentationBase3D, keeps_contract=True):
     """Shear, scale, rotate and shift volumes about their center; voxels from outside of the volume are the fill value.
 
     The three angles are one axis of rotation times the angle, not three rotations one after another. A positive angle about z
@@ -94,7 +94,7 @@ class RandomAffine3D(GeometricAugmentationBase3D):
         return get_affine_matrix3d(*placement, *shears)
 
 
-class RandomRotation3D(GeometricAugmentationBase3D):
+class RandomRotation3D(GeometricAugmentationBase3D, keeps_contract=True):
     """Rotate volumes about their center; voxels from outside of the volume are the fill value.
 
     Yaw, pitch and roll are the axis of rotation times the angle along x, y and z, not three rotations one after another. A
@@ -146,7 +146,7 @@ class RandomRotation3D(GeometricAugmentationBase3D):
         return matrices.affine_matrix3d(*angles, *[None] * 9, 1.0, *center, 4)
 
 
-class RandomPerspective3D(GeometricAugmentationBase3D):
+class RandomPerspective3D(GeometricAugmentationBase3D, keeps_contract=True):
     """Move the corners of volumes, which changes the perspective; voxels from outside of the volume are the fill value.
 
     Args:
@@ -199,7 +199,7 @@ class RandomPerspective3D(GeometricAugmentationBase3D):
 # --- flips ----------------------------------------------------------------------------------------------------------
 
 
-class _RandomFlip3D(GeometricAugmentationBase3D):
+class _RandomFlip3D(GeometricAugmentationBase3D, keeps_contract=True):
     moves_whole_voxels = True
     axis: int  # 0 is x
 
@@ -288,7 +288,7 @@ class RandomDepthicalFlip3D(_RandomFlip3D):
 # --- values ---------------------------------------------------------------------------------------------------------
 
 
-class RandomEqualize3D(IntensityAugmentationBase3D):
+class RandomEqualize3D(IntensityAugmentationBase3D, keeps_contract=True):
     """Spread the values of volumes evenly over [0, 1].
 
     Args:
@@ -318,7 +318,7 @@ class RandomEqualize3D(IntensityAugmentationBase3D):
         return enhance.equalize3d(input)
 
 
-class RandomMotionBlur3D(DrawnKernelSize, IntensityAugmentationBase3D):
+class RandomMotionBlur3D(DrawnKernelSize, IntensityAugmentationBase3D, keeps_contract=True):
     """Blur volumes along a random line.
 
     Args:

@@ -19,7 +19,7 @@ from kvision.core.exceptions import ShapeError
 __all__ = ["RandomRain", "RandomSnow"]
 
 
-class RandomRain(IntensityAugmentationBase2D):
+class RandomRain(IntensityAugmentationBase2D, keeps_contract=True):
     """Draw lines of gray, 200 / 255, as drops of rain.
 
     Args:
@@ -85,7 +85,7 @@ class RandomRain(IntensityAugmentationBase2D):
         return torch.where(wet.view(-1, 1, height, width) > 0, 200 / 255, input)
 
 
-class RandomSnow(IntensityAugmentationBase2D):
+class RandomSnow(IntensityAugmentationBase2D, keeps_contract=True):
     """Lighten the dark pixels of RGB images.
 
     Args:

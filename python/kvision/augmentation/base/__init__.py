@@ -4,13 +4,14 @@ An augmentation declares what it draws (a generator of random_generator) and one
 
     transforms   a chain of matrix formulas of the drawn columns: the image, masks, boxes and points follow the matrix
     color steps  a part of a color program
-    an operator  `apply_transform`, on the parameters by name
+    methods      `apply_transform`, on the parameters by name
 
-The first two are executed from the columns of the drawing operator without parameters by name in between; containers
-join those of neighbors. A subclass that overrides `generate_parameters`, `compute_transformation` or `apply_transform` is
-executed through them.
+The first two are executed from drawn columns without parameters by name in between; containers join those of neighbors, which
+they learn from one method, `_contribution`. A subclass that overrides `generate_parameters`, `compute_transformation` or
+`apply_transform` is executed through them.
 
     declaration   what a subclass declares and overrides
+    contribution  what an augmentation adds to the passes that it shares
     engine        draws parameters, or takes given ones, and executes the declaration
     one_pass      the same by one pass over the images, where there is one
     augmentation  what users call, and the public bases

@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 
-class AugmentationBase(OnePass):
+class AugmentationBase(OnePass, keeps_contract=True):
     """What augmentations of images and of volumes share; see the package."""
 
     def validate_tensor(self, input: Tensor) -> None:

@@ -16,14 +16,23 @@ from torch import Generator, Tensor, nn
 
 from kvision import _check
 from kvision.augmentation.base.configuration import SWITCHES, Flags, Plans, portable, settings_changed
+from kvision.augmentation.base.contribution import Colors, Contribution
 from kvision.augmentation.base.execution import Params, Shape
 from kvision.augmentation.columns import Names, Span, name_columns
 from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
-from kvision.augmentation.warp_and_color import Pass
+from kvision.augmentation.warp_and_color import ColorPart, Pass
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 _OVERRIDABLE = ("compute_transformation", "apply_transform")
+_REPLACEABLE = (
+    *_OVERRIDABLE,
+    "generate_parameters",
+    "apply_transform_mask",
+    "inverse_transform",
+    "inverse",
+    "displacements",
+)
 
 
 class KeepsArguments(nn.Module):
@@ -54,6 +63,19 @@ class Declaration(KeepsArguments):
     accepts_wide_integers: ClassVar[bool] = False  # images of int16 and uint16, which are computed in float32
     keeps_lines: ClassVar[bool] = True  # straight lines stay straight, so that the corners of a box say where it is
     fuses_noise: ClassVar[bool] = False  # `apply_transform` takes "_noise" instead of the parameters of pixels
+
+    _own_methods: ClassVar[dict[str, Any]]  # by name, those of the class in `_REPLACEABLE` that keep the contract below
+
+    def __init_subclass__(cls, keeps_contract: bool = False, **options: Any) -> None:
+        """Let methods of the class replace those of its bases without being called by themselves.
+
+        A method that replaces one of another class is run as it is, with parameters by name and a copy of the images: it may
+        change the size of the batch, write to what it gets, or say something else than the formulas of its base. A class with
+        `keeps_contract` promises that it does not: results have `output_shape`, and nothing is written to.
+        """
+        super().__init_subclass__(**options)
+        if keeps_contract:
+            cls._own_methods = {name: getattr(cls, name, None) for name in _REPLACEABLE}
 
     def __init__(
         self,
@@ -159,6 +181,17 @@ class Declaration(KeepsArguments):
         """The columns of the parameters by name, of which the first is column `first`."""
         return name_columns(() if self._param_generator is None else self._param_generator.fields, first)
 
+    def _color_part(self, colors: Colors, span: Span | None) -> ColorPart:
+        """Color steps with their columns, which are those of a span."""
+        names = self._names_of_columns(0 if span is None else span.first_value)
+        steps, order = [step._bound(names) for step in colors.steps], None
+        if colors.order is not None:
+            order = [column.position for column in names[colors.order]]
+        elif span is not None and span.has_chosen:  # the last columns, which `_request` of color augmentations adds
+            end = span.first + span.width
+            order = list(range(end - len(steps), end))
+        return ColorPart(steps, order)
+
     # --- what is done to images ---
 
     def output_shape(self, shape: Shape, flags: dict[str, Any]) -> Shape:
@@ -188,6 +221,14 @@ class Declaration(KeepsArguments):
         """Apply the augmentation with given parameters to all samples."""
         raise NotImplementedError(f"{type(self).__name__}.apply_transform")
 
+    def _contribution(self, shape: Shape, flags: dict[str, Any]) -> Contribution | None:
+        """What this augmentation adds to passes with its neighbors; None where a method replaces what the class declares."""
+        return None if self._is_customized() else self._declared(shape, flags)
+
+    def _declared(self, shape: Shape, flags: dict[str, Any]) -> Contribution:
+        """The contribution of the class for images of a shape: none to a pass, unless a subclass says more."""
+        return Contribution()
+
     def _pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
         """The pass that executes this augmentation by columns instead of parameters by name; None if there is no such pass."""
         return None
@@ -208,33 +249,28 @@ class Declaration(KeepsArguments):
         """Move the masks of all samples with given parameters, for subclasses to override."""
         return input
 
-    # --- what a user's class overrides ---
+    # --- what replaces it ---
 
     def _is_overridden(self, name: str) -> bool:
-        if name in self.__dict__:
-            return True
-        return _is_of_user(getattr(type(self), name, None))
+        """Whether a method, of a class or of this object, replaces one that keeps the contract."""
+        cls = type(self)
+        return name in self.__dict__ or getattr(cls, name, None) is not cls._own_methods[name]
 
     @property
     def _draws_by_name(self) -> bool:
-        """Whether a user's method or generator draws parameters by name, without columns."""
+        """Whether a method or the generator draws parameters by name, without columns."""
         generator = self._param_generator
         return self._is_overridden("generate_parameters") or (
-            generator is not None and _is_of_user(type(generator).forward)
+            generator is not None and type(generator).forward is not RandomGeneratorBase.forward
         )
 
     def _is_customized(self) -> bool:
-        """Whether a user's class or instance overrides what containers join."""
+        """Whether a method replaces what containers would join."""
         is_customized: bool | None = self._plans.get("customized")
         if is_customized is None:
             is_customized = self._draws_by_name or any(self._is_overridden(name) for name in _OVERRIDABLE)
             self._plans.keep("customized", is_customized)
         return is_customized
-
-
-def _is_of_user(method: Any) -> bool:
-    """Whether a method is not one of this library."""
-    return not (getattr(method, "__module__", None) or "").startswith("kvision.")
 
 
 def _shown(value: Any) -> str:

@@ -23,31 +23,21 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator, Tensor, nn
 
-from kvision._dtype import as_dtype, compute_dtype
-from kvision.augmentation.base import AugmentationBase, Execution, Shape, matrix_type, where_chosen
+from kvision.augmentation.base import AugmentationBase, Execution, Shape, matrix_type
 from kvision.augmentation.base.configuration import Plans
 from kvision.augmentation.columns import Columns, DrawPlan, Span, plan_draws
+from kvision.augmentation.container.passes import Planned, Running, Step, plan_steps
 from kvision.augmentation.container.record import Child
-from kvision.augmentation.container.stages import Applied, Composed, MapLink, Stage, Warp
-from kvision.augmentation.displacements import NoiseField
+from kvision.augmentation.container.stages import Applied, Stage
 from kvision.augmentation.drawn_links import DrawnLinks
 from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.draws import Request
-from kvision.augmentation.elastic import MapAugmentation
-from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
-from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, color_part
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys, frame_seeds
-from kvision.augmentation.transforms import MAX_TRANSFORMS, MatrixPlan, Transform, keeps_rows, transform_matrix
 from kvision.augmentation.warp_and_color import (
     SAME,
-    ColorPart,
     Output,
-    Pass,
-    Resampling,
-    fits_one_program,
     make_pass,
 )
-from kvision.core.exceptions import ShapeError
 
 
 class Randomness(NamedTuple):
@@ -94,13 +84,12 @@ def execute(
         return _execute_run(x, children, source, position, plan)
     stages: list[Stage] = []
     runs = _runs(children, source.plans)
-    for i, run in enumerate(runs):
+    for i, (run, kind) in enumerate(runs):
         own = source if i == len(runs) - 1 or source.output is SAME else source._replace(output=SAME)
-        module = run[0].module
-        if isinstance(module, AugmentationBase) and not module.needs_masks:
+        if kind == "joined":
             x, more = _execute_run(x, run, own, position)
             stages += more
-        elif isinstance(module, AugmentationBase):
+        elif kind == "with masks":
             x, stage = _execute_with_masks(x, run[0], source, stages, position)
             stages.append(stage)
         else:
@@ -147,42 +136,44 @@ def _key(x: Tensor, children: Sequence[Child], source: Randomness, position: int
     return (x.shape, x.dtype, position, seed is None, once, output, frames, time, *modules)
 
 
-def _runs(children: Sequence[Child], plans: Plans) -> list[list[Child]]:
-    """Split children into augmentations that draw together, and modules that run by themselves."""
+def _runs(children: Sequence[Child], plans: Plans) -> list[tuple[Sequence[Child], str]]:
+    """Split children into augmentations that draw together, and modules that run by themselves, each with how it is executed."""
     key = ("runs", *[(id(child.module), child.params is None, child.runs_alone) for child in children])
-    lengths: list[int] | None = plans.get(key)
+    lengths: list[tuple[int, str]] | None = plans.get(key)
     if lengths is None:
         lengths = _lengths_of_runs(children)
         plans.keep(key, lengths)
     runs, first = [], 0
-    for length in lengths:
-        runs.append(list(children[first : first + length]))
+    for length, kind in lengths:
+        runs.append((children[first : first + length], kind))
         first += length
     return runs
 
 
-def _lengths_of_runs(children: Sequence[Child]) -> list[int]:
-    lengths: list[int] = []
+def _lengths_of_runs(children: Sequence[Child]) -> list[tuple[int, str]]:
+    lengths: list[tuple[int, str]] = []
     before: Child | None = None
     for child in children:
-        if (
-            before is not None
-            and (child.params is None) == (before.params is None)
-            and not (child.runs_alone or before.runs_alone)
-            and _has_known_size(child)
-            and _has_known_size(before)
-        ):
-            lengths[-1] += 1
+        module: Any = child.module
+        is_augmentation = hasattr(module, "_contribution")
+        if before is not None and is_augmentation and _draw_together(before, child):
+            lengths[-1] = (lengths[-1][0] + 1, "joined")
         else:
-            lengths.append(1)
-        before = child
+            kind = "alone" if not is_augmentation else "with masks" if module.needs_masks else "joined"
+            lengths.append((1, kind))
+        # What has another size than expected ends a run.
+        before = child if is_augmentation and _has_known_size(module) else None
     return lengths
 
 
-def _has_known_size(child: Child) -> bool:
+def _draw_together(before: Child, child: Child) -> bool:
+    has_neighbor = not (child.runs_alone or before.runs_alone) and _has_known_size(child.module)
+    return has_neighbor and (child.params is None) == (before.params is None)
+
+
+def _has_known_size(module: Any) -> bool:
     """Whether the size of the result is known before the augmentation runs."""
-    module = child.module
-    return isinstance(module, AugmentationBase) and module.has_known_size and not module._is_customized()
+    return module.has_known_size and not module._is_customized()
 
 
 def _execute_module(x: Tensor, child: Child, source: Randomness) -> tuple[Tensor, Stage]:
@@ -199,30 +190,6 @@ def _execute_module(x: Tensor, child: Child, source: Randomness) -> tuple[Tensor
 # --- runs of augmentations ------------------------------------------------------------------------------------------
 
 
-class _Joined(NamedTuple):
-    """Augmentations that are executed in one pass."""
-
-    image_pass: Pass
-    geometric: Sequence[int]  # the augmentations that it warps for, by their numbers in the run
-    chain: Sequence[Transform]
-    source: tuple[int, int]
-    size: tuple[int, int]
-    resampling: Resampling | None
-
-
-class _Composition(NamedTuple):
-    """Augmentations that are executed by one resampling, some of which have no matrix or blur what becomes smaller."""
-
-    links: Sequence[MatrixPlan | int]  # chains of matrices, and the numbers of maps in the run
-    source: tuple[int, int]
-    size: tuple[int, int]
-    resampling: Resampling
-    samples: int  # along each axis of a pixel
-
-
-_Step = _Joined | _Composition | int  # passes, compositions, and the numbers of augmentations that run by themselves
-
-
 class _RunPlan(NamedTuple):
     """What a run of augmentations draws and executes, for images of one shape."""
 
@@ -232,22 +199,21 @@ class _RunPlan(NamedTuple):
     spans: Sequence[Span | None]  # its columns among all
     shapes: Sequence[Shape]  # of its images
     applied: Sequence[bool]
-    steps: Sequence[_Step]
+    steps: Sequence[Step]
     first: int  # number of the first key, or position in the chain
     certain: Sequence[bool]  # whether all samples are augmented
-    drawn: DrawnPass | DrawnLinks | None  # the draws, and the first step or its links, by one operator
+    drawn: DrawnPass | DrawnLinks | None  # the draws together with the first step or its links, by one operator
 
 
 def _execute_run(
     x: Tensor, run: Sequence[Child], source: Randomness, position: int, plan: _RunPlan | None = None
 ) -> tuple[Tensor, list[Stage]]:
     modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
-    # Of the first step, if it is computed with the draws: the result, or the links.
-    first: tuple[Tensor, Tensor] | None = None
-    links: list[Tensor] | None = None
+    result: tuple[Tensor, Tensor] | None = None
+    links: Sequence[Tensor] | None = None
     if run[0].params is not None:
         executions, columns = _replay(x, run)
-        steps: Sequence[_Step] = _plan_steps(modules, executions, source, x.dtype)
+        steps: Sequence[Step] = plan_steps(modules, executions, source.once, x.dtype, source.output)
     else:
         keys = None
         if plan is None:
@@ -258,64 +224,18 @@ def _execute_run(
             check_seeds(source.op, keys, x[:: source.frames].shape[0])
         if plan.drawn is None or keys is None:
             columns = _draw(x, plan, keys, source.frames)
-        elif isinstance(plan.drawn, DrawnPass):
-            y, matrix, columns = plan.drawn.run(x, keys)
-            first = y, matrix
         else:
-            columns, links = plan.drawn.run(x, keys)
+            columns, result, links = plan.drawn.draw(x, keys)
         executions, steps = _executions(x, plan, columns, keys, source.frames), plan.steps
     for child, module, execution in zip(run, modules, executions):
         child.record = module.__dict__["_execution"] = execution  # faster than Module.__setattr__
+    running = Running(modules, executions, columns, source.has_labels, result, links)
     stages: list[Stage] = []
     for step in steps:
-        if isinstance(step, int):
-            module, execution = modules[step], executions[step]
-            execution.keeps_map = source.has_labels
-            x = module._run(x, execution, module.flags)
-            stages.append(Applied(module, execution, module.flags))
-            continue
-        if isinstance(step, _Composition):
-            composed = _compose(x, step, modules, executions, columns, links)
-            links = None
-            x = composed.run(x)
-            stages.append(composed)
-            continue
-        x, matrix = step.image_pass.run(x, columns) if first is None else first
-        first = None
-        if len(step.geometric) == 1:
-            module, execution = modules[step.geometric[0]], executions[step.geometric[0]]
-            execution.keep_matrix(matrix)
-            stages.append(Applied(module, execution, module.flags))
-        elif step.geometric:
-            if columns is not None and columns.requires_grad:
-                matrix = transform_matrix(as_dtype(columns, compute_dtype(x)), step.chain)
-            assert step.resampling is not None
-            stages.append(Warp(matrix, step.source, step.size, step.resampling))
+        x, stage = step.run(x, running)
+        if stage is not None:
+            stages.append(stage)
     return x, stages
-
-
-def _compose(
-    x: Tensor,
-    step: _Composition,
-    modules: Sequence[AugmentationBase],
-    executions: Sequence[Execution],
-    columns: Tensor | None,
-    drawn: list[Tensor] | None,
-) -> Composed:
-    """What a composition does for drawn parameters; `drawn` are its links, if they were computed with the draws."""
-    dtype = compute_dtype(x) if x.is_floating_point() else torch.float32
-    columns = x.new_empty(x.shape[0], 0, dtype=dtype) if columns is None else as_dtype(columns, dtype)
-    links: list[Tensor | MapLink] = []
-    for i, link in enumerate(step.links):
-        if isinstance(link, MatrixPlan):
-            links.append(link.matrix(columns) if drawn is None else drawn[i])
-            continue
-        module, execution = modules[link], executions[link]
-        assert isinstance(module, MapAugmentation)
-        links.append(MapLink(module, execution, module.flags))
-        if drawn is not None:
-            drawn[i] = where_chosen(execution.chosen, drawn[i], 0.0)
-    return Composed(links, step.source, step.size, step.resampling, step.samples, drawn)
 
 
 def _replay(x: Tensor, run: Sequence[Child]) -> tuple[list[Execution], Tensor | None]:
@@ -430,39 +350,13 @@ def _plan_run(
         Execution(shape, None if span is None else Columns(x, span), applied=applies)  # of its span only
         for shape, span, applies in zip(shapes, spans, applied)
     ]
-    steps = _plan_steps(modules, planned, source, x.dtype)
+    steps = plan_steps(modules, planned, source.once, x.dtype, source.output)
     certain = [module._is_certain for module in modules]
-    start = steps[0] if steps and len(draws) == 1 and source.frames == 1 else None
-    drawn: DrawnPass | DrawnLinks | None = None
-    if isinstance(start, _Joined):
-        drawn = DrawnPass(draws[0], start.image_pass, tuple(x.shape), x.dtype)
-    elif isinstance(start, _Composition):
-        keys_of = [None if number is None else first + number for number in numbers]
-        links = _drawn_links(start.links, modules, shapes, keys_of, one_key)
-        drawn = None if links is None else DrawnLinks(draws[0], links)
+    drawn = None
+    if steps and len(draws) == 1 and source.frames == 1:
+        keys_of = [None if number is None else (first + number, one_key) for number in numbers]
+        drawn = steps[0].drawn_with(draws[0], Planned(modules, shapes, x.dtype, keys_of))
     return _RunPlan(draws, numbers, drawing, spans, shapes, applied, steps, first, certain, drawn), keys
-
-
-def _drawn_links(
-    links: Sequence[MatrixPlan | int],
-    modules: Sequence[AugmentationBase],
-    shapes: Sequence[Shape],
-    numbers: Sequence[int | None],  # of the keys of augmentations, or their positions in the chain
-    one_key: bool,
-) -> list[MatrixPlan | NoiseField] | None:
-    """The links of a composition for the kernel that computes them with the draws; None if it does not serve all."""
-    drawn: list[MatrixPlan | NoiseField] = []
-    for link in links:
-        if isinstance(link, MatrixPlan):
-            drawn.append(link)
-            continue
-        module, number = modules[link], numbers[link]
-        assert isinstance(module, MapAugmentation)
-        field = None if number is None else module._noise_field(shapes[link], number, one_key)
-        if field is None:
-            return None
-        drawn.append(field)
-    return drawn
 
 
 def _more_keys(keys: Keys | None, modules: Sequence[AugmentationBase], x: Tensor, source: Randomness) -> Keys:
@@ -476,187 +370,3 @@ def _more_keys(keys: Keys | None, modules: Sequence[AugmentationBase], x: Tensor
     parts = each if keys is None else [keys.keys, *each]
     on_device = next((part.device for part in parts if part.is_cuda), parts[0].device)
     return Keys(torch.cat([part.to(on_device) for part in parts]))
-
-
-# --- passes ---------------------------------------------------------------------------------------------------------
-
-
-def _plan_steps(
-    modules: Sequence[AugmentationBase], executions: Sequence[Execution], source: Randomness, dtype: torch.dtype
-) -> list[_Step]:
-    """What is executed for these executions, of whose columns only the spans count, on images of a type."""
-    pending = _Pending(source.once, dtype)
-    for number, (module, execution) in enumerate(zip(modules, executions)):
-        pending.add(number, module, execution)
-    return pending.finish(source.output)
-
-
-def _check_takes_volumes(module: AugmentationBase, shape: Shape) -> None:
-    """Raise unless an augmentation of images is one of volumes (B, C, D, H, W), too."""
-    if isinstance(module, IntensityAugmentationBase2D):
-        if module.takes_volumes or module.color_steps(shape, module.flags) is not None:
-            return
-    raise ShapeError(f"{type(module).__name__}: expected images of shape (B, C, H, W), got {shape}")
-
-
-class _Geometric(NamedTuple):
-    """A geometric augmentation that waits to be joined."""
-
-    number: int  # in the run
-    module: GeometricAugmentationBase2D | MapAugmentation
-    execution: Execution
-    chain: Sequence[Transform] | None  # of its matrix; None for a map
-    antialiased: bool = False
-    shrinks: int = 1  # how many pixels along an axis are blurred to one at most
-
-    @property
-    def interpolates(self) -> bool:
-        return self.chain is None or not self.module.moves_whole_pixels
-
-
-class _Pending:
-    """Neighboring augmentations that wait to be joined in one pass."""
-
-    def __init__(self, once: bool, dtype: torch.dtype) -> None:
-        self.once = once
-        self.dtype = dtype  # of the images that come next
-        self.converted: torch.dtype | None = None  # of the result of the pending color steps, if it is another one
-        self.steps: list[_Step] = []
-        self.geometric: list[_Geometric] = []
-        self.parts: list[ColorPart] = []
-
-    def add(self, number: int, module: AugmentationBase, execution: Execution) -> None:
-        if not execution.applied:
-            return
-        span = None if execution.columns is None else execution.columns.span
-        result = module._result_dtype(self.dtype)
-        customized = module._is_customized()
-        if len(execution.shape) != module.axes + 1 and not customized:
-            _check_takes_volumes(module, execution.shape)
-        if isinstance(module, MapAugmentation) and self.once and not customized:
-            if self.parts:
-                self._flush()
-            self.geometric.append(_Geometric(number, module, execution, None))
-            return
-        customized = customized or (execution.params is not None and span is None)
-        if not customized and isinstance(module, IntensityAugmentationBase2D):
-            part = color_part(module, execution.shape, span, module.flags)
-            if part is not None:
-                if not fits_one_program([*self.parts, part]):
-                    self._continue_colors()
-                elif len(_chain(self.geometric)) > MAX_TRANSFORMS:
-                    self._flush()
-                self.parts.append(part)
-                if result != self.dtype:
-                    self.dtype = self.converted = result
-                return
-        if not customized and isinstance(module, GeometricAugmentationBase2D):
-            chain = module.transforms(execution.shape, module.flags)
-            antialiased = chain is None or module.resampling(module.flags).antialias
-            if chain is None and self.once:
-                chain = module.matrix_transforms(execution.shape, module.flags)
-            if chain is not None:
-                names = module._names_of_columns(0 if span is None else span.first_value)
-                bound = [t._bound(names) for t in chain]
-                shrinks = 1
-                if antialiased:
-                    size = module.output_size(execution.shape, module.flags)
-                    shrinks = max(-(-n // m) for n, m in zip(execution.shape[-2:], size))
-                geometric = _Geometric(number, module, execution, bound, antialiased, shrinks)
-                if self.parts or (self.geometric and not self._joins(geometric)):
-                    self._flush()
-                self.geometric.append(geometric)
-                return
-        self._flush()
-        self.steps.append(number)
-        self.dtype = result
-
-    def _joins(self, geometric: _Geometric) -> bool:
-        """Whether one warp gives what the pending ones and then `geometric` give."""
-        if self.once:
-            return True
-        together, module = [*self.geometric, geometric], geometric.module
-        if any(g.antialiased for g in together):
-            return _is_window(together)
-        if all(g.module.permutes_pixels for g in self.geometric):
-            return True
-        assert isinstance(module, GeometricAugmentationBase2D)
-        return module.moves_whole_pixels and module.stays_inside
-
-    def _continue_colors(self) -> None:
-        """End a color program that another one continues: bytes are rounded behind neighboring color steps, not between."""
-        if self.dtype != torch.uint8:
-            self._flush()
-            return
-        self._flush(Output(torch.float32))
-        self.converted = self.dtype
-
-    def _flush(self, output: Output = SAME) -> None:
-        geometric, parts = self.geometric, self.parts
-        if output.dtype is None:
-            output = output._replace(dtype=self.converted)
-        self.geometric, self.parts, self.converted = [], [], None
-        alone = [at for at, g in enumerate(geometric) if g.chain is None or g.antialiased]
-        if not alone or _is_window(geometric):
-            self._join(geometric, parts, output)
-        elif sum(g.interpolates for g in geometric) == 1:  # which nothing else has to be composed with
-            (at,) = alone
-            self._join(geometric[:at])
-            self.steps.append(geometric[at].number)
-            self._join(geometric[at + 1 :], parts, output)
-        else:
-            self._compose(geometric)
-            self._join([], parts, output)
-
-    def _join(self, geometric: Sequence[_Geometric], parts: Sequence[ColorPart] = (), output: Output = SAME) -> None:
-        """One pass for geometric augmentations and color steps."""
-        if not geometric:
-            if parts or output != SAME:
-                self.steps.append(_Joined(make_pass(None, parts=parts, output=output), (), (), (0, 0), (0, 0), None))
-            return
-        source, size, resampling = _sizes_and_resampling(geometric)
-        chain = _chain(geometric)
-        image_pass = make_pass(chain, size, resampling, parts, output)
-        self.steps.append(_Joined(image_pass, [g.number for g in geometric], chain, source, size, resampling))
-
-    def _compose(self, geometric: Sequence[_Geometric]) -> None:
-        links: list[MatrixPlan | int] = []
-        chain: list[Transform] = []
-        samples = 1
-        for g in geometric:
-            samples *= g.shrinks
-            if g.chain is not None:
-                chain += g.chain
-                continue
-            links += [MatrixPlan(chain), g.number] if chain else [g.number]
-            chain = []
-        links += [MatrixPlan(chain)] if chain else []
-        self.steps.append(_Composition(links, *_sizes_and_resampling(geometric), samples))
-
-    def finish(self, output: Output) -> list[_Step]:
-        self._flush(output)
-        return self.steps
-
-
-def _is_window(geometric: Sequence[_Geometric]) -> bool:
-    """Whether neighbors are a window that is resized with antialiasing, before or after flips, which mirror it."""
-    own = [g.module for g in geometric if g.antialiased]
-    if len(own) != 1 or isinstance(own[0], MapAugmentation) or not own[0].resampling(own[0].flags).antialias:
-        return False
-    others_flip = all(g.antialiased or g.module.permutes_pixels for g in geometric)
-    return others_flip and keeps_rows(_chain(geometric))
-
-
-def _chain(geometric: Sequence[_Geometric]) -> list[Transform]:
-    """The transforms of augmentations without maps."""
-    return [t for g in geometric for t in g.chain or ()]
-
-
-def _sizes_and_resampling(geometric: Sequence[_Geometric]) -> tuple[tuple[int, int], tuple[int, int], Resampling]:
-    """The sizes before and behind neighbors, and how the images are read: as by the first one that interpolates."""
-    first, last = geometric[0], geometric[-1]
-    height, width = first.execution.shape[-2:]
-    shape = last.execution.shape
-    size = last.module.output_shape(shape, last.module.flags)[-2:]
-    reading = next((g.module for g in geometric if g.interpolates), last.module)
-    return (height, width), (size[0], size[1]), reading.resampling(reading.flags)

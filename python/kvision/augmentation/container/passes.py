@@ -1,0 +1,316 @@
+"""Plans of neighboring augmentations: which of them share a pass over the images.
+
+The planner knows no class. It asks each augmentation for its contribution (base/contribution.py), and lets neighbors wait
+until the next one cannot join them. Three kinds of steps come out of it: passes, resamplings at composed coordinates, and
+augmentations that run by themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from kvision._dtype import as_dtype, compute_dtype
+from kvision.augmentation.base import AugmentationBase, Execution, Shape, where_chosen
+from kvision.augmentation.base.contribution import Motion
+from kvision.augmentation.columns import DrawPlan
+from kvision.augmentation.container.stages import Applied, Composed, MapLink, Stage, Warp
+from kvision.augmentation.displacements import NoiseField
+from kvision.augmentation.drawn_links import DrawnLinks
+from kvision.augmentation.drawn_pass import DrawnPass
+from kvision.augmentation.transforms import MAX_TRANSFORMS, MatrixPlan, Transform, keeps_rows, transform_matrix
+from kvision.augmentation.warp_and_color import SAME, ColorPart, Output, Pass, Resampling, fits_one_program, make_pass
+from kvision.core.exceptions import ShapeError
+
+# --- steps ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(slots=True)
+class Running:
+    """A run of augmentations while it is executed."""
+
+    modules: Sequence[Any]  # augmentations
+    executions: Sequence[Execution]
+    columns: Tensor | None  # of all
+    has_labels: bool  # which follow the images, so that maps are kept for them
+    # Of the first step, where a kernel computed it with the draws:
+    result: tuple[Tensor, Tensor] | None = None  # images and matrices of a pass
+    links: Sequence[Tensor] | None = None  # of a composition
+
+
+class Alone(NamedTuple):
+    """An augmentation that runs by itself."""
+
+    number: int  # in the run
+
+    def run(self, x: Tensor, running: Running) -> tuple[Tensor, Stage | None]:
+        module, execution = running.modules[self.number], running.executions[self.number]
+        execution.keeps_map = running.has_labels
+        return module._run(x, execution, module.flags), Applied(module, execution, module.flags)
+
+    def drawn_with(self, draws: DrawPlan, planned: Planned) -> None:
+        return None
+
+
+class Joined(NamedTuple):
+    """Augmentations that are executed in one pass."""
+
+    image_pass: Pass
+    geometric: Sequence[int]  # the augmentations that it warps for, by their numbers in the run
+    chain: Sequence[Transform]
+    source: tuple[int, int]
+    size: tuple[int, int]
+    resampling: Resampling | None
+
+    def run(self, x: Tensor, running: Running) -> tuple[Tensor, Stage | None]:
+        columns = running.columns
+        x, matrix = self.image_pass.run(x, columns) if running.result is None else running.result
+        running.result = None
+        if not self.geometric:
+            return x, None
+        if len(self.geometric) == 1:
+            module, execution = running.modules[self.geometric[0]], running.executions[self.geometric[0]]
+            execution.keep_matrix(matrix)
+            return x, Applied(module, execution, module.flags)
+        if columns is not None and columns.requires_grad:
+            matrix = transform_matrix(as_dtype(columns, compute_dtype(x)), self.chain)
+        assert self.resampling is not None
+        return x, Warp(matrix, self.source, self.size, self.resampling)
+
+    def drawn_with(self, draws: DrawPlan, planned: Planned) -> DrawnPass:
+        return DrawnPass(draws, self.image_pass, planned.shapes[0], planned.dtype)
+
+
+class Link(NamedTuple):
+    """A part of a composition: a chain of matrices, or the map of an augmentation by its number in the run."""
+
+    matrix: MatrixPlan | None
+    map_number: int = -1
+
+
+class Composition(NamedTuple):
+    """Augmentations that are executed by one resampling, some of which have no matrix or blur what becomes smaller."""
+
+    links: Sequence[Link]
+    source: tuple[int, int]
+    size: tuple[int, int]
+    resampling: Resampling
+    samples: int  # along each axis of a pixel
+
+    def run(self, x: Tensor, running: Running) -> tuple[Tensor, Stage | None]:
+        dtype = compute_dtype(x) if x.is_floating_point() else torch.float32
+        columns = running.columns
+        columns = x.new_empty(x.shape[0], 0, dtype=dtype) if columns is None else as_dtype(columns, dtype)
+        drawn = None if running.links is None else list(running.links)
+        running.links = None
+        links: list[Tensor | MapLink] = []
+        for i, (matrix, number) in enumerate(self.links):
+            if matrix is not None:
+                links.append(matrix.matrix(columns) if drawn is None else drawn[i])
+                continue
+            module, execution = running.modules[number], running.executions[number]
+            links.append(MapLink(module, execution, module.flags))
+            if drawn is not None:
+                drawn[i] = where_chosen(execution.chosen, drawn[i], 0.0)
+        composed = Composed(links, self.source, self.size, self.resampling, self.samples, drawn)
+        return composed.run(x), composed
+
+    def drawn_with(self, draws: DrawPlan, planned: Planned) -> DrawnLinks | None:
+        """The draws with the links by one kernel; None if it does not serve all."""
+        drawn: list[MatrixPlan | NoiseField] = []
+        for matrix, number in self.links:
+            key = None if matrix is not None else planned.keys[number]
+            link = matrix if key is None else planned.modules[number]._noise_field(planned.shapes[number], *key)
+            if link is None:
+                return None
+            drawn.append(link)
+        return DrawnLinks(draws, drawn)
+
+
+Step = Joined | Composition | Alone
+
+
+class Planned(NamedTuple):
+    """What steps know of a run when they are planned."""
+
+    modules: Sequence[Any]  # augmentations
+    shapes: Sequence[Shape]  # of the images of each
+    dtype: torch.dtype  # of those of the first one
+    keys: Sequence[
+        tuple[int, bool] | None
+    ]  # the number of the key of each, or its position under one key, and which it is
+
+
+# --- the planner ----------------------------------------------------------------------------------------------------
+
+
+def plan_steps(
+    modules: Sequence[AugmentationBase],
+    executions: Sequence[Execution],
+    once: bool,
+    dtype: torch.dtype,
+    output: Output,
+) -> list[Step]:
+    """What is executed for these executions, of whose columns only the spans count, on images of a type.
+
+    `once`: neighboring geometric augmentations are resampled once. `output` is the type and layout of the result.
+    """
+    planner = _Planner(once, dtype)
+    for number, (module, execution) in enumerate(zip(modules, executions)):
+        planner.add(number, module, execution)
+    return planner.finish(output)
+
+
+class _Geometric(NamedTuple):
+    """A geometric augmentation that waits to be joined."""
+
+    number: int  # in the run
+    motion: Motion
+    chain: Sequence[Transform]  # bound to its columns; empty for a map
+    source: tuple[int, int]
+
+    @property
+    def shrinks(self) -> int:
+        """How many pixels along an axis are blurred to one at most."""
+        if not self.motion.is_antialiased:
+            return 1
+        return max(-(-n // m) for n, m in zip(self.source, self.motion.size))
+
+
+class _Planner:
+    """Neighboring augmentations that wait to be joined in one pass, and the steps before them."""
+
+    def __init__(self, once: bool, dtype: torch.dtype) -> None:
+        self.once = once
+        self.dtype = dtype  # of the images that come next
+        self.converted: torch.dtype | None = None  # of the result of the pending color steps, if it is another one
+        self.steps: list[Step] = []
+        self.geometric: list[_Geometric] = []
+        self.parts: list[ColorPart] = []
+
+    def add(self, number: int, module: AugmentationBase, execution: Execution) -> None:
+        if not execution.applied:
+            return
+        shape, columns = execution.shape, execution.columns
+        span = None if columns is None else columns.span
+        result = module._result_dtype(self.dtype)
+        contribution = module._contribution(shape, module.flags)
+        motion = None if contribution is None else contribution.motion
+        colors = None if contribution is None else contribution.colors
+        if contribution is not None and len(shape) != module.axes + 1 and not contribution.takes_volumes:
+            raise ShapeError(f"{type(module).__name__}: expected images of shape (B, C, H, W), got {shape}")
+        has_columns = execution.params is None or span is not None
+        if colors is not None and has_columns:
+            self._add_colors(module._color_part(colors, span), result)
+        elif motion is not None and (motion.is_map or has_columns) and (self.once or motion.reads_by_matrix):
+            names = module._names_of_columns(0 if span is None else span.first_value)
+            chain = [t._bound(names) for t in motion.chain or ()]
+            self._add_motion(_Geometric(number, motion, chain, (shape[-2], shape[-1])))
+        else:
+            self._flush()
+            self.steps.append(Alone(number))
+            self.dtype = result
+
+    def _add_colors(self, part: ColorPart, result: torch.dtype) -> None:
+        if not fits_one_program([*self.parts, part]):
+            self._continue_colors()
+        elif len(_chain(self.geometric)) > MAX_TRANSFORMS:
+            self._flush()
+        self.parts.append(part)
+        if result != self.dtype:
+            self.dtype = self.converted = result
+
+    def _add_motion(self, geometric: _Geometric) -> None:
+        if self.parts or (self.geometric and not self._joins(geometric)):
+            self._flush()
+        self.geometric.append(geometric)
+
+    def _joins(self, geometric: _Geometric) -> bool:
+        """Whether one warp gives what the pending ones and then `geometric` give."""
+        if self.once:
+            return True
+        together = [*self.geometric, geometric]
+        if any(g.motion.is_antialiased for g in together):
+            return _is_window(together)
+        if all(g.motion.permutes_pixels for g in self.geometric):
+            return True
+        return geometric.motion.moves_whole_pixels and geometric.motion.stays_inside
+
+    def _continue_colors(self) -> None:
+        """End a color program that another one continues: bytes are rounded behind neighboring color steps, not between."""
+        if self.dtype != torch.uint8:
+            self._flush()
+            return
+        self._flush(Output(torch.float32))
+        self.converted = self.dtype
+
+    def _flush(self, output: Output = SAME) -> None:
+        geometric, parts = self.geometric, self.parts
+        if output.dtype is None:
+            output = output._replace(dtype=self.converted)
+        self.geometric, self.parts, self.converted = [], [], None
+        alone = [at for at, g in enumerate(geometric) if g.motion.is_map or g.motion.is_antialiased]
+        if not alone or _is_window(geometric):
+            self._join(geometric, parts, output)
+        elif sum(g.motion.interpolates for g in geometric) == 1:  # which nothing else has to be composed with
+            (at,) = alone
+            self._join(geometric[:at])
+            self.steps.append(Alone(geometric[at].number))
+            self._join(geometric[at + 1 :], parts, output)
+        else:
+            self._compose(geometric)
+            self._join([], parts, output)
+
+    def _join(self, geometric: Sequence[_Geometric], parts: Sequence[ColorPart] = (), output: Output = SAME) -> None:
+        """One pass for geometric augmentations and color steps."""
+        if not geometric:
+            if parts or output != SAME:
+                self.steps.append(Joined(make_pass(None, parts=parts, output=output), (), (), (0, 0), (0, 0), None))
+            return
+        source, size, resampling = _sizes_and_resampling(geometric)
+        chain = _chain(geometric)
+        image_pass = make_pass(chain, size, resampling, parts, output)
+        self.steps.append(Joined(image_pass, [g.number for g in geometric], chain, source, size, resampling))
+
+    def _compose(self, geometric: Sequence[_Geometric]) -> None:
+        links: list[Link] = []
+        chain: list[Transform] = []
+        samples = 1
+        for g in geometric:
+            samples *= g.shrinks
+            chain += g.chain
+            if g.motion.is_map:
+                links += [Link(MatrixPlan(chain))] if chain else []
+                links.append(Link(None, g.number))
+                chain = []
+        links += [Link(MatrixPlan(chain))] if chain else []
+        self.steps.append(Composition(links, *_sizes_and_resampling(geometric), samples))
+
+    def finish(self, output: Output) -> list[Step]:
+        self._flush(output)
+        return self.steps
+
+
+def _is_window(geometric: Sequence[_Geometric]) -> bool:
+    """Whether neighbors are a window that is resized with antialiasing, before or after flips, which mirror it."""
+    own = [g.motion for g in geometric if g.motion.is_antialiased]
+    if len(own) != 1 or not own[0].resampling.antialias:
+        return False
+    others_flip = all(g.motion.is_antialiased or g.motion.permutes_pixels for g in geometric)
+    return others_flip and keeps_rows(_chain(geometric))
+
+
+def _chain(geometric: Sequence[_Geometric]) -> list[Transform]:
+    """The transforms of augmentations without maps."""
+    return [t for g in geometric for t in g.chain]
+
+
+def _sizes_and_resampling(geometric: Sequence[_Geometric]) -> tuple[tuple[int, int], tuple[int, int], Resampling]:
+    """The sizes before and behind neighbors, and how the images are read: as by the first one that interpolates."""
+    first, last = geometric[0], geometric[-1]
+    reading = next((g.motion for g in geometric if g.motion.interpolates), last.motion)
+    return first.source, last.motion.size, reading.resampling

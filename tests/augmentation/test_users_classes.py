@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import copy
+import functools
 import inspect
 import pickle
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,7 +18,7 @@ import kvision.augmentation as A
 from benchmarks.sample_calls.augmentations import IMAGES
 from kvision import _backend, geometry
 from kvision.augmentation import columns, random_generator, transforms
-from kvision.constants import Resample, SamplePadding
+from kvision.augmentation.base import AugmentationBase
 from op_tests import DispatchedOperators
 
 pytestmark = pytest.mark.interface
@@ -183,37 +186,31 @@ def test_repr_has_the_arguments() -> None:
     assert "RandomBrightness(brightness=(0.5, 1.5), clip_output=True, p=1.0" in repr(inside)
 
 
-class Dim(A.IntensityAugmentationBase2D):
-    """Declared by its color steps."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
-        self._param_generator = random_generator.PlainUniformGenerator(((0.2, 0.8), "factor", None, None))
-
-    def color_steps(self, shape: Any, flags: dict[str, Any]) -> list[A.ColorStep]:
-        return [A.ColorStep("scale_shift", "factor")]
-
-
-class Tilt(A.GeometricAugmentationBase2D):
-    """Declared by the formula of its matrix."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
-        self._param_generator = random_generator.PlainUniformGenerator(((-20.0, 20.0), "angle", None, None))
-        self.flags = {"resample": Resample.BILINEAR, "padding_mode": SamplePadding.ZEROS, "align_corners": True}
-
-    def transforms(self, shape: Any, flags: dict[str, Any]) -> list[A.Transform]:
-        return [A.Transform.affine(((shape[-1] - 1) / 2, (shape[-2] - 1) / 2), angle="angle")]
+@functools.cache
+def page() -> dict[str, Any]:
+    """What docs/own_augmentation.md defines: Dim declares color steps, Tilt the formula of its matrix."""
+    text = (Path(__file__).parents[2] / "docs" / "own_augmentation.md").read_text()
+    scope: dict[str, Any] = {}
+    exec("\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL)), scope)
+    return scope
 
 
 def test_declared_classes_are_joined_with_their_neighbors(device: torch.device, backend: str) -> None:
-    x = torch.rand(32, 3, 16, 20, device=device)
-    chain = A.ImageSequential(A.RandomHorizontalFlip(), Tilt(p=0.7), Dim(p=0.5), A.RandomInvert())
+    scope, x = page(), torch.rand(32, 3, 16, 20, device=device)
+    tilt, dim = scope["Tilt"](20.0, 0.0, p=0.7), scope["Dim"](0.2, 0.8, p=0.5)
+    chain = A.ImageSequential(A.RandomHorizontalFlip(), tilt, dim, A.RandomInvert())
+    labeled = scope["augment"].to(device)
+    labels = [scope[name].to(device) for name in ("images", "masks", "boxes")]
     chain(x)  # which plans
+    labeled(*labels)
     with DispatchedOperators() as called:
         y = chain(x)
+    with DispatchedOperators() as called_with_labels:
+        labeled(*labels)
     if backend != "reference" and device.type not in _backend.unserved:
         assert called.names == ["empty", "random_", "draw_warp_and_color"]
+        names = called_with_labels.names
+        assert names.count("draw_warp_and_color") == 1 and not {"warp_and_color", "draw_parameters"} & set(names)
     expected = x
     for child, item in zip(chain.children(), chain._params):
         expected = child(expected, params=item.data)
@@ -253,3 +250,16 @@ def test_fields_are_the_columns_that_are_drawn() -> None:
             assert sum(width or 1 for _, width in generator.fields) == drawn, case.name
             named += 1
     assert named > 20
+
+
+def test_no_class_of_the_library_counts_as_a_users() -> None:
+    """Every method of the library that replaces another keeps the contract; one of a user, or of an object, does not."""
+    classes = [value for value in vars(A).values() if isinstance(value, type) and issubclass(value, AugmentationBase)]
+    assert len(classes) > 60
+    for cls in classes:
+        assert all(getattr(cls, name, None) is method for name, method in cls._own_methods.items()), cls.__name__
+    assert not A.RandomAffine(10.0)._is_customized() and not page()["dim"]._is_customized()
+    assert Gain(0.5, 0.9)._is_customized() and DiagonalFlip()._is_customized()
+    flip = A.RandomHorizontalFlip(p=1.0)
+    flip.apply_transform = lambda input, *_: input + 1  # type: ignore[method-assign]
+    assert torch.equal(flip(images()), images() + 1)

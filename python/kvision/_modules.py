@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import warnings
 from itertools import product
+from types import FunctionType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
@@ -89,6 +91,21 @@ class FunctionModule(ConstantModule):
     if TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any: ...  # the arguments, of any type
+
+
+def give_own_forward(cls: type[nn.Module]) -> None:
+    """Give a class that inherits `forward` a copy with code of its own, to be called when the class is made.
+
+    torch.compile keeps eight graphs of a code, whichever classes it runs for: the ninth class would hit the limit.
+    """
+    if "forward" in vars(cls):
+        return
+    inherited = (vars(base).get("forward") for base in cls.__mro__)
+    forward: Any = next(f for f in inherited if f is not None and not hasattr(f, "__wrapped__"))
+    code = forward.__code__.replace()
+    own = FunctionType(code, forward.__globals__, forward.__name__, forward.__defaults__, forward.__closure__)
+    own.__kwdefaults__ = forward.__kwdefaults__
+    cls.forward = functools.update_wrapper(own, forward)
 
 
 class StatefulModule(LoadedModule):

@@ -29,10 +29,12 @@ from kvision._backend import backend, current_backend, unserved_devices
 from kvision._dtype import is_autocast_on
 from kvision._gradients import compile_words
 from kvision._hints import look_at_range
+from kvision._symbolic import are_symbolic, kernel_of_tensors
 from kvision._torch_compat import (
     before_first_lookup,
     below_autograd,
     carry_tangents,
+    constant_in_graphs,
     find_operator,
     function_caller,
     in_derivative_transform,
@@ -107,7 +109,7 @@ def register_random(name: str, schema: str, draw: Callable[..., Tensor], fake: C
     return operator
 
 
-_library = torch.library.Library("kvision", "IMPL")
+_library = torch.library.Library("kvision", "FRAGMENT")
 _PLAIN = frozenset((Tensor, torch.nn.Parameter))  # types that are no subclass with rules of its own
 
 
@@ -199,6 +201,7 @@ class Operator:
         self.unserved = unserved_devices(name)
         self.kernel = self._bind()
         self.tensors = self._count_tensors()
+        self._floats = self._positions_of_floats()
         self._is_constant = bool(non_differentiable) and len(non_differentiable) == self._count_results()
         self.function = self._make_function()
         self._apply = function_caller(self.function)
@@ -260,7 +263,12 @@ class Operator:
             if not self._is_constant:
                 return self.reference(*args)
             args = [a.detach() if isinstance(a, Tensor) else a for a in args]
-        return self.kernel(*args) if is_compiling() else self.kernel(*map(_recorded, args))
+        if not is_compiling():
+            return self.kernel(*map(_recorded, args))
+        if self._floats and not torch.compiler.is_exporting() and are_symbolic([args[i] for i in self._floats]):
+            _write_symbolic_calls_into_graphs()
+            return _call_symbolic(self.name, *args)
+        return self.kernel(*args)
 
     # The one predicate on devices and types; `supports` is the one on all arguments.
     def is_native(self, x: Tensor) -> bool:
@@ -315,7 +323,21 @@ class Operator:
         with below_autograd():
             return self._call_kernel(*args)
 
-    def _make_function(self) -> type[torch.autograd.Function]:
+    def call_symbolic(self, *args: Any) -> Any:
+        """A call of the kernel with numbers that are symbolic in the graph that is traced."""
+        if in_function_transform():
+            return self.reference(*args)
+        call, function = self._with_symbolic_numbers
+        wants_gradient = is_grad_enabled() and any(t is not None and t.requires_grad for t in args[: self.tensors])
+        return function.apply(*args) if wants_gradient else call(*args)
+
+    @functools.cached_property
+    def _with_symbolic_numbers(self) -> tuple[Callable[..., Any], type[torch.autograd.Function]]:
+        """The kernel as a function of symbolic numbers, and the same with gradients."""
+        call = kernel_of_tensors(_library, self.name, self.kernel, self._floats, self._fake)
+        return call, self._make_function(call)
+
+    def _make_function(self, call: Callable[..., Any] | None = None) -> type[torch.autograd.Function]:
         operator = self
 
         def forward(*args: Any) -> Any:
@@ -323,7 +345,7 @@ class Operator:
                 return operator._call_kernel(*args)
 
         rules = {
-            "forward": forward,
+            "forward": call or forward,
             "setup_context": self._setup_context,
             "backward": self._backward,
             "jvp": self._jvp,
@@ -378,6 +400,11 @@ class Operator:
         if self.kernel is None:
             return 0
         return sum("Tensor" in str(a.type) for a in schema_of(self.kernel).arguments)
+
+    def _positions_of_floats(self) -> tuple[int, ...]:
+        """Which arguments are floats or lists of floats."""
+        arguments = () if self.kernel is None else schema_of(self.kernel).arguments
+        return tuple(i for i, a in enumerate(arguments) if "float" in str(a.type))
 
     def _count_results(self) -> int:
         return 0 if self.kernel is None else len(schema_of(self.kernel).returns)
@@ -564,6 +591,16 @@ def linearize(f: Callable[..., Any], *tensors: Tensor) -> tuple[Any, Callable[..
 
 
 # --- helpers --------------------------------------------------------------------------------------------------------
+
+
+def _call_symbolic(name: str, *args: Any) -> Any:
+    """A call of operator `name` with symbolic numbers, which is one function in the graph that torch.compile writes."""
+    return _registered[name].call_symbolic(*args)
+
+
+@constant_in_graphs
+def _write_symbolic_calls_into_graphs() -> None:
+    torch.compiler.allow_in_graph(_call_symbolic)  # not when it is defined, because this imports the compiler
 
 
 def _recorded(argument: Any) -> Any:

@@ -37,8 +37,10 @@ __all__ = [
     "carry_tangents",
     "constant_in_graphs",
     "find_operator",
+    "full",
     "function_caller",
     "has_kernel",
+    "has_static_value",
     "hypot",
     "in_derivative_transform",
     "in_forward_ad",
@@ -50,6 +52,7 @@ __all__ = [
     "keep_calls_apart",
     "kernel_caller",
     "largest",
+    "linspace",
     "refuse_script",
     "schema_of",
     "smallest",
@@ -251,6 +254,27 @@ def _in_transform(*types: TransformType) -> bool:
 def in_derivative_transform() -> bool:
     """Whether torch.func.grad, vjp or jvp is active, and not only vmap. Waits for a public predicate in torch.func."""
     return in_function_transform() and _in_transform(TransformType.Grad, TransformType.Jvp)
+
+
+def has_static_value(number: float) -> bool:
+    """Whether a number is no symbol of the graph that is compiled. torch imports its module of symbols only when it compiles."""
+    return not is_compiling() or torch.fx.experimental.symbolic_shapes.has_static_value(number)
+
+
+def full(shape: tuple[int, ...], number: float, **options: Any) -> Tensor:
+    """torch.full. Waits for compilers that keep a number symbolic there, as they do in a product."""
+    if has_static_value(number):
+        return torch.full(shape, number, **options)
+    return torch.ones(shape, **options) * number
+
+
+def linspace(first: float, last: float, n: int, like: Tensor) -> Tensor:
+    """torch.linspace of the type and device of `like`. Waits for one that keeps a number of steps symbolic in a graph."""
+    if has_static_value(n):
+        return torch.linspace(first, last, n, dtype=like.dtype, device=like.device)
+    at = torch.arange(n, dtype=like.dtype, device=like.device)
+    step = (last - first) / (n - 1)
+    return torch.where(at < n // 2, first + step * at, last - step * (n - 1 - at))
 
 
 def largest(*sizes: int) -> int:

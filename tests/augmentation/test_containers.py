@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor, nn
+from torch._dynamo.testing import CompileCounterWithBackend
 
 import kvision.augmentation as A
 from benchmarks.sample_calls.augmentations import GEOMETRIC, MAPS, Augmentation
@@ -426,25 +427,54 @@ def test_cells_of_a_grid(device: torch.device) -> None:
 @pytest.mark.tracing
 @pytest.mark.parametrize("crop", [A.RandomResizedCrop((9, 11)), A.Resize((9, 11))], ids=["crop", "resize"])
 def test_compiles_with_labels(crop: nn.Module) -> None:
+    """Two graphs serve all sizes and seeds."""
+    torch.compiler.reset()
     augment = A.AugmentationSequential(
         crop,
         A.RandomHorizontalFlip(),
         A.ColorJitter(0.2, 0.2, 0.2, 0.1),
-        data_keys=["image", "mask", "keypoints"],
+        data_keys=["image", "mask", "bbox_xyxy", "keypoints"],
     )
-    inputs = torch.rand(4, 3, 16, 20), torch.rand(4, 1, 16, 20) > 0.5, 10 * torch.rand(4, 2, 2)
-    compiled = torch.compile(lambda *x: augment(*x, seed=4), fullgraph=True, backend="aot_eager")
-    for y, expected in zip(compiled(*inputs), augment(*inputs, seed=4)):
-        torch.testing.assert_close(y, expected)
+    backend = CompileCounterWithBackend("aot_eager")
+    compiled = torch.compile(augment, fullgraph=True, backend=backend)
+    for i in range(3):
+        x, points = torch.rand(4 + i, 3, 16 + i, 20 + 2 * i), 10 * torch.rand(4 + i, 2, 2)
+        inputs = x, x[:, :1] > 0.5, torch.cat([points, points + 2], -1), points
+        for y, expected in zip(compiled(*inputs, seed=i), augment(*inputs, seed=i)):
+            torch.testing.assert_close(y, expected)
+    assert backend.frame_count <= 2
+
+
+@pytest.mark.tracing
+def test_choices_of_the_host_have_no_graph() -> None:
+    """With fullgraph=True a sentence says so; without it the graph breaks and the result is the eager one."""
+    torch.compiler.reset()
+    blur, x = A.RandomMotionBlur((3, 7), 30.0, 0.5, p=1.0), images()
+    chain = A.ImageSequential(A.RandomInvert(p=1.0), A.RandomHorizontalFlip(p=1.0), random_apply=True)
+    for augment in (chain, blur, A.RandomCrop((8, 8), p=0.5), A.RandomRotation(30.0, expand=True)):
+        sentence = f"{type(augment).__name__}: a random choice that changes sizes or modules is made on the host"
+        with pytest.raises(RuntimeError, match=sentence):
+            torch.compile(augment, fullgraph=True, backend="eager")(x)
+    results = []
+    for call in (chain, torch.compile(chain, backend="eager")):
+        torch.manual_seed(1)
+        results.append(call(x))
+    torch.testing.assert_close(*results)
+    one = torch.compile(lambda x: chain(x, seed=4), fullgraph=True, backend="eager")
+    assert torch.equal(one(x), chain(x, seed=4))  # chosen when it is compiled
 
 
 @pytest.mark.tracing
 @pytest.mark.parametrize("compiler", ["aot_eager", "inductor"])
 def test_compiled_calls_draw_what_eager_calls_draw(compiler: str) -> None:
+    torch.compiler.reset()
     nested = A.ImageSequential(A.ColorJitter(*JITTER), A.RandomGaussianNoise(0.0, 0.1, p=1.0))
     augment, x = A.ImageSequential(A.RandomAffine(30.0, p=0.5), A.RandomHorizontalFlip(), nested), images()
-    compiled = torch.compile(lambda x: augment(x), fullgraph=True, backend=compiler)
-    compiled(x)
+    backend = CompileCounterWithBackend(compiler)
+    compiled = torch.compile(augment, fullgraph=True, backend=backend)
+    for i in range(3):
+        compiled(images()[:, :, : 16 - i])
+    assert backend.frame_count <= 2
     torch.manual_seed(1)
     expected, state = [augment(x), augment(x)], torch.get_rng_state()
     torch.manual_seed(1)

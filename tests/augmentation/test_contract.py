@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
+from torch._dynamo.testing import CompileCounterWithBackend
 from torch.utils import _pytree as pytree
 
 import kvision.augmentation as A
@@ -349,17 +350,39 @@ def test_return_transform(case: Augmentation) -> None:
 @pytest.mark.tracing
 @names
 def test_compiles(case: Augmentation) -> None:
-    """With a seed, and with torch's generator, from which compiled calls draw what eager calls draw."""
+    """Two graphs serve all sizes and seeds, also of many classes in a process; one more draws what eager calls draw."""
     if case.one_kernel:
         pytest.skip("the host reads the size of a kernel, where this has a range")
-    torch.compiler.reset()  # one function is compiled for all classes
-    x, augment = images(), case.make(**({} if case.changes_size else {"p": 0.7}))
-    compiled = torch.compile(lambda x, seed: augment(x, seed=seed), fullgraph=True, backend="aot_eager")
-    torch.testing.assert_close(compiled(x, 4), augment(x, seed=4))
+    augment, backend = case.make(**({} if case.changes_size else {"p": 0.7})), CompileCounterWithBackend("aot_eager")
+    compiled = torch.compile(augment, fullgraph=True, backend=backend)
+    sizes = [(2, 18, 21), (3, 20, 24), (5, 33, 22), (4, 19, 32)]
+    for seed, (batch, *size) in enumerate(sizes):
+        x = torch.rand(batch, 3, *size)
+        torch.testing.assert_close(compiled(x, seed=seed), augment(x, seed=seed))
+    assert backend.frame_count <= 2
     torch.manual_seed(1)
-    y = compiled(x, None)
+    y = compiled(x)
     torch.manual_seed(1)
     torch.testing.assert_close(y, augment(x))
+
+
+def test_no_two_classes_have_the_code_of_one_forward() -> None:
+    """torch.compile keeps eight graphs of a code. Mixed-in methods still precede inherited ones."""
+    classes = {getattr(A, name) for name in A.__all__ if inspect.isclass(getattr(A, name))}
+    modules = [c for c in classes if issubclass(c, (AugmentationBase, A.ImageSequential))]
+    assert len({id(c.forward.__code__) for c in modules}) == len(modules) > 75
+
+    class Half:
+        def forward(self, x: Tensor) -> Tensor:
+            return super().forward(x) / 2
+
+    class Own(A.RandomHorizontalFlip):
+        pass
+
+    class Mixed(Own, Half, A.RandomVerticalFlip):
+        pass
+
+    assert torch.equal(Mixed(p=1.0)(torch.ones(1, 1, 2, 2)), torch.full((1, 1, 2, 2), 0.5))
 
 
 @pytest.mark.tracing

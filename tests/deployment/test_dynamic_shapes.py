@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from torch import nn
+from torch._dynamo.testing import CompileCounterWithBackend
 from torch.export import Dim
 
 import kvision as K
@@ -71,6 +72,33 @@ def test_compile_with_dynamic_sizes(device):
         assert_close(y, expected)
         assert_close(*(torch.autograd.grad(z.square().sum(), x)[0] for z in (y, expected)))
     assert len(graphs) == 1
+
+
+NUMBERS = {
+    "gaussian_blur2d": lambda x, n: K.filters.gaussian_blur2d(x, (5, 5), (n, n + 0.1)),
+    "bilateral_blur": lambda x, n: K.filters.bilateral_blur(x, (3, 3), n, (n, n)),
+    "unsharp_mask": lambda x, n: K.filters.unsharp_mask(x, (5, 5), (n, n)),
+    "motion_blur": lambda x, n: K.filters.motion_blur(x, 3, 90 * n, n),
+    "canny": lambda x, n: K.filters.canny(x, 0.1 * n, 0.2 * n)[0],
+    "adjust_gamma": lambda x, n: K.enhance.adjust_gamma(x, n),
+    "adjust_hue": lambda x, n: K.enhance.adjust_hue(x, n),
+    "psnr": lambda x, n: K.metrics.psnr(x, x.flip(0), n),
+}
+
+
+@pytest.mark.tracing
+@pytest.mark.parametrize("name", NUMBERS)
+def test_compile_with_dynamic_numbers(name, device):
+    """Two graphs serve all numbers and sizes, values and gradients."""
+    torch._dynamo.reset()
+    backend = CompileCounterWithBackend("aot_eager")
+    call, compiled = NUMBERS[name], torch.compile(NUMBERS[name], fullgraph=True, backend=backend)
+    for i, number in enumerate((0.3, 0.41, 0.37, 0.5)):
+        x = torch.rand(2 + i, 3, 9 + i, 11 + i, device=device, requires_grad=True)
+        values = [f(x, number) for f in (compiled, call)]
+        assert_close(*values)
+        assert_close(*(torch.autograd.grad(y.square().sum(), x)[0] for y in values), 1e-4, 1e-5)
+    assert backend.frame_count <= 2
 
 
 @pytest.mark.tracing

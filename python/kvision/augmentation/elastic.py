@@ -11,6 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision._ops import match_layout
+from kvision._torch_compat import linspace
 from kvision.augmentation import maps
 from kvision.augmentation.base import AugmentationBase2D, Execution, Params, inverse_at, where_chosen
 from kvision.augmentation.base.contribution import Contribution, Motion
@@ -140,7 +141,7 @@ class MapAugmentation(AugmentationBase2D, keeps_contract=True):
 
 def _grid(height: int, width: int, like: Tensor) -> Tensor:
     """(2, H, W): the coordinates x and y of the pixels, from -1 to 1 at the centers of the outermost ones."""
-    y, x = (torch.linspace(-1, 1, n, dtype=like.dtype, device=like.device) for n in (height, width))
+    y, x = (linspace(-1, 1, n, like) for n in (height, width))
     return torch.stack([x.expand(height, width), y[:, None].expand(height, width)])
 
 

@@ -13,7 +13,7 @@ from torch.utils.data import get_worker_info
 
 from kvision import _check
 from kvision._ops import flatten_batches, register_random
-from kvision._torch_compat import in_function_transform, is_mapped
+from kvision._torch_compat import has_static_value, in_function_transform, is_mapped
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 Seed = int | Tensor | None
@@ -29,6 +29,7 @@ class Keys(NamedTuple):
     keys: Tensor
     seeds: Tensor | None = None
     one_key: bool = False
+    number: int | None = None  # the one key, where the host knows it
 
     def seeds_on(self, device: torch.device) -> Tensor | None:
         """The seeds for an operator on this device, without waiting for it."""
@@ -40,11 +41,23 @@ class Keys(NamedTuple):
 
     def on_host(self, op: str) -> list[int]:
         """The keys as numbers, for decisions about sizes and modules."""
+        if self.number is not None:
+            return [self.number]
+        refuse_graphs(op)
         keys = self.keys if self.seeds is None or not len(self.seeds) else self.seeds[:1]
         if keys.is_cuda:
             refuse_capture(op)
         refuse_mapped(op, keys)
         return [int(k) for k in keys.tolist()]
+
+
+def refuse_graphs(op: str) -> None:
+    """Raise while torch.compile traces, whose graph has no choices of the host; without fullgraph=True it calls eagerly then."""
+    if is_compiling():
+        raise RuntimeError(
+            f"{op}: a random choice that changes sizes or modules is made on the host and has no graph; use p=0 or 1, one size "
+            "of a kernel, and no random_apply, or torch.compile without fullgraph=True"
+        )
 
 
 def refuse_capture(op: str) -> None:
@@ -200,7 +213,10 @@ def _from_seed(op: str, seed: int | Tensor) -> Keys:
     seed = _check.scalar(op, "seed", seed)
     if not isinstance(seed, int) or isinstance(seed, bool):
         raise TypeCheckError(f"{op}: expected seed to be an int or an int64 tensor, got {type(seed).__name__}")
-    return Keys(torch.tensor([_as_int64(seed)], device="cpu"), None, True)
+    if not has_static_value(seed):  # an int64, whose value the graph does not know
+        return Keys(torch.tensor([seed], device="cpu"), None, True)
+    number = _as_int64(seed)
+    return Keys(torch.tensor([number], device="cpu"), None, True, number)
 
 
 def _as_int64(number: int) -> int:

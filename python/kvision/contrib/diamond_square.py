@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import torch
@@ -65,8 +64,7 @@ def diamond_square(
         _per_plane(op, name, value, b, c, device, dtype)
         for name, value in (("roughness", roughness), ("random_scale", random_scale))
     )
-    # The sides have 2 ** n + 1 pixels and halve until the shorter one has 3.
-    steps = [max(1, math.ceil(math.log2(max(n, 3) - 1))) for n in (h, w)]
+    steps = [_halvings(n) for n in (h, w)]
     doublings = min(steps) - 1
     rows, columns = (2 ** (n - doublings) + 1 for n in steps)
     noise = random_fn([planes, 1, 2, (max(rows, columns) + 1) // 2], device=device, dtype=dtype)
@@ -79,6 +77,14 @@ def diamond_square(
         return image
     low, high = normalize_range
     return normalize_min_max(image, float(low), float(high))
+
+
+def _halvings(n: int) -> int:
+    """How often a side of at least n pixels, 2 ** k + 1, halves: at least once, to 3. A graph of other sizes knows the number."""
+    k = 1
+    while 2**k + 1 < n:
+        k += 1
+    return k
 
 
 def _per_plane(

@@ -17,7 +17,7 @@ from torch.compiler import is_compiling
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modes import POINT_LOSS
 from kvision._ops import register
-from kvision._torch_compat import hypot
+from kvision._torch_compat import full, hypot
 
 
 def _charbonnier(x: Tensor, y: Tensor) -> Tensor:
@@ -144,7 +144,11 @@ def total(kind: str, x: Tensor, y: Tensor, factor: float, decibels: float = 0.0)
     row = (1, x.numel())
     sums = _sum(x.reshape(row), y.reshape(row), POINT_LOSS[kind], 1.0 if traced else factor, decibels)[0]
     if traced:
-        sums = sums * factor if decibels == 0 else sums + decibels * sums.new_full((), factor).log10()
+        sums = (
+            sums * factor
+            if decibels == 0
+            else sums + decibels * full((), factor, dtype=sums.dtype, device=sums.device).log10()
+        )
     return as_dtype(sums, dtype)
 
 

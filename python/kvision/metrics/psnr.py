@@ -46,5 +46,5 @@ def decibels_of_ratio(op: str, image: Tensor, target: Tensor, max_val: float, de
     if not _check.number(op, "max_val", max_val) > 0:
         raise ValueCheckError(f"{op}: expected max_val above 0, got {max_val!r}", actual_value=max_val)
     x = floats(image)
-    factor = 1 / (x.numel() * max_val**2) if x.numel() else math.nan
+    factor = 1 / (x.numel() * max_val * max_val) if x.numel() else math.nan
     return total("square", x, floats(target), factor, decibels)

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
+from kvision._modules import give_own_forward
 from kvision.augmentation.base.execution import Execution, Params, replaying
 from kvision.augmentation.base.one_pass import OnePass
 from kvision.augmentation.base.samples import (
@@ -34,6 +35,10 @@ __all__ = [
 
 class AugmentationBase(OnePass, keeps_contract=True):
     """What augmentations of images and of volumes share; see the package."""
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        give_own_forward(cls)
 
     def validate_tensor(self, input: Tensor) -> None:
         """Raise unless `input` is a tensor of a type of images with at most a batch of images that have pixels."""

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator, Tensor, nn
 
+from kvision._modules import give_own_forward
 from kvision._ops import FLOATS
 from kvision.augmentation.base import (
     AugmentationBase,
@@ -45,7 +46,7 @@ from kvision.augmentation.inputs import (
     in_type_of,
 )
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
-from kvision.augmentation.keys import Seed, check_seeds, draw_keys, refuse_capture
+from kvision.augmentation.keys import Seed, check_seeds, draw_keys, refuse_capture, refuse_graphs
 from kvision.augmentation.warp_and_color import SAME, Output
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
@@ -91,6 +92,10 @@ class ImageSequentialBase(KeepsArguments, nn.Sequential):
 
     _record: Record = Record()  # of the last call; nothing else of a call is kept
     generator: Generator | None = None
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        give_own_forward(cls)
 
     def __init__(self, *args: nn.Module, same_on_batch: bool | None = None, keepdim: bool | None = None) -> None:
         op = type(self).__name__
@@ -300,6 +305,7 @@ class ImageSequential(ImageSequentialBase):
 
     def _sequences_of_samples(self, source: Randomness, samples: int) -> list[list[int]]:
         """The numbers of the children of each sample, whose seeds the call has."""
+        refuse_graphs(source.op)
         check_seeds(source.op, draw_keys(source.op, 1, torch.device("cpu"), source.seed, None), samples)
         assert isinstance(source.seed, Tensor)
         return self._choices().of_seeds(_moved(source.seed, source.position))

@@ -316,7 +316,7 @@ def _plan_run(
     first = position if one_key else 0
     shape: Shape = tuple(x.shape)
     batch = shape[0]
-    samples = len(range(0, batch, source.frames))
+    samples = -(-batch // source.frames)  # which stays symbolic in a graph
     shapes, numbers, applied = [], [], []
     requests: list[Request] = []
     drawing: list[AugmentationBase] = []  # of each request

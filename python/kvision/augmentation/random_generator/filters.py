@@ -11,6 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
+from kvision.augmentation.keys import refuse_graphs
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
@@ -113,7 +114,10 @@ class MotionBlurGenerator(RandomGeneratorBase):
 
     def _sizes_on_host(self, ksize: Tensor) -> list[int]:
         """The sizes of samples; one for all if it is the same."""
-        sizes = [self._sizes[0]] if self._has_one_size or ksize.numel() == 0 else ksize.tolist()
+        if self._has_one_size or ksize.numel() == 0:
+            return [self._sizes[0]]
+        refuse_graphs(self.op)
+        sizes = ksize.tolist()
         return sizes if len(set(sizes)) > 1 else sizes[:1]
 
     def _sizes_of_samples(self, columns: Tensor) -> Tensor:

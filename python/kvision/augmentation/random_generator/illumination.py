@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._torch_compat import linspace
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import integer
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
@@ -146,7 +147,7 @@ def _ramp(size: int, light: Tensor, is_reversed: Tensor) -> Tensor:
     """From 0 to light (B,) along an axis, or back where `is_reversed` (B,) is 1: (B, size); 0 along one pixel."""
     if size == 1:
         return torch.zeros_like(light)[:, None]
-    ramp = torch.linspace(0, 1, size, dtype=light.dtype, device=light.device)
+    ramp = linspace(0, 1, size, light)
     return light[:, None] * (is_reversed[:, None] - ramp).abs()
 
 

@@ -59,7 +59,7 @@ class PerspectiveGenerator(RandomGeneratorBase):
             for coordinate, sign, size in zip(corner, signs, (shape[-1], shape[-2])):
                 most = self.distortion_scale * size / 2
                 if self.sampling_method == "basic":
-                    low, high = sorted((coordinate, coordinate + sign * most))
+                    low, high = (coordinate, coordinate + most) if sign > 0 else (coordinate - most, coordinate)
                 else:
                     low, high = coordinate - most, coordinate + most
                 draws.append(uniform(low, high, coordinate))

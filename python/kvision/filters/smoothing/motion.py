@@ -13,6 +13,7 @@ from kvision._clamp import clamp
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import VOLUME, FunctionModule
 from kvision._ops import no_derivative, register
+from kvision._torch_compat import full
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.filter2d import filter_images
 from kvision.filters.filter3d import filter_volumes
@@ -258,7 +259,7 @@ def _rows(op: str, name: str, value: object, count: int, device: torch.device | 
         raise TypeCheckError(f"{op}: expected {name} to be a Tensor or numbers, got {value!r}", actual_type=type(value))
     if len(numbers) != count or not all(_check.fits_float(v) and -math.inf < v < math.inf for v in numbers):
         raise ValueCheckError(f"{op}: expected {name} to be {count} finite numbers, got {value!r}", actual_value=value)
-    columns = [torch.full((1, 1), float(v), device=device, dtype=dtype) for v in numbers]
+    columns = [full((1, 1), float(v), device=device, dtype=dtype) for v in numbers]
     return columns[0] if count == 1 else torch.cat(columns, 1)
 
 

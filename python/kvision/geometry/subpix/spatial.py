@@ -16,6 +16,7 @@ from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._leading import broadcast_shapes, expand_to_batch
 from kvision._modules import FunctionModule
 from kvision._ops import register, vjp
+from kvision._torch_compat import linspace
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry._formula import batch_of
 
@@ -155,7 +156,7 @@ _expectation = register(
 
 def _axis(n: int, normalized: bool, like: Tensor) -> Tensor:
     first, last = (-1.0, 1.0) if normalized else (0.0, n - 1.0)
-    return torch.linspace(first, last, n, dtype=like.dtype, device=like.device)
+    return linspace(first, last, n, like)
 
 
 def spatial_soft_argmax2d(

@@ -5,7 +5,7 @@
     python examples/process_folder.py PHOTO.jpg RESULTS                         an image of your own
     python examples/process_folder.py LIST.txt RESULTS                          a path or URL in each line; URLs take fsspec
     ... --device cuda --decoder torchvision                                     JPEG files are decoded on the GPU
-    ... --engine ray --actors 8                                                 pip install "kvision[ray]"; RAY_ADDRESS says where
+    ... --engine ray --actors 8                                                 pip install ".[ray]"; RAY_ADDRESS says where
 
 A step of the pipeline is a Python expression for an nn.Module that takes images (B, 3, H, W) in [0, 1], or uint8 with --uint8;
 images of one size go through it together. The result of PICTURES/a/b.jpg is RESULTS/a/b.jpg.png. It appears complete or not at all,
@@ -598,7 +598,7 @@ def check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
         except (OSError, UnicodeDecodeError) as error:
             parser.error(f"{options.source}: expected a text file with a path or URL in each line: {words(error)}")
     if options.engine == "ray" and importlib.util.find_spec("ray") is None:
-        parser.error('--engine ray: Ray is not installed: pip install "kvision[ray]"')
+        parser.error('--engine ray: Ray is not installed: pip install ".[ray]"')
     if options.decoder != "opencv" and (options.engine == "ray" or options.decoder not in decoders(device)):
         parser.error(f"--decoder {options.decoder}: expected one of {', '.join(decoders(device))} here")
     try:

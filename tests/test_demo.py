@@ -114,7 +114,11 @@ runpy.run_module("kvision.demo", run_name="__main__")
         [sys.executable, "-W", "ignore", "-c", program], capture_output=True, text=True, check=False
     )
     assert result.returncode == 1
-    assert result.stderr == f'kvision.demo needs {name}: pip install "kvision[demo]"\n'
+    assert result.stderr == f'kvision.demo needs {name}: pip install ".[demo]"\n'
+    if package == "tqdm":
+        program = program.replace('"--device"', '"--help", "--device"')
+        result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+        assert result.stdout.startswith("usage: python -m kvision.demo")
 
 
 def test_an_output_folder_that_is_a_file_is_named(photos, capsys):

@@ -279,7 +279,7 @@ def test_missing_package_is_reported(name: str, tmp_path: Path, monkeypatch, cap
     if name == "train_distributed":
         assert last.endswith("error: needs torchvision: pip install torchvision")
     else:
-        assert re.search(r'error: needs \w+: pip install "kvision\[examples\]"$', last)
+        assert re.search(r'error: needs \w+: pip install "\.\[examples\]"$', last)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -16,6 +15,7 @@ from torch import Tensor
 import kvision
 from kvision._trace import native_operators
 from kvision.core.exceptions import DeviceError, ImageError
+from kvision.demo.arguments import demo_parser
 from kvision.io import get_sample_images, load_image, write_image
 
 try:
@@ -27,7 +27,9 @@ try:
 except ModuleNotFoundError as error:
     if __name__ != "__main__":
         raise
-    sys.exit(f'kvision.demo needs {error.name}: pip install "kvision[demo]"')
+    if not {"-h", "--help"}.isdisjoint(sys.argv[1:]):
+        demo_parser().parse_args()  # the text needs no package
+    sys.exit(f'kvision.demo needs {error.name}: pip install ".[demo]"')
 
 SHEETS = [filters.SHEET, color.SHEET, geometry.SHEET, morphology.SHEET, features.SHEET]
 SAMPLES = ("astronaut", "chelsea", "coffee", "rocket")
@@ -36,13 +38,13 @@ STEPS = 150  # of the restoration
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    options = parser().parse_args(arguments)
+    options = demo_parser().parse_args(arguments)
     try:
         device = chosen_device(options.device)
         names, photos = load(options.images)
         options.out.mkdir(parents=True, exist_ok=True)
     except ImportError:  # of the photographs
-        print('kvision.demo needs scikit-image: pip install "kvision[demo]"', file=sys.stderr)
+        print('kvision.demo needs scikit-image: pip install ".[demo]"', file=sys.stderr)
         return 1
     except (OSError, DeviceError, ImageError) as error:
         print(f"kvision.demo: {error}", file=sys.stderr)
@@ -97,14 +99,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         + f"gallery: {path}"
     )
     return 0
-
-
-def parser() -> argparse.ArgumentParser:
-    parse = argparse.ArgumentParser(prog="python -m kvision.demo", description=__doc__)
-    parse.add_argument("images", nargs="*", type=Path, metavar="IMAGE", help="any file OpenCV reads; default: samples")
-    parse.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="default: out/demo")
-    parse.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
-    return parse
 
 
 def chosen_device(name: str) -> torch.device:

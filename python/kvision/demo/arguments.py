@@ -14,6 +14,17 @@ from kvision.core.exceptions import ImageError
 from kvision.io import load_image
 
 
+def demo_parser() -> argparse.ArgumentParser:
+    """The command line of the demo."""
+    parse = argparse.ArgumentParser(
+        prog="python -m kvision.demo", description="Photographs in, a gallery of filtered ones out."
+    )
+    parse.add_argument("images", nargs="*", type=Path, metavar="IMAGE", help="any file OpenCV reads; default: samples")
+    parse.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="default: out/demo")
+    parse.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+    return parse
+
+
 def device_of(parser: argparse.ArgumentParser, name: str, index: int | None = None) -> torch.device:
     """The device of `--device`; without a number, the GPU of this index."""
     try:
@@ -36,7 +47,7 @@ def require(parser: argparse.ArgumentParser, *modules: str) -> None:
     """Modules that kvision itself does not need; called before a program starts to compute."""
     for name in modules:
         if importlib.util.find_spec(name) is None:
-            parser.error(f"needs {name}: pip install " + ('"kvision[examples]"' if name in EXTRA else name))
+            parser.error(f"needs {name}: pip install " + ('".[examples]"' if name in EXTRA else name))
 
 
 def make_folder(parser: argparse.ArgumentParser, path: Path) -> None:

@@ -164,3 +164,26 @@ def test_grid_of_the_warper_is_kornias(device):
     expected = kornia.DepthWarper(kornia.PinholeCamera(eye, eye, size, size), 4, 5).grid
     camera = G.PinholeCamera(*(x.to(device) for x in (eye, eye, size, size)))
     assert_close(G.DepthWarper(camera, 4, 5).grid, expected.to(device))
+
+
+def test_a_grid_that_is_set_chooses_the_pixels(device):
+    kornia = pytest.importorskip("kornia").geometry
+    x = torch.rand(2, 3, 15, 19, dtype=torch.float64, device=device)
+    d = depth(x).to(device).requires_grad_()
+    pair = []
+    for module in (G, kornia):
+        warper = module.DepthWarper(cameras(2, 20.0, device, module), 15, 19)
+        warper.compute_projection_matrix(cameras(2, 21.0, device, module))
+        own = warper(d, x)
+        warper.grid = warper.grid.to(x) * 0.5 + torch.tensor([1.0, 2.0, 0.5], device=device)
+        pair.append(warper(d, x))
+        assert (pair[-1] - own).abs().max() > 0.1
+    assert_close(*pair)
+    assert_close(torch.nn.functional.grid_sample(x, warper.warp_grid(d), align_corners=True), pair[0])
+    (of_depth,) = torch.autograd.grad(pair[0].sum(), d)
+    assert of_depth.abs().sum() > 0
+    warper = G.DepthWarper(cameras(1, 20.0, device), 15, 19).compute_projection_matrix(cameras(1, 21.0, device))
+    warper.grid = warper.grid
+    assert_close(warper(d[:1], x), G.depth_warp(*(cameras(1, f, device) for f in (20.0, 21.0)), d[:1], x, 15, 19))
+    with pytest.raises(ValueError, match=r"DepthWarper: expected grid of shape \(B, 15, 19, 3\), got \(1, 4, 5, 3\)"):
+        warper.grid = torch.zeros(1, 4, 5, 3)

@@ -16,7 +16,7 @@ from kvision.geometry.camera import PinholeCamera
 from kvision.geometry.depth.points import depth_points
 from kvision.geometry.grid import create_meshgrid
 from kvision.geometry.linalg import adjugate, inverse3x3
-from kvision.geometry.transform import sampling
+from kvision.geometry.transform import remap, sampling
 from kvision.geometry.transform.nearest import as_values, of_values
 
 __all__ = ["DepthWarper", "depth_warp", "warp_frame_depth"]
@@ -27,18 +27,23 @@ _PADDINGS = ("zeros", "border", "reflection")
 # --- the definition -------------------------------------------------------------------------------------------------
 
 
-def source_coords(depth: Tensor, projection: Tensor) -> list[Tensor]:
+def source_coords(depth: Tensor, projection: Tensor, pixels: Tensor | None = None) -> list[Tensor]:
     """Coordinates u and v, (B, h, w), of the pixels of depth images (B, 1, h, w) in a source image; NaN behind its camera.
 
-    (u, v, 1) is proportional to d A (x, y, 1) + b with `projection` = [A | b], (B, 3, 4).
+    (u, v, 1) is proportional to d A (x, y, 1) + b with `projection` = [A | b], (B, 3, 4). `pixels`, (B or 1, h, w, 3), are other
+    (x, y, 1) than those of the depth's own pixels.
     """
     h, w = depth.shape[2:]
-    x = torch.arange(w, dtype=depth.dtype, device=depth.device)
-    y = torch.arange(h, dtype=depth.dtype, device=depth.device)[:, None]
+    if pixels is None:
+        x = torch.arange(w, dtype=depth.dtype, device=depth.device)
+        y = torch.arange(h, dtype=depth.dtype, device=depth.device)[:, None]
+    else:
+        x, y, scale = pixels.to(depth).unbind(-1)
     # Pixels whose values are not finite have no coordinates. They are 0 here, because NaN times a gradient of 0 is NaN.
     finite_depth, finite_projection = depth[:, 0].isfinite(), projection.isfinite().flatten(1).all(1)[:, None, None]
     d, m = torch.where(finite_depth, depth[:, 0], 0), torch.where(finite_projection, projection, 0)[..., None, None]
-    u, v, z = ((m[:, k, 0] * x + (m[:, k, 1] * y + m[:, k, 2])) * d + m[:, k, 3] for k in range(3))
+    last = [m[:, k, 2] if pixels is None else m[:, k, 2] * scale for k in range(3)]
+    u, v, z = ((m[:, k, 0] * x + (m[:, k, 1] * y + last[k])) * d + m[:, k, 3] for k in range(3))
     in_front = finite_depth & (z > 0) & (u / z).isfinite() & (v / z).isfinite()
     u, v, z = (torch.where(in_front, value, 1) for value in (u, v, z))
     return [torch.where(in_front, value / z, torch.nan) for value in (u, v)]
@@ -289,6 +294,7 @@ class DepthWarper(nn.Module):
         self.padding_mode = padding_mode
         self.align_corners = align_corners
         self._pinhole_dst = pinhole_dst
+        self._grid: Tensor | None = None
         self._projection: Tensor | None = None
 
     def extra_repr(self) -> str:
@@ -307,10 +313,19 @@ class DepthWarper(nn.Module):
 
     @property
     def grid(self) -> Tensor:
-        """The source's pixels (1, H, W, 3) as (x, y, 1)."""
+        """The source's pixels (1, H, W, 3) as (x, y, 1): those of the depth map, unless others are set."""
+        if self._grid is not None:
+            return self._grid
         like = self._pinhole_dst.intrinsics
         pixels = create_meshgrid(self.height, self.width, False, like.device, like.dtype)
         return torch.nn.functional.pad(pixels, (0, 1), value=1.0)
+
+    @grid.setter
+    def grid(self, pixels: Tensor) -> None:
+        op = type(self).__name__
+        _check.shape(op, "grid", pixels, "B", self.height, self.width, 3)
+        _check.floating(op, "grid", pixels)
+        self._grid = pixels
 
     @property
     def projection(self) -> Tensor:
@@ -339,7 +354,7 @@ class DepthWarper(nn.Module):
         depth_src = self._checked(depth_src)
         projection = self.projection.to(depth_src.dtype)
         batch = max(depth_src.shape[0], projection.shape[0])
-        coords = source_coords(depth_src.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1))
+        coords = source_coords(depth_src.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1), self._grid)
         sizes = (self.width, self.height)
         return torch.stack([2 * p / (n - 1) - 1 if n > 1 else p - 1 for p, n in zip(coords, sizes)], -1)
 
@@ -353,6 +368,10 @@ class DepthWarper(nn.Module):
         op, projection = type(self).__name__, self.projection
         _check.images(op, "patch_dst", patch_dst)
         _check.same_device(op, depth_src=depth_src, patch_dst=patch_dst, projection=projection)
+        if self._grid is not None:
+            coords = source_coords(depth_src, projection.to(depth_src.dtype), self._grid)
+            options = self.mode, self.padding_mode, self.align_corners
+            return remap(patch_dst, *(x.to(floats(patch_dst).dtype) for x in coords), *options)
         return _warped(op, patch_dst, depth_src, projection, self.mode, self.padding_mode, self.align_corners)
 
 

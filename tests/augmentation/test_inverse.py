@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 import kvision.augmentation as A
 
@@ -187,3 +187,23 @@ def test_predictions_of_another_size_of_videos(device: torch.device) -> None:
             assert torch.equal(
                 augment.known_pixels(small, params=params), at_centers(known, [11, 16]).unflatten(0, (2, 3))
             )
+
+
+def test_parameters_that_say_no_size(device: torch.device) -> None:
+    """Those of empty containers, grids and other modules; images, or the last call, have it."""
+    x, points = torch.rand(2, 3, 16, 16, device=device), torch.rand(2, 4, 2, device=device)
+    noise = A.RandomGaussianNoise(p=1.0)
+    for children in (
+        [],
+        [A.ImageSequential(), A.RandomHorizontalFlip(p=1.0)],
+        [A.PatchSequential(noise, patchwise_apply=False)],
+        [nn.Upsample(scale_factor=1)],
+    ):
+        augment = A.AugmentationSequential(*children, data_keys=["input", "keypoints"])
+        y, moved = augment(x, points)
+        params = augment._params
+        assert torch.equal(augment(points, params=params, data_keys=["keypoints"]), moved)
+        back, points_back = augment.inverse(y[..., ::2, ::2], moved, params=params)
+        assert back.shape == (2, 3, 8, 8)
+        torch.testing.assert_close(points_back, points)
+        assert augment.known_pixels(y, params=params).shape == (2, 1, 16, 16)

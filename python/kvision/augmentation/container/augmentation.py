@@ -307,7 +307,7 @@ class AugmentationSequential(ImageSequential):
 
     def _move_alone(self, keys: list[DataKey], inputs: list[Any], params: Any) -> tuple[list[Any], Record]:
         """Labels without their images, moved by the last call or by given parameters."""
-        last, record = self._record, self._record_of(torch.zeros(1, device="cpu"), params)
+        last, record = self._record, self._record_of(_no_image(), params)
         inputs, restore = _of_frames(last.videos, keys, inputs)
         moves = LabelRecord(self._label_settings, record.shape, record.size)
         outputs = moves.move(keys, inputs, record.stages)
@@ -379,7 +379,8 @@ class AugmentationSequential(ImageSequential):
         if DataKey.INPUT in keys:
             videos = self._video_layout(inputs[keys.index(DataKey.INPUT)])
         inputs, restore = _of_frames(videos, keys, inputs)
-        record = self._record_of(torch.zeros(1, device="cpu"), params)
+        images = self.transform_tensor(inputs[keys.index(DataKey.INPUT)]) if DataKey.INPUT in keys else _no_image()
+        record = self._record_of(images, params)
         stages, size = record.stages, record.size
         outputs = []
         for key, value in zip(keys, inputs):
@@ -405,6 +406,11 @@ class AugmentationSequential(ImageSequential):
         videos = self._video_layout(output)
         known = super().known_pixels(output if videos is None else videos.frames(output), params)
         return known if videos is None else videos.videos(known)
+
+
+def _no_image() -> Tensor:
+    """An image of no size, for labels that come without theirs."""
+    return torch.zeros(1, 1, 1, 1, device="cpu")
 
 
 def _masks_back(masks: Any, stages: Sequence[Stage], size: Sequence[int]) -> Any:

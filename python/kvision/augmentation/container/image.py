@@ -541,7 +541,7 @@ class ImageSequential(ImageSequentialBase):
         """The last call, or one with given parameters on images of which only the size counts."""
         if params is None:
             return self._record
-        image = x.new_zeros(1).expand(_input_shape(params) or tuple(x.shape))
+        image = x.new_zeros(1).expand(_input_shape(params) or self._record.shape or tuple(x.shape))
         return self._execute(image, params, self._source(None, None))[1]
 
     def is_intensity_only(self, strict: bool = True) -> bool:
@@ -586,8 +586,8 @@ def _input_shape(params: Sequence[ParamItem]) -> tuple[int, ...] | None:
         data = getattr(item, "data", None)  # cells of a grid say nothing about the image
         if isinstance(data, dict) and "forward_input_shape" in data:
             return tuple(int(n) for n in data["forward_input_shape"])
-        if isinstance(data, (list, tuple)):
-            return _input_shape(data)
+        if isinstance(data, (list, tuple)) and (shape := _input_shape(data)) is not None:
+            return shape
     return None
 
 

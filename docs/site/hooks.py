@@ -2,7 +2,9 @@
 
 - Pages of the repository that are not below docs/ (CHANGELOG.md, CONTRIBUTING.md, ...) and the examples become pages.
 - Links between files of the repository become links of the site; those to other files become their text.
-- A page of docs/reference gets, below its tables, the docstring of every name in them, through mkdocstrings.
+- A page of docs/reference gets, below its tables, the docstring of every name in them, through mkdocstrings. Where these are many,
+  each of its sections is a page, of a family of functions.
+- Names in the reference have picture strips (strips.py).
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import posixpath
 import re
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files, InclusionLevel
@@ -45,6 +47,7 @@ THUMBNAILS = {
     "segmentation_losses": "contrib.connected_components",
     "train_distributed": "augmentation.auto.RandAugment",
 }
+FEWEST = 16  # names of a page of the reference whose sections get pages of their own
 FURTHER = {"augmentation": ("auto", "auto.operations")}  # modules whose names a page of the reference has as well
 
 
@@ -61,6 +64,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name, data in strips.strips().items():
         files.append(File.generated(config, strips.uri(name), content=data))
     files.append(File.generated(config, "reference/pictures.md", content=strips.overview(reference_of)))
+    for page, family in families().items():
+        files.append(File.generated(config, page, content=family.text))
     return files
 
 
@@ -71,11 +76,11 @@ def _example_page(config: MkDocsConfig, stem: str, content: str) -> File:
 
 def reference_of(name: str) -> str:
     """The place of a function in the reference, from a page there."""
-    first, last = name.split(".")[0], name.split(".")[-1]
-    if first != "geometry":
-        return f"{first}.md#kvision.{name}"
-    submodule = getattr(K.geometry, last).__module__.split(".")[2]
-    return f"geometry/{submodule}.md#kvision.geometry.{submodule}.{last}"
+    last = name.split(".")[-1]
+    anchor = f"kvision.{name}"
+    if name.startswith("geometry."):
+        anchor = f"{'.'.join(getattr(K.geometry, last).__module__.split('.')[:3])}.{last}"
+    return f"{posixpath.relpath(places()[anchor], 'reference')}#{anchor}"
 
 
 def first_paragraph(path: Path) -> str:
@@ -113,6 +118,8 @@ LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s#]*)(#[^)\s]*)?\)")
 
 def repository_path(uri: str) -> str:
     """Where the source of a page of the site is in the repository."""
+    if uri in families():
+        uri = families()[uri].source
     return uri if uri in PAGES or uri.startswith("examples/") else f"docs/{uri}"
 
 
@@ -177,33 +184,95 @@ def documented_path(module: Any, name: str) -> str | None:
     return f"{value.__module__}.{value.__qualname__}"
 
 
-def add_docstrings(text: str, uri: str) -> str:
+def anchor_of(uri: str, name: str) -> str | None:
+    """The public name of a row of a page of docs/reference, which is the anchor of its docstring; None where it has none."""
     dotted = uri.removeprefix("reference/").removesuffix(".md").replace("/", ".")
     package = "kvision" if dotted == "kvision" else f"kvision.{dotted}"
-    packages = [package, *(f"{package}.{name}" for name in FURTHER.get(dotted, ()))]
-    anchors: dict[str, str] = {}  # public names by the places of their docstrings
-    blocks: list[str] = []
+    for module in (package, *(f"{package}.{further}" for further in FURTHER.get(dotted, ()))):
+        if documented_path(importlib.import_module(module), name):
+            return f"{module}.{name}"
+    return None
+
+
+class Family(NamedTuple):
+    """A section of a page of docs/reference, as a page of the site."""
+
+    source: str  # the page that has it
+    title: str
+    text: str
+
+
+@functools.cache
+def families() -> dict[str, Family]:
+    """The pages of families of functions, by their address: sections with docstrings of reference pages with many."""
+    found = {}
+    for path in sorted((ROOT / "docs/reference").rglob("*.md")):
+        uri = str(path.relative_to(ROOT / "docs"))
+        if sum(anchor_of(uri, row[1]) is not None for row in ROW.finditer(path.read_text())) < FEWEST:
+            continue
+        head, *sections = re.split(r"^## ", path.read_text(), flags=re.MULTILINE)
+        for section in sections:
+            title, _, text = section.partition("\n")
+            if any(anchor_of(uri, row[1]) for row in ROW.finditer(text)):
+                slug = re.sub(r"\W+", "-", title.lower()).strip("-")
+                module = head.partition("\n")[0].removeprefix("# ")
+                found[f"{uri.removesuffix('.md')}/{slug}.md"] = Family(uri, title, f"# {module}: {title}\n{text}")
+    return found
+
+
+@functools.cache
+def places() -> dict[str, str]:
+    """The pages of docstrings, by their anchors."""
+    found: dict[str, str] = {}
+    for page, (source, _, text) in families().items():
+        for row in ROW.finditer(text):
+            found.setdefault(anchor_of(source, row[1]) or "", page)
+    for path in sorted((ROOT / "docs/reference").rglob("*.md")):
+        uri = str(path.relative_to(ROOT / "docs"))
+        for row in ROW.finditer(path.read_text()):
+            found.setdefault(anchor_of(uri, row[1]) or "", uri)
+    return found
+
+
+def add_docstrings(text: str, page: str) -> str:
+    """The text of a page with rows that lead to docstrings, and those of its own names below."""
+    source = families()[page].source if page in families() else page
+    blocks: dict[str, str] = {}
 
     def linked(row: re.Match[str]) -> str:
-        for package in packages:
-            module = importlib.import_module(package)
-            path = documented_path(module, row[1])
-            if path is None:
-                continue
-            if path not in anchors:
-                anchors[path] = f"{package}.{row[1]}"
-                members = (
-                    "null" if inspect.isclass(getattr(module, row[1])) else "false"
-                )  # null: those that pass the filters
-                blocks.append(
-                    f"::: {anchors[path]}\n    options:\n      heading: {anchors[path]}\n      toc_label: {row[1]}\n"
-                    f"      members: {members}\n"
-                )
-            return f"| [`{row[1]}`](#{anchors[path]}) |"
-        return row[0]
+        anchor = anchor_of(source, row[1])
+        if anchor is None:
+            return row[0]
+        if places()[anchor] != page:
+            return f"| [`{row[1]}`]({posixpath.relpath(places()[anchor], posixpath.dirname(page))}#{anchor}) |"
+        module, _, name = anchor.rpartition(".")
+        is_class = inspect.isclass(getattr(importlib.import_module(module), name))
+        blocks[anchor] = (
+            f"::: {anchor}\n    options:\n      heading: {anchor}\n      toc_label: {name}\n"
+            f"      members: {'null' if is_class else 'false'}\n"  # null: those that pass the filters
+        )
+        return f"| [`{name}`](#{anchor}) |"
 
     text = ROW.sub(linked, text)
-    return "\n".join([text, "", "## Names in detail", "", *blocks]) if blocks else text
+    return "\n".join([text, "", "## Names in detail", "", *blocks.values()]) if blocks else text
+
+
+def with_families(nav: Any) -> Any:
+    """The navigation with the pages of families below that of their module."""
+    if isinstance(nav, list):
+        return [with_families(entry) for entry in nav]
+    if isinstance(nav, dict):
+        return {title: with_families(entry) for title, entry in nav.items()}
+    pages = [{family.title: page} for page, family in families().items() if family.source == nav]
+    if not pages:
+        return nav
+    title = (ROOT / "docs" / nav).read_text().partition("\n")[0].removeprefix("# ")
+    return {title: [nav, *pages]}
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    config.nav = with_families(config.nav)
+    return config
 
 
 HEADING = re.compile(r'<h3 id="kvision\.[\w.]+"[^>]*class="doc doc-heading".*?</h3>', re.DOTALL)

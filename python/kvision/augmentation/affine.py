@@ -159,8 +159,7 @@ class RandomRotation(GeometricAugmentationBase2D):
         else:
             angles = execution.columns.values
         dtype = compute_dtype(x) if execution.identity is None else execution.identity[1]
-        names = self._names_of_columns(0)
-        chain = [t._bound(names) for t in self._rotation(execution.shape)]
+        chain = self._bound(self._rotation(execution.shape), None)
         rotation = transform_matrix(angles.to(x.device, dtype), chain)
         (height, width), (h, w) = execution.shape[-2:], self._canvas(execution)
         middle = constant(((w - width) / 2, (h - height) / 2), rotation)

@@ -19,10 +19,9 @@ from kvision.augmentation.base import (
     inverse_at,
 )
 from kvision.augmentation.base.contribution import Contribution, Motion
-from kvision.augmentation.columns import Span
 from kvision.augmentation.maps import exact
 from kvision.augmentation.transforms import Transform, transform_matrix
-from kvision.augmentation.warp_and_color import Pass, Resampling, fill_of_images, make_pass
+from kvision.augmentation.warp_and_color import Resampling, fill_of_images
 from kvision.constants import Resample, SamplePadding
 from kvision.geometry.linalg import transform_points
 from kvision.geometry.transform import sampling
@@ -165,14 +164,6 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         execution.keep_matrix(matrix)
         return y
 
-    def _pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
-        contribution = self._contribution(shape, flags)
-        motion = None if contribution is None else contribution.motion
-        if motion is None or motion.chain is None or not motion.reads_by_matrix:
-            return None
-        names = self._names_of_columns(0 if span is None else span.first_value)
-        return make_pass([t._bound(names) for t in motion.chain], motion.size, motion.resampling)
-
     def _warp(self, x: Tensor, matrix: Tensor, flags: dict[str, Any]) -> Tensor:
         return warp(x, matrix, self.output_size(tuple(x.shape), flags), self.resampling(flags))
 
@@ -188,8 +179,7 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         chain, columns = self.matrix_transforms(execution.shape, flags) or (), execution.columns
         if columns is None:
             return torch.empty(execution.shape[0], 0, device=x.device), list(chain)
-        names = self._names_of_columns(columns.span.first_value)
-        return columns.drawn, [t._bound(names) for t in chain]
+        return columns.drawn, self._bound(chain, columns.span)
 
     def _matrix(self, execution: Execution) -> Tensor:
         if execution.matrix is None and execution.applied and execution.columns is not None:
@@ -204,8 +194,7 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
             columns = torch.empty(input.shape[0], 0, device=input.device)
         else:
             columns = self._param_generator.to_columns(params, tuple(input.shape))
-        names = self._names_of_columns(0)
-        return transform_matrix(columns.to(input.device, compute_dtype(input)), [t._bound(names) for t in chain])
+        return transform_matrix(columns.to(input.device, compute_dtype(input)), self._bound(chain, None))
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None

@@ -17,9 +17,8 @@ from kvision.augmentation.base import (
     Shape,
 )
 from kvision.augmentation.base.contribution import Colors, Contribution
-from kvision.augmentation.columns import Span
 from kvision.augmentation.draws import Draw, Request
-from kvision.augmentation.warp_and_color import ColorStep, Pass, make_pass
+from kvision.augmentation.warp_and_color import ColorStep, make_pass
 from kvision.color.steps import STEPS
 from kvision.core.exceptions import ShapeError
 
@@ -111,12 +110,6 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D, keeps_contract=
         if image_pass is None:
             return super()._run(x, execution, flags)
         return image_pass.run(x, None if columns is None else columns.drawn)[0]
-
-    def _pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
-        contribution = self._contribution(shape, flags)
-        if contribution is None or contribution.colors is None:
-            return None
-        return make_pass(None, parts=[self._color_part(contribution.colors, span)])
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None

@@ -21,7 +21,8 @@ from kvision.augmentation.base.execution import Params, Shape
 from kvision.augmentation.columns import Names, Span, name_columns
 from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
-from kvision.augmentation.warp_and_color import ColorPart, Pass
+from kvision.augmentation.transforms import Transform
+from kvision.augmentation.warp_and_color import ColorPart, Pass, make_pass
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 _OVERRIDABLE = ("compute_transformation", "apply_transform")
@@ -177,13 +178,19 @@ class Declaration(KeepsArguments):
         """Whether all samples of all batches are augmented."""
         return self.p == 1 and self.p_batch == 1
 
-    def _names_of_columns(self, first: int) -> Names:
-        """The columns of the parameters by name, of which the first is column `first`."""
-        return name_columns(() if self._param_generator is None else self._param_generator.fields, first)
+    def _names_of_columns(self, span: Span | None) -> Names:
+        """The columns of the parameters by name, which are those of a span; None for columns of their own."""
+        fields = () if self._param_generator is None else self._param_generator.fields
+        return name_columns(fields, 0 if span is None else span.first_value)
+
+    def _bound(self, chain: Sequence[Transform], span: Span | None) -> list[Transform]:
+        """Transforms with their columns."""
+        names = self._names_of_columns(span)
+        return [transform._bound(names) for transform in chain]
 
     def _color_part(self, colors: Colors, span: Span | None) -> ColorPart:
-        """Color steps with their columns, which are those of a span."""
-        names = self._names_of_columns(0 if span is None else span.first_value)
+        """Color steps with their columns."""
+        names = self._names_of_columns(span)
         steps, order = [step._bound(names) for step in colors.steps], None
         if colors.order is not None:
             order = [column.position for column in names[colors.order]]
@@ -231,6 +238,11 @@ class Declaration(KeepsArguments):
 
     def _pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
         """The pass that executes this augmentation by columns instead of parameters by name; None if there is no such pass."""
+        motion, colors, _ = self._contribution(shape, flags) or Contribution()
+        if colors is not None:
+            return make_pass(None, parts=[self._color_part(colors, span)])
+        if motion is not None and motion.chain is not None and motion.reads_by_matrix:
+            return make_pass(self._bound(motion.chain, span), motion.size, motion.resampling)
         return None
 
     def _executes_columns(self, shape: Shape) -> bool:

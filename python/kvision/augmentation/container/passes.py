@@ -207,8 +207,7 @@ class _Planner:
         if colors is not None and has_columns:
             self._add_colors(module._color_part(colors, span), result)
         elif motion is not None and (motion.is_map or has_columns) and (self.once or motion.reads_by_matrix):
-            names = module._names_of_columns(0 if span is None else span.first_value)
-            chain = [t._bound(names) for t in motion.chain or ()]
+            chain = module._bound(motion.chain or (), span)
             self._add_motion(_Geometric(number, motion, chain, (shape[-2], shape[-1])))
         else:
             self._flush()

@@ -241,8 +241,31 @@ def test_calibration_of_a_rendered_board(tmp_path: Path) -> None:
     assert (tmp_path / "calibration.png").stat().st_size > 0
 
 
+@pytest.mark.slow
+def test_structure_of_a_rendered_room(tmp_path: Path, device: torch.device) -> None:
+    motion = example("structure_from_motion")
+    photographs = motion.room(device, views=4, size=(240, 320))
+    scene = motion.reconstruct(photographs)
+    assert motion.rotation_errors(scene, photographs.truth).max() < 0.3
+    assert int(scene.points[:, 0].isfinite().sum()) > 300
+    rgb = motion.colors(scene, photographs.images)
+    motion.figure(scene, photographs.images, rgb, tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_structure_of_a_living_room(data: Path, tmp_path: Path, device: torch.device) -> None:
+    scene, errors = example("structure_from_motion").main(
+        ["--data", str(data), "--out", str(tmp_path), "--device", str(device)]
+    )
+    assert errors.median() < 0.2 and errors.max() < 0.5
+    points, rgb = K.geometry.load_pointcloud_ply_binary(tmp_path / "cloud.ply", return_colors=True)
+    assert len(points) == len(rgb) == int(scene.points[:, 0].isfinite().sum()) > 1000
+
+
 NAMES = (
     "calibration",
+    "structure_from_motion",
     "image_registration",
     "depth_estimation",
     "segmentation_losses",
@@ -283,7 +306,15 @@ def test_missing_package_is_reported(name: str, tmp_path: Path, monkeypatch, cap
 
 
 @pytest.mark.parametrize(
-    "name", ("image_registration", "depth_estimation", "feature_matching", "autoencoder", "attack_on_matching")
+    "name",
+    (
+        "image_registration",
+        "depth_estimation",
+        "feature_matching",
+        "autoencoder",
+        "attack_on_matching",
+        "structure_from_motion",
+    ),
 )
 def test_a_wrong_folder_is_an_error(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:

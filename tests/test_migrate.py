@@ -70,6 +70,9 @@ def test_says_what_is_the_same_what_differs_and_what_is_missing() -> None:
     assert notes == ["docs/differences.md:11: `remap` with `align_corners=False`: not exact -> exact"]
     assert result["kornia.geometry.no_such_name"][0] == migrate.MISSING
     assert result["kornia.nowhere.f"][0] == migrate.MISSING
+    for path in ("tracking.HomographyTracker", "onnx.ONNXSequential", "feature.LoFTR", "models.detection.rtdetr"):
+        status, notes = judged(f"import kornia\nkornia.{path}()")[f"kornia.{path}"]
+        assert status == migrate.MISSING and len(notes) == 1 and notes[0].startswith("instead: ")
 
 
 def test_members_differ_by_themselves_and_with_their_class() -> None:
@@ -100,12 +103,15 @@ def test_the_page_of_differences_has_rows_for_every_module() -> None:
 
 def test_the_command_reports_files_and_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "package").mkdir()
-    (tmp_path / "package" / "a.py").write_text("from kornia.geometry import hflip, remap\nhflip(x)\nremap(x, y, z)\n")
+    (tmp_path / "package" / "a.py").write_text(
+        "from kornia.geometry import hflip, remap\nhflip(x)\nremap(x, y, z)\nimport kornia.augmentation\n"
+    )
     (tmp_path / "package" / "b.py").write_text("print('no Kornia here')\n")
     assert migrate.main([str(tmp_path / "package")]) == 0
     printed = capsys.readouterr().out
     assert "kornia.geometry.hflip: same (line 1, 2)" in printed and "b.py" not in printed
     assert "kornia.geometry.remap: different (line 1, 3)" in printed and "docs/differences.md:" in printed
+    assert "random numbers: several numbers of torch's CPU generator" in printed
     assert printed.endswith("1 same, 1 different, 0 not in kvision yet\n")
 
     (tmp_path / "c.py").write_text("import kornia\nkornia.no_such_module.f(x)\n")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import functools
 import importlib
 import inspect
 import re
@@ -107,6 +108,10 @@ def report(path: Path, uses: Sequence[Use], rows: Sequence[Difference]) -> Itera
         yield status
     modules = {use.path[0] for use in uses if use.path}
     general = [row for row in rows if not row.names and modules & set(row.modules)]
+    for row in general:
+        if row.values:
+            print(f"    docs/differences.md:{row.line}: {row.where}: {row.kornia} -> {row.kvision}")
+    general = [row for row in general if not row.values]
     if general:
         print(
             "    rows of docs/differences.md on types, borders and errors of these modules in general: lines", end=" "
@@ -119,7 +124,7 @@ def judge(uses: Sequence[Use], rows: Sequence[Difference]) -> tuple[str, list[st
     path = uses[0].path
     value, length = resolve(path)
     if length < len(path):
-        return MISSING, []
+        return MISSING, [f"instead: {text}" for names, text in replacements() if names & set(path)]
     notes: list[str] = []
     keywords = {keyword for use in uses for keyword in use.keywords}
     if unknown := sorted(keywords - accepted_keywords(value)):
@@ -255,6 +260,15 @@ def differences(text: str | None = None) -> list[Difference]:
             starred = where.startswith(STAR)
             rows.append(Difference(number, modules, names, where.removeprefix(STAR), kornia, kvision, starred))
     return rows
+
+
+@functools.cache
+def replacements() -> list[tuple[frozenset[str], str]]:
+    """The rows of docs/differences.md on what kvision does not carry: names of Kornia, and what to use instead."""
+    table = differences_page().partition("## Not in kvision")[2]
+    rows = [line.strip("| ").split(" | ") for line in table.splitlines() if line.startswith("| ")]
+    # The last part of a dotted name: `tracking.HomographyTracker`.
+    return [(frozenset(re.findall(r"`(?:\w+\.)*(\w+)`", name)), text) for name, text in rows[1:]]
 
 
 def differences_page() -> str:

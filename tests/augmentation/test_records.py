@@ -204,3 +204,25 @@ def test_plans_give_what_their_definition_gives(dtype: torch.dtype) -> None:
             assert difference.max() <= 2 and (difference > 0).double().mean() < 0.005, (seed, difference.max())
         else:
             assert difference.max() < 2e-5, (seed, difference.max())
+
+
+def test_plans_that_resample_once_give_what_their_definition_gives() -> None:
+    """Positions go back through the augmentations one by one, where a plan multiplies matrices."""
+    makers = [
+        lambda: A.RandomHorizontalFlip(p=0.7),
+        lambda: A.RandomRotation90((0, 2), p=0.7),
+        lambda: A.RandomCrop((24, 23), padding=2),
+        lambda: A.RandomAffine(15.0, (0.1, 0.1), padding_mode="border", p=0.7),
+        lambda: A.RandomPerspective(0.2, p=0.7),
+        lambda: A.RandomThinPlateSpline(0.05, p=0.7),
+        lambda: A.RandomElasticTransform((9, 9), (3.0, 3.0), (0.1, 0.1), p=0.7),
+        lambda: A.RandomBrightness((0.8, 1.2), p=0.7),
+        lambda: Negative(p=0.7),
+    ]
+    for seed in range(20):
+        rng = random.Random(seed)
+        chain = A.ImageSequential(*(rng.choice(makers)() for _ in range(5)), resample="once")
+        x = torch.rand(3, 3, 26, 25, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+        y = chain(x, seed=seed)
+        expected = run_in_turn(x, list(chain.children()), [item.data for item in chain._params], once=True)
+        assert y.shape == expected.shape and (y - expected).abs().max() < 1e-9, (seed, chain)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from fractions import Fraction
 from typing import Any
 
@@ -207,3 +208,17 @@ def test_parameters_that_say_no_size(device: torch.device) -> None:
         assert back.shape == (2, 3, 8, 8)
         torch.testing.assert_close(points_back, points)
         assert augment.known_pixels(y, params=params).shape == (2, 1, 16, 16)
+
+
+@pytest.mark.parametrize("kind", [A.ImageSequential, A.AugmentationSequential, A.VideoSequential])
+def test_containers_that_were_not_called_have_no_inverse(kind: Any, device: torch.device) -> None:
+    x = torch.rand(2, 3, 1, 8, 8, device=device)[:, (slice(None) if kind is A.VideoSequential else 0)]
+    augment = kind(A.RandomHorizontalFlip(p=1.0))
+    with pytest.raises(RuntimeError, match=f"{kind.__name__}.inverse: there was no call yet; pass its params"):
+        augment.inverse(x)
+    called = kind(A.RandomHorizontalFlip(p=1.0))
+    called(x)
+    assert torch.equal(augment.inverse(x, params=called._params), x.flip(-1))
+    augment._params = called._params
+    assert torch.equal(augment.inverse(x), x.flip(-1))
+    assert torch.equal(copy.deepcopy(called).inverse(x, params=called._params), x.flip(-1))

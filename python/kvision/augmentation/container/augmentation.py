@@ -380,7 +380,7 @@ class AugmentationSequential(ImageSequential):
             videos = self._video_layout(inputs[keys.index(DataKey.INPUT)])
         inputs, restore = _of_frames(videos, keys, inputs)
         images = self.transform_tensor(inputs[keys.index(DataKey.INPUT)]) if DataKey.INPUT in keys else _no_image()
-        record = self._record_of(images, params)
+        record = self._record_to_invert(images, params)
         stages, size = record.stages, record.size
         outputs = []
         for key, value in zip(keys, inputs):

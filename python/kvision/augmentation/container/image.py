@@ -519,7 +519,7 @@ class ImageSequential(ImageSequentialBase):
             Images of the size that the input had; 0 where the result has no data of them.
         """
         x = self.transform_tensor(input)
-        record = self._record_of(x, params)
+        record = self._record_to_invert(x, params)
         return self._restored(inverse_at(x, record.size, lambda x: invert(x, record.stages)), input)
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
@@ -539,10 +539,18 @@ class ImageSequential(ImageSequentialBase):
 
     def _record_of(self, x: Tensor, params: Sequence[ParamItem] | None) -> Record:
         """The last call, or one with given parameters on images of which only the size counts."""
+        last = self._record
+        params = last.items if params is None and last.shape is None else params  # given without a call
         if params is None:
-            return self._record
+            return last
         image = x.new_zeros(1).expand(_input_shape(params) or self._record.shape or tuple(x.shape))
         return self._execute(image, params, self._source(None, None))[1]
+
+    def _record_to_invert(self, x: Tensor, params: Sequence[ParamItem] | None) -> Record:
+        record = self._record_of(x, params)
+        if record.shape is None:
+            raise RuntimeError(f"{type(self).__name__}.inverse: there was no call yet; pass its params")
+        return record
 
     def is_intensity_only(self, strict: bool = True) -> bool:
         """Whether all children keep the positions of pixels; other modules count as moving them if `strict`."""

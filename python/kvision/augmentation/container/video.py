@@ -193,7 +193,7 @@ class VideoSequential(ImageSequential):
         """
         layout = self._layout(input)
         frames = layout.frames(input)
-        record = self._record_of(frames, params)
+        record = self._record_to_invert(frames, params)
         return layout.videos(inverse_at(frames, record.size, lambda x: invert(x, record.stages)))
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:

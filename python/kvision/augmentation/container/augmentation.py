@@ -77,8 +77,8 @@ class AugmentationSequential(ImageSequential):
         random_apply_weights: relative probabilities of the children with `random_apply`.
         transformation_matrix_mode: 'silent' leaves children without a matrix out of the product; 'rigid' refuses them in a
             call; 'skip' has no product: `transform_matrix` is None.
-        extra_args: flags of masks: {"mask": {"resample": "nearest", "fill_value": 255}} gives pixels that enter, or are erased,
-            the value that a loss ignores; default: 0. {} interpolates masks as the images.
+        extra_args: flags of masks: {"mask": {"fill_value": 255}} gives pixels that enter, or are erased,
+            the value that a loss ignores; default: 0. {} interpolates masks as the images, {"mask": {}} does not.
         resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones,
             composes them with elastic, thin-plate and fisheye maps between them, and interpolates once. Pixels from outside
             are those of the first one that interpolates. With antialiased resizing among them, a pixel is the mean of what it
@@ -316,12 +316,14 @@ class AugmentationSequential(ImageSequential):
 
     @property
     def _label_settings(self) -> LabelSettings:
-        flags: dict[str, Any] = {}
+        reading = MaskReading()
         for key, options in self.extra_args.items():
             if DataKey.get(key) == DataKey.MASK:
-                flags = {**options, **flags}
-        mode = flags.get("resample")
-        reading = MaskReading(None if mode is None else Resample.get(mode).name.lower(), flags.get("fill_value"))
+                mode = options.get("resample", "nearest")
+                reading = MaskReading(
+                    None if mode is None else Resample.get(mode).name.lower(), options.get("fill_value")
+                )
+                break
         is_default = self.extra_args is self._default_extra_args
         return LabelSettings(self._clips_each, self.box_filter, reading, is_default)
 

@@ -49,6 +49,15 @@ def program(name: str) -> str | None:
     return shutil.which(name, path=os.pathsep.join([sysconfig.get_path("scripts"), os.environ.get("PATH", "")]))
 
 
+def is_pure() -> bool:
+    """Whether nothing will be compiled, as far as that is known before CMake runs, when pip asks for the version."""
+    if BUILD != "auto":
+        return BUILD == "reference"
+    compilers = shlex.split(os.environ.get("CXX", ""))[:1] or ["c++", "g++", "clang++"]
+    tools = all(map(program, ("cmake", "ninja"))) and any(map(shutil.which, compilers))
+    return torch_root() is None or not tools
+
+
 class NativeDistribution(Distribution):
     def has_ext_modules(self) -> bool:
         return True  # "holds machine code": what is packed belongs in platlib
@@ -149,10 +158,13 @@ class BdistWheel(bdist_wheel):
         return "py3", "none", super().get_tag()[2] if native else "any"
 
 
+options = {"build": {"build_base": "build/pip"}}
+if is_pure() and "sdist" not in sys.argv:
+    options["egg_info"] = {"tag_build": "+python"}  # the version 0.1.0+python, which pip prints
 setup(
     distclass=NativeDistribution,
     cmdclass={"build": Build, "build_py": BuildPy, "build_native": BuildNative, "bdist_wheel": BdistWheel},
-    options={"build": {"build_base": "build/pip"}},
+    options=options,
     # For an isolated build where no torch is installed: any will do, so none is fetched where one is.
     setup_requires=["torch>=2.11"] if BUILD != "reference" and torch_root() is None else [],
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -12,7 +12,7 @@ from torch import Tensor
 
 import kvision as K
 import kvision.augmentation as A
-from kvision import _hints
+from kvision import _backend, _hints
 from kvision._ops import Operator, all_operators
 
 pytestmark = pytest.mark.interface
@@ -21,12 +21,16 @@ IMAGE = 255 * torch.rand(1, 3, 8, 8, generator=torch.Generator().manual_seed(1))
 
 
 @pytest.fixture(autouse=True)
-def first_calls(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in a new process."""
+def first_calls(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """As in a new process whose kernels serve."""
+    if "cpu" in _backend.unserved:
+        pytest.skip("pure Python")
     monkeypatch.setattr(_hints._Hints, "are_on", True)
     for operator in all_operators().values():
         if operator._clamps is not None:
             monkeypatch.setattr(operator, "_call_kernel", operator._first_call)
+    with K.backend("auto"):
+        yield
 
 
 def warned(call: Callable[..., Any], *args: Any) -> list[warnings.WarningMessage]:

@@ -369,9 +369,9 @@ class DepthWarper(nn.Module):
         _check.images(op, "patch_dst", patch_dst)
         _check.same_device(op, depth_src=depth_src, patch_dst=patch_dst, projection=projection)
         if self._grid is not None:
-            coords = source_coords(depth_src, projection.to(depth_src.dtype), self._grid)
-            options = self.mode, self.padding_mode, self.align_corners
-            return remap(patch_dst, *(x.to(floats(patch_dst).dtype) for x in coords), *options)
+            dtype = floats(patch_dst).dtype
+            x, y = source_coords(depth_src, projection.to(depth_src.dtype), self._grid)
+            return remap(patch_dst, x.to(dtype), y.to(dtype), self.mode, self.padding_mode, self.align_corners)
         return _warped(op, patch_dst, depth_src, projection, self.mode, self.padding_mode, self.align_corners)
 
 

@@ -314,12 +314,13 @@ class Operator:
 
     def _differentiate(self, *args: Any) -> Any:
         """The operator where torch differentiates: in graphs, and in calls of torch.ops.kvision."""
-        if in_derivative_transform():
-            return self.reference(*args)
-        tensors = args[: self.tensors]
-        wants_gradient = is_grad_enabled() and any(t is not None and t.requires_grad for t in tensors)
-        if wants_gradient or (in_forward_ad() and carry_tangents(*tensors)):
-            return self._apply(*args)
+        if not self._is_constant:
+            if in_derivative_transform():
+                return self.reference(*args)
+            tensors = args[: self.tensors]
+            wants_gradient = is_grad_enabled() and any(t is not None and t.requires_grad for t in tensors)
+            if wants_gradient or (in_forward_ad() and carry_tangents(*tensors)):
+                return self._apply(*args)
         with below_autograd():
             return self._call_kernel(*args)
 

@@ -88,17 +88,19 @@ NUMBERS = {
 
 @pytest.mark.tracing
 @pytest.mark.parametrize("name", NUMBERS)
-def test_compile_with_dynamic_numbers(name, device):
+def test_compile_with_dynamic_numbers(name, device, backend):
     """Two graphs serve all numbers and sizes, values and gradients."""
+    if backend == "reference":
+        pytest.skip("references are plain torch, which compiles again for some numbers")
     torch._dynamo.reset()
-    backend = CompileCounterWithBackend("aot_eager")
-    call, compiled = NUMBERS[name], torch.compile(NUMBERS[name], fullgraph=True, backend=backend)
+    counter = CompileCounterWithBackend("aot_eager")
+    call, compiled = NUMBERS[name], torch.compile(NUMBERS[name], fullgraph=True, backend=counter)
     for i, number in enumerate((0.3, 0.41, 0.37, 0.5)):
         x = torch.rand(2 + i, 3, 9 + i, 11 + i, device=device, requires_grad=True)
         values = [f(x, number) for f in (compiled, call)]
         assert_close(*values)
         assert_close(*(torch.autograd.grad(y.square().sum(), x)[0] for y in values), 1e-4, 1e-5)
-    assert backend.frame_count <= 2
+    assert counter.frame_count <= 2
 
 
 @pytest.mark.tracing

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         losses,
         metrics,
         morphology,
+        sensors,
         utils,
     )
     from kvision._hints import RangeWarning

@@ -114,9 +114,7 @@ class OrthographicProjection:
 
 def _with_depth(op: str, points: Vector2, depth: Tensor | float) -> list[Tensor]:
     xy = _data(op, points, Vector2)
-    if not isinstance(depth, Tensor):
-        depth = torch.tensor(_check.number(op, "depth", depth))
-    z = depth.to(xy)
+    z = depth.to(xy) if isinstance(depth, Tensor) else xy.new_tensor(_check.number(op, "depth", depth))
     _check.broadcastable(op, points=xy.shape[:-1], depth=z.shape)
     return list(torch.broadcast_tensors(xy[..., 0], xy[..., 1], z))
 

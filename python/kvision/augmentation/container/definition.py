@@ -57,7 +57,7 @@ def _run_chosen(x: Tensor, module: AugmentationBase, params: dict[str, Any]) -> 
     chosen = params["batch_prob"] > 0.5
     if module.whole_batch and not bool(chosen.any()):
         return x
-    y: Tensor = module(x, params={**params, "batch_prob": torch.ones(len(chosen))})
+    y: Tensor = module(x, params={**params, "batch_prob": torch.ones_like(chosen, dtype=torch.float32)})
     return y if module.whole_batch else where_chosen(chosen.to(x.device), y, x.to(y.dtype))
 
 

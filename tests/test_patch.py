@@ -227,7 +227,7 @@ def test_examples_of_kornia_pass_patched(examples) -> None:
 # Examples that print other values where kvision takes Kornia's place, and why. docs/differences.md says more of each.
 RANDOM = "random numbers are functions of one key a call"
 BORDER = "pixels around an undone crop are 0"
-PRINTS = "groups and poses print their parts in other words"
+PRINTS = "groups, poses and vectors print their parts in other words"
 CONVERGES = "lenses are inverted until they are"
 DIFFERENT_EXAMPLES = {
     "kornia.geometry.calibration.undistort.undistort_points": CONVERGES,
@@ -288,6 +288,14 @@ DIFFERENT_EXAMPLES = {
     **{
         f"kornia.geometry.pose.NamedPose{name}": PRINTS
         for name in ("", ".__mul__", ".from_matrix", ".from_rt", ".inverse")
+    },
+    **{
+        f"kornia.sensors.camera.{name}": PRINTS
+        for name in (
+            *("camera_model.CameraModelBase.project", "camera_model.CameraModelBase.unproject"),
+            *("distortion_model.AffineTransform.distort", "distortion_model.AffineTransform.undistort"),
+            *("projection_model.Z1Projection.project", "projection_model.Z1Projection.unproject"),
+        )
     },
 }
 

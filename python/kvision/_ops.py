@@ -246,10 +246,11 @@ class Operator:
     def _first_call(self, *args: Any) -> Any:
         """The kernel, which later calls do not reach by way of this."""
         call = self._call_kernel = kernel_caller(self.kernel)
+        assert call is not None  # what is not built is not called
+        result = call(*args)  # which refuses what `clamps` could not read
         if self._clamps is not None and self._clamps(*args):
             look_at_range(args[0])
-        assert call is not None  # what is not built is not called
-        return call(*args)
+        return result
 
     def _call_traced(self, args: Sequence[Any]) -> Any:
         """What a graph is to hold: the operator, or the operators of its reference.

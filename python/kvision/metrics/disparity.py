@@ -175,7 +175,7 @@ def _root_mean_squared(input: Tensor, target: Tensor, mask: Tensor | None, reduc
         return error.abs()
     flat = error.flatten()
     # The gradient of torch's norm takes one more pass. Of no pixels, vmap has no tangents of dot and of single numbers.
-    square = (flat.dot(flat) if len(flat) else flat.sum())[None]
+    square = (flat.dot(flat) if flat.shape[0] else flat.sum())[None]
     is_zero = square == 0
     length = square.masked_fill(is_zero, 1).sqrt().masked_fill(is_zero, 0)[0]  # whose gradient at 0 is 0
     if reduction == "sum":

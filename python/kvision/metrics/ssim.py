@@ -169,9 +169,8 @@ def dissimilarity(
     """`factor` times the weighted sum of 1 - similarity and of abs(x - y) over all pixels of images or volumes."""
     b, c, *axes = x.shape
     if b == 0 or c == 0:
-        return (factor * x.sum()[None])[
-            0
-        ]  # no pixels: the mean is NaN. vmap of no elements multiplies no single numbers
+        nothing = factor * x.sum()[None]  # vmap of no elements multiplies no single numbers
+        return nothing[0]
     dtype = x.dtype
     y = as_dtype(y, dtype)
     if b > 1:

@@ -193,7 +193,7 @@ def _reference(angle: Tensor, direction: Tensor, size: int, taps: int) -> Tensor
     if mode == "nearest":
         along, *across = (_round_to_nearest(p, center) for p in (along, *across))
 
-    start = (clamp(direction, -1, 1) + 1).reshape(len(direction), *(1,) * axes) / 2
+    start = (clamp(direction, -1, 1) + 1).reshape(direction.shape[0], *(1,) * axes) / 2
     kernel = torch.zeros_like(along)
     for offset in _TAPS[mode]:
         tap = along.floor() + offset

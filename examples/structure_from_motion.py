@@ -1,6 +1,6 @@
 """Find cameras and a cloud of points from photographs of a scene.
 
-    python examples/structure_from_motion.py                                   renders a corner of a room from eight places
+    python examples/structure_from_motion.py                                   renders eight views of a corner of a room
     python examples/structure_from_motion.py --data FOLDER                     FOLDER/rgbd_livingroom, whose poses are known
     python examples/structure_from_motion.py --image A.jpg B.jpg ... --focal 1200    your photographs, in their order
 
@@ -71,7 +71,7 @@ class Scene:
 
 
 def room(device: torch.device, views: int = 8, size: tuple[int, int] = (360, 480)) -> Photographs:
-    """A floor and two walls with photographs on them, seen from places along an arc."""
+    """A floor and two walls with photographs on them, seen from an arc."""
     from skimage import data
 
     names = ("coffee", "astronaut", "chelsea")  # on x = 0, y = 0, z = 0, each 2 wide
@@ -211,7 +211,7 @@ def begin(scene: Scene) -> None:
             scene.poses[i] = torch.eye(4, device=R.device)
             scene.poses[j] = K.geometry.Rt_to_matrix4x4(R[None], t[None])[0]
     if not best:
-        raise SystemExit("structure_from_motion: no two photographs see the same from different places")
+        raise SystemExit("structure_from_motion: no two photographs see the same from different positions")
 
 
 def degrees_between(a: Tensor, b: Tensor) -> Tensor:
@@ -356,7 +356,9 @@ def figure(scene: Scene, images: Tensor, rgb: Tensor, path: Path) -> None:
 
 def main(arguments: list[str] | None = None) -> tuple[Scene, Tensor | None]:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--image", nargs="+", type=Path, help="photographs of one size, in the order of their places")
+    parser.add_argument(
+        "--image", nargs="+", type=Path, help="photographs of one size, in the order of their positions"
+    )
     parser.add_argument(
         "--focal", type=float, help="their focal length in pixels; default: 1.2 times their longer side"
     )

@@ -75,12 +75,12 @@ def _example_page(config: MkDocsConfig, stem: str, content: str) -> File:
 
 
 def reference_of(name: str) -> str:
-    """The place of a function in the reference, from a page there."""
+    """The address of a function in the reference, from a page there."""
     last = name.split(".")[-1]
     anchor = f"kvision.{name}"
     if name.startswith("geometry."):
         anchor = f"{'.'.join(getattr(K.geometry, last).__module__.split('.')[:3])}.{last}"
-    return f"{posixpath.relpath(places()[anchor], 'reference')}#{anchor}"
+    return f"{posixpath.relpath(pages_by_anchor()[anchor], 'reference')}#{anchor}"
 
 
 def first_paragraph(path: Path) -> str:
@@ -221,7 +221,7 @@ def families() -> dict[str, Family]:
 
 
 @functools.cache
-def places() -> dict[str, str]:
+def pages_by_anchor() -> dict[str, str]:
     """The pages of docstrings, by their anchors."""
     found: dict[str, str] = {}
     for page, (source, _, text) in families().items():
@@ -243,8 +243,8 @@ def add_docstrings(text: str, page: str) -> str:
         anchor = anchor_of(source, row[1])
         if anchor is None:
             return row[0]
-        if places()[anchor] != page:
-            return f"| [`{row[1]}`]({posixpath.relpath(places()[anchor], posixpath.dirname(page))}#{anchor}) |"
+        if pages_by_anchor()[anchor] != page:
+            return f"| [`{row[1]}`]({posixpath.relpath(pages_by_anchor()[anchor], posixpath.dirname(page))}#{anchor}) |"
         module, _, name = anchor.rpartition(".")
         is_class = inspect.isclass(getattr(importlib.import_module(module), name))
         blocks[anchor] = (

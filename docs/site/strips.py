@@ -352,7 +352,7 @@ def _cells(value: Any, splits: bool = False, like: Any = None) -> list[Tensor]:
             if is_color
             else tensor.flatten(0, -3)[:, None]
         )
-        cells += [drawing.with_labels(_on_white(_stretched(picture)), size) for picture in pictures[: MOST - 1]]
+        cells += [drawing.with_labels(drawing.on_white(_stretched(picture)), size) for picture in pictures[: MOST - 1]]
     return cells
 
 
@@ -367,10 +367,6 @@ def _stretched(picture: Tensor) -> Tensor:
     if x.min() >= 0 and x.max() <= 1 and high > 0.3:
         return x
     return (x - low) / max(high - low, 1e-12)
-
-
-def _on_white(picture: Tensor) -> Tensor:
-    return drawing.rgb(picture) if len(picture) < 4 else 1 + picture[3] * (picture[:3] - 1)
 
 
 @functools.cache

@@ -92,7 +92,9 @@ def show(
     for i, picture in enumerate(pictures):
         planes = [picture] if len(picture) in (1, 3, 4) else list(picture[:, None])
         for k, plane in enumerate(planes):
-            cells.append(drawing.with_labels(_rgb(plane), size, masks[i], [_corners(b) for b in boxes[i]], points[i]))
+            cells.append(
+                drawing.with_labels(drawing.on_white(plane), size, masks[i], [_corners(b) for b in boxes[i]], points[i])
+            )
             below.append(texts[i] if len(planes) == 1 else f"{texts[i]}, channel {k}")
     sheet = drawing.sheet_of(cells, columns, 4, below)
     if file is not None:
@@ -136,11 +138,6 @@ def _pictures(i: int, images: Any) -> tuple[list[Tensor], str]:
         planes = [(plane - low) / max(high - low, 1e-30) for plane in planes]
         note = f": {low:.4g} to {high:.4g}{note}"
     return [plane.nan_to_num(0.0, 1.0, 0.0).float() for plane in planes], note
-
-
-def _rgb(image: Tensor) -> Tensor:
-    """RGB; what is transparent in four channels is white."""
-    return drawing.rgb(image) if len(image) < 4 else 1 + image[3] * (image[:3] - 1)
 
 
 def _labels(name: str, values: Any, count: int, *shapes: tuple[Any, ...]) -> list[list[Tensor]]:

@@ -98,6 +98,11 @@ def rgb(image: Tensor) -> Tensor:
     return image[:3] if len(image) >= 3 else image[:1].expand(3, -1, -1)
 
 
+def on_white(image: Tensor) -> Tensor:
+    """RGB; what is transparent in four channels is white."""
+    return rgb(image) if len(image) < 4 else 1 + image[3] * (image[:3] - 1)
+
+
 def _color(i: int, like: Tensor) -> Tensor:
     return _rgb_of(_PALETTE[i % len(_PALETTE)], like)
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.geometry._intrinsics import camera_matrix_of
 from kvision.geometry.calibration.distortion import distort_points, undistort_points
 from kvision.geometry.camera.distortion import (
     distort_points_affine,
@@ -53,13 +54,6 @@ class Projection(Protocol):
     def project(self, points: Vector3) -> Vector2: ...
 
     def unproject(self, points: Vector2, depth: Tensor | float) -> Vector3: ...
-
-
-def camera_matrix(params: Tensor) -> Tensor:
-    """Camera matrices (*, 3, 3) of parameters (fx, fy, cx, cy, ...) of shape (*, N)."""
-    fx, fy, cx, cy = params[..., :4].unbind(-1)
-    zero, one = torch.zeros_like(fx), torch.ones_like(fx)
-    return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], -1).unflatten(-1, (3, 3))
 
 
 def _for_points(params: Tensor, points: Tensor) -> Tensor:
@@ -183,7 +177,7 @@ class BrownConradyTransform:
         of_points = points.dim() == 1 or params.dim() == points.dim() == 2
         given = points[..., None, :] if of_points else points
         params = params if params.dim() == 1 else _for_points(params, given[..., 0, :])
-        matrix, dist = camera_matrix(params), params[..., 4:]
+        matrix, dist = camera_matrix_of(*params[..., :4].unbind(-1)), params[..., 4:]
         plane = torch.eye(3, dtype=params.dtype, device=params.device)
         moved = (
             distort_points(given, matrix, dist, plane) if to_pixels else undistort_points(given, matrix, dist, plane)
@@ -322,7 +316,7 @@ class CameraModelBase:
 
     def matrix(self) -> Tensor:
         """The camera matrix, of shape (3, 3) or (B, 3, 3)."""
-        return camera_matrix(self._params)
+        return camera_matrix_of(self.fx, self.fy, self.cx, self.cy)
 
     def K(self) -> Tensor:
         """The camera matrix: :meth:`matrix`."""

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.geometry._intrinsics import camera_matrix_of
 from kvision.geometry.calibration._lenses import COUNTS, distorted, distorted_with_jacobians, undistorted_equidistant
 from kvision.geometry.homography.dlt import find_homography_dlt
 from kvision.geometry.liegroup import Se3, So3
@@ -183,8 +184,7 @@ def calibrate_camera(
         return torch.where(is_fitted.reshape(-1, *(1,) * (x.dim() - 1)), x, torch.nan)
 
     fx, fy, cx, cy = found["camera"].unbind(-1)
-    zero, one = torch.zeros_like(fx), torch.ones_like(fx)
-    K = torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], -1).unflatten(-1, (3, 3))
+    K = camera_matrix_of(fx, fy, cx, cy)
     return CameraCalibration(
         known(K),
         known(found["dist"]),

@@ -8,6 +8,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError
+from kvision.geometry._intrinsics import camera_matrix_of
 from kvision.geometry.conversions.poses import (
     camtoworld_graphics_to_vision_Rt,
     camtoworld_to_worldtocam_Rt,
@@ -135,8 +136,7 @@ def camera_from_colmap(params: Tensor, model: str) -> tuple[Tensor, Tensor]:
 @with_kernel_casts
 def _camera(params: Tensor, focal: int, missing: int) -> tuple[Tensor, Tensor]:
     fx, fy, cx, cy = params[..., 0], params[..., focal - 1], params[..., focal], params[..., focal + 1]
-    zero, one = torch.zeros_like(fx), torch.ones_like(fx)
-    matrix = torch.stack([fx, zero, cx - 0.5, zero, fy, cy - 0.5, zero, zero, one], -1).unflatten(-1, (3, 3))
+    matrix = camera_matrix_of(fx, fy, cx - 0.5, cy - 0.5)
     return matrix, torch.nn.functional.pad(params[..., focal + 2 :], (0, missing))
 
 

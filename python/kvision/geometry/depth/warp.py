@@ -12,6 +12,7 @@ from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modes import INTERPOLATION, INTERPOLATION_NAMES, PADDING, PADDING_NAMES
 from kvision._ops import on_cuda, register
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.geometry._intrinsics import camera_matrix_of
 from kvision.geometry.camera import PinholeCamera
 from kvision.geometry.depth.points import depth_points
 from kvision.geometry.grid import create_meshgrid
@@ -130,8 +131,7 @@ def _reprojection_reference(camera_to, pose_to, camera_from, pose_from, pinhole)
 def _pinhole(camera: Tensor) -> Tensor:
     """A camera matrix (B, 3, 3) reduced to its focal lengths and principal point."""
     fx, fy, cx, cy = (camera[:, i, j] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    zero, one = torch.zeros_like(fx), torch.ones_like(fx)
-    return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], 1).unflatten(1, (3, 3))
+    return camera_matrix_of(fx, fy, cx, cy)
 
 
 def _reprojection_backward_reference(grad, *args):

@@ -10,6 +10,7 @@ from kvision._dtype import promoted
 from kvision._leading import broadcast_shapes
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry._formula import of_rows, register_formula
+from kvision.geometry._intrinsics import camera_matrix_of
 from kvision.geometry._precision import in_full_precision
 from kvision.geometry.conversions.rotations import cross_matrix
 from kvision.geometry.linalg import product_plus
@@ -290,8 +291,7 @@ def random_intrinsics(low: float | Tensor, high: float | Tensor) -> Tensor:
     like = next((v for v in (low, high) if isinstance(v, Tensor)), torch.empty(0))
     low, high = (v if isinstance(v, Tensor) else float(v) for v in (low, high))
     fx, fy, cx, cy = (low + (high - low) * torch.rand(4, device=like.device, dtype=like.dtype)).unbind()
-    zero = torch.zeros_like(fx)
-    return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, zero + 1]).reshape(1, 3, 3)
+    return camera_matrix_of(fx, fy, cx, cy)[None]
 
 
 def scale_intrinsics(camera_matrix: Tensor, scale_factor: float | Tensor, pixel_centers: bool = False) -> Tensor:

@@ -61,6 +61,19 @@ def gathering(x: Tensor) -> Call:
     return lambda: x.flatten(2).gather(2, index)
 
 
+def indexing(x: Tensor) -> Call:
+    index = torch.randint(x[0, 0].numel(), (x[0, 0].numel(),), device=x.device)
+    return lambda: x.flatten(2)[..., index]
+
+
+def histogram(x: Tensor) -> Call:
+    return partial(torch.histc, x, 256, 0, 1)
+
+
+def counts(x: Tensor) -> Call:
+    return partial(torch.bincount, (255 * x).long().flatten(), minlength=256)
+
+
 def jitter(x: Tensor) -> Tensor:
     """Brightness, contrast and saturation by torch's operators."""
     x = (1.1 * x).clamp(0, 1)
@@ -102,17 +115,10 @@ def costs(x: Tensor) -> Iterator[Cost]:
             yield Cost(f"{name}: float16 over float32", made(half), made(x))
     yield Cost("grid_sample: backward over forward", backward(sampling, x), sampling(x))
     yield Cost("gather: backward over forward", backward(gathering, x), gathering(x))
-    flat, whole = torch.full_like(x, 0.5), (255 * x).long().flatten()
-    yield Cost(
-        "histc: a constant image over a photograph",
-        partial(torch.histc, flat, 256, 0, 1),
-        partial(torch.histc, x, 256, 0, 1),
-    )
-    yield Cost(
-        "bincount: a constant image over a photograph",
-        partial(torch.bincount, torch.full_like(whole, 127), minlength=256),
-        partial(torch.bincount, whole, minlength=256),
-    )
+    yield Cost("x[..., index]: backward over forward", backward(indexing, x), indexing(x))
+    constant, noise = torch.full_like(x, 0.5), torch.rand_like(x)
+    for name, made in {"histc": histogram, "bincount": counts}.items():
+        yield Cost(f"{name}: a constant image over noise", made(constant), made(noise))
 
 
 def byte_modes(x: Tensor) -> list[str]:

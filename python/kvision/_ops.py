@@ -42,6 +42,7 @@ from kvision._torch_compat import (
     in_function_transform,
     in_onnx_export,
     is_any_autocast_enabled,
+    is_exporting,
     is_tracing,
     keep_calls_apart,
     kernel_caller,
@@ -266,7 +267,7 @@ class Operator:
             args = [a.detach() if isinstance(a, Tensor) else a for a in args]
         if not is_compiling():
             return self.kernel(*map(_recorded, args))
-        if self._floats and not torch.compiler.is_exporting() and are_symbolic([args[i] for i in self._floats]):
+        if self._floats and not is_exporting() and are_symbolic([args[i] for i in self._floats]):
             _write_symbolic_calls_into_graphs()
             return _call_symbolic(self.name, *args)
         return self.kernel(*args)

@@ -256,9 +256,16 @@ def in_derivative_transform() -> bool:
     return in_function_transform() and _in_transform(TransformType.Grad, TransformType.Jvp)
 
 
+def is_exporting() -> bool:
+    """Whether torch.export traces. Waits for a torch whose is_exporting is not also true while it compiles, as in 2.11."""
+    return torch.compiler._is_exporting_flag
+
+
 def has_static_value(number: float) -> bool:
     """Whether a number is no symbol of the graph that is compiled. torch imports its module of symbols only when it compiles."""
-    return not is_compiling() or torch.fx.experimental.symbolic_shapes.has_static_value(number)
+    if is_compiling():
+        return torch.fx.experimental.symbolic_shapes.has_static_value(number)
+    return not isinstance(number, (torch.SymInt, torch.SymFloat))  # as what is allowed in a graph meets them
 
 
 def full(shape: tuple[int, ...], number: float, **options: Any) -> Tensor:

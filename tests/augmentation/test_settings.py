@@ -173,7 +173,7 @@ def test_rotations_fill_and_mirror(device: torch.device) -> None:
     with pytest.raises(ValueError, match="RandomRotation: expected padding_mode 'fill' with fill"):
         A.RandomRotation(30.0, padding_mode="border", fill=0.4)
     filled = A.RandomAffine(0.0, (0.5, 0.5), p=1.0, fill_value=0.4)(torch.ones_like(x), seed=2)
-    assert filled.min() == pytest.approx(0.4)
+    assert filled.min().item() == pytest.approx(0.4)
     with pytest.raises(ValueError, match="RandomAffine: expected padding_mode 'fill' with fill_value"):
         A.RandomAffine(30.0, padding_mode="reflection", fill_value=0.4)
 

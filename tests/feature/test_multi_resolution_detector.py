@@ -75,12 +75,15 @@ def test_samples_do_not_depend_on_each_other(device):
 
 
 def test_samples_of_a_network_are_the_same_within_rounding(device):
-    """torch's convolutions may add up in another order: responses within 1e-3, positions within .01 pixels."""
+    """torch's convolutions may add up in another order: responses within 1e-3, positions within .01 pixels.
+
+    cuDNN's TF32, torch's default, keeps 10 bits of the mantissa; what it gives depends on the batch by far more.
+    """
     torch.manual_seed(1)
     detector = F.KeyNetDetector(False, 30).eval().to(device)
     torch.nn.init.ones_(detector.model.last_conv[0].bias)
     image = torch.cat([photo(96, 100), photo(96, 100).flip(-1)]).float().to(device)
-    with torch.no_grad():
+    with torch.no_grad(), torch.backends.cudnn.flags(allow_tf32=False):
         lafs, responses = detector(image)
         for i in range(2):
             one = detector(image[i : i + 1])

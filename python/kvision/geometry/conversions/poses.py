@@ -12,7 +12,7 @@ from torch.compiler import is_compiling
 from kvision import _check
 from kvision._dtype import as_dtype
 from kvision._ops import with_kernel_casts
-from kvision._torch_compat import in_forward_ad, in_function_transform
+from kvision._torch_compat import carry_tangents, in_function_transform
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry.conversions.homogeneous import homogeneous
 
@@ -136,8 +136,8 @@ def _inverse(op: str, R: Tensor, t: Tensor, check_rotation: bool) -> tuple[Tenso
 @with_kernel_casts
 def _rotate_back(t: Tensor, R: Tensor) -> Tensor:
     # In a graph of forward mode the tangent of what beta leaves out is a zero tensor without memory, which ends torch's process.
-    in_forward_mode = is_compiling() or in_function_transform() or in_forward_ad()
-    if t.dim() == 3 and t.is_floating_point() and t.dtype == R.dtype and not in_forward_mode:
+    differentiated = is_compiling() or in_function_transform() or carry_tangents(t, R)
+    if t.dim() == 3 and t.is_floating_point() and t.dtype == R.dtype and not differentiated:
         return torch.baddbmm(t.detach(), R.mT, t, beta=0, alpha=-1)  # in one launch; beta leaves the first argument out
     return (R * t).sum(-2, keepdim=True).mT.neg()
 

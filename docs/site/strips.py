@@ -22,7 +22,7 @@ from torch import Tensor, nn
 
 import kvision as K
 import kvision.augmentation as A
-from kvision.augmentation.sheet import draw_samples
+from kvision.augmentation.container.sheet import draw_samples
 from kvision.image import drawing
 
 SIZE, DRAWS, MOST = 160, 4, 5  # the longer side of a cell; cells of a strip

@@ -13,7 +13,7 @@ from torch._dynamo.testing import CompileCounterWithBackend
 
 import kvision.augmentation as A
 from benchmarks.sample_calls.augmentations import GEOMETRIC, MAPS, Augmentation
-from kvision.augmentation.container.stages import Warp
+from kvision.augmentation.engine.stages import Warp
 
 JITTER = (0.2, 0.2, 0.2, 0.1)
 CHAINS = {

@@ -19,7 +19,7 @@ from torch.utils import _pytree as pytree
 
 import kvision.augmentation as A
 from benchmarks.sample_calls.augmentations import GEOMETRIC, IMAGES, Augmentation
-from kvision.augmentation.base import AugmentationBase
+from kvision.augmentation.engine import AugmentationBase
 from op_tests import does_not_wait
 
 BASES = (

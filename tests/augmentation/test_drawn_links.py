@@ -14,7 +14,7 @@ import kvision.augmentation as A
 from drawn_tests import assert_equal_params, has_kernels, random_images, record_kernel
 from kvision import _backend
 from kvision.augmentation import drawn_links
-from kvision.augmentation.container.stages import Composed
+from kvision.augmentation.engine.stages import Composed
 from op_tests import assert_close
 
 

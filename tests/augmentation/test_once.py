@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 import kvision.augmentation as A
 from kvision import _backend
-from kvision.augmentation.container.stages import Composed
+from kvision.augmentation.engine.stages import Composed
 from op_tests import DispatchedOperators
 
 H, W = 40, 52

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 import kvision as K
 import kvision.augmentation as A
-from kvision.augmentation.sheet import draw_samples
+from kvision.augmentation.container.sheet import draw_samples
 
 pytestmark = pytest.mark.interface
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 import kvision.augmentation as A
-from kvision.augmentation.container.definition import run_in_turn
+from kvision.augmentation.engine.definition import run_in_turn
 
 pytestmark = [pytest.mark.interface]
 

@@ -18,8 +18,8 @@ from torch import Tensor
 
 import kvision.augmentation as A
 from benchmarks.sample_calls.augmentations import IMAGES, VOLUMES
-from kvision.augmentation.base import AugmentationBase
 from kvision.augmentation.draws import is_chosen_batch
+from kvision.augmentation.engine import AugmentationBase
 
 pytestmark = pytest.mark.interface
 

@@ -18,7 +18,7 @@ import kvision.augmentation as A
 from benchmarks.sample_calls.augmentations import IMAGES
 from kvision import _backend, geometry
 from kvision.augmentation import columns, random_generator, transforms
-from kvision.augmentation.base import AugmentationBase
+from kvision.augmentation.engine import AugmentationBase
 from op_tests import DispatchedOperators
 
 pytestmark = pytest.mark.interface

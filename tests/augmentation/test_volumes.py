@@ -14,7 +14,7 @@ from torch import Tensor
 
 import kvision.augmentation as A
 from benchmarks.sample_calls.augmentations import FLIPS3D, GEOMETRIC3D, IMAGES, VOLUMES, Augmentation
-from kvision.augmentation.base import AugmentationBase3D
+from kvision.augmentation.engine import AugmentationBase3D
 from kvision.geometry.linalg import transform_points
 from op_tests import does_not_wait
 

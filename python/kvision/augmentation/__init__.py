@@ -15,12 +15,6 @@ from kvision.augmentation.adjustments import (
     RandomSolarize,
 )
 from kvision.augmentation.affine import RandomAffine, RandomRotation, RandomRotation90, RandomShear, RandomTranslate
-from kvision.augmentation.base import (
-    AugmentationBase2D,
-    AugmentationBase3D,
-    RigidAffineAugmentationBase2D,
-    RigidAffineAugmentationBase3D,
-)
 from kvision.augmentation.channels import RandomChannelDropout, RandomChannelShuffle, RandomPlanckianJitter
 from kvision.augmentation.color_jitter import ColorJiggle, ColorJitter
 from kvision.augmentation.container import (
@@ -33,8 +27,15 @@ from kvision.augmentation.container import (
 )
 from kvision.augmentation.container.saving import allow_loading as _allow_loading
 from kvision.augmentation.container.saving import from_json, to_json
+from kvision.augmentation.container.sheet import preview
 from kvision.augmentation.crop import CenterCrop, RandomCrop, RandomResizedCrop
 from kvision.augmentation.elastic import RandomElasticTransform, RandomFisheye, RandomThinPlateSpline
+from kvision.augmentation.engine import (
+    AugmentationBase2D,
+    AugmentationBase3D,
+    RigidAffineAugmentationBase2D,
+    RigidAffineAugmentationBase3D,
+)
 from kvision.augmentation.erasing import RandomErasing
 from kvision.augmentation.filters import (
     RandomAutoContrast,
@@ -69,7 +70,6 @@ from kvision.augmentation.perspective import RandomPerspective
 from kvision.augmentation.plasma import RandomPlasmaBrightness, RandomPlasmaContrast, RandomPlasmaShadow
 from kvision.augmentation.random_noise import RandomGaussianNoise, RandomSaltAndPepperNoise
 from kvision.augmentation.resize import LongestMaxSize, PadTo, Resize, SmallestMaxSize
-from kvision.augmentation.sheet import preview
 from kvision.augmentation.transforms import Transform
 from kvision.augmentation.transplantation import RandomTransplantation, RandomTransplantation3D
 from kvision.augmentation.volume_crops import CenterCrop3D, RandomCrop3D, RandomResizedCrop3D, Resize3D

@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._constants import constant
 from kvision._limits import LUMA
-from kvision.augmentation.base import Params, Shape
+from kvision.augmentation.engine import Params, Shape
 from kvision.augmentation.intensity_base import ColorStep, IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.color import PosterizeGenerator, ScaledGenerator
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator

@@ -12,8 +12,8 @@ from kvision import _check
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
-from kvision.augmentation.base import Execution, Shape
 from kvision.augmentation.draws import Draw
+from kvision.augmentation.engine import Execution, Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp, warp_labels
 from kvision.augmentation.keys import refuse_graphs
 from kvision.augmentation.random_generator.affine import AffineGenerator, ShearGenerator, TranslateGenerator

@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._clamp import clamp
 from kvision._constants import constant
-from kvision.augmentation.base import Params
+from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.color import (
     ChannelDropoutGenerator,

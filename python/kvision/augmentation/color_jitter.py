@@ -7,7 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
-from kvision.augmentation.base import Shape
+from kvision.augmentation.engine import Shape
 from kvision.augmentation.intensity_base import ColorStep, IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.color_jitter import ColorJiggleGenerator, ColorJitterGenerator
 from kvision.core.exceptions import ValueCheckError

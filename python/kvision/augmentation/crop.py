@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision.augmentation import ranges
-from kvision.augmentation.base import Shape
+from kvision.augmentation.engine import Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Resampling
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.crop import (

@@ -13,13 +13,14 @@ from kvision._dtype import compute_dtype
 from kvision._ops import match_layout
 from kvision._torch_compat import linspace
 from kvision.augmentation import maps
-from kvision.augmentation.base import AugmentationBase2D, Execution, Params, inverse_at, where_chosen
-from kvision.augmentation.base.contribution import Contribution, Motion
 from kvision.augmentation.displacements import NoiseField, blur_settings, elastic_displacements, scaled_blur
+from kvision.augmentation.engine import AugmentationBase2D, Execution, Params
+from kvision.augmentation.engine.contribution import Contribution, Motion
 from kvision.augmentation.maps import vector
 from kvision.augmentation.noise import PixelNoise, noise_plan
 from kvision.augmentation.preimages import find_positions
 from kvision.augmentation.random_generator.elastic import ElasticGenerator, FisheyeGenerator, ThinPlateSplineGenerator
+from kvision.augmentation.samples import inverse_at, where_chosen
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample, SamplePadding
 from kvision.core.exceptions import TypeCheckError

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision._dtype import compute_dtype
-from kvision.augmentation.base import Execution, Params
+from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.erase import erase_rectangles, is_erased
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.erase import RectangleEraseGenerator

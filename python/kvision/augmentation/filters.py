@@ -11,7 +11,7 @@ from torch import Tensor
 
 from kvision import _check, enhance, filters
 from kvision._clamp import clamp
-from kvision.augmentation.base import AugmentationBase, Execution, Params
+from kvision.augmentation.engine import AugmentationBase, Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.keys import refuse_mapped
 from kvision.augmentation.random_generator.filters import (

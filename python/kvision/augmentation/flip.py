@@ -10,9 +10,9 @@ from torch import Generator, Tensor
 
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
-from kvision.augmentation.base import Execution, Shape, matrix_type
 from kvision.augmentation.columns import Columns, Span
 from kvision.augmentation.draws import Draw
+from kvision.augmentation.engine import Execution, Shape, matrix_type
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.random_generator.base import RandomGeneratorBase

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision.augmentation.base import Execution, Params, RigidAffineAugmentationBase3D
+from kvision.augmentation.engine import Execution, Params, RigidAffineAugmentationBase3D
 from kvision.augmentation.geometric_base import GeometricAugmentation, Resampling
 from kvision.augmentation.warp_and_color import fill_of_images
 from kvision.constants import Resample

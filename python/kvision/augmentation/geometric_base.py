@@ -10,16 +10,10 @@ from torch import Tensor
 
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modes import INTERPOLATION
-from kvision.augmentation.base import (
-    AugmentationBase,
-    Execution,
-    Params,
-    RigidAffineAugmentationBase2D,
-    Shape,
-    inverse_at,
-)
-from kvision.augmentation.base.contribution import Contribution, Motion
+from kvision.augmentation.engine import AugmentationBase, Execution, Params, RigidAffineAugmentationBase2D, Shape
+from kvision.augmentation.engine.contribution import Contribution, Motion
 from kvision.augmentation.maps import exact
+from kvision.augmentation.samples import inverse_at
 from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.augmentation.warp_and_color import Resampling, fill_of_images
 from kvision.constants import Resample, SamplePadding

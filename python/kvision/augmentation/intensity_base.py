@@ -9,15 +9,15 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision.augmentation.base import (
+from kvision.augmentation.draws import Draw, Request
+from kvision.augmentation.engine import (
     Execution,
     Params,
     RigidAffineAugmentationBase2D,
     RigidAffineAugmentationBase3D,
     Shape,
 )
-from kvision.augmentation.base.contribution import Colors, Contribution
-from kvision.augmentation.draws import Draw, Request
+from kvision.augmentation.engine.contribution import Colors, Contribution
 from kvision.augmentation.warp_and_color import ColorStep, make_pass
 from kvision.color.steps import STEPS
 from kvision.core.exceptions import ShapeError

@@ -13,7 +13,7 @@ from kvision import _check, geometry
 from kvision._constants import constant
 from kvision._dtype import compute_dtype, floats
 from kvision._modes import INTERPOLATION, PADDING
-from kvision.augmentation.base import AugmentationBase2D, Execution, Params, replaying, where_chosen
+from kvision.augmentation.engine import AugmentationBase2D, Execution, Params, replaying
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import BOX_FORMATS, parse_data_keys
 from kvision.augmentation.maps import exact
@@ -24,6 +24,7 @@ from kvision.augmentation.random_generator.mix import (
     MosaicGenerator,
     PatchMixGenerator,
 )
+from kvision.augmentation.samples import where_chosen
 from kvision.constants import DataKey, Resample
 from kvision.core.exceptions import BaseError, ShapeError, ValueCheckError
 from kvision.geometry.transform import sampling

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import enhance
-from kvision.augmentation.base import Params, Shape
+from kvision.augmentation.engine import Params, Shape
 from kvision.augmentation.intensity_base import ColorStep, IntensityAugmentationBase2D
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 

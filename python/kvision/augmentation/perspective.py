@@ -7,7 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
-from kvision.augmentation.base import Shape
+from kvision.augmentation.engine import Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.random_generator.perspective import PerspectiveGenerator, corners
 from kvision.augmentation.transforms import Transform

@@ -10,7 +10,7 @@ from typing import Any
 from torch import Tensor
 
 from kvision._clamp import clamp
-from kvision.augmentation.base import Params
+from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 

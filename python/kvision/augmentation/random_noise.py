@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision._dtype import compute_dtype
-from kvision.augmentation.base import Params
+from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.noise import gaussian_noise, salt_and_pepper
 from kvision.augmentation.random_generator.noise import GaussianNoiseGenerator, SaltAndPepperGenerator

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from kvision import geometry
 from kvision.augmentation import ranges
-from kvision.augmentation.base import Shape
 from kvision.augmentation.crop import padding_resampling
+from kvision.augmentation.engine import Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Resampling
 from kvision.augmentation.random_generator.crop import ResizeGenerator, parse_size
 from kvision.augmentation.transforms import Transform

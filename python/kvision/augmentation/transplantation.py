@@ -10,12 +10,13 @@ import torch
 from torch import Generator, Tensor
 
 from kvision import _check
-from kvision.augmentation.base import Execution, Params, per_sample, replaying
 from kvision.augmentation.draws import integer
+from kvision.augmentation.engine import Execution, Params, replaying
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import parse_data_keys
 from kvision.augmentation.mix import MixAugmentationBaseV2
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+from kvision.augmentation.samples import per_sample
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 

@@ -11,8 +11,8 @@ from torch import Tensor
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
-from kvision.augmentation.base import Params, Shape
 from kvision.augmentation.crop import padding_resampling
+from kvision.augmentation.engine import Params, Shape
 from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D, parse_resample
 from kvision.augmentation.geometric_base import Resampling
 from kvision.augmentation.random_generator.base import RandomGeneratorBase

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision import enhance, filters
 from kvision.augmentation import ranges
-from kvision.augmentation.base import Params
+from kvision.augmentation.engine import Params
 from kvision.augmentation.filters import DrawnKernelSize, border_name
 from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D, parse_resample
 from kvision.augmentation.intensity_base import IntensityAugmentationBase3D

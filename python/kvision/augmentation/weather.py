@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._clamp import clamp
-from kvision.augmentation.base import Params
+from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.random_generator.weather import RainGenerator

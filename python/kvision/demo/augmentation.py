@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw
 from torch import Tensor, nn
 
 import kvision.augmentation as A
-from kvision.augmentation.sheet import draw_samples
+from kvision.augmentation.container.sheet import draw_samples
 from kvision.demo import gallery
 
 DRAWS = 8

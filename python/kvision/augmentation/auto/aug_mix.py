@@ -14,11 +14,11 @@ from torch import Generator, Tensor
 
 from kvision._dtype import compute_dtype
 from kvision.augmentation.auto.policy_base import Drawn, PolicyAugmentBase, check_integer
-from kvision.augmentation.base import per_sample
-from kvision.augmentation.container.image import ParamItem
-from kvision.augmentation.container.record import Record
-from kvision.augmentation.container.stages import Stage
 from kvision.augmentation.draws import Draw, Request, integer
+from kvision.augmentation.engine.image_sequential import ParamItem
+from kvision.augmentation.engine.record import Record
+from kvision.augmentation.engine.stages import Stage
+from kvision.augmentation.samples import per_sample
 from kvision.core.exceptions import ValueCheckError
 
 __all__ = ["AugMix"]

@@ -21,8 +21,8 @@ from kvision import enhance
 from kvision._constants import constant
 from kvision._ops import FastPath, behind_grad, register, vjp
 from kvision.augmentation.columns import name_columns
-from kvision.augmentation.container.stages import Stage, Warp
 from kvision.augmentation.drawn_pass import COMPUTED_IN_FLOAT32
+from kvision.augmentation.engine.stages import Stage, Warp
 from kvision.augmentation.filters import has_range
 from kvision.augmentation.geometric_base import warp
 from kvision.augmentation.transforms import Transform, center_of, transform_matrix

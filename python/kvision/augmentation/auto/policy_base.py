@@ -11,15 +11,15 @@ from torch import Generator, Tensor
 from kvision import _check
 from kvision._ops import FastPath
 from kvision.augmentation.auto.operation_table import OPERATIONS, execute_steps
-from kvision.augmentation.base import where_chosen
-from kvision.augmentation.base.execution import check_batch_of_params
 from kvision.augmentation.columns import DrawPlan, fits_one_launch, plan_draws
-from kvision.augmentation.container.image import ImageSequential, ParamItem, identity_of
-from kvision.augmentation.container.record import Record
-from kvision.augmentation.container.runs import Randomness
-from kvision.augmentation.container.stages import Stage, product
 from kvision.augmentation.draws import MAX_DRAWS, Draw, Request
+from kvision.augmentation.engine.execution import check_batch_of_params
+from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem, identity_of
+from kvision.augmentation.engine.record import Record
+from kvision.augmentation.engine.runs import Randomness
+from kvision.augmentation.engine.stages import Stage, product
 from kvision.augmentation.keys import check_seeds, draw_keys
+from kvision.augmentation.samples import where_chosen
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = ["PolicyAugmentBase"]

@@ -9,13 +9,13 @@ import torch
 from torch import Generator, Tensor, nn
 
 import kvision.augmentation as A
-from kvision.augmentation.base import where_chosen
 from kvision.augmentation.columns import draw_columns
-from kvision.augmentation.container.augmentation import AugmentationSequential
-from kvision.augmentation.container.image import ParamItem
-from kvision.augmentation.container.record import Record
 from kvision.augmentation.draws import Request, uniform
+from kvision.augmentation.engine.augmentation_sequential import AugmentationSequential
+from kvision.augmentation.engine.image_sequential import ParamItem
+from kvision.augmentation.engine.record import Record
 from kvision.augmentation.keys import Seed, draw_keys
+from kvision.augmentation.samples import where_chosen
 from kvision.constants import DataKey
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.core.pixels import to_unit

@@ -8,9 +8,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from kvision.augmentation.base.configuration import settings_changed
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.draws import Draw, Request
+from kvision.augmentation.engine.configuration import settings_changed
 from kvision.augmentation.keys import draw_keys
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.ranges import LearnedUniform

@@ -11,12 +11,18 @@ import torch
 import torch.nn.functional as F
 from torch import Generator, Tensor, nn
 
-from kvision.augmentation.base import AugmentationBase
-from kvision.augmentation.container.choices import execute_turns
-from kvision.augmentation.container.image import ImageSequential, ParamItem, TurnParamItem, checked_items, item_of
-from kvision.augmentation.container.record import Child, Record
-from kvision.augmentation.container.runs import Randomness, execute
-from kvision.augmentation.container.stages import Cells
+from kvision.augmentation.engine.augmentation import AugmentationBase
+from kvision.augmentation.engine.choices import execute_turns
+from kvision.augmentation.engine.image_sequential import (
+    ImageSequential,
+    ParamItem,
+    TurnParamItem,
+    checked_items,
+    item_of,
+)
+from kvision.augmentation.engine.record import Child, Record
+from kvision.augmentation.engine.runs import Randomness, execute
+from kvision.augmentation.engine.stages import Cells
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.keys import Seed, frame_seeds
 from kvision.augmentation.random_generator.crop import parse_size

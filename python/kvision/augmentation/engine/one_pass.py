@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator, Tensor
 
-from kvision.augmentation.base.engine import Engine
-from kvision.augmentation.base.execution import Execution, Shape, matrix_type
 from kvision.augmentation.columns import Columns, DrawPlan, Span
 from kvision.augmentation.drawn_pass import DrawnPass
+from kvision.augmentation.engine.execution import Execution, Shape, matrix_type
+from kvision.augmentation.engine.executor import Engine
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.warp_and_color import Pass
 

@@ -13,8 +13,9 @@ from collections.abc import Callable, Iterator, Sequence
 import torch
 from torch import Tensor
 
-from kvision.augmentation.base import Execution, where_chosen
-from kvision.augmentation.container.stages import (
+from kvision.augmentation.elastic import MapAugmentation
+from kvision.augmentation.engine.execution import Execution
+from kvision.augmentation.engine.stages import (
     Applied,
     Composed,
     MapLink,
@@ -24,9 +25,9 @@ from kvision.augmentation.container.stages import (
     move_points,
     move_points_back,
 )
-from kvision.augmentation.elastic import MapAugmentation
 from kvision.augmentation.maps import vector
 from kvision.augmentation.preimages import EXACT, ResultMap, at_nodes, result_map
+from kvision.augmentation.samples import where_chosen
 
 _SIDE = 16  # points on each side of a box that moves through what bends its sides
 _REACH = 4  # sizes of images around a result in which boxes and points outside are found

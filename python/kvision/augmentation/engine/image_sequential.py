@@ -11,21 +11,13 @@ from torch import Generator, Tensor, nn
 
 from kvision._modules import give_own_forward
 from kvision._ops import FLOATS
-from kvision.augmentation.base import (
-    AugmentationBase,
-    at_scale,
-    inverse_at,
-    is_known,
-    known_everywhere,
-    with_matrix,
-    without_added_axes,
-)
-from kvision.augmentation.base.configuration import Plans, portable, settings_changed
-from kvision.augmentation.base.declaration import KeepsArguments
-from kvision.augmentation.container.choices import Choices, execute_turns
-from kvision.augmentation.container.record import Child, Record
-from kvision.augmentation.container.runs import Randomness, execute
-from kvision.augmentation.container.stages import (
+from kvision.augmentation.engine.augmentation import AugmentationBase
+from kvision.augmentation.engine.choices import Choices, execute_turns
+from kvision.augmentation.engine.configuration import Plans, portable, settings_changed
+from kvision.augmentation.engine.declaration import KeepsArguments
+from kvision.augmentation.engine.record import Child, Record
+from kvision.augmentation.engine.runs import Randomness, execute
+from kvision.augmentation.engine.stages import (
     KNOWN,
     Applied,
     LabelSettings,
@@ -47,6 +39,14 @@ from kvision.augmentation.inputs import (
 )
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys, refuse_capture, refuse_graphs
+from kvision.augmentation.samples import (
+    at_scale,
+    inverse_at,
+    is_known,
+    known_everywhere,
+    with_matrix,
+    without_added_axes,
+)
 from kvision.augmentation.warp_and_color import SAME, Output
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 

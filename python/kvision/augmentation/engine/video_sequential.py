@@ -9,13 +9,13 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision import _check
-from kvision.augmentation.base import inverse_at
-from kvision.augmentation.container.image import ImageSequential, ParamItem, invert
-from kvision.augmentation.container.record import Record
-from kvision.augmentation.container.runs import Randomness, Stage
-from kvision.augmentation.container.stages import forget_coordinates
+from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem, invert
+from kvision.augmentation.engine.record import Record
+from kvision.augmentation.engine.runs import Randomness, Stage
+from kvision.augmentation.engine.stages import forget_coordinates
 from kvision.augmentation.inputs import as_output_type, check_matrix, check_output_type, image_and_matrix
 from kvision.augmentation.keys import Seed
+from kvision.augmentation.samples import inverse_at
 from kvision.core.exceptions import ShapeError, ValueCheckError
 
 __all__ = ["VideoSequential"]

@@ -8,8 +8,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision.augmentation.base.execution import Shape
-
 
 def without_added_axes(y: Tensor, input: Tensor) -> Tensor:
     """The result of a batch of one with as many axes as the input had."""
@@ -59,7 +57,7 @@ def _read_nearest(x: Tensor, size: Sequence[int]) -> Tensor:
     return x
 
 
-def known_everywhere(shape: Shape, device: torch.device) -> Tensor:
+def known_everywhere(shape: tuple[int, ...], device: torch.device) -> Tensor:
     """One channel of ones for images of a shape (B, C, H, W)."""
     return torch.ones((shape[0], 1, *shape[2:]), device=device)
 

@@ -1,6 +1,6 @@
 """Plans of neighboring augmentations: which of them share a pass over the images.
 
-The planner knows no class. It asks each augmentation for its contribution (base/contribution.py), and lets neighbors wait
+The planner knows no class. It asks each augmentation for its contribution (contribution.py), and lets neighbors wait
 until the next one cannot join them. Three kinds of steps come out of it: passes, resamplings at composed coordinates, and
 augmentations that run by themselves.
 """
@@ -15,13 +15,15 @@ import torch
 from torch import Tensor
 
 from kvision._dtype import as_dtype, compute_dtype
-from kvision.augmentation.base import AugmentationBase, Execution, Shape, where_chosen
-from kvision.augmentation.base.contribution import Motion
 from kvision.augmentation.columns import DrawPlan
-from kvision.augmentation.container.stages import Applied, Composed, MapLink, Stage, Warp
 from kvision.augmentation.displacements import NoiseField
 from kvision.augmentation.drawn_links import DrawnLinks
 from kvision.augmentation.drawn_pass import DrawnPass
+from kvision.augmentation.engine.augmentation import AugmentationBase
+from kvision.augmentation.engine.contribution import Motion
+from kvision.augmentation.engine.execution import Execution, Shape
+from kvision.augmentation.engine.stages import Applied, Composed, MapLink, Stage, Warp
+from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.transforms import MAX_TRANSFORMS, MatrixPlan, Transform, keeps_rows, transform_matrix
 from kvision.augmentation.warp_and_color import SAME, ColorPart, Output, Pass, Resampling, fits_one_program, make_pass
 from kvision.core.exceptions import ShapeError

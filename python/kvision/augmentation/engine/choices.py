@@ -14,11 +14,13 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from kvision.augmentation.base import AugmentationBase, Execution, where_chosen
-from kvision.augmentation.container.record import Child, Record
-from kvision.augmentation.container.runs import Randomness, execute
-from kvision.augmentation.container.stages import Applied, Composed, Stage, Warp
 from kvision.augmentation.draws import philox, unit
+from kvision.augmentation.engine.augmentation import AugmentationBase
+from kvision.augmentation.engine.execution import Execution
+from kvision.augmentation.engine.record import Child, Record
+from kvision.augmentation.engine.runs import Randomness, execute
+from kvision.augmentation.engine.stages import Applied, Composed, Stage, Warp
+from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.warp_and_color import SAME, make_pass
 from kvision.core.exceptions import ShapeError
 from kvision.core.pixels import to_unit

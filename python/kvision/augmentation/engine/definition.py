@@ -13,8 +13,10 @@ import torch
 from torch import Tensor
 
 from kvision.augmentation import maps
-from kvision.augmentation.base import AugmentationBase, Shape, where_chosen
-from kvision.augmentation.base.contribution import Contribution
+from kvision.augmentation.engine.augmentation import AugmentationBase
+from kvision.augmentation.engine.contribution import Contribution
+from kvision.augmentation.engine.execution import Shape
+from kvision.augmentation.samples import where_chosen
 
 Call = tuple[AugmentationBase, dict[str, Any]]  # an augmentation with its parameters
 

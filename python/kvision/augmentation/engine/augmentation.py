@@ -9,9 +9,12 @@ import torch
 from torch import Generator, Tensor
 
 from kvision._modules import give_own_forward
-from kvision.augmentation.base.execution import Execution, Params, replaying
-from kvision.augmentation.base.one_pass import OnePass
-from kvision.augmentation.base.samples import (
+from kvision.augmentation.engine.execution import Execution, Params, replaying
+from kvision.augmentation.engine.one_pass import OnePass
+from kvision.augmentation.inputs import WIDE_INTEGERS, check_image, check_matrix, image_and_matrix, in_type_of
+from kvision.augmentation.keys import Seed
+from kvision.augmentation.maps import exact
+from kvision.augmentation.samples import (
     at_scale,
     is_known,
     known_everywhere,
@@ -19,9 +22,6 @@ from kvision.augmentation.base.samples import (
     with_matrix,
     without_added_axes,
 )
-from kvision.augmentation.inputs import WIDE_INTEGERS, check_image, check_matrix, image_and_matrix, in_type_of
-from kvision.augmentation.keys import Seed
-from kvision.augmentation.maps import exact
 from kvision.core.exceptions import ShapeError
 
 __all__ = [

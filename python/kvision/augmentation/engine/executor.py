@@ -10,13 +10,20 @@ from torch.compiler import is_compiling
 
 from kvision._constants import constant
 from kvision._ops import match_layout
-from kvision.augmentation.base.declaration import Declaration
-from kvision.augmentation.base.execution import Execution, Params, Shape, check_batch_of_params, matrix_type, replaying
-from kvision.augmentation.base.samples import where_chosen
 from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, identity_values, plan_draws
 from kvision.augmentation.draws import Request, is_chosen_batch
+from kvision.augmentation.engine.declaration import Declaration
+from kvision.augmentation.engine.execution import (
+    Execution,
+    Params,
+    Shape,
+    check_batch_of_params,
+    matrix_type,
+    replaying,
+)
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
 from kvision.augmentation.noise import PixelNoise
+from kvision.augmentation.samples import where_chosen
 
 
 class Engine(Declaration):

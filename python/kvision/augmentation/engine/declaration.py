@@ -15,11 +15,11 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision import _check
-from kvision.augmentation.base.configuration import SWITCHES, Flags, Plans, portable, settings_changed
-from kvision.augmentation.base.contribution import Colors, Contribution
-from kvision.augmentation.base.execution import Params, Shape
 from kvision.augmentation.columns import Names, Span, name_columns
 from kvision.augmentation.draws import Draw, Request
+from kvision.augmentation.engine.configuration import SWITCHES, Flags, Plans, portable, settings_changed
+from kvision.augmentation.engine.contribution import Colors, Contribution
+from kvision.augmentation.engine.execution import Params, Shape
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color import ColorPart, Pass, make_pass

@@ -11,8 +11,9 @@ from torch import Tensor, nn
 
 from kvision._dtype import compute_dtype
 from kvision.augmentation import maps
-from kvision.augmentation.base import AugmentationBase, Execution
 from kvision.augmentation.elastic import MapAugmentation
+from kvision.augmentation.engine.augmentation import AugmentationBase
+from kvision.augmentation.engine.execution import Execution
 from kvision.augmentation.geometric_base import warp, warp_labels
 from kvision.augmentation.labels import BoxFilter
 from kvision.augmentation.warp_and_color import Resampling

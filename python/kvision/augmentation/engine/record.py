@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 from torch import Tensor, nn
 
 if TYPE_CHECKING:
-    from kvision.augmentation.container.label_record import LabelRecord
-    from kvision.augmentation.container.stages import Stage
-    from kvision.augmentation.container.video import VideoLayout
+    from kvision.augmentation.engine.label_record import LabelRecord
+    from kvision.augmentation.engine.stages import Stage
+    from kvision.augmentation.engine.video_sequential import VideoLayout
 
 
 @dataclass(slots=True)

@@ -23,15 +23,16 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator, Tensor, nn
 
-from kvision.augmentation.base import AugmentationBase, Execution, Shape, matrix_type
-from kvision.augmentation.base.configuration import Plans
 from kvision.augmentation.columns import Columns, DrawPlan, Span, plan_draws
-from kvision.augmentation.container.passes import Planned, Running, Step, plan_steps
-from kvision.augmentation.container.record import Child
-from kvision.augmentation.container.stages import Applied, Stage
 from kvision.augmentation.drawn_links import DrawnLinks
 from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.draws import Request
+from kvision.augmentation.engine.augmentation import AugmentationBase
+from kvision.augmentation.engine.configuration import Plans
+from kvision.augmentation.engine.execution import Execution, Shape, matrix_type
+from kvision.augmentation.engine.passes import Planned, Running, Step, plan_steps
+from kvision.augmentation.engine.record import Child
+from kvision.augmentation.engine.stages import Applied, Stage
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys, frame_seeds
 from kvision.augmentation.warp_and_color import (
     SAME,

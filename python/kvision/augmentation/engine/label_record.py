@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from kvision.augmentation import labels
-from kvision.augmentation.container.label_moves import LabelMoves, size_before
-from kvision.augmentation.container.stages import Applied, LabelSettings, MaskReading, Stage, mixes, move_masks
+from kvision.augmentation.engine.label_moves import LabelMoves, size_before
+from kvision.augmentation.engine.stages import Applied, LabelSettings, MaskReading, Stage, mixes, move_masks
 from kvision.augmentation.labels import BOX_FORMATS
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError

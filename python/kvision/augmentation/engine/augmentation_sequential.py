@@ -10,13 +10,13 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision.augmentation import labels
-from kvision.augmentation.base import RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D, inverse_at
-from kvision.augmentation.container.image import ImageSequential, ParamItem
-from kvision.augmentation.container.label_moves import move_boxes_back
-from kvision.augmentation.container.label_record import LabelRecord, moved_masks
-from kvision.augmentation.container.record import Record
-from kvision.augmentation.container.runs import execute
-from kvision.augmentation.container.stages import (
+from kvision.augmentation.engine.augmentation import RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D
+from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
+from kvision.augmentation.engine.label_moves import move_boxes_back
+from kvision.augmentation.engine.label_record import LabelRecord, moved_masks
+from kvision.augmentation.engine.record import Record
+from kvision.augmentation.engine.runs import execute
+from kvision.augmentation.engine.stages import (
     LabelSettings,
     MaskReading,
     Stage,
@@ -25,7 +25,7 @@ from kvision.augmentation.container.stages import (
     move_masks_back,
     move_points_back,
 )
-from kvision.augmentation.container.video import VideoLayout, VideoSequential
+from kvision.augmentation.engine.video_sequential import VideoLayout, VideoSequential
 from kvision.augmentation.inputs import (
     Entries,
     as_output_type,
@@ -38,6 +38,7 @@ from kvision.augmentation.inputs import (
     parse_names,
 )
 from kvision.augmentation.keys import Seed
+from kvision.augmentation.samples import inverse_at
 from kvision.constants import DataKey, Resample
 from kvision.core.exceptions import BaseError, ValueCheckError
 

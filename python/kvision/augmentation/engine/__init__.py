@@ -1,0 +1,55 @@
+"""The engine of augmentations: bases, planner, executors, records and containers.
+
+An augmentation declares what it draws (a generator of random_generator) and one of three effects:
+
+    transforms   a chain of matrix formulas of the drawn columns: the image, masks, boxes and points follow the matrix
+    color steps  a part of a color program
+    methods      `apply_transform`, on the parameters by name
+
+The first two are executed from drawn columns without parameters by name in between; containers join those of neighbors, which
+they learn from one method, `_contribution`. A subclass that overrides `generate_parameters`, `compute_transformation` or
+`apply_transform` is executed through them.
+
+One augmentation:
+
+    declaration    what a subclass declares and overrides
+    contribution   what an augmentation adds to the passes that it shares
+    executor       draws parameters, or takes given ones, and executes the declaration
+    one_pass       the same by one pass over the images, where there is one
+    augmentation   what users call, and the public bases
+    execution      what one call drew and did
+
+Neighbors in a container:
+
+    runs, passes   plan what neighbors draw and execute together, and execute it
+    definition     what they compute, written plainly
+    choices        which children run, for the batch or for each sample
+    stages, record what a call did to positions of pixels; all that it did
+    label_moves    boxes and points behind the stages of a call; label_record those of one call
+    *_sequential   the containers that users call
+
+Operators that plans call (draws, columns, transforms, warp_and_color, drawn_pass, drawn_links, maps) are outside, in the folder
+of their kernels: they know no augmentation.
+"""
+
+from kvision.augmentation.engine.augmentation import (
+    AugmentationBase,
+    AugmentationBase2D,
+    AugmentationBase3D,
+    RigidAffineAugmentationBase2D,
+    RigidAffineAugmentationBase3D,
+)
+from kvision.augmentation.engine.execution import Execution, Params, Shape, matrix_type, replaying
+
+__all__ = [
+    "AugmentationBase",
+    "AugmentationBase2D",
+    "AugmentationBase3D",
+    "Execution",
+    "Params",
+    "RigidAffineAugmentationBase2D",
+    "RigidAffineAugmentationBase3D",
+    "Shape",
+    "matrix_type",
+    "replaying",
+]

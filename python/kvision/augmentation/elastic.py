@@ -14,8 +14,7 @@ from kvision._ops import match_layout
 from kvision._torch_compat import linspace
 from kvision.augmentation import maps
 from kvision.augmentation.displacements import NoiseField, blur_settings, elastic_displacements, scaled_blur
-from kvision.augmentation.engine import AugmentationBase2D, Execution, Params
-from kvision.augmentation.engine.contribution import Contribution, Motion
+from kvision.augmentation.engine import AugmentationBase2D, Contribution, Execution, Motion, Params
 from kvision.augmentation.maps import vector
 from kvision.augmentation.noise import PixelNoise, noise_plan
 from kvision.augmentation.preimages import find_positions
@@ -37,6 +36,7 @@ class MapAugmentation(AugmentationBase2D, keeps_contract=True):
 
     accepts_bytes = accepts_wide_integers = True
     keeps_lines = False
+    moves_by_map = True
 
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
         """The map (B, 2, H, W), as maps.py stores it."""

@@ -17,12 +17,17 @@ from kvision import _check
 from kvision._clamp import clamp
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.draws import Request, uniform
-from kvision.augmentation.engine import AugmentationBase2D, Params
-from kvision.augmentation.engine.configuration import Plans
-from kvision.augmentation.engine.execution import Execution, check_batch_of_params
-from kvision.augmentation.engine.image_sequential import ImageSequential
-from kvision.augmentation.engine.runs import Randomness
-from kvision.augmentation.engine.stages import Applied, Stage
+from kvision.augmentation.engine import (
+    Applied,
+    AugmentationBase2D,
+    Execution,
+    ImageSequential,
+    Params,
+    Plans,
+    Randomness,
+    Stage,
+    check_batch_of_params,
+)
 from kvision.augmentation.inputs import check_matrix, image_and_matrix
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys
 from kvision.augmentation.samples import with_matrix

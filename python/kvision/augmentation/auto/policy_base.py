@@ -13,11 +13,16 @@ from kvision._ops import FastPath
 from kvision.augmentation.auto.operation_table import OPERATIONS, execute_steps
 from kvision.augmentation.columns import DrawPlan, fits_one_launch, plan_draws
 from kvision.augmentation.draws import MAX_DRAWS, Draw, Request
-from kvision.augmentation.engine.execution import check_batch_of_params
-from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem, identity_of
-from kvision.augmentation.engine.record import Record
-from kvision.augmentation.engine.runs import Randomness
-from kvision.augmentation.engine.stages import Stage, product
+from kvision.augmentation.engine import (
+    ImageSequential,
+    ParamItem,
+    Randomness,
+    Record,
+    Stage,
+    check_batch_of_params,
+    identity_of,
+    product,
+)
 from kvision.augmentation.keys import check_seeds, draw_keys
 from kvision.augmentation.samples import where_chosen
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError

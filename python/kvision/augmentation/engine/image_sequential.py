@@ -37,7 +37,6 @@ from kvision.augmentation.inputs import (
     image_of,
     in_type_of,
 )
-from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys, refuse_capture, refuse_graphs
 from kvision.augmentation.samples import (
     at_scale,
@@ -554,15 +553,10 @@ class ImageSequential(ImageSequentialBase):
 
     def is_intensity_only(self, strict: bool = True) -> bool:
         """Whether all children keep the positions of pixels; other modules count as moving them if `strict`."""
-        for module in self.children():
-            if isinstance(module, ImageSequential):
-                if not module.is_intensity_only(strict):
-                    return False
-            elif isinstance(module, (IntensityAugmentationBase2D, IntensityAugmentationBase3D)):
-                continue
-            elif isinstance(module, AugmentationBase) or strict:
-                return False
-        return True
+        return all(
+            m.is_intensity_only(strict) if isinstance(m, ImageSequential) else getattr(m, "keeps_positions", not strict)
+            for m in self.children()
+        )
 
     def forward_parameters(self, batch_shape: Sequence[int]) -> list[ParamItem]:
         """Draw the parameters of a call on images of a shape, without executing it."""

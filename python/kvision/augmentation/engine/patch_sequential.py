@@ -23,9 +23,8 @@ from kvision.augmentation.engine.image_sequential import (
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import Randomness, execute
 from kvision.augmentation.engine.stages import Cells
-from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.keys import Seed, frame_seeds
-from kvision.augmentation.random_generator.crop import parse_size
 from kvision.augmentation.warp_and_color import SAME
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.core.pixels import to_unit
@@ -337,4 +336,4 @@ def _moves(module: nn.Module) -> bool:
     if not isinstance(module, AugmentationBase):
         return False
     erases = type(module).transform_masks is not AugmentationBase.transform_masks
-    return erases or not isinstance(module, IntensityAugmentationBase2D)
+    return erases or not module.keeps_positions

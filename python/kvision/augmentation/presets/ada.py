@@ -11,9 +11,7 @@ from torch import Generator, Tensor, nn
 import kvision.augmentation as A
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.draws import Request, uniform
-from kvision.augmentation.engine.augmentation_sequential import AugmentationSequential
-from kvision.augmentation.engine.image_sequential import ParamItem
-from kvision.augmentation.engine.record import Record
+from kvision.augmentation.engine import AugmentationSequential, ParamItem, Record
 from kvision.augmentation.keys import Seed, draw_keys
 from kvision.augmentation.samples import where_chosen
 from kvision.constants import DataKey

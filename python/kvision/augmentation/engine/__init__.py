@@ -54,7 +54,7 @@ from kvision.augmentation.engine.execution import (
 from kvision.augmentation.engine.image_sequential import ImageSequential, ImageSequentialBase, ParamItem, identity_of
 from kvision.augmentation.engine.patch_sequential import PatchSequential
 from kvision.augmentation.engine.record import Record
-from kvision.augmentation.engine.runs import Randomness
+from kvision.augmentation.engine.runs import CallContext
 from kvision.augmentation.engine.stages import Applied, Stage, Warp, product
 from kvision.augmentation.engine.video_sequential import VideoSequential
 
@@ -64,6 +64,7 @@ __all__ = [
     "AugmentationBase2D",
     "AugmentationBase3D",
     "AugmentationSequential",
+    "CallContext",
     "Colors",
     "Contribution",
     "Execution",
@@ -75,7 +76,6 @@ __all__ = [
     "Params",
     "PatchSequential",
     "Plans",
-    "Randomness",
     "Record",
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",

@@ -285,16 +285,16 @@ class AugmentationSequential(ImageSequential):
         if DataKey.MASK in keys:
             masks = functools.partial(self._masks_after, inputs[keys.index(DataKey.MASK)], tuple(x.shape))
         time = 0 if videos is None else videos.sizes[1]
-        y, record = self._execute(x, params, self._source(seed, generator, time, len(keys) > 1, masks))
+        y, record = self._execute(x, params, self._context(seed, generator, time, len(keys) > 1, masks))
         record.size, record.videos = tuple(y.shape[2:]), videos
         if len(keys) > 1:
             record.labels = LabelRecord(self._label_settings, record.shape, record.size)
             outputs = record.labels.move(keys, inputs, record.stages)
             for i, (key, value) in enumerate(zip(keys, inputs)):
                 if key == DataKey.INPUT and i != first:  # a second image gets the same
-                    source = self._source(None, None, time)
-                    again = self._children_of_call(self._read_params(record), source)
-                    z, _ = execute(self.transform_tensor(value), again, source)
+                    context = self._context(None, None, time)
+                    again = self._children_of_call(self._read_params(record), context)
+                    z, _ = execute(self.transform_tensor(value), again, context)
                     outputs[i] = self._restored(z, value)
         else:
             outputs = [y]

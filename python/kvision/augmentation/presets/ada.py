@@ -165,7 +165,7 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
             params = params[:-1]
         else:
             own = draw_keys(op, 1, torch.device("cpu"), seed, generator or self.generator)
-            request, position = Request([uniform(0.0, 1.0)]), _CHOICE if own.one_key else 0
+            request, position = Request([uniform(0.0, 1.0)]), _CHOICE if own.has_seed else 0
             (columns,) = draw_columns(torch.empty(images.shape[0], device="cpu"), own, [request], position)
             chosen = columns.values[:, 0] < self.p
         outputs, record = super()._call(keys, inputs, params, seed, generator, before)

@@ -81,9 +81,9 @@ class AugmentationSequential(ImageSequential):
         extra_args: flags of masks: {"mask": {"fill_value": 255}} gives pixels that enter, or are erased,
             the value that a loss ignores; default: 0. {} interpolates masks as the images, {"mask": {}} does not.
         resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones,
-            composes them with elastic, thin-plate and fisheye maps between them, and interpolates once. Pixels from outside
-            are those of the first one that interpolates. With antialiased resizing among them, a pixel is the mean of what it
-            covers where that is more than a pixel.
+            composes them with elastic, thin-plate and fisheye maps between them, and interpolates once: beyond a crop is
+            the image. Pixels from outside of it are those of the first one that interpolates. With antialiased resizing among
+            them, a pixel is the mean of what it covers where that is more than a pixel.
         clip_boxes: cut moved boxes off at the edges of the image; "each" after each child, so that what has left the image does
             not come back.
         min_box_area: moved boxes with fewer pixels inside the image are removed.

@@ -172,9 +172,9 @@ class ImageSequential(ImageSequentialBase):
         if_unsupported_ops: accepted for code written for Kornia; any module may be a child.
         disable_item_features, disable_sequential_features: accepted for code written for Kornia.
         resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones,
-            composes them with elastic, thin-plate and fisheye maps between them, and interpolates once. Pixels from outside
-            are those of the first one that interpolates. With antialiased resizing among them, a pixel is the mean of what it
-            covers where that is more than a pixel.
+            composes them with elastic, thin-plate and fisheye maps between them, and interpolates once: beyond a crop is
+            the image. Pixels from outside of it are those of the first one that interpolates. With antialiased resizing among
+            them, a pixel is the mean of what it covers where that is more than a pixel.
         generator: draws the keys of each call; default: torch's generator.
         output_dtype: type of the results; default: that of the images. Floating-point types have uint8 images in [0, 1].
         memory_format: `torch.channels_last` or `torch.contiguous_format` for the results; default: that of the images.

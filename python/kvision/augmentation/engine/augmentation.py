@@ -150,10 +150,6 @@ class AugmentationBase(OnePass, keeps_contract=True):
         """Points (B, N, 2), (B, N, 3) of volumes, moved as the images were."""
         return points
 
-    def displacements_of(self, execution: Execution, flags: dict[str, Any], like: Tensor) -> Tensor:
-        """The map (B, 2, H, W) of what `moves_by_map`, 0 for samples that are not chosen."""
-        raise NotImplementedError
-
     # --- the inverse ---
 
     def inverse_images(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:

@@ -33,7 +33,9 @@ def run_in_turn(
     stored = x.dtype
     pending: list[Call] = list(zip(augmentations, params))
     while pending:
-        together = list(takewhile(lambda call: _contribution(call[0], tuple(x.shape)).motion, pending)) if once else []
+        shape = tuple(x.shape)
+        motions = [_contribution(module, shape).motion for module, _ in pending] if once else []
+        together = pending[: len(list(takewhile(bool, motions)))]
         if together:
             x, pending = _read_once(x, together), pending[len(together) :]
             continue

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -186,7 +187,7 @@ def _flat(stages: Sequence[Stage]) -> Iterator[Stage]:
             yield stage
 
 
-def _map(stage: Stage) -> tuple[AugmentationBase, Execution] | None:
+def _map(stage: Stage) -> tuple[Any, Execution] | None:
     """The augmentation and the execution of a stage that is a map by itself, and was applied."""
     if not isinstance(stage, Applied) or stage.execution is None or not isinstance(stage.module, AugmentationBase):
         return None

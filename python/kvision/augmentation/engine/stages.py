@@ -152,12 +152,13 @@ class Applied(NamedTuple):
 class MapLink(NamedTuple):
     """A map of a chain: an augmentation with its execution."""
 
-    module: AugmentationBase
+    module: Any  # a MapAugmentation
     execution: Execution
     flags: dict[str, Any]
 
     def displacements(self, like: Tensor) -> Tensor:
-        return self.module.displacements_of(self.execution, self.flags, like)
+        moved: Tensor = self.module.displacements_of(self.execution, self.flags, like)
+        return moved
 
 
 @dataclass

@@ -2,6 +2,7 @@
 // one each block combines the results of all chunks of the plane, then maps its chunk. The second launch traverses the
 // chunks backwards: it starts with what the first one read last, which is still in the L2 cache.
 #include "byte_histogram.cuh"
+#include "core/product.h"
 #include "min_max.h"
 
 namespace kv::enhance::cuda {
@@ -125,10 +126,6 @@ __global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
   sums = of_block(sums);
   if (threadIdx.x == 0) reinterpret_cast<Sums<F>*>(p.partial)[blockIdx.x] = sums;
 }
-
-// Must not be contracted with the sum that follows: in a flat plane, terms of the size of 1 / eps cancel.
-__device__ __forceinline__ float product(float a, float b) { return __fmul_rn(a, b); }
-__device__ __forceinline__ double product(double a, double b) { return __dmul_rn(a, b); }
 
 template <class T, int P>
 __global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {

@@ -10,6 +10,7 @@ from benchmarks.sample_calls.model import Axes, Derived, calls, made, rand, rand
 from benchmarks.sample_calls.tensors import (
     BINARY,
     BOX,
+    BOXES_ROTATED,
     BOXES_XYXY,
     DISTRIBUTION,
     GRAY,
@@ -79,9 +80,6 @@ TABLES = {
             _like=IMAGE, original_size=Derived(lambda _, t: tuple(t["_like"].shape[-2:])), window_size=5
         ),
         "extract_tensor_patches": dict(input=IMAGE, window_size=(4, 5), stride=(4, 5)),
-        "vision_patches": dict(
-            images=IMAGE, patch_size=4, merge_size=1, min_pixels=16, max_pixels=1 << 20, mean=0.5, std=0.25
-        ),
     },
     "core": {
         "eye_like": dict(n=3, input=IMAGE),
@@ -141,6 +139,9 @@ TABLES = {
         "psnr_loss": dict(image=IMAGE, target=IMAGE, max_val=1.0),
         "cauchy_loss charbonnier_loss geman_mcclure_loss welsch_loss l1_ssim_loss": dict(img1=IMAGE, img2=IMAGE),
         "inverse_depth_smoothness_loss": dict(idepth=GRAY, image=IMAGE),
+        "complete_box_iou_loss distance_box_iou_loss generalized_box_iou_loss": dict(
+            boxes1=BOXES_XYXY, boxes2=BOXES_XYXY
+        ),
         "total_variation": dict(img=IMAGE),
         "ssim3d_loss": dict(img1=VOLUME, img2=VOLUME, window_size=5),
         "ssim_loss": dict(img1=IMAGE, img2=IMAGE, window_size=5),
@@ -159,6 +160,8 @@ TABLES = {
             n_classes=4,
         ),
         "mean_iou_bbox": dict(boxes_1=BOXES_XYXY, boxes_2=BOXES_XYXY),
+        "generalized_box_iou distance_box_iou complete_box_iou": dict(boxes1=BOXES_XYXY, boxes2=BOXES_XYXY),
+        "box_iou_rotated": dict(boxes1=BOXES_ROTATED, boxes2=BOXES_ROTATED),
         "confusion_matrix mean_iou": dict(pred=LABELS, target=LABELS, num_classes=3),
         "kitti_d1_error mean_absolute_disparity_error mean_bad_pixel_error root_mean_squared_disparity_error": dict(
             input=GRAY, target=GRAY

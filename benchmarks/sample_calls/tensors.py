@@ -51,6 +51,10 @@ def boxes_xyxy(s: Size) -> Tensor:
     return torch.cat([corner, corner + 0.1 + torch.rand(s.w, 2)], 1)
 
 
+def boxes_rotated(s: Size) -> Tensor:
+    return torch.cat([torch.rand(s.w, 2), 0.1 + torch.rand(s.w, 2), 90 * torch.rand(s.w, 1)], 1)
+
+
 def grid(s: Size) -> Tensor:
     return K.geometry.create_meshgrid(s.h, s.w).repeat(s.b, 1, 1, 1)
 
@@ -91,5 +95,6 @@ HOMOGRAPHY, AFFINE = (made(f"B {n} 3", lambda s, n=n: near_identity(3, n, s)) fo
 HOMOGRAPHY3D, AFFINE3D = (made(f"B {n} 4", lambda s, n=n: near_identity(4, n, s)) for n in (4, 3))
 
 BOX, BOX3D, BOXES_XYXY = made("B 4 2", boxes), made("B 8 3", boxes3d), made("N 4", boxes_xyxy)
+BOXES_ROTATED = made("N 5", boxes_rotated)
 CORNERS, CORNERS3D = made("B 4 2", corners), made("B 8 3", corners3d)
 GRID, GRID3D = made("B H W 2", grid), made("B 4 H W 3", grid3d)

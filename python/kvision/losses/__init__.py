@@ -1,10 +1,11 @@
-"""Losses: of segmentations, images, probability maps and signals.
+"""Losses: of segmentations, boxes, images, probability maps and signals.
 
 Segmentations are logits (B, C, H, W) with int64 labels (B, H, W). Every loss is differentiable and does not synchronize
 with the device. Half types are computed in float32.
 """
 
 from kvision import _torch_compat
+from kvision.losses.box_overlap import complete_box_iou_loss, distance_box_iou_loss, generalized_box_iou_loss
 from kvision.losses.divergence import js_div_loss_2d, kl_div_loss_2d
 from kvision.losses.focal import BinaryFocalLossWithLogits, FocalLoss, binary_focal_loss_with_logits, focal_loss
 from kvision.losses.hausdorff import HausdorffERLoss, HausdorffERLoss3D

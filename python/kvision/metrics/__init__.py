@@ -7,6 +7,7 @@ float64 for float64.
 from kvision import _torch_compat
 from kvision.metrics.accuracy import accuracy
 from kvision.metrics.average_meter import AverageMeter
+from kvision.metrics.box_overlap import box_iou_rotated, complete_box_iou, distance_box_iou, generalized_box_iou
 from kvision.metrics.boxes import mean_average_precision, mean_iou_bbox
 from kvision.metrics.confusion_matrix import confusion_matrix, mean_iou
 from kvision.metrics.disparity import (

@@ -25,7 +25,9 @@ SIZE_OF_DATA = "the size of the result depends on the values"
 NUMBERS = "gives a bool, a float or a list of floats of Python, computed from the values: a graph holds tensors"
 LEFT_OUT = {
     **dict.fromkeys(("geometry.crop_by_boxes", "geometry.crop_by_boxes3d", "geometry.crop_by_indices"), SIZE_OF_DATA),
-    "geometry.nms": SIZE_OF_DATA,
+    **dict.fromkeys(
+        ("geometry.batched_nms", "geometry.nms", "geometry.remove_small_boxes", "geometry.soft_nms"), SIZE_OF_DATA
+    ),
     **dict.fromkeys(
         (
             "geometry.validate_bbox",
@@ -35,7 +37,6 @@ LEFT_OUT = {
         ),
         NUMBERS,
     ),
-    "contrib.vision_patches": "the grid of patches follows from the height and width, which a graph fixes",
 }
 CALLS = {call.name: call for call in sample_calls() if call.axes}
 

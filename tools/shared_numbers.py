@@ -22,6 +22,7 @@ MODES = (
     ("POINT_MAP", "PointMapKind", "geometry/transform_points_op.cpp", "ops::PointMap"),
     ("MODEL", "Model", "geometry/solvers/minimal.h", "ops::Model"),
     ("CORRESPONDENCE_ERROR", "ErrorKind", "geometry/correspondence_errors.h", "ops::CorrespondenceError"),
+    ("BOX_DECAY", "Decay", "geometry/detection/suppression.h", ""),
     ("BOX_FORMAT", "BoxFormat", "metrics/boxes.h", ""),
     ("CONFUSION_STATISTIC", "ConfusionStatistic", "metrics/confusion_matrix.h", ""),
     ("POINT_LOSS", "PointLoss", "metrics/pointwise.h", ""),

@@ -83,7 +83,15 @@ GEOMETRY = {
     "bbox_to_mask3d": dict(boxes=BOX3D, size=(6, 20, 24)),
     "infer_bbox_shape validate_bbox": dict(boxes=BOX),
     "infer_bbox_shape3d validate_bbox3d": dict(boxes=BOX3D),
-    "nms": dict(boxes=BOXES_XYXY, scores=rand("N"), iou_threshold=0.5),
+    "nms nms_mask": dict(boxes=BOXES_XYXY, scores=rand("N"), iou_threshold=0.5),
+    "batched_nms": dict(
+        boxes=BOXES_XYXY, scores=rand("N"), idxs=made("N", lambda s: torch.arange(s.n) % 3), iou_threshold=0.5
+    ),
+    "soft_nms": dict(boxes=BOXES_XYXY, scores=rand("N")),
+    "box_area": dict(boxes=BOXES_XYXY),
+    "clip_boxes_to_image": dict(boxes=BOXES_XYXY, size=(12, 14)),
+    "remove_small_boxes": dict(boxes=BOXES_XYXY, min_size=4.0),
+    "masks_to_boxes": dict(masks=made("B H W", lambda s: (torch.rand(s.b, s.h, s.w) > 0.9).float())),
     "transform_bbox": dict(trans_mat=HOMOGRAPHY, boxes=made("B N 4", lambda s: boxes_xyxy(s).repeat(s.b, 1, 1))),
     "distort_points undistort_points": dict(points=POINTS, K=CAMERA, dist=rand("B 4", 0, 0.05)),
     "solve_pnp_dlt": dict(world_points=POINTS3, img_points=POINTS, intrinsics=CAMERA),

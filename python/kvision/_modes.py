@@ -66,6 +66,9 @@ CORRESPONDENCE_ERROR = {
     "segments": 7,
 }
 CORRESPONDENCE_ERROR_NAMES = tuple(CORRESPONDENCE_ERROR)
+# Decay in csrc/geometry/detection/suppression.h
+BOX_DECAY = {"linear": 0, "gaussian": 1}
+BOX_DECAY_NAMES = tuple(BOX_DECAY)
 # BoxFormat in csrc/metrics/boxes.h
 BOX_FORMAT = {"xyxy": 0, "xywh": 1, "cxcywh": 2}
 BOX_FORMAT_NAMES = tuple(BOX_FORMAT)

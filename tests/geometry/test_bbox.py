@@ -101,33 +101,6 @@ def test_validation():
             G.validate_bbox3d(crooked)
 
 
-def greedy(boxes: Tensor, scores: Tensor, threshold: float) -> list[int]:
-    kept: list[int] = []
-    overlaps = K.metrics.mean_iou_bbox(boxes, boxes)
-    for i in scores.argsort(descending=True, stable=True).tolist():
-        if not any(overlaps[i, j] > threshold for j in kept):
-            kept.append(i)
-    return kept
-
-
-@pytest.mark.parametrize("threshold", [0.0, 0.1, 0.5, 1.0])
-@pytest.mark.parametrize("n", [0, 1, 2, 50, 300])
-def test_nms_is_greedy(n, threshold, device, monkeypatch):
-    boxes, scores = xyxy(n), (10 * rand(n, seed=6)).round()
-    result = G.nms(boxes.to(device), scores.to(device), threshold)
-    assert result.tolist() == greedy(boxes, scores, threshold)
-    monkeypatch.setattr("kvision.geometry.bbox.NMS_BLOCK", 37)
-    assert G.nms(boxes.to(device), scores.to(device), threshold).tolist() == result.tolist()
-
-
-def test_nms_of_a_chain(device):
-    """Each box excludes the next one alone: as many rounds as there are boxes."""
-    x = torch.arange(100.0, device=device)
-    boxes = torch.stack([x, 0 * x, x + 1.5, 0 * x + 1], -1)
-    assert G.nms(boxes, -x, 0.1).tolist() == list(range(0, 100, 2))
-    assert G.nms(0 * boxes, -x, 0.1).tolist() == list(range(100))  # no area, no overlap
-
-
 BOX = xyxy(2, 5)
 BAD = [
     (lambda: G.bbox_generator(*torch.ones(3), torch.ones(1).int()), TypeError, "bbox_generator: expected tensors of one type"),
@@ -135,7 +108,6 @@ BAD = [
     (lambda: G.transform_bbox(torch.eye(3), BOX), ValueError, r"transform_bbox: expected trans_mat of shape \(B, 3, 3\)"),
     (lambda: G.transform_bbox(torch.eye(3)[None], BOX[..., :3]), ValueError, r"of shape \(N, 4\), \(B, N, 4\) or"),
     (lambda: G.transform_bbox(torch.eye(3).expand(3, 3, 3), BOX), ValueError, "trans_mat with 1 or 2 matrices"),
-    (lambda: G.nms(BOX[0], torch.ones(3), 0.5), ValueError, r"nms: expected scores of shape \(5,\)"),
 ]  # fmt: skip
 
 

@@ -38,7 +38,7 @@ def test_torchvision_formats(torchvision):
 @row(
     "torchvision",
     "`masks_to_boxes`: the first and the last pixel",
-    '"bbox_xyxy_plus"; `convert_boxes(boxes, "xyxy_plus", "xyxy")` adds 1 to x2 and y2',
+    '`masks_to_boxes`: the same; `masks_to_boxes(masks, "xyxy")` gives edges',
 )
 def test_torchvision_masks(torchvision):
     assert torchvision.ops.masks_to_boxes(torch.from_numpy(MASK)[None]).tolist() == [[3, 2, 7, 5]]

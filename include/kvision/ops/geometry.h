@@ -81,6 +81,14 @@ inline constexpr Operator<"depth_warp", Tensor(Tensor image, Tensor depth, Tenso
                                                int64_t padding, bool align_corners)>
     depth_warp{detail::rules::depth_warp};
 
+// --- geometry/detection/suppression_op.cpp
+
+inline constexpr Operator<"suppress_boxes", Tensor(Tensor edges, OptionalTensor labels, double threshold)>
+    suppress_boxes{non_differentiable};
+inline constexpr Operator<"soft_suppress_boxes", Two(Tensor edges, Tensor scores, OptionalTensor labels,
+                                                     double threshold, double sigma, double min_score, int64_t decay)>
+    soft_suppress_boxes{non_differentiable};
+
 // --- geometry/epipolar/essential_op.cpp
 
 inline constexpr Operator<"nearest_essential", Tensor(Tensor matrix)> nearest_essential{

@@ -8,6 +8,7 @@ from kvision.geometry import (
     camera,
     conversions,
     depth,
+    detection,
     epipolar,
     grid,
     homography,
@@ -34,6 +35,7 @@ from kvision.geometry.calibration import *  # noqa: F403
 from kvision.geometry.camera import *  # noqa: F403
 from kvision.geometry.conversions import *  # noqa: F403
 from kvision.geometry.depth import *  # noqa: F403
+from kvision.geometry.detection import *  # noqa: F403
 from kvision.geometry.epipolar import *  # noqa: F403
 from kvision.geometry.grid import *  # noqa: F403
 from kvision.geometry.homography import *  # noqa: F403

@@ -14,10 +14,10 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._clamp import clamp
 from kvision._dtype import compute_dtype, floats
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry._transform_points import transformed
+from kvision.geometry.detection.suppression import nms
 
 __all__ = [
     "bbox_generator",
@@ -298,7 +298,7 @@ def mask_between(near: Tensor, far: Tensor, size: tuple[int, ...]) -> Tensor:
     return functools.reduce(torch.logical_and, masks)
 
 
-# --- transformations and overlap ------------------------------------------------------------------------------------
+# --- transformations -------------------------------------------------------------------------------------------------
 
 
 def transform_bbox(
@@ -356,71 +356,3 @@ def transform_bbox(
         moved = transformed(corners(first, last), trans_mat)
         first, last = moved.amin(-2), moved.amax(-2)
     return torch.cat([first, last - first if mode == "xywh" else last], -1)
-
-
-NMS_BLOCK = 1024  # size of a block of boxes, whose pairs are compared at once
-
-
-def nms(boxes: Tensor, scores: Tensor, iou_threshold: float) -> Tensor:
-    """Non-maximum suppression: keep boxes in descending order of score, unless they overlap a kept one by more than a threshold.
-
-    The size of the result depends on the values of the boxes. The function therefore waits for the device, some ten times for
-    a thousand boxes, and cannot be traced.
-
-    Args:
-        boxes: boxes (x1, y1, x2, y2) of shape (N, 4), whose size is the difference of both corners.
-        scores: scores of shape (N,).
-        iou_threshold: the intersection over union above which the box of the lower score is suppressed. A box without area
-            overlaps no other box.
-
-    Returns:
-        The indices of the kept boxes, int64, in descending order of score. Equal scores keep the order of `boxes`.
-
-    Raises:
-        TypeError: `boxes` or `scores` is not a tensor of real numbers, or `iou_threshold` is not a number.
-        ValueError: a shape is not as in Args, or the tensors are on different devices.
-
-    Example:
-        >>> import torch, kvision as K
-        >>> boxes = torch.tensor([[0.0, 0, 10, 10], [1, 0, 11, 10], [20, 0, 30, 10]])
-        >>> K.geometry.nms(boxes, torch.tensor([0.5, 0.9, 0.7]), 0.5)
-        tensor([1, 2])
-    """
-    _check.shape("nms", "boxes", boxes, "N", 4)
-    _check.shape("nms", "scores", scores, boxes.shape[0])
-    _check.same_device("nms", boxes=boxes, scores=scores)
-    threshold = _check.number("nms", "iou_threshold", iou_threshold)
-    order = scores.detach().argsort(descending=True, stable=True)
-    dtype = torch.float32 if boxes.is_floating_point() and boxes.dtype != torch.float64 else torch.float64
-    best = boxes.detach().to(dtype)[order]
-    kept = best[:0]
-    chosen = []
-    for block in best.split(NMS_BLOCK):
-        free = ~_overlap(kept, block, threshold).any(0)
-        keep = _greedy(_overlap(block, block, threshold).triu(1), free)
-        kept = torch.cat([kept, block[keep]])
-        chosen.append(keep)
-    return order[torch.cat(chosen)] if chosen else order
-
-
-def _overlap(a: Tensor, b: Tensor, threshold: float) -> Tensor:
-    """Masks (N, M) of the pairs of `a` (N, 4) and `b` (M, 4) whose intersection over union exceeds a threshold."""
-    low = torch.maximum(a[:, None, :2], b[:, :2])
-    high = torch.minimum(a[:, None, 2:], b[:, 2:])
-    both = clamp(high - low, 0).prod(-1)
-    areas = [(x[:, 2:] - x[:, :2]).prod(-1) for x in (a, b)]
-    return both / (areas[0][:, None] + areas[1] - both) > threshold
-
-
-def _greedy(overlaps: Tensor, free: Tensor) -> Tensor:
-    """The mask of kept boxes among candidates `free` (N,): a kept box suppresses later ones that it `overlaps` (N, N).
-
-    All boxes are updated at once, until no box changes. After k rounds all chains of up to k suppressions are resolved.
-    """
-    excludes = overlaps.float().T
-    keep = free
-    while True:
-        for _ in range(4):
-            before, keep = keep, free & (excludes @ keep.float() == 0)
-        if torch.equal(before, keep):
-            return keep

@@ -18,7 +18,8 @@ __all__ = ["convert_boxes", "convert_keypoints"]
 
 _NORMALIZED = "normalized_"
 _CORNERS = ("xyxy", "xywh", "cxcywh")
-_BOXES = (*_CORNERS, "xyxy_plus", *(_NORMALIZED + mode for mode in _CORNERS))
+_ROTATED = {"cxcywhr": 5, "xywhr": 5, "xyxyxyxy": 8}  # and how many numbers a box has
+_BOXES = (*_CORNERS, "xyxy_plus", *(_NORMALIZED + mode for mode in _CORNERS), *_ROTATED)
 _POINTS = ("centers", "edges", "normalized_edges")
 
 
@@ -31,20 +32,26 @@ def convert_boxes(boxes: Tensor, in_mode: str, out_mode: str, image_size: tuple[
     - "xywh": the edge at the upper left and the size, (0, 0, W, H), as COCO;
     - "cxcywh": the middle and the size, (W / 2, H / 2, W, H), as DETR;
     - "xyxy_plus": the first and the last pixel, (0, 0, W - 1, H - 1), as torchvision's masks_to_boxes;
-    - "normalized_xyxy", "normalized_xywh", "normalized_cxcywh": the same in fractions of the image; the last is YOLO's.
+    - "normalized_xyxy", "normalized_xywh", "normalized_cxcywh": the same in fractions of the image; the last is YOLO's;
+    - "cxcywhr", "xywhr", "xyxyxyxy": rotated boxes by edges, as torchvision: middle or first corner, size, and degrees
+      counter-clockwise in the picture; or the corners, of which the first is the upper left one before the rotation, and
+      the others follow clockwise.
 
     Args:
-        boxes: boxes of shape (*, 4), in pixels or in fractions of the image. Integers give float32.
+        boxes: boxes of shape (*, 4), rotated ones (*, 5) or (*, 8), in pixels or in fractions of the image. Integers give
+            float32.
         in_mode: the mode of `boxes`.
         out_mode: the mode of the result.
         image_size: height and width of the image in pixels, needed where one mode alone is normalized.
 
     Returns:
-        Boxes of shape (*, 4). Boxes of size 0 or less are converted by the same formulas.
+        Boxes of shape (*, 4), (*, 5) or (*, 8). Boxes of size 0 or less are converted by the same formulas. Rotated modes give
+        degrees in (-180, 180] from corners and 0 from upright boxes.
 
     Raises:
         TypeError: `boxes` is not a tensor of real numbers, or `image_size` is not two ints.
-        ValueError: `boxes` is not of shape (*, 4), a mode is unknown, or `image_size` is missing or below 1.
+        ValueError: `boxes` is not of the shape of its mode, a mode is unknown, `image_size` is missing or below 1, or
+            rotated boxes are to become upright ones: the box around their corners is another box.
 
     Example:
         >>> import torch, kvision as K
@@ -55,10 +62,17 @@ def convert_boxes(boxes: Tensor, in_mode: str, out_mode: str, image_size: tuple[
         tensor([[0.2500, 0.5000, 0.3000, 0.5000]])
     """
     op = "convert_boxes"
-    _check.trailing_shape(op, "boxes", boxes, 4)
     _check.choice(op, "in_mode", in_mode, _BOXES)
     _check.choice(op, "out_mode", out_mode, _BOXES)
+    _check.trailing_shape(op, "boxes", boxes, _ROTATED.get(in_mode, 4))
+    if in_mode in _ROTATED and out_mode not in _ROTATED:
+        raise ValueCheckError(
+            f"{op}: expected out_mode to be one of {tuple(_ROTATED)} from {in_mode!r}, got {out_mode!r}; the edges around "
+            "rotated boxes are the least and the largest of their corners, 'xyxyxyxy'"
+        )
     size = _size(op, in_mode, out_mode, image_size)
+    if out_mode in _ROTATED:
+        return _rotated_boxes(floats(boxes), in_mode, out_mode, size)
     return _converted_boxes(floats(boxes), in_mode, out_mode, size)
 
 
@@ -81,6 +95,34 @@ def _converted_boxes(boxes: Tensor, in_mode: str, out_mode: str, size: Sequence[
     elif form == "xyxy_plus":
         far = far - 1
     return torch.cat([near, far], -1)
+
+
+@with_kernel_casts
+def _rotated_boxes(boxes: Tensor, in_mode: str, out_mode: str, size: Sequence[int] | None) -> Tensor:
+    """Boxes of any mode in a rotated one, by way of their middles, sizes and angles."""
+    if in_mode == out_mode:
+        return boxes.clone()
+    if in_mode == "xyxyxyxy":
+        first, second, third, _ = boxes.unflatten(-1, (4, 2)).unbind(-2)
+        across, down = second - first, third - second
+        width, height = torch.linalg.vector_norm(across, dim=-1), torch.linalg.vector_norm(down, dim=-1)
+        middle, angle = (first + third) / 2, torch.rad2deg(torch.atan2(-across[..., 1], across[..., 0]))
+    elif in_mode in _ROTATED:
+        middle, (width, height, angle) = boxes[..., :2], boxes[..., 2:].unbind(-1)
+    else:
+        upright = _converted_boxes(boxes, in_mode, "cxcywh", size)
+        middle, (width, height), angle = upright[..., :2], upright[..., 2:].unbind(-1), torch.zeros_like(boxes[..., 0])
+    cos, sin = torch.cos(torch.deg2rad(angle)), torch.sin(torch.deg2rad(angle))
+    right = torch.stack([cos, -sin], -1) * width[..., None] / 2  # y points down
+    down = torch.stack([sin, cos], -1) * height[..., None] / 2
+    if in_mode == "xywhr":
+        middle = middle + right + down
+    if out_mode == "xyxyxyxy":
+        return torch.cat(
+            [middle - right - down, middle + right - down, middle + right + down, middle - right + down], -1
+        )
+    point = middle - right - down if out_mode == "xywhr" else middle
+    return torch.cat([point, torch.stack([width, height, angle], -1)], -1)
 
 
 def convert_keypoints(

@@ -37,6 +37,7 @@ LEFT_OUT = {
         ),
         NUMBERS,
     ),
+    "contrib.vision_patches": "the grid of patches follows from the height and width, which a graph fixes",
 }
 CALLS = {call.name: call for call in sample_calls() if call.axes}
 

@@ -62,6 +62,8 @@ OTHER_KINDS = {
     "CameraCalibration": "holds results",
     "StereoRectification": "holds results",
     "LeastSquaresResult": "holds results",
+    "VisionPatches": "holds results",
+    "vision_patches": "takes lists of images",
     "Affine": "takes None for an angle",
     "RandomFisheye": "takes pairs of numbers, too",
 }

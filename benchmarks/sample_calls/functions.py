@@ -80,6 +80,9 @@ TABLES = {
             _like=IMAGE, original_size=Derived(lambda _, t: tuple(t["_like"].shape[-2:])), window_size=5
         ),
         "extract_tensor_patches": dict(input=IMAGE, window_size=(4, 5), stride=(4, 5)),
+        "vision_patches": dict(
+            images=IMAGE, patch_size=4, merge_size=1, min_pixels=16, max_pixels=1 << 20, mean=0.5, std=0.25
+        ),
     },
     "core": {
         "eye_like": dict(n=3, input=IMAGE),

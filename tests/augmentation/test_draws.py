@@ -52,7 +52,7 @@ def images(batch: int, device: torch.device | str = "cpu") -> Tensor:
 
 
 def drawn(requests: list[Request], batch: int, device: torch.device, keys: Tensor = KEYS, seeds: Tensor | None = None):
-    plan = make_plan(requests, one_key=seeds is not None)
+    plan = make_plan(requests, has_seed=seeds is not None)
     return draw_parameters(images(batch, device), keys, seeds, plan.plan, plan.numbers)
 
 
@@ -141,7 +141,7 @@ def test_seeds_belong_to_samples(device):
     seeds = torch.randint(-(2**63), 2**63 - 1, (40,), device=device)
     whole, order = drawn(EXACT, 40, device, KEYS[:1], seeds), torch.randperm(40, device=device)
     assert torch.equal(drawn(EXACT, 40, device, KEYS[:1], seeds[order]), whole[order])
-    plan = make_plan(EXACT, one_key=True)
+    plan = make_plan(EXACT, has_seed=True)
     for i in (0, 7):
         alone = draw_parameters(images(1, device), seeds[i : i + 1].cpu(), None, plan.plan, plan.numbers)
         assert torch.equal(alone, whole[i : i + 1])
@@ -368,7 +368,7 @@ def test_a_generator_of_the_cpu_is_not_captured(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: True)
     with pytest.raises(RuntimeError, match="op: a generator of the CPU cannot draw for a CUDA graph"):
         draw_keys("op", 1, torch.device("cuda"), None, torch.Generator())
-    assert draw_keys("op", 1, torch.device("cuda"), 5, None).one_key
+    assert draw_keys("op", 1, torch.device("cuda"), 5, None).has_seed
     assert len(draw_keys("op", 2, torch.device("cpu"), None, torch.Generator()).keys) == 2
 
 

@@ -170,12 +170,21 @@ def test_padding_is_that_of_the_first_that_interpolates(device: torch.device) ->
     torch.testing.assert_close(y.amin((0, 2, 3)).cpu(), torch.tensor([0.1, 0.2, 0.3]))
 
 
+def test_a_map_behind_a_crop_reads_the_image(device: torch.device) -> None:
+    """Beyond the crop is the image, with or without another augmentation that interpolates; "each" reads padding there."""
+    ones = torch.ones(2, 1, H, W, device=device)
+    bend = A.RandomThinPlateSpline(0.3, p=1.0)
+    for children in ([A.CenterCrop((20, 26)), bend], [A.CenterCrop((20, 26)), bend, A.RandomAffine(1.0, p=1.0)]):
+        each, once = (A.ImageSequential(*children, resample=resample)(ones, seed=1) for resample in ("each", "once"))
+        assert each.min() == 0 and once.min() == 1
+
+
 def test_composes_only_where_needed(device: torch.device) -> None:
     """What has one interpolation alone is computed as by itself; nothing that is kept grows with the images."""
     x = images(device)
     for children in (
         [elastic()],
-        [A.RandomHorizontalFlip(), elastic(), A.CenterCrop((20, 20)), A.RandomInvert()],
+        [A.RandomHorizontalFlip(), elastic(), A.RandomCrop((20, 20)), A.RandomInvert()],
         [A.RandomHorizontalFlip(), A.RandomResizedCrop((16, 16), antialias=True), A.RandomVerticalFlip()],
     ):
         each, once = (A.ImageSequential(*children, resample=resample) for resample in ("each", "once"))

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 import kvision as K
 from kvision.core.exceptions import BaseError, ImageError, TypeCheckError
 from kvision.io import ImageLoadType
-from kvision.io.load import _orientation
+from kvision.io._exif import orientation_of
 
 TYPES = {
     ImageLoadType.GRAY8: (1, torch.uint8),
@@ -241,7 +241,7 @@ def test_random_bytes_load_or_raise_image_error(tmp_path_factory, junk, suffix, 
 @given(st.binary(max_size=80))
 def test_any_bytes_are_an_orientation(junk):
     for head in (b"", b"II*\0\x08\0\0\0", b"MM\0*\0\0\0\x08", b"Exif\0\0MM\0*\0\0\0\x08"):
-        assert 1 <= _orientation(head + junk) <= 8
+        assert 1 <= orientation_of(head + junk) <= 8
 
 
 def test_unreadable_paths(tmp_path):

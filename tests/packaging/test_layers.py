@@ -57,6 +57,20 @@ def test_cpp_modules_include_what_they_may() -> None:
         assert used <= allowed, f"{path} includes {used - allowed}"
 
 
+def test_the_engine_of_augmentations_is_known_by_its_public_face_alone() -> None:
+    engine, package = "kvision.augmentation.engine", modules()
+    files = {name: path for name, path in package.items() if name.startswith(f"{engine}.")}
+    for name, path in package.items():
+        used = imported(path)
+        if name not in files:
+            assert not used & files.keys(), f"{name} imports {used & files.keys()}"
+            continue
+        # What the engine imports of augmentation is not one of those that it executes: these import it.
+        for below in {i for i in used if i.startswith("kvision.augmentation.")} & package.keys() - files.keys():
+            own = imported(package[below])
+            assert not any(i.startswith(engine) for i in own), f"{name} imports {below}, which imports the engine"
+
+
 def test_no_module_imports_itself_by_way_of_others() -> None:
     files = {name: path for name, path in modules().items() if path.name != "__init__.py"}
     try:

@@ -14,8 +14,9 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.engine import Execution, Shape
-from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, warp, warp_labels
+from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.keys import refuse_graphs
+from kvision.augmentation.maps import warp, warp_labels
 from kvision.augmentation.random_generator.affine import AffineGenerator, ShearGenerator, TranslateGenerator
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator

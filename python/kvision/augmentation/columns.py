@@ -125,22 +125,22 @@ class DrawPlan(NamedTuple):
     def keys_of(self, keys: Keys) -> Tensor:
         """Those of the keys of a call that belong to the requests of this plan."""
         own = keys.keys
-        if not keys.one_key and (self.begin > 0 or self.end < own.shape[0]):
+        if not keys.has_seed and (self.begin > 0 or self.end < own.shape[0]):
             own = own[self.begin : self.end]
         return own
 
 
-def plan_draws(requests: Sequence[Request], one_key: bool, first: int = 0) -> list[DrawPlan]:
+def plan_draws(requests: Sequence[Request], has_seed: bool, first: int = 0) -> list[DrawPlan]:
     """As few launches as the operator allows, of requests whose keys or positions in the chain begin with number `first`."""
     plans: list[DrawPlan] = []
     begin, draws, numbers = 0, 0, 0
     for end, request in enumerate(requests):
         more, more_numbers = len(request.draws), 2 + sum(len(draw.numbers) for draw in request.draws)
         if end > begin and (draws + more > MAX_DRAWS or numbers + more_numbers > MAX_NUMBERS):
-            plans.append(_plan_launch(requests, begin, end, one_key, first))
+            plans.append(_plan_launch(requests, begin, end, has_seed, first))
             begin, draws, numbers = end, 0, 0
         draws, numbers = draws + more, numbers + more_numbers
-    return [*plans, _plan_launch(requests, begin, len(requests), one_key, first)]
+    return [*plans, _plan_launch(requests, begin, len(requests), has_seed, first)]
 
 
 def fits_one_launch(request: Request) -> bool:
@@ -148,9 +148,9 @@ def fits_one_launch(request: Request) -> bool:
     return len(request.draws) <= MAX_DRAWS and 2 + sum(len(draw.numbers) for draw in request.draws) <= MAX_NUMBERS
 
 
-def _plan_launch(requests: Sequence[Request], begin: int, end: int, one_key: bool, first: int) -> DrawPlan:
+def _plan_launch(requests: Sequence[Request], begin: int, end: int, has_seed: bool, first: int) -> DrawPlan:
     own = requests[begin:end]
-    plan, numbers, firsts = make_plan(own, one_key, first + begin)
+    plan, numbers, firsts = make_plan(own, has_seed, first + begin)
     ends = [*firsts[1:], plan[0]]
     spans = [Span(a, b - a, request.draws[:1] == [_CHOSEN]) for a, b, request in zip(firsts, ends, own)]
     draws = [draw for request in own for draw in request.draws]
@@ -161,7 +161,7 @@ def _plan_launch(requests: Sequence[Request], begin: int, end: int, one_key: boo
 def draw_columns(images: Tensor, keys: Keys, requests: Sequence[Request], first: int = 0) -> list[Columns]:
     """The columns of each request, whose keys or positions in the chain begin with number `first`."""
     columns: list[Columns] = []
-    for plan in plan_draws(requests, keys.one_key, first):
+    for plan in plan_draws(requests, keys.has_seed, first):
         drawn = plan.draw(images, keys)
         columns += [Columns(drawn, span) for span in plan.spans]
     return columns

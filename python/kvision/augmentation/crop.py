@@ -10,7 +10,8 @@ from torch import Tensor
 
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Shape
-from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Resampling
+from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
+from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.crop import (
     CropGenerator,
@@ -18,9 +19,9 @@ from kvision.augmentation.random_generator.crop import (
     ResizedCropGenerator,
     box_params,
     parse_padding,
-    parse_size,
 )
 from kvision.augmentation.transforms import Transform
+from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
 from kvision.core.exceptions import ValueCheckError
 

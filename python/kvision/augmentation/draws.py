@@ -104,8 +104,8 @@ class Plan(NamedTuple):
     first_columns: list[int]
 
 
-def make_plan(requests: Sequence[Request], one_key: bool = False, position: int = 0) -> Plan:
-    """Plan the draws of requests, of which each has its own key, or its own position in the chain under one key.
+def make_plan(requests: Sequence[Request], has_seed: bool = False, position: int = 0) -> Plan:
+    """Plan the draws of requests. Each has its own key, or, in a call that has a seed, its own position in the chain.
 
     The operator takes plans of at most MAX_DRAWS draws and MAX_NUMBERS numbers.
     """
@@ -113,7 +113,7 @@ def make_plan(requests: Sequence[Request], one_key: bool = False, position: int 
     numbers: list[float] = []
     for i, (draws, p, p_batch, same_on_batch) in enumerate(requests):
         firsts.append(column)
-        key, link = (0, position + i) if one_key else (i, 0)
+        key, link = (0, position + i) if has_seed else (i, 0)
         plan += (key, link, int(same_on_batch), 1, len(draws))
         numbers += (p, p_batch)
         for draw in draws:

@@ -14,8 +14,7 @@ from kvision._ops import match_layout
 from kvision._torch_compat import linspace
 from kvision.augmentation import maps
 from kvision.augmentation.displacements import NoiseField, blur_settings, elastic_displacements, scaled_blur
-from kvision.augmentation.engine import AugmentationBase2D, Execution, Params
-from kvision.augmentation.engine.contribution import Contribution, Motion
+from kvision.augmentation.engine import AugmentationBase2D, Contribution, Execution, Motion, Params
 from kvision.augmentation.maps import vector
 from kvision.augmentation.noise import PixelNoise, noise_plan
 from kvision.augmentation.preimages import find_positions
@@ -37,12 +36,13 @@ class MapAugmentation(AugmentationBase2D, keeps_contract=True):
 
     accepts_bytes = accepts_wide_integers = True
     keeps_lines = False
+    moves_by_map = True
 
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
         """The map (B, 2, H, W), as maps.py stores it."""
         raise NotImplementedError
 
-    def _noise_field(self, shape: tuple[int, ...], number: int, one_key: bool) -> NoiseField | None:
+    def _noise_field(self, shape: tuple[int, ...], number: int, has_seed: bool) -> NoiseField | None:
         """The map for kernels that draw its noise; None if it is another map.
 
         `number` is that of the augmentation, as draw_columns counts.
@@ -233,11 +233,11 @@ class RandomElasticTransform(MapAugmentation, keeps_contract=True):
             scale_x, scale_y = scale_x * more, scale_y * more
         return blur, (scale_x, scale_y)
 
-    def _noise_field(self, shape: tuple[int, ...], number: int, one_key: bool) -> NoiseField | None:
+    def _noise_field(self, shape: tuple[int, ...], number: int, has_seed: bool) -> NoiseField | None:
         blur, scale = self._blur_and_scale(shape, self.flags)
         if blur[3] is None or self._is_overridden("displacements"):  # standard deviations in a tensor; a user's map
             return None
-        return NoiseField((shape[-2], shape[-1]), noise_plan(number, one_key, self.same_on_batch), blur, scale)
+        return NoiseField((shape[-2], shape[-1]), noise_plan(number, has_seed, self.same_on_batch), blur, scale)
 
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
         key = ("displacements", shape[-2:])

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from kvision.augmentation.engine import Execution, Params, RigidAffineAugmentationBase3D
-from kvision.augmentation.geometric_base import GeometricAugmentation, Resampling
-from kvision.augmentation.warp_and_color import fill_of_images
+from kvision.augmentation.geometric_base import GeometricAugmentation
+from kvision.augmentation.warp_and_color import Resampling, fill_of_images
 from kvision.constants import Resample
 from kvision.core.exceptions import ValueCheckError
 from kvision.geometry.transform import sampling, warp3d

@@ -9,17 +9,21 @@ import torch
 from torch import Tensor
 
 from kvision._dtype import as_dtype, compute_dtype
-from kvision._modes import INTERPOLATION
-from kvision.augmentation.engine import AugmentationBase, Execution, Params, RigidAffineAugmentationBase2D, Shape
-from kvision.augmentation.engine.contribution import Contribution, Motion
-from kvision.augmentation.maps import exact
+from kvision.augmentation.engine import (
+    AugmentationBase,
+    Contribution,
+    Execution,
+    Motion,
+    Params,
+    RigidAffineAugmentationBase2D,
+    Shape,
+)
+from kvision.augmentation.maps import exact, warp, warp_labels
 from kvision.augmentation.samples import inverse_at
 from kvision.augmentation.transforms import Transform, transform_matrix
-from kvision.augmentation.warp_and_color import Resampling, fill_of_images
+from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample, SamplePadding
 from kvision.geometry.linalg import transform_points
-from kvision.geometry.transform import sampling
-from kvision.geometry.transform.resize_windows import resized_windows
 
 __all__ = ["GeometricAugmentationBase2D"]
 
@@ -225,37 +229,3 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
 
     def inverse_transform(self, input: Tensor, flags: dict[str, Any], transform: Tensor, size: Any) -> Tensor:
         return warp(input, transform.to(input.device), size, self.resampling(flags).for_inverse(), inverse=False)
-
-
-def warp(x: Tensor, matrix: Tensor, size: Sequence[int], resampling: Resampling, inverse: bool = True) -> Tensor:
-    """Resample images by matrices from their pixels to those of the result, or the other way for `inverse` = False."""
-    padding, fill = sampling.padding_and_fill("augmentation", x, resampling.padding, fill_of_images(x, resampling.fill))
-    return _warp(x, matrix, size, resampling, padding, fill, inverse)
-
-
-def _warp(
-    x: Tensor,
-    matrix: Tensor,
-    size: Sequence[int],
-    resampling: Resampling,
-    padding: int,
-    fill: Tensor | None,
-    inverse: bool,
-) -> Tensor:
-    mode, _, align_corners, *_ = resampling
-    matrix = matrix.to(compute_dtype(x))
-    if resampling.antialias:
-        resized: Tensor = resized_windows(x, matrix, list(size), INTERPOLATION[mode], align_corners)
-        return resized
-    options = (INTERPOLATION[mode], padding, align_corners, inverse, False)
-    y: Tensor = sampling.warp(x, matrix, fill, None, list(size), *options)
-    return y
-
-
-def warp_labels(
-    masks: Tensor, matrix: Tensor, size: Sequence[int], resampling: Resampling, inverse: bool = True
-) -> Tensor:
-    """The same for masks of any type, whose values pass unchanged: float64 holds all integers up to 2^53."""
-    values = exact(masks)
-    padding, fill = sampling.padding_and_fill("augmentation", values, resampling.padding, resampling.fill)
-    return _warp(values, matrix, size, resampling, padding, fill, inverse).to(masks.dtype)

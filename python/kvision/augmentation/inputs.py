@@ -313,3 +313,16 @@ def _are_near(a: str, b: str) -> bool:
         for j, y in enumerate(b, 1):
             before, row[j] = row[j], min(row[j] + 1, row[j - 1] + 1, before + (x != y))
     return row[-1] <= 2
+
+
+def parse_size(op: str, size: Any) -> tuple[int, int]:
+    """Height and width: two ints, or one for both."""
+    size = _check.scalars(op, "size", size.tolist() if isinstance(size, Tensor) else size)
+    sides = (size, size) if isinstance(size, int) else size
+    if not isinstance(sides, (tuple, list)) or len(sides) != 2 or any(type(n) is not int for n in sides):
+        raise TypeCheckError(f"{op}: expected size to be an int or (height, width), got {size!r}")
+    if min(sides) < 1:
+        raise ValueCheckError(f"{op}: expected size of at least one pixel, got {size!r}")
+    if max(sides) > _check.LARGEST_INT:
+        raise ValueCheckError(f"{op}: expected size of less than 2^31, got {size!r}")
+    return sides[0], sides[1]

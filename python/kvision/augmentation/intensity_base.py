@@ -11,13 +11,14 @@ from torch import Tensor
 from kvision import _check
 from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.engine import (
+    Colors,
+    Contribution,
     Execution,
     Params,
     RigidAffineAugmentationBase2D,
     RigidAffineAugmentationBase3D,
     Shape,
 )
-from kvision.augmentation.engine.contribution import Colors, Contribution
 from kvision.augmentation.warp_and_color import ColorStep, make_pass
 from kvision.color.steps import STEPS
 from kvision.core.exceptions import ShapeError
@@ -56,6 +57,7 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D, keeps_contract=
         tensor([[[[1., 1.]]]])
     """
 
+    keeps_positions = True
     takes_volumes = False
     order_of_steps: ClassVar[str | None] = None  # the field with numbers of steps in their order; None: as listed
 
@@ -142,3 +144,5 @@ class IntensityAugmentationBase3D(RigidAffineAugmentationBase3D):
         >>> Negative(p=1.0)(torch.zeros(1, 1, 1, 1, 2))
         tensor([[[[[1., 1.]]]]])
     """
+
+    keeps_positions = True

@@ -22,13 +22,13 @@ Seed = int | Tensor | None
 class Keys(NamedTuple):
     """Keys of the augmentations of one call.
 
-    `keys` (K,) has one for each of them, on the CPU unless a CUDA generator drew them. A call with a seed has one key for
+    `keys` (K,) has one for each of them, on the CPU unless a CUDA generator drew them. A call that `has_seed` has one key for
     all, and the position of an augmentation in the chain tells them apart. `seeds` (B,) replaces the keys by one a sample.
     """
 
     keys: Tensor
     seeds: Tensor | None = None
-    one_key: bool = False
+    has_seed: bool = False
     number: int | None = None  # the one key, where the host knows it
 
     def seeds_on(self, device: torch.device) -> Tensor | None:
@@ -96,7 +96,7 @@ def _word_of_worker() -> int:
     torch's default generator has the seed of the worker itself.
     """
     worker = get_worker_info()
-    return 0 if worker is None else _as_int64(worker.seed * _STEP)
+    return 0 if worker is None else _as_int64(worker.seed * _SEED_INCREMENT)
 
 
 def _drawn_keys(op: str, count: int, device: torch.device, generator: Generator | None) -> Tensor:
@@ -144,7 +144,8 @@ _random_keys = register_random(
     lambda count: torch.empty(count, dtype=torch.int64, device="cpu"),
 )
 
-_STEP = -0x61C8864680B583EB  # of the seeds of frames and workers: the golden ratio times 2^64
+# Between the seeds of neighboring frames, and of workers: 2^64 over the golden ratio, as an int64.
+_SEED_INCREMENT = -0x61C8864680B583EB
 
 
 class PortableGenerator:
@@ -198,7 +199,7 @@ def check_seeds(op: str, keys: Keys, samples: int) -> None:
 
 def frame_seeds(seeds: Tensor, frames: int) -> Tensor:
     """Seeds (B T,) of the frames of videos with seeds (B,): the first frame has that of its video."""
-    return (seeds[:, None] + _STEP * torch.arange(frames, device=seeds.device)).flatten()
+    return (seeds[:, None] + _SEED_INCREMENT * torch.arange(frames, device=seeds.device)).flatten()
 
 
 def _from_seed(op: str, seed: int | Tensor) -> Keys:

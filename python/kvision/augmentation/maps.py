@@ -3,7 +3,7 @@
 A map is stored as displacements (B, 2, H, W), x and y in pixels: pixel p of the result reads the image at p + displacement.
 Between pixels displacements are interpolated bilinearly, and out of bounds they have the replicate border. So a map is
 defined everywhere, and `composed_warp` resamples an image by a chain of maps and matrices at once. Coordinates (B, h, w, 2) are
-the sampling coordinates of the pixels of a result of any size.
+the sampling coordinates of the pixels of a result of any size. Matrices are read by warps.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from kvision._ops import saturate_to_byte
 from kvision.augmentation.warp_and_color import Resampling, fill_of_images
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.composed.composed_warp import composed_coords, composed_warp, link_arguments
+from kvision.geometry.transform.resize_windows import resized_windows
 
 _STEPS, _GUESSES = 20, 32  # of Newton's method, which begins at the best of 32 x 32 pixels
 _BETWEEN = INTERPOLATION["bilinear"], PADDING["border"], True  # how displacements are read
@@ -210,3 +211,40 @@ def _newton(displacements: Tensor, points: Tensor, at: Tensor) -> Tensor:
         )
         at = at + move.clamp(-max(h, w) / 8, max(h, w) / 8)
     return at
+
+
+# --- by matrices ----------------------------------------------------------------------------------------------------
+
+
+def warp(x: Tensor, matrix: Tensor, size: Sequence[int], resampling: Resampling, inverse: bool = True) -> Tensor:
+    """Resample images by matrices from their pixels to those of the result, or the other way for `inverse` = False."""
+    padding, fill = sampling.padding_and_fill("augmentation", x, resampling.padding, fill_of_images(x, resampling.fill))
+    return _warp(x, matrix, size, resampling, padding, fill, inverse)
+
+
+def _warp(
+    x: Tensor,
+    matrix: Tensor,
+    size: Sequence[int],
+    resampling: Resampling,
+    padding: int,
+    fill: Tensor | None,
+    inverse: bool,
+) -> Tensor:
+    mode, _, align_corners, *_ = resampling
+    matrix = matrix.to(compute_dtype(x))
+    if resampling.antialias:
+        resized: Tensor = resized_windows(x, matrix, list(size), INTERPOLATION[mode], align_corners)
+        return resized
+    options = (INTERPOLATION[mode], padding, align_corners, inverse, False)
+    y: Tensor = sampling.warp(x, matrix, fill, None, list(size), *options)
+    return y
+
+
+def warp_labels(
+    masks: Tensor, matrix: Tensor, size: Sequence[int], resampling: Resampling, inverse: bool = True
+) -> Tensor:
+    """The same for masks of any type, whose values pass unchanged: float64 holds all integers up to 2^53."""
+    values = exact(masks)
+    padding, fill = sampling.padding_and_fill("augmentation", values, resampling.padding, resampling.fill)
+    return _warp(values, matrix, size, resampling, padding, fill, inverse).to(masks.dtype)

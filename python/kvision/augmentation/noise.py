@@ -197,9 +197,9 @@ salt_and_pepper = register(
 )
 
 
-def noise_plan(number: int, one_key: bool, same_on_batch: bool, map: int = 0) -> tuple[int, int, int, int]:
+def noise_plan(number: int, has_seed: bool, same_on_batch: bool, map: int = 0) -> tuple[int, int, int, int]:
     """The plan of the noise of an augmentation, by its number as draw_columns counts."""
-    key, position = (0, number) if one_key else (number, 0)
+    key, position = (0, number) if has_seed else (number, 0)
     draw = MAX_DRAWS + 1 + map  # draws of parameters have the numbers up to MAX_DRAWS
     return key, position, draw, int(same_on_batch)
 
@@ -214,7 +214,7 @@ class PixelNoise(NamedTuple):
 
     def arguments(self, map: int = 0) -> tuple[Tensor, Tensor | None, None, tuple[int, int, int, int]]:
         """The arguments of the operators after the parameters, for all samples."""
-        plan = noise_plan(self.number, self.keys.one_key, self.same_on_batch, map)
+        plan = noise_plan(self.number, self.keys.has_seed, self.same_on_batch, map)
         return self.keys.keys, self.keys.seeds_on(self.device), None, plan
 
     def uniform(self, shape: Sequence[int], map: int = 0) -> Tensor:

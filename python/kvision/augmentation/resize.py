@@ -11,9 +11,11 @@ from kvision import geometry
 from kvision.augmentation import ranges
 from kvision.augmentation.crop import padding_resampling
 from kvision.augmentation.engine import Shape
-from kvision.augmentation.geometric_base import GeometricAugmentationBase2D, Resampling
-from kvision.augmentation.random_generator.crop import ResizeGenerator, parse_size
+from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
+from kvision.augmentation.inputs import parse_size
+from kvision.augmentation.random_generator.crop import ResizeGenerator
 from kvision.augmentation.transforms import Transform
+from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
 from kvision.core.exceptions import ValueCheckError
 

@@ -14,7 +14,6 @@ from kvision.augmentation import ranges
 from kvision.augmentation.crop import padding_resampling
 from kvision.augmentation.engine import Params, Shape
 from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D, parse_resample
-from kvision.augmentation.geometric_base import Resampling
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.crop import PaddingOf, parse_padding
 from kvision.augmentation.random_generator.volumes import (
@@ -25,6 +24,7 @@ from kvision.augmentation.random_generator.volumes import (
     center_corner,
     parse_size3d,
 )
+from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
 
 __all__ = ["CenterCrop3D", "RandomCrop3D", "RandomResizedCrop3D", "Resize3D"]

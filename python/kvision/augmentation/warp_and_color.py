@@ -199,9 +199,10 @@ def _fake_backward(grad, image, columns, fill, matrix, mean, size, plan, numbers
     ]
 
 
-def _backward(needs, grad, _, __, y, matrix, mean, image, columns, fill, size, plan, numbers):
+def _backward(needs, grad, of_matrix, of_mean, y, matrix, mean, image, columns, fill, size, plan, numbers):
     if needs[2] or image.dtype == torch.uint8 or y.dtype == torch.uint8:
-        return warp_and_color.differentiate_reference(needs, grad, _, __, image, columns, fill, size, plan, numbers)
+        grads = (grad, of_matrix, of_mean)
+        return warp_and_color.differentiate_reference(needs, *grads, image, columns, fill, size, plan, numbers)
     arguments = (grad, image, columns, fill, matrix, mean, size, plan, numbers)
     grad_image, grad_columns, grad_matrix = _warp_and_color_backward(*arguments, needs[0], needs[1])
     if not needs[1]:

@@ -1,4 +1,4 @@
-"""Patches, regions, distances, noise, histograms and clusters."""
+"""Patches, model inputs, regions, distances, noise, histograms and clusters."""
 
 from kvision import _torch_compat
 from kvision.contrib.connected_components import connected_components, connected_components_union_find
@@ -15,5 +15,6 @@ from kvision.contrib.patches import (
     compute_padding,
     extract_tensor_patches,
 )
+from kvision.contrib.vision_patches import VisionPatches, vision_patches
 
 _torch_compat.refuse_script(globals())

@@ -121,8 +121,10 @@ def _fake_backward(grad1: Tensor, grad2: Tensor, desc1: Tensor, desc2: Tensor, *
     return [(grad1.shape[0], *x.shape[1:]) for x in (desc1, desc2)]
 
 
-def _backward(needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
-    grad1, _, grad2, _, distances1, indices1, distances2, indices2, desc1, desc2, *_rest = grads_and_args
+def _backward(needs: Sequence[bool], *values: Any) -> list[Tensor | None]:
+    # The gradients of the results, of which those of indices are None; the results; the arguments.
+    (grad1, _, grad2, _), (distances1, indices1, distances2, indices2) = values[:4], values[4:8]
+    desc1, desc2 = values[8:10]
     grad1 = torch.zeros_like(distances1) if grad1 is None else grad1
     grad2 = torch.zeros_like(distances2) if grad2 is None else grad2
     grads = _two_nearest_backward(grad1, grad2, desc1, desc2, indices1, indices2)

@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
+import tempfile
 from types import ModuleType
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from kvision.core.exceptions import ImageError
+from kvision.io._exif import orientation_of, upright
 
 
 def opencv() -> ModuleType:
@@ -17,3 +26,39 @@ def opencv() -> ModuleType:
             f"kvision.io needs OpenCV 4.12 or newer, found {cv2.__version__}: pip install -U opencv-python-headless"
         )
     return cv2
+
+
+def pixels_of(data: np.ndarray[Any, Any]) -> Tensor:
+    """The pixels (C, H, W) of an image file, upright, in RGB(A) order, in the file's type, contiguous.
+
+    Raises:
+        ImageError: the reason alone, for a message that names the file.
+    """
+    if not len(data):
+        raise ImageError("the file is empty")
+    cv2 = opencv()
+    try:
+        # Without conversion: OpenCV would cut 16 bits to 8, and drop alpha as soon as it applies the orientation.
+        pixels, kinds, blocks = cv2.imdecodeWithMetadata(data, flags=cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise ImageError(error.err) from error
+    if pixels is None:
+        has_reader = _has_reader(data[:4096].tobytes())
+        raise ImageError("the file is damaged or cut short" if has_reader else "it is in no format that OpenCV reads")
+    metadata = dict(zip(np.ravel(kinds).tolist(), blocks, strict=True))
+    exif = bytes(np.ravel(metadata.get(cv2.IMAGE_METADATA_EXIF, np.empty(0, np.uint8))))
+    planes = cv2.split(pixels)
+    rgb = {3: (2, 1, 0), 4: (2, 1, 0, 3)}.get(len(planes), range(len(planes)))
+    return upright(torch.from_numpy(np.stack([planes[c] for c in rgb])), orientation_of(exif))
+
+
+def _has_reader(start: bytes) -> bool:
+    """Whether OpenCV reads the format of a file that begins so.
+
+    OpenCV asks for a file. It gets one of ours: the name of another may be no valid text, at which it crashes (5.0), and a
+    pipe cannot be read twice.
+    """
+    with tempfile.NamedTemporaryFile() as file:
+        file.write(start)
+        file.flush()
+        return bool(opencv().haveImageReader(file.name))

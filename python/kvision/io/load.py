@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import os
-import struct
-import tempfile
 from enum import Enum
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -16,7 +13,7 @@ from torch import Tensor
 from kvision.color import rgb_to_grayscale
 from kvision.core.exceptions import ImageError, TypeCheckError
 from kvision.core.pixels import to_uint8, to_unit
-from kvision.io._opencv import opencv
+from kvision.io._opencv import pixels_of
 
 __all__ = ["ImageLoadType", "load_image"]
 
@@ -96,19 +93,28 @@ def load_image(
             actual_type=type(desired_type),
         )
     path = Path(path_file)
-    pixels = torch.from_numpy(_decode(path)).to(device)
-    if desired_type is ImageLoadType.UNCHANGED:
-        return pixels
-    if pixels.dtype not in (torch.uint8, torch.uint16, torch.float32, torch.float64) or len(pixels) not in (1, 3, 4):
-        raise ImageError(
-            f"load_image: cannot convert '{path}' to {desired_type.name}: it holds {len(pixels)} channels of "
-            f"{pixels.dtype}; load it as UNCHANGED"
-        )
+    data = path.read_bytes()  # an OSError names the file and the reason by itself
+    try:
+        pixels = pixels_of(np.frombuffer(data, np.uint8)).to(device)
+    except ImageError as error:
+        raise ImageError(f"load_image: cannot decode '{path}': {error}") from error
+    if reason := inconvertible(pixels, desired_type):
+        raise ImageError(f"load_image: cannot convert '{path}' to {desired_type.name}: {reason}; load it as UNCHANGED")
     return convert(pixels, desired_type)
 
 
+def inconvertible(pixels: Tensor, desired_type: ImageLoadType) -> str:
+    """Why pixels of a file cannot become `desired_type`; nothing if they can."""
+    known = pixels.dtype in (torch.uint8, torch.uint16, torch.float32, torch.float64) and len(pixels) in (1, 3, 4)
+    return (
+        "" if known or desired_type is ImageLoadType.UNCHANGED else f"it holds {len(pixels)} channels of {pixels.dtype}"
+    )
+
+
 def convert(pixels: Tensor, desired_type: ImageLoadType) -> Tensor:
-    """Pixels of a file, (C, H, W) with 1, 3 or 4 channels, as `desired_type` (not UNCHANGED) says."""
+    """Pixels of a file, (C, H, W) with 1, 3 or 4 channels, as `desired_type` says."""
+    if desired_type is ImageLoadType.UNCHANGED:
+        return pixels
     channels, floating = _CHANNELS[desired_type], desired_type in _FLOATING
     if floating or pixels.dtype != torch.uint8 or len(pixels) == 4 != channels:
         pixels = to_unit(pixels).float()
@@ -123,72 +129,3 @@ def convert(pixels: Tensor, desired_type: ImageLoadType) -> Tensor:
         opaque = 1 if pixels.is_floating_point() else 255
         pixels = torch.cat((pixels, torch.full_like(pixels[:1], opaque)))
     return (pixels if floating else to_uint8(pixels)).contiguous()
-
-
-def _decode(path: Path) -> np.ndarray[Any, Any]:
-    """The file's pixels (C, H, W), upright, in RGB(A) order, contiguous."""
-    data = path.read_bytes()  # an OSError names the file and the reason by itself
-    if not data:
-        raise ImageError(f"load_image: cannot decode '{path}': the file is empty")
-    cv2 = opencv()
-    try:
-        # Without conversion: OpenCV would cut 16 bits to 8, and drop alpha as soon as it applies the orientation.
-        pixels, kinds, blocks = cv2.imdecodeWithMetadata(np.frombuffer(data, np.uint8), flags=cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        raise ImageError(f"load_image: cannot decode '{path}': {error.err}") from error
-    if pixels is None:
-        reason = "the file is damaged or cut short" if _has_reader(data) else "it is in no format that OpenCV reads"
-        raise ImageError(f"load_image: cannot decode '{path}': {reason}")
-    metadata = dict(zip(np.ravel(kinds).tolist(), blocks, strict=True))
-    exif = bytes(np.ravel(metadata.get(cv2.IMAGE_METADATA_EXIF, np.empty(0, np.uint8))))
-    planes = cv2.split(_apply_orientation(pixels, _orientation(exif)))
-    rgb = {3: (2, 1, 0), 4: (2, 1, 0, 3)}.get(len(planes), range(len(planes)))
-    return np.stack([planes[c] for c in rgb])
-
-
-def _has_reader(data: bytes) -> bool:
-    """Whether OpenCV reads the format of a file that begins so.
-
-    OpenCV asks for a file. It gets one of ours: the name of another may be no valid text, at which it crashes (5.0), and a
-    pipe cannot be read twice.
-    """
-    with tempfile.NamedTemporaryFile() as file:
-        file.write(data[:4096])
-        file.flush()
-        return bool(opencv().haveImageReader(file.name))
-
-
-def _apply_orientation(pixels: np.ndarray[Any, Any], orientation: int) -> np.ndarray[Any, Any]:
-    """A stored image (H, W) or (H, W, C) as it is meant to be seen.
-
-    EXIF says which sides of the image the first row and the first column are:
-    1 top left, 2 top right, 3 bottom right, 4 bottom left, 5 left top, 6 right top, 7 right bottom, 8 left bottom.
-    """
-    cv2 = opencv()
-    if orientation >= 5:
-        pixels = cv2.transpose(pixels)
-    if orientation in (4, 8):
-        pixels = cv2.flip(pixels, 0)
-    elif orientation in (2, 6):
-        pixels = cv2.flip(pixels, 1)
-    elif orientation in (3, 7):
-        pixels = cv2.flip(pixels, -1)
-    return pixels
-
-
-def _orientation(exif: bytes) -> int:
-    """The orientation, 1 to 8, in an EXIF block (a TIFF header and its directories); 1 where there is none to read."""
-    exif = exif.removeprefix(b"Exif\0\0")
-    order = {b"II": "<", b"MM": ">"}.get(exif[:2])
-    if order is None:
-        return 1
-    try:
-        (start,) = struct.unpack_from(order + "I", exif, 4)
-        (entries,) = struct.unpack_from(order + "H", exif, start)
-        for i in range(entries):
-            tag, _, _, value = struct.unpack_from(order + "HHIH", exif, start + 2 + 12 * i)
-            if tag == 0x0112:
-                return int(value) if 1 <= value <= 8 else 1
-    except struct.error:  # the block ends before it should
-        pass
-    return 1

@@ -15,9 +15,7 @@ from torch import Generator, Tensor
 from kvision._dtype import compute_dtype
 from kvision.augmentation.auto.policy_base import Drawn, PolicyAugmentBase, check_integer
 from kvision.augmentation.draws import Draw, Request, integer
-from kvision.augmentation.engine.image_sequential import ParamItem
-from kvision.augmentation.engine.record import Record
-from kvision.augmentation.engine.stages import Stage
+from kvision.augmentation.engine import ParamItem, Record, Stage
 from kvision.augmentation.samples import per_sample
 from kvision.core.exceptions import ValueCheckError
 

@@ -22,9 +22,9 @@ from kvision._constants import constant
 from kvision._ops import FastPath, behind_grad, register, vjp
 from kvision.augmentation.columns import name_columns
 from kvision.augmentation.drawn_pass import COMPUTED_IN_FLOAT32
-from kvision.augmentation.engine.stages import Stage, Warp
+from kvision.augmentation.engine import Stage, Warp
 from kvision.augmentation.filters import has_range
-from kvision.augmentation.geometric_base import warp
+from kvision.augmentation.maps import warp
 from kvision.augmentation.transforms import Transform, center_of, transform_matrix
 from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Pass, Resampling, make_pass
 

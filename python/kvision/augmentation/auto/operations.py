@@ -17,12 +17,17 @@ from kvision import _check
 from kvision._clamp import clamp
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.draws import Request, uniform
-from kvision.augmentation.engine import AugmentationBase2D, Params
-from kvision.augmentation.engine.configuration import Plans
-from kvision.augmentation.engine.execution import Execution, check_batch_of_params
-from kvision.augmentation.engine.image_sequential import ImageSequential
-from kvision.augmentation.engine.runs import Randomness
-from kvision.augmentation.engine.stages import Applied, Stage
+from kvision.augmentation.engine import (
+    Applied,
+    AugmentationBase2D,
+    CallContext,
+    Execution,
+    ImageSequential,
+    Params,
+    Plans,
+    Stage,
+    check_batch_of_params,
+)
 from kvision.augmentation.inputs import check_matrix, image_and_matrix
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys
 from kvision.augmentation.samples import with_matrix
@@ -177,21 +182,21 @@ class OperationBase(nn.Module):
         Returns:
             Parameters by name, with `batch_prob` (B,), which has a gradient to the probability.
         """
-        return self._draw(Randomness(type(self).__name__, seed, generator, False, Plans()), tuple(batch_shape), mag)
+        return self._draw(CallContext(type(self).__name__, seed, generator, False, Plans()), tuple(batch_shape), mag)
 
-    def _draw(self, source: Randomness, shape: tuple[int, ...], mag: Tensor | None = None) -> Params:
+    def _draw(self, context: CallContext, shape: tuple[int, ...], mag: Tensor | None = None) -> Params:
         """Draw the parameters of a call: first the choice and the sign, then what the augmentation draws."""
         device, generator = self._probability.device, self.op._param_generator
         of_op = None if generator is None or generator.per_pixel else self.op._request(shape)
         requests = [Request([uniform(0.0, 1.0), uniform(0.0, 1.0)], same_on_batch=self.same_on_batch)]
         if of_op is not None:
             requests.append(of_op)
-        keys = draw_keys(source.op, len(requests), device, source.seed_of_samples, source.generator_of(self))
-        samples = len(range(0, shape[0], source.frames))
-        check_seeds(source.op, keys, samples)
-        position = source.position if keys.one_key else 0
+        keys = draw_keys(context.op, len(requests), device, context.seed_of_samples, context.generator_of(self))
+        samples = len(range(0, shape[0], context.frames))
+        check_seeds(context.op, keys, samples)
+        position = context.position if keys.has_seed else 0
         drawn = draw_columns(torch.empty(samples, device=device), keys, requests, position)
-        words, *of_op_values = (columns.values.repeat_interleave(source.frames, 0) for columns in drawn)
+        words, *of_op_values = (columns.values.repeat_interleave(context.frames, 0) for columns in drawn)
         if self.is_batch_operation:
             words = words[:1].expand(shape[0], 2)
         if generator is not None and of_op_values:
@@ -253,10 +258,10 @@ class OperationBase(nn.Module):
         transform = self._matrix(params, execution) if returns else None
         return with_matrix(y, before, None if transform is None else transform.to(y.device))
 
-    def _execute_nested(self, x: Tensor, params: Params | None, source: Randomness) -> tuple[Tensor, Stage, Params]:
+    def _execute_nested(self, x: Tensor, params: Params | None, context: CallContext) -> tuple[Tensor, Stage, Params]:
         """Run in a container: the images, what labels have to follow, and the parameters."""
         if params is None:
-            params = self._draw(source._replace(op=type(self).__name__), tuple(x.shape))
+            params = self._draw(context._replace(op=type(self).__name__), tuple(x.shape))
         y, _ = self._augment(x, params)
         chosen = {**params, "batch_prob": params["batch_prob"].detach()}
         return y, Applied(self.op, self.op._execution_on(x, chosen, self.op.flags), self.op.flags), params

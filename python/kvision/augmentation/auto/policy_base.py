@@ -13,11 +13,16 @@ from kvision._ops import FastPath
 from kvision.augmentation.auto.operation_table import OPERATIONS, execute_steps
 from kvision.augmentation.columns import DrawPlan, fits_one_launch, plan_draws
 from kvision.augmentation.draws import MAX_DRAWS, Draw, Request
-from kvision.augmentation.engine.execution import check_batch_of_params
-from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem, identity_of
-from kvision.augmentation.engine.record import Record
-from kvision.augmentation.engine.runs import Randomness
-from kvision.augmentation.engine.stages import Stage, product
+from kvision.augmentation.engine import (
+    CallContext,
+    ImageSequential,
+    ParamItem,
+    Record,
+    Stage,
+    check_batch_of_params,
+    identity_of,
+    product,
+)
 from kvision.augmentation.keys import check_seeds, draw_keys
 from kvision.augmentation.samples import where_chosen
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -138,13 +143,13 @@ class PolicyAugmentBase(ImageSequential):
         step = [Draw("uniform", (0.0, 1.0, 0.0)), level, Draw("integer", (0, 1, 2, 0))]
         return Request([choice, *step * self._length] * self.count, same_on_batch=bool(self.same_on_batch))
 
-    def _draw(self, x: Tensor, source: Randomness) -> Drawn:
-        keys = draw_keys(source.op, 1, x.device, source.seed_of_samples, source.generator_of(self))
-        (plan,) = self._plan(keys.one_key, source.position if keys.one_key else 0)
-        check_seeds(source.op, keys, len(range(0, len(x), source.frames)))
-        drawn = plan.draw(x[:: source.frames], keys)
-        if source.frames > 1:
-            drawn = drawn.repeat_interleave(source.frames, 0)
+    def _draw(self, x: Tensor, context: CallContext) -> Drawn:
+        keys = draw_keys(context.op, 1, x.device, context.seed_of_samples, context.generator_of(self))
+        (plan,) = self._plan(keys.has_seed, context.position if keys.has_seed else 0)
+        check_seeds(context.op, keys, len(range(0, len(x), context.frames)))
+        drawn = plan.draw(x[:: context.frames], keys)
+        if context.frames > 1:
+            drawn = drawn.repeat_interleave(context.frames, 0)
         return self._of_columns(drawn)
 
     def _of_columns(self, columns: Tensor) -> Drawn:
@@ -171,11 +176,11 @@ class PolicyAugmentBase(ImageSequential):
                 f"{len(request.draws)}"
             )
 
-    def _plan(self, one_key: bool, position: int) -> Sequence[DrawPlan]:
-        key = ("draw", one_key, position, bool(self.same_on_batch))
+    def _plan(self, has_seed: bool, position: int) -> Sequence[DrawPlan]:
+        key = ("draw", has_seed, position, bool(self.same_on_batch))
         plan: list[DrawPlan] | None = self._plans.get(key)
         if plan is None:
-            plan = plan_draws([self._request()], one_key, position)
+            plan = plan_draws([self._request()], has_seed, position)
             self._plans.keep(key, plan)
         return plan
 
@@ -202,7 +207,7 @@ class PolicyAugmentBase(ImageSequential):
 
     def forward_parameters(self, batch_shape: Sequence[int]) -> list[ParamItem]:
         """Draw the parameters of a call on images of a shape, without executing it."""
-        drawn = self._draw(torch.empty(batch_shape[0], device="cpu"), self._source(None, None))
+        drawn = self._draw(torch.empty(batch_shape[0], device="cpu"), self._context(None, None))
         record = Record(tuple(batch_shape))
         record.drawn = drawn
         self._keep(record)
@@ -210,8 +215,8 @@ class PolicyAugmentBase(ImageSequential):
 
     # --- execution ---
 
-    def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> tuple[Tensor, Record]:
-        drawn = self._draw(x, source) if params is None else self._redrawn(params, x)
+    def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, context: CallContext) -> tuple[Tensor, Record]:
+        drawn = self._draw(x, context) if params is None else self._redrawn(params, x)
         y, stages = self._run(x, drawn)
         record = Record(tuple(x.shape), (), stages)
         record.drawn, record.size = drawn, tuple(y.shape[2:])

@@ -6,9 +6,7 @@ from typing import Any
 
 from torch import nn
 
-from kvision.augmentation.engine import AugmentationBase
-from kvision.augmentation.engine.augmentation_sequential import AugmentationSequential
-from kvision.augmentation.engine.image_sequential import ImageSequential
+from kvision.augmentation.engine import AugmentationBase, AugmentationSequential, ImageSequential
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = ["ManyToManyAugmentationDispather", "ManyToOneAugmentationDispather"]

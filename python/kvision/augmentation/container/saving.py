@@ -17,8 +17,7 @@ from torch import Tensor, nn
 
 from kvision import _check, constants
 from kvision._version import __version__
-from kvision.augmentation.engine.configuration import restored_format
-from kvision.augmentation.engine.declaration import KeepsArguments
+from kvision.augmentation.engine import KeepsArguments, restored_format
 from kvision.augmentation.keys import restored_generator
 from kvision.core.exceptions import BaseError, TypeCheckError, ValueCheckError
 

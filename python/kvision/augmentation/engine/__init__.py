@@ -29,7 +29,7 @@ Neighbors in a container:
     *_sequential   the containers that users call
 
 Operators that plans call (draws, columns, transforms, warp_and_color, drawn_pass, drawn_links, maps) are outside, in the folder
-of their kernels: they know no augmentation.
+of their kernels: they know no augmentation. Other packages import this one alone, and none of its modules.
 """
 
 from kvision.augmentation.engine.augmentation import (
@@ -39,17 +39,55 @@ from kvision.augmentation.engine.augmentation import (
     RigidAffineAugmentationBase2D,
     RigidAffineAugmentationBase3D,
 )
-from kvision.augmentation.engine.execution import Execution, Params, Shape, matrix_type, replaying
+from kvision.augmentation.engine.augmentation_sequential import AugmentationSequential
+from kvision.augmentation.engine.configuration import Plans, restored_format, settings_changed
+from kvision.augmentation.engine.contribution import Colors, Contribution, Motion
+from kvision.augmentation.engine.declaration import KeepsArguments
+from kvision.augmentation.engine.execution import (
+    Execution,
+    Params,
+    Shape,
+    check_batch_of_params,
+    matrix_type,
+    replaying,
+)
+from kvision.augmentation.engine.image_sequential import ImageSequential, ImageSequentialBase, ParamItem, identity_of
+from kvision.augmentation.engine.patch_sequential import PatchSequential
+from kvision.augmentation.engine.record import Record
+from kvision.augmentation.engine.runs import CallContext
+from kvision.augmentation.engine.stages import Applied, Stage, Warp, product
+from kvision.augmentation.engine.video_sequential import VideoSequential
 
 __all__ = [
+    "Applied",
     "AugmentationBase",
     "AugmentationBase2D",
     "AugmentationBase3D",
+    "AugmentationSequential",
+    "CallContext",
+    "Colors",
+    "Contribution",
     "Execution",
+    "ImageSequential",
+    "ImageSequentialBase",
+    "KeepsArguments",
+    "Motion",
+    "ParamItem",
     "Params",
+    "PatchSequential",
+    "Plans",
+    "Record",
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",
     "Shape",
+    "Stage",
+    "VideoSequential",
+    "Warp",
+    "check_batch_of_params",
+    "identity_of",
     "matrix_type",
+    "product",
     "replaying",
+    "restored_format",
+    "settings_changed",
 ]

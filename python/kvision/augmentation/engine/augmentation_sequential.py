@@ -81,9 +81,9 @@ class AugmentationSequential(ImageSequential):
         extra_args: flags of masks: {"mask": {"fill_value": 255}} gives pixels that enter, or are erased,
             the value that a loss ignores; default: 0. {} interpolates masks as the images, {"mask": {}} does not.
         resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones,
-            composes them with elastic, thin-plate and fisheye maps between them, and interpolates once. Pixels from outside
-            are those of the first one that interpolates. With antialiased resizing among them, a pixel is the mean of what it
-            covers where that is more than a pixel.
+            composes them with elastic, thin-plate and fisheye maps between them, and interpolates once: beyond a crop is
+            the image. Pixels from outside of it are those of the first one that interpolates. With antialiased resizing among
+            them, a pixel is the mean of what it covers where that is more than a pixel.
         clip_boxes: cut moved boxes off at the edges of the image; "each" after each child, so that what has left the image does
             not come back.
         min_box_area: moved boxes with fewer pixels inside the image are removed.
@@ -285,16 +285,16 @@ class AugmentationSequential(ImageSequential):
         if DataKey.MASK in keys:
             masks = functools.partial(self._masks_after, inputs[keys.index(DataKey.MASK)], tuple(x.shape))
         time = 0 if videos is None else videos.sizes[1]
-        y, record = self._execute(x, params, self._source(seed, generator, time, len(keys) > 1, masks))
+        y, record = self._execute(x, params, self._context(seed, generator, time, len(keys) > 1, masks))
         record.size, record.videos = tuple(y.shape[2:]), videos
         if len(keys) > 1:
             record.labels = LabelRecord(self._label_settings, record.shape, record.size)
             outputs = record.labels.move(keys, inputs, record.stages)
             for i, (key, value) in enumerate(zip(keys, inputs)):
                 if key == DataKey.INPUT and i != first:  # a second image gets the same
-                    source = self._source(None, None, time)
-                    again = self._children_of_call(self._read_params(record), source)
-                    z, _ = execute(self.transform_tensor(value), again, source)
+                    context = self._context(None, None, time)
+                    again = self._children_of_call(self._read_params(record), context)
+                    z, _ = execute(self.transform_tensor(value), again, context)
                     outputs[i] = self._restored(z, value)
         else:
             outputs = [y]

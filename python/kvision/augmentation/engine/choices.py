@@ -18,7 +18,7 @@ from kvision.augmentation.draws import philox, unit
 from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.execution import Execution
 from kvision.augmentation.engine.record import Child, Record
-from kvision.augmentation.engine.runs import Randomness, execute
+from kvision.augmentation.engine.runs import CallContext, execute
 from kvision.augmentation.engine.stages import Applied, Composed, Stage, Warp
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.warp_and_color import SAME, make_pass
@@ -103,7 +103,7 @@ def execute_turns(
     x: Tensor,
     named: Sequence[tuple[str, nn.Module]],
     sequences: Sequence[Sequence[int]],
-    source: Randomness,
+    context: CallContext,
     position: int,
 ) -> tuple[Tensor, list[Stage], list[Child]]:
     """Run the sequence of children of each sample; gives the result, what labels have to follow, and the turns as children.
@@ -118,11 +118,11 @@ def execute_turns(
     for number, occurrence, samples in plan_turns(sequences):
         child = Child(*named[number], runs_alone=True)
         at = position + number + len(named) * occurrence
-        y, more = execute(x, [child], source._replace(output=SAME), at)
+        y, more = execute(x, [child], context._replace(output=SAME), at)
         if not all(samples):
             if y.shape != x.shape:
                 raise ShapeError(
-                    f"{source.op}: expected children that keep the size of images with random_apply and seeds of samples, "
+                    f"{context.op}: expected children that keep the size of images with random_apply and seeds of samples, "
                     f"got {tuple(y.shape)} from {tuple(x.shape)}"
                 )
             chosen = torch.tensor(samples, device="cpu").repeat_interleave(frames)
@@ -131,8 +131,8 @@ def execute_turns(
             restrict_child(child, chosen)
         x, stages = y, [*stages, *more]
         children.append(child)
-    if source.output != SAME:
-        x, _ = make_pass(None, output=source.output).run(x, None)
+    if context.output != SAME:
+        x, _ = make_pass(None, output=context.output).run(x, None)
     return x, stages, children
 
 

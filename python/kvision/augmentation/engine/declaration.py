@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Mapping, Sequence
 from enum import Enum
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Generator, Tensor, nn
@@ -20,10 +20,12 @@ from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.engine.configuration import SWITCHES, Flags, Plans, portable, settings_changed
 from kvision.augmentation.engine.contribution import Colors, Contribution
 from kvision.augmentation.engine.execution import Params, Shape
-from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color import ColorPart, Pass, make_pass
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
+
+if TYPE_CHECKING:
+    from kvision.augmentation.random_generator.base import RandomGeneratorBase
 
 _OVERRIDABLE = ("compute_transformation", "apply_transform")
 _REPLACEABLE = (
@@ -63,6 +65,8 @@ class Declaration(KeepsArguments):
     accepts_bytes: ClassVar[bool] = True  # otherwise uint8 images are computed in float32, in [0, 1]
     accepts_wide_integers: ClassVar[bool] = False  # images of int16 and uint16, which are computed in float32
     keeps_lines: ClassVar[bool] = True  # straight lines stay straight, so that the corners of a box say where it is
+    moves_by_map: ClassVar[bool] = False  # as MapAugmentation does
+    keeps_positions: ClassVar[bool] = False  # of all pixels, so that labels stay as they are
     fuses_noise: ClassVar[bool] = False  # `apply_transform` takes "_noise" instead of the parameters of pixels
 
     _own_methods: ClassVar[dict[str, Any]]  # by name, those of the class in `_REPLACEABLE` that keep the contract below
@@ -272,9 +276,7 @@ class Declaration(KeepsArguments):
     def _draws_by_name(self) -> bool:
         """Whether a method or the generator draws parameters by name, without columns."""
         generator = self._param_generator
-        return self._is_overridden("generate_parameters") or (
-            generator is not None and type(generator).forward is not RandomGeneratorBase.forward
-        )
+        return self._is_overridden("generate_parameters") or (generator is not None and generator._draws_by_name)
 
     def _is_customized(self) -> bool:
         """Whether a method replaces what containers would join."""

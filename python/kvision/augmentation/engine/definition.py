@@ -27,15 +27,17 @@ def run_in_turn(
     """Run augmentations with given parameters, each of which resamples the images that the one before it left.
 
     Bytes count as 255ths where colors change. They are rounded behind each augmentation, but behind neighbors that change
-    colors once: between these there are numbers. With `once`, neighbors that move pixels read the images once; a map keeps to
-    itself if it is the only one that interpolates. What is blurred where images become smaller is left out.
+    colors once: between these there are numbers. With `once`, neighbors that move pixels read the images once. What is blurred
+    where images become smaller is left out.
     """
     stored = x.dtype
     pending: list[Call] = list(zip(augmentations, params))
     while pending:
-        count = _count_read_once([_contribution(call[0], tuple(x.shape)).motion for call in pending]) if once else 0
-        if count:
-            x, pending = _read_once(x, pending[:count]), pending[count:]
+        shape = tuple(x.shape)
+        motions = [_contribution(module, shape).motion for module, _ in pending] if once else []
+        together = pending[: len(list(takewhile(bool, motions)))]
+        if together:
+            x, pending = _read_once(x, together), pending[len(together) :]
             continue
         (module, own), pending = pending[0], pending[1:]
         result = module._result_dtype(stored)
@@ -61,15 +63,6 @@ def _run_chosen(x: Tensor, module: AugmentationBase, params: dict[str, Any]) -> 
         return x
     y: Tensor = module(x, params={**params, "batch_prob": torch.ones_like(chosen, dtype=torch.float32)})
     return y if module.whole_batch else where_chosen(chosen.to(x.device), y, x.to(y.dtype))
-
-
-def _count_read_once(motions: Sequence[Any]) -> int:
-    """How many neighbors, from the first one on, read the images once."""
-    moving = list(takewhile(bool, motions))
-    interpolating = [i for i, motion in enumerate(moving) if motion.interpolates]
-    if len(interpolating) == 1 and moving[interpolating[0]].is_map:
-        return interpolating[0] or 1
-    return len(moving)
 
 
 def _read_once(x: Tensor, calls: Sequence[Call]) -> Tensor:

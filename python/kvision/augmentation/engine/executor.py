@@ -39,8 +39,8 @@ class Engine(Declaration):
             return False
         if not self.whole_batch or self.p_batch == 1 or keys is None:
             return True
-        key = keys.on_host(type(self).__name__)[0 if keys.one_key else index]
-        return is_chosen_batch(key, index if keys.one_key else 0, self.p_batch)
+        key = keys.on_host(type(self).__name__)[0 if keys.has_seed else index]
+        return is_chosen_batch(key, index if keys.has_seed else 0, self.p_batch)
 
     def _keys(self, x: Tensor, seed: Seed, generator: Generator | None) -> Keys:
         op = type(self).__name__

@@ -16,7 +16,7 @@ from kvision.augmentation.engine.choices import Choices, execute_turns
 from kvision.augmentation.engine.configuration import Plans, portable, settings_changed
 from kvision.augmentation.engine.declaration import KeepsArguments
 from kvision.augmentation.engine.record import Child, Record
-from kvision.augmentation.engine.runs import Randomness, execute
+from kvision.augmentation.engine.runs import CallContext, execute
 from kvision.augmentation.engine.stages import (
     KNOWN,
     Applied,
@@ -37,7 +37,6 @@ from kvision.augmentation.inputs import (
     image_of,
     in_type_of,
 )
-from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys, refuse_capture, refuse_graphs
 from kvision.augmentation.samples import (
     at_scale,
@@ -173,9 +172,9 @@ class ImageSequential(ImageSequentialBase):
         if_unsupported_ops: accepted for code written for Kornia; any module may be a child.
         disable_item_features, disable_sequential_features: accepted for code written for Kornia.
         resample: "each" interpolates in every geometric augmentation; "once" multiplies the matrices of neighboring ones,
-            composes them with elastic, thin-plate and fisheye maps between them, and interpolates once. Pixels from outside
-            are those of the first one that interpolates. With antialiased resizing among them, a pixel is the mean of what it
-            covers where that is more than a pixel.
+            composes them with elastic, thin-plate and fisheye maps between them, and interpolates once: beyond a crop is
+            the image. Pixels from outside of it are those of the first one that interpolates. With antialiased resizing among
+            them, a pixel is the mean of what it covers where that is more than a pixel.
         generator: draws the keys of each call; default: torch's generator.
         output_dtype: type of the results; default: that of the images. Floating-point types have uint8 images in [0, 1].
         memory_format: `torch.channels_last` or `torch.contiguous_format` for the results; default: that of the images.
@@ -296,19 +295,19 @@ class ImageSequential(ImageSequentialBase):
         mixes = [bool(getattr(child, "mixes_samples", False)) for child in children]
         return Choices(low, end, self.random_apply_weights or [1.0] * len(children), mixes)
 
-    def _chooses_for_samples(self, source: Randomness) -> bool:
+    def _chooses_for_samples(self, context: CallContext) -> bool:
         """Whether each sample gets children of its own. What mixes samples runs for the batch or not at all."""
-        seed = source.seed
+        seed = context.seed
         if self.random_apply is None or not isinstance(seed, Tensor) or seed.dim() != 1:
             return False
         return not any(getattr(module, "mixes_samples", False) for module in self.modules())
 
-    def _sequences_of_samples(self, source: Randomness, samples: int) -> list[list[int]]:
+    def _sequences_of_samples(self, context: CallContext, samples: int) -> list[list[int]]:
         """The numbers of the children of each sample, whose seeds the call has."""
-        refuse_graphs(source.op)
-        check_seeds(source.op, draw_keys(source.op, 1, torch.device("cpu"), source.seed, None), samples)
-        assert isinstance(source.seed, Tensor)
-        return self._choices().of_seeds(_moved(source.seed, source.position))
+        refuse_graphs(context.op)
+        check_seeds(context.op, draw_keys(context.op, 1, torch.device("cpu"), context.seed, None), samples)
+        assert isinstance(context.seed, Tensor)
+        return self._choices().of_seeds(_moved(context.seed, context.position))
 
     # --- execution ---
 
@@ -330,7 +329,7 @@ class ImageSequential(ImageSequentialBase):
             input = input[None]
         return input
 
-    def _children_of_call(self, params: Sequence[ParamItem] | None, source: Randomness) -> list[Child]:
+    def _children_of_call(self, params: Sequence[ParamItem] | None, context: CallContext) -> list[Child]:
         if params is not None:
             by_name = self.get_children_by_params(params)
             return [
@@ -340,25 +339,25 @@ class ImageSequential(ImageSequentialBase):
         if self.random_apply is None:
             sequence = self.get_forward_sequence()
         else:
-            seed = None if source.seed is None else _moved(source.seed, source.position)
-            sequence = self.get_random_forward_sequence(seed=seed, generator=source.generator_of(self))
+            seed = None if context.seed is None else _moved(context.seed, context.position)
+            sequence = self.get_random_forward_sequence(seed=seed, generator=context.generator_of(self))
         return [Child(name, module) for name, module in sequence]
 
-    def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, source: Randomness) -> tuple[Tensor, Record]:
+    def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, context: CallContext) -> tuple[Tensor, Record]:
         """Run the children on images (B, C, H, W); gives the images and what the call did."""
-        if params is None and self.random_apply is not None and self._chooses_for_samples(source):
-            sequences = self._sequences_of_samples(source, len(x) // max(source.time, source.frames))
-            y, stages, children = execute_turns(x, list(self.named_children()), sequences, source, source.position)
+        if params is None and self.random_apply is not None and self._chooses_for_samples(context):
+            sequences = self._sequences_of_samples(context, len(x) // max(context.time, context.frames))
+            y, stages, children = execute_turns(x, list(self.named_children()), sequences, context, context.position)
         else:
-            children = self._children_of_call(params, source)
-            y, stages = execute(x, children, source)
+            children = self._children_of_call(params, context)
+            y, stages = execute(x, children, context)
         record = Record(tuple(x.shape), children, stages)
         record.size = tuple(y.shape[2:])
         return y, record
 
-    def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage, Record]:
-        once = source.once or self.resample == "once"
-        y, record = self._execute(x, params, source.inside(self, once, self._plans, self._output))
+    def _execute_nested(self, x: Tensor, params: Any, context: CallContext) -> tuple[Tensor, Stage, Record]:
+        once = context.once or self.resample == "once"
+        y, record = self._execute(x, params, context.inside(self, once, self._plans, self._output))
         self._keep(record)
         return y, Applied(self, None, {}, record.stages, self._label_settings), record
 
@@ -373,11 +372,11 @@ class ImageSequential(ImageSequentialBase):
         is_same = self.output_dtype is None and self.memory_format is None
         return SAME if is_same else Output(self.output_dtype, self.memory_format)
 
-    def _source(
+    def _context(
         self, seed: Seed, generator: Generator | None, time: int = 0, has_labels: bool = False, masks: Any = None
-    ) -> Randomness:
+    ) -> CallContext:
         op, once, own = type(self).__name__, self.resample == "once", self.generator
-        return Randomness(op, seed, generator, once, self._plans, self._output, 1, 0, time, has_labels, masks, own)
+        return CallContext(op, seed, generator, once, self._plans, self._output, 1, 0, time, has_labels, masks, own)
 
     @property
     def _params(self) -> list[ParamItem]:
@@ -435,7 +434,7 @@ class ImageSequential(ImageSequentialBase):
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
-        y, record = self._execute(x, params, self._source(seed, generator))
+        y, record = self._execute(x, params, self._context(seed, generator))
         forget_coordinates(record.stages)
         self._keep(record)
         output = self._with_matrix(self._restored(y, image), before, return_transform, record)
@@ -502,8 +501,8 @@ class ImageSequential(ImageSequentialBase):
         if params is None and not recompute:
             return self.transform_matrix
         x = self.transform_tensor(input)
-        children = self._children_of_call(self._params if params is None else params, self._source(None, None))
-        return product(identity_of(tuple(x.shape)), execute(x, children, self._source(None, None))[1])
+        children = self._children_of_call(self._params if params is None else params, self._context(None, None))
+        return product(identity_of(tuple(x.shape)), execute(x, children, self._context(None, None))[1])
 
     def inverse(
         self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
@@ -544,7 +543,7 @@ class ImageSequential(ImageSequentialBase):
         if params is None:
             return last
         image = x.new_zeros(1).expand(_input_shape(params) or self._record.shape or tuple(x.shape))
-        return self._execute(image, params, self._source(None, None))[1]
+        return self._execute(image, params, self._context(None, None))[1]
 
     def _record_to_invert(self, x: Tensor, params: Sequence[ParamItem] | None) -> Record:
         record = self._record_of(x, params)
@@ -554,15 +553,10 @@ class ImageSequential(ImageSequentialBase):
 
     def is_intensity_only(self, strict: bool = True) -> bool:
         """Whether all children keep the positions of pixels; other modules count as moving them if `strict`."""
-        for module in self.children():
-            if isinstance(module, ImageSequential):
-                if not module.is_intensity_only(strict):
-                    return False
-            elif isinstance(module, (IntensityAugmentationBase2D, IntensityAugmentationBase3D)):
-                continue
-            elif isinstance(module, AugmentationBase) or strict:
-                return False
-        return True
+        return all(
+            m.is_intensity_only(strict) if isinstance(m, ImageSequential) else getattr(m, "keeps_positions", not strict)
+            for m in self.children()
+        )
 
     def forward_parameters(self, batch_shape: Sequence[int]) -> list[ParamItem]:
         """Draw the parameters of a call on images of a shape, without executing it."""

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from kvision.augmentation.elastic import MapAugmentation
+from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.execution import Execution
 from kvision.augmentation.engine.stages import (
     Applied,
@@ -186,11 +187,11 @@ def _flat(stages: Sequence[Stage]) -> Iterator[Stage]:
             yield stage
 
 
-def _map(stage: Stage) -> tuple[MapAugmentation, Execution] | None:
+def _map(stage: Stage) -> tuple[Any, Execution] | None:
     """The augmentation and the execution of a stage that is a map by itself, and was applied."""
-    if not isinstance(stage, Applied) or stage.execution is None or not isinstance(stage.module, MapAugmentation):
+    if not isinstance(stage, Applied) or stage.execution is None or not isinstance(stage.module, AugmentationBase):
         return None
-    return (stage.module, stage.execution) if stage.execution.applied else None
+    return (stage.module, stage.execution) if stage.module.moves_by_map and stage.execution.applied else None
 
 
 def _maps(stage: Stage) -> list[Execution]:

@@ -257,7 +257,7 @@ class _Planner:
         alone = [at for at, g in enumerate(geometric) if g.motion.is_map or g.motion.is_antialiased]
         if not alone or _is_window(geometric):
             self._join(geometric, parts, output)
-        elif sum(g.motion.interpolates for g in geometric) == 1:  # which nothing else has to be composed with
+        elif sum(g.motion.interpolates for g in geometric) == 1 and _reads_all(geometric, alone[0]):
             (at,) = alone
             self._join(geometric[:at])
             self.steps.append(Alone(geometric[at].number))
@@ -294,6 +294,18 @@ class _Planner:
     def finish(self, output: Output) -> list[Step]:
         self._flush(output)
         return self.steps
+
+
+def _reads_all(geometric: Sequence[_Geometric], at: int) -> bool:
+    """Whether one by itself, the only one that interpolates, reads what it reads composed with its neighbors.
+
+    A map also reads beyond the edges of what it gets: there is the image where a crop is before it, which is read once.
+    """
+    others = [g.motion for g in geometric[at + 1 :]]
+    own, before = geometric[at].motion, [g.motion for g in geometric[:at]]
+    return not own.is_map or (
+        all(motion.permutes_pixels for motion in before) and all(motion.stays_inside for motion in others)
+    )
 
 
 def _is_window(geometric: Sequence[_Geometric]) -> bool:

@@ -21,11 +21,10 @@ from kvision.augmentation.engine.image_sequential import (
     item_of,
 )
 from kvision.augmentation.engine.record import Child, Record
-from kvision.augmentation.engine.runs import Randomness, execute
+from kvision.augmentation.engine.runs import CallContext, execute
 from kvision.augmentation.engine.stages import Cells
-from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.keys import Seed, frame_seeds
-from kvision.augmentation.random_generator.crop import parse_size
 from kvision.augmentation.warp_and_color import SAME
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.core.pixels import to_unit
@@ -185,17 +184,17 @@ class PatchSequential(ImageSequential):
         options: dict[str, Any] = {"seed": seed, "generator": generator, "return_transform": return_transform}
         return super().forward(input, params, extra_args, output_type=output_type, **options)  # type: ignore[arg-type]
 
-    def _execute(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Record]:
+    def _execute(self, x: Tensor, params: Any, context: CallContext) -> tuple[Tensor, Record]:
         pad = self.compute_padding(x, self.padding)
         cells = self._cells(x, pad)
         executed: list[tuple[list[int] | None, Child]]
-        if params is None and self._chooses_for_samples(source):
-            chains = [self._run_turns(cells, source)]
+        if params is None and self._chooses_for_samples(context):
+            chains = [self._run_turns(cells, context)]
             executed = [(None, child) for child in chains[0]]
         else:
             count = len(cells)
-            chains = self._chains(count, source) if params is None else self._replayed_chains(count, params)
-            executed = self._run_chains(cells, chains, source)
+            chains = self._chains(count, context) if params is None else self._replayed_chains(count, params)
+            executed = self._run_chains(cells, chains, context)
         is_cropped = any(pad) and self.padding == "valid"
         moves = is_cropped or any(_moves(child.module) for chain in chains for child in chain)
         record = Record(tuple(x.shape), (), [Cells()] if moves else [])
@@ -208,41 +207,41 @@ class PatchSequential(ImageSequential):
         return y, record
 
     def _run_chains(
-        self, cells: list[Tensor], chains: Sequence[Sequence[Child]], source: Randomness
+        self, cells: list[Tensor], chains: Sequence[Sequence[Child]], context: CallContext
     ) -> list[tuple[list[int] | None, Child]]:
         """Run the children of each cell; cells with the same ones are one batch. Gives them with the numbers of their cells."""
         executed: list[tuple[list[int] | None, Child]] = []
-        position = source.position
+        position = context.position
         for numbers in _groups(chains):
             children = [replace(child) for child in chains[numbers[0]]]
             run = functools.partial(_run_all, children=children, position=position)
             executed += [(None if len(numbers) == len(cells) else numbers, child) for child in children]
-            self._run_cells(cells, numbers, source, run)
+            self._run_cells(cells, numbers, context, run)
             position += len(children)
         return executed
 
-    def _run_turns(self, cells: list[Tensor], source: Randomness) -> list[Child]:
+    def _run_turns(self, cells: list[Tensor], context: CallContext) -> list[Child]:
         """Run the children of each sample, or of each cell of each sample; all cells are one batch."""
-        samples = len(cells[0]) // max(source.time, source.frames)
+        samples = len(cells[0]) // max(context.time, context.frames)
         if self.patchwise_apply:
-            of_cells = (source._replace(seed=seed, position=0) for seed in self._seeds_of_choices(len(cells), source))
+            of_cells = (context._replace(seed=seed, position=0) for seed in self._seeds_of_choices(len(cells), context))
             sequences = [own for of_cell in of_cells for own in self._sequences_of_samples(of_cell, samples)]
         else:
-            sequences = self._sequences_of_samples(source, samples) * len(cells)
+            sequences = self._sequences_of_samples(context, samples) * len(cells)
         children: list[Child] = []
 
-        def run(x: Tensor, own: Randomness) -> Tensor:
-            y, _, turns = execute_turns(x, list(self.named_children()), sequences, own, source.position)
+        def run(x: Tensor, own: CallContext) -> Tensor:
+            y, _, turns = execute_turns(x, list(self.named_children()), sequences, own, context.position)
             children.extend(turns)
             return y
 
-        self._run_cells(cells, list(range(len(cells))), source, run)
+        self._run_cells(cells, list(range(len(cells))), context, run)
         return children
 
-    def _seeds_of_choices(self, count: int, source: Randomness) -> list[Seed]:
+    def _seeds_of_choices(self, count: int, context: CallContext) -> list[Seed]:
         """The seeds by which each cell gets children of its own."""
-        seed = source.seed
-        return [seed if seed is None else seed + ((source.position * count + i + 1) << 32) for i in range(count)]
+        seed = context.seed
+        return [seed if seed is None else seed + ((context.position * count + i + 1) << 32) for i in range(count)]
 
     def _cells(self, x: Tensor, pad: Padding) -> list[Tensor]:
         """The cells (B, C, h, w), by rows: views of the images."""
@@ -252,16 +251,16 @@ class PatchSequential(ImageSequential):
         self._check_grid(x, (rows, columns))
         return [x[..., r * h : (r + 1) * h, c * w : (c + 1) * w] for r in range(rows) for c in range(columns)]
 
-    def _chains(self, count: int, source: Randomness) -> list[list[Child]]:
+    def _chains(self, count: int, context: CallContext) -> list[list[Child]]:
         """The children of each cell, in their order."""
         named = [Child(name, module) for name, module in self.named_children()]
         if not self.patchwise_apply:
-            return [self._children_of_call(None, source)] * count
+            return [self._children_of_call(None, context)] * count
         if self.random_apply is None:
             return [[child] for child in named]
         chains = []
-        for seed in self._seeds_of_choices(count, source):
-            chosen = self.get_random_forward_sequence(seed=seed, generator=source.generator_of(self))
+        for seed in self._seeds_of_choices(count, context):
+            chosen = self.get_random_forward_sequence(seed=seed, generator=context.generator_of(self))
             chains.append([Child(name, module) for name, module in chosen])
         return chains
 
@@ -279,17 +278,17 @@ class PatchSequential(ImageSequential):
         self,
         cells: list[Tensor],
         numbers: list[int],
-        source: Randomness,
-        run: Callable[[Tensor, Randomness], Tensor],
+        context: CallContext,
+        run: Callable[[Tensor, CallContext], Tensor],
     ) -> None:
         """Run what changes a batch of images on some cells."""
         batch = len(cells[0])
         x = cells[numbers[0]] if len(numbers) == 1 else torch.cat([cells[n] for n in numbers])
-        seed = source.seed
+        seed = context.seed
         if isinstance(seed, Tensor) and seed.dim() == 1:
             of_cells = frame_seeds(seed, len(cells)).unflatten(0, (len(seed), len(cells)))
             seed = torch.cat([of_cells[:, n] for n in numbers])
-        own = source._replace(seed=seed, output=SAME, plans=self._plans, has_labels=False)
+        own = context._replace(seed=seed, output=SAME, plans=self._plans, has_labels=False)
         y = run(x, own)
         if y.shape != x.shape:
             raise ShapeError(
@@ -305,7 +304,7 @@ class PatchSequential(ImageSequential):
         b, c, *sides = batch_shape
         keep = self.padding == "valid"
         cell = [n // parts if keep else -(-n // parts) for n, parts in zip(sides, self.grid_size)]
-        chains, items = self._chains(cells, self._source(None, None)), []
+        chains, items = self._chains(cells, self._context(None, None)), []
         for numbers in _groups(chains):
             indices = None if len(numbers) == cells else numbers
             for child in chains[numbers[0]]:
@@ -318,7 +317,7 @@ class PatchSequential(ImageSequential):
         return [PatchParamItem(indices, item_of(child)) for indices, child in record.cells]
 
 
-def _run_all(x: Tensor, own: Randomness, children: list[Child], position: int) -> Tensor:
+def _run_all(x: Tensor, own: CallContext, children: list[Child], position: int) -> Tensor:
     return execute(x, children, own, position)[0]
 
 
@@ -337,4 +336,4 @@ def _moves(module: nn.Module) -> bool:
     if not isinstance(module, AugmentationBase):
         return False
     erases = type(module).transform_masks is not AugmentationBase.transform_masks
-    return erases or not isinstance(module, IntensityAugmentationBase2D)
+    return erases or not module.keeps_positions

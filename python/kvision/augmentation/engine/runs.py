@@ -2,11 +2,12 @@
 
 A run of augmentations draws all its parameters in one launch. Then
 
-    flips, quarter turns and whole-pixel crops, with at most one resampling that interpolates,  become one warp
-    a crop with antialiasing, and the flips next to it,   become one resizing of a window
-    neighboring color steps                               become one color program
-    a warp and the color program behind it                become one pass, which writes the type and layout that are wanted
-    everything else                                       runs by itself
+    one warp               executes neighboring flips, quarter turns, crops of whole pixels, and one resampling that interpolates
+    one window resized     executes a crop with antialiasing and the flips next to it
+    one color program      executes neighboring color steps
+    one pass               executes a warp and the color program behind it, and writes the type and layout that are wanted
+
+and what is left runs by itself.
 
 What is computed is what the augmentations compute one after the other, up to rounding. Bytes are rounded behind each geometric
 augmentation, behind each that runs by itself, and once behind neighboring color steps. With `resample="once"` all neighboring
@@ -41,8 +42,8 @@ from kvision.augmentation.warp_and_color import (
 )
 
 
-class Randomness(NamedTuple):
-    """Where the children of one call take their keys from; under a seed, the position of the next one in the chain."""
+class CallContext(NamedTuple):
+    """What the children of a container have in common in one call: the randomness they draw from, and what is asked of results."""
 
     op: str
     seed: Seed
@@ -61,10 +62,10 @@ class Randomness(NamedTuple):
         """The generator that draws for a module; None for torch's."""
         return self.generator or getattr(module, "generator", None) or self.default_generator
 
-    def inside(self, module: nn.Module, once: bool, plans: Plans, output: Output) -> Randomness:
+    def inside(self, module: nn.Module, once: bool, plans: Plans, output: Output) -> CallContext:
         """For the children of a container that is a child."""
         own = (self.frames, self.position, self.time, self.has_labels, self.masks, self.generator_of(module))
-        return Randomness(self.op, self.seed, self.generator, once, plans, output, *own)  # faster than _replace
+        return CallContext(self.op, self.seed, self.generator, once, plans, output, *own)  # faster than _replace
 
     @property
     def seed_of_samples(self) -> Seed:
@@ -75,34 +76,34 @@ class Randomness(NamedTuple):
 
 
 def execute(
-    x: Tensor, children: Sequence[Child], source: Randomness, position: int | None = None
+    x: Tensor, children: Sequence[Child], context: CallContext, position: int | None = None
 ) -> tuple[Tensor, list[Stage]]:
     """Run children on images (B, C, H, W); gives the result and what labels have to follow."""
-    position = source.position if position is None else position
-    key = _key(x, children, source, position)
-    plan: _RunPlan | None = source.plans.get(key)
+    position = context.position if position is None else position
+    key = _key(x, children, context, position)
+    plan: _RunPlan | None = context.plans.get(key)
     if plan is not None:
-        return _execute_run(x, children, source, position, plan)
+        return _execute_run(x, children, context, position, plan)
     stages: list[Stage] = []
-    runs = _runs(children, source.plans)
+    runs = _runs(children, context.plans)
     for i, (run, kind) in enumerate(runs):
-        own = source if i == len(runs) - 1 or source.output is SAME else source._replace(output=SAME)
+        own = context if i == len(runs) - 1 or context.output is SAME else context._replace(output=SAME)
         if kind == "joined":
             x, more = _execute_run(x, run, own, position)
             stages += more
         elif kind == "with masks":
-            x, stage = _execute_with_masks(x, run[0], source, stages, position)
+            x, stage = _execute_with_masks(x, run[0], context, stages, position)
             stages.append(stage)
         else:
-            masks = None if source.masks is None else _masks_after(stages, source.masks)
-            inside = source._replace(position=_position_inside(position), masks=masks)
+            masks = None if context.masks is None else _masks_after(stages, context.masks)
+            inside = context._replace(position=_position_inside(position), masks=masks)
             x, stage = _execute_module(x, run[0], inside)
             if own.output != SAME:
                 x, _ = make_pass(None, output=own.output).run(x, None)
             stages.append(stage)
         position += len(run)
-    if not runs and source.output != SAME:
-        x, _ = make_pass(None, output=source.output).run(x, None)
+    if not runs and context.output != SAME:
+        x, _ = make_pass(None, output=context.output).run(x, None)
     return x, stages
 
 
@@ -113,15 +114,15 @@ def _masks_after(stages: Sequence[Stage], masks: Callable[[Sequence[Stage]], Any
 
 
 def _execute_with_masks(
-    x: Tensor, child: Child, source: Randomness, stages: Sequence[Stage], position: int
+    x: Tensor, child: Child, context: CallContext, stages: Sequence[Stage], position: int
 ) -> tuple[Tensor, Stage]:
     """An augmentation of images by their masks."""
     module: Any = child.module
-    masks = None if source.masks is None else source.masks(stages)
-    seed = source.seed_of_samples
+    masks = None if context.masks is None else context.masks(stages)
+    seed = context.seed_of_samples
     if seed is not None:
         seed = seed + ((position + 1) << 32)  # as a seed is that of a chain of one
-    y, child.record = module._run_with_masks(x, masks, child.params, seed, source.generator_of(module))
+    y, child.record = module._run_with_masks(x, masks, child.params, seed, context.generator_of(module))
     return y, Applied(module, child.record, module.flags)
 
 
@@ -130,9 +131,9 @@ def _position_inside(position: int) -> int:
     return (position + 1) * 256 % (1 << 20)
 
 
-def _key(x: Tensor, children: Sequence[Child], source: Randomness, position: int) -> Hashable:
+def _key(x: Tensor, children: Sequence[Child], context: CallContext, position: int) -> Hashable:
     """The key of the plan of a run: all that it depends on besides the settings of modules."""
-    _, seed, _, once, _, output, frames, _, time, *_ = source
+    _, seed, _, once, _, output, frames, _, time, *_ = context
     modules = [(id(child.module), child.params is None) for child in children]
     return (x.shape, x.dtype, position, seed is None, once, output, frames, time, *modules)
 
@@ -177,11 +178,11 @@ def _has_known_size(module: Any) -> bool:
     return module.has_known_size and not module._is_customized()
 
 
-def _execute_module(x: Tensor, child: Child, source: Randomness) -> tuple[Tensor, Stage]:
+def _execute_module(x: Tensor, child: Child, context: CallContext) -> tuple[Tensor, Stage]:
     """A module that is no augmentation: another container, or any nn.Module of images."""
     module: Any = child.module
     if hasattr(module, "_execute_nested"):
-        y, stage, child.record = module._execute_nested(x, child.params, source)
+        y, stage, child.record = module._execute_nested(x, child.params, context)
         return y, stage
     y = module(x)
     child.foreign_params = getattr(module, "_params", None)
@@ -207,30 +208,30 @@ class _RunPlan(NamedTuple):
 
 
 def _execute_run(
-    x: Tensor, run: Sequence[Child], source: Randomness, position: int, plan: _RunPlan | None = None
+    x: Tensor, run: Sequence[Child], context: CallContext, position: int, plan: _RunPlan | None = None
 ) -> tuple[Tensor, list[Stage]]:
     modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
     result: tuple[Tensor, Tensor] | None = None
     links: Sequence[Tensor] | None = None
     if run[0].params is not None:
         executions, columns = _replay(x, run)
-        steps: Sequence[Step] = plan_steps(modules, executions, source.once, x.dtype, source.output)
+        steps: Sequence[Step] = plan_steps(modules, executions, context.once, x.dtype, context.output)
     else:
         keys = None
         if plan is None:
-            plan, keys = _kept_plan(x, run, source, position)
+            plan, keys = _kept_plan(x, run, context, position)
         if keys is None:
-            keys = _keys(x, plan, source)
+            keys = _keys(x, plan, context)
         if keys is not None and keys.seeds is not None:
-            check_seeds(source.op, keys, x[:: source.frames].shape[0])
+            check_seeds(context.op, keys, x[:: context.frames].shape[0])
         if plan.drawn is None or keys is None:
-            columns = _draw(x, plan, keys, source.frames)
+            columns = _draw(x, plan, keys, context.frames)
         else:
             columns, result, links = plan.drawn.draw(x, keys)
-        executions, steps = _executions(x, plan, columns, keys, source.frames), plan.steps
+        executions, steps = _executions(x, plan, columns, keys, context.frames), plan.steps
     for child, module, execution in zip(run, modules, executions):
         child.record = module.__dict__["_execution"] = execution  # faster than Module.__setattr__
-    running = Running(modules, executions, columns, source.has_labels, result, links)
+    running = Running(modules, executions, columns, context.has_labels, result, links)
     stages: list[Stage] = []
     for step in steps:
         x, stage = step.run(x, running)
@@ -264,25 +265,25 @@ def _replay(x: Tensor, run: Sequence[Child]) -> tuple[list[Execution], Tensor | 
     return executions, columns
 
 
-def _kept_plan(x: Tensor, run: Sequence[Child], source: Randomness, position: int) -> tuple[_RunPlan, Keys | None]:
+def _kept_plan(x: Tensor, run: Sequence[Child], context: CallContext, position: int) -> tuple[_RunPlan, Keys | None]:
     """The cached or new plan of a run, and the keys that `_plan_run` had to draw."""
-    key = _key(x, run, source, position)
-    plan: _RunPlan | None = source.plans.get(key)
+    key = _key(x, run, context, position)
+    plan: _RunPlan | None = context.plans.get(key)
     if plan is not None:
         return plan, None
     modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
-    plan, keys = _plan_run(x, modules, source, position)
+    plan, keys = _plan_run(x, modules, context, position)
     decides = any(m.whole_batch and 0 < m.p_batch < 1 for m in modules)  # on the host, in each call
     if not decides and all(draws.learned is None for draws in plan.draws):
-        source.plans.keep(key, plan)
+        context.plans.keep(key, plan)
     return plan, keys
 
 
-def _keys(x: Tensor, plan: _RunPlan, source: Randomness) -> Keys | None:
+def _keys(x: Tensor, plan: _RunPlan, context: CallContext) -> Keys | None:
     """The keys of all requests of a run, if there are any."""
     if not plan.draws:
         return None
-    return _more_keys(None, plan.modules, x, source)
+    return _more_keys(None, plan.modules, x, context)
 
 
 def _draw(x: Tensor, plan: _RunPlan, keys: Keys | None, frames: int) -> Tensor | None:
@@ -310,14 +311,14 @@ def _executions(x: Tensor, plan: _RunPlan, columns: Tensor | None, keys: Keys | 
 
 
 def _plan_run(
-    x: Tensor, modules: Sequence[AugmentationBase], source: Randomness, position: int
+    x: Tensor, modules: Sequence[AugmentationBase], context: CallContext, position: int
 ) -> tuple[_RunPlan, Keys | None]:
     """The plan of a run. If it depends on keys, these are drawn and returned for all requests; otherwise they are None."""
-    one_key = source.seed is not None
-    first = position if one_key else 0
+    has_seed = context.seed is not None
+    first = position if has_seed else 0
     shape: Shape = tuple(x.shape)
     batch = shape[0]
-    samples = -(-batch // source.frames)  # which stays symbolic in a graph
+    samples = -(-batch // context.frames)  # which stays symbolic in a graph
     shapes, numbers, applied = [], [], []
     requests: list[Request] = []
     drawing: list[AugmentationBase] = []  # of each request
@@ -331,16 +332,16 @@ def _plan_run(
             drawing.append(module)
             if module.whole_batch and module.p_batch < 1:
                 # What changes sizes by chance decides with its key on the host, before those after it are planned.
-                keys = _more_keys(keys, drawing, x, source)
-        applies = module._applies(keys if request is not None else None, first + number if one_key else number)
+                keys = _more_keys(keys, drawing, x, context)
+        applies = module._applies(keys if request is not None else None, first + number if has_seed else number)
         shapes.append(shape)
         applied.append(applies)
         numbers.append(None if request is None else number)
         if applies:
             shape = module.output_shape(shape, module.flags)
     if keys is not None:
-        keys = _more_keys(keys, drawing, x, source)
-    draws = plan_draws(requests, one_key, first) if requests else []
+        keys = _more_keys(keys, drawing, x, context)
+    draws = plan_draws(requests, has_seed, first) if requests else []
     spans_of_requests: list[Span] = []
     width = 0
     for draw in draws:
@@ -351,23 +352,23 @@ def _plan_run(
         Execution(shape, None if span is None else Columns(x, span), applied=applies)  # of its span only
         for shape, span, applies in zip(shapes, spans, applied)
     ]
-    steps = plan_steps(modules, planned, source.once, x.dtype, source.output)
+    steps = plan_steps(modules, planned, context.once, x.dtype, context.output)
     certain = [module._is_certain for module in modules]
     drawn = None
-    if steps and len(draws) == 1 and source.frames == 1:
-        keys_of = [None if number is None else (first + number, one_key) for number in numbers]
+    if steps and len(draws) == 1 and context.frames == 1:
+        keys_of = [None if number is None else (first + number, has_seed) for number in numbers]
         drawn = steps[0].drawn_with(draws[0], Planned(modules, shapes, x.dtype, keys_of))
     return _RunPlan(draws, numbers, drawing, spans, shapes, applied, steps, first, certain, drawn), keys
 
 
-def _more_keys(keys: Keys | None, modules: Sequence[AugmentationBase], x: Tensor, source: Randomness) -> Keys:
+def _more_keys(keys: Keys | None, modules: Sequence[AugmentationBase], x: Tensor, context: CallContext) -> Keys:
     """A key of each module, each from its generator; `keys` has those of the first ones, if they have been drawn."""
-    if source.seed is not None:
-        return keys or draw_keys(source.op, len(modules), x.device, source.seed_of_samples, None)
-    if keys is None and (source.generator is not None or not any([module.generator for module in modules])):
-        return draw_keys(source.op, len(modules), x.device, None, source.generator or source.default_generator)
-    generators = [source.generator_of(module) for module in modules[0 if keys is None else len(keys.keys) :]]
-    each = [draw_keys(source.op, 1, x.device, None, generator).keys for generator in generators]
+    if context.seed is not None:
+        return keys or draw_keys(context.op, len(modules), x.device, context.seed_of_samples, None)
+    if keys is None and (context.generator is not None or not any([module.generator for module in modules])):
+        return draw_keys(context.op, len(modules), x.device, None, context.generator or context.default_generator)
+    generators = [context.generator_of(module) for module in modules[0 if keys is None else len(keys.keys) :]]
+    each = [draw_keys(context.op, 1, x.device, None, generator).keys for generator in generators]
     parts = each if keys is None else [keys.keys, *each]
     on_device = next((part.device for part in parts if part.is_cuda), parts[0].device)
     return Keys(torch.cat([part.to(on_device) for part in parts]))

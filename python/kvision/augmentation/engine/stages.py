@@ -11,11 +11,10 @@ from torch import Tensor, nn
 
 from kvision._dtype import compute_dtype
 from kvision.augmentation import maps
-from kvision.augmentation.elastic import MapAugmentation
 from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.execution import Execution
-from kvision.augmentation.geometric_base import warp, warp_labels
 from kvision.augmentation.labels import BoxFilter
+from kvision.augmentation.maps import warp, warp_labels
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
 from kvision.geometry.linalg import transform_points
@@ -100,7 +99,7 @@ class Applied(NamedTuple):
     def move_points(self, points: Tensor) -> Tensor:
         if self.stages is not None:
             return move_points(points, self.stages)
-        if (own := self._augmentation) and not isinstance(self.module, MapAugmentation):
+        if (own := self._augmentation) and not own[0].moves_by_map:
             points = own[0].transform_points(points, own[1])
         return points
 
@@ -153,12 +152,13 @@ class Applied(NamedTuple):
 class MapLink(NamedTuple):
     """A map of a chain: an augmentation with its execution."""
 
-    module: MapAugmentation
+    module: Any  # a MapAugmentation
     execution: Execution
     flags: dict[str, Any]
 
     def displacements(self, like: Tensor) -> Tensor:
-        return self.module.displacements_of(self.execution, self.flags, like)
+        moved: Tensor = self.module.displacements_of(self.execution, self.flags, like)
+        return moved
 
 
 @dataclass

@@ -11,7 +11,7 @@ from torch import Generator, Tensor, nn
 from kvision import _check
 from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem, invert
 from kvision.augmentation.engine.record import Record
-from kvision.augmentation.engine.runs import Randomness, Stage
+from kvision.augmentation.engine.runs import CallContext, Stage
 from kvision.augmentation.engine.stages import forget_coordinates
 from kvision.augmentation.inputs import as_output_type, check_matrix, check_output_type, image_and_matrix
 from kvision.augmentation.keys import Seed
@@ -164,19 +164,19 @@ class VideoSequential(ImageSequential):
         x = layout.frames(videos)
         if before is not None:
             check_matrix(self, before, x)
-        frames, record = self._execute(x, params, self._of_frames(self._source(seed, generator), layout.sizes[1]))
+        frames, record = self._execute(x, params, self._of_frames(self._context(seed, generator), layout.sizes[1]))
         forget_coordinates(record.stages)
         self._keep(record)
         output = self._with_matrix(layout.videos(frames), before, return_transform, record)
         return as_output_type(output, output_type)
 
-    def _of_frames(self, source: Randomness, time: int) -> Randomness:
-        return source._replace(frames=time if self.same_on_frame else 1, time=time)
+    def _of_frames(self, context: CallContext, time: int) -> CallContext:
+        return context._replace(frames=time if self.same_on_frame else 1, time=time)
 
-    def _execute_nested(self, x: Tensor, params: Any, source: Randomness) -> tuple[Tensor, Stage, Record]:
-        if source.time == 0 and params is None:
+    def _execute_nested(self, x: Tensor, params: Any, context: CallContext) -> tuple[Tensor, Stage, Record]:
+        if context.time == 0 and params is None:
             raise _RankError("VideoSequential: expected videos, got the images of another container")
-        return super()._execute_nested(x, params, self._of_frames(source, max(source.time, 1)))
+        return super()._execute_nested(x, params, self._of_frames(context, max(context.time, 1)))
 
     def inverse(
         self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None

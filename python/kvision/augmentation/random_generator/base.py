@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.draws import Draw, Request
-from kvision.augmentation.engine.configuration import settings_changed
+from kvision.augmentation.engine import settings_changed
 from kvision.augmentation.keys import draw_keys
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.ranges import LearnedUniform
@@ -49,6 +49,11 @@ class RandomGeneratorBase(nn.Module):
     def __setattr__(self, name: str, value: Any) -> None:
         settings_changed()
         super().__setattr__(name, value)
+
+    @property
+    def _draws_by_name(self) -> bool:
+        """Whether :meth:`forward` is a user's, which gives parameters and no columns."""
+        return type(self).forward is not RandomGeneratorBase.forward
 
     def set_rng_device_and_dtype(self, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32) -> None:
         """Choose where and in which type :meth:`forward` gives parameters. The values do not depend on the device."""

@@ -13,6 +13,7 @@ from kvision import _check
 from kvision._constants import constant
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
+from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.geometry.transform.resize import side_to_size
@@ -23,19 +24,6 @@ __all__ = [
     "ResizedCropGenerator",
     "center_crop_generator",
 ]
-
-
-def parse_size(op: str, size: Any) -> tuple[int, int]:
-    """Height and width of a crop: two ints, or one for both."""
-    size = _check.scalars(op, "size", size.tolist() if isinstance(size, Tensor) else size)
-    sides = (size, size) if isinstance(size, int) else size
-    if not isinstance(sides, (tuple, list)) or len(sides) != 2 or any(type(n) is not int for n in sides):
-        raise TypeCheckError(f"{op}: expected size to be an int or (height, width), got {size!r}")
-    if min(sides) < 1:
-        raise ValueCheckError(f"{op}: expected size of at least one pixel, got {size!r}")
-    if max(sides) > _check.LARGEST_INT:
-        raise ValueCheckError(f"{op}: expected size of less than 2^31, got {size!r}")
-    return sides[0], sides[1]
 
 
 def parse_padding(op: str, padding: Any, counts: tuple[int, int, int], words: str) -> tuple[int, ...]:

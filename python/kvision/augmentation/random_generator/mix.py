@@ -12,8 +12,8 @@ from kvision import _check
 from kvision._constants import constant
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw, uniform
+from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
-from kvision.augmentation.random_generator.crop import parse_size
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = ["CutmixGenerator", "JigsawGenerator", "MixupGenerator", "MosaicGenerator", "PatchMixGenerator"]

@@ -1,0 +1,39 @@
+"""Which way up a stored image is."""
+
+from __future__ import annotations
+
+import struct
+
+from torch import Tensor
+
+# EXIF says which sides of the image the first row and the first column are: 1 top left, 2 top right, 3 bottom right,
+# 4 bottom left, 5 left top, 6 right top, 7 right bottom, 8 left bottom. From 5 on, rows and columns are exchanged first.
+_FLIPPED = {2: (-1,), 3: (-2, -1), 4: (-2,), 6: (-1,), 7: (-2, -1), 8: (-2,)}
+_ORIENTATION = 0x0112
+
+
+def upright(image: Tensor, orientation: int) -> Tensor:
+    """A stored image (C, H, W) as it is meant to be seen, contiguous where the orientation is not 1."""
+    if orientation == 1:
+        return image
+    if orientation >= 5:
+        image = image.mT
+    return image.flip(_FLIPPED[orientation]) if orientation in _FLIPPED else image.contiguous()
+
+
+def orientation_of(exif: bytes) -> int:
+    """The orientation, 1 to 8, in an EXIF block (a TIFF header and its directories); 1 where there is none to read."""
+    exif = exif.removeprefix(b"Exif\0\0")
+    order = {b"II": "<", b"MM": ">"}.get(exif[:2])
+    if order is None:
+        return 1
+    try:
+        (start,) = struct.unpack_from(order + "I", exif, 4)
+        (entries,) = struct.unpack_from(order + "H", exif, start)
+        for i in range(entries):
+            tag, _, _, value = struct.unpack_from(order + "HHIH", exif, start + 2 + 12 * i)
+            if tag == _ORIENTATION:
+                return int(value) if 1 <= value <= 8 else 1
+    except struct.error:  # the block ends before it should
+        pass
+    return 1

@@ -15,7 +15,7 @@ from torch import Generator, Tensor
 from kvision._dtype import compute_dtype
 from kvision.augmentation.auto.policy_base import Drawn, PolicyAugmentBase, check_integer
 from kvision.augmentation.draws import Draw, Request, integer
-from kvision.augmentation.engine import ParamItem, Record, Stage
+from kvision.augmentation.engine import Chain, ParamItem, Record
 from kvision.augmentation.samples import per_sample
 from kvision.core.exceptions import ValueCheckError
 
@@ -148,7 +148,7 @@ class AugMix(PolicyAugmentBase):
             items[0].data["weights"] = record.drawn.weights.cpu()
         return items
 
-    def _run(self, x: Tensor, drawn: Drawn) -> tuple[Tensor, list[Stage]]:
+    def _run(self, x: Tensor, drawn: Drawn) -> tuple[Tensor, Chain]:
         assert drawn.weights is not None
         image, *of_chains = drawn.weights.to(compute_dtype(x)).unbind(1)
         mixture = per_sample(image, x) * x
@@ -157,4 +157,4 @@ class AugMix(PolicyAugmentBase):
             chain, _ = super()._run(x, Drawn(operation, value))
             mixture = mixture + per_sample(weight, x) * chain
         mixture = mixture.round() if x.dtype == torch.uint8 else mixture
-        return mixture.to(x.dtype), []
+        return mixture.to(x.dtype), Chain()

@@ -22,7 +22,7 @@ from kvision._constants import constant
 from kvision._ops import FastPath, behind_grad, register, vjp
 from kvision.augmentation.columns import name_columns
 from kvision.augmentation.drawn_pass import COMPUTED_IN_FLOAT32
-from kvision.augmentation.engine import Stage, Warp
+from kvision.augmentation.engine import Warp
 from kvision.augmentation.filters import has_range
 from kvision.augmentation.maps import warp
 from kvision.augmentation.transforms import Transform, center_of, transform_matrix
@@ -84,7 +84,7 @@ _apply_operations = FastPath("apply_operations", COMPUTED_IN_FLOAT32, clamps=Tru
 
 def execute_steps(
     x: Tensor, names: Sequence[tuple[str, ...]], operation: Tensor, value: Tensor
-) -> tuple[Tensor, list[Stage]]:
+) -> tuple[Tensor, list[Warp]]:
     """Run operations on each image, one after the other.
 
     Args:
@@ -98,10 +98,10 @@ def execute_steps(
     """
     size = (x.shape[-2], x.shape[-1])
 
-    def warps(of_step: tuple[str, ...], matrix: Tensor) -> list[Stage]:
+    def warps(of_step: tuple[str, ...], matrix: Tensor) -> list[Warp]:
         return [Warp(matrix, size, size, _BILINEAR)] if _moves_pixels(of_step) else []
 
-    stages: list[Stage] = []
+    stages: list[Warp] = []
     if _has_kernel(x, operation, value):
         x, matrices = _apply_operations.kernel(x, operation, value)
         for of_step, matrix in zip(names, matrices.unbind()):
@@ -130,7 +130,6 @@ def _has_kernel(x: Tensor, operation: Tensor, value: Tensor) -> bool:
 def _reference(x: Tensor, operation: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
     y, stages = execute_step(x, tuple(OPERATIONS), operation, value)
     (warp,) = stages
-    assert isinstance(warp, Warp)
     return y, warp.matrix
 
 
@@ -176,7 +175,7 @@ def _moves_pixels(names: tuple[str, ...]) -> bool:
     return any(name in names for name in _GEOMETRIC)
 
 
-def execute_step(x: Tensor, names: tuple[str, ...], operation: Tensor, value: Tensor) -> tuple[Tensor, list[Stage]]:
+def execute_step(x: Tensor, names: tuple[str, ...], operation: Tensor, value: Tensor) -> tuple[Tensor, list[Warp]]:
     """Run one operation on each image.
 
     Args:
@@ -188,7 +187,7 @@ def execute_step(x: Tensor, names: tuple[str, ...], operation: Tensor, value: Te
     Returns:
         The images, and what labels have to follow.
     """
-    stages: list[Stage] = []
+    stages: list[Warp] = []
     size = (x.shape[-2], x.shape[-1])
     if _moves_pixels(names):
         matrix = _matrix(operation, value, *size)

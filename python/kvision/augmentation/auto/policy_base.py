@@ -15,13 +15,12 @@ from kvision.augmentation.columns import DrawPlan, fits_one_launch, plan_draws
 from kvision.augmentation.draws import MAX_DRAWS, Draw, Request
 from kvision.augmentation.engine import (
     CallContext,
+    Chain,
     ImageSequential,
     ParamItem,
     Record,
-    Stage,
     check_batch_of_params,
     identity_of,
-    product,
 )
 from kvision.augmentation.keys import check_seeds, draw_keys
 from kvision.augmentation.samples import where_chosen
@@ -222,11 +221,12 @@ class PolicyAugmentBase(ImageSequential):
         record.drawn, record.size = drawn, tuple(y.shape[2:])
         return y, record
 
-    def _run(self, x: Tensor, drawn: Drawn) -> tuple[Tensor, list[Stage]]:
+    def _run(self, x: Tensor, drawn: Drawn) -> tuple[Tensor, Chain]:
         """Execute what was drawn; gives the images, and what labels have to follow."""
         if x.dim() != 4:
             raise ShapeError(f"{type(self).__name__}: expected images of shape (B, C, H, W), got {tuple(x.shape)}")
-        return execute_steps(x, self._names[: drawn.operation.shape[1]], drawn.operation, drawn.value)
+        y, stages = execute_steps(x, self._names[: drawn.operation.shape[1]], drawn.operation, drawn.value)
+        return y, Chain(stages)
 
     def get_transformation_matrix(
         self,
@@ -239,7 +239,7 @@ class PolicyAugmentBase(ImageSequential):
             return self.transform_matrix
         x = self.transform_tensor(input)
         stages = self._run(x, self._redrawn(params or self._params, x))[1]
-        return product(identity_of(tuple(x.shape)), stages)
+        return stages.product(identity_of(tuple(x.shape)))
 
     def is_intensity_only(self, strict: bool = True) -> bool:
         return all(OPERATIONS[name].neutral != 0 for names in self._names for name in names)

@@ -55,7 +55,7 @@ from kvision.augmentation.engine.image_sequential import ImageSequential, ImageS
 from kvision.augmentation.engine.patch_sequential import PatchSequential
 from kvision.augmentation.engine.record import Record
 from kvision.augmentation.engine.runs import CallContext
-from kvision.augmentation.engine.stages import Applied, Stage, Warp, product
+from kvision.augmentation.engine.stages import Applied, Chain, Stage, Warp
 from kvision.augmentation.engine.video_sequential import VideoSequential
 
 __all__ = [
@@ -65,6 +65,7 @@ __all__ = [
     "AugmentationBase3D",
     "AugmentationSequential",
     "CallContext",
+    "Chain",
     "Colors",
     "Contribution",
     "Execution",
@@ -86,7 +87,6 @@ __all__ = [
     "check_batch_of_params",
     "identity_of",
     "matrix_type",
-    "product",
     "replaying",
     "restored_format",
     "settings_changed",

@@ -17,13 +17,9 @@ from kvision.augmentation.engine.label_record import LabelRecord, moved_masks
 from kvision.augmentation.engine.record import Record
 from kvision.augmentation.engine.runs import execute
 from kvision.augmentation.engine.stages import (
+    Chain,
     LabelSettings,
     MaskReading,
-    Stage,
-    forget_coordinates,
-    invert,
-    move_masks_back,
-    move_points_back,
 )
 from kvision.augmentation.engine.video_sequential import VideoLayout, VideoSequential
 from kvision.augmentation.inputs import (
@@ -299,10 +295,10 @@ class AugmentationSequential(ImageSequential):
         else:
             outputs = [y]
         outputs[first] = self._restored(y, image)
-        forget_coordinates(record.stages)
+        record.stages.forget()
         return _of_videos(videos, outputs, restore), record
 
-    def _masks_after(self, masks: Any, images: tuple[int, ...], stages: Sequence[Stage]) -> Any:
+    def _masks_after(self, masks: Any, images: tuple[int, ...], stages: Chain) -> Any:
         """The masks of a call after its first stages, for what mixes by them."""
         return moved_masks(masks, stages, self._label_settings.masks or MaskReading(), images)
 
@@ -312,7 +308,7 @@ class AugmentationSequential(ImageSequential):
         inputs, restore = _of_frames(last.videos, keys, inputs)
         moves = LabelRecord(self._label_settings, record.shape, record.size)
         outputs = moves.move(keys, inputs, record.stages)
-        forget_coordinates(record.stages)
+        record.stages.forget()
         return _of_videos(last.videos, outputs, restore), last.replaced(labels=moves)
 
     @property
@@ -388,22 +384,19 @@ class AugmentationSequential(ImageSequential):
         outputs = []
         for key, value in zip(keys, inputs):
             if key == DataKey.INPUT:
-                outputs.append(self._inverse_of(value, stages, size))
+                back = inverse_at(self.transform_tensor(value), size, stages.invert)
+                outputs.append(self._restored(back, value))
             elif key == DataKey.MASK:
                 outputs.append(_masks_back(value, stages, size))
             elif key == DataKey.KEYPOINTS:
                 numbers = 2 if record.shape is None else len(record.shape) - 2
-                outputs.append(labels.move_points(value, lambda points: move_points_back(points, stages), numbers))
+                outputs.append(labels.move_points(value, stages.move_points_back, numbers))
             elif key in labels.BOX_FORMATS:
                 move = functools.partial(move_boxes_back, stages)
                 outputs.append(labels.move_boxes(value, labels.BOX_FORMATS[key], move)[0])
             else:
                 outputs.append(value)
         return _of_videos(videos, outputs, restore)
-
-    def _inverse_of(self, images: Tensor, stages: Sequence[Stage], size: Sequence[int]) -> Tensor:
-        back = inverse_at(self.transform_tensor(images), size, functools.partial(invert, stages=stages))
-        return self._restored(back, images)
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
         videos = self._video_layout(output)
@@ -416,7 +409,7 @@ def _no_image() -> Tensor:
     return torch.zeros(1, 1, 1, 1, device="cpu")
 
 
-def _masks_back(masks: Any, stages: Sequence[Stage], size: Sequence[int]) -> Any:
+def _masks_back(masks: Any, stages: Chain, size: Sequence[int]) -> Any:
     """Masks (B, C, h, w), or a list of (N, h, w), moved back from results of a size."""
     if isinstance(masks, (list, tuple)):
         labels.check_tensors("the masks of an image", masks)
@@ -425,7 +418,7 @@ def _masks_back(masks: Any, stages: Sequence[Stage], size: Sequence[int]) -> Any
         padded, counts = labels.pad(masks)  # as many instances for each image
         return type(masks)(row[:n] for row, n in zip(_masks_back(padded, stages, size), counts))
     labels.check_tensors("mask", [masks])
-    return inverse_at(masks, size, functools.partial(move_masks_back, stages=stages))
+    return inverse_at(masks, size, stages.move_masks_back)
 
 
 def _of_frames(

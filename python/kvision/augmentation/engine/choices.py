@@ -9,17 +9,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from kvision.augmentation.draws import philox, unit
 from kvision.augmentation.engine.augmentation import AugmentationBase
-from kvision.augmentation.engine.execution import Execution
-from kvision.augmentation.engine.record import Child, Record
+from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.runs import CallContext, execute
-from kvision.augmentation.engine.stages import Applied, Composed, Stage, Warp
+from kvision.augmentation.engine.stages import Chain, Stage
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.warp_and_color import SAME, make_pass
 from kvision.core.exceptions import ShapeError
@@ -105,7 +104,7 @@ def execute_turns(
     sequences: Sequence[Sequence[int]],
     context: CallContext,
     position: int,
-) -> tuple[Tensor, list[Stage], list[Child]]:
+) -> tuple[Tensor, Chain, list[Child]]:
     """Run the sequence of children of each sample; gives the result, what labels have to follow, and the turns as children.
 
     The position in the chain of a child is its number, so that what a sample draws does not depend on the turns of others.
@@ -127,69 +126,16 @@ def execute_turns(
                 )
             chosen = torch.tensor(samples, device="cpu").repeat_interleave(frames)
             y = where_chosen(chosen.to(x.device), y, x if x.dtype == y.dtype else to_unit(x))
-            more = restricted(more, chosen)
-            restrict_child(child, chosen)
-        x, stages = y, [*stages, *more]
+            more = more.restricted(chosen)
+            child.restrict(chosen)
+        x = y
+        stages += more.stages
         children.append(child)
     if context.output != SAME:
         x, _ = make_pass(None, output=context.output).run(x, None)
-    return x, stages, children
+    return x, Chain(stages), children
 
 
 def _leaves_bytes(module: nn.Module) -> bool:
     own = (part for part in module.modules() if isinstance(part, AugmentationBase))
     return any(part._result_dtype(torch.uint8) != torch.uint8 for part in own)
-
-
-# --- what was done to some samples alone ----------------------------------------------------------------------------
-
-
-def restrict_child(child: Child, chosen: Tensor) -> None:
-    """Let the record of a child that ran on all samples say that it ran on the chosen ones, (B,) bool on the CPU."""
-    module: Any = child.module
-    if isinstance(child.record, Execution):
-        child.record.restrict(chosen, module._matrix)
-    elif isinstance(child.record, Record):
-        _restrict_record(child.record, chosen)
-    elif isinstance(child.record, dict):  # of learned operations
-        probability = child.record["batch_prob"]
-        child.record = {**child.record, "batch_prob": probability * chosen.to(probability.device)}
-
-
-def _restrict_record(record: Record, chosen: Tensor) -> None:
-    record.stages = restricted(record.stages, chosen)
-    for child in record.children:
-        restrict_child(child, chosen)
-    for indices, child in record.cells:
-        restrict_child(child, chosen.repeat(record.cell_count if indices is None else len(indices)))
-    if record.drawn is not None:
-        record.drawn = record.drawn.restricted(chosen)
-    if record.chosen is not None:
-        record.chosen = record.chosen & chosen.to(record.chosen.device)
-
-
-def restricted(stages: Sequence[Stage], chosen: Tensor) -> list[Stage]:
-    """Stages that move the chosen samples, (B,) bool on the CPU, and leave the others where they are."""
-    result: list[Stage] = []
-    for stage in stages:
-        if isinstance(stage, Warp):
-            stage = stage._replace(matrix=_or_identity(stage.matrix, chosen))
-        elif isinstance(stage, Composed):
-            for link in stage.links:
-                if not isinstance(link, Tensor):
-                    link.execution.restrict(chosen, None)
-            links = [_or_identity(link, chosen) if isinstance(link, Tensor) else link for link in stage.links]
-            stage = Composed(links, stage.source, stage.size, stage.resampling, stage.samples)
-        elif isinstance(stage, Applied):
-            module: Any = stage.module
-            if isinstance(module, AugmentationBase) and stage.execution is not None:
-                stage.execution.restrict(chosen, module._matrix)
-            if stage.stages is not None:
-                stage = stage._replace(stages=restricted(stage.stages, chosen))
-        result.append(stage)
-    return result
-
-
-def _or_identity(matrix: Tensor, chosen: Tensor) -> Tensor:
-    identity = torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
-    return where_chosen(chosen.to(matrix.device), matrix, identity)

@@ -65,6 +65,7 @@ class Declaration(KeepsArguments):
     accepts_bytes: ClassVar[bool] = True  # otherwise uint8 images are computed in float32, in [0, 1]
     accepts_wide_integers: ClassVar[bool] = False  # images of int16 and uint16, which are computed in float32
     keeps_lines: ClassVar[bool] = True  # straight lines stay straight, so that the corners of a box say where it is
+    mixes_samples: ClassVar[bool] = False  # of the batch
     moves_by_map: ClassVar[bool] = False  # as MapAugmentation does
     keeps_positions: ClassVar[bool] = False  # of all pixels, so that labels stay as they are
     fuses_noise: ClassVar[bool] = False  # `apply_transform` takes "_noise" instead of the parameters of pixels

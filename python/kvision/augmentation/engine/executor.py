@@ -277,6 +277,11 @@ class Engine(Declaration):
             self._plans.keep("needs_no_matrix", needs_no_matrix)
         return needs_no_matrix
 
+    def _restricted(self, execution: Execution, chosen: Tensor) -> Execution:
+        """A call of all samples as one of the chosen ones alone, (B,) bool on the CPU."""
+        execution.restrict(chosen, self._matrix)
+        return execution
+
     def _matrix(self, execution: Execution) -> Tensor:
         if execution.matrix is None:
             identity = self.identity_matrix(execution.shape)

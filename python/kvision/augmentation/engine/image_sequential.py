@@ -19,13 +19,9 @@ from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import CallContext, execute
 from kvision.augmentation.engine.stages import (
     KNOWN,
-    Applied,
     LabelSettings,
+    Nested,
     Stage,
-    forget_coordinates,
-    invert,
-    move_masks,
-    product,
 )
 from kvision.augmentation.inputs import (
     WIDE_INTEGERS,
@@ -359,7 +355,12 @@ class ImageSequential(ImageSequentialBase):
         once = context.once or self.resample == "once"
         y, record = self._execute(x, params, context.inside(self, once, self._plans, self._output))
         self._keep(record)
-        return y, Applied(self, None, {}, record.stages, self._label_settings), record
+        return y, Nested(record.stages.stages, self._label_settings), record
+
+    def _restricted(self, record: Record, chosen: Tensor) -> Record:
+        """A call of all samples as one of the chosen ones alone, (B,) bool on the CPU."""
+        record.restrict(chosen)
+        return record
 
     @property
     def _label_settings(self) -> LabelSettings | None:
@@ -435,7 +436,7 @@ class ImageSequential(ImageSequentialBase):
         if before is not None:
             check_matrix(self, before, x)
         y, record = self._execute(x, params, self._context(seed, generator))
-        forget_coordinates(record.stages)
+        record.stages.forget()
         self._keep(record)
         output = self._with_matrix(self._restored(y, image), before, return_transform, record)
         return output if output_type == "pt" else as_output_type(output, output_type)
@@ -488,7 +489,7 @@ class ImageSequential(ImageSequentialBase):
     def _matrix(self, record: Record) -> Tensor | None:
         if record.shape is None or self.transformation_matrix_mode == "skip":
             return None
-        return product(identity_of(record.shape), record.stages)
+        return record.stages.product(identity_of(record.shape))
 
     def get_transformation_matrix(
         self,
@@ -502,7 +503,7 @@ class ImageSequential(ImageSequentialBase):
             return self.transform_matrix
         x = self.transform_tensor(input)
         children = self._children_of_call(self._params if params is None else params, self._context(None, None))
-        return product(identity_of(tuple(x.shape)), execute(x, children, self._context(None, None))[1])
+        return execute(x, children, self._context(None, None))[1].product(identity_of(tuple(x.shape)))
 
     def inverse(
         self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
@@ -519,7 +520,7 @@ class ImageSequential(ImageSequentialBase):
         """
         x = self.transform_tensor(input)
         record = self._record_to_invert(x, params)
-        return self._restored(inverse_at(x, record.size, lambda x: invert(x, record.stages)), input)
+        return self._restored(inverse_at(x, record.size, record.stages.invert), input)
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
         """Which pixels of the images :meth:`inverse` finds in a result; the others were lost in the call, or in part.
@@ -533,8 +534,8 @@ class ImageSequential(ImageSequentialBase):
         """
         x = self.transform_tensor(output)
         record = self._record_of(x, params)
-        moved = move_masks(known_everywhere(record.shape or tuple(x.shape), x.device), record.stages, KNOWN)
-        return at_scale(is_known(invert(moved, record.stages)), x.shape[2:], moved.shape[2:])
+        moved = record.stages.move_masks(known_everywhere(record.shape or tuple(x.shape), x.device), KNOWN)
+        return at_scale(is_known(record.stages.invert(moved)), x.shape[2:], moved.shape[2:])
 
     def _record_of(self, x: Tensor, params: Sequence[ParamItem] | None) -> Record:
         """The last call, or one with given parameters on images of which only the size counts."""

@@ -8,24 +8,12 @@ result are traced back through all of them: `preimages` finds the positions that
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
-from kvision.augmentation.engine.augmentation import AugmentationBase
-from kvision.augmentation.engine.execution import Execution
-from kvision.augmentation.engine.stages import (
-    Applied,
-    Composed,
-    MapLink,
-    Stage,
-    Warp,
-    keeps_lines,
-    move_points,
-    move_points_back,
-)
+from kvision.augmentation.engine.stages import Chain
 from kvision.augmentation.maps import vector
 from kvision.augmentation.preimages import EXACT, ResultMap, at_nodes, result_map
 from kvision.augmentation.samples import where_chosen
@@ -43,21 +31,22 @@ class LabelMoves:
         clips: boxes end at the edges of the image after each stage.
     """
 
-    def __init__(self, stages: Sequence[Stage], size: Sequence[int], clips: bool = False) -> None:
-        self.stages, self.size, self.clips = list(_flat(stages)), tuple(size), clips
+    def __init__(self, stages: Chain, size: Sequence[int], clips: bool = False) -> None:
+        self.chain, self.size, self.clips = Chain(stages.flat()), tuple(size), clips
+        self.stages = self.chain.stages
         self._map: ResultMap | None = None
-        self._has_maps = any(_maps(stage) for stage in self.stages)
+        self._has_maps = bool(self.chain.maps())
 
     # --- points ---
 
     def move_points(self, points: Tensor) -> tuple[Tensor, Tensor | None]:
         """Points (B, N, 2 or 3) of results, and which are visible, bool (B, N); None for those that `are_visible` tells."""
         if not self._has_maps:
-            return move_points(points, self.stages), None
+            return self.chain.move_points(points), None
         known = self._result_map(points)
         positions, kinds = known.positions(points.detach().to(known.coordinates))
         moved = self._refined(points, positions.to(points), kinds == EXACT)
-        by_matrices = move_points(points, self.stages)
+        by_matrices = self.chain.move_points(points)
         is_mapped = self._is_mapped()
         visible = where_chosen(is_mapped, kinds > 0, self.are_visible(by_matrices) if is_mapped is not None else False)
         return where_chosen(is_mapped, moved, by_matrices), visible
@@ -67,7 +56,7 @@ class LabelMoves:
         visible = _is_within(moved, self.size)
         for stage in reversed(self.stages):
             moved = stage.move_points_back(moved)
-            if stage is not self.stages[0] and (size := _size_before(stage)) is not None:
+            if stage is not self.stages[0] and (size := stage.source_size()) is not None:
                 visible = visible & _is_within(moved, size)
         return visible
 
@@ -75,7 +64,7 @@ class LabelMoves:
         """Positions after a step of Newton's method, by which they have gradients and follow what is between nodes."""
         step_x, step_y = vector(positions, 0.5, 0.0), vector(positions, 0.0, 0.5)
         around = [positions, positions + step_x, positions - step_x, positions + step_y, positions - step_y]
-        at, right, left, below, above = move_points_back(torch.cat(around, 1), self.stages).chunk(5, 1)
+        at, right, left, below, above = self.chain.move_points_back(torch.cat(around, 1)).chunk(5, 1)
         along, down = (right - left).detach(), (below - above).detach()
         miss = points - at
         determinant = along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0]
@@ -119,8 +108,8 @@ class LabelMoves:
 
     def _moved_outlines(self, corners: Tensor, is_upright: bool) -> Tensor:
         """Points of boxes, as `_around_outlines` gives them, moved by all but maps."""
-        count = 1 if self._has_maps or keeps_lines(self.stages) else _SIDE
-        return _around_outlines(corners, is_upright, count, lambda points: move_points(points, self.stages))
+        count = 1 if self._has_maps or self.chain.keeps_lines else _SIDE
+        return _around_outlines(corners, is_upright, count, self.chain.move_points)
 
     def _clipped(self, corners: Tensor) -> tuple[Tensor, Tensor]:
         """Rectangles around boxes whose parts outside of the image are cut off after each stage."""
@@ -128,7 +117,7 @@ class LabelMoves:
         for i, stage in enumerate(self.stages):
             polygons = stage.move_points(polygons.flatten(1, 2)).reshape(polygons.shape)
             is_last = i == len(self.stages) - 1
-            size: tuple[int, ...] | None = self.size if is_last else _size_before(self.stages[i + 1])
+            size: tuple[int, ...] | None = self.size if is_last else self.stages[i + 1].source_size()
             if size is not None:
                 whole = _area(polygons)
                 polygons, is_inside = clip_polygons(polygons, size)
@@ -145,7 +134,7 @@ class LabelMoves:
         """Where the results read the images, in float32."""
         if self._map is None or self._map.coordinates.device != like.device:
             float_like = like.new_empty(0, dtype=torch.float32)
-            before = _size_before(self.stages[0]) or self.size
+            before = self.stages[0].source_size() or self.size
             with torch.no_grad():
                 reach = _REACH * max(*self.size, *before)
                 self._map = result_map(self.size, reach, float_like, functools.partial(self._read, like.shape[0]))
@@ -157,64 +146,23 @@ class LabelMoves:
         reads = torch.ones(shape, dtype=torch.bool, device=nodes.device)
         stages, positions = self.stages, nodes.reshape(1, -1, 2).expand(batch, -1, -1)
         for i, stage in reversed(list(enumerate(stages))):
-            if i == len(stages) - 1 and (map_of_stage := _map(stage)) is not None:  # which is known at the nodes
-                module, execution = map_of_stage
-                displacements = module.displacements_of(execution, module.flags, nodes)
+            displacements = stage.displacements(nodes) if i == len(stages) - 1 else None
+            if displacements is not None:  # which are known at the nodes
                 positions = at_nodes(nodes, displacements, margin).flatten(1, 2)
             else:
                 positions = stage.move_points_back(positions)
-            if i > 0 and (size := _size_before(stage)) is not None:
+            if i > 0 and (size := stage.source_size()) is not None:
                 reads = reads & _is_within(positions, size, margin=1.0).reshape(shape)  # some of a pixel, interpolated
         return positions.unflatten(1, shape[1:]), reads
 
     def _is_mapped(self) -> Tensor | None:
         """(B,) bool, the samples that a map has moved; None for all."""
         any_chosen = None
-        for stage in self.stages:
-            for execution in _maps(stage):
-                if execution.chosen is None:
-                    return None
-                any_chosen = execution.chosen if any_chosen is None else any_chosen | execution.chosen
+        for execution in self.chain.maps():
+            if execution.chosen is None:
+                return None
+            any_chosen = execution.chosen if any_chosen is None else any_chosen | execution.chosen
         return any_chosen
-
-
-def _flat(stages: Sequence[Stage]) -> Iterator[Stage]:
-    """Stages, with those of containers in their order."""
-    for stage in stages:
-        if isinstance(stage, Applied) and stage.stages is not None:
-            yield from _flat(stage.stages)
-        else:
-            yield stage
-
-
-def _map(stage: Stage) -> tuple[Any, Execution] | None:
-    """The augmentation and the execution of a stage that is a map by itself, and was applied."""
-    if not isinstance(stage, Applied) or stage.execution is None or not isinstance(stage.module, AugmentationBase):
-        return None
-    return (stage.module, stage.execution) if stage.module.moves_by_map and stage.execution.applied else None
-
-
-def _maps(stage: Stage) -> list[Execution]:
-    """The executions of the maps of a stage that were applied."""
-    if isinstance(stage, Composed):
-        executions = [link.execution for link in stage.links if isinstance(link, MapLink)]
-        return [execution for execution in executions if execution.applied]
-    own = _map(stage)
-    return [] if own is None else [own[1]]
-
-
-def size_before(stages: Sequence[Stage], size: tuple[int, ...]) -> tuple[int, ...]:
-    """The size of the images that stages were executed on; `size` if none of them tells."""
-    return next((known for stage in _flat(stages) if (known := _size_before(stage)) is not None), size)
-
-
-def _size_before(stage: Stage) -> tuple[int, ...] | None:
-    """The size of the images that a stage was executed on, where it is known."""
-    if isinstance(stage, (Warp, Composed)):
-        return tuple(stage.source)
-    if isinstance(stage, Applied) and stage.execution is not None:
-        return tuple(stage.execution.shape[2:])
-    return None
 
 
 # --- rectangles and polygons ----------------------------------------------------------------------------------------
@@ -262,10 +210,10 @@ def _corners(normals: Tensor, distances: Tensor, others: Tensor) -> Tensor:
     return torch.where(meets[..., None], corners, others)
 
 
-def move_boxes_back(stages: Sequence[Stage], corners: Tensor, is_upright: bool) -> tuple[Tensor, None]:
+def move_boxes_back(stages: Chain, corners: Tensor, is_upright: bool) -> tuple[Tensor, None]:
     """The corners (B, N, 4, 2) of boxes of results around what their outlines are before all stages."""
-    count = 1 if keeps_lines(stages) else _SIDE
-    return _around_outlines(corners, is_upright, count, lambda points: move_points_back(points, stages)), None
+    count = 1 if stages.keeps_lines else _SIDE
+    return _around_outlines(corners, is_upright, count, stages.move_points_back), None
 
 
 def _around_outlines(corners: Tensor, is_upright: bool, count: int, move: Callable[[Tensor], Tensor]) -> Tensor:

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from kvision.augmentation import labels
-from kvision.augmentation.engine.label_moves import LabelMoves, size_before
-from kvision.augmentation.engine.stages import Applied, LabelSettings, MaskReading, Stage, mixes, move_masks
+from kvision.augmentation.engine.label_moves import LabelMoves
+from kvision.augmentation.engine.stages import Applied, Chain, LabelSettings, MaskReading, Nested, Stage
 from kvision.augmentation.labels import BOX_FORMATS
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError
@@ -38,7 +38,7 @@ class LabelRecord:
         self._fractions: dict[int, Tensor | None] = {}  # of each input of boxes, the visible parts of their areas
         self._moves: dict[tuple[Any, ...], LabelMoves] = {}
 
-    def move(self, keys: Sequence[DataKey], values: Sequence[Any], stages: Sequence[Stage]) -> list[Any]:
+    def move(self, keys: Sequence[DataKey], values: Sequence[Any], stages: Chain) -> list[Any]:
         """What belongs to images, after all stages; the images as they are."""
         moved = list(values)
         for i, key in enumerate(keys):
@@ -47,7 +47,7 @@ class LabelRecord:
         kept = self._move_through(keys, moved, stages, self.size, self.settings)
         for i, key in enumerate(keys):
             if key == DataKey.KEYPOINTS and not self._points.get(i):
-                moved[i] = self._move_points(i, moved[i], [], self.size, self.settings)
+                moved[i] = self._move_points(i, moved[i], Chain(), self.size, self.settings)
         self.kept_boxes = [kept[i] for i in sorted(kept)]
         for moves in self._moves.values():
             moves.forget_map()
@@ -60,22 +60,22 @@ class LabelRecord:
     # --- through the stages ---
 
     def _move_through(
-        self, keys: Sequence[DataKey], values: list[Any], stages: Sequence[Stage], size: Size, settings: LabelSettings
+        self, keys: Sequence[DataKey], values: list[Any], stages: Chain, size: Size, settings: LabelSettings
     ) -> Kept:
         """Move all but masks through the stages of a container, and filter them as it says; gives the boxes that stay."""
         kept: Kept = {}
         has_boxes = any(key in BOX_FORMATS for key in keys)
         for part, after in _parts(stages, has_boxes):
-            part_size = size_before(after, size)
-            if isinstance(part, list):
+            part_size = after.source_size() or size
+            if isinstance(part, Chain) and not isinstance(part, Nested):
                 for i, key in enumerate(keys):
                     values[i] = self._moved(i, key, values[i], part, part_size, settings)
-            elif part.stages is None:
+            elif isinstance(part, Applied):
                 self._mix(keys, values, part)
             else:
                 own = part.labels or LabelSettings()
                 own = own._replace(clips_each=own.clips_each or settings.clips_each)
-                kept = _both(kept, self._move_through(keys, values, part.stages, part_size, own))
+                kept = _both(kept, self._move_through(keys, values, part, part_size, own))
         if not has_boxes or settings.box_filter.does_nothing:
             for i, of_input in kept.items():
                 values[i] = labels.clear_boxes(values[i], of_input)
@@ -106,9 +106,7 @@ class LabelRecord:
                 values[i] = filtered(values[i], of_boxes)
         return kept
 
-    def _moved(
-        self, i: int, key: DataKey, value: Any, stages: Sequence[Stage], size: Size, settings: LabelSettings
-    ) -> Any:
+    def _moved(self, i: int, key: DataKey, value: Any, stages: Chain, size: Size, settings: LabelSettings) -> Any:
         if key == DataKey.KEYPOINTS:
             return self._move_points(i, value, stages, size, settings)
         if key not in BOX_FORMATS:
@@ -120,7 +118,7 @@ class LabelRecord:
         moved, self._fractions[i] = labels.move_boxes(value, BOX_FORMATS[key], moves.move_boxes)
         return moved
 
-    def _move_points(self, i: int, points: Any, stages: Sequence[Stage], size: Size, settings: LabelSettings) -> Any:
+    def _move_points(self, i: int, points: Any, stages: Chain, size: Size, settings: LabelSettings) -> Any:
         self._check_batch("keypoints", points, 3)
         moves, visible = self._moves_of(stages, size, settings), None
 
@@ -133,8 +131,8 @@ class LabelRecord:
         self._points.setdefault(i, []).append((moved, moves, visible))
         return moved
 
-    def _moves_of(self, stages: Sequence[Stage], size: Size, settings: LabelSettings) -> LabelMoves:
-        key = (settings.clips_each, *(id(stage) for stage in stages))
+    def _moves_of(self, stages: Chain, size: Size, settings: LabelSettings) -> LabelMoves:
+        key = (settings.clips_each, *(id(stage) for stage in stages.stages))
         if key not in self._moves:
             self._moves[key] = LabelMoves(stages, size, settings.clips_each)
         return self._moves[key]
@@ -154,12 +152,12 @@ class LabelRecord:
 
     # --- masks ---
 
-    def move_masks(self, masks: Any, stages: Sequence[Stage]) -> Any:
+    def move_masks(self, masks: Any, stages: Chain) -> Any:
         """Masks of the images of the call after stages."""
         return moved_masks(masks, stages, self.settings.masks or MaskReading(), self.shape)
 
 
-def moved_masks(masks: Any, stages: Sequence[Stage], reading: MaskReading, images: Size | None) -> Any:
+def moved_masks(masks: Any, stages: Chain, reading: MaskReading, images: Size | None) -> Any:
     """Masks of images of a shape after stages: a tensor, or a list of those of the instances of each image."""
     if isinstance(masks, (list, tuple)):
         labels.check_tensors("the masks of an image", masks)
@@ -181,38 +179,25 @@ def moved_masks(masks: Any, stages: Sequence[Stage], reading: MaskReading, image
         raise ShapeError(f"{_OP}: expected mask of shape {layout}, got {tuple(shape)}")
     if images is not None and (batched.shape[0], *batched.shape[2:]) != (images[0], *images[2:]):
         raise ShapeError(f"{_OP}: expected mask of {images[0]} images of {tuple(images[2:])}, got {tuple(shape)}")
-    moved = move_masks(batched, stages, reading)
+    moved = stages.move_masks(batched, reading)
     if masks.dim() < axes and moved.shape[:2] == batched.shape[:2]:
         return moved.reshape(*shape[: 2 - axes], *moved.shape[2:])
     return moved
 
 
-def _parts(stages: Sequence[Stage], has_boxes: bool) -> Iterator[tuple[list[Stage] | Applied, Sequence[Stage]]]:
-    """Stages that labels follow together, or one that concerns all of them at once, each with the stages after it."""
+def _parts(stages: Chain, has_boxes: bool) -> Iterator[tuple[Any, Chain]]:
+    """Stages that labels follow together, as a chain, or one that concerns all of them, each with the stages after it."""
     together: list[Stage] = []
-    for i, stage in enumerate(stages):
-        if not isinstance(stage, Applied) or not _concerns_all(stage, has_boxes):
+    for i, stage in enumerate(stages.stages):
+        if not stage.concerns_all(has_boxes):
             together.append(stage)
             continue
         if together:
-            yield together, stages[i:]
+            yield Chain(together), Chain(stages.stages[i:])
             together = []
-        yield stage, stages[i + 1 :]
+        yield stage, Chain(stages.stages[i + 1 :])
     if together:
-        yield together, ()
-
-
-def _concerns_all(stage: Applied, has_boxes: bool) -> bool:
-    """Whether samples are mixed, or a container inside changes boxes as it alone does."""
-    if stage.stages is None:
-        return bool(getattr(stage.module, "mixes_samples", False))
-    return mixes(stage.stages) or (has_boxes and _changes_boxes(stage))
-
-
-def _changes_boxes(stage: Applied) -> bool:
-    if stage.labels is not None and stage.labels.changes_boxes:
-        return True
-    return any(_changes_boxes(inner) for inner in stage.stages or () if isinstance(inner, Applied))
+        yield Chain(together), Chain()
 
 
 def _both(before: Kept, after: Kept) -> Kept:

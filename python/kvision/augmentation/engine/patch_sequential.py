@@ -22,7 +22,7 @@ from kvision.augmentation.engine.image_sequential import (
 )
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import CallContext, execute
-from kvision.augmentation.engine.stages import Cells
+from kvision.augmentation.engine.stages import Cells, Chain
 from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.keys import Seed, frame_seeds
 from kvision.augmentation.warp_and_color import SAME
@@ -197,7 +197,7 @@ class PatchSequential(ImageSequential):
             executed = self._run_chains(cells, chains, context)
         is_cropped = any(pad) and self.padding == "valid"
         moves = is_cropped or any(_moves(child.module) for chain in chains for child in chain)
-        record = Record(tuple(x.shape), (), [Cells()] if moves else [])
+        record = Record(tuple(x.shape), (), Chain([Cells()] if moves else []))
         record.cell_count = len(cells)
         record.cells, record.items = executed, None if params is None else list(params)
         if any(cell.dtype != cells[0].dtype for cell in cells):  # some of bytes became floating point

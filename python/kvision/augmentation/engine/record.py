@@ -12,10 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 from torch import Tensor, nn
 
+from kvision.augmentation.engine.stages import Chain
+
 if TYPE_CHECKING:
     from kvision.augmentation.engine.label_record import LabelRecord
-    from kvision.augmentation.engine.stages import Stage
     from kvision.augmentation.engine.video_sequential import VideoLayout
+
+
+_NO_STAGES = Chain()
 
 
 @dataclass(slots=True)
@@ -28,6 +32,11 @@ class Child:
     record: Any = None  # what it did: the Execution of an augmentation, the Record of a container
     runs_alone: bool = False  # without its neighbors, as what some samples run has to give the same in all batches
     foreign_params: Any = None  # `_params` of a module that has no records, after its call
+
+    def restrict(self, chosen: Tensor) -> None:
+        """Let the record, of all samples, be one of the chosen ones alone, (B,) bool on the CPU."""
+        if self.record is not None:
+            self.record = self.module._restricted(self.record, chosen)  # type: ignore[operator]
 
     def read_params(self) -> Any:
         """The parameters that it was executed with."""
@@ -53,7 +62,7 @@ class Record:
     chosen: Tensor | None = None  # (B,) bool, the samples that the container as a whole has augmented; None for all
 
     def __init__(
-        self, shape: tuple[int, ...] | None = None, children: Sequence[Child] = (), stages: Sequence[Stage] = ()
+        self, shape: tuple[int, ...] | None = None, children: Sequence[Child] = (), stages: Chain = _NO_STAGES
     ) -> None:
         self.shape, self.children, self.stages = shape, children, stages
 
@@ -62,3 +71,15 @@ class Record:
         record = Record()
         record.__dict__.update(self.__dict__, **values)
         return record
+
+    def restrict(self, chosen: Tensor) -> None:
+        """Let the call be one of chosen samples alone, (B,) bool on the CPU."""
+        self.stages = self.stages.restricted(chosen)
+        for child in self.children:
+            child.restrict(chosen)
+        for indices, child in self.cells:
+            child.restrict(chosen.repeat(self.cell_count if indices is None else len(indices)))
+        if self.drawn is not None:
+            self.drawn = self.drawn.restricted(chosen)
+        if self.chosen is not None:
+            self.chosen = self.chosen & chosen.to(self.chosen.device)

@@ -33,7 +33,7 @@ from kvision.augmentation.engine.configuration import Plans
 from kvision.augmentation.engine.execution import Execution, Shape, matrix_type
 from kvision.augmentation.engine.passes import Planned, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child
-from kvision.augmentation.engine.stages import Applied, Stage
+from kvision.augmentation.engine.stages import Applied, Chain, Stage
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys, frame_seeds
 from kvision.augmentation.warp_and_color import (
     SAME,
@@ -55,7 +55,7 @@ class CallContext(NamedTuple):
     position: int = 0  # of the first child in the chain, under a seed
     time: int = 0  # how many neighboring samples are the frames of a video; 0 for images
     has_labels: bool = False  # which follow the images, so that maps are kept for them
-    masks: Callable[[Sequence[Stage]], Any] | None = None  # those of the images after stages, for what mixes by them
+    masks: Callable[[Chain], Any] | None = None  # those of the images after stages, for what mixes by them
     default_generator: Generator | None = None  # of the container, for children without one of their own
 
     def generator_of(self, module: nn.Module) -> Generator | None:
@@ -77,7 +77,7 @@ class CallContext(NamedTuple):
 
 def execute(
     x: Tensor, children: Sequence[Child], context: CallContext, position: int | None = None
-) -> tuple[Tensor, list[Stage]]:
+) -> tuple[Tensor, Chain]:
     """Run children on images (B, C, H, W); gives the result and what labels have to follow."""
     position = context.position if position is None else position
     key = _key(x, children, context, position)
@@ -90,7 +90,7 @@ def execute(
         own = context if i == len(runs) - 1 or context.output is SAME else context._replace(output=SAME)
         if kind == "joined":
             x, more = _execute_run(x, run, own, position)
-            stages += more
+            stages += more.stages
         elif kind == "with masks":
             x, stage = _execute_with_masks(x, run[0], context, stages, position)
             stages.append(stage)
@@ -104,13 +104,13 @@ def execute(
         position += len(run)
     if not runs and context.output != SAME:
         x, _ = make_pass(None, output=context.output).run(x, None)
-    return x, stages
+    return x, Chain(stages)
 
 
-def _masks_after(stages: Sequence[Stage], masks: Callable[[Sequence[Stage]], Any]) -> Callable[[Sequence[Stage]], Any]:
+def _masks_after(stages: Sequence[Stage], masks: Callable[[Chain], Any]) -> Callable[[Chain], Any]:
     """The masks for a container inside, whose stages follow those before it."""
     before = list(stages)
-    return lambda inside: masks([*before, *inside])
+    return lambda inside: masks(Chain([*before, *inside.stages]))
 
 
 def _execute_with_masks(
@@ -118,7 +118,7 @@ def _execute_with_masks(
 ) -> tuple[Tensor, Stage]:
     """An augmentation of images by their masks."""
     module: Any = child.module
-    masks = None if context.masks is None else context.masks(stages)
+    masks = None if context.masks is None else context.masks(Chain(stages))
     seed = context.seed_of_samples
     if seed is not None:
         seed = seed + ((position + 1) << 32)  # as a seed is that of a chain of one
@@ -186,7 +186,7 @@ def _execute_module(x: Tensor, child: Child, context: CallContext) -> tuple[Tens
         return y, stage
     y = module(x)
     child.foreign_params = getattr(module, "_params", None)
-    return y, Applied(module, None, {})
+    return y, Stage()
 
 
 # --- runs of augmentations ------------------------------------------------------------------------------------------
@@ -209,7 +209,7 @@ class _RunPlan(NamedTuple):
 
 def _execute_run(
     x: Tensor, run: Sequence[Child], context: CallContext, position: int, plan: _RunPlan | None = None
-) -> tuple[Tensor, list[Stage]]:
+) -> tuple[Tensor, Chain]:
     modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
     result: tuple[Tensor, Tensor] | None = None
     links: Sequence[Tensor] | None = None
@@ -237,7 +237,7 @@ def _execute_run(
         x, stage = step.run(x, running)
         if stage is not None:
             stages.append(stage)
-    return x, stages
+    return x, Chain(stages)
 
 
 def _replay(x: Tensor, run: Sequence[Child]) -> tuple[list[Execution], Tensor | None]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from kvision._dtype import compute_dtype
 from kvision.augmentation import maps
@@ -15,6 +15,7 @@ from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.execution import Execution
 from kvision.augmentation.labels import BoxFilter
 from kvision.augmentation.maps import warp, warp_labels
+from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
 from kvision.geometry.linalg import transform_points
@@ -50,13 +51,179 @@ class LabelSettings(NamedTuple):
         return not self.box_filter.does_nothing
 
 
-class Warp(NamedTuple):
+class Stage:
+    """What a module did. By default all pixels kept their positions, and so does what follows them."""
+
+    @property
+    def keeps_lines(self) -> bool:
+        """Whether straight lines stay straight."""
+        return True
+
+    @property
+    def mixes_samples(self) -> bool:
+        """Whether samples of the batch were mixed."""
+        return False
+
+    @property
+    def changes_boxes(self) -> bool:
+        """Whether a container inside cuts or removes boxes."""
+        return False
+
+    def concerns_all(self, has_boxes: bool) -> bool:
+        """Whether labels follow this stage together, those of different kinds and all samples, and no other stage with it."""
+        return False
+
+    def source_size(self) -> tuple[int, ...] | None:
+        """The size of the images that the module was executed on, where it is known."""
+        return None
+
+    def maps(self) -> list[Execution]:
+        """The executions of maps that were applied."""
+        return []
+
+    def displacements(self, like: Tensor) -> Tensor | None:
+        """The map (B, 2, H, W) of a stage that is one map; None for others."""
+        return None
+
+    def move_points(self, points: Tensor) -> Tensor:
+        """Points (B, N, 2) after the stage, where maps leave them; label_moves.py finds them in the results of maps."""
+        return points
+
+    def move_points_back(self, points: Tensor) -> Tensor:
+        """Points (B, N, 2) before the stage."""
+        return points
+
+    def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
+        """Masks (B, C, H, W) after the stage."""
+        return masks
+
+    def move_masks_back(self, masks: Tensor) -> Tensor:
+        """Masks (B, C, h, w) of results, moved back."""
+        return masks
+
+    def invert(self, x: Tensor) -> Tensor:
+        """Images (B, C, h, w) of results, moved back."""
+        return x
+
+    def product(self, matrix: Tensor) -> Tensor:
+        """A matrix with that of the stage multiplied to it from the left."""
+        return matrix
+
+    def restricted(self, chosen: Tensor) -> Stage:
+        """The stage if it moved the chosen samples alone, (B,) bool on the CPU."""
+        return self
+
+    def flat(self) -> list[Stage]:
+        """The stages of which it consists."""
+        return [self]
+
+    def forget(self) -> None:
+        """Free the displacements of maps. They can be computed again from what was drawn."""
+
+
+class Chain(Stage):
+    """Stages one after the other."""
+
+    def __init__(self, stages: Sequence[Stage] = ()) -> None:
+        self.stages = stages  # dynamo traces no subclass of list, and no generator as argument
+
+    def __iter__(self) -> Iterator[Stage]:
+        return iter(self.stages)
+
+    def __getitem__(self, index: int) -> Stage:
+        return self.stages[index]
+
+    @property
+    def keeps_lines(self) -> bool:
+        return all(stage.keeps_lines for stage in self.stages)
+
+    @property
+    def mixes_samples(self) -> bool:
+        return any(stage.mixes_samples for stage in self.stages)
+
+    @property
+    def changes_boxes(self) -> bool:
+        return any(stage.changes_boxes for stage in self.stages)
+
+    def source_size(self) -> tuple[int, ...] | None:
+        return next((size for stage in self.stages if (size := stage.source_size()) is not None), None)
+
+    def maps(self) -> list[Execution]:
+        return [execution for stage in self.stages for execution in stage.maps()]
+
+    def move_points(self, points: Tensor) -> Tensor:
+        for stage in self.stages:
+            points = stage.move_points(points)
+        return points
+
+    def move_points_back(self, points: Tensor) -> Tensor:
+        for stage in reversed(self.stages):
+            points = stage.move_points_back(points)
+        return points
+
+    def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
+        for stage in self.stages:
+            masks = stage.move_masks(masks, reading)
+        return masks
+
+    def move_masks_back(self, masks: Tensor) -> Tensor:
+        for stage in reversed(self.stages):
+            masks = stage.move_masks_back(masks)
+        return masks
+
+    def invert(self, x: Tensor) -> Tensor:
+        for stage in reversed(self.stages):
+            x = stage.invert(x)
+        return x
+
+    def product(self, matrix: Tensor) -> Tensor:
+        for stage in self.stages:
+            matrix = stage.product(matrix)
+        return matrix
+
+    def restricted(self, chosen: Tensor) -> Chain:
+        return Chain([stage.restricted(chosen) for stage in self.stages])
+
+    def flat(self) -> list[Stage]:
+        return [part for stage in self.stages for part in stage.flat()]
+
+    def forget(self) -> None:
+        for stage in self.stages:
+            stage.forget()
+
+
+class Nested(Chain):
+    """The stages of a container that is a child."""
+
+    def __init__(self, stages: Sequence[Stage], labels: LabelSettings | None) -> None:
+        super().__init__(stages)
+        self.labels = labels
+
+    @property
+    def changes_boxes(self) -> bool:
+        return (self.labels is not None and self.labels.changes_boxes) or super().changes_boxes
+
+    def concerns_all(self, has_boxes: bool) -> bool:
+        return self.mixes_samples or (has_boxes and self.changes_boxes)
+
+    def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
+        return super().move_masks(masks, reading.inside(self.labels))
+
+    def restricted(self, chosen: Tensor) -> Nested:
+        return Nested(super().restricted(chosen).stages, self.labels)
+
+
+@dataclass
+class Warp(Stage):
     """Neighboring geometric augmentations that were executed as one warp."""
 
     matrix: Tensor
     source: Sequence[int]
     size: Sequence[int]
     resampling: Resampling
+
+    def source_size(self) -> tuple[int, ...]:
+        return tuple(self.source)
 
     def move_points(self, points: Tensor) -> Tensor:
         return transform_points(self.matrix.to(points), points)
@@ -70,83 +237,74 @@ class Warp(NamedTuple):
     def move_masks_back(self, masks: Tensor) -> Tensor:
         return warp_labels(masks, self.matrix, self.source, self.resampling.for_inverse("nearest"), inverse=False)
 
-    def move_images_back(self, x: Tensor) -> Tensor:
+    def invert(self, x: Tensor) -> Tensor:
         return warp(x, self.matrix.to(x.device), self.source, self.resampling.for_inverse(), inverse=False)
 
     def product(self, matrix: Tensor) -> Tensor:
         return self.matrix @ matrix.to(self.matrix)
 
+    def restricted(self, chosen: Tensor) -> Warp:
+        return replace(self, matrix=_or_identity(self.matrix, chosen))
+
+
+@dataclass
+class Applied(Stage):
+    """An augmentation that ran by itself."""
+
+    module: AugmentationBase
+    execution: Execution
+    flags: dict[str, Any]
+
     @property
     def keeps_lines(self) -> bool:
-        return True
-
-
-class Applied(NamedTuple):
-    """A module that ran by itself; an augmentation with its execution, a container with the stages of its children."""
-
-    module: nn.Module
-    execution: Execution | None
-    flags: dict[str, Any]
-    stages: Sequence[Any] | None = None
-    labels: LabelSettings | None = None  # of a container
+        return self.module.keeps_lines
 
     @property
-    def _augmentation(self) -> tuple[AugmentationBase, Execution] | None:
-        if self.execution is None or not isinstance(self.module, AugmentationBase):
-            return None
-        return self.module, self.execution
+    def mixes_samples(self) -> bool:
+        return self.module.mixes_samples
+
+    def concerns_all(self, has_boxes: bool) -> bool:
+        return self.module.mixes_samples
+
+    def source_size(self) -> tuple[int, ...]:
+        return tuple(self.execution.shape[2:])
+
+    def maps(self) -> list[Execution]:
+        return [self.execution] if self.module.moves_by_map and self.execution.applied else []
+
+    def displacements(self, like: Tensor) -> Tensor | None:
+        module: Any = self.module
+        return module.displacements_of(self.execution, self.flags, like) if self.maps() else None
 
     def move_points(self, points: Tensor) -> Tensor:
-        if self.stages is not None:
-            return move_points(points, self.stages)
-        if (own := self._augmentation) and not own[0].moves_by_map:
-            points = own[0].transform_points(points, own[1])
-        return points
+        return points if self.module.moves_by_map else self.module.transform_points(points, self.execution)
 
     def move_points_back(self, points: Tensor) -> Tensor:
-        if self.stages is not None:
-            return move_points_back(points, self.stages)
-        if own := self._augmentation:
-            points = own[0].inverse_points(points, own[1])
-        return points
+        return self.module.inverse_points(points, self.execution)
 
     def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
-        if self.stages is not None:
-            return move_masks(masks, self.stages, reading.inside(self.labels))
-        if own := self._augmentation:
-            flags = self.flags if reading.mode is None else {**self.flags, "resample": Resample.get(reading.mode)}
-            if reading.fill is not None:
-                flags = {**flags, "mask_fill": reading.fill}
-            masks = own[0].transform_masks(masks, own[1], flags)
-        return masks
+        flags = self.flags if reading.mode is None else {**self.flags, "resample": Resample.get(reading.mode)}
+        if reading.fill is not None:
+            flags = {**flags, "mask_fill": reading.fill}
+        return self.module.transform_masks(masks, self.execution, flags)
 
     def move_masks_back(self, masks: Tensor) -> Tensor:
-        if self.stages is not None:
-            return move_masks_back(masks, self.stages)
-        if own := self._augmentation:
-            masks = own[0].inverse_masks(masks, own[1], self.flags)
-        return masks
+        return self.module.inverse_masks(masks, self.execution, self.flags)
 
-    def move_images_back(self, x: Tensor) -> Tensor:
-        if self.stages is not None:
-            return invert(x, self.stages)
-        if own := self._augmentation:
-            x = own[0].inverse_images(x, own[1], self.flags)
-        return x
+    def invert(self, x: Tensor) -> Tensor:
+        return self.module.inverse_images(x, self.execution, self.flags)
 
     def product(self, matrix: Tensor) -> Tensor:
-        if self.stages is not None:
-            return product(matrix, self.stages)
-        if own := self._augmentation:
-            of_module = own[0]._matrix(own[1])
-            matrix = of_module @ matrix.to(of_module)
-        return matrix
+        own = self.module._matrix(self.execution)
+        return own @ matrix.to(own)
 
-    @property
-    def keeps_lines(self) -> bool:
-        if self.stages is not None:
-            return keeps_lines(self.stages)
-        return not isinstance(self.module, AugmentationBase) or self.module.keeps_lines
+    def restricted(self, chosen: Tensor) -> Applied:
+        self.execution.restrict(chosen, self.module._matrix)
+        return self
+
+    def forget(self) -> None:
+        if self.execution.keeps_map:
+            self.execution.keeps_map, self.execution.map = False, None
 
 
 class MapLink(NamedTuple):
@@ -162,7 +320,7 @@ class MapLink(NamedTuple):
 
 
 @dataclass
-class Composed:
+class Composed(Stage):
     """Neighboring geometric augmentations, maps among them, that were executed as one resampling."""
 
     links: Sequence[Tensor | MapLink]  # matrices (B, 3, 3) and maps, the first one first
@@ -190,6 +348,12 @@ class Composed:
         """The images (B, C, h, w) of the result."""
         return maps.read_composed(x, self.tensors(x), self.size, self.resampling, self.samples)
 
+    def source_size(self) -> tuple[int, ...]:
+        return tuple(self.source)
+
+    def maps(self) -> list[Execution]:
+        return [link.execution for link in self.links if isinstance(link, MapLink) and link.execution.applied]
+
     def move_points(self, points: Tensor) -> Tensor:
         for link in self.links:
             if isinstance(link, Tensor):
@@ -213,7 +377,7 @@ class Composed:
         moved = maps.read_labels(masks, back, self.resampling.for_inverse("nearest"))
         return torch.where(converged, moved, 0).to(masks.dtype)
 
-    def move_images_back(self, x: Tensor) -> Tensor:
+    def invert(self, x: Tensor) -> Tensor:
         back, converged = self._inverse(x)
         return torch.where(converged, maps.read(x, back, self.resampling.for_inverse()), 0).to(x.dtype)
 
@@ -241,101 +405,27 @@ class Composed:
     def keeps_lines(self) -> bool:
         return not any(isinstance(link, MapLink) for link in self.links)
 
-
-class Cells(NamedTuple):
-    """Cells of a grid that moved by themselves, which nothing else can follow."""
-
-    keeps_lines: bool = False
-
-    def move_points(self, points: Tensor) -> Tensor:
-        raise _cells_moved()
-
-    def move_points_back(self, points: Tensor) -> Tensor:
-        raise _cells_moved()
-
-    def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
-        raise _cells_moved()
-
-    def move_masks_back(self, masks: Tensor) -> Tensor:
-        raise _cells_moved()
-
-    def move_images_back(self, x: Tensor) -> Tensor:
-        raise _cells_moved()
-
-    def product(self, matrix: Tensor) -> Tensor:
-        raise _cells_moved()
+    def restricted(self, chosen: Tensor) -> Composed:
+        for link in self.links:
+            if isinstance(link, MapLink):
+                link.execution.restrict(chosen, None)
+        links = [_or_identity(link, chosen) if isinstance(link, Tensor) else link for link in self.links]
+        return replace(self, links=links, _links=None)
 
 
-def _cells_moved() -> NotImplementedError:
-    return NotImplementedError(
+def _refuse(self: Any, *_: Any) -> Any:
+    raise NotImplementedError(
         "PatchSequential: masks, boxes, key points, matrices and the inverse cannot follow cells that move"
     )
 
 
-Stage = Warp | Applied | Composed | Cells
+class Cells(Stage):
+    """Cells of a grid that moved by themselves, which nothing else can follow."""
 
-# --- all stages of a call -------------------------------------------------------------------------------------------
-
-
-def move_points(points: Tensor, stages: Sequence[Stage]) -> Tensor:
-    """Points (B, N, 2) after all stages, where maps leave them; label_moves.py finds them in the results of maps."""
-    for stage in stages:
-        points = stage.move_points(points)
-    return points
+    keeps_lines = False
+    move_points = move_points_back = move_masks = move_masks_back = invert = product = _refuse  # type: ignore[assignment]
 
 
-def move_points_back(points: Tensor, stages: Sequence[Stage]) -> Tensor:
-    """Points (B, N, 2) before all stages."""
-    for stage in reversed(stages):
-        points = stage.move_points_back(points)
-    return points
-
-
-def move_masks(masks: Tensor, stages: Sequence[Stage], reading: MaskReading) -> Tensor:
-    """Masks (B, C, H, W) after all stages."""
-    for stage in stages:
-        masks = stage.move_masks(masks, reading)
-    return masks
-
-
-def move_masks_back(masks: Tensor, stages: Sequence[Stage]) -> Tensor:
-    """Masks (B, C, h, w) of results, moved back."""
-    for stage in reversed(stages):
-        masks = stage.move_masks_back(masks)
-    return masks
-
-
-def invert(x: Tensor, stages: Sequence[Stage]) -> Tensor:
-    """Undo what stages did to the positions of pixels, the last one first."""
-    for stage in reversed(stages):
-        x = stage.move_images_back(x)
-    return x
-
-
-def product(matrix: Tensor, stages: Sequence[Stage]) -> Tensor:
-    """A matrix with the matrices of stages, the first of which was executed first, multiplied to it from the left."""
-    for stage in stages:
-        matrix = stage.product(matrix)
-    return matrix
-
-
-def keeps_lines(stages: Sequence[Stage]) -> bool:
-    """Whether straight lines stay straight."""
-    return all(stage.keeps_lines for stage in stages)
-
-
-def mixes(stages: Sequence[Stage]) -> bool:
-    """Whether samples of the batch are mixed."""
-    applied = [stage for stage in stages if isinstance(stage, Applied)]
-    return any(getattr(s.module, "mixes_samples", False) or mixes(s.stages or ()) for s in applied)
-
-
-def forget_coordinates(stages: Sequence[Stage]) -> None:
-    """Free the displacements of maps."""
-    for stage in stages:
-        if isinstance(stage, Composed):
-            stage.forget()
-        elif isinstance(stage, Applied):
-            forget_coordinates(stage.stages or ())
-            if stage.execution is not None and stage.execution.keeps_map:
-                stage.execution.keeps_map, stage.execution.map = False, None
+def _or_identity(matrix: Tensor, chosen: Tensor) -> Tensor:
+    identity = torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
+    return where_chosen(chosen.to(matrix.device), matrix, identity)

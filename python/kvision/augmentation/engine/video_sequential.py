@@ -9,10 +9,9 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision import _check
-from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem, invert
+from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
 from kvision.augmentation.engine.record import Record
 from kvision.augmentation.engine.runs import CallContext, Stage
-from kvision.augmentation.engine.stages import forget_coordinates
 from kvision.augmentation.inputs import as_output_type, check_matrix, check_output_type, image_and_matrix
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.samples import inverse_at
@@ -165,7 +164,7 @@ class VideoSequential(ImageSequential):
         if before is not None:
             check_matrix(self, before, x)
         frames, record = self._execute(x, params, self._of_frames(self._context(seed, generator), layout.sizes[1]))
-        forget_coordinates(record.stages)
+        record.stages.forget()
         self._keep(record)
         output = self._with_matrix(layout.videos(frames), before, return_transform, record)
         return as_output_type(output, output_type)
@@ -194,7 +193,7 @@ class VideoSequential(ImageSequential):
         layout = self._layout(input)
         frames = layout.frames(input)
         record = self._record_to_invert(frames, params)
-        return layout.videos(inverse_at(frames, record.size, lambda x: invert(x, record.stages)))
+        return layout.videos(inverse_at(frames, record.size, record.stages.invert))
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
         """Which pixels of the videos :meth:`inverse` finds in a result; the others were lost in the call, or in part.

@@ -365,3 +365,139 @@ def _keeping_type(points: Tensor, move: PointMover) -> Tensor:
     if 0 in points.shape:
         return points
     return move(points if points.dtype == torch.float64 else points.float()).to(points.dtype)
+
+
+def move_masks(masks: Any, move: Callable[[Tensor], Tensor], images: tuple[int, ...] | None) -> Any:
+    """Moved masks of images of a shape: a tensor, or a list of those of the instances of each image.
+
+    `move` takes them as (B, C, H, W) or (B, C, D, H, W).
+    """
+    if isinstance(masks, (list, tuple)):
+        check_tensors("the masks of an image", masks)
+        if len({mask.shape for mask in masks}) <= 1:
+            stacked = torch.stack(list(masks)) if masks else None
+            return masks if stacked is None else type(masks)(move_masks(stacked, move, images).unbind(0))
+        padded, sizes = pad(masks)  # as many instances for each image
+        return type(masks)(row[:n] for row, n in zip(move_masks(padded, move, images), sizes))
+    check_tensors("mask", [masks])
+    shape = masks.shape
+    axes = 4 if images is None else len(images)
+    if masks.dim() == axes - 1 and images is not None:
+        # (B, H, W) of a batch, or (C, H, W) of one image; of volumes (B, D, H, W) or (C, D, H, W)
+        batched = masks[:, None] if shape[0] == images[0] and shape[0] > 1 else masks[None]
+    else:
+        batched = masks[None, None] if masks.dim() == axes - 2 else masks
+    if batched.dim() != axes:
+        layout = "(B, C, H, W)" if axes == 4 else "(B, C, D, H, W)"
+        raise ShapeError(f"AugmentationSequential: expected mask of shape {layout}, got {tuple(shape)}")
+    if images is not None and (batched.shape[0], *batched.shape[2:]) != (images[0], *images[2:]):
+        raise ShapeError(
+            f"AugmentationSequential: expected mask of {images[0]} images of {tuple(images[2:])}, got {tuple(shape)}"
+        )
+    moved = move(batched)
+    if masks.dim() < axes and moved.shape[:2] == batched.shape[:2]:
+        return moved.reshape(*shape[: 2 - axes], *moved.shape[2:])
+    return moved
+
+
+def kept_by_both(before: dict[int, Any], after: dict[int, Any]) -> dict[int, Any]:
+    """Which of the boxes stay that a part of the call has kept, and then another; those of the latter where boxes were mixed."""
+    both = dict(before)
+    for i, own in after.items():
+        first = before.get(i)
+        if isinstance(own, (list, tuple)):
+            both[i] = own if first is None else type(own)(_of_kept(a, b) for a, b in zip(first, own))
+        else:
+            both[i] = own if first is None or first.shape != own.shape else first & own
+    return both
+
+
+def _of_kept(first: Tensor, own: Tensor) -> Tensor:
+    """Which of the boxes stay, if those of the first have become a shorter list."""
+    both = first.clone()
+    both[first] = own
+    return both
+
+
+# --- rectangles and polygons ----------------------------------------------------------------------------------------
+
+
+def is_within(points: Tensor, size: Sequence[int], margin: float = 0.5) -> Tensor:
+    """Whether points (..., 2 or 3) are in an image, or up to a margin away from the centers of its outermost pixels."""
+    of_axes = [(x >= -margin) & (x <= n - 1 + margin) for x, n in zip(points.unbind(-1), reversed(size))]
+    return torch.stack(of_axes).all(0)
+
+
+def polygon_area(polygons: Tensor) -> Tensor:
+    """The areas of polygons (..., V, 2)."""
+    after = polygons.roll(-1, -2)
+    return (polygons[..., 0] * after[..., 1] - polygons[..., 1] * after[..., 0]).sum(-1).abs() / 2
+
+
+def rectangle_around(points: Tensor) -> Tensor:
+    """The corners (..., 4, 2) of the smallest upright rectangles around points (..., M, 2)."""
+    (left, top), (right, bottom) = points.amin(-2).unbind(-1), points.amax(-2).unbind(-1)
+    return torch.stack([left, top, right, top, right, bottom, left, bottom], -1).unflatten(-1, (4, 2))
+
+
+def outward_normals(corners: Tensor) -> tuple[Tensor, Tensor]:
+    """Unit vectors (..., 4, 2) to the outside of the sides of quadrilaterals, and whether these are convex, (...,)."""
+    along = corners.roll(-1, -2) - corners
+    after = along.roll(-1, -2)
+    turn = along[..., 0] * after[..., 1] - along[..., 1] * after[..., 0]
+    is_convex = (turn > 0).all(-1) | (turn < 0).all(-1)
+    # To the left of each side, where the corners go clockwise on the screen.
+    normals = (
+        torch.stack([along[..., 1], -along[..., 0]], -1) * torch.where(turn.sum(-1) < 0, -1.0, 1.0)[..., None, None]
+    )
+    return normals / along.norm(dim=-1, keepdim=True).clamp(min=1e-6), is_convex
+
+
+def line_corners(normals: Tensor, distances: Tensor, others: Tensor) -> Tensor:
+    """The corners (..., 4, 2) at which neighboring lines meet, each at a distance along its normal; `others` if they do not."""
+    before, distance = normals.roll(1, -2), distances.roll(1, -1)
+    determinant = before[..., 0] * normals[..., 1] - before[..., 1] * normals[..., 0]
+    x = distance * normals[..., 1] - distances * before[..., 1]
+    y = distances * before[..., 0] - distance * normals[..., 0]
+    meets = (determinant.abs() >= 1e-3) & x.isfinite() & y.isfinite()
+    corners = torch.stack([x, y], -1) / torch.where(meets, determinant, 1.0)[..., None]
+    return torch.where(meets[..., None], corners, others)
+
+
+def around_outlines(corners: Tensor, is_upright: bool, count: int, move: Callable[[Tensor], Tensor]) -> Tensor:
+    """Moved points of the outlines of boxes, so many on each side, of which the first is a corner.
+
+    The box is the smallest one around them if it is upright. For others these are corners (B, N, 4, 2) around them, whose
+    sides are parallel to the lines between the moved corners.
+    """
+    if count == 1:
+        return move(corners.flatten(1, 2)).reshape(corners.shape)
+    along = torch.arange(count, dtype=corners.dtype, device=corners.device)[:, None] / count
+    sides = corners.roll(-1, -2) - corners
+    outline = corners[..., None, :] + along * sides[..., None, :]
+    moved = move(outline.flatten(1, 3)).reshape(outline.shape)
+    if is_upright:
+        return moved.flatten(-3, -2)
+    corners = moved[..., 0, :]
+    normals, _ = outward_normals(corners)
+    return line_corners(normals, (moved @ normals[..., None])[..., 0].amax(-1), corners)
+
+
+def clip_polygons(polygons: Tensor, size: Sequence[int]) -> tuple[Tensor, Tensor]:
+    """The parts (..., V + 4, 2) of convex polygons (..., V, 2) inside images of a size (H, W), and where there is one.
+
+    Of V vertices and the line of an edge V + 1 vertices remain at most; the first one is repeated in place of those that do not.
+    """
+    is_inside = torch.ones_like(polygons[..., 0, 0], dtype=torch.bool)
+    for axis, edge, sign in ((0, -0.5, 1.0), (1, -0.5, 1.0), (0, size[1] - 0.5, -1.0), (1, size[0] - 0.5, -1.0)):
+        depth = sign * (polygons[..., axis] - edge)
+        other, after = depth.roll(-1, -1), polygons.roll(-1, -2)
+        crosses = (depth >= 0) != (other >= 0)
+        at = depth / torch.where(crosses, depth - other, 1.0)
+        points = torch.stack([polygons, polygons + at[..., None] * (after - polygons)], -2).flatten(-3, -2)
+        stays = torch.stack([depth >= 0, crosses], -1).flatten(-2)
+        order = (~stays).to(torch.uint8).sort(dim=-1, stable=True)[1][..., : polygons.shape[-2] + 1]
+        order = torch.where(stays.gather(-1, order), order, order[..., :1])
+        polygons = points.gather(-2, order[..., None].expand(*order.shape, 2))
+        is_inside = is_inside & stays.any(-1)
+    return polygons, is_inside

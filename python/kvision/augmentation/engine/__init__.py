@@ -14,8 +14,7 @@ One augmentation:
 
     declaration    what a subclass declares and overrides
     contribution   what an augmentation adds to the passes that it shares
-    executor       draws parameters, or takes given ones, and executes the declaration
-    one_pass       the same by one pass over the images, where there is one
+    executor       draws parameters, or takes given ones, and executes the declaration, by one pass where there is one
     augmentation   what users call, and the public bases
     execution      what one call drew and did
 

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 
 from kvision._modules import give_own_forward
 from kvision.augmentation.engine.execution import Execution, Params, replaying
-from kvision.augmentation.engine.one_pass import OnePass
+from kvision.augmentation.engine.executor import Executor
 from kvision.augmentation.inputs import WIDE_INTEGERS, check_image, check_matrix, image_and_matrix, in_type_of
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.maps import exact
@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 
-class AugmentationBase(OnePass, keeps_contract=True):
+class AugmentationBase(Executor, keeps_contract=True):
     """What augmentations of images and of volumes share; see the package."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:

@@ -8,12 +8,21 @@ result are traced back through all of them: `preimages` finds the positions that
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
 from kvision.augmentation.engine.stages import Chain
+from kvision.augmentation.labels import (
+    around_outlines,
+    clip_polygons,
+    is_within,
+    line_corners,
+    outward_normals,
+    polygon_area,
+    rectangle_around,
+)
 from kvision.augmentation.maps import vector
 from kvision.augmentation.preimages import EXACT, ResultMap, at_nodes, result_map
 from kvision.augmentation.samples import where_chosen
@@ -53,11 +62,11 @@ class LabelMoves:
 
     def are_visible(self, moved: Tensor) -> Tensor:
         """Which moved points (B, N, 2 or 3) are in the results, and were in those before: bool (B, N)."""
-        visible = _is_within(moved, self.size)
+        visible = is_within(moved, self.size)
         for stage in reversed(self.stages):
             moved = stage.move_points_back(moved)
             if stage is not self.stages[0] and (size := stage.source_size()) is not None:
-                visible = visible & _is_within(moved, size)
+                visible = visible & is_within(moved, size)
         return visible
 
     def _refined(self, points: Tensor, positions: Tensor, is_exact: Tensor) -> Tensor:
@@ -93,15 +102,15 @@ class LabelMoves:
         quads = corners.detach().to(known.coordinates)
         normals = vector(quads, 0, -1, 1, 0, 0, 1, -1, 0).reshape(4, 2)  # of top, right, bottom and left
         if not is_upright:
-            outward, is_convex = _normals(self.move_points(quads.flatten(1, 2))[0].reshape(quads.shape))
+            outward, is_convex = outward_normals(self.move_points(quads.flatten(1, 2))[0].reshape(quads.shape))
             normals = torch.where(is_convex[..., None, None], outward, normals)
         shown, whole = known.extents(quads, normals).unbind(2)
         is_shown, is_known = shown[..., 0].isfinite(), whole[..., 0].isfinite()
         by_matrices = self._moved_outlines(corners, is_upright)
-        by_matrices = _rectangle(by_matrices) if is_upright else by_matrices
-        whole = _corners(normals, whole, by_matrices.to(quads))
-        moved = torch.where(is_shown[..., None, None], _corners(normals, shown, whole), whole)
-        fraction = torch.where(is_shown, _area(moved) / _area(whole).clamp(min=1e-9), 0.0).clamp(max=1)
+        by_matrices = rectangle_around(by_matrices) if is_upright else by_matrices
+        whole = line_corners(normals, whole, by_matrices.to(quads))
+        moved = torch.where(is_shown[..., None, None], line_corners(normals, shown, whole), whole)
+        fraction = torch.where(is_shown, polygon_area(moved) / polygon_area(whole).clamp(min=1e-9), 0.0).clamp(max=1)
         moved = torch.where(is_known[..., None, None], moved.to(corners), by_matrices)
         is_mapped = self._is_mapped()
         return where_chosen(is_mapped, moved, by_matrices), where_chosen(is_mapped, fraction, 1.0)
@@ -109,7 +118,7 @@ class LabelMoves:
     def _moved_outlines(self, corners: Tensor, is_upright: bool) -> Tensor:
         """Points of boxes, as `_around_outlines` gives them, moved by all but maps."""
         count = 1 if self._has_maps or self.chain.keeps_lines else _SIDE
-        return _around_outlines(corners, is_upright, count, self.chain.move_points)
+        return around_outlines(corners, is_upright, count, self.chain.move_points)
 
     def _clipped(self, corners: Tensor) -> tuple[Tensor, Tensor]:
         """Rectangles around boxes whose parts outside of the image are cut off after each stage."""
@@ -119,10 +128,10 @@ class LabelMoves:
             is_last = i == len(self.stages) - 1
             size: tuple[int, ...] | None = self.size if is_last else self.stages[i + 1].source_size()
             if size is not None:
-                whole = _area(polygons)
+                whole = polygon_area(polygons)
                 polygons, is_inside = clip_polygons(polygons, size)
-                fraction = torch.where(is_inside, fraction * (_area(polygons) / whole).nan_to_num(1.0), 0.0)
-        return _rectangle(polygons), fraction.clamp(max=1)
+                fraction = torch.where(is_inside, fraction * (polygon_area(polygons) / whole).nan_to_num(1.0), 0.0)
+        return rectangle_around(polygons), fraction.clamp(max=1)
 
     # --- maps ---
 
@@ -152,7 +161,7 @@ class LabelMoves:
             else:
                 positions = stage.move_points_back(positions)
             if i > 0 and (size := stage.source_size()) is not None:
-                reads = reads & _is_within(positions, size, margin=1.0).reshape(shape)  # some of a pixel, interpolated
+                reads = reads & is_within(positions, size, margin=1.0).reshape(shape)  # some of a pixel, interpolated
         return positions.unflatten(1, shape[1:]), reads
 
     def _is_mapped(self) -> Tensor | None:
@@ -165,91 +174,7 @@ class LabelMoves:
         return any_chosen
 
 
-# --- rectangles and polygons ----------------------------------------------------------------------------------------
-
-
-def _is_within(points: Tensor, size: Sequence[int], margin: float = 0.5) -> Tensor:
-    """Whether points (..., 2 or 3) are in an image, or up to a margin away from the centers of its outermost pixels."""
-    of_axes = [(x >= -margin) & (x <= n - 1 + margin) for x, n in zip(points.unbind(-1), reversed(size))]
-    return torch.stack(of_axes).all(0)
-
-
-def _area(polygons: Tensor) -> Tensor:
-    """The areas of polygons (..., V, 2)."""
-    after = polygons.roll(-1, -2)
-    return (polygons[..., 0] * after[..., 1] - polygons[..., 1] * after[..., 0]).sum(-1).abs() / 2
-
-
-def _rectangle(points: Tensor) -> Tensor:
-    """The corners (..., 4, 2) of the smallest upright rectangles around points (..., M, 2)."""
-    (left, top), (right, bottom) = points.amin(-2).unbind(-1), points.amax(-2).unbind(-1)
-    return torch.stack([left, top, right, top, right, bottom, left, bottom], -1).unflatten(-1, (4, 2))
-
-
-def _normals(corners: Tensor) -> tuple[Tensor, Tensor]:
-    """Unit vectors (..., 4, 2) to the outside of the sides of quadrilaterals, and whether these are convex, (...,)."""
-    along = corners.roll(-1, -2) - corners
-    after = along.roll(-1, -2)
-    turn = along[..., 0] * after[..., 1] - along[..., 1] * after[..., 0]
-    is_convex = (turn > 0).all(-1) | (turn < 0).all(-1)
-    # To the left of each side, where the corners go clockwise on the screen.
-    normals = (
-        torch.stack([along[..., 1], -along[..., 0]], -1) * torch.where(turn.sum(-1) < 0, -1.0, 1.0)[..., None, None]
-    )
-    return normals / along.norm(dim=-1, keepdim=True).clamp(min=1e-6), is_convex
-
-
-def _corners(normals: Tensor, distances: Tensor, others: Tensor) -> Tensor:
-    """The corners (..., 4, 2) at which neighboring lines meet, each at a distance along its normal; `others` if they do not."""
-    before, distance = normals.roll(1, -2), distances.roll(1, -1)
-    determinant = before[..., 0] * normals[..., 1] - before[..., 1] * normals[..., 0]
-    x = distance * normals[..., 1] - distances * before[..., 1]
-    y = distances * before[..., 0] - distance * normals[..., 0]
-    meets = (determinant.abs() >= 1e-3) & x.isfinite() & y.isfinite()
-    corners = torch.stack([x, y], -1) / torch.where(meets, determinant, 1.0)[..., None]
-    return torch.where(meets[..., None], corners, others)
-
-
 def move_boxes_back(stages: Chain, corners: Tensor, is_upright: bool) -> tuple[Tensor, None]:
     """The corners (B, N, 4, 2) of boxes of results around what their outlines are before all stages."""
     count = 1 if stages.keeps_lines else _SIDE
-    return _around_outlines(corners, is_upright, count, stages.move_points_back), None
-
-
-def _around_outlines(corners: Tensor, is_upright: bool, count: int, move: Callable[[Tensor], Tensor]) -> Tensor:
-    """Moved points of the outlines of boxes, so many on each side, of which the first is a corner.
-
-    The box is the smallest one around them if it is upright. For others these are corners (B, N, 4, 2) around them, whose
-    sides are parallel to the lines between the moved corners.
-    """
-    if count == 1:
-        return move(corners.flatten(1, 2)).reshape(corners.shape)
-    along = torch.arange(count, dtype=corners.dtype, device=corners.device)[:, None] / count
-    sides = corners.roll(-1, -2) - corners
-    outline = corners[..., None, :] + along * sides[..., None, :]
-    moved = move(outline.flatten(1, 3)).reshape(outline.shape)
-    if is_upright:
-        return moved.flatten(-3, -2)
-    corners = moved[..., 0, :]
-    normals, _ = _normals(corners)
-    return _corners(normals, (moved @ normals[..., None])[..., 0].amax(-1), corners)
-
-
-def clip_polygons(polygons: Tensor, size: Sequence[int]) -> tuple[Tensor, Tensor]:
-    """The parts (..., V + 4, 2) of convex polygons (..., V, 2) inside images of a size (H, W), and where there is one.
-
-    Of V vertices and the line of an edge V + 1 vertices remain at most; the first one is repeated in place of those that do not.
-    """
-    is_inside = torch.ones_like(polygons[..., 0, 0], dtype=torch.bool)
-    for axis, edge, sign in ((0, -0.5, 1.0), (1, -0.5, 1.0), (0, size[1] - 0.5, -1.0), (1, size[0] - 0.5, -1.0)):
-        depth = sign * (polygons[..., axis] - edge)
-        other, after = depth.roll(-1, -1), polygons.roll(-1, -2)
-        crosses = (depth >= 0) != (other >= 0)
-        at = depth / torch.where(crosses, depth - other, 1.0)
-        points = torch.stack([polygons, polygons + at[..., None] * (after - polygons)], -2).flatten(-3, -2)
-        stays = torch.stack([depth >= 0, crosses], -1).flatten(-2)
-        order = (~stays).to(torch.uint8).sort(dim=-1, stable=True)[1][..., : polygons.shape[-2] + 1]
-        order = torch.where(stays.gather(-1, order), order, order[..., :1])
-        polygons = points.gather(-2, order[..., None].expand(*order.shape, 2))
-        is_inside = is_inside & stays.any(-1)
-    return polygons, is_inside
+    return around_outlines(corners, is_upright, count, stages.move_points_back), None

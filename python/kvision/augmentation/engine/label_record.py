@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from kvision.augmentation import labels
@@ -75,12 +74,12 @@ class LabelRecord:
             else:
                 own = part.labels or LabelSettings()
                 own = own._replace(clips_each=own.clips_each or settings.clips_each)
-                kept = _both(kept, self._move_through(keys, values, part, part_size, own))
+                kept = labels.kept_by_both(kept, self._move_through(keys, values, part, part_size, own))
         if not has_boxes or settings.box_filter.does_nothing:
             for i, of_input in kept.items():
                 values[i] = labels.clear_boxes(values[i], of_input)
             return kept
-        return _both(kept, self._filter(keys, values, size, settings.box_filter))
+        return labels.kept_by_both(kept, self._filter(keys, values, size, settings.box_filter))
 
     def _mix(self, keys: Sequence[DataKey], values: list[Any], stage: Applied) -> None:
         """What belongs to images whose samples are mixed."""
@@ -159,30 +158,7 @@ class LabelRecord:
 
 def moved_masks(masks: Any, stages: Chain, reading: MaskReading, images: Size | None) -> Any:
     """Masks of images of a shape after stages: a tensor, or a list of those of the instances of each image."""
-    if isinstance(masks, (list, tuple)):
-        labels.check_tensors("the masks of an image", masks)
-        if len({mask.shape for mask in masks}) <= 1:
-            stacked = torch.stack(list(masks)) if masks else None
-            return masks if stacked is None else type(masks)(moved_masks(stacked, stages, reading, images).unbind(0))
-        padded, sizes = labels.pad(masks)  # as many instances for each image
-        return type(masks)(row[:n] for row, n in zip(moved_masks(padded, stages, reading, images), sizes))
-    labels.check_tensors("mask", [masks])
-    shape = masks.shape
-    axes = 4 if images is None else len(images)
-    if masks.dim() == axes - 1 and images is not None:
-        # (B, H, W) of a batch, or (C, H, W) of one image; of volumes (B, D, H, W) or (C, D, H, W)
-        batched = masks[:, None] if shape[0] == images[0] and shape[0] > 1 else masks[None]
-    else:
-        batched = masks[None, None] if masks.dim() == axes - 2 else masks
-    if batched.dim() != axes:
-        layout = "(B, C, H, W)" if axes == 4 else "(B, C, D, H, W)"
-        raise ShapeError(f"{_OP}: expected mask of shape {layout}, got {tuple(shape)}")
-    if images is not None and (batched.shape[0], *batched.shape[2:]) != (images[0], *images[2:]):
-        raise ShapeError(f"{_OP}: expected mask of {images[0]} images of {tuple(images[2:])}, got {tuple(shape)}")
-    moved = stages.move_masks(batched, reading)
-    if masks.dim() < axes and moved.shape[:2] == batched.shape[:2]:
-        return moved.reshape(*shape[: 2 - axes], *moved.shape[2:])
-    return moved
+    return labels.move_masks(masks, lambda batch: stages.move_masks(batch, reading), images)
 
 
 def _parts(stages: Chain, has_boxes: bool) -> Iterator[tuple[Any, Chain]]:
@@ -198,25 +174,6 @@ def _parts(stages: Chain, has_boxes: bool) -> Iterator[tuple[Any, Chain]]:
         yield stage, Chain(stages.stages[i + 1 :])
     if together:
         yield Chain(together), Chain()
-
-
-def _both(before: Kept, after: Kept) -> Kept:
-    """Which of the boxes stay that a part of the call has kept, and then another; those of the latter where boxes were mixed."""
-    both = dict(before)
-    for i, own in after.items():
-        first = before.get(i)
-        if isinstance(own, (list, tuple)):
-            both[i] = own if first is None else type(own)(_of_kept(a, b) for a, b in zip(first, own))
-        else:
-            both[i] = own if first is None or first.shape != own.shape else first & own
-    return both
-
-
-def _of_kept(first: Tensor, own: Tensor) -> Tensor:
-    """Which of the boxes stay, if those of the first have become a shorter list."""
-    both = first.clone()
-    both[first] = own
-    return both
 
 
 def _visible(parts: Sequence[tuple[Any, LabelMoves, Tensor | None]]) -> Any:

@@ -6,33 +6,17 @@ ECCV 2020.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-import torch
-from torch import Generator, Tensor, nn
+from torch import Tensor
 
 import kvision.augmentation as A
-from kvision import _check
-from kvision._clamp import clamp
-from kvision.augmentation.columns import draw_columns
-from kvision.augmentation.draws import Request, uniform
+from kvision.augmentation.auto.operation_base import OperationBase
 from kvision.augmentation.engine import (
-    Applied,
     AugmentationBase2D,
-    CallContext,
-    Execution,
     ImageSequential,
-    Params,
-    Plans,
-    Stage,
-    check_batch_of_params,
 )
-from kvision.augmentation.inputs import check_matrix, image_and_matrix
-from kvision.augmentation.keys import Seed, check_seeds, draw_keys
-from kvision.augmentation.samples import with_matrix
-from kvision.core.exceptions import TypeCheckError, ValueCheckError
-from kvision.core.pixels import to_unit
+from kvision.core.exceptions import ValueCheckError
 
 __all__ = [
     "AutoContrast",
@@ -59,235 +43,6 @@ __all__ = [
 ]
 
 
-class OperationBase(nn.Module):
-    """An augmentation whose magnitude and probability are learned.
-
-    A sample is augmented where a draw says so; the gradient to the probability is that of a relaxed Bernoulli variable, the
-    one to the magnitude that of the augmentation.
-
-    Args:
-        operation: the augmentation; its `p` is the initial probability, the range of its parameter that of the magnitude.
-        initial_magnitude: pairs of the parameter's name and its initial value; None for an operation without magnitude. The
-            first pair is learned; a value of None stands for the middle of the range.
-        temperature: of the relaxation: the lower, the closer the gradient to that of a step.
-        is_batch_operation: the whole batch is augmented, or none of it.
-        magnitude_fn: maps magnitudes to values of the parameter.
-        symmetric_megnitude: the sign of the magnitude is drawn for each sample. (Spelling as in Kornia.)
-
-    Raises:
-        TypeError: `operation` is no augmentation of images.
-        ValueError: `temperature` is not above 0.
-
-    Example:
-        >>> import torch, kvision as K
-        >>> brighter = K.augmentation.auto.operations.Brightness(initial_magnitude=1.5, initial_probability=1.0)
-        >>> [name for name, _ in brighter.named_parameters()]
-        ['_probability', '_magnitude']
-        >>> brighter(torch.full((1, 3, 1, 1), 0.25)).flatten().tolist()
-        [0.75, 0.75, 0.75]
-    """
-
-    _call: tuple[Params, Execution] | None = None  # the last one
-    magnitude_range: tuple[float, float] | None = None
-    scale = 1.0  # from a magnitude to the parameter
-
-    def __init__(
-        self,
-        operation: AugmentationBase2D,
-        initial_magnitude: Sequence[tuple[str, float | None]] | None = None,
-        temperature: float = 0.1,
-        is_batch_operation: bool = False,
-        magnitude_fn: Callable[[Tensor], Tensor] | None = None,
-        symmetric_megnitude: bool = False,
-    ) -> None:
-        super().__init__()
-        op = type(self).__name__
-        if not isinstance(operation, AugmentationBase2D):
-            raise TypeCheckError(f"{op}: expected operation to be an augmentation, got {type(operation).__name__}")
-        temperature = _check.number(op, "temperature", temperature)
-        if not temperature > 0:
-            raise ValueCheckError(f"{op}: expected temperature above 0, got {temperature}")
-        self.probability_range = (1e-7, 1 - 1e-7)
-        self._probability = nn.Parameter(torch.tensor([float(operation.p)]))
-        operation.p = 1.0
-        self.op, self.temperature, self.is_batch_operation = operation, temperature, is_batch_operation
-        self.magnitude_fn, self.symmetric_megnitude = magnitude_fn, symmetric_megnitude
-        self._factor_name = None
-        if initial_magnitude is not None:
-            self._factor_name, value = initial_magnitude[0]
-            if value is None:
-                value = sum(self.magnitude_range or (0.0, 1.0)) / 2
-            self._magnitude = nn.Parameter(torch.tensor([_check.number(op, "initial_magnitude", value)]))
-
-    def __getstate__(self) -> dict[str, Any]:
-        # Copies and pickles have the settings, not the last call.
-        return {name: value for name, value in self.__dict__.items() if name != "_call"}
-
-    @property
-    def same_on_batch(self) -> bool:
-        """Whether all samples get the same choice, sign and parameters."""
-        return bool(self.op.same_on_batch)
-
-    @same_on_batch.setter
-    def same_on_batch(self, value: bool) -> None:
-        self.op.same_on_batch = value
-
-    @property
-    def magnitude(self) -> Tensor | None:
-        """The magnitude within its range; None for an operation without one."""
-        if self._factor_name is None:
-            return None
-        return self._magnitude if self.magnitude_range is None else clamp(self._magnitude, *self.magnitude_range)
-
-    @property
-    def probability(self) -> Tensor:
-        """The probability, between 0 and 1."""
-        return clamp(self._probability, *self.probability_range)
-
-    @property
-    def transform_matrix(self) -> Tensor | None:
-        """The matrices (B, 3, 3) of the last call; None before the first one."""
-        return None if self._call is None else self._matrix(*self._call)
-
-    def _matrix(self, params: Params, execution: Execution) -> Tensor:
-        matrix = self.op._matrix(execution)
-        chosen = params["batch_prob"].detach().to(matrix.device) > 0.5
-        return torch.where(chosen[:, None, None], matrix, torch.eye(3, dtype=matrix.dtype, device=matrix.device))
-
-    @property
-    def _params(self) -> Params:
-        """The parameters of the last call."""
-        return {} if self._call is None else self._call[0]
-
-    def _read_params(self, params: Params) -> Params:
-        """The parameters of a call in a container, which are its record."""
-        return params
-
-    def forward_parameters(
-        self,
-        batch_shape: Sequence[int],
-        mag: Tensor | None = None,
-        *,
-        seed: Seed = None,
-        generator: Generator | None = None,
-    ) -> Params:
-        """Draw the parameters of a call on images of a shape.
-
-        Args:
-            batch_shape: (B, C, H, W).
-            mag: magnitudes (B,) or (1,); default: the learned one.
-            seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
-            generator: draws the key of this call; default: torch's generator.
-
-        Returns:
-            Parameters by name, with `batch_prob` (B,), which has a gradient to the probability.
-        """
-        return self._draw(CallContext(type(self).__name__, seed, generator, False, Plans()), tuple(batch_shape), mag)
-
-    def _draw(self, context: CallContext, shape: tuple[int, ...], mag: Tensor | None = None) -> Params:
-        """Draw the parameters of a call: first the choice and the sign, then what the augmentation draws."""
-        device, generator = self._probability.device, self.op._param_generator
-        of_op = None if generator is None or generator.per_pixel else self.op._request(shape)
-        requests = [Request([uniform(0.0, 1.0), uniform(0.0, 1.0)], same_on_batch=self.same_on_batch)]
-        if of_op is not None:
-            requests.append(of_op)
-        keys = draw_keys(context.op, len(requests), device, context.seed_of_samples, context.generator_of(self))
-        samples = len(range(0, shape[0], context.frames))
-        check_seeds(context.op, keys, samples)
-        position = context.position if keys.has_seed else 0
-        drawn = draw_columns(torch.empty(samples, device=device), keys, requests, position)
-        words, *of_op_values = (columns.values.repeat_interleave(context.frames, 0) for columns in drawn)
-        if self.is_batch_operation:
-            words = words[:1].expand(shape[0], 2)
-        if generator is not None and of_op_values:
-            params = generator.to_params(of_op_values[0], shape)
-        else:
-            params = dict(self.op.generate_parameters(shape))
-        params = {name: x.to(device) if isinstance(x, Tensor) else x for name, x in params.items()}
-        magnitude = self.magnitude if mag is None else mag
-        if self._factor_name is not None and magnitude is not None:
-            value = magnitude.expand(shape[0])
-            if self.magnitude_fn is not None:
-                value = self.magnitude_fn(value)
-            if self.symmetric_megnitude:
-                value = torch.where(words[:, 1] < 0.5, -value, value)
-            params[self._factor_name] = self._value(value, params[self._factor_name], shape)
-        # A hard choice whose gradient is that of the relaxed one.
-        u = words[:, 0].clamp(1e-6, 1 - 1e-6)
-        relaxed = ((self.probability.logit() + u.logit()) / self.temperature).sigmoid()
-        hard = (relaxed > 0.5).to(relaxed)
-        params["batch_prob"] = hard + (relaxed - relaxed.detach()) if torch.is_grad_enabled() else hard
-        params["forward_input_shape"] = torch.tensor(shape, device="cpu")
-        return params
-
-    def _value(self, value: Tensor, drawn: Tensor, shape: Sequence[int]) -> Tensor:
-        """The parameter of magnitudes; those that count whole numbers have no gradient."""
-        value = value * self.scale
-        return value if drawn.is_floating_point() else value.detach().round().to(drawn.dtype)
-
-    def forward(
-        self,
-        input: Tensor | tuple[Tensor, Tensor],
-        params: Params | None = None,
-        *,
-        seed: Seed = None,
-        generator: Generator | None = None,
-        return_transform: bool | None = None,
-    ) -> Any:
-        """Augment images.
-
-        Args:
-            input: images (B, C, H, W) of a floating-point type. A pair of images and matrices (B, 3, 3) passes the matrices on,
-                as chains with `return_transform` do.
-            params: parameters of an earlier call.
-            seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
-            generator: draws the key of this call; default: torch's generator.
-            return_transform: also return the matrices; default: as the augmentation says.
-
-        Returns:
-            Images of the shape of `input`; with `return_transform` a pair of them and the matrices (B, 3, 3).
-        """
-        image, before = image_and_matrix(self, input)
-        x = self.op.transform_tensor(image)
-        if before is not None:
-            check_matrix(self, before, x)
-        if params is None:
-            params = self.forward_parameters(tuple(x.shape), seed=seed, generator=generator)
-        y, execution = self._augment(x, params)
-        returns = self.op.return_transform if return_transform is None else return_transform
-        transform = self._matrix(params, execution) if returns else None
-        return with_matrix(y, before, None if transform is None else transform.to(y.device))
-
-    def _execute_nested(self, x: Tensor, params: Params | None, context: CallContext) -> tuple[Tensor, Stage, Params]:
-        """Run in a container: the images, what labels have to follow, and the parameters."""
-        if params is None:
-            params = self._draw(context._replace(op=type(self).__name__), tuple(x.shape))
-        y, _ = self._augment(x, params)
-        chosen = {**params, "batch_prob": params["batch_prob"].detach()}
-        return y, Applied(self.op, self.op._execution_on(x, chosen, self.op.flags), self.op.flags), params
-
-    def _restricted(self, params: Params, chosen: Tensor) -> Params:
-        """The parameters of a call of all samples as those of the chosen ones alone, (B,) bool on the CPU."""
-        probability = params["batch_prob"]
-        return {**params, "batch_prob": probability * chosen.to(probability.device)}
-
-    def _augment(self, x: Tensor, params: Params) -> tuple[Tensor, Execution]:
-        """Images augmented with parameters, and what the augmentation did to all of them."""
-        check_batch_of_params(type(self).__name__, len(params["batch_prob"]), len(x))
-        chosen = params["batch_prob"].to(x.device)[:, None, None, None]
-        # Applied to all samples: the gradient to the probability needs the results of samples that are not chosen, too.
-        of_all = {name: drawn for name, drawn in params.items() if name != "batch_prob"}
-        execution = self.op.__dict__["_execution"] = self.op._from_params(of_all, x)
-        self.__dict__["_call"] = params, execution
-        augmented = self.op._run(x, execution, self.op.flags)
-        x = x if x.dtype == augmented.dtype else to_unit(x)
-        y = torch.where(chosen.detach() > 0.5, augmented, x)
-        if not chosen.requires_grad:
-            return y, execution
-        # The weight is 0: it is there for its gradient.
-        return y + (chosen - chosen.detach()).to(x.dtype) * (augmented - x).detach(), execution
-
-
 class PolicySequential(ImageSequential):
     """A sub-policy: operations one after the other.
 
@@ -312,6 +67,23 @@ class PolicySequential(ImageSequential):
         super().__init__(*operations)
 
 
+class _MagnitudeOperation(OperationBase):
+    """An operation whose magnitude is a parameter of an augmentation."""
+
+    def __init__(
+        self,
+        operation: AugmentationBase2D,
+        parameter: str,
+        initial_magnitude: float | None,
+        magnitude_range: tuple[float, float],
+        temperature: float,
+        symmetric_megnitude: bool,
+    ) -> None:
+        self.magnitude_range = magnitude_range
+        initial = [(parameter, initial_magnitude)]
+        super().__init__(operation, initial, temperature, symmetric_megnitude=symmetric_megnitude)
+
+
 class AutoContrast(OperationBase):
     """Stretch the values of images to 0 and 1.
 
@@ -330,17 +102,14 @@ class AutoContrast(OperationBase):
     """
 
     def __init__(
-        self,
-        initial_probability: float = 0.5,
-        temperature: float = 0.1,
-        symmetric_megnitude: bool = False,
+        self, initial_probability: float = 0.5, temperature: float = 0.1, symmetric_megnitude: bool = False
     ) -> None:
         super().__init__(
             A.RandomAutoContrast(p=initial_probability), None, temperature, symmetric_megnitude=symmetric_megnitude
         )
 
 
-class Brightness(OperationBase):
+class Brightness(_MagnitudeOperation):
     """Change the brightness of images.
 
     Args:
@@ -367,16 +136,13 @@ class Brightness(OperationBase):
         temperature: float = 0.1,
         symmetric_megnitude: bool = False,
     ) -> None:
-        self.magnitude_range = magnitude_range
+        operation = A.RandomBrightness(magnitude_range, p=initial_probability)
         super().__init__(
-            A.RandomBrightness(magnitude_range, p=initial_probability),
-            [("brightness_factor", initial_magnitude)],
-            temperature,
-            symmetric_megnitude=symmetric_megnitude,
+            operation, "brightness_factor", initial_magnitude, magnitude_range, temperature, symmetric_megnitude
         )
 
 
-class Contrast(OperationBase):
+class Contrast(_MagnitudeOperation):
     """Change the contrast of images.
 
     Args:
@@ -403,12 +169,9 @@ class Contrast(OperationBase):
         temperature: float = 0.1,
         symmetric_megnitude: bool = False,
     ) -> None:
-        self.magnitude_range = magnitude_range
+        operation = A.RandomContrast(magnitude_range, p=initial_probability)
         super().__init__(
-            A.RandomContrast(magnitude_range, p=initial_probability),
-            [("contrast_factor", initial_magnitude)],
-            temperature,
-            symmetric_megnitude=symmetric_megnitude,
+            operation, "contrast_factor", initial_magnitude, magnitude_range, temperature, symmetric_megnitude
         )
 
 
@@ -428,11 +191,7 @@ class Equalize(OperationBase):
         torch.Size([2, 3, 8, 8])
     """
 
-    def __init__(
-        self,
-        initial_probability: float = 0.5,
-        temperature: float = 0.1,
-    ) -> None:
+    def __init__(self, initial_probability: float = 0.5, temperature: float = 0.1) -> None:
         super().__init__(A.RandomEqualize(p=initial_probability), None, temperature)
 
 
@@ -452,11 +211,7 @@ class Gray(OperationBase):
         torch.Size([2, 3, 8, 8])
     """
 
-    def __init__(
-        self,
-        initial_probability: float = 0.5,
-        temperature: float = 0.1,
-    ) -> None:
+    def __init__(self, initial_probability: float = 0.5, temperature: float = 0.1) -> None:
         super().__init__(A.RandomGrayscale(p=initial_probability), None, temperature)
 
 
@@ -476,15 +231,11 @@ class HorizontalFlip(OperationBase):
         torch.Size([2, 3, 8, 8])
     """
 
-    def __init__(
-        self,
-        initial_probability: float = 0.5,
-        temperature: float = 0.1,
-    ) -> None:
+    def __init__(self, initial_probability: float = 0.5, temperature: float = 0.1) -> None:
         super().__init__(A.RandomHorizontalFlip(p=initial_probability), None, temperature)
 
 
-class Hue(OperationBase):
+class Hue(_MagnitudeOperation):
     """Rotate the hue of images.
 
     Args:
@@ -511,13 +262,8 @@ class Hue(OperationBase):
         temperature: float = 0.1,
         symmetric_megnitude: bool = False,
     ) -> None:
-        self.magnitude_range = magnitude_range
-        super().__init__(
-            A.RandomHue(magnitude_range, p=initial_probability),
-            [("hue_factor", initial_magnitude)],
-            temperature,
-            symmetric_megnitude=symmetric_megnitude,
-        )
+        operation = A.RandomHue(magnitude_range, p=initial_probability)
+        super().__init__(operation, "hue_factor", initial_magnitude, magnitude_range, temperature, symmetric_megnitude)
 
 
 class Invert(OperationBase):
@@ -536,15 +282,11 @@ class Invert(OperationBase):
         torch.Size([2, 3, 8, 8])
     """
 
-    def __init__(
-        self,
-        initial_probability: float = 0.5,
-        temperature: float = 0.1,
-    ) -> None:
+    def __init__(self, initial_probability: float = 0.5, temperature: float = 0.1) -> None:
         super().__init__(A.RandomInvert(p=initial_probability), None, temperature)
 
 
-class Posterize(OperationBase):
+class Posterize(_MagnitudeOperation):
     """Keep the high bits of the levels of images.
 
     Args:
@@ -571,16 +313,11 @@ class Posterize(OperationBase):
         temperature: float = 0.1,
         symmetric_megnitude: bool = False,
     ) -> None:
-        self.magnitude_range = magnitude_range
-        super().__init__(
-            A.RandomPosterize(magnitude_range, p=initial_probability),
-            [("bits_factor", initial_magnitude)],
-            temperature,
-            symmetric_megnitude=symmetric_megnitude,
-        )
+        operation = A.RandomPosterize(magnitude_range, p=initial_probability)
+        super().__init__(operation, "bits_factor", initial_magnitude, magnitude_range, temperature, symmetric_megnitude)
 
 
-class Rotate(OperationBase):
+class Rotate(_MagnitudeOperation):
     """Rotate images.
 
     Args:
@@ -607,16 +344,11 @@ class Rotate(OperationBase):
         temperature: float = 0.1,
         symmetric_megnitude: bool = True,
     ) -> None:
-        self.magnitude_range = magnitude_range
-        super().__init__(
-            A.RandomRotation(magnitude_range, p=initial_probability),
-            [("degrees", initial_magnitude)],
-            temperature,
-            symmetric_megnitude=symmetric_megnitude,
-        )
+        operation = A.RandomRotation(magnitude_range, p=initial_probability)
+        super().__init__(operation, "degrees", initial_magnitude, magnitude_range, temperature, symmetric_megnitude)
 
 
-class Saturate(OperationBase):
+class Saturate(_MagnitudeOperation):
     """Change the saturation of images.
 
     Args:
@@ -643,16 +375,13 @@ class Saturate(OperationBase):
         temperature: float = 0.1,
         symmetric_megnitude: bool = False,
     ) -> None:
-        self.magnitude_range = magnitude_range
+        operation = A.RandomSaturation(magnitude_range, p=initial_probability)
         super().__init__(
-            A.RandomSaturation(magnitude_range, p=initial_probability),
-            [("saturation_factor", initial_magnitude)],
-            temperature,
-            symmetric_megnitude=symmetric_megnitude,
+            operation, "saturation_factor", initial_magnitude, magnitude_range, temperature, symmetric_megnitude
         )
 
 
-class Sharpness(OperationBase):
+class Sharpness(_MagnitudeOperation):
     """Change the sharpness of images.
 
     Args:
@@ -679,16 +408,11 @@ class Sharpness(OperationBase):
         temperature: float = 0.1,
         symmetric_megnitude: bool = False,
     ) -> None:
-        self.magnitude_range = magnitude_range
-        super().__init__(
-            A.RandomSharpness(magnitude_range, p=initial_probability),
-            [("sharpness", initial_magnitude)],
-            temperature,
-            symmetric_megnitude=symmetric_megnitude,
-        )
+        operation = A.RandomSharpness(magnitude_range, p=initial_probability)
+        super().__init__(operation, "sharpness", initial_magnitude, magnitude_range, temperature, symmetric_megnitude)
 
 
-class ShearX(OperationBase):
+class ShearX(_MagnitudeOperation):
     """Shear images along x.
 
     Args:
@@ -717,16 +441,11 @@ class ShearX(OperationBase):
         temperature: float = 0.1,
         symmetric_megnitude: bool = True,
     ) -> None:
-        self.magnitude_range = magnitude_range
-        super().__init__(
-            A.RandomShear((0.0, 0.0), p=initial_probability),
-            [("shear_x", initial_magnitude)],
-            temperature,
-            symmetric_megnitude=symmetric_megnitude,
-        )
+        operation = A.RandomShear((0.0, 0.0), p=initial_probability)
+        super().__init__(operation, "shear_x", initial_magnitude, magnitude_range, temperature, symmetric_megnitude)
 
 
-class ShearY(OperationBase):
+class ShearY(_MagnitudeOperation):
     """Shear images along y.
 
     Args:
@@ -755,16 +474,11 @@ class ShearY(OperationBase):
         temperature: float = 0.1,
         symmetric_megnitude: bool = True,
     ) -> None:
-        self.magnitude_range = magnitude_range
-        super().__init__(
-            A.RandomShear((0.0, 0.0, 0.0, 0.0), p=initial_probability),
-            [("shear_y", initial_magnitude)],
-            temperature,
-            symmetric_megnitude=symmetric_megnitude,
-        )
+        operation = A.RandomShear((0.0, 0.0, 0.0, 0.0), p=initial_probability)
+        super().__init__(operation, "shear_y", initial_magnitude, magnitude_range, temperature, symmetric_megnitude)
 
 
-class Solarize(OperationBase):
+class Solarize(_MagnitudeOperation):
     """Invert values from a threshold on.
 
     Args:
@@ -791,16 +505,11 @@ class Solarize(OperationBase):
         temperature: float = 0.1,
         symmetric_megnitude: bool = False,
     ) -> None:
-        self.magnitude_range = magnitude_range
-        super().__init__(
-            A.RandomSolarize(magnitude_range, (0.0, 0.0), p=initial_probability),
-            [("thresholds", initial_magnitude)],
-            temperature,
-            symmetric_megnitude=symmetric_megnitude,
-        )
+        operation = A.RandomSolarize(magnitude_range, (0.0, 0.0), p=initial_probability)
+        super().__init__(operation, "thresholds", initial_magnitude, magnitude_range, temperature, symmetric_megnitude)
 
 
-class SolarizeAdd(OperationBase):
+class SolarizeAdd(_MagnitudeOperation):
     """Add a number to images, and invert the values from 0.5 on.
 
     Args:
@@ -827,16 +536,11 @@ class SolarizeAdd(OperationBase):
         temperature: float = 0.1,
         symmetric_megnitude: bool = False,
     ) -> None:
-        self.magnitude_range = magnitude_range
-        super().__init__(
-            A.RandomSolarize((0.5, 0.5), magnitude_range, p=initial_probability),
-            [("additions", initial_magnitude)],
-            temperature,
-            symmetric_megnitude=symmetric_megnitude,
-        )
+        operation = A.RandomSolarize((0.5, 0.5), magnitude_range, p=initial_probability)
+        super().__init__(operation, "additions", initial_magnitude, magnitude_range, temperature, symmetric_megnitude)
 
 
-class TranslateX(OperationBase):
+class TranslateX(_MagnitudeOperation):
     """Shift images along x.
 
     Args:
@@ -863,19 +567,14 @@ class TranslateX(OperationBase):
         temperature: float = 0.1,
         symmetric_megnitude: bool = True,
     ) -> None:
-        self.magnitude_range = magnitude_range
-        super().__init__(
-            A.RandomTranslate((0.0, 0.0), (0.0, 0.0), p=initial_probability),
-            [("translate_x", initial_magnitude)],
-            temperature,
-            symmetric_megnitude=symmetric_megnitude,
-        )
+        operation = A.RandomTranslate((0.0, 0.0), (0.0, 0.0), p=initial_probability)
+        super().__init__(operation, "translate_x", initial_magnitude, magnitude_range, temperature, symmetric_megnitude)
 
     def _value(self, value: Tensor, drawn: Tensor, shape: Sequence[int]) -> Tensor:
         return value * shape[-1]
 
 
-class TranslateY(OperationBase):
+class TranslateY(_MagnitudeOperation):
     """Shift images along y.
 
     Args:
@@ -902,13 +601,8 @@ class TranslateY(OperationBase):
         temperature: float = 0.1,
         symmetric_megnitude: bool = True,
     ) -> None:
-        self.magnitude_range = magnitude_range
-        super().__init__(
-            A.RandomTranslate((0.0, 0.0), (0.0, 0.0), p=initial_probability),
-            [("translate_y", initial_magnitude)],
-            temperature,
-            symmetric_megnitude=symmetric_megnitude,
-        )
+        operation = A.RandomTranslate((0.0, 0.0), (0.0, 0.0), p=initial_probability)
+        super().__init__(operation, "translate_y", initial_magnitude, magnitude_range, temperature, symmetric_megnitude)
 
     def _value(self, value: Tensor, drawn: Tensor, shape: Sequence[int]) -> Tensor:
         return value * shape[-2]
@@ -930,9 +624,5 @@ class VerticalFlip(OperationBase):
         torch.Size([2, 3, 8, 8])
     """
 
-    def __init__(
-        self,
-        initial_probability: float = 0.5,
-        temperature: float = 0.1,
-    ) -> None:
+    def __init__(self, initial_probability: float = 0.5, temperature: float = 0.1) -> None:
         super().__init__(A.RandomVerticalFlip(p=initial_probability), None, temperature)

@@ -62,6 +62,9 @@ WITHOUT_SAMPLE = {
         ("geometry.calibrate_camera", "geometry.kabsch", "geometry.solve_pnp", "geometry.umeyama"),
         "solves by least_squares",
     ),
+    **dict.fromkeys(
+        ("geometry.kabsch_ransac", "geometry.solve_pnp_ransac", "geometry.umeyama_ransac"), "draws samples"
+    ),
     "geometry.stereo_rectify": "gives a record of matrices",
     **dict.fromkeys(("image.image_to_tensor", "image.image_list_to_tensor"), "takes NumPy arrays"),
     **dict.fromkeys(("image.to_tensor", "image.to_numpy", "image.to_pil"), "converts images of other libraries"),

@@ -64,6 +64,11 @@ def affine_weights(s: Size) -> Tensor:
     return torch.cat([torch.zeros(s.b, 1, 2), torch.eye(2).expand(s.b, 2, 2)], 1)
 
 
+def triangles(s: Size) -> Tensor:
+    """In front of a camera at the origin, by which three points are seen that are not on one line."""
+    return torch.eye(3).expand(s.b, 3, 3) + torch.rand(s.b, 3, 3) / 8 + torch.tensor([0.0, 0, 3])
+
+
 LIKE_IMAGE = dict(_like=IMAGE, height=length("_like", 2), width=length("_like", 3))
 ANGLE, ANGLES = rand("B", 0, 90), rand("B 3", 0, 90)
 
@@ -94,6 +99,11 @@ GEOMETRY = {
     "masks_to_boxes": dict(masks=made("B H W", lambda s: (torch.rand(s.b, s.h, s.w) > 0.9).float())),
     "transform_bbox": dict(trans_mat=HOMOGRAPHY, boxes=made("B N 4", lambda s: boxes_xyxy(s).repeat(s.b, 1, 1))),
     "distort_points undistort_points": dict(points=POINTS, K=CAMERA, dist=rand("B 4", 0, 0.05)),
+    "solve_p3p": dict(
+        world_points=made("B 3 3", triangles),
+        img_points=made("B 3 2", lambda s: (triangles(s) @ camera(s).mT)[..., :2] / 3.3),
+        intrinsics=CAMERA,
+    ),
     "solve_pnp_dlt": dict(world_points=POINTS3, img_points=POINTS, intrinsics=CAMERA),
     "tilt_projection": dict(taux=rand("B", 0, 0.1), tauy=rand("B", 0, 0.1)),
     "undistort_image": dict(image=IMAGE, K=CAMERA, dist=rand("B 4", 0, 0.05)),

@@ -8,9 +8,11 @@ from kvision.geometry.calibration.distortion import (
     undistort_image,
     undistort_points,
 )
+from kvision.geometry.calibration.p3p import solve_p3p
 from kvision.geometry.calibration.pnp import solve_pnp_dlt
 from kvision.geometry.calibration.rectification import StereoRectification, stereo_rectify
 from kvision.geometry.calibration.refined_pnp import solve_pnp
+from kvision.geometry.calibration.robust_pose import kabsch_ransac, solve_pnp_ransac, umeyama_ransac
 
 __all__ = [
     "CameraCalibration",
@@ -18,11 +20,15 @@ __all__ = [
     "calibrate_camera",
     "distort_points",
     "kabsch",
+    "kabsch_ransac",
+    "solve_p3p",
     "solve_pnp",
     "solve_pnp_dlt",
+    "solve_pnp_ransac",
     "stereo_rectify",
     "tilt_projection",
     "umeyama",
+    "umeyama_ransac",
     "undistort_image",
     "undistort_points",
 ]

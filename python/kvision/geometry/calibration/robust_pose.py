@@ -1,0 +1,314 @@
+"""Poses and alignments from correspondences of which many are wrong, for batches of problems (RANSAC)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.geometry.calibration.alignment import kabsch, umeyama
+from kvision.geometry.calibration.camera import poses_where
+from kvision.geometry.calibration.p3p import poses_of_triangles
+from kvision.geometry.calibration.pnp import _before_camera, check_correspondences
+from kvision.geometry.calibration.refined_pnp import _as_se3
+from kvision.geometry.liegroup import Se3, Sim3
+from kvision.geometry.optim import ReprojectionError, least_squares
+
+__all__ = ["kabsch_ransac", "solve_pnp_ransac", "umeyama_ransac"]
+
+_REFITS = 4  # to the inliers of the best hypothesis, each to those of the fit before
+
+
+def solve_pnp_ransac(
+    world_points: Tensor,
+    img_points: Tensor,
+    intrinsics: Tensor,
+    mask: Tensor | None = None,
+    inl_th: float = 2.0,
+    max_samples: int = 256,
+    seed: int | None = None,
+) -> tuple[Se3, Tensor, Tensor]:
+    """Estimate camera poses from points in space and their projections, of which many may be wrong.
+
+    Each of `max_samples` hypotheses is the pose of three points that sees a fourth one best (:func:`solve_p3p`). The one with the
+    highest score, the sum of 1 - e^2 / inl_th^2 over inliers, is refined on its inliers, as :func:`solve_pnp` does. All problems
+    are solved at once, and nothing waits for the device. Gradients of the pose are those of the least error of the inliers.
+
+    Args:
+        world_points: (B, N, 3), float32 or float64, at least four.
+        img_points: (B, N, 2) as (x, y) in pixels, without distortion.
+        intrinsics: camera matrices, (B, 3, 3), upper triangular.
+        mask: bool (B, N), the correspondences that exist, as problems may have different numbers of them; None for all.
+        inl_th: how far, in pixels, the projection of an inlier may be from its pixel.
+        max_samples: hypotheses of each problem. Of n samples one has only inliers, of which there is a share w, with probability
+            1 - (1 - w^4)^n.
+        seed: of the samples; None draws from torch's default generator.
+
+    Returns:
+        The poses from world to camera (B,), a mask (B,) of those that were found, which others are NaN, and the inliers, bool
+        (B, N), that are in front of the camera. A pose needs four inliers.
+
+    Raises:
+        TypeError: points or intrinsics are not floating-point tensors; `mask` is not bool.
+        ValueError: a shape or number is not as in Args.
+
+    Source: M. Fischler and R. Bolles, "Random sample consensus" (1981); P. Torr and A. Zisserman, "MLESAC" (2000).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> points = torch.rand(1, 40, 3, dtype=torch.float64) + torch.tensor([0.0, 0.0, 2.0])
+        >>> camera = torch.diag(torch.tensor([500.0, 500.0, 1.0])).double()[None]
+        >>> pixels = 500 * points[..., :2] / points[..., 2:]
+        >>> pixels[:, :15] = 500 * torch.rand(1, 15, 2).double()  # wrong
+        >>> pose, valid, inliers = K.geometry.solve_pnp_ransac(points, pixels, camera, seed=0)
+        >>> bool(pose.log().abs().max() < 1e-5), valid, bool(inliers[:, 15:].all())
+        (True, tensor([True]), True)
+    """
+    op = "solve_pnp_ransac"
+    check_correspondences(op, world_points, img_points, intrinsics, None, 4, "four")
+    threshold, draws = _sampled(op, world_points, mask, 4, inl_th, max_samples, seed)
+    batch = len(world_points)
+
+    def hypotheses(samples: Tensor) -> Tensor:
+        X = _at(world_points, samples).double()
+        rays = torch.nn.functional.pad(_before_camera(img_points.double(), intrinsics.double()), (0, 1), value=1.0)
+        poses = poses_of_triangles(X[:, :, :3].flatten(0, 1), _at(rays, samples)[:, :, :3].flatten(0, 1))
+        poses = poses.unflatten(0, (batch, -1))  # (B, S, 4, 3, 4)
+        fourth = _at(img_points, samples)[:, :, None, 3:].double()
+        error = _squared_errors(poses, X[:, :, None, 3:], fourth, intrinsics.double()[:, None, None])
+        best = error.argmin(2)[..., None, None].expand(-1, -1, 1, 3, 4)
+        return poses.gather(2, best)[:, :, 0].to(world_points.dtype)
+
+    def errors(poses: Tensor) -> Tensor:
+        return _squared_errors(poses, world_points[:, None], img_points[:, None], intrinsics[:, None])
+
+    def refit(poses: Tensor, weights: Tensor, last: bool) -> Any:
+        reprojection = ReprojectionError(img_points, intrinsics, world_points)
+        gradient = "implicit" if last else "none"
+        fit = least_squares(reprojection, {"pose": _as_se3(poses)}, weights, max_iterations=10, gradient=gradient)
+        return fit.variables["pose"]
+
+    with torch.no_grad():
+        pose, inliers = _best(hypotheses(draws), errors, threshold, mask)
+        for _ in range(_REFITS):
+            pose, inliers = _better(
+                refit(pose, inliers.to(pose.dtype), False).matrix()[:, :3], pose, inliers, errors, threshold, mask
+            )
+        is_valid = inliers.sum(1) >= 4
+        inliers = inliers & is_valid[:, None]
+    found = refit(pose, torch.where(is_valid[:, None], inliers, True).to(pose.dtype), True)
+    is_valid = is_valid & found.t.isfinite().all(-1)
+    return poses_where(is_valid, found), is_valid, inliers & is_valid[:, None]
+
+
+def kabsch_ransac(
+    points1: Tensor,
+    points2: Tensor,
+    mask: Tensor | None = None,
+    inl_th: float = 0.05,
+    max_samples: int = 256,
+    seed: int | None = None,
+) -> tuple[Se3, Tensor, Tensor]:
+    """Find the rigid motions of corresponding points in space, of which many may be wrong.
+
+    Args:
+        points1: points that are moved (B, N, 3), float32 or float64, at least three.
+        points2: where they should be, (B, N, 3).
+        mask: bool (B, N), the correspondences that exist; None for all.
+        inl_th: how far, in the units of the points, a moved inlier may be from its point.
+        max_samples: hypotheses of each problem, each from three points.
+        seed: of the samples; None draws from torch's default generator.
+
+    Returns:
+        The motions (B,), a mask (B,) of those that were found, others are NaN, and the inliers, bool (B, N). A motion needs three
+        inliers that are not on one line. Gradients are those of :func:`kabsch` of the inliers.
+
+    Raises:
+        TypeError: points are not floating-point tensors; `mask` is not bool.
+        ValueError: a shape or number is not as in Args.
+
+    Source: M. Fischler and R. Bolles, "Random sample consensus" (1981).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> points = torch.rand(1, 30, 3)
+        >>> moved = points + 2
+        >>> moved[:, :10] = torch.rand(1, 10, 3)  # wrong
+        >>> motion, valid, inliers = K.geometry.kabsch_ransac(points, moved, seed=0)
+        >>> motion.t.round(), inliers.sum()
+        (tensor([[2., 2., 2.]]), tensor(20))
+    """
+    return _aligned_robustly("kabsch_ransac", kabsch, points1, points2, mask, inl_th, max_samples, seed)
+
+
+def umeyama_ransac(
+    points1: Tensor,
+    points2: Tensor,
+    mask: Tensor | None = None,
+    inl_th: float = 0.05,
+    max_samples: int = 256,
+    seed: int | None = None,
+) -> tuple[Sim3, Tensor, Tensor]:
+    """Find the similarities of corresponding points in space, of which many may be wrong.
+
+    Args:
+        points1: points that are moved (B, N, 3), float32 or float64, at least three.
+        points2: where they should be, (B, N, 3).
+        mask: bool (B, N), the correspondences that exist; None for all.
+        inl_th: how far, in the units of `points2`, a moved inlier may be from its point.
+        max_samples: hypotheses of each problem, each from three points.
+        seed: of the samples; None draws from torch's default generator.
+
+    Returns:
+        The similarities (B,), a mask (B,) of those that were found, others are NaN, and the inliers, bool (B, N). A similarity
+        needs three inliers that are not on one line. Gradients are those of :func:`umeyama` of the inliers.
+
+    Raises:
+        TypeError: points are not floating-point tensors; `mask` is not bool.
+        ValueError: a shape or number is not as in Args.
+
+    Source: M. Fischler and R. Bolles, "Random sample consensus" (1981).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> points = torch.rand(1, 30, 3)
+        >>> moved = 3 * points + 2
+        >>> moved[:, :10] = torch.rand(1, 10, 3)  # wrong
+        >>> similarity, valid, inliers = K.geometry.umeyama_ransac(points, moved, seed=0)
+        >>> similarity.scale.round(), inliers.sum()
+        (tensor([3.]), tensor(20))
+    """
+    return _aligned_robustly("umeyama_ransac", umeyama, points1, points2, mask, inl_th, max_samples, seed)
+
+
+def _aligned_robustly(
+    op: str,
+    align: Callable[..., tuple[Any, Tensor]],
+    points1: Tensor,
+    points2: Tensor,
+    mask: Tensor | None,
+    inl_th: float,
+    max_samples: int,
+    seed: int | None,
+) -> tuple[Any, Tensor, Tensor]:
+    for name, x in (("points1", points1), ("points2", points2)):
+        _check.floating_trailing_shape(op, name, x, "B", "N", 3)
+    _check.same_shape(op, points1=points1, points2=points2)
+    _check.same_device(op, points1=points1, points2=points2)
+    if points1.shape[1] < 3:
+        raise ShapeError(f"{op}: expected points1 of at least three points, got {tuple(points1.shape)}")
+    threshold, draws = _sampled(op, points1, mask, 3, inl_th, max_samples, seed)
+    batch = len(points1)
+
+    def errors(matrices: Tensor) -> Tensor:
+        moved = points1[:, None] @ matrices[..., :3].mT + matrices[..., None, :, 3]
+        return (moved - points2[:, None]).square().sum(-1)
+
+    def fitted(x: Tensor, y: Tensor, weights: Tensor | None) -> Tensor:
+        motion, _ = align(x, y, weights)
+        return motion.matrix()[:, :3].detach()
+
+    with torch.no_grad():
+        x, y = (_at(p, draws).flatten(0, 1) for p in (points1, points2))
+        matrix, inliers = _best(fitted(x, y, None).unflatten(0, (batch, -1)), errors, threshold, mask)
+        for _ in range(_REFITS):
+            refit = fitted(points1, points2, inliers.to(points1.dtype))
+            matrix, inliers = _better(refit, matrix, inliers, errors, threshold, mask)
+        inliers = inliers & (inliers.sum(1, keepdim=True) >= 3)
+    result, is_valid = align(points1, points2, inliers.to(points1.dtype))
+    return result, is_valid, inliers & is_valid[:, None]
+
+
+# --- samples and scores ---------------------------------------------------------------------------------------------
+
+
+def _sampled(
+    op: str, points: Tensor, mask: Tensor | None, size: int, inl_th: float, max_samples: int, seed: int | None
+) -> tuple[float, Tensor]:
+    """The checked threshold, and indices (B, S, size) of samples without repetition among the points of the mask."""
+    threshold = float(_check.number(op, "inl_th", inl_th))
+    if not threshold**2 > 0:
+        raise ValueCheckError(f"{op}: expected inl_th above 0, got {inl_th!r}", actual_value=inl_th)
+    (count,) = _check.ints(op, "max_samples", max_samples, 1, minimum=1)
+    generator = None
+    if seed is not None:
+        (seed,) = _check.ints(op, "seed", seed, 1, -(2**63), 2**64 - 1)
+        generator = torch.Generator(points.device).manual_seed(seed)
+    batch, n = points.shape[:2]
+    if mask is None:
+        existing = torch.full((batch, 1), n, device=points.device)
+    else:
+        _check.shape(op, "mask", mask, batch, n)
+        if mask.dtype is not torch.bool:
+            raise TypeCheckError(f"{op}: expected mask of bool, got {mask.dtype}", actual_type=mask.dtype)
+        _check.same_device(op, points=points, mask=mask)
+        existing = mask.sum(1, keepdim=True)
+    random = torch.rand(batch, count, size, device=points.device, dtype=torch.float64, generator=generator)
+    drawn: list[Tensor] = []  # in ascending order
+    for i in range(size):
+        index = (random[..., i] * (existing - i).clamp(min=1)).long()
+        for before in drawn:
+            index = index + (index >= before).long()
+        drawn.append(index)
+        for j in range(i, 0, -1):
+            low, high = torch.minimum(drawn[j - 1], drawn[j]), torch.maximum(drawn[j - 1], drawn[j])
+            drawn[j - 1], drawn[j] = low, high
+    samples = torch.stack(drawn, -1).clamp(max=max(n - 1, 0))
+    if mask is not None:
+        order = mask.to(torch.uint8).argsort(dim=1, descending=True, stable=True)
+        samples = order.gather(1, samples.flatten(1)).view_as(samples)
+    return threshold, samples
+
+
+def _at(points: Tensor, samples: Tensor) -> Tensor:
+    """The points (B, N, D) of samples (B, S, K), as (B, S, K, D)."""
+    index = samples.flatten(1)[..., None].expand(-1, -1, points.shape[-1])
+    return points.gather(1, index).unflatten(1, samples.shape[1:])
+
+
+def _squared_errors(poses: Tensor, X: Tensor, x: Tensor, K: Tensor) -> Tensor:
+    """Squared distances in pixels (..., N) between projections of X (..., N, 3) and x (..., N, 2); inf behind the camera."""
+    P = K @ poses
+    h = X @ P[..., :3].mT + P[..., None, :, 3]
+    z = h[..., 2:]
+    error = (h[..., :2] / torch.where(z > 0, z, 1) - x).square().sum(-1)
+    return torch.where((z[..., 0] > 0) & error.isfinite(), error, torch.inf)
+
+
+def _score(errors: Tensor, threshold: float, mask: Tensor | None) -> tuple[Tensor, Tensor]:
+    """The sums of 1 - e^2 / t^2 over inliers of squared errors (B, S, N), and the inliers."""
+    inliers = errors <= threshold**2
+    inliers = inliers if mask is None else inliers & mask[:, None]
+    return torch.where(inliers, 1 - errors / threshold**2, 0).sum(-1), inliers
+
+
+def _best(
+    models: Tensor, errors: Callable[[Tensor], Tensor], threshold: float, mask: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    """The best of models (B, S, 3, 4), and its inliers (B, N)."""
+    models = models.nan_to_num(0.0)
+    scores, inliers = _score(errors(models), threshold, mask)
+    best = scores.argmax(1)
+    rows = torch.arange(len(models), device=models.device)
+    return models[rows, best], inliers[rows, best]
+
+
+def _better(
+    refit: Tensor,
+    model: Tensor,
+    inliers: Tensor,
+    errors: Callable[[Tensor], Tensor],
+    threshold: float,
+    mask: Tensor | None,
+) -> tuple[Tensor, Tensor]:
+    """Where a refit of models (B, 3, 4) scores higher, it and its inliers; elsewhere what there was."""
+    both = torch.stack([model, refit.to(model.dtype)], 1).nan_to_num(0.0)
+    scores, of_both = _score(errors(both), threshold, mask)
+    is_better = scores[:, 1] > scores[:, 0]
+    return torch.where(is_better[:, None, None], both[:, 1], model), torch.where(
+        is_better[:, None], of_both[:, 1], inliers
+    )

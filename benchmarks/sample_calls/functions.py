@@ -43,6 +43,7 @@ def listed(name: str) -> Derived:
     return Derived(lambda _, tensors: [tensors[name]])
 
 
+FRAMES = rand("B H//2*3 W//2*2")
 EVEN_RGB, EVEN_GRAY = rand("B 3 H//2*2 W//2*2"), rand("B 1 H//2*2 W//2*2")
 BINS, BANDWIDTH = made("32", lambda _: torch.linspace(0, 1, 32)), made("", lambda _: torch.tensor(0.1))
 COLOR_MAP = Derived(lambda library, tensors: color_map(library, tensors["input_tensor"].device))
@@ -63,6 +64,10 @@ TABLES = {
         "sepia": dict(input=IMAGE),
         "rgb_to_yuv420 rgb_to_yuv422": dict(image=EVEN_RGB),
         "yuv420_to_rgb": dict(imagey=EVEN_GRAY, imageuv=rand("B 2 H//2 W//2", -0.5, 0.5)),
+        "frames_to_rgb": dict(planes=FRAMES),
+        "resize_frames": dict(planes=FRAMES, dsize=(9, 11), antialias=True),
+        "warp_frames": dict(planes=FRAMES, M=HOMOGRAPHY, dsize=(9, 11)),
+        "rgb_to_frames": dict(image=EVEN_RGB),
         "yuv422_to_rgb": dict(imagey=EVEN_GRAY, imageuv=rand("B 2 H//2*2 W//2", -0.5, 0.5)),
     },
     "contrib": {

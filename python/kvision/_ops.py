@@ -141,6 +141,7 @@ class Operator:
             is saved for backward (`args[0]` is None there).
         bytes: the kernels take uint8, too; "cpu": those of the CPU do, and elsewhere bytes become float32 before the
             kernel and are rounded after it.
+        uint16: the kernels take uint16, too.
         levels: the result for bytes is that for images of floats times this number, 1 or 255.
         labels: the first tensor holds int64 or uint8, and the kernels take no other types.
         native_half: the reference takes half types as they are, because how they round is part of the result.
@@ -171,6 +172,7 @@ class Operator:
         non_differentiable: Sequence[int] = (),
         linear: bool = False,
         bytes: bool | Literal["cpu"] = False,
+        uint16: bool = False,
         levels: int = 1,
         labels: bool = False,
         native_half: bool = False,
@@ -194,6 +196,8 @@ class Operator:
         self.non_differentiable = non_differentiable
         self.linear = linear
         self.dtypes = (torch.int64, torch.uint8) if labels else (*FLOATS, torch.uint8) if bytes else FLOATS
+        if uint16:
+            self.dtypes = (*self.dtypes, torch.uint16)
         self.supports = supports
         self.nondeterministic = nondeterministic
         self._fake_sizes = fake

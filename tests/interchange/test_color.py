@@ -200,21 +200,15 @@ def test_opencv_i420(cv2):
     assert same(4 * uv, flat_uv)
 
 
-def of_limited_range(y, cb, cr):
-    """kvision's arguments for codes of limited range."""
-    y, chroma = (torch.from_numpy(np.asarray(x, np.float32)) for x in (y, np.stack([cb, cr])))
-    return (y[None, None] - 16) / 219, ((chroma - 128) / 224 * torch.tensor([0.872, 1.230]).view(2, 1, 1))[None]
-
-
 @row(
     "OpenCV",
     "`YUV2RGB_NV12`: limited range of BT.601; U and V side by side below Y",
-    "`yuv420_to_rgb((Y - 16) / 219, (UV - 128) / 224 * (.872, 1.230))`, to a level",
+    "`frames_to_rgb(nv12)`, to a level",
 )
 def test_opencv_nv12(cv2):
     nv12 = np.uint8([[120, 130, 90, 60], [120, 110, 70, 60], [90, 180, 120, 110]])
     theirs = cv2.cvtColor(nv12, cv2.COLOR_YUV2RGB_NV12)
-    ours = C.yuv420_to_rgb(*of_limited_range(nv12[:2], nv12[2:, ::2], nv12[2:, 1::2]))
+    ours = C.frames_to_rgb(torch.from_numpy(nv12), dtype=torch.float32)[None]
     assert theirs[0, 0].tolist() == [204, 94, 44] and abs(255 * hwc(ours) - theirs).max() <= 1
 
 
@@ -228,7 +222,8 @@ def test_pyav(av):
     for plane, value in zip(frame.planes, (120, 90, 180)):
         plane.update(np.full(plane.buffer_size, value, np.uint8).tobytes())
     theirs = frame.to_ndarray(format="rgb24")[8, 8].astype(int)
-    ours = 255 * C.yuv420_to_rgb(*of_limited_range(np.full((2, 2), 120), [[90]], [[180]]))[0, :, 0, 0].numpy()
+    planes = [torch.full((n, n), code, dtype=torch.uint8) for n, code in ((2, 120), (1, 90), (1, 180))]
+    ours = C.frames_to_rgb(planes, "i420")[:, 0, 0].numpy().astype(int)
     assert abs(theirs - [204, 94, 44]).max() <= 2 and abs(theirs - ours).max() <= 2
 
 

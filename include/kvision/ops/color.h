@@ -18,6 +18,12 @@ inline variable_list raw_to_rgb_backward_gradients(Backward const& b);
 inline constexpr Operator<"apply_colormap", Tensor(Tensor input, Tensor white, Tensor colors)> apply_colormap{
     detail::rules::apply_colormap};
 
+// --- color/frames_op.cpp
+
+inline constexpr Operator<"planes_to_rgb",
+                          Tensor(Tensor y, Tensor u, Tensor v, OptionalTensor map, Ints plan, Floats numbers)>
+    planes_to_rgb{no_gradient};
+
 // --- color/program_of_numbers_op.cpp
 
 inline constexpr Operator<"color_program_of_numbers", Tensor(Tensor input, Tensor plan, Floats numbers)>

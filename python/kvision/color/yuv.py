@@ -139,7 +139,7 @@ def yuv_to_rgb(image: Tensor) -> Tensor:
 def rgb_to_yuv420(image: Tensor) -> tuple[Tensor, Tensor]:
     """RGB to YUV 4:2:0: the chroma is the mean of 2 x 2 pixels.
 
-    OpenCV takes the chroma of the upper left pixel, and codes of limited range.
+    Encoders of video take other codes: :func:`rgb_to_frames` makes those.
 
     Args:
         image: RGB images (*, 3, H, W) in [0, 1], H and W even. Integers are computed in float32, unscaled.
@@ -193,8 +193,8 @@ def rgb_to_yuv422(image: Tensor) -> tuple[Tensor, Tensor]:
 def yuv420_to_rgb(imagey: Tensor, imageuv: Tensor) -> Tensor:
     """YUV 4:2:0 to RGB: each chroma serves 2 x 2 pixels.
 
-    Frames of decoders (NV12, I420) hold limited-range Y'CbCr instead, codes of 16 to 235 and 240. For BT.601 give this
-    function (Y - 16) / 219 and (Cb - 128, Cr - 128) / 224 * (0.872, 1.230); BT.709 has another matrix.
+    This is not what decoders of video give: frames of NV12 or I420 hold codes of Y'CbCr, mostly of limited range, and come
+    out flat and in wrong colors here, without an error. :func:`frames_to_rgb` converts those.
 
     Args:
         imagey: y (*, 1, H, W) in [0, 1], H and W even.

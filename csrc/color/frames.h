@@ -1,0 +1,201 @@
+// Frames of video: RGB of luma and chroma planes, of the whole frame or of what a box or a matrix takes of it. Included
+// by frames_cpu.cpp, frames.cu and frames_op.cpp.
+//
+// A pixel of the result is a sum over luma pixels with weights that are a product of one for the row and one for the
+// column. Chroma that belongs to two pixels along an axis is never enlarged: what enlarging it and the weights of luma
+// pixels 2 c - 1 to 2 c + 2 make together is the weight of chroma sample c. Colors are affine in the codes, so their
+// conversion, normalization and levels are one matrix behind the sums.
+#pragma once
+
+#include "core/isa.h"
+#include "core/view.h"
+
+namespace kv::color {
+
+// Where chroma is along an axis: as its two pixels (repeated), at the first one, or between them.
+enum class ChromaSite : int { nearest, cosited, between };
+enum class FrameMap : int { whole, boxes, matrices };
+
+// rgb = clamp(matrix (y, u, v) + offset inside + bias, lowest, highest), where `inside` is the sum of the weights.
+template <class F>
+struct FrameColors {
+  F matrix[9], offset[3], bias[3], lowest[3], highest[3];
+
+  template <class V>
+  KV_HD V channel(int k, V const& y, V const& u, V const& v, V const& inside) const {
+    V const c = y * matrix[3 * k] + u * matrix[3 * k + 1] + v * matrix[3 * k + 2] + inside * offset[k] + bias[k];
+    V const raised = c < lowest[k] ? c * F(0) + lowest[k] : c;  // NaN stays
+    return raised > highest[k] ? c * F(0) + highest[k] : raised;
+  }
+};
+
+// A plane of codes with any strides, in elements: interleaved chroma is two planes with a column stride of 2.
+struct CodePlane {
+  void const* data;
+  int64_t frame_stride, row_stride, column_stride;
+
+  template <class S>
+  KV_HD S const* row(int64_t frame, int64_t y) const {
+    return static_cast<S const*>(data) + frame * frame_stride + y * row_stride;
+  }
+};
+
+// The pixels of an axis of luma, and what chroma has of it.
+struct FrameAxis {
+  int size, chroma_size;  // equal, or chroma has half as many, rounded up
+  ChromaSite site;
+  KV_HD bool is_halved() const { return chroma_size < size; }
+};
+
+// An integer of a position, within [low, high]; low for NaN.
+template <class F>
+KV_HD int whole_within(F x, int low, int high) {
+  return x > F(low) ? x < F(high) ? int(x) : high : low;
+}
+template <class F>
+KV_HD F floor_of(F x) {
+  if constexpr (sizeof(F) == 8)
+    return __builtin_floor(x);
+  else
+    return __builtin_floorf(x);
+}
+template <class F>
+KV_HD F magnitude(F x) {
+  return x < F(0) ? -x : x;
+}
+
+// The pixels of an axis under a triangle around `center`, where pixel j is [j, j + 1]: those of [first, last).
+template <class F>
+struct PixelWindow {
+  F center, inverse_support;
+  int first, last;
+
+  KV_HD F weight(int j) const {
+    return j < first || j >= last ? F(0) : F(1) - magnitude(F(j) + F(0.5) - center) * inverse_support;
+  }
+  KV_HD F sum() const {
+    F s = 0;
+    for (int j = first; j < last; ++j) s += weight(j);
+    return s;
+  }
+
+  // The samples of chroma that these pixels take, [first_chroma, last_chroma), and their weights.
+  KV_HD int first_chroma(FrameAxis const& a) const {
+    if (!a.is_halved()) return first;
+    return a.site == ChromaSite::between ? max((first - 1) >> 1, 0) : first >> 1;
+  }
+  KV_HD int last_chroma(FrameAxis const& a) const {
+    if (first >= last) return 0;  // no pixel, no sample
+    if (!a.is_halved()) return last;
+    return a.site == ChromaSite::nearest ? (last + 1) >> 1 : min((last >> 1) + 1, a.chroma_size);
+  }
+  KV_HD F chroma_weight(FrameAxis const& a, int c) const {
+    if (!a.is_halved()) return weight(c);
+    F const w0 = weight(2 * c), w1 = weight(2 * c + 1);
+    if (a.site == ChromaSite::nearest) return w0 + w1;
+    F const before = weight(2 * c - 1), after = weight(2 * c + 2);
+    bool const is_last = c == a.chroma_size - 1;
+    // The border repeats the outermost samples.
+    if (a.site == ChromaSite::cosited) return w0 + before * F(0.5) + w1 * F(is_last ? 1 : 0.5);
+    return (before + after) * F(0.25) + w0 * F(c == 0 ? 1 : 0.75) + w1 * F(is_last ? 1 : 0.75);
+  }
+};
+
+// An axis of a box, [start, end], resampled to `count` pixels; start > end mirrors. Only pixels that the box touches
+// count.
+template <class F>
+struct BoxAxis {
+  F start, scale, support;
+  int low, high;
+
+  KV_HD BoxAxis(F start, F end, int count, int size, bool antialias)
+      : start(start), scale((end - start) / F(count)), support(antialias ? max(F(1), magnitude(scale)) : F(1)) {
+    F const top = start < end ? end : start;
+    low = whole_within(floor_of(start < end ? start : end), 0, size - 1);
+    high = whole_within(-floor_of(-top), low + 1, size);
+  }
+  KV_HD PixelWindow<F> window(int i) const {
+    F const middle = start + (F(i) + F(0.5)) * scale, least = F(low) + F(0.5), most = F(high) - F(0.5);
+    F const center = middle < least ? least : middle > most ? most : middle;
+    return {center, F(1) / support, whole_within(floor_of(center - support + F(0.5)), low, high - 1),
+            whole_within(-floor_of(F(0.5) - center - support), low + 1, high)};
+  }
+  // No window has more pixels.
+  KV_HD int largest_window(int size) const { return whole_within(support * 2 + F(2), 1, size); }
+};
+
+template <class T>
+struct PlanesToRgb {
+  CodePlane planes[3];  // y, u, v
+  int code_bytes;       // 1 and 2: unsigned integers; 0: codes are stored as T
+  FrameAxis x, y;
+  Planes<T> rgb;  // three planes a frame
+  FrameMap kind;
+  Compute<T> const* map;  // 4 edges (x1, y1, x2, y2) or 9 entries for each result; null: the box is the frame
+  int64_t map_stride;     // 0: one for all
+  bool antialias;
+  FrameColors<Compute<T>> colors;
+
+  KV_HD BoxAxis<Compute<T>> box_axis(int64_t frame, bool is_y) const {
+    FrameAxis const& axis = is_y ? y : x;
+    Compute<T> const* const box = map ? map + frame * map_stride : nullptr;
+    return {box ? box[is_y] : 0, box ? box[2 + is_y] : Compute<T>(axis.size), int(is_y ? rgb.height : rgb.width),
+            axis.size, antialias};
+  }
+};
+
+KV_KERNEL(planes_to_rgb, PlanesToRgb)
+
+// The pixels around a position, where pixel j is at j: those of the frame.
+template <class F>
+KV_HD PixelWindow<F> window_at(F position, int size) {
+  F const floor = floor_of(position);
+  int const first = whole_within(floor, -2, size);
+  return {position + F(0.5), F(1), max(first, 0), min(first + (position > floor ? 2 : 1), size)};
+}
+
+// The position in the frame of pixel (x, y) of the result.
+template <class F>
+struct Preimage {
+  F x, y;
+  // `inverse` is the inverse of the matrix, up to a factor.
+  KV_HD Preimage(F const* inverse, F column, F row) {
+    F const z = inverse[6] * column + inverse[7] * row + inverse[8];
+    x = (inverse[0] * column + inverse[1] * row + inverse[2]) / z;
+    y = (inverse[3] * column + inverse[4] * row + inverse[5]) / z;
+  }
+};
+// The adjugate of a matrix, all NaN if it has no inverse.
+template <class F, class M>
+KV_HD void invert_up_to_factor(M const* m, F* inverse) {
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 3; ++k) {
+      int const r = (k + 1) % 3, s = (k + 2) % 3, c = (i + 1) % 3, d = (i + 2) % 3;
+      inverse[3 * i + k] = F(m[3 * r + c]) * F(m[3 * s + d]) - F(m[3 * r + d]) * F(m[3 * s + c]);
+    }
+  F const determinant = F(m[0]) * inverse[0] + F(m[1]) * inverse[3] + F(m[2]) * inverse[6];
+  if (determinant == F(0))
+    for (int i = 0; i < 9; ++i) inverse[i] = F(__builtin_nanf(""));
+}
+
+// Sums of y, u and v over two windows. `load(plane, row, column)` reads a code.
+template <class F, class Load>
+KV_HD void sum_windows(PixelWindow<F> const& wx, PixelWindow<F> const& wy, FrameAxis const& x, FrameAxis const& y,
+                       Load load, F (&sums)[3]) {
+  sums[0] = sums[1] = sums[2] = 0;
+  for (int r = wy.first; r < wy.last; ++r) {
+    F in_row = 0;
+    for (int c = wx.first; c < wx.last; ++c) in_row += wx.weight(c) * load(0, r, c);
+    sums[0] += wy.weight(r) * in_row;
+  }
+  for (int r = wy.first_chroma(y); r < wy.last_chroma(y); ++r) {
+    F const of_row = wy.chroma_weight(y, r);
+    for (int c = wx.first_chroma(x); c < wx.last_chroma(x); ++c) {
+      F const weight = of_row * wx.chroma_weight(x, c);
+      sums[1] += weight * load(1, r, c);
+      sums[2] += weight * load(2, r, c);
+    }
+  }
+}
+
+}  // namespace kv::color

@@ -1,0 +1,201 @@
+// Frames of video on the CPU: a row of the result at a time. Where columns and rows have weights of their own, the rows
+// of codes are added first, into rows of numbers, and columns of these then. Compiled once per instruction set.
+#include <type_traits>
+
+#include "core/lanes.h"
+#include "core/scratch.h"
+#include "frames.h"
+
+namespace kv::color::KV_ISA {
+namespace {
+
+template <class F, class S>
+KV_HD F number_of(S const* code) {
+  if constexpr (__is_same(S, uint16_t))
+    return F(*code);
+  else
+    return F(load<1>(code));
+}
+
+// Calls f with a pointer of the type of codes. Only what reads them is compiled for all three.
+template <class T, class Call>
+KV_HD auto with_codes(PlanesToRgb<T> const& p, int plane, int64_t frame, int64_t row, Call f) {
+  CodePlane const& codes = p.planes[plane];
+  if constexpr (!__is_same(T, uint8_t))
+    if (p.code_bytes == 0) return f(codes.template row<T>(frame, row), codes.column_stride);
+  if (p.code_bytes == 2) return f(codes.template row<uint16_t>(frame, row), codes.column_stride);
+  return f(codes.template row<uint8_t>(frame, row), codes.column_stride);
+}
+
+// to[i] += weight codes[i] for codes [begin, end) of a row, or = where it is the first row.
+template <class T, class F>
+KV_HD void add_row(PlanesToRgb<T> const& p, int plane, int64_t frame, int64_t row, F weight, bool is_first, F* to,
+                   int64_t begin, int64_t end) {
+  with_codes(p, plane, frame, row, [&](auto const* codes, int64_t step) KV_INLINE {
+    using S = std::remove_cvref_t<decltype(*codes)>;
+    int64_t i = begin;
+    if constexpr (!__is_same(S, uint16_t) && __is_same(F, Compute<S>)) {
+      constexpr int N = kLanes<S>;
+      if (step == 1)
+        for (; i + N <= end; i += N) {
+          Lanes<F, N> const value = load<N>(codes + i) * weight;
+          store<N>(to + i, is_first ? value : Lanes<F, N>(load<N>(to + i) + value));
+        }
+    }
+    for (; i < end; ++i) {
+      F const value = weight * number_of<F>(codes + i * step);
+      to[i] = is_first ? value : to[i] + value;
+    }
+  });
+}
+
+// What all windows along an axis take: `count` entries from `first` on, whose weights are `stride` apart.
+template <class F>
+struct AxisWeights {
+  int64_t const stride;
+  Scratch<int> ranges;
+  Scratch<F> weights;
+
+  KV_HD AxisWeights(int64_t windows, int64_t stride) : stride(stride), ranges(2 * windows), weights(windows * stride) {}
+  template <class Weight>
+  KV_HD void set(int64_t i, int first, int last, Weight weight) {
+    ranges.data[2 * i] = first;
+    ranges.data[2 * i + 1] = last - first;
+    for (int j = first; j < last; ++j) weights.data[i * stride + j - first] = weight(j);
+  }
+  KV_HD F dot(int64_t i, F const* row) const {
+    int const first = ranges.data[2 * i], count = ranges.data[2 * i + 1];
+    F const* const w = weights.data + i * stride;
+    F sum = 0;
+    for (int j = 0; j < count; ++j) sum += w[j] * row[first + j];
+    return sum;
+  }
+};
+
+// The rows of a box of one frame.
+template <class T>
+struct BoxRows {
+  using F = Compute<T>;
+  PlanesToRgb<T> const& p;
+  int64_t frame;
+  BoxAxis<F> x, y;
+  AxisWeights<F> luma, chroma;
+  Scratch<F> row;
+
+  KV_HD BoxRows(PlanesToRgb<T> const& p, int64_t frame)
+      : p(p),
+        frame(frame),
+        x(p.box_axis(frame, false)),
+        y(p.box_axis(frame, true)),
+        luma(p.rgb.width, x.largest_window(p.x.size)),
+        chroma(p.rgb.width, x.largest_window(p.x.size) + 2),
+        row(p.x.size) {
+    for (int i = 0; i < p.rgb.width; ++i) {
+      PixelWindow<F> const w = x.window(i);
+      F const factor = F(1) / w.sum();
+      luma.set(i, w.first, w.last, [&](int j) KV_INLINE { return w.weight(j) * factor; });
+      chroma.set(i, w.first_chroma(p.x), w.last_chroma(p.x),
+                 [&](int j) KV_INLINE { return w.chroma_weight(p.x, j) * factor; });
+    }
+  }
+  // One plane along row i of the result.
+  KV_HD void sum(int plane, int i, F* to) {
+    PixelWindow<F> const w = y.window(i);
+    F const factor = F(1) / w.sum();
+    int const first = plane ? w.first_chroma(p.y) : w.first, last = plane ? w.last_chroma(p.y) : w.last;
+    // Columns that no window takes are not read.
+    PixelWindow<F> const all{F(0), F(0), x.low, x.high};
+    int const begin = plane ? all.first_chroma(p.x) : x.low, end = plane ? all.last_chroma(p.x) : x.high;
+    for (int r = first; r < last; ++r) {
+      F const weight = (plane ? w.chroma_weight(p.y, r) : w.weight(r)) * factor;
+      add_row(p, plane, frame, r, weight, r == first, row.data, begin, end);
+    }
+    AxisWeights<F> const& columns = plane ? chroma : luma;
+    for (int64_t k = 0; k < p.rgb.width; ++k) to[k] = columns.dot(k, row.data);
+  }
+};
+
+// One plane along row i of the whole frame.
+template <class T, class F>
+KV_HD void enlarge(PlanesToRgb<T> const& p, int64_t frame, int plane, int i, F* row, F* to) {
+  if (plane == 0) return add_row(p, plane, frame, i, F(1), true, to, 0, p.x.size);
+  PixelWindow<F> const w = window_at(F(i), p.y.size);
+  int const first = w.first_chroma(p.y), last = w.last_chroma(p.y), count = p.x.chroma_size;
+  F* const narrow = p.x.is_halved() ? row : to;
+  for (int r = first; r < last; ++r) add_row(p, plane, frame, r, w.chroma_weight(p.y, r), r == first, narrow, 0, count);
+  if (!p.x.is_halved()) return;
+  for (int c = 0; c < count; ++c) {
+    F const before = row[max(c - 1, 0)], here = row[c], after = row[min(c + 1, count - 1)];
+    F even = here, odd = here;
+    if (p.x.site == ChromaSite::cosited) odd = (here + after) * F(0.5);
+    if (p.x.site == ChromaSite::between) {
+      even = before * F(0.25) + here * F(0.75);
+      odd = here * F(0.75) + after * F(0.25);
+    }
+    to[2 * c] = even;
+    if (2 * c + 1 < p.x.size) to[2 * c + 1] = odd;
+  }
+}
+
+}  // namespace
+
+template <class T>
+void planes_to_rgb(PlanesToRgb<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int64_t const width = p.rgb.width, height = p.rgb.height;
+  Scratch<F> memory(4 * width + p.x.size);
+  F *const sums = memory.data, *const inside = sums + 3 * width, *const narrow = inside + width;
+  for (int64_t i = 0; i < width; ++i) inside[i] = 1;
+  auto const store_row = [&](int64_t frame, int64_t y) KV_INLINE {
+    T* to[3];
+    for (int k = 0; k < 3; ++k) to[k] = p.rgb.row(3 * frame + k, y);
+    for_each_vector<T>(0, width, [&](auto n, int64_t x) KV_INLINE {
+      constexpr int N = decltype(n)::value;
+      Lanes<F, N> const a = load<N>(sums + x), b = load<N>(sums + width + x), c = load<N>(sums + 2 * width + x),
+                        share = load<N>(inside + x);
+      for (int k = 0; k < 3; ++k) store<N>(to[k] + x, Lanes<F, N>(p.colors.channel(k, a, b, c, share)));
+    });
+  };
+  for (int64_t r = begin; r < end;) {
+    int64_t const frame = r / height, last = min(end, (frame + 1) * height);
+    if (p.kind == FrameMap::boxes) {
+      BoxRows<T> rows(p, frame);
+      for (; r < last; ++r) {
+        for (int plane = 0; plane < 3; ++plane) rows.sum(plane, int(r % height), sums + plane * width);
+        store_row(frame, r % height);
+      }
+    } else if (p.kind == FrameMap::whole) {
+      for (; r < last; ++r) {
+        for (int plane = 0; plane < 3; ++plane) enlarge(p, frame, plane, int(r % height), narrow, sums + plane * width);
+        store_row(frame, r % height);
+      }
+    } else {
+      double exact[9];
+      F inverse[9];
+      invert_up_to_factor(p.map + frame * p.map_stride, exact);
+      for (int k = 0; k < 9; ++k) inverse[k] = F(exact[k]);
+      for (; r < last; ++r) {
+        for (int64_t i = 0; i < width; ++i) {
+          Preimage<F> const at(inverse, F(i), F(r % height));
+          PixelWindow<F> const wx = window_at(at.x, p.x.size), wy = window_at(at.y, p.y.size);
+          F sum[3];
+          sum_windows(
+              wx, wy, p.x, p.y,
+              [&](int plane, int y, int x) KV_INLINE {
+                return with_codes(p, plane, frame, y, [&](auto const* codes, int64_t step) KV_INLINE {
+                  return number_of<F>(codes + x * step);
+                });
+              },
+              sum);
+          for (int k = 0; k < 3; ++k) sums[k * width + i] = sum[k];
+          inside[i] = wx.sum() * wy.sum();
+        }
+        store_row(frame, r % height);
+      }
+    }
+  }
+}
+
+KV_INSTANTIATE_WITH_BYTES(planes_to_rgb, PlanesToRgb)
+
+}  // namespace kv::color::KV_ISA

@@ -1,0 +1,656 @@
+"""Frames of video decoders and encoders: luma and chroma planes of codes, to RGB and back, whole, resized or warped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from kvision import _check
+from kvision._modes import DTYPE
+from kvision._ops import register, saturate_to_byte
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+
+__all__ = ["frames_to_rgb", "resize_frames", "rgb_to_frames", "warp_frames"]
+
+# The shares of red and blue in luma (ITU-R BT.601-7, BT.709-6, BT.2020-2 with non-constant luminance).
+_LUMA = {"bt601": (0.299, 0.114), "bt709": (0.2126, 0.0722), "bt2020": (0.2627, 0.0593)}
+_LAYOUTS = ("nv12", "nv21", "i420", "yuy2", "p010")
+_RANGES = ("limited", "full")
+_SITINGS = ("left", "center", "topleft")
+_DTYPES = tuple(getattr(torch, name) for name in DTYPE)
+
+# The weight of luma pixels 2 c - 1 to 2 c + 2 for chroma sample c along an axis, by where the sample is: `nearest` repeats it,
+# `cosited` samples are at pixel 2 c, `between` ones in the middle of pixels 2 c and 2 c + 1.
+_NEAREST, _COSITED, _BETWEEN = 0, 1, 2
+
+
+def _axes_of(chroma: int) -> tuple[int, int]:
+    """Where chroma is along x and y, by its number: 0 is nearest, then _SITINGS."""
+    return ((_NEAREST, _NEAREST), (_COSITED, _BETWEEN), (_BETWEEN, _BETWEEN), (_COSITED, _COSITED))[chroma]
+
+
+# --- the operator ----------------------------------------------------------------------------------------------------
+
+
+def _upsampled(x: Tensor, size: int, dim: int, kind: int) -> Tensor:
+    """Chroma along an axis at all `size` luma pixels of it."""
+    count = x.shape[dim]
+    if count == size:
+        return x
+    luma = torch.arange(size, device=x.device)
+    if kind == _NEAREST:
+        return x.index_select(dim, luma // 2)
+    position = luma / 2 - (0.25 if kind == _BETWEEN else 0)
+    first = position.floor()
+    share = (position - first).to(x.dtype)
+    share = share if dim == x.dim() - 1 else share[:, None]
+    a, b = (x.index_select(dim, i.long().clamp(0, count - 1)) for i in (first, first + 1))
+    return a + (b - a) * share
+
+
+def _windows(start: Tensor, end: Tensor, count: int, size: int, antialias: bool) -> Tensor:
+    """The weights (B, count, size) of an axis of `size` pixels for `count` pixels of the interval from start to end, (B,)."""
+    low, high = torch.minimum(start, end).detach().floor(), torch.maximum(start, end).detach().ceil()
+    low = low.nan_to_num(0.0).clamp(0, size - 1)[:, None]
+    high = torch.maximum(high.nan_to_num(0.0).clamp(0, size)[:, None], low + 1)
+    scale = ((end - start) / count)[:, None]
+    support = scale.abs().clamp(min=1.0) if antialias else torch.ones_like(scale)
+    steps = torch.arange(count, device=start.device, dtype=start.dtype) + 0.5
+    center = torch.minimum(torch.maximum(start[:, None] + steps * scale, low + 0.5), high - 0.5)
+    pixels = torch.arange(size, device=start.device, dtype=start.dtype)
+    distance = (pixels + 0.5 - center[..., None]) / support[..., None]
+    inside = (pixels >= low[..., None]) & (pixels < high[..., None])
+    weights = torch.where(inside, (1 - distance.abs()).clamp(min=0.0), 0.0)
+    return weights / weights.sum(-1, keepdim=True)
+
+
+def _tents(position: Tensor, size: int) -> tuple[tuple[Tensor, Tensor], ...]:
+    """Index and weight of the two pixels around a position, 0 outside of the axis."""
+    first = position.detach().floor()
+
+    def tap(pixel: Tensor) -> tuple[Tensor, Tensor]:
+        inside = (pixel >= 0) & (pixel < size)
+        weight = torch.where(inside, 1 - (position - pixel).abs(), 0.0)
+        return torch.where(inside, pixel, 0.0).long(), weight
+
+    return tap(first), tap(first + 1)
+
+
+def _warped(yuv: Tensor, matrix: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
+    """Planes (B, 3, height, width) at the sources of the result's pixels, and the share of these that is in the frame."""
+    a, b, c = matrix.unbind(1)
+    adjugate = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], 2)
+    determinant = (a * adjugate[..., 0]).sum(1)[:, None, None]
+    inverse = torch.where(determinant == 0, torch.nan, adjugate)
+    xs, ys = (torch.arange(n, device=yuv.device, dtype=yuv.dtype) for n in (width, height))
+    grid = torch.stack([xs.expand(height, width), ys[:, None].expand(height, width), yuv.new_ones(height, width)])
+    x, y, z = (inverse @ grid.flatten(1)).unbind(1)
+    batch = max(yuv.shape[0], matrix.shape[0]) if yuv.shape[0] else 0
+    planes = yuv.flatten(2).expand(batch, -1, -1)
+    values, inside = yuv.new_zeros(()), yuv.new_zeros(())
+    for row, of_row in _tents(y / z, yuv.shape[2]):
+        for column, of_column in _tents(x / z, yuv.shape[3]):
+            index = (row * yuv.shape[3] + column)[:, None].expand(batch, 3, -1)
+            weight = of_row * of_column
+            values = values + planes.gather(2, index) * weight[:, None]
+            inside = inside + weight
+    return values.unflatten(2, (height, width)), inside[:, None].expand(batch, 1, -1).unflatten(2, (height, width))
+
+
+_NUMBERS = ((0, 9), (9, 12), (12, 15), (15, 18), (18, 21))  # matrix, offset, bias, lowest and highest color
+
+
+def _reference(
+    y: Tensor, u: Tensor, v: Tensor, map: Tensor | None, plan: Sequence[int], numbers: Sequence[float]
+) -> Tensor:
+    height, width, dtype_number, chroma, antialias = plan
+    if not height:
+        height, width = y.shape[1:]
+    dtype = _DTYPES[dtype_number]
+    wide = torch.float64 if torch.float64 in (dtype, y.dtype) else torch.float32
+    along_x, along_y = _axes_of(chroma)
+    whole = (_upsampled(_upsampled(c.to(wide), y.shape[1], 1, along_y), y.shape[2], 2, along_x) for c in (u, v))
+    yuv = torch.stack(torch.broadcast_tensors(y.to(wide), *whole), 1)
+    inside: Tensor | float = 1.0
+    if map is None and (height, width) != yuv.shape[2:]:
+        map = yuv.new_tensor([[0, 0, yuv.shape[3], yuv.shape[2]]])
+    if map is not None and map.dim() == 2:
+        x1, y1, x2, y2 = map.to(wide).unbind(1)
+        rows = _windows(y1, y2, height, y.shape[1], bool(antialias))
+        columns = _windows(x1, x2, width, y.shape[2], bool(antialias))
+        yuv = rows[:, None] @ yuv @ columns[:, None].mT
+    elif map is not None:
+        yuv, inside = _warped(yuv, map.to(wide), height, width)
+    m, offset, bias, low, high = (yuv.new_tensor(numbers[a:b]) for a, b in _NUMBERS)
+    rgb = (m.view(3, 3) @ yuv.flatten(2)).unflatten(2, yuv.shape[2:]) + offset.view(3, 1, 1) * inside
+    rgb = (rgb + bias.view(3, 1, 1)).clamp(low.view(3, 1, 1), high.view(3, 1, 1))
+    return saturate_to_byte(rgb) if dtype == torch.uint8 else rgb.to(dtype)
+
+
+def _fake(y: Tensor, u: Tensor, v: Tensor, map: Tensor | None, plan: Sequence[int], numbers: Sequence[float]) -> Tensor:
+    batch = y.shape[0] if map is None or y.shape[0] != 1 else map.shape[0]
+    height, width = plan[:2] if plan[0] else y.shape[1:]
+    return y.new_empty((batch, 3, height, width), dtype=_DTYPES[plan[2]])
+
+
+def _kernel_serves(y: Tensor, *args: Any) -> str | None:
+    """Frames have at least one pixel, and there is at least one frame."""
+    return None if y.numel() else f"there is no kernel for empty tensors, here {tuple(y.shape)}"
+
+
+# RGB (B, 3, h, w) of the planes y (B, H, W), u and v (B, (H + 1) // 2 or H, (W + 1) // 2 or W): the whole frame, or that part of
+# it that `map` says, by boxes (B, 4) or by matrices (B, 3, 3) from pixels of the frame to those of the result. `plan` holds
+# height and width of the result, 0 for those of the frame, its DType, the number of the chroma's siting (0: nearest) and
+# whether boxes are antialiased. `numbers` are those of _NUMBERS.
+_planes_to_rgb = register(
+    "planes_to_rgb",
+    _reference,
+    fake=_fake,
+    bytes=True,
+    uint16=True,
+    casts_outputs=True,
+    supports=_kernel_serves,
+)
+
+
+# --- what the codes mean ---------------------------------------------------------------------------------------------
+
+
+def _codes(layout: str, color_range: str, dtype: torch.dtype) -> tuple[float, float, float, float, float]:
+    """Of stored codes: black, white minus black, gray of chroma, the width of chroma, the largest code; y = (code - black) / ..."""
+    bits = 10 if layout == "p010" else 8
+    step = 1 << (bits - 8)
+    largest = float((1 << bits) - 1)
+    black, luma, chroma = (16 * step, 219 * step, 224 * step) if color_range == "limited" else (0, largest, largest)
+    unit = 64.0 if layout == "p010" else 1.0 if dtype == torch.uint8 else 1 / 255
+    return black * unit, luma * unit, (128 * step) * unit, chroma * unit, largest * unit
+
+
+def _rgb_of_ycc(matrix: str) -> list[list[float]]:
+    """RGB of luma in [0, 1] and chroma in [-0.5, 0.5]."""
+    red, blue = _LUMA[matrix]
+    green = 1 - red - blue
+    of_red, of_blue = 2 * (1 - red), 2 * (1 - blue)
+    return [[1.0, 0.0, of_red], [1.0, -blue * of_blue / green, -red * of_red / green], [1.0, of_blue, 0.0]]
+
+
+def _ycc_of_rgb(matrix: str) -> list[list[float]]:
+    red, blue = _LUMA[matrix]
+    green = 1 - red - blue
+    of_red, of_blue = 2 * (1 - red), 2 * (1 - blue)
+    return [
+        [red, green, blue],
+        [-red / of_blue, -green / of_blue, 0.5],
+        [0.5, -green / of_red, -blue / of_red],
+    ]
+
+
+def _color_numbers(
+    codes: tuple[float, ...], matrix: str, mean: Sequence[float], std: Sequence[float], levels: float
+) -> list[float]:
+    """The numbers of the operator: conversion, normalization and the factor `levels` are one affine map."""
+    black, luma, gray, chroma, _ = codes
+    weights, offsets = [], []
+    for row, deviation in zip(_rgb_of_ycc(matrix), std):
+        factors = [w * levels / (width * deviation) for w, width in zip(row, (luma, chroma, chroma))]
+        weights += factors
+        offsets.append(-sum(f * zero for f, zero in zip(factors, (black, gray, gray))))
+    bias = [-m * levels / s for m, s in zip(mean, std)]
+    highest = [(1 - m) * levels / s for m, s in zip(mean, std)]
+    return [*weights, *offsets, *bias, *bias, *highest]
+
+
+# --- layouts ---------------------------------------------------------------------------------------------------------
+
+
+def _whole_frame(op: str, x: Tensor, layout: str) -> tuple[Tensor, Tensor, Tensor]:
+    """The planes of frames (B, rows, W) in one tensor."""
+    rows, width = x.shape[-2:]
+    height = rows * 2 // 3
+    if height + (height + 1) // 2 != rows or height == 0 or width % 2 or (layout == "i420" and height % 2):
+        raise ShapeError(
+            f"{op}: expected planes of layout {layout!r} of shape (B, 3 H / 2, W) with even W"
+            f"{' and H' if layout == 'i420' else ''}, or luma and chroma as a tuple, got {tuple(x.shape)}",
+            actual_shape=x.shape,
+        )
+    y, chroma = x[:, :height], x[:, height:]
+    if (
+        layout == "i420"
+    ):  # each chroma plane is (H / 2, W / 2), one after the other: two of its rows in one of the tensor
+        u, v = chroma.reshape(x.shape[0], 2, height // 2, width // 2).unbind(1)
+        return y, u, v
+    u, v = chroma.unflatten(2, (width // 2, 2)).unbind(3)
+    return y, u, v
+
+
+def _planes(op: str, planes: Any, layout: str, size: Any) -> tuple[Tensor, Tensor, Tensor, bool]:
+    """y (B, H, W), u and v of the displayed part of frames, as views, and whether it is one frame without a batch."""
+    _check.choice(op, "layout", layout, _LAYOUTS)
+    parts = tuple(planes) if isinstance(planes, (tuple, list)) else (planes,)
+    for x in parts:
+        _check.is_tensor(op, "planes", x)
+    expected = torch.uint16 if layout == "p010" else None
+    for x in parts:
+        right = x.dtype == torch.uint16 if layout == "p010" else x.is_floating_point() or x.dtype == torch.uint8
+        if not right or x.dtype != parts[0].dtype:
+            kind = "torch.uint16" if expected else "torch.uint8 or one floating-point type"
+            got = ", ".join(str(p.dtype) for p in parts)
+            raise TypeCheckError(f"{op}: expected planes of layout {layout!r} to be {kind}, got {got}")
+    _check.same_device(op, **{f"plane {i}": x for i, x in enumerate(parts)})
+    three, packed = layout == "i420", layout == "yuy2"
+    counts = (1,) if packed else (1, 3 if three else 2)
+    if len(parts) not in counts:
+        named = "one tensor" if packed else "one tensor or (y, u, v)" if three else "one tensor or (y, uv)"
+        raise ShapeError(f"{op}: expected planes of layout {layout!r} as {named}, got {len(parts)} tensors")
+    if len(parts) == 1:
+        (x,) = parts
+        trailing = 3 if packed else 2
+        if x.dim() not in (trailing, trailing + 1) or 0 in x.shape[x.dim() - trailing :]:
+            shape = "(B, H, W, 2)" if packed else "(B, 3 H / 2, W)"
+            raise ShapeError(
+                f"{op}: expected planes of layout {layout!r} of shape {shape}, got {tuple(x.shape)}",
+                actual_shape=x.shape,
+            )
+        single = x.dim() == trailing
+        x = x[None] if single else x
+        if packed:  # Y0 U Y1 V
+            if x.shape[3] != 2 or x.shape[2] % 2:
+                raise ShapeError(
+                    f"{op}: expected planes of layout 'yuy2' of shape (B, H, W, 2) with even W, got {tuple(x.shape)}"
+                )
+            y, (u, v) = x[..., 0], x[..., 1].unflatten(2, (x.shape[2] // 2, 2)).unbind(3)
+        else:
+            y, u, v = _whole_frame(op, x, layout)
+    else:
+        y, *chroma = parts
+        single = y.dim() == 2
+        y = y[None] if single else y.squeeze(1) if y.dim() == 4 and y.shape[1] == 1 else y
+        if y.dim() != 3 or 0 in y.shape[1:]:
+            raise ShapeError(
+                f"{op}: expected y of shape (B, 1, H, W), (B, H, W) or (H, W), got {tuple(parts[0].shape)}"
+            )
+        batch, half = y.shape[0], ((y.shape[1] + 1) // 2, (y.shape[2] + 1) // 2)
+        if single:
+            chroma = [c[None] for c in chroma]
+        if three:
+            chroma = [c.squeeze(1) if c.dim() == 4 and c.shape[1] == 1 else c for c in chroma]
+        wanted = (batch, *half) if three else (batch, *half, 2)
+        for c, part in zip(chroma, parts[1:]):
+            if tuple(c.shape) != wanted:
+                raise ShapeError(
+                    f"{op}: expected chroma of shape {wanted[1:] if single else wanted} for y of shape "
+                    f"{tuple(parts[0].shape)}, got {tuple(part.shape)}",
+                    actual_shape=part.shape,
+                )
+        u, v = chroma if three else chroma[0].unbind(3)
+    if layout == "nv21":
+        u, v = v, u
+    if size is not None:
+        height, width = _check.ints(op, "size", size, 2)
+        if height > y.shape[1] or width > y.shape[2]:
+            raise ShapeError(f"{op}: expected size within the frame of {tuple(y.shape[1:])}, got {(height, width)}")
+        rows = height if packed else (height + 1) // 2
+        y, u, v = y[:, :height, :width], u[:, :rows, : (width + 1) // 2], v[:, :rows, : (width + 1) // 2]
+    return y, u, v, single
+
+
+def _check_colors(op: str, matrix: Any, color_range: Any, chroma: Any, siting: Any) -> int:
+    """The number of the chroma's siting."""
+    _check.choice(op, "matrix", matrix, tuple(_LUMA))
+    _check.choice(op, "color_range", color_range, _RANGES)
+    _check.choice(op, "chroma", chroma, ("nearest", "linear"))
+    _check.choice(op, "siting", siting, _SITINGS)
+    return 0 if chroma == "nearest" else 1 + _SITINGS.index(siting)
+
+
+def _per_channel(op: str, name: str, value: Any, default: float) -> list[float]:
+    if value is None:
+        return [default] * 3
+    if isinstance(value, (tuple, list)):
+        if len(value) != 3:
+            raise ValueCheckError(f"{op}: expected {name} to be a number or three of them, got {value!r}")
+        return [_check.number(op, name, v) for v in value]
+    return [_check.number(op, name, value)] * 3
+
+
+def _run(
+    op: str,
+    planes: Any,
+    map: Tensor | None,
+    dsize: Any,
+    layout: str,
+    matrix: str,
+    color_range: str,
+    chroma: str,
+    siting: str,
+    size: Any,
+    mean: Any,
+    std: Any,
+    dtype: torch.dtype | None,
+    antialias: bool = False,
+) -> Tensor:
+    number = _check_colors(op, matrix, color_range, chroma, siting)
+    y, u, v, single = _planes(op, planes, layout, size)
+    means, deviations = _per_channel(op, "mean", mean, 0.0), _per_channel(op, "std", std, 1.0)
+    if min(deviations) <= 0:
+        raise ValueCheckError(f"{op}: expected std above 0, got {std!r}", actual_value=std)
+    if dtype is not None and dtype not in _DTYPES:
+        raise TypeCheckError(f"{op}: expected dtype to be torch.uint8 or a floating-point type, got {dtype!r}")
+    normalizes = mean is not None or std is not None
+    if dtype is None:
+        dtype = y.dtype if y.is_floating_point() or (y.dtype == torch.uint8 and not normalizes) else torch.float32
+    if dtype == torch.uint8 and normalizes:
+        raise TypeCheckError(f"{op}: expected a floating-point dtype of normalized colors, got {dtype}")
+    # Planes of floats give their own type, which is then converted: kernels of all pairs of types are not worth their size.
+    stored = y.dtype if y.is_floating_point() else dtype
+    height, width = (0, 0) if dsize is None else _check.ints(op, "dsize", dsize, 2)
+    if map is not None:
+        map = _check.to_device_of(op, y, "matrices" if map.dim() == 3 else "boxes", map, "planes")
+        map = map.to(torch.float64 if stored == torch.float64 else torch.float32)
+        if map.shape[0] not in (1, y.shape[0]) and y.shape[0] != 1:
+            raise ShapeError(f"{op}: expected one row for each of {y.shape[0]} frames, got {tuple(map.shape)}")
+    levels = 255.0 if dtype == torch.uint8 else 1.0
+    numbers = _color_numbers(_codes(layout, color_range, y.dtype), matrix, means, deviations, levels)
+    plan = [height, width, _DTYPES.index(stored), number, int(antialias)]
+    rgb = _planes_to_rgb(y, u, v, map, plan, numbers)
+    if stored != dtype:
+        rgb = saturate_to_byte(rgb) if dtype == torch.uint8 else rgb.to(dtype)
+    return rgb[0] if single and rgb.shape[0] == 1 else rgb
+
+
+# --- frames to RGB ---------------------------------------------------------------------------------------------------
+
+
+def frames_to_rgb(
+    planes: Tensor | Sequence[Tensor],
+    layout: str = "nv12",
+    *,
+    matrix: str = "bt601",
+    color_range: str = "limited",
+    chroma: str = "nearest",
+    siting: str = "left",
+    size: tuple[int, int] | None = None,
+    mean: float | Sequence[float] | None = None,
+    std: float | Sequence[float] | None = None,
+    dtype: torch.dtype | None = None,
+) -> Tensor:
+    """Frames of a video decoder to RGB.
+
+    The planes are read where they are: rows may have any pitch, and planes may be views of a larger buffer.
+    Standard definition is coded with BT.601, high definition with BT.709; the stream says which, the frame does not.
+
+    Args:
+        planes: uint8, or floating-point codes / 255; uint16 with 10 bits at the top for 'p010'. By `layout`
+
+            - 'nv12', 'nv21', 'p010': (B, 3 H / 2, W), or y (B, 1, H, W) and interleaved chroma (B, H / 2, W / 2, 2);
+            - 'i420': (B, 3 H / 2, W), as OpenCV has it, or y (B, 1, H, W), u and v (B, 1, H / 2, W / 2);
+            - 'yuy2': (B, H, W, 2).
+
+            B may be missing. Separate planes of odd sizes have (H + 1) // 2 rows and (W + 1) // 2 columns of chroma.
+        layout: 'nv12', 'nv21' (NV12 with v first), 'i420', 'yuy2' or 'p010'.
+        matrix: 'bt601', 'bt709' or 'bt2020' (non-constant luminance).
+        color_range: 'limited', where 16 is black, 235 white, and chroma is 16 to 240; or 'full', 0 to 255.
+        chroma: 'nearest' repeats chroma, as OpenCV does; 'linear' interpolates it.
+        siting: where chroma is, for 'linear': 'left' (MPEG-2, H.264), 'center' (JPEG, MPEG-1) or 'topleft' (BT.2020).
+        size: height and width to display, from the top left, of coded frames that are larger.
+        mean: subtracted from the colors in [0, 1], a number or one of each channel.
+        std: what colors are divided by then.
+        dtype: of the result. Default: that of floating-point planes; uint8 for uint8 without `mean` and `std`; float32.
+
+    Returns:
+        (B, 3, H, W), or (3, H, W) without B. Colors are clamped to [0, 1], then normalized; uint8 has 255 levels.
+
+    Raises:
+        TypeError: `planes` are not tensors of one type, or not of the type of `layout`; `dtype` is no type of colors.
+        ValueError: `planes` do not fit `layout` or each other; an option is unknown; `size` exceeds the frame; `std` is
+            not above 0; the planes are on different devices.
+
+    Source: ITU-R BT.601-7, BT.709-6, BT.2020-2; H.273.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> red = torch.tensor([[81, 81], [81, 81], [90, 240]], dtype=torch.uint8)  # OpenCV's I420 of red
+        >>> K.color.frames_to_rgb(red, "i420")[:, 0, 0]
+        tensor([255,   0,   0], dtype=torch.uint8)
+    """
+    op = "frames_to_rgb"
+    colors = (layout, matrix, color_range, chroma, siting, size, mean, std, dtype)
+    return _run(op, planes, None, None, *colors)
+
+
+def resize_frames(
+    planes: Tensor | Sequence[Tensor],
+    dsize: int | tuple[int, int],
+    boxes: Tensor | None = None,
+    layout: str = "nv12",
+    *,
+    antialias: bool = False,
+    matrix: str = "bt601",
+    color_range: str = "limited",
+    chroma: str = "nearest",
+    siting: str = "left",
+    size: tuple[int, int] | None = None,
+    mean: float | Sequence[float] | None = None,
+    std: float | Sequence[float] | None = None,
+    dtype: torch.dtype | None = None,
+) -> Tensor:
+    """Crop, mirror, resize and normalize frames of a video decoder, to RGB, in one pass over the planes.
+
+    The values are those of :func:`frames_to_rgb` in floating point, cropped and resized by
+    :func:`kvision.geometry.resize`, where no color is clamped: here colors are clamped once, at the end.
+
+    Args:
+        planes: as :func:`frames_to_rgb` takes them.
+        dsize: height and width of the result, or one number for both.
+        boxes: (B, 4), or (1, 4) for all frames, or (N, 4) of one frame: the edges x1, y1, x2, y2 of what is resized, in
+            pixels, where the frame is from 0, 0 to W, H. x1 above x2 mirrors. Fractions are taken as they are. No pixel
+            is read that a box does not touch; outside of the frame its border continues. Default: the frame.
+        layout: as for :func:`frames_to_rgb`.
+        antialias: whether shrinking averages all pixels, as that of `resize`.
+        matrix: as for :func:`frames_to_rgb`.
+        color_range: as for :func:`frames_to_rgb`.
+        chroma: as for :func:`frames_to_rgb`.
+        siting: as for :func:`frames_to_rgb`.
+        size: as for :func:`frames_to_rgb`.
+        mean: as for :func:`frames_to_rgb`.
+        std: as for :func:`frames_to_rgb`.
+        dtype: as for :func:`frames_to_rgb`.
+
+    Returns:
+        (B, 3, h, w), (N, 3, h, w), or (3, h, w) for one frame without B and at most one box.
+
+    Raises:
+        TypeError: as :func:`frames_to_rgb` does; `boxes` is not a tensor of numbers, `antialias` not a bool.
+        ValueError: as :func:`frames_to_rgb` does; `boxes` is not (B, 4).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> frames = torch.full((2, 1620, 1920), 128, dtype=torch.uint8)
+        >>> boxes = torch.tensor([[419.0, 11, 1499, 1080], [1499, 11, 419, 1080]])  # the second one mirrored
+        >>> K.color.resize_frames(frames, 224, boxes, antialias=True, mean=0.5, std=0.5, dtype=torch.float16).shape
+        torch.Size([2, 3, 224, 224])
+    """
+    op = "resize_frames"
+    if boxes is not None:
+        _check.shape(op, "boxes", boxes, "B", 4)
+    _check.flag(op, "antialias", antialias)
+    colors = (layout, matrix, color_range, chroma, siting, size, mean, std, dtype)
+    return _run(op, planes, boxes, dsize, *colors, antialias)
+
+
+def warp_frames(
+    planes: Tensor | Sequence[Tensor],
+    M: Tensor,
+    dsize: int | tuple[int, int],
+    layout: str = "nv12",
+    *,
+    matrix: str = "bt601",
+    color_range: str = "limited",
+    chroma: str = "nearest",
+    siting: str = "left",
+    size: tuple[int, int] | None = None,
+    mean: float | Sequence[float] | None = None,
+    std: float | Sequence[float] | None = None,
+    dtype: torch.dtype | None = None,
+) -> Tensor:
+    """Warp frames of a video decoder by affine or perspective transformations, to RGB, in one pass over the planes.
+
+    Bilinear, black outside of the frame, as :func:`kvision.geometry.warp_affine` and `warp_perspective`.
+
+    Args:
+        planes: as :func:`frames_to_rgb` takes them.
+        M: (B, 2, 3) or (B, 3, 3), from pixels (x, y) of the frames to pixels of the result; one for all or one a frame.
+        dsize: height and width of the result, or one number for both.
+        layout: as for :func:`frames_to_rgb`.
+        matrix: as for :func:`frames_to_rgb`.
+        color_range: as for :func:`frames_to_rgb`.
+        chroma: as for :func:`frames_to_rgb`.
+        siting: as for :func:`frames_to_rgb`.
+        size: as for :func:`frames_to_rgb`.
+        mean: as for :func:`frames_to_rgb`.
+        std: as for :func:`frames_to_rgb`.
+        dtype: as for :func:`frames_to_rgb`.
+
+    Returns:
+        (B, 3, h, w), or (3, h, w) for one frame without B. A matrix without an inverse gives black.
+
+    Raises:
+        TypeError: as :func:`frames_to_rgb` does; `M` is not a tensor of numbers.
+        ValueError: as :func:`frames_to_rgb` does; `M` is not (B, 2, 3) or (B, 3, 3).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> shift = torch.tensor([[[1.0, 0, 1], [0, 1, 0]]])
+        >>> white = torch.tensor([[235, 235], [235, 235], [128, 128]], dtype=torch.uint8)
+        >>> K.color.warp_frames(white, shift, (1, 2))[0]
+        tensor([[  0, 255]], dtype=torch.uint8)
+    """
+    op = "warp_frames"
+    _check.numbers(op, "M", M)
+    if M.dim() != 3 or M.shape[1:] not in ((2, 3), (3, 3)):
+        raise ShapeError(
+            f"{op}: expected M of shape (B, 2, 3) or (B, 3, 3), got {tuple(M.shape)}", actual_shape=M.shape
+        )
+    if M.shape[1] == 2:
+        M = F.pad(M.to(torch.promote_types(M.dtype, torch.float32)), (0, 0, 0, 1))
+        M = M + M.new_tensor([[0.0, 0, 0], [0, 0, 0], [0, 0, 1]])
+    colors = (layout, matrix, color_range, chroma, siting, size, mean, std, dtype)
+    return _run(op, planes, M, dsize, *colors)
+
+
+# --- RGB to frames ---------------------------------------------------------------------------------------------------
+
+
+def _subsampled(x: Tensor, dim: int, kind: int) -> Tensor:
+    """Chroma along an axis, of every second pixel or of the pixels around the samples."""
+    count = x.shape[dim]
+    even = torch.arange(0, count, 2, device=x.device)
+    here = x.index_select(dim, even)
+    if kind == _NEAREST:
+        return here
+    after = x.index_select(dim, (even + 1).clamp(max=count - 1))
+    if kind == _BETWEEN:
+        return (here + after) / 2
+    return here / 2 + (x.index_select(dim, (even - 1).clamp(min=0)) + after) / 4
+
+
+def rgb_to_frames(
+    image: Tensor,
+    layout: str = "nv12",
+    *,
+    matrix: str = "bt601",
+    color_range: str = "limited",
+    chroma: str = "nearest",
+    siting: str = "left",
+    split: bool = False,
+    dtype: torch.dtype | None = None,
+) -> Any:
+    """RGB to frames for a video encoder.
+
+    Args:
+        image: (B, 3, H, W) or (3, H, W), uint8 or floating-point in [0, 1].
+        layout: as for :func:`frames_to_rgb`.
+        matrix: as for :func:`frames_to_rgb`.
+        color_range: as for :func:`frames_to_rgb`.
+        chroma: 'nearest' takes the chroma of the top left pixel, as OpenCV does; 'linear' averages the pixels around the
+            sample.
+        siting: where chroma is, for 'linear', as for :func:`frames_to_rgb`.
+        split: return the planes one by one, which may have odd sizes then.
+        dtype: torch.uint8, or a floating-point type for codes / 255. Default: that of `image`. 'p010' has uint16 alone.
+
+    Returns:
+        (B, 3 H / 2, W), (B, H, W, 2) for 'yuy2', and without B where `image` has none. With `split` y (B, 1, H, W) and
+        chroma (B, H / 2, W / 2, 2), or y, u and v for 'i420'.
+
+    Raises:
+        TypeError: `image` is not a tensor of uint8 or floating point; `split` is not a bool; `dtype` is no type of codes.
+        ValueError: `image` is not (B, 3, H, W); it has an odd size that the layout cannot say; an option is unknown.
+
+    Source: ITU-R BT.601-7, BT.709-6, BT.2020-2; H.273.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> red = torch.tensor([255, 0, 0], dtype=torch.uint8).view(3, 1, 1).expand(3, 2, 2)
+        >>> K.color.rgb_to_frames(red, "i420")
+        tensor([[ 81,  81],
+                [ 81,  81],
+                [ 90, 240]], dtype=torch.uint8)
+    """
+    op = "rgb_to_frames"
+    _check.choice(op, "layout", layout, _LAYOUTS)
+    number = _check_colors(op, matrix, color_range, chroma, siting)
+    _check.flag(op, "split", split)
+    _check.floating_or_bytes(op, "image", image)
+    if image.dim() not in (3, 4) or image.shape[-3] != 3 or 0 in image.shape[-2:]:
+        raise ShapeError(
+            f"{op}: expected image of shape (B, 3, H, W), got {tuple(image.shape)}", actual_shape=image.shape
+        )
+    allowed = (torch.uint16,) if layout == "p010" else _DTYPES
+    dtype = dtype or (torch.uint16 if layout == "p010" else image.dtype)
+    if dtype not in allowed:
+        raise TypeCheckError(f"{op}: expected dtype of layout {layout!r} to be one of {allowed}, got {dtype}")
+    height, width = image.shape[-2:]
+    packed = layout == "yuy2"
+    if (packed or not split) and (width % 2 or (height % 2 and layout == "i420")):
+        advice = "" if packed else "; split=True gives planes of odd sizes"
+        raise ShapeError(f"{op}: expected image of even size for layout {layout!r}, got {tuple(image.shape)}{advice}")
+    wide = torch.float64 if torch.float64 in (image.dtype, dtype) else torch.float32
+    rgb = image.to(wide) / 255 if image.dtype == torch.uint8 else image.to(wide)
+    rgb = rgb[None] if image.dim() == 3 else rgb
+    black, luma, gray, of_chroma, _ = _codes(layout, color_range, torch.uint8)
+
+    def coded(k: int) -> Tensor:
+        first, second, third = _ycc_of_rgb(matrix)[k]
+        plane = rgb[:, 0] * first + rgb[:, 1] * second + rgb[:, 2] * third
+        return plane * (of_chroma if k else luma) + (gray if k else black)
+
+    def stored(codes: Tensor) -> Tensor:
+        if layout == "p010":
+            return ((codes / 64).round().clamp(0, 1023) * 64).to(torch.int32).to(torch.uint16)
+        return saturate_to_byte(codes) if dtype == torch.uint8 else (codes / 255).to(dtype)
+
+    along_x, along_y = _axes_of(number)
+    y, u, v = coded(0), coded(1), coded(2)
+    u, v = (_subsampled(c, 2, along_x) for c in (u, v))
+    if not packed:
+        u, v = (_subsampled(c, 1, along_y) for c in (u, v))
+    if layout == "nv21":
+        u, v = v, u
+    y, u, v = stored(y), stored(u), stored(v)
+    result: Any
+    if packed:
+        result = torch.stack([y, torch.stack([u, v], 3).flatten(2)], 3)
+    elif layout == "i420":
+        result = (y[:, None], u[:, None], v[:, None])
+        if not split:
+            result = torch.cat([c.flatten(1) for c in (y, u, v)], 1).unflatten(1, (height * 3 // 2, width))
+    else:
+        uv = torch.stack([u, v], 3)
+        result = (y[:, None], uv) if split else torch.cat([y, uv.flatten(2)], 1)
+    if image.dim() == 4:
+        return result
+    return tuple(part[0] for part in result) if isinstance(result, tuple) else result[0]

@@ -184,6 +184,18 @@ inline constexpr Operator<"soft_argmax", Two(Tensor input, Ints window, Ints str
 inline constexpr Operator<"spatial_expectation", Two(Tensor input, bool softmax, double scale, bool normalized)>
     spatial_expectation{Rule{detail::spatial_expectation_gradients, 2}};
 
+// --- geometry/transform/antialiased/warp_antialiased_op.cpp
+
+// Their arguments are those of `warp` and `remap`, without an interpolation.
+inline constexpr Operator<"warp_antialiased",
+                          Tensor(Tensor image, Tensor matrix, OptionalTensor fill, OptionalTensor image_index,
+                                 Ints size, int64_t padding, bool align_corners, bool inverse, bool normalized)>
+    warp_antialiased{detail::rules::warp_antialiased};
+inline constexpr Operator<"remap_antialiased", Tensor(Tensor image, Tensor map_x, Tensor map_y, OptionalTensor fill,
+                                                      OptionalTensor image_index, int64_t padding, bool align_corners,
+                                                      bool normalized, bool moves)>
+    remap_antialiased{detail::rules::remap_antialiased};
+
 // --- geometry/transform/composed/composed_warp_op.cpp
 
 // Where the pixels of a result of that size read after a chain of links, matrices (B, 3, 3) and displacements

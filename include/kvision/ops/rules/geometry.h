@@ -28,24 +28,34 @@ Tensor to_fill(Backward const& b, Tensor const& fill, Inside const& inside) {
 
 inline Tensor cast(Tensor const& x, Tensor const& like) { return x.to(like.scalar_type()); }
 
-inline constexpr Rule warp{[](Backward const& b) -> variable_list {
+template <Name forward, Name to_image, Name to_matrix>
+inline constexpr Rule by_matrix{[](Backward const& b) -> variable_list {
   Tensor const fill = b.tensor(2);
   auto const inside = [&](Tensor const& ones) {
-    return b.call("warp", {{"image", ones}, {"fill", {}}, {"image_index", {}}}, warp)[0];
+    return b.call(forward.text, {{"image", ones}, {"fill", {}}, {"image_index", {}}},
+                  by_matrix<forward, to_image, to_matrix>)[0];
   };
-  return {b.needs(0) ? b.call("warp_image_backward", {{"size", b.batch_size()}})[0] : Tensor(),
-          b.needs(1) ? b.call("warp_matrix_backward")[0] : Tensor(), b.needs(2) ? to_fill(b, fill, inside) : Tensor()};
+  return {b.needs(0) ? b.call(to_image.text, {{"size", b.batch_size()}})[0] : Tensor(),
+          b.needs(1) ? b.call(to_matrix.text)[0] : Tensor(), b.needs(2) ? to_fill(b, fill, inside) : Tensor()};
 }};
-inline constexpr Rule remap{[](Backward const& b) -> variable_list {
-  variable_list gradients{b.needs(0) ? b.call("remap_image_backward", {{"size", b.batch_size()}})[0] : Tensor()};
-  variable_list const maps = b.needs(1) || b.needs(2) ? b.call("remap_map_backward") : variable_list(2);
+template <Name forward, Name to_image, Name to_maps>
+inline constexpr Rule by_maps{[](Backward const& b) -> variable_list {
+  variable_list gradients{b.needs(0) ? b.call(to_image.text, {{"size", b.batch_size()}})[0] : Tensor()};
+  variable_list const maps = b.needs(1) || b.needs(2) ? b.call(to_maps.text) : variable_list(2);
   gradients.insert(gradients.end(), maps.begin(), maps.end());
   auto const inside = [&](Tensor const& ones) {
-    return b.call("remap", {{"image", ones}, {"fill", {}}, {"image_index", {}}}, remap)[0];
+    return b.call(forward.text, {{"image", ones}, {"fill", {}}, {"image_index", {}}},
+                  by_maps<forward, to_image, to_maps>)[0];
   };
   gradients.push_back(b.needs(3) ? to_fill(b, b.tensor(3), inside) : Tensor());
   return gradients;
 }};
+inline constexpr Rule warp{by_matrix<"warp", "warp_image_backward", "warp_matrix_backward">};
+inline constexpr Rule remap{by_maps<"remap", "remap_image_backward", "remap_map_backward">};
+inline constexpr Rule warp_antialiased{
+    by_matrix<"warp_antialiased", "warp_antialiased_image_backward", "warp_antialiased_matrix_backward">};
+inline constexpr Rule remap_antialiased{
+    by_maps<"remap_antialiased", "remap_antialiased_image_backward", "remap_antialiased_map_backward">};
 
 inline constexpr char const* kLinks[] = {"a", "b", "c", "d", "e", "f", "g", "h"};
 

@@ -15,6 +15,7 @@ from kvision._modes import INTERPOLATION, WARP_FORMULA
 from kvision._modules import FunctionModule
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.geometry.transform import sampling
+from kvision.geometry.transform.antialiased.warp_antialiased import check_antialias, warp_antialiased_by_formula
 from kvision.geometry.transform.nearest import as_values, of_values
 
 __all__ = ["Affine", "Rotate", "Scale", "Shear", "Translate", "affine", "rotate", "scale", "shear", "translate"]
@@ -64,6 +65,7 @@ def rotate(
     mode: str = "bilinear",
     padding_mode: str = "zeros",
     align_corners: bool = True,
+    antialias: bool = False,
 ) -> Tensor:
     """Rotate images counter-clockwise as displayed, keeping their size.
 
@@ -75,14 +77,18 @@ def rotate(
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
         align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
+        antialias: where the image becomes smaller, average the pixels that a pixel of the result covers, as `resize` does with
+            `antialias`; see :doc:`/conventions`. Only with 'bilinear'.
 
     Returns:
         Images of the shape and dtype of `tensor`.
 
     Raises:
-        TypeError: `tensor`, `angle` or `center` is not a tensor of real numbers, nor numbers; `align_corners` is not a bool.
+        TypeError: `tensor`, `angle` or `center` is not a tensor of real numbers, nor numbers; `align_corners`
+            or `antialias` is not a bool.
         ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `angle` is not (B,), (1,) or (); `center`
-            is not (B, 2) or (1, 2); `mode` or `padding_mode` is unknown; the tensors are on different devices.
+            is not (B, 2) or (1, 2); `mode` or `padding_mode` is unknown; `antialias` with another mode than 'bilinear'; the
+            tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -95,7 +101,16 @@ def rotate(
     middle, x, y = _center("rotate", images, center)
     inputs = (angle, None, None, None, None, middle)
     return _by_formula(
-        "rotate", tensor, images, mode, padding_mode, align_corners, "affine_matrix2d", [1.0, x, y], *inputs
+        "rotate",
+        tensor,
+        images,
+        mode,
+        padding_mode,
+        align_corners,
+        "affine_matrix2d",
+        [1.0, x, y],
+        *inputs,
+        antialias=antialias,
     )
 
 
@@ -144,6 +159,7 @@ def scale(
     mode: str = "bilinear",
     padding_mode: str = "zeros",
     align_corners: bool = True,
+    antialias: bool = False,
 ) -> Tensor:
     """Scale images about a center, keeping their size.
 
@@ -155,16 +171,18 @@ def scale(
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
         align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
+        antialias: where the image becomes smaller, average the pixels that a pixel of the result covers, as `resize` does with
+            `antialias`; see :doc:`/conventions`. Only with 'bilinear'.
 
     Returns:
         Images of the shape and dtype of `tensor`.
 
     Raises:
-        TypeError: `tensor`, `scale_factor` or `center` is not a tensor of real numbers, nor numbers; `align_corners` is
-            not a bool.
+        TypeError: `tensor`, `scale_factor` or `center` is not a tensor of real numbers, nor numbers; `align_corners` or
+            `antialias` is not a bool.
         ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `scale_factor` is not (B, 2), (B, 1) or
-            (B,), with B or 1 rows; `center` is not (B, 2) or (1, 2); `mode` or `padding_mode` is unknown; the tensors
-            are on different devices.
+            (B,), with B or 1 rows; `center` is not (B, 2) or (1, 2); `mode` or `padding_mode` is unknown;
+            `antialias` with another mode than 'bilinear'; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -179,8 +197,9 @@ def scale(
         scale_factor = scale_factor.expand(*scale_factor.shape[:-1], 2)
     scale_factor = _vector("scale", images, "scale_factor", scale_factor, 2)
     middle, x, y = _center("scale", images, center)
+    options = (mode, padding_mode, align_corners)
     return _by_formula(
-        "scale", tensor, images, mode, padding_mode, align_corners, "scale_matrix2d", [x, y], scale_factor, middle
+        "scale", tensor, images, *options, "scale_matrix2d", [x, y], scale_factor, middle, antialias=antialias
     )
 
 
@@ -232,14 +251,19 @@ def _images(op: str, tensor: Any) -> Tensor:
     return tensor[None] if tensor.dim() == 3 else tensor
 
 
-def _by_formula(op, tensor, images, mode, padding_mode, align_corners, formula, numbers, *inputs):
+def _by_formula(op, tensor, images, mode, padding_mode, align_corners, formula, numbers, *inputs, antialias=False):
     sampling.check_options(op, mode, padding_mode, align_corners)
+    check_antialias(op, antialias, mode)
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
     six = inputs + (None,) * (6 - len(inputs))
     size = list(images.shape[2:])
-    options = (size, INTERPOLATION[mode], padding, align_corners, True, False)
+    options = (padding, align_corners, True, False)
     values = as_values(images, mode)
-    result = sampling.warp_by_formula(values, *six, None, WARP_FORMULA[formula], numbers, *options)
+    if antialias:
+        result = warp_antialiased_by_formula(values, None, formula, (*six, *numbers), size, *options)
+    else:
+        options = (size, INTERPOLATION[mode], *options)
+        result = sampling.warp_by_formula(values, *six, None, WARP_FORMULA[formula], numbers, *options)
     result = of_values(result, images, mode)
     return result[0] if tensor.dim() == 3 else result
 
@@ -306,12 +330,20 @@ class Rotate(FunctionModule):
         mode: str = "bilinear",
         padding_mode: str = "zeros",
         align_corners: bool = True,
+        antialias: bool = False,
     ) -> None:
         angle = _tensor("Rotate", "angle", angle, 1)
-        super().__init__(angle=angle, center=center, mode=mode, padding_mode=padding_mode, align_corners=align_corners)
+        super().__init__(
+            angle=angle,
+            center=center,
+            mode=mode,
+            padding_mode=padding_mode,
+            align_corners=align_corners,
+            antialias=antialias,
+        )
 
     def forward(self, input: Tensor) -> Tensor:
-        return rotate(input, self.angle, self.center, self.mode, self.padding_mode, self.align_corners)
+        return rotate(input, self.angle, self.center, self.mode, self.padding_mode, self.align_corners, self.antialias)
 
 
 class Translate(FunctionModule):
@@ -353,14 +385,22 @@ class Scale(FunctionModule):
         mode: str = "bilinear",
         padding_mode: str = "zeros",
         align_corners: bool = True,
+        antialias: bool = False,
     ) -> None:
         scale_factor = _tensor("Scale", "scale_factor", scale_factor, 2, one_for_both=True)
         super().__init__(
-            scale_factor=scale_factor, center=center, mode=mode, padding_mode=padding_mode, align_corners=align_corners
+            scale_factor=scale_factor,
+            center=center,
+            mode=mode,
+            padding_mode=padding_mode,
+            align_corners=align_corners,
+            antialias=antialias,
         )
 
     def forward(self, input: Tensor) -> Tensor:
-        return scale(input, self.scale_factor, self.center, self.mode, self.padding_mode, self.align_corners)
+        return scale(
+            input, self.scale_factor, self.center, self.mode, self.padding_mode, self.align_corners, self.antialias
+        )
 
 
 class Shear(FunctionModule):

@@ -16,6 +16,7 @@ from kvision._torch_compat import in_function_transform, without_transforms
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry._formula import batch_of, register_formula
 from kvision.geometry.transform import sampling
+from kvision.geometry.transform.antialiased.warp_antialiased import check_antialias, warp_antialiased
 from kvision.geometry.transform.matrices import crop_matrix
 from kvision.geometry.transform.nearest import as_values, of_values
 from kvision.geometry.transform.resize import resize
@@ -67,6 +68,7 @@ def crop_and_resize(
     padding_mode: str = "zeros",
     align_corners: bool = True,
     box_indices: Tensor | None = None,
+    antialias: bool = False,
 ) -> Tensor:
     """Resample quadrangles of images to a size; their corners go to the corner pixels of the result.
 
@@ -83,15 +85,18 @@ def crop_and_resize(
         align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
         box_indices: (N,), int64 or int32: the image of each of the N boxes, from 0 to B - 1. On a GPU a number out of
             this range is clamped, because reading it would wait for the device.
+        antialias: where boxes become smaller, average the pixels that a pixel of the result covers, as `resize` does with
+            `antialias`; see :doc:`/conventions`. Only with 'bilinear'.
 
     Returns:
         (N, C, h, w), of the dtype of `input_tensor`.
 
     Raises:
-        TypeError: `input_tensor` or `boxes` is not a tensor of real numbers; `size` is not two ints; `align_corners` is not
-            a bool; `box_indices` is not a tensor of int64 or int32.
+        TypeError: `input_tensor` or `boxes` is not a tensor of real numbers; `size` is not two ints; `align_corners` or
+            `antialias` is not a bool; `box_indices` is not a tensor of int64 or int32.
         ValueError: `input_tensor` is not (B, C, H, W); `boxes` is not (N, 4, 2), or N is not the number of images; an
-            entry of `size` is below 1; `mode` or `padding_mode` is unknown; `box_indices` is not (N,) or, on the CPU,
+            entry of `size` is below 1; `mode` or `padding_mode` is unknown; `antialias` with another mode than 'bilinear';
+            `box_indices` is not (N,) or, on the CPU,
             out of range; the tensors are on different devices.
 
     Example:
@@ -104,7 +109,7 @@ def crop_and_resize(
     """
     op = "crop_and_resize"
     size = _check.ints(op, "size", size, 2)  # type: ignore[assignment]  # two entries by construction
-    return _crop(op, input_tensor, boxes, None, size, mode, padding_mode, align_corners, box_indices)
+    return _crop(op, input_tensor, boxes, None, size, mode, padding_mode, align_corners, box_indices, antialias)
 
 
 def crop_by_boxes(
@@ -169,11 +174,12 @@ def crop_by_boxes(
     return _crop(op, input_tensor, src_box, dst_box[:, 0], (h, w), mode, padding_mode, align_corners)
 
 
-def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corners, box_indices=None):
+def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corners, box_indices=None, antialias=False):
     """Resample the quadrangles `boxes` to the rectangle of `size` with first pixel `first` (B, 2); None for (0, 0)."""
     _check.images(op, "input_tensor", input_tensor)
     _check.shape(op, "boxes", boxes, "N", 4, 2)
     sampling.check_options(op, mode, padding_mode, align_corners)
+    check_antialias(op, antialias, mode)
     images = as_values(input_tensor, mode)
     if box_indices is None:
         samples = sampling.count_samples(images, boxes)
@@ -187,6 +193,11 @@ def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corner
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
     across, down = max(w - 1, 1), max(h - 1, 1)
     options = (list(size), INTERPOLATION[mode], padding, align_corners, False, False)
+    if antialias:
+        matrix = crop_matrix.definition if _check.is_symbolic(h, w) else crop_matrix
+        options = (list(size), padding, align_corners, False, False)
+        result = warp_antialiased(images, matrix(boxes, first, across, down), None, box_indices, *options)
+        return of_values(result, input_tensor, mode)
     if _check.is_symbolic(h, w):
         matrix = crop_matrix.definition(boxes, first, across, down)
         return of_values(sampling.warp(images, matrix, None, box_indices, *options), input_tensor, mode)

@@ -115,6 +115,15 @@ def source_coords(
     matrix: Tensor, output: Sequence[int], source: Sequence[int], align_corners: bool, inverse: bool, normalized: bool
 ) -> list[Tensor]:
     """Sampling coordinates in the source of the pixels of the output: x and y, (B, h, w)."""
+    promoted = source_map(matrix, source, output, align_corners, inverse, normalized)
+    u, v, _, horizon = mapped_pixels(promoted, output)
+    return [torch.where(horizon, torch.nan, x).to(matrix.dtype) for x in (u, v)]
+
+
+def source_map(
+    matrix: Tensor, source: Sequence[int], output: Sequence[int], align_corners: bool, inverse: bool, normalized: bool
+) -> Tensor:
+    """The map (B, 3, 3) from pixels of the output to those of the source."""
     promoted = matrices.promoted(matrix)
     if promoted.shape[1] == 2:
         promoted = homogeneous(promoted)
@@ -122,14 +131,18 @@ def source_coords(
         promoted = adjugate(promoted)
     if normalized:
         promoted = from_unit(source, align_corners, promoted) @ promoted @ to_unit(output, align_corners, promoted)
-    promoted = promoted / homography_scale(promoted.detach())
-    (h, w), m = output, promoted[..., None, None]
-    x = torch.arange(w, dtype=promoted.dtype, device=promoted.device)
-    y = torch.arange(h, dtype=promoted.dtype, device=promoted.device)[:, None]
+    return promoted / homography_scale(promoted.detach())
+
+
+def mapped_pixels(map: Tensor, size: Sequence[int]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Where a map takes the pixels of a size: x and y, their divisor, which is 1 on the horizon, and where that is."""
+    (h, w), m = size, map[..., None, None]
+    x = torch.arange(w, dtype=map.dtype, device=map.device)
+    y = torch.arange(h, dtype=map.dtype, device=map.device)[:, None]
     u, v, depth = (m[:, i, 0] * x + (m[:, i, 1] * y + m[:, i, 2]) for i in range(3))
     horizon = depth == 0
     depth = torch.where(horizon, 1, depth)
-    return [torch.where(horizon, torch.nan, x / depth).to(matrix.dtype) for x in (u, v)]
+    return u / depth, v / depth, depth, horizon
 
 
 def homography_scale(m: Tensor) -> Tensor:
@@ -395,15 +408,16 @@ def register_warp_by_formula(
     )
 
 
+FORMULAS = {
+    "affine_matrix2d": Formula(matrices.affine_matrix2d, 6, (2,)),
+    "translation_matrix2d": Formula(matrices.translation_matrix2d, 1, (2,)),
+    "scale_matrix2d": Formula(matrices.scale_matrix2d, 2),
+    "shear_factor_matrix2d": Formula(matrices.shear_factor_matrix2d, 1),
+    "crop_matrix": Formula(matrices.crop_matrix, 2),
+}
 warp_by_formula = register_warp_by_formula(
     warp,
-    {
-        "affine_matrix2d": Formula(matrices.affine_matrix2d, 6, (2,)),
-        "translation_matrix2d": Formula(matrices.translation_matrix2d, 1, (2,)),
-        "scale_matrix2d": Formula(matrices.scale_matrix2d, 2),
-        "shear_factor_matrix2d": Formula(matrices.shear_factor_matrix2d, 1),
-        "crop_matrix": Formula(matrices.crop_matrix, 2),
-    },
+    FORMULAS,
     is_indexed=True,
     bytes=True,
     flatten=_flatten_samples(image=0, image_index=7),
@@ -417,18 +431,31 @@ def _remap_reference(
 ):
     samples = _count_samples(image, image_index, map_x, map_y)
     image = _images_of_samples(image, image_index, samples)
+    coords = map_coords((map_x, map_y), samples, image.shape[2:], align_corners, normalized, displacements)
+    return sample(image, coords, INTERPOLATION_NAMES[interpolation], PADDING_NAMES[padding], align_corners, fill)
+
+
+def map_coords(
+    maps: Sequence[Tensor],
+    samples: int,
+    size: Sequence[int],
+    align_corners: bool,
+    normalized: bool,
+    displacements: bool,
+) -> list[Tensor]:
+    """Sampling coordinates, in pixels of images of a size, that maps of x and y give all samples."""
     coords = []
-    for axis, (coord, size) in enumerate(((map_x, image.shape[3]), (map_y, image.shape[2]))):
+    for axis, (coord, n) in enumerate(zip(maps, reversed(size))):
         coord = coord.expand(samples, -1, -1)
         if normalized:
-            coord = coord * ((size - 1 if align_corners else size) / 2)
+            coord = coord * ((n - 1 if align_corners else n) / 2)
         if displacements:
             index = torch.arange(coord.shape[2 - axis], dtype=coord.dtype, device=coord.device)
             coord = coord + (index[:, None] if axis else index)
         elif normalized:
-            coord = coord + (size - 1) / 2
+            coord = coord + (n - 1) / 2
         coords.append(coord)
-    return sample(image, coords, INTERPOLATION_NAMES[interpolation], PADDING_NAMES[padding], align_corners, fill)
+    return coords
 
 
 def _remap_backward(needs, grad, image, map_x, map_y, fill, image_index, *options):

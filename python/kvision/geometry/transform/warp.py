@@ -12,6 +12,11 @@ from kvision._modes import INTERPOLATION
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._transform_points import transformed
 from kvision.geometry.transform import sampling
+from kvision.geometry.transform.antialiased.warp_antialiased import (
+    check_antialias,
+    remap_antialiased,
+    warp_antialiased,
+)
 from kvision.geometry.transform.nearest import as_values, of_values
 
 __all__ = ["homography_warp", "remap", "warp_affine", "warp_grid", "warp_perspective"]
@@ -25,6 +30,7 @@ def warp_perspective(
     padding_mode: str = "zeros",
     align_corners: bool = True,
     fill_value: Tensor | Sequence[float] | float | None = None,
+    antialias: bool = False,
 ) -> Tensor:
     """Warp images by homographies from their pixels to those of the result.
 
@@ -43,14 +49,18 @@ def warp_perspective(
         align_corners: mirror at the centers of the outermost pixels, not at their edges. Ignored by padding modes other
             than 'reflection'.
         fill_value: a number, (C,) for one per channel, or (B, C, 1, 1); None for 0.
+        antialias: where the image becomes smaller, average the pixels that a pixel of the result covers, as `resize` does with
+            `antialias`; see :doc:`/conventions`. Only with 'bilinear'.
 
     Returns:
         (B, C, h, w), of the dtype of `src`; uint8 is rounded half to even and saturated.
 
     Raises:
-        TypeError: `src` or `M` is not a tensor of real numbers; `dsize` is not two ints; `align_corners` is not a bool.
+        TypeError: `src` or `M` is not a tensor of real numbers; `dsize` is not two ints; `align_corners` or `antialias`
+            is not a bool.
         ValueError: `src` is not (B, C, H, W); `M` is not (B, 3, 3) or (1, 3, 3); an entry of `dsize` is below 1; `mode`
-            or `padding_mode` is unknown; `fill_value` has none of these shapes; the tensors are on different devices.
+            or `padding_mode` is unknown; `fill_value` has none of these shapes; `antialias` with another mode than
+            'bilinear'; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -60,7 +70,7 @@ def warp_perspective(
         tensor([[[[0., 0., 1.],
                   [0., 3., 4.]]]])
     """
-    return _warp("warp_perspective", src, M, 3, dsize, mode, padding_mode, align_corners, fill_value)
+    return _warp("warp_perspective", src, M, 3, dsize, mode, padding_mode, align_corners, fill_value, antialias)
 
 
 def warp_affine(
@@ -71,6 +81,7 @@ def warp_affine(
     padding_mode: str = "zeros",
     align_corners: bool = True,
     fill_value: Tensor | Sequence[float] | float | None = None,
+    antialias: bool = False,
 ) -> Tensor:
     """Warp images by affine matrices from their pixels to those of the result.
 
@@ -89,14 +100,18 @@ def warp_affine(
         align_corners: mirror at the centers of the outermost pixels, not at their edges. Ignored by padding modes other
             than 'reflection'.
         fill_value: a number, (C,) for one per channel, or (B, C, 1, 1); None for 0.
+        antialias: where the image becomes smaller, average the pixels that a pixel of the result covers, as `resize` does with
+            `antialias`; see :doc:`/conventions`. Only with 'bilinear'.
 
     Returns:
         (B, C, h, w), of the dtype of `src`; uint8 is rounded half to even and saturated.
 
     Raises:
-        TypeError: `src` or `M` is not a tensor of real numbers; `dsize` is not two ints; `align_corners` is not a bool.
+        TypeError: `src` or `M` is not a tensor of real numbers; `dsize` is not two ints; `align_corners` or `antialias`
+            is not a bool.
         ValueError: `src` is not (B, C, H, W); `M` is not (B, 2, 3) or (1, 2, 3); an entry of `dsize` is below 1; `mode`
-            or `padding_mode` is unknown; `fill_value` has none of these shapes; the tensors are on different devices.
+            or `padding_mode` is unknown; `fill_value` has none of these shapes; `antialias` with another mode than
+            'bilinear'; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -106,19 +121,22 @@ def warp_affine(
         tensor([[[[0.0000, 0.5000, 1.5000],
                   [3.0000, 3.5000, 4.5000]]]])
     """
-    return _warp("warp_affine", src, M, 2, dsize, mode, padding_mode, align_corners, fill_value)
+    return _warp("warp_affine", src, M, 2, dsize, mode, padding_mode, align_corners, fill_value, antialias)
 
 
-def _warp(op, src, M, rows, dsize, mode, padding_mode, align_corners, fill_value):
+def _warp(op, src, M, rows, dsize, mode, padding_mode, align_corners, fill_value, antialias):
     _check.images(op, "src", src)
     _check.shape(op, "M", M, "B", rows, 3)
     size = _check.ints(op, "dsize", dsize, 2)
     sampling.check_options(op, mode, padding_mode, align_corners)
+    check_antialias(op, antialias, mode)
     image, samples = as_values(src, mode), sampling.count_samples(src, M)
     matrix = sampling.cast_to_image(op, image, "M", M, samples)
     padding, fill = sampling.padding_and_fill(op, src, padding_mode, fill_value, samples, mode)
-    options = (INTERPOLATION[mode], padding, align_corners, True, False)
-    return of_values(sampling.warp(image, matrix, fill, None, list(size), *options), src, mode)
+    options = (padding, align_corners, True, False)
+    if antialias:
+        return of_values(warp_antialiased(image, matrix, fill, None, list(size), *options), src, mode)
+    return of_values(sampling.warp(image, matrix, fill, None, list(size), INTERPOLATION[mode], *options), src, mode)
 
 
 def homography_warp(
@@ -188,6 +206,7 @@ def remap(
     padding_mode: str = "zeros",
     align_corners: bool | None = None,
     normalized_coordinates: bool = False,
+    antialias: bool = False,
 ) -> Tensor:
     """Resample an image at the coordinates in map_x and map_y.
 
@@ -202,15 +221,18 @@ def remap(
             not their outer edges. None is False.
         normalized_coordinates: the coordinates run from -1 to 1 over the image. Else they are pixels, and the center of
             the first one is (0, 0).
+        antialias: where the image becomes smaller, average the pixels that a pixel of the result covers, which the
+            differences of neighbors in the maps tell; see :doc:`/conventions`. Only with 'bilinear'.
 
     Returns:
         (B, C, h, w), of the dtype of `image`.
 
     Raises:
         TypeError: `image`, `map_x` or `map_y` is not a tensor of real numbers; `align_corners` is not a bool or None;
-            `normalized_coordinates` is not a bool.
+            `normalized_coordinates` or `antialias` is not a bool.
         ValueError: `image` is not (B, C, H, W); `map_x` is not (B, h, w) or (1, h, w), or h or w is 0; `map_y` does not
-            have the shape of `map_x`; `mode` or `padding_mode` is unknown; the tensors are on different devices.
+            have the shape of `map_x`; `mode` or `padding_mode` is unknown; `antialias` with another mode
+            than 'bilinear'; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -227,6 +249,7 @@ def remap(
         raise ShapeError(f"remap: expected map_x with H, W of at least 1, got {tuple(map_x.shape)}")
     align_corners = False if align_corners is None else align_corners
     sampling.check_options("remap", mode, padding_mode, align_corners)
+    check_antialias("remap", antialias, mode)
     if padding_mode == "fill":
         _check.choice("remap", "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag("remap", "normalized_coordinates", normalized_coordinates)
@@ -234,8 +257,10 @@ def remap(
     map_x = sampling.cast_to_image("remap", values, "map_x", map_x, samples)
     map_y = sampling.cast_to_image("remap", values, "map_y", map_y, samples)
     padding, _ = sampling.padding_and_fill("remap", values, padding_mode, None)
-    options = (INTERPOLATION[mode], padding, align_corners, normalized_coordinates, False)
-    return of_values(sampling.remap(values, map_x, map_y, None, None, *options), image, mode)
+    options = (padding, align_corners, normalized_coordinates, False)
+    if antialias:
+        return of_values(remap_antialiased(values, map_x, map_y, None, None, *options), image, mode)
+    return of_values(sampling.remap(values, map_x, map_y, None, None, INTERPOLATION[mode], *options), image, mode)
 
 
 def warp_grid(grid: Tensor, src_homo_dst: Tensor) -> Tensor:

@@ -1,0 +1,1 @@
+"""Warps that average the pixels they shrink."""

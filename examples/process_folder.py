@@ -56,7 +56,7 @@ from kvision.demo.workers import exit_with_parent
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 BLUR = "K.filters.GaussianBlur2d(5, (1.5, 1.5))"
-DECODERS = {"opencv": "cv2", "torchvision": "torchvision", "nvimgcodec": "nvidia.nvimgcodec"}
+DECODERS = {"opencv": "cv2", "torchcodec": "torchcodec", "torchvision": "torchvision"}  # backends of kvision.io.decode
 FORMATS = (".png", ".jpg", ".webp")  # of the results; PNG keeps every bit
 PARTIAL = "partial"
 MAX_PIXELS = 250_000_000
@@ -199,7 +199,7 @@ def local(path: str) -> Iterator[str]:
 
 
 def read(number: int, task: Task, keep_jpeg: bool, max_pixels: int = MAX_PIXELS) -> Read:
-    """Decode by OpenCV; with `keep_jpeg` leave whole, upright JPEG files to a decoder of the GPU."""
+    """Decode by OpenCV; with `keep_jpeg` leave whole JPEG files to a decoder of the GPU."""
     too_large = f"the image has more than {max_pixels} pixels (--max-pixels)"
     try:
         with local(task.path) as path:
@@ -220,7 +220,7 @@ def opencv_limits(max_pixels: int) -> dict[str, str]:
 
 
 def plain_jpeg(path: str, max_pixels: int) -> bytes:
-    """The file, if it is a JPEG file that ends as it should, in RGB or gray, upright and not too large; otherwise nothing."""
+    """The file, if it is a JPEG file that ends as it should, in color or gray and not too large; otherwise nothing."""
     from PIL import Image
 
     Image.MAX_IMAGE_PIXELS = None  # max_pixels is the limit
@@ -228,9 +228,8 @@ def plain_jpeg(path: str, max_pixels: int) -> bytes:
     if not data.startswith(b"\xff\xd8") or not data.rstrip(b"\0").endswith(b"\xff\xd9"):
         return b""
     with Image.open(path) as picture:
-        upright = picture.getexif().get(0x0112, 1) == 1
         small = picture.width * picture.height <= max_pixels
-        return data if upright and small and picture.mode in ("RGB", "L") else b""
+        return data if small and picture.mode in ("RGB", "L") else b""
 
 
 class Pictures(Dataset[Read]):
@@ -250,23 +249,6 @@ class Pictures(Dataset[Read]):
             return list(pool.map(self.__getitem__, numbers))
 
 
-def jpeg_decoder(name: str, device: torch.device) -> Callable[[list[Tensor]], list[Tensor]]:
-    """Bytes of JPEG files to uint8 (3, H, W) on the GPU, many at once."""
-    if name == "torchvision":
-        from torchvision.io import ImageReadMode, decode_jpeg
-
-        return lambda files: decode_jpeg(files, ImageReadMode.RGB, device=device)
-    from nvidia import nvimgcodec
-
-    decoder = nvimgcodec.Decoder(device_id=device.index or 0)
-
-    def decode(files: list[Tensor]) -> list[Tensor]:
-        images = decoder.decode([file.numpy().tobytes() for file in files])
-        return [torch.from_dlpack(image).permute(2, 0, 1).contiguous() for image in images]
-
-    return decode
-
-
 # --- the pipeline ---------------------------------------------------------------------------------------------------
 
 
@@ -280,9 +262,8 @@ class Apply:
     """Decodes what workers left to the GPU, and runs the pipeline on all images of one size together."""
 
     def __init__(self, steps: Sequence[str], device: str, decoder: str, uint8: bool) -> None:
-        self.device, self.uint8 = torch.device(device), uint8
+        self.device, self.decoder, self.uint8 = torch.device(device), decoder, uint8
         self.pipeline = pipeline_of(steps).to(self.device)
-        self.decode = jpeg_decoder(decoder, self.device) if decoder != "opencv" else None
 
     def __call__(self, batch: Sequence[Read]) -> list[tuple[int, Tensor | str]]:
         """For each image its number, and the result, uint8 (C, H, W) in CPU memory, or an error."""
@@ -298,17 +279,20 @@ class Apply:
         return results
 
     def decoded(self, files: dict[int, Tensor], results: list[tuple[int, Tensor | str]]) -> dict[int, Tensor]:
-        """All files at once; where one is damaged, one by one."""
-        if not files:
-            return {}
-        assert self.decode
+        """All files at once. What cannot be decoded becomes a result, an error."""
+        images = K.io.decode(list(files.values()), self.device, backend=self.decoder, errors="skip")
+        for number, image in zip(files, images):
+            if image is None:
+                results.append((number, self.reason(files[number])))
+        return {number: image for number, image in zip(files, images) if image is not None}
+
+    def reason(self, file: Tensor) -> str:
+        """Why a file cannot be decoded."""
         try:
-            return dict(zip(files, self.decode(list(files.values()))))
-        except Exception as error:
-            if len(files) == 1:
-                results += [(number, words(error)) for number in files]
-                return {}
-            return {k: v for number, file in files.items() for k, v in self.decoded({number: file}, results).items()}
+            K.io.decode(file, self.device, backend=self.decoder)
+        except ValueError as error:
+            return words(error)
+        return "it was decoded at the second attempt only"
 
     def apply(self, numbers: list[int], images: list[Tensor]) -> list[tuple[int, Tensor | str]]:
         try:
@@ -534,11 +518,10 @@ def compare(tasks: Sequence[Task], options: argparse.Namespace) -> None:
             pictures = Pictures(whole, options.threads, False, options.max_pixels)
             count = len(pictures.__getitems__(list(range(len(whole)))))
         elif files:
-            decode = jpeg_decoder(name, device)
-            decode(files[:1])
+            K.io.decode(files[:1], device, backend=name)
             begin = time.perf_counter()
             for i in range(0, count, options.batch):
-                decode(files[i : i + options.batch])
+                K.io.decode(files[i : i + options.batch], device, backend=name)
             torch.cuda.synchronize(device)
         print(f"decoding by {name}, {count} images: {count / (time.perf_counter() - begin):.0f} images/s")
 

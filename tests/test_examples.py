@@ -232,6 +232,20 @@ def test_autoencoder_keeps_edges(data, device, tmp_path: Path, capsys: pytest.Ca
     assert (out / "faces.png").stat().st_size > 0 and (out / "curves.png").stat().st_size > 0
 
 
+def test_training_from_jpegs(tmp_path: Path, device, capsys: pytest.CaptureFixture[str]) -> None:
+    """A file that is no image is left out with its label; batches come in the order of the loader."""
+    pytest.importorskip("tqdm")
+    training = example("train_from_jpegs")
+    training.make_pictures(tmp_path / "photos", 8)
+    (tmp_path / "photos" / "rings" / "text.jpg").write_text("no image")
+    options = ["--out", str(tmp_path / "out"), "--size", "32", "--batch", "4", "--epochs", "1", "--workers", "0"]
+    epochs = training.main([str(tmp_path / "photos"), *options, "--device", device.type])
+    assert len(epochs) == 1 and epochs[0].images_per_second > 0
+    assert "left out, because they cannot be decoded: 1 files" in capsys.readouterr().out
+    assert torch.load(tmp_path / "out" / "model.pt")["classes"] == ["rings", "stripes"]
+    assert list(training.ahead(lambda x: x * x, range(5))) == [0, 1, 4, 9, 16]
+
+
 @pytest.mark.slow
 def test_calibration_of_a_rendered_board(tmp_path: Path) -> None:
     pytest.importorskip("cv2")
@@ -274,7 +288,7 @@ NAMES = (
     "autoencoder",
     "attack_on_matching",
 )
-WITHOUT_IMAGE = ("train_distributed",)
+WITHOUT_IMAGE = ("train_distributed", "train_from_jpegs")
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")

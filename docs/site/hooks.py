@@ -46,6 +46,7 @@ THUMBNAILS = {
     "process_folder": "enhance.equalize_clahe",
     "segmentation_losses": "contrib.connected_components",
     "train_distributed": "augmentation.auto.RandAugment",
+    "train_from_jpegs": "augmentation.RandomResizedCrop",
 }
 FEWEST = 16  # names of a page of the reference whose sections get pages of their own
 FURTHER = {"augmentation": ("auto", "auto.operations")}  # modules whose names a page of the reference has as well

@@ -1,4 +1,4 @@
-"""The commands of the benchmarks of augmentation, on small images."""
+"""The commands of the benchmarks of augmentation and of inputs, on small images."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import augmentation_bars, augmentation_table
+from benchmarks import augmentation_bars, augmentation_table, inputs, results
 
 
 def test_table_by_size_and_batch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -29,3 +29,18 @@ def test_bars(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
     lines = capsys.readouterr().out.splitlines()
     assert [line[:20].rstrip() for line in lines[-len(small) :]] == [p.name for p in small]
     assert augmentation_bars.checked(0.2, 0.1, 3) == "0.200! (0.1)" and augmentation_bars.checked(7, None, 0) == "7"
+
+
+def test_inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every group prints its figures; those of another run replace the rows of its groups alone."""
+    monkeypatch.setattr(inputs, "dead_leaves", lambda size: inputs.torch.rand(size[0], 90, 70))
+    table = tmp_path / "inputs.csv"
+    options = ["--device", "cpu", "--seconds", "0.001", "--count", "2", "--csv", str(table)]
+    assert inputs.main(options) == 0
+    lines = capsys.readouterr().out.splitlines()
+    about, rows = results.read(table)
+    assert {row["group"] for row in rows} == inputs.GROUPS.keys() and len(about) == 1
+    assert all(float(row["value"]) > 0 and any(row["name"] in line for line in lines) for row in rows)
+    assert inputs.main([*options, "bytes"]) == 0
+    assert len(results.read(table)[1]) == len(rows)
+    assert inputs.Figure("", "", 0.9, "", 0.97, True).is_missed and not inputs.Figure("", "", 1.2, "", 1.25).is_missed

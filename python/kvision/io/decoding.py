@@ -49,12 +49,20 @@ def decode(
 ) -> list[Tensor]: ...
 @overload
 def decode(
-    files: Encoded | Sequence[Encoded],
+    files: Encoded,
     device: str | torch.device | None = ...,
     mode: str = ...,
     backend: str | None = ...,
     errors: str = ...,
-) -> Tensor | list[Tensor] | list[Tensor | None] | None: ...
+) -> Tensor | None: ...
+@overload
+def decode(
+    files: Sequence[Encoded],
+    device: str | torch.device | None = ...,
+    mode: str = ...,
+    backend: str | None = ...,
+    errors: str = ...,
+) -> list[Tensor | None]: ...
 def decode(
     files: Encoded | Sequence[Encoded],
     device: str | torch.device | None = "cpu",
@@ -92,11 +100,14 @@ def decode(
         ImportError: the backend, or OpenCV for a file that it alone decodes, is not installed.
 
     Example:
-        >>> import torch, kvision as K
-        >>> from kvision.io.write import encoded
-        >>> files = [encoded(".png", torch.rand(3, 4, 5)), encoded(".jpg", torch.rand(3, 16, 32)), b"no image"]
+        >>> import pathlib, tempfile, torch, kvision as K
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     paths = [pathlib.Path(folder, name) for name in ("a.jpg", "b.png")]
+        ...     K.io.write_image(paths[0], torch.rand(3, 16, 32))
+        ...     K.io.write_image(paths[1], torch.rand(3, 4, 5))
+        ...     files = [*(path.read_bytes() for path in paths), b"no image"]
         >>> [None if image is None else tuple(image.shape) for image in K.io.decode(files, errors="skip")]
-        [(3, 4, 5), (3, 16, 32), None]
+        [(3, 16, 32), (3, 4, 5), None]
     """
     _check.choice("decode", "mode", mode, tuple(_MODES))
     _check.choice("decode", "errors", errors, ("raise", "skip"))

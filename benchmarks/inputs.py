@@ -1,0 +1,286 @@
+"""`python -m benchmarks.inputs [GROUPS]`: from what programs hold to what networks take, next to bars and peers.
+
+    python -m benchmarks.inputs --device cuda                           every group
+    python -m benchmarks.inputs bytes --photos FOLDER                   photographs of your own instead of drawn pictures
+    python -m benchmarks.inputs --csv benchmarks/results/h200/inputs.csv
+
+`bytes` are JPEG files in memory, of 280 to 700 pixels a side, to a normalized float16 batch of 224 x 224 (random resized crop,
+flip, color jitter): images a second of each decoder alone, and of the whole pipeline while two threads decode ahead. `patches` are
+inputs of vision-language models. Times are medians of rounds in which all contestants take turns, on a CPU minima; a floor is the
+bytes that must be read and written over the copy bandwidth of the same run. Bars on CUDA are for an NVIDIA H200. What misses its
+bar has an exclamation mark.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property, partial
+from itertools import cycle, islice
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+import kvision as K
+import kvision.augmentation as A
+from benchmarks import machine, results
+from benchmarks.augmentation import JITTER, MEAN, STD
+from benchmarks.case import dead_leaves
+from benchmarks.peers import optional, set_threads
+from benchmarks.timing import Clock, clock
+from kvision.io import decoding
+
+CROP = (224, 224)
+
+
+class Figure(NamedTuple):
+    """What was measured. The bar is the most that it may be, or the least."""
+
+    group: str
+    name: str
+    value: float
+    unit: str
+    bar: float | None = None
+    at_least: bool = False
+
+    @property
+    def is_missed(self) -> bool:
+        return self.bar is not None and (self.value < self.bar if self.at_least else self.value > self.bar)
+
+    def __str__(self) -> str:
+        bar = "" if self.bar is None else f"{'at least' if self.at_least else 'at most'} {self.bar:g}"
+        return f"{self.group:9}{self.name:58}{self.value:12.4g}{'!' if self.is_missed else ' '} {self.unit:14}{bar}"
+
+
+class Setup:
+    """Where to measure, on what."""
+
+    def __init__(self, device: torch.device, seconds: float, photos: Path | None, count: int) -> None:
+        self.device, self.seconds, self.photos, self.count = device, seconds, photos, count
+
+    @cached_property
+    def clock(self) -> Clock:
+        return clock(self.device, self.seconds)
+
+    @cached_property
+    def bandwidth(self) -> float:
+        return self.clock.copy_bandwidth()
+
+    @property
+    def is_cuda(self) -> bool:
+        return self.device.type == "cuda"
+
+    def images(self, count: int, least: int, most: int) -> list[Tensor]:
+        """Pictures uint8 (3, H, W) in CPU memory, of seeded sizes, or the photographs as they are."""
+        if self.photos is not None:
+            files = [path.read_bytes() for path in sorted(self.photos.iterdir()) if path.is_file()]
+            photographs = [image for image in K.io.decode(files, errors="skip") if image is not None]
+            return list(islice(cycle(photographs), count))
+        picture = dead_leaves((3, most, most))
+        sizes = torch.randint(least, most + 1, (count, 2), generator=torch.Generator().manual_seed(0)).tolist()
+        resized = [F.interpolate(picture[None], size, mode="bilinear", antialias=True)[0] for size in sizes]
+        return [(255 * image).round().byte() for image in resized]
+
+    def seconds_of(self, calls: Sequence[Callable[[], Any]]) -> list[float]:
+        return [self.clock.value(timing) for timing in self.clock.race(calls)]
+
+
+def augmentation(antialias: bool = False) -> A.ImageSequential:
+    return A.ImageSequential(
+        A.RandomResizedCrop(CROP, antialias=antialias),
+        A.RandomHorizontalFlip(),
+        A.ColorJitter(*JITTER),
+        A.Normalize(MEAN, STD),
+        output_dtype=torch.float16,
+    )
+
+
+# --- files in memory ------------------------------------------------------------------------------------------------
+
+
+def jpegs(setup: Setup) -> list[bytes]:
+    """As cameras and the web have them: 4:2:0, quality 85. Photographs are taken as they are."""
+    if setup.photos is not None:
+        files = [
+            path.read_bytes() for path in sorted(setup.photos.iterdir()) if path.suffix.lower() in (".jpg", ".jpeg")
+        ]
+        return list(islice(cycle(files), setup.count))
+    from kvision.io.write import encoded
+
+    return [encoded("picture.jpg", image, 85) for image in setup.images(setup.count, 280, 700)]
+
+
+def rate(call: Callable[[], Any], images: int, device: torch.device) -> float:
+    """Images a second, the median of five runs by the clock on the wall."""
+    seconds = []
+    for _ in range(6):
+        begin = time.perf_counter()
+        call()
+        if device.type == "cuda":
+            torch.cuda.synchronize()
+        seconds.append(time.perf_counter() - begin)
+    return images / statistics.median(seconds[1:])
+
+
+def ahead(
+    decode: Callable[[], list[Tensor]], use: Callable[[list[Tensor]], Any], batches: int, device: torch.device
+) -> None:
+    """Use batches while two threads decode the next ones, on a stream of each."""
+    streams = [torch.cuda.Stream() for _ in range(2)] if device.type == "cuda" else [None, None]
+
+    def decoded(number: int) -> tuple[list[Tensor], Any]:
+        stream = streams[number % 2]
+        if stream is None:
+            return decode(), None
+        with torch.cuda.stream(stream):
+            return decode(), stream.record_event()
+
+    with ThreadPoolExecutor(2) as pool:
+        futures = [pool.submit(decoded, number) for number in range(min(2, batches))]
+        for number in range(batches):
+            images, ready = futures[number].result()
+            if number + 2 < batches:
+                futures.append(pool.submit(decoded, number + 2))
+            if ready is not None:
+                torch.cuda.current_stream().wait_event(ready)
+                for image in images:
+                    image.record_stream(torch.cuda.current_stream())
+            use(images)
+
+
+def of_bytes(setup: Setup) -> Iterator[Figure]:
+    files, batches = jpegs(setup), 8 if setup.is_cuda else 2
+    augment = batch_of(augmentation())
+    for backend in decoding._DECODERS:
+        if isinstance(decoding._made(backend), Exception):
+            continue
+
+        def decode(name: str = backend) -> list[Tensor]:
+            return K.io.decode(files, setup.device, backend=name)
+
+        alone = rate(decode, len(files), setup.device)
+        yield Figure("bytes", f"io.decode by {backend}", alone, "images/s")
+        if backend in ("torchcodec", "torchvision"):
+            by_itself = rate(decode_jpeg(backend, files, setup.device), len(files), setup.device)
+            yield Figure("bytes", f"decode_jpeg of {backend} by itself", by_itself, "images/s")
+            alone = max(alone, by_itself)
+        pipeline = rate(lambda: ahead(decode, augment, batches, setup.device), batches * len(files), setup.device)
+        yield Figure("bytes", f"{backend}, crop, flip, jitter, normalize", pipeline, "images/s")
+        yield Figure(
+            "bytes",
+            f"{backend}, pipeline over decoder alone",
+            pipeline / alone,
+            "",
+            0.97 if setup.is_cuda else None,
+            True,
+        )
+
+
+def decode_jpeg(library: str, files: Sequence[bytes], device: torch.device) -> Callable[[], Any]:
+    """The library's own function, which EXIF, other formats and damaged files do not concern."""
+    module: Any = optional("torchcodec.decoders" if library == "torchcodec" else "torchvision.io")
+    tensors = [torch.frombuffer(bytearray(file), dtype=torch.uint8) for file in files]
+    return lambda: module.decode_jpeg(tensors, device=device)
+
+
+def batch_of(augment: Callable[[Any], Tensor]) -> Callable[[list[Tensor]], Tensor]:
+    """`augment` of images of any sizes."""
+    return lambda images: torch.cat([augment(image) for image in images])
+
+
+# --- inputs of vision-language models ---------------------------------------------------------------------------------
+
+
+def of_patches(setup: Setup) -> Iterator[Figure]:
+    """Bars in milliseconds on one thread of a CPU, in floors of 64 images on CUDA."""
+    if setup.is_cuda:
+        sizes = [
+            ("64 of 1024x1024", (1024, 1024), 1.5),
+            ("64 of 2048x1536, limited to 1003520 pixels", (2048, 1536), 2.5),
+        ]
+        for name, size, bar in sizes:
+            image = (255 * dead_leaves((3, *size))).byte().to(setup.device)
+            images = [image.roll(7 * i, -1) for i in range(64)]
+            call = partial(K.contrib.vision_patches, images, temporal_patch_size=1, dtype=torch.bfloat16)
+            patches = call().patches
+            moved = sum(x.numel() for x in images) + patches.numel() * patches.element_size()
+            (seconds,) = setup.seconds_of([call])
+            yield Figure("patches", f"Qwen2-VL, {name}, bfloat16", 1e3 * seconds, "ms")
+            yield Figure("patches", f"Qwen2-VL, {name}, bfloat16", seconds * setup.bandwidth / moved, "floors", bar)
+        return
+    image = (255 * dead_leaves((3, 1024, 1024))).byte()[None]
+    for times, dtype, bar in ((1, torch.bfloat16, 2.2), (2, torch.float32, 4.0)):
+        call = partial(K.contrib.vision_patches, image, temporal_patch_size=times, dtype=dtype)
+        (seconds,) = setup.seconds_of([call])
+        kind = str(dtype).removeprefix("torch.")
+        yield Figure("patches", f"Qwen2-VL, 1024x1024, T = {times}, {kind}", 1e3 * seconds, "ms", bar)
+
+
+# --- the command ----------------------------------------------------------------------------------------------------
+
+GROUPS: dict[str, Callable[[Setup], Iterator[Figure]]] = {"bytes": of_bytes, "patches": of_patches}
+
+
+def write(path: Path, figures: Sequence[Figure], about: dict[str, Any]) -> None:
+    """Replace the rows of the groups that were measured."""
+    lines, rows = results.read(path) if path.exists() else ([], [])
+    lines = lines or [f"# {about['hardware']}, torch {about['torch']}: `{about['command']}`"]
+    measured = {figure.group for figure in figures}
+    rows = [row for row in rows if row["group"] not in measured]
+    for figure in figures:
+        bar = "" if figure.bar is None else f"{figure.bar:g}"
+        limit = "" if figure.bar is None else ("at least" if figure.at_least else "at most")
+        value = f"{figure.value:.4g}" if figure.value < 1e4 else f"{figure.value:.0f}"
+        rows.append(
+            {
+                "group": figure.group,
+                "name": figure.name,
+                "value": value,
+                "unit": figure.unit,
+                "bar": bar,
+                "limit": limit,
+            }
+            | {"commit": about["commit"] or ""}
+        )
+    results.write(path, lines, rows)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parse = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parse.add_argument("groups", nargs="*", metavar="GROUP", help=f"of {', '.join(GROUPS)}; default: all")
+    parse.add_argument("--device", choices=("cpu", "cuda"), default="cuda" if torch.cuda.is_available() else "cpu")
+    parse.add_argument("--threads", type=int, default=1, help="of torch and OpenCV on the CPU (default 1)")
+    parse.add_argument("--photos", type=Path, metavar="FOLDER", help="photographs instead of drawn pictures")
+    parse.add_argument("--count", type=int, default=256, help="files of a batch (default 256)")
+    parse.add_argument("--seconds", type=float, default=0.5, help="time for one figure (default 0.5)")
+    parse.add_argument("--csv", type=Path, help="table whose rows of the measured groups are replaced")
+    options = parse.parse_args(arguments)
+    unknown = [name for name in options.groups if name not in GROUPS]
+    if unknown:
+        parse.error(f"unknown groups {unknown}; there are {', '.join(GROUPS)}")
+    device = torch.device(options.device)
+    if device.type == "cpu":
+        set_threads(options.threads)
+    about = machine.describe(device, [])
+    print(
+        f"{about['hardware']}  {about['date']}  kvision {about['commit']}  torch {about['torch']}\n$ {about['command']}\n"
+    )
+    setup, figures = Setup(device, options.seconds, options.photos, options.count), []
+    for name in options.groups or GROUPS:
+        for figure in GROUPS[name](setup):
+            print(figure, flush=True)
+            figures.append(figure)
+    if options.csv is not None:
+        write(options.csv, figures, about)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -326,3 +326,78 @@ def parse_size(op: str, size: Any) -> tuple[int, int]:
     if max(sides) > _check.LARGEST_INT:
         raise ValueCheckError(f"{op}: expected size of less than 2^31, got {size!r}")
     return sides[0], sides[1]
+
+
+# --- videos ---------------------------------------------------------------------------------------------------------
+
+
+class VideoRankError(ShapeError, AssertionError):
+    """Kornia raises an AssertionError."""
+
+
+class VideoLayout(NamedTuple):
+    """How videos and what belongs to their frames are a batch of frames: (B, T, ...) as (B T, ...)."""
+
+    op: str
+    data_format: str  # of videos
+    sizes: tuple[int, int]  # B, T
+
+    @classmethod
+    def of(cls, op: str, data_format: str, videos: Any) -> VideoLayout:
+        _check.is_tensor(op, "input", videos)
+        if videos.dim() != 5:
+            raise VideoRankError(f"{op}: expected input of shape ({', '.join(data_format)}), got {tuple(videos.shape)}")
+        t = data_format.index("T")
+        return cls(op, data_format, (videos.shape[0], videos.shape[t]))
+
+    def frames(self, videos: Tensor) -> Tensor:
+        """Videos of this layout, or masks as they are, as images."""
+        return (videos.transpose(1, 2) if self.data_format == "BCTHW" else videos).flatten(0, 1)
+
+    def videos(self, frames: Tensor) -> Tensor:
+        videos = frames.unflatten(0, self.sizes)
+        return videos.transpose(1, 2) if self.data_format == "BCTHW" else videos
+
+    def labels_of_frames(self, name: str, labels: Any) -> Any:
+        """Boxes, points or classes (B, T, ...) as those of images; others as they are."""
+        if not isinstance(labels, Tensor):
+            return labels
+        if labels.shape[:2] != self.sizes:
+            raise ShapeError(f"{self.op}: expected {name} of shape {(*self.sizes, '...')}, got {tuple(labels.shape)}")
+        return labels.flatten(0, 1)
+
+    def labels_of_videos(self, labels: Any) -> Any:
+        return labels.unflatten(0, self.sizes) if isinstance(labels, Tensor) else labels
+
+
+def as_frames(
+    videos: VideoLayout | None, keys: Sequence[DataKey], inputs: Sequence[Any]
+) -> tuple[list[Any], list[Callable[[Any], Any]]]:
+    """Videos and their labels as images and theirs, and for each of them what turns it back."""
+    if videos is None:
+        return list(inputs), []
+    frames: list[Any] = []
+    restore: list[Callable[[Any], Any]] = []
+    for key, value in zip(keys, inputs):
+        if key == DataKey.INPUT or (key == DataKey.MASK and isinstance(value, Tensor) and value.dim() == 5):
+            own = VideoLayout.of(videos.op, videos.data_format, value)
+            frames.append(own.frames(value))
+            restore.append(own.videos)
+        elif key == DataKey.MASK and isinstance(value, Tensor):  # (B, T, H, W)
+            frames.append(videos.labels_of_frames("mask", value)[:, None])
+            restore.append(lambda moved: videos.labels_of_videos(moved[:, 0]))
+        elif key == DataKey.CLASS and (not isinstance(value, Tensor) or value.shape[:2] != videos.sizes):
+            frames.append(value)  # of the videos
+            restore.append(lambda moved: moved)
+        else:
+            frames.append(videos.labels_of_frames(key.name.lower(), value))
+            restore.append(videos.labels_of_videos)
+    return frames, restore
+
+
+def as_videos(videos: VideoLayout | None, outputs: list[Any], restore: Sequence[Callable[[Any], Any]]) -> list[Any]:
+    return outputs if videos is None else [back(moved) for back, moved in zip(restore, outputs)]
+
+
+def labels_as_videos(videos: VideoLayout | None, of_frames: Sequence[Any]) -> list[Any]:
+    return list(of_frames) if videos is None else [videos.labels_of_videos(values) for values in of_frames]

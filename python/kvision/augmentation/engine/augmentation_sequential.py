@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -21,15 +21,19 @@ from kvision.augmentation.engine.stages import (
     LabelSettings,
     MaskReading,
 )
-from kvision.augmentation.engine.video_sequential import VideoLayout, VideoSequential
+from kvision.augmentation.engine.video_sequential import VideoSequential
 from kvision.augmentation.inputs import (
     Entries,
+    VideoLayout,
+    as_frames,
     as_output_type,
+    as_videos,
     check_matrix,
     check_output_type,
     image_and_matrix,
     image_of,
     label_of,
+    labels_as_videos,
     parse_entries,
     parse_names,
 )
@@ -272,7 +276,7 @@ class AugmentationSequential(ImageSequential):
             _check_rigid(self)
         first = keys.index(DataKey.INPUT)
         videos = self._video_layout(inputs[first])
-        inputs, restore = _of_frames(videos, keys, inputs)
+        inputs, restore = as_frames(videos, keys, inputs)
         image = inputs[first]
         x = self.transform_tensor(image)
         if before is not None:
@@ -296,7 +300,7 @@ class AugmentationSequential(ImageSequential):
             outputs = [y]
         outputs[first] = self._restored(y, image)
         record.stages.forget()
-        return _of_videos(videos, outputs, restore), record
+        return as_videos(videos, outputs, restore), record
 
     def _masks_after(self, masks: Any, images: tuple[int, ...], stages: Chain) -> Any:
         """The masks of a call after its first stages, for what mixes by them."""
@@ -305,11 +309,11 @@ class AugmentationSequential(ImageSequential):
     def _move_alone(self, keys: list[DataKey], inputs: list[Any], params: Any) -> tuple[list[Any], Record]:
         """Labels without their images, moved by the last call or by given parameters."""
         last, record = self._record, self._record_of(_no_image(), params)
-        inputs, restore = _of_frames(last.videos, keys, inputs)
+        inputs, restore = as_frames(last.videos, keys, inputs)
         moves = LabelRecord(self._label_settings, record.shape, record.size)
         outputs = moves.move(keys, inputs, record.stages)
         record.stages.forget()
-        return _of_videos(last.videos, outputs, restore), last.replaced(labels=moves)
+        return as_videos(last.videos, outputs, restore), last.replaced(labels=moves)
 
     @property
     def _label_settings(self) -> LabelSettings:
@@ -338,7 +342,7 @@ class AugmentationSequential(ImageSequential):
         """Which boxes of the last call passed the filter: bool (B, N), or a list of (N,), for each input; empty without one."""
         record = self._record
         kept = [] if record.labels is None else record.labels.kept_boxes
-        return [] if self.box_filter.does_nothing and not kept else _labels_of_videos(record.videos, kept)
+        return [] if self.box_filter.does_nothing and not kept else labels_as_videos(record.videos, kept)
 
     @property
     def visible_points(self) -> list[Any]:
@@ -348,7 +352,7 @@ class AugmentationSequential(ImageSequential):
         """
         record = self._record
         visible = [] if record.labels is None else record.labels.visible_points()
-        return _labels_of_videos(record.videos, visible)
+        return labels_as_videos(record.videos, visible)
 
     def inverse(
         self,
@@ -377,7 +381,7 @@ class AugmentationSequential(ImageSequential):
         videos = self._record.videos
         if DataKey.INPUT in keys:
             videos = self._video_layout(inputs[keys.index(DataKey.INPUT)])
-        inputs, restore = _of_frames(videos, keys, inputs)
+        inputs, restore = as_frames(videos, keys, inputs)
         images = self.transform_tensor(inputs[keys.index(DataKey.INPUT)]) if DataKey.INPUT in keys else _no_image()
         record = self._record_to_invert(images, params)
         stages, size = record.stages, record.size
@@ -396,7 +400,7 @@ class AugmentationSequential(ImageSequential):
                 outputs.append(labels.move_boxes(value, labels.BOX_FORMATS[key], move)[0])
             else:
                 outputs.append(value)
-        return _of_videos(videos, outputs, restore)
+        return as_videos(videos, outputs, restore)
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
         videos = self._video_layout(output)
@@ -419,39 +423,6 @@ def _masks_back(masks: Any, stages: Chain, size: Sequence[int]) -> Any:
         return type(masks)(row[:n] for row, n in zip(_masks_back(padded, stages, size), counts))
     labels.check_tensors("mask", [masks])
     return inverse_at(masks, size, stages.move_masks_back)
-
-
-def _of_frames(
-    videos: VideoLayout | None, keys: Sequence[DataKey], inputs: Sequence[Any]
-) -> tuple[list[Any], list[Callable[[Any], Any]]]:
-    """Videos and their labels as images and theirs, and for each of them what turns it back."""
-    if videos is None:
-        return list(inputs), []
-    frames: list[Any] = []
-    restore: list[Callable[[Any], Any]] = []
-    for key, value in zip(keys, inputs):
-        if key == DataKey.INPUT or (key == DataKey.MASK and isinstance(value, Tensor) and value.dim() == 5):
-            own = VideoLayout.of(videos.op, videos.data_format, value)
-            frames.append(own.frames(value))
-            restore.append(own.videos)
-        elif key == DataKey.MASK and isinstance(value, Tensor):  # (B, T, H, W)
-            frames.append(videos.labels_of_frames("mask", value)[:, None])
-            restore.append(lambda moved: videos.labels_of_videos(moved[:, 0]))
-        elif key == DataKey.CLASS and (not isinstance(value, Tensor) or value.shape[:2] != videos.sizes):
-            frames.append(value)  # of the videos
-            restore.append(lambda moved: moved)
-        else:
-            frames.append(videos.labels_of_frames(key.name.lower(), value))
-            restore.append(videos.labels_of_videos)
-    return frames, restore
-
-
-def _of_videos(videos: VideoLayout | None, outputs: list[Any], restore: Sequence[Callable[[Any], Any]]) -> list[Any]:
-    return outputs if videos is None else [back(moved) for back, moved in zip(restore, outputs)]
-
-
-def _labels_of_videos(videos: VideoLayout | None, of_frames: Sequence[Any]) -> list[Any]:
-    return list(of_frames) if videos is None else [videos.labels_of_videos(values) for values in of_frames]
 
 
 class _NotRigidError(BaseError, RuntimeError):

@@ -16,7 +16,7 @@ from kvision.augmentation.engine.stages import Chain
 
 if TYPE_CHECKING:
     from kvision.augmentation.engine.label_record import LabelRecord
-    from kvision.augmentation.engine.video_sequential import VideoLayout
+    from kvision.augmentation.inputs import VideoLayout
 
 
 _NO_STAGES = Chain()

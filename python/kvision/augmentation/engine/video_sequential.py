@@ -3,60 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Generator, Tensor, nn
 
-from kvision import _check
 from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
 from kvision.augmentation.engine.record import Record
 from kvision.augmentation.engine.runs import CallContext, Stage
-from kvision.augmentation.inputs import as_output_type, check_matrix, check_output_type, image_and_matrix
+from kvision.augmentation.inputs import (
+    VideoLayout,
+    VideoRankError,
+    as_output_type,
+    check_matrix,
+    check_output_type,
+    image_and_matrix,
+)
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.samples import inverse_at
-from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.core.exceptions import ValueCheckError
 
 __all__ = ["VideoSequential"]
-
-
-class _RankError(ShapeError, AssertionError):
-    """Kornia raises an AssertionError."""
-
-
-class VideoLayout(NamedTuple):
-    """How videos and what belongs to their frames are a batch of frames: (B, T, ...) as (B T, ...)."""
-
-    op: str
-    data_format: str  # of videos
-    sizes: tuple[int, int]  # B, T
-
-    @classmethod
-    def of(cls, op: str, data_format: str, videos: Any) -> VideoLayout:
-        _check.is_tensor(op, "input", videos)
-        if videos.dim() != 5:
-            raise _RankError(f"{op}: expected input of shape ({', '.join(data_format)}), got {tuple(videos.shape)}")
-        t = data_format.index("T")
-        return cls(op, data_format, (videos.shape[0], videos.shape[t]))
-
-    def frames(self, videos: Tensor) -> Tensor:
-        """Videos of this layout, or masks as they are, as images."""
-        return (videos.transpose(1, 2) if self.data_format == "BCTHW" else videos).flatten(0, 1)
-
-    def videos(self, frames: Tensor) -> Tensor:
-        videos = frames.unflatten(0, self.sizes)
-        return videos.transpose(1, 2) if self.data_format == "BCTHW" else videos
-
-    def labels_of_frames(self, name: str, labels: Any) -> Any:
-        """Boxes, points or classes (B, T, ...) as those of images; others as they are."""
-        if not isinstance(labels, Tensor):
-            return labels
-        if labels.shape[:2] != self.sizes:
-            raise ShapeError(f"{self.op}: expected {name} of shape {(*self.sizes, '...')}, got {tuple(labels.shape)}")
-        return labels.flatten(0, 1)
-
-    def labels_of_videos(self, labels: Any) -> Any:
-        return labels.unflatten(0, self.sizes) if isinstance(labels, Tensor) else labels
 
 
 class VideoSequential(ImageSequential):
@@ -174,7 +141,7 @@ class VideoSequential(ImageSequential):
 
     def _execute_nested(self, x: Tensor, params: Any, context: CallContext) -> tuple[Tensor, Stage, Record]:
         if context.time == 0 and params is None:
-            raise _RankError("VideoSequential: expected videos, got the images of another container")
+            raise VideoRankError("VideoSequential: expected videos, got the images of another container")
         return super()._execute_nested(x, params, self._of_frames(context, max(context.time, 1)))
 
     def inverse(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ from op_tests import assert_close
 from tests.contrib import vision_patches_values as peer
 
 vision_patches = K.contrib.vision_patches
+module = sys.modules[vision_patches.__module__]
 
 
 def random_image(*shape: int, dtype: torch.dtype = torch.uint8, device: Any = "cpu") -> Tensor:
@@ -66,6 +68,33 @@ def test_lists_are_their_images(layout, dtype, device):
     assert torch.equal(grids, torch.cat([s.grids for s in single]))
     assert mask is None or torch.equal(mask, torch.cat([s.mask for s in single]))
     assert patches.dtype == torch.bfloat16
+
+
+@pytest.mark.parametrize("size", [(1, 7), (2, 40), (5, 300), (37, 41), (50, 64), (200, 130), (700, 33)], ids=str)
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float32], ids=str)
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_kernel_is_its_definition(channels, dtype, size, device, monkeypatch):
+    """In a level of bytes, whose weights have 16 bits; few pixels differ at all."""
+    x = random_image(channels, *size, dtype=dtype, device=device)
+    calls = [
+        {"temporal_patch_size": 1, "patch_size": 4, "merge_size": 3},
+        {"min_pixels": 100, "max_pixels": 5000, "patch_size": 7},
+        {"layout": "siglip2", "max_num_patches": 50, "patch_size": 5},
+        {"layout": "siglip2", "max_num_patches": 9},
+    ]
+    for call in calls:
+        monkeypatch.undo()
+        actual = vision_patches(x, mean=0, std=1, **call)
+        monkeypatch.setattr(module, "_serves", lambda *_: False)
+        expected = vision_patches(x, mean=0, std=1, **call)
+        assert torch.equal(actual.grids, expected.grids)
+        assert actual.mask is None or torch.equal(actual.mask, expected.mask)
+        if dtype == torch.float32:
+            assert_close(actual.patches, expected.patches, 1e-5, 1e-5)
+        else:
+            apart = (actual.patches - expected.patches).abs() * 255
+            assert apart.max() < 2.01 and (apart > 0.01).float().mean() < 0.04
+            assert (apart > 1.01).float().mean() < 1e-3
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

@@ -9,12 +9,13 @@ from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, is_grad_enabled
 from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision._modes import BORDER, INTERPOLATION
+from kvision._ops import FastPath
 from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry.transform.resize import resized
 
@@ -57,6 +58,7 @@ LAYOUTS = {
 }
 _DTYPES = (torch.float32, torch.bfloat16, torch.float16)
 _LONGEST_ASPECT = 200  # of images for 'qwen2_vl'
+MAX_PATCH_CHANNELS, MAX_PATCH_SIZE, MAX_PATCH_SHRINK = 4, 64, 32  # of the kernel
 
 
 class _Program(NamedTuple):
@@ -164,7 +166,8 @@ def vision_patches(
                 actual_shape=part.shape,
             )
         sizes.append(size)
-    patches, mask = _composed(parts, sizes, program)
+    call = _fused if _serves(parts, sizes, program) else _composed
+    patches, mask = call(parts, sizes, program)
     frames = [1] if program.repeats else []
     grids = [
         [*frames, height // patch, width // patch]
@@ -211,6 +214,46 @@ def largest_size(height: int, width: int, patch: int, max_num_patches: int) -> t
 def _target_of(rule: Callable[..., tuple[int, int] | None], *options: int) -> Callable[[int, int], Any]:
     rule = rule.__wrapped__ if is_compiling() else rule  # type: ignore[attr-defined]  # dynamo warns of the cache
     return lambda height, width: rule(int(height), int(width), *options)
+
+
+# --- one pass -------------------------------------------------------------------------------------------------------
+
+_SERVED = ("cpu",)
+_vision_patches = FastPath("vision_patches", (torch.float32, torch.uint8))
+
+
+def _serves(parts: list[Tensor], sizes: list[tuple[int, int]], program: _Program) -> bool:
+    """Whether the kernel serves: what the definition does, without gradients, in one launch for up to 256 images."""
+    first = parts[0]
+    if first.device.type not in _SERVED or not _vision_patches.serves(first) or program.dtype == torch.float16:
+        return False
+    if first.shape[1] > MAX_PATCH_CHANNELS or program.patch > MAX_PATCH_SIZE:
+        return False
+    wants_gradient = is_grad_enabled()
+    for x, (height, width) in zip(parts, sizes):
+        if (x.requires_grad and wants_gradient) or type(x) is not Tensor:
+            return False
+        if x.shape[2] > MAX_PATCH_SHRINK * height or x.shape[3] > MAX_PATCH_SHRINK * width:
+            return False
+    return True
+
+
+def _fused(parts: list[Tensor], sizes: list[tuple[int, int]], program: _Program) -> tuple[Tensor, Tensor | None]:
+    images = parts if len(parts) == 1 else [x[0] for x in parts]
+    patch = program.patch
+    patches, mask = _vision_patches.kernel(
+        images,
+        [n // patch for size in sizes for n in size],
+        INTERPOLATION[program.interpolation],
+        patch,
+        program.merge,
+        program.repeats,
+        program.padded,
+        program.scale,
+        program.offset,
+        program.dtype == torch.bfloat16,
+    )
+    return patches, None if program.repeats else mask
 
 
 # --- the definition -------------------------------------------------------------------------------------------------

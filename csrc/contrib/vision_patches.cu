@@ -1,0 +1,332 @@
+// Model inputs on CUDA, in one launch for all images. A block makes the patches of a tile, some patches wide and some
+// rows of them high, of all channels:
+//
+//   weights of the columns and rows of the tile            in shared memory, once
+//   rows of the image, resized along x                     levels (bytes) or numbers, in shared memory
+//   pixels of the tile: weighted rows, normalized          in shared memory, in the order of the patches
+//   copies of whole patches                                vectors of adjacent elements, once a repeat
+//
+// Of bytes, a thread reads the taps of a pixel as aligned words and multiplies them four at a time, by the high and the
+// low bytes of its weights.
+#include "contrib/vision_patches.h"
+#include "core/launch.cuh"
+
+namespace kv::contrib::cuda {
+namespace {
+
+using geometry::Band;
+using geometry::ResizeAxis;
+
+constexpr int kThreads = 256;
+constexpr int kImages = 256;         // of a launch
+constexpr int kColumns = 128;        // of a tile, about
+constexpr int kZeroed = 16;          // patches of padding that a block writes
+constexpr int64_t kShared = 100000;  // bytes, so that two blocks share a multiprocessor
+
+struct Table {
+  PatchImage images[kImages];
+};
+
+// What all blocks of a launch share: sizes of a tile and of its parts of shared memory, in bytes.
+struct Tiles {
+  int across, down;                 // patches
+  int rows, taps_x, taps_y;         // of the image that a tile reads, at most; of a pixel, at most, a multiple of 4
+  int stride;                       // elements of a row of the image in shared memory, of all channels
+  int weights_x, weights_y, lines;  // where these begin, after the patches
+  int bytes;
+
+  // Of a row of a channel, a multiple of four.
+  KV_HD int columns(int patch) const { return (across * patch + 3) / 4 * 4; }
+};
+
+// Not inlined: this takes most of the time to compile. Writes the band of pixel i and its normalized weights, `stride`
+// apart, zeros up to `taps`; returns the first pixel of the band.
+__device__ __noinline__ int write_band(ResizeAxis const& axis, int i, float* weights, int stride, int taps) {
+  Band<float> const band = geometry::window_band<float>(axis, i);
+  int const count = band.last - band.first + 1;
+  float sum = 0;
+#pragma unroll 1
+  for (int k = 0; k < taps; ++k) {
+    int64_t const distance = (band.first + k) * axis.den - axis.center(i);
+    float const weight = k < count ? geometry::window_at<float>(axis, distance) : 0.f;
+    weights[k * stride] = weight;
+    sum += weight;
+  }
+#pragma unroll 1
+  for (int k = 0; k < taps; ++k) weights[k * stride] /= sum;
+  return band.first;
+}
+
+__device__ __forceinline__ int dot_signed(uint32_t bytes, uint32_t weights, int sum) {
+  int result;
+  asm("dp4a.u32.s32 %0, %1, %2, %3;" : "=r"(result) : "r"(bytes), "r"(weights), "r"(sum));
+  return result;
+}
+__device__ __forceinline__ int dot_unsigned(uint32_t bytes, uint32_t weights, int sum) {
+  return int(__dp4a(bytes, weights, unsigned(sum)));
+}
+
+// The bits of integer weights behind the point. Their high bytes are signed, so that weights are below 2 in size.
+__device__ __forceinline__ int bits_of(ResizeAxis const& axis) {
+  int bits = 14;
+  for (int64_t shrink = 2; shrink * axis.den <= axis.num && bits < 20; shrink *= 2) ++bits;
+  return bits;
+}
+__device__ __forceinline__ int level_of(int sum, int bits) { return min(max(sum >> bits, 0), 255); }
+
+// Resizes rows [first, first + count) of a channel along x, at one column, to `to`. Words: how many aligned words have
+// the taps, 0 for any number and alignment.
+template <int Words>
+__device__ __forceinline__ void resize_column(uint8_t const* row, int64_t row_stride, int64_t step, int count,
+                                              float const* weights, int stride, int taps, int bits, uint8_t* to,
+                                              int to_stride) {
+  float const unit = float(1 << bits);
+  int const half = 1 << (bits - 1);
+  if constexpr (Words > 0) {
+    int const offset = int(reinterpret_cast<uintptr_t>(row) % 4);
+    uint32_t high[Words]{}, low[Words]{};
+    int at[Words];
+    int used = 0;
+#pragma unroll
+    for (int w = 0; w < Words; ++w) {
+#pragma unroll
+      for (int b = 0; b < 4; ++b) {
+        int const k = 4 * w + b - offset;
+        int const weight = k >= 0 && k < taps ? __float2int_rn(weights[k * stride] * unit) : 0;
+        high[w] |= uint32_t((weight >> 8) & 255) << (8 * b);
+        low[w] |= uint32_t(weight & 255) << (8 * b);
+      }
+      if (high[w] | low[w]) used = w;
+      at[w] = used == w ? w : 0;
+    }
+    auto const* words = reinterpret_cast<uint32_t const*>(row - offset);
+    int64_t const next = row_stride / 4;
+#pragma unroll 4
+    for (int r = 0; r < count; ++r, words += next, to += to_stride) {
+      int sum_high = 0, sum_low = half;
+#pragma unroll
+      for (int w = 0; w < Words; ++w) {
+        uint32_t const word = __ldg(words + at[w]);
+        sum_high = dot_signed(word, high[w], sum_high);
+        sum_low = dot_unsigned(word, low[w], sum_low);
+      }
+      *to = uint8_t(level_of((sum_high << 8) + sum_low, bits));
+    }
+  } else {
+#pragma unroll 1
+    for (int r = 0; r < count; ++r, row += row_stride, to += to_stride) {
+      int sum = half;
+#pragma unroll 4
+      for (int k = 0; k < taps; ++k) sum += __float2int_rn(weights[k * stride] * unit) * int(row[k * step]);
+      *to = uint8_t(level_of(sum, bits));
+    }
+  }
+}
+
+template <class T, class U>
+__global__ void __launch_bounds__(kThreads)
+    make_patches(__grid_constant__ VisionPatches<T> const p, __grid_constant__ Table const table, Tiles const tiles) {
+  using Line = std::conditional_t<sizeof(T) == 1, uint8_t, float>;
+  extern __shared__ __align__(16) unsigned char memory[];
+  U* const pixels = reinterpret_cast<U*>(memory);
+  float* const weights_x = reinterpret_cast<float*>(memory + tiles.weights_x);
+  float* const weights_y = reinterpret_cast<float*>(memory + tiles.weights_y);
+  Line* const lines = reinterpret_cast<Line*>(memory + tiles.lines);
+  int const thread = int(threadIdx.x), size = p.patch, elements = p.patch_elements();
+
+  // The last image whose first block is not after this one.
+  int sample = 0;
+  for (int step = kImages / 2; step > 0; step /= 2)
+    if (sample + step < p.count && table.images[sample + step].first_unit <= int(blockIdx.x)) sample += step;
+  PatchImage const& image = table.images[sample];
+  int const block = int(blockIdx.x) - image.first_unit;
+  int const tiles_across = (image.columns + tiles.across - 1) / tiles.across;
+  int const tiles_down = (image.rows + tiles.down - 1) / tiles.down;
+  U* const patches = static_cast<U*>(p.patches);
+
+  if (block >= tiles_across * tiles_down) {  // padding
+    int const count = image.rows * image.columns, first = count + (block - tiles_across * tiles_down) * kZeroed;
+    int64_t const end = int64_t(min(first + kZeroed, p.padded)) * elements;
+    U* const to = patches + image.first_patch * elements;
+    for (int64_t e = int64_t(first) * elements + thread; e < end; e += kThreads) to[e] = U{};
+    return;
+  }
+  if (p.mask && block == 0)
+    for (int i = thread; i < p.padded; i += kThreads) p.mask[image.first_patch + i] = i < image.rows * image.columns;
+
+  int const tile_i = block / tiles_across * tiles.down, tile_j = block % tiles_across * tiles.across;
+  int const across = min(tiles.across, image.columns - tile_j), down = min(tiles.down, image.rows - tile_i);
+  int const columns = across * size, rows = down * size, stride_x = tiles.columns(size), channels = p.channels;
+  int* const first_x = reinterpret_cast<int*>(weights_x + tiles.taps_x * stride_x);
+  int* const first_y = reinterpret_cast<int*>(weights_y + tiles.taps_y * tiles.down * size);
+  __shared__ __align__(8) unsigned char axes_memory[2 * sizeof(ResizeAxis)];
+  ResizeAxis* const axes = reinterpret_cast<ResizeAxis*>(axes_memory);
+  if (thread == 0) axes[0] = p.axis(image.width, image.columns * size);
+  if (thread == 32) axes[1] = p.axis(image.height, image.rows * size);
+  __syncthreads();
+  ResizeAxis const &axis_x = axes[0], &axis_y = axes[1];
+  for (int t = thread; t < columns + rows; t += kThreads) {
+    if (t < columns)
+      first_x[t] = write_band(axis_x, tile_j * size + t, weights_x + t, stride_x, tiles.taps_x);
+    else
+      first_y[t - columns] =
+          write_band(axis_y, tile_i * size + t - columns, weights_y + (t - columns) * tiles.taps_y, 1, tiles.taps_y);
+  }
+  __syncthreads();
+
+  // Along x. The bands of the last rows end last.
+  int const top = first_y[0];
+  int const bottom = min(first_y[rows - 1] + axis_y.max_taps, image.height);
+  int const read_rows = min(bottom - top, tiles.rows);
+  for (int t = thread; t < columns * channels; t += kThreads) {
+    int const c = t / columns, x = t - c * columns, first = first_x[x];
+    T const* const row = p.row(image, c, top) + first * image.step;
+    Line* const to = lines + c * stride_x + x;
+    float const* const weights = weights_x + x;
+    int const taps = min(axis_x.max_taps, image.width - first);
+    if constexpr (sizeof(T) == 1) {
+      bool const is_aligned = image.step == 1 && image.row_stride % 4 == 0;
+      int const bits = bits_of(axis_x);
+      if (is_aligned && axis_x.max_taps <= 5)
+        resize_column<2>(row, image.row_stride, 1, read_rows, weights, stride_x, taps, bits, to, tiles.stride);
+      else if (is_aligned && axis_x.max_taps <= 9)
+        resize_column<3>(row, image.row_stride, 1, read_rows, weights, stride_x, taps, bits, to, tiles.stride);
+      else
+        resize_column<0>(row, image.row_stride, image.step, read_rows, weights, stride_x, taps, bits, to, tiles.stride);
+    } else {
+      for (int r = 0; r < read_rows; ++r) {
+        float sum = 0;
+        for (int k = 0; k < taps; ++k) {
+          float const weight = weights[k * stride_x];
+          if (weight != 0) sum += weight * read(row[r * image.row_stride + k * image.step]);
+        }
+        to[r * tiles.stride] = sum;
+      }
+    }
+  }
+  __syncthreads();
+
+  // Along y: four adjacent columns a thread, to the order of the patches.
+  int const quads = (columns + 3) / 4;
+  for (int t = thread; t < quads * channels * rows; t += kThreads) {
+    int const y = t / (quads * channels), rest = t - y * quads * channels, c = rest / quads, x = 4 * (rest - c * quads);
+    float const* const weights = weights_y + y * tiles.taps_y;
+    Line const* from = lines + (first_y[y] - top) * tiles.stride + c * stride_x + x;
+    int const taps = min(axis_y.max_taps, top + read_rows - first_y[y]);
+    float sums[4]{};
+    for (int k = 0; k < taps; ++k, from += tiles.stride) {
+      float const weight = weights[k];
+      if constexpr (sizeof(T) == 1) {
+        uint32_t const word = *reinterpret_cast<uint32_t const*>(from);
+#pragma unroll
+        for (int e = 0; e < 4; ++e) sums[e] += weight * float(word >> (8 * e) & 255);
+      } else if (weight != 0) {
+        float4 const four = *reinterpret_cast<float4 const*>(from);
+        sums[0] += weight * four.x, sums[1] += weight * four.y;
+        sums[2] += weight * four.z, sums[3] += weight * four.w;
+      }
+    }
+    int const i = y / size, in_patch = y - i * size;
+#pragma unroll
+    for (int e = 0; e < 4; ++e) {
+      if (x + e >= columns) break;
+      if constexpr (sizeof(T) == 1) sums[e] = min(max(rintf(sums[e]), 0.f), 255.f);
+      int const j = (x + e) / size, column = x + e - j * size;
+      int const at = p.repeats ? (c * size + in_patch) * size + column : (in_patch * size + column) * channels + c;
+      pixels[(i * tiles.across + j) * elements + at] = round_to<U>(sums[e] * p.scale[c] + p.offset[c]);
+    }
+  }
+  __syncthreads();
+
+  // A warp copies the plane of a patch, or all of it where channels are interleaved.
+  constexpr int kPer8 = 8 / int(sizeof(U));
+  int const planes = p.repeats ? channels : 1, length = elements / planes, repeats = max(p.repeats, 1);
+  bool const by_8 = length % kPer8 == 0;
+  for (int t = thread / 32; t < down * across * planes; t += kThreads / 32) {
+    int const patch = t / planes, plane = t - patch * planes, i = patch / across, j = patch - i * across;
+    U const* const from = pixels + (i * tiles.across + j) * elements + plane * length;
+    U* const to = patches + p.index(image, tile_i + i, tile_j + j) * p.elements() + int64_t(plane) * repeats * length;
+    for (int n = 0; n < repeats; ++n) {
+      if (by_8)
+        for (int e = thread % 32; e < length / kPer8; e += 32)
+          __stcs(reinterpret_cast<uint2*>(to + n * length) + e, reinterpret_cast<uint2 const*>(from)[e]);
+      else
+        for (int e = thread % 32; e < length; e += 32) to[n * length + e] = from[e];
+    }
+  }
+}
+
+// The largest tiles that fit shared memory.
+template <class T, class U>
+Tiles tiles_of(VisionPatches<T> const& p, PatchImage const* images, int count) {
+  Tiles tiles{};
+  int const size = p.patch;
+  double shrink = 0;
+  for (int n = 0; n < count; ++n) {
+    ResizeAxis const x = p.axis(images[n].width, int64_t(images[n].columns) * size);
+    ResizeAxis const y = p.axis(images[n].height, int64_t(images[n].rows) * size);
+    tiles.taps_x = max(tiles.taps_x, (x.max_taps + 3) / 4 * 4),
+    tiles.taps_y = max(tiles.taps_y, (y.max_taps + 3) / 4 * 4);
+    shrink = max(shrink, double(y.num) / double(y.den));
+  }
+  auto const with = [&](int across, int down) {
+    Tiles t = tiles;
+    t.across = across, t.down = down;
+    int const columns = t.columns(size), rows = down * size;
+    auto const round_up = [](int64_t n) { return int((n + 15) / 16 * 16); };
+    t.rows = int(rows * shrink) + t.taps_y + 2;
+    t.stride = (p.channels * columns + 15) / 16 * 16;
+    t.weights_x = round_up(int64_t(across) * down * p.patch_elements() * sizeof(U));
+    t.weights_y = t.weights_x + round_up(4 * int64_t(columns) * (t.taps_x + 1));
+    t.lines = t.weights_y + round_up(4 * int64_t(rows) * (t.taps_y + 1));
+    t.bytes = t.lines + round_up((int64_t(t.rows) * t.stride + 16) * (sizeof(T) == 1 ? 1 : 4));
+    return t;
+  };
+  int across = max(kColumns / size, 1), down = 2;
+  Tiles best = with(across, down);
+  while (best.bytes > kShared && (across > 1 || down > 1)) {
+    if (down > 1)
+      down /= 2;
+    else
+      across /= 2;
+    best = with(across, down);
+  }
+  return best;
+}
+
+template <class T, class U>
+int launch(VisionPatches<T> const& p, CUstream_st* stream) {
+  auto* const kernel = make_patches<T, U>;
+  for (int first = 0; first < p.count; first += kImages) {
+    VisionPatches<T> part = p;
+    part.count = min(p.count - first, kImages);
+    Tiles const tiles = tiles_of<T, U>(p, p.images + first, part.count);
+    if (tiles.bytes > max_shared_bytes(227 * 1024)) return cudaErrorInvalidConfiguration;
+    Table table;
+    int64_t blocks = 0;
+    for (int n = 0; n < part.count; ++n) {
+      PatchImage& image = table.images[n] = p.images[first + n];
+      image.first_unit = int(blocks);
+      blocks += ceil_div(image.rows, tiles.down) * ceil_div(image.columns, tiles.across);
+      if (p.repeats == 0) blocks += ceil_div(p.padded - image.rows * image.columns, kZeroed);
+    }
+    if (blocks == 0) continue;
+    if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, tiles.bytes))
+      return error;
+    kernel<<<unsigned(blocks), kThreads, unsigned(tiles.bytes), stream>>>(part, table, tiles);
+    if (int const error = cudaGetLastError()) return error;
+  }
+  return cudaSuccess;
+}
+
+}  // namespace
+
+template <class T>
+int vision_patches(VisionPatches<T> const& p, CUstream_st* stream) {
+  return p.dtype == DType::bfloat16 ? launch<T, BFloat16>(p, stream) : launch<T, float>(p, stream);
+}
+
+KV_INSTANTIATE_ONE(vision_patches, VisionPatches, float)
+KV_INSTANTIATE_ONE(vision_patches, VisionPatches, uint8_t)
+
+}  // namespace kv::contrib::cuda

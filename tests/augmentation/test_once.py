@@ -11,6 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+import kvision as K
 import kvision.augmentation as A
 from kvision import _backend
 from kvision.augmentation.engine.stages import Composed
@@ -282,6 +283,25 @@ def test_antialiased_where_it_shrinks(device: torch.device) -> None:
     averaged, picked = result(True), result(False)
     assert averaged.std() < 0.45 * picked.std()
     assert (averaged - expected).square().mean() < 0.1 * (picked - expected).square().mean()
+
+
+def test_antialiased_chains_are_antialiased_warps(device: torch.device) -> None:
+    """By the product of the matrices, of floats and bytes, and of one augmentation by itself."""
+    x = images(device)
+    for chain in (
+        [A.RandomAffine(20.0, None, (0.3, 0.5), p=1.0, antialias=True)],
+        [A.RandomAffine(20.0, None, (0.3, 0.5), p=1.0), A.RandomPerspective(0.3, p=1.0, antialias=True)],
+        [A.RandomRotation(30.0, p=1.0), A.Resize((15, 20), antialias=True)],
+    ):
+        for image in (x, (255 * x).to(torch.uint8)):
+            augment = A.ImageSequential(*chain, resample="once")
+            y = augment(image)
+            reading = augment._record.stages[0].resampling if len(chain) > 1 else chain[0].resampling(chain[0].flags)
+            options = {"padding_mode": reading.padding, "align_corners": reading.align_corners, "antialias": True}
+            expected = K.geometry.warp_perspective(image, augment.transform_matrix, tuple(y.shape[2:]), **options)
+            torch.testing.assert_close(y, expected, rtol=0, atol=1e-5 if image is x else 1)
+    with pytest.raises(ValueError, match="RandomAffine: expected resample 'bilinear' with antialias"):
+        A.RandomAffine(20.0, resample="bicubic", antialias=True)
 
 
 def test_antialiasing_keeps_images_that_grow(device: torch.device) -> None:

@@ -14,7 +14,7 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.engine import Execution, Shape
-from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
+from kvision.augmentation.geometric_base import AntialiasedByMatrix, GeometricAugmentationBase2D
 from kvision.augmentation.keys import refuse_graphs
 from kvision.augmentation.maps import warp, warp_labels
 from kvision.augmentation.random_generator.affine import AffineGenerator, ShearGenerator, TranslateGenerator
@@ -27,7 +27,7 @@ from kvision.core.exceptions import TypeCheckError, ValueCheckError
 __all__ = ["RandomAffine", "RandomRotation", "RandomRotation90", "RandomShear", "RandomTranslate"]
 
 
-class RandomAffine(GeometricAugmentationBase2D):
+class RandomAffine(AntialiasedByMatrix):
     """Shear, scale, rotate and shift images about their center.
 
     Args:
@@ -42,10 +42,12 @@ class RandomAffine(GeometricAugmentationBase2D):
         fill_value: value out of bounds, in place of 0: a number, or one of each channel.
         p: probability that a sample is augmented.
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+        antialias: where images become smaller, average the pixels that a pixel of the result covers, as
+            :func:`~kvision.geometry.warp_affine` does. Only with 'bilinear'.
 
     Raises:
         TypeError, ValueError: a range does not have the form in Args, or is out of bounds; `fill_value` with another
-            `padding_mode` than 'zeros' or 'fill'.
+            `padding_mode` than 'zeros' or 'fill'; `antialias` with another `resample` than 'bilinear'.
 
     Example:
         >>> import torch, kvision as K
@@ -68,6 +70,8 @@ class RandomAffine(GeometricAugmentationBase2D):
         fill_value: Any = None,
         p: float = 0.5,
         keepdim: bool = False,
+        *,
+        antialias: bool = False,
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
@@ -75,8 +79,9 @@ class RandomAffine(GeometricAugmentationBase2D):
         self.flags = {"fill_value": None, **_flags(resample, padding_mode, align_corners)}
         if fill_value is not None:
             self.flags.update(_fill_flags("RandomAffine", "fill_value", fill_value, padding_mode))
+        self._set_antialias(antialias)
 
-    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+    def matrix_transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
         scale, shear = self._param_generator.scale_columns, ("shear_x", "shear_y")
         return [Transform.affine(center_of(shape), angle="angle", translation="translations", scale=scale, shear=shear)]
 

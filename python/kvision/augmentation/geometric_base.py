@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision.augmentation.engine import (
     AugmentationBase,
@@ -18,11 +19,12 @@ from kvision.augmentation.engine import (
     RigidAffineAugmentationBase2D,
     Shape,
 )
-from kvision.augmentation.maps import exact, warp, warp_labels
+from kvision.augmentation.maps import exact, warp, warp_covered, warp_labels
 from kvision.augmentation.samples import inverse_at
 from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample, SamplePadding
+from kvision.core.exceptions import ValueCheckError
 from kvision.geometry.linalg import transform_points
 
 __all__ = ["GeometricAugmentationBase2D"]
@@ -229,3 +231,21 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
 
     def inverse_transform(self, input: Tensor, flags: dict[str, Any], transform: Tensor, size: Any) -> Tensor:
         return warp(input, transform.to(input.device), size, self.resampling(flags).for_inverse(), inverse=False)
+
+
+class AntialiasedByMatrix(GeometricAugmentationBase2D):
+    """Base of augmentations by `matrix_transforms` that read images as antialiased warps do where their flag says so."""
+
+    def _set_antialias(self, antialias: bool) -> None:
+        op = type(self).__name__
+        self.flags["antialias"] = _check.switch(op, "antialias", antialias)
+        if antialias and self.flags["resample"] != Resample.BILINEAR:
+            raise ValueCheckError(f"{op}: expected resample 'bilinear' with antialias")
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform] | None:
+        return None if flags.get("antialias") else self.matrix_transforms(shape, flags)
+
+    def _warp(self, x: Tensor, matrix: Tensor, flags: dict[str, Any]) -> Tensor:
+        if not flags.get("antialias"):
+            return super()._warp(x, matrix, flags)
+        return warp_covered(x, matrix, self.output_size(tuple(x.shape), flags), self.resampling(flags))

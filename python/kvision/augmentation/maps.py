@@ -9,6 +9,7 @@ the sampling coordinates of the pixels of a result of any size. Matrices are rea
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -16,9 +17,9 @@ from torch import Tensor
 
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modes import INTERPOLATION, PADDING
-from kvision._ops import saturate_to_byte
 from kvision.augmentation.warp_and_color import Resampling, fill_of_images
 from kvision.geometry.transform import sampling
+from kvision.geometry.transform.antialiased.warp_antialiased import remap_antialiased, warp_antialiased
 from kvision.geometry.transform.composed.composed_warp import composed_coords, composed_warp, link_arguments
 from kvision.geometry.transform.resize_windows import resized_windows
 
@@ -33,19 +34,9 @@ def read_displaced(x: Tensor, displacements: Tensor, resampling: Resampling) -> 
     return _read(x, displacements.unbind(1), resampling, fill_of_images(x, resampling.fill), displaces=True)
 
 
-def read(x: Tensor, coordinates: Tensor, resampling: Resampling, samples: int = 1) -> Tensor:
-    """Images (B, C, H, W) at coordinates (B, h, w, 2).
-
-    With several samples along each axis, a pixel is the mean of samples spread over what it covers of the image, where that
-    is more than a pixel.
-    """
-    fill = fill_of_images(x, resampling.fill)
-    if samples == 1:
-        return _read(x, coordinates.unbind(-1), resampling, fill)
-    image = x.float() if x.dtype == torch.uint8 else x
-    spread = _read(image, _spread(coordinates, samples).unbind(-1), resampling, fill)
-    mean = F.avg_pool2d(spread, samples)
-    return saturate_to_byte(mean) if x.dtype == torch.uint8 else mean
+def read(x: Tensor, coordinates: Tensor, resampling: Resampling, antialias: bool = False) -> Tensor:
+    """Images (B, C, H, W) at coordinates (B, h, w, 2); with `antialias` means of what pixels cover, as `remap` has them."""
+    return _read(x, coordinates.unbind(-1), resampling, fill_of_images(x, resampling.fill), antialias=antialias)
 
 
 def read_labels(masks: Tensor, coordinates: Tensor, resampling: Resampling) -> Tensor:
@@ -60,12 +51,23 @@ def read_labels_displaced(masks: Tensor, displacements: Tensor, resampling: Resa
 
 
 def read_composed(
-    x: Tensor, links: Sequence[Tensor], size: Sequence[int], resampling: Resampling, samples: int = 1
+    x: Tensor, links: Sequence[Tensor], size: Sequence[int], resampling: Resampling, antialias: bool = False
 ) -> Tensor:
-    """Resample images (B, C, H, W) by a chain of links, the first one first; `samples` as in `read`."""
-    if samples > 1:
-        return read(x, composed_coords(*link_arguments(links, size), list(size)).movedim(1, -1), resampling, samples)
-    return _read_composed(x, links, size, resampling, fill_of_images(x, resampling.fill))
+    """Resample images (B, C, H, W) by a chain of links, the first one first; `antialias` as in `read`."""
+    if not antialias:
+        return _read_composed(x, links, size, resampling, fill_of_images(x, resampling.fill))
+    if len(links) == 1 and links[0].dim() == 3:
+        return warp_covered(x, links[0], size, resampling)
+    coordinates = composed_coords(*link_arguments(links, size), list(size)).movedim(1, -1)
+    return read(x, coordinates, resampling, antialias)
+
+
+def warp_covered(x: Tensor, matrix: Tensor, size: Sequence[int], resampling: Resampling) -> Tensor:
+    """Resample images by matrices from their pixels to those of the result, with the antialiasing of `warp_perspective`."""
+    padding, fill = sampling.padding_and_fill("augmentation", x, resampling.padding, fill_of_images(x, resampling.fill))
+    matrix = matrix.to(compute_dtype(x))
+    y: Tensor = warp_antialiased(x, matrix, fill, None, list(size), padding, resampling.align_corners, True, False)
+    return y
 
 
 def read_labels_composed(masks: Tensor, links: Sequence[Tensor], size: Sequence[int], resampling: Resampling) -> Tensor:
@@ -84,12 +86,20 @@ def exact(masks: Tensor) -> Tensor:
 
 
 def _read(
-    x: Tensor, coordinates: Sequence[Tensor], resampling: Resampling, fill: object, displaces: bool = False
+    x: Tensor,
+    coordinates: Sequence[Tensor],
+    resampling: Resampling,
+    fill: object,
+    displaces: bool = False,
+    antialias: bool = False,
 ) -> Tensor:
     padding, fill_values = sampling.padding_and_fill("augmentation", x, resampling.padding, fill)
     map_x, map_y = (along.to(compute_dtype(x)) for along in coordinates)
-    options = (INTERPOLATION[resampling.mode], padding, resampling.align_corners, False, displaces)
-    y: Tensor = sampling.remap(x, map_x, map_y, fill_values, None, *options)
+    options: tuple[Any, ...] = (padding, resampling.align_corners, False, displaces)
+    remap: Any = remap_antialiased
+    if not antialias:
+        remap, options = sampling.remap, (INTERPOLATION[resampling.mode], *options)
+    y: Tensor = remap(x, map_x, map_y, fill_values, None, *options)
     return y
 
 
@@ -100,30 +110,6 @@ def _read_composed(
     options = (INTERPOLATION[resampling.mode], padding, resampling.align_corners)
     y: Tensor = composed_warp(x, *link_arguments(links, size), fill_values, list(size), *options)
     return y
-
-
-def _spread(coordinates: Tensor, samples: int) -> Tensor:
-    """The coordinates (B, h n, w n, 2) of n x n samples of each pixel.
-
-    They lie in equal distances over a pixel of the result, (1 - 1 / s^2) times as far from its center along an axis in which
-    the image shrinks to 1 / s. So there is one position where it does not shrink, without a jump in between.
-    """
-    b, h, w, _ = coordinates.shape
-    offset = (torch.arange(samples, dtype=coordinates.dtype, device=coordinates.device) + 0.5) / samples - 0.5
-    down, across = (
-        _along(coordinates, axis) * offset.reshape(shape)
-        for axis, shape in ((1, (samples, 1, 1, 1)), (2, (samples, 1)))
-    )
-    return (coordinates[:, :, None, :, None] + down + across).reshape(b, h * samples, w * samples, 2)
-
-
-def _along(coordinates: Tensor, axis: int) -> Tensor:
-    """What the samples of a pixel are spread over along an axis of the result, (B, h, 1, w, 1, 2)."""
-    if coordinates.shape[axis] == 1:
-        return torch.zeros_like(coordinates)[:, :, None, :, None]
-    (step,) = torch.gradient(coordinates, dim=axis)
-    square = step.square().sum(-1, keepdim=True)
-    return (step * (1 - 1 / square.clamp(min=1)))[:, :, None, :, None]
 
 
 # --- positions ------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from kvision.augmentation.engine import Shape
-from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
+from kvision.augmentation.geometric_base import AntialiasedByMatrix
 from kvision.augmentation.random_generator.perspective import PerspectiveGenerator, corners
 from kvision.augmentation.transforms import Transform
 from kvision.constants import Resample
@@ -16,7 +16,7 @@ from kvision.constants import Resample
 __all__ = ["RandomPerspective"]
 
 
-class RandomPerspective(GeometricAugmentationBase2D):
+class RandomPerspective(AntialiasedByMatrix):
     """Move the corners of images, which changes the perspective; pixels outside of the image are 0.
 
     Args:
@@ -27,10 +27,13 @@ class RandomPerspective(GeometricAugmentationBase2D):
         p: probability that a sample is augmented.
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
         sampling_method: 'basic' moves corners inward, 'area_preserving' inward or outward.
+        antialias: where images become smaller, average the pixels that a pixel of the result covers, as
+            :func:`~kvision.geometry.warp_affine` does. Only with 'bilinear'.
 
     Raises:
         TypeError: `distortion_scale` is not a number.
-        ValueError: `distortion_scale` is not within 0 and 1; `sampling_method` is unknown.
+        ValueError: `distortion_scale` is not within 0 and 1; `sampling_method` is unknown; `antialias`
+            with another `resample` than 'bilinear'.
 
     Example:
         >>> import torch, kvision as K
@@ -48,12 +51,15 @@ class RandomPerspective(GeometricAugmentationBase2D):
         p: float = 0.5,
         keepdim: bool = False,
         sampling_method: str = "basic",
+        *,
+        antialias: bool = False,
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator = PerspectiveGenerator(distortion_scale, sampling_method)
         self.flags = {"align_corners": align_corners, "resample": Resample.get(resample)}
+        self._set_antialias(antialias)
 
-    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+    def matrix_transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
         start = [coordinate for corner in corners(shape) for coordinate in corner]
         return [Transform("perspective", *start, "end_points")]

@@ -101,7 +101,7 @@ class Composition(NamedTuple):
     source: tuple[int, int]
     size: tuple[int, int]
     resampling: Resampling
-    samples: int  # along each axis of a pixel
+    antialias: bool
 
     def run(self, x: Tensor, running: Running) -> tuple[Tensor, Stage | None]:
         dtype = compute_dtype(x) if x.is_floating_point() else torch.float32
@@ -118,7 +118,7 @@ class Composition(NamedTuple):
             links.append(MapLink(module, execution, module.flags))
             if drawn is not None:
                 drawn[i] = where_chosen(execution.chosen, drawn[i], 0.0)
-        composed = Composed(links, self.source, self.size, self.resampling, self.samples, drawn)
+        composed = Composed(links, self.source, self.size, self.resampling, self.antialias, drawn)
         return composed.run(x), composed
 
     def drawn_with(self, draws: DrawPlan, planned: Planned) -> DrawnLinks | None:
@@ -174,13 +174,6 @@ class _Geometric(NamedTuple):
     motion: Motion
     chain: Sequence[Transform]  # bound to its columns; empty for a map
     source: tuple[int, int]
-
-    @property
-    def shrinks(self) -> int:
-        """How many pixels along an axis are blurred to one at most."""
-        if not self.motion.is_antialiased:
-            return 1
-        return max(-(-n // m) for n, m in zip(self.source, self.motion.size))
 
 
 class _Planner:
@@ -280,16 +273,15 @@ class _Planner:
     def _compose(self, geometric: Sequence[_Geometric]) -> None:
         links: list[Link] = []
         chain: list[Transform] = []
-        samples = 1
         for g in geometric:
-            samples *= g.shrinks
             chain += g.chain
             if g.motion.is_map:
                 links += [Link(MatrixPlan(chain))] if chain else []
                 links.append(Link(None, g.number))
                 chain = []
         links += [Link(MatrixPlan(chain))] if chain else []
-        self.steps.append(Composition(links, *_sizes_and_resampling(geometric), samples))
+        antialias = any(g.motion.is_antialiased for g in geometric)
+        self.steps.append(Composition(links, *_sizes_and_resampling(geometric), antialias))
 
     def finish(self, output: Output) -> list[Step]:
         self._flush(output)

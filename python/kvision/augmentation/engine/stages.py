@@ -327,7 +327,7 @@ class Composed(Stage):
     source: Sequence[int]
     size: Sequence[int]
     resampling: Resampling
-    samples: int  # along each axis of a pixel
+    antialias: bool
     _links: Sequence[Tensor] | None = None  # the tensors of `links`, cached
 
     def tensors(self, x: Tensor) -> Sequence[Tensor]:
@@ -346,7 +346,7 @@ class Composed(Stage):
 
     def run(self, x: Tensor) -> Tensor:
         """The images (B, C, h, w) of the result."""
-        return maps.read_composed(x, self.tensors(x), self.size, self.resampling, self.samples)
+        return maps.read_composed(x, self.tensors(x), self.size, self.resampling, self.antialias)
 
     def source_size(self) -> tuple[int, ...]:
         return tuple(self.source)

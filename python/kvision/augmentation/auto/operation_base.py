@@ -18,8 +18,6 @@ from kvision.augmentation.engine import (
     CallContext,
     Execution,
     Params,
-    Plans,
-    Stage,
     check_batch_of_params,
 )
 from kvision.augmentation.inputs import check_matrix, image_and_matrix
@@ -152,7 +150,7 @@ class OperationBase(nn.Module):
         Returns:
             Parameters by name, with `batch_prob` (B,), which has a gradient to the probability.
         """
-        return self._draw(CallContext(type(self).__name__, seed, generator, False, Plans()), tuple(batch_shape), mag)
+        return self._draw(CallContext.of_module(type(self).__name__, seed, generator), tuple(batch_shape), mag)
 
     def _draw(self, context: CallContext, shape: tuple[int, ...], mag: Tensor | None = None) -> Params:
         """Draw the parameters of a call: first the choice and the sign, then what the augmentation draws."""
@@ -228,7 +226,7 @@ class OperationBase(nn.Module):
         transform = self._matrix(params, execution) if returns else None
         return with_matrix(y, before, None if transform is None else transform.to(y.device))
 
-    def _execute_nested(self, x: Tensor, params: Params | None, context: CallContext) -> tuple[Tensor, Stage, Params]:
+    def _execute_nested(self, x: Tensor, params: Params | None, context: CallContext) -> tuple[Tensor, Applied, Params]:
         """Run in a container: the images, what labels have to follow, and the parameters."""
         if params is None:
             params = self._draw(context._replace(op=type(self).__name__), tuple(x.shape))

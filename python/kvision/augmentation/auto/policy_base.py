@@ -20,7 +20,6 @@ from kvision.augmentation.engine import (
     ParamItem,
     Record,
     check_batch_of_params,
-    identity_of,
 )
 from kvision.augmentation.keys import check_seeds, draw_keys
 from kvision.augmentation.samples import where_chosen
@@ -239,7 +238,7 @@ class PolicyAugmentBase(ImageSequential):
             return self.transform_matrix
         x = self.transform_tensor(input)
         stages = self._run(x, self._redrawn(params or self._params, x))[1]
-        return stages.product(identity_of(tuple(x.shape)))
+        return self._matrix(Record(tuple(x.shape), (), stages))
 
     def is_intensity_only(self, strict: bool = True) -> bool:
         return all(OPERATIONS[name].neutral != 0 for names in self._names for name in names)

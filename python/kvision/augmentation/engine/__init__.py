@@ -39,7 +39,7 @@ from kvision.augmentation.engine.augmentation import (
     RigidAffineAugmentationBase3D,
 )
 from kvision.augmentation.engine.augmentation_sequential import AugmentationSequential
-from kvision.augmentation.engine.configuration import Plans, restored_format, settings_changed
+from kvision.augmentation.engine.configuration import restored_format, settings_changed
 from kvision.augmentation.engine.contribution import Colors, Contribution, Motion
 from kvision.augmentation.engine.declaration import KeepsArguments
 from kvision.augmentation.engine.execution import (
@@ -50,11 +50,11 @@ from kvision.augmentation.engine.execution import (
     matrix_type,
     replaying,
 )
-from kvision.augmentation.engine.image_sequential import ImageSequential, ImageSequentialBase, ParamItem, identity_of
+from kvision.augmentation.engine.image_sequential import ImageSequential, ImageSequentialBase, ParamItem
 from kvision.augmentation.engine.patch_sequential import PatchSequential
 from kvision.augmentation.engine.record import Record
 from kvision.augmentation.engine.runs import CallContext
-from kvision.augmentation.engine.stages import Applied, Chain, Stage, Warp
+from kvision.augmentation.engine.stages import Applied, Chain, Warp
 from kvision.augmentation.engine.video_sequential import VideoSequential
 
 __all__ = [
@@ -75,16 +75,13 @@ __all__ = [
     "ParamItem",
     "Params",
     "PatchSequential",
-    "Plans",
     "Record",
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",
     "Shape",
-    "Stage",
     "VideoSequential",
     "Warp",
     "check_batch_of_params",
-    "identity_of",
     "matrix_type",
     "replaying",
     "restored_format",

@@ -134,6 +134,11 @@ class AugmentationBase(Executor, keeps_contract=True):
 
     # --- labels ---
 
+    @property
+    def _moves_labels(self) -> bool:
+        """Whether pixels move, or masks change, as where rectangles are erased."""
+        return not self.keeps_positions or type(self).transform_masks is not AugmentationBase.transform_masks
+
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         """Masks (B, C, H, W) of any type, moved as the images were."""
         return self._masks_by_name(masks, execution, flags) if self._is_overridden("apply_transform_mask") else masks

@@ -552,6 +552,10 @@ class ImageSequential(ImageSequentialBase):
             raise RuntimeError(f"{type(self).__name__}.inverse: there was no call yet; pass its params")
         return record
 
+    @property
+    def _moves_labels(self) -> bool:
+        return not self.is_intensity_only(strict=False)
+
     def is_intensity_only(self, strict: bool = True) -> bool:
         """Whether all children keep the positions of pixels; other modules count as moving them if `strict`."""
         return all(

@@ -11,7 +11,6 @@ import torch
 import torch.nn.functional as F
 from torch import Generator, Tensor, nn
 
-from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.choices import execute_turns
 from kvision.augmentation.engine.image_sequential import (
     ImageSequential,
@@ -196,7 +195,7 @@ class PatchSequential(ImageSequential):
             chains = self._chains(count, context) if params is None else self._replayed_chains(count, params)
             executed = self._run_chains(cells, chains, context)
         is_cropped = any(pad) and self.padding == "valid"
-        moves = is_cropped or any(_moves(child.module) for chain in chains for child in chain)
+        moves = is_cropped or any(getattr(child.module, "_moves_labels", False) for chain in chains for child in chain)
         record = Record(tuple(x.shape), (), Chain([Cells()] if moves else []))
         record.cell_count = len(cells)
         record.cells, record.items = executed, None if params is None else list(params)
@@ -327,13 +326,3 @@ def _groups(chains: Sequence[Sequence[Child]]) -> list[list[int]]:
     for cell, chain in enumerate(chains):
         groups.setdefault(tuple((child.name, id(child.params)) for child in chain), []).append(cell)
     return list(groups.values())
-
-
-def _moves(module: nn.Module) -> bool:
-    """Whether an augmentation moves pixels, or changes masks."""
-    if isinstance(module, ImageSequential):
-        return not module.is_intensity_only(strict=False)
-    if not isinstance(module, AugmentationBase):
-        return False
-    erases = type(module).transform_masks is not AugmentationBase.transform_masks
-    return erases or not module.keeps_positions

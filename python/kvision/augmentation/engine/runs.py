@@ -58,6 +58,11 @@ class CallContext(NamedTuple):
     masks: Callable[[Chain], Any] | None = None  # those of the images after stages, for what mixes by them
     default_generator: Generator | None = None  # of the container, for children without one of their own
 
+    @classmethod
+    def of_module(cls, op: str, seed: Seed, generator: Generator | None) -> CallContext:
+        """That of a module by itself, without a container."""
+        return cls(op, seed, generator, False, Plans())
+
     def generator_of(self, module: nn.Module) -> Generator | None:
         """The generator that draws for a module; None for torch's."""
         return self.generator or getattr(module, "generator", None) or self.default_generator

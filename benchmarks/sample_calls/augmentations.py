@@ -49,11 +49,15 @@ GEOMETRIC = [
     Augmentation("RandomTranslate", ((-0.1, 0.2), (0.0, 0.2))),
     Augmentation("CenterCrop", ((9, 11),), large=((96, 110),), **SIZED),
     Augmentation("LongestMaxSize", (14,), large=(140,), **SIZED),
+    Augmentation("D4"),
+    Augmentation("Pad", ((2, 0, -1, 3),), large=((10, 20, 30, 40),), **SIZED),
+    Augmentation("PadIfNeeded", (24, None, None, 32), {"position": "random"}, changes_size=True),
     Augmentation("PadTo", ((24, 26),), large=((400, 520),), **SIZED),
     Augmentation("RandomCrop", ((9, 11),), {"padding": 2}, large=((96, 110),), changes_size=True),
     Augmentation("RandomResizedCrop", ((9, 11),), large=((96, 110),), changes_size=True),
     Augmentation("Resize", ((9, 11),), large=((96, 110),), **SIZED),
     Augmentation("SmallestMaxSize", (9,), large=(90,), **SIZED),
+    Augmentation("Transpose", (), {"p": 1.0}, **SIZED),
 ]
 MAPS = [
     Augmentation("RandomElasticTransform", ((9, 9), (3.0, 3.0), (0.5, 0.5)), large=((31, 31), (8.0, 8.0))),

@@ -114,7 +114,14 @@ def blob(x: float, y: float, h: int = 48, w: int = 64) -> Tensor:
 
 
 LARGE = {"CenterCrop": ((40, 50),), "RandomCrop": ((40, 50),), "RandomResizedCrop": ((40, 50), (0.7, 1.0))}
-LARGE |= {"Resize": ((60, 70),), "LongestMaxSize": (80,), "SmallestMaxSize": (60,), "PadTo": ((60, 80),)}
+LARGE |= {
+    "Pad": ((20, 30),),
+    "PadIfNeeded": (60, 80),
+    "Resize": ((60, 70),),
+    "LongestMaxSize": (80,),
+    "SmallestMaxSize": (60,),
+    "PadTo": ((60, 80),),
+}
 
 
 @pytest.mark.parametrize("case", GEOMETRIC, ids=lambda case: case.name)

@@ -1,4 +1,4 @@
-"""Crops that are resized with antialiasing."""
+"""Crops and padding: values of torchvision and Albumentations, crops that are resized with antialiasing."""
 
 from __future__ import annotations
 
@@ -143,3 +143,96 @@ def test_wrong_sizes_and_modes_of_resize() -> None:
         A.Resize(0)
     with pytest.raises(ValueError, match="Resize: expected resample 'bilinear' or 'bicubic' with antialias"):
         A.Resize(8, resample="nearest", antialias=True)
+
+
+def whole(height: int, width: int, device: torch.device) -> torch.Tensor:
+    return torch.arange(float(height * width), device=device).reshape(1, 1, height, width)
+
+
+# torchvision 0.29.1: pad(x, [1, 2, 0, 1], padding_mode=).
+PADDED = {
+    "constant": [[9] * 5, [9] * 5, [9, 0, 1, 2, 3], [9, 4, 5, 6, 7], [9, 8, 9, 10, 11], [9] * 5],
+    "edge": [[0, 0, 1, 2, 3]] * 3 + [[4, 4, 5, 6, 7]] + [[8, 8, 9, 10, 11]] * 2,
+    "reflect": [[4 * k + i for i in (1, 0, 1, 2, 3)] for k in (2, 1, 0, 1, 2, 1)],
+    "symmetric": [[4, 4, 5, 6, 7], *[[0, 0, 1, 2, 3]] * 2, [4, 4, 5, 6, 7], *[[8, 8, 9, 10, 11]] * 2],
+}
+
+
+@pytest.mark.parametrize("mode", PADDED)
+def test_pad_is_torchvisions(mode: str, device: torch.device) -> None:
+    x = whole(3, 4, device)
+    assert A.Pad((1, 2, 0, 1), fill=9, padding_mode=mode)(x)[0, 0].tolist() == PADDED[mode]
+    assert A.Pad((1, -1, -2, 1))(x)[0, 0].tolist() == [[0, 4, 5], [0, 8, 9], [0, 0, 0]]
+    with pytest.raises(ValueError, match="Pad: expected padding that leaves pixels"):
+        A.Pad((-2, 0))(x)
+
+
+@pytest.mark.parametrize(
+    "position, left, top",
+    [("center", 1, 2), ("top_left", 0, 0), ("top_right", 3, 0), ("bottom_left", 0, 4), ("bottom_right", 3, 4)],
+)
+def test_pad_if_needed_is_albumentations(position: str, left: int, top: int, device: torch.device) -> None:
+    """The odd pixels of 'center' are on the right and at the bottom; a divisor rounds up; larger images stay."""
+    x = whole(4, 6, device)
+    expected = torch.full((8, 9), -1.0, device=device)
+    expected[top : top + 4, left : left + 6] = x[0, 0]
+    assert torch.equal(A.PadIfNeeded(8, 9, position=position, fill=-1)(x)[0, 0], expected)
+    by_divisors = A.PadIfNeeded(None, None, 8, 9, position=position, fill=-1)
+    assert torch.equal(by_divisors(x)[0, 0], expected) and torch.equal(by_divisors(by_divisors(x))[0, 0], expected)
+    assert torch.equal(A.PadIfNeeded(3, 6, position=position)(x), x)
+
+
+def test_random_positions_take_labels_with_them(device: torch.device) -> None:
+    x = whole(4, 6, device).expand(64, 1, 4, 6) + 1
+    boxes = torch.tensor([[[0.0, 0, 6, 4]]], device=device).expand(64, 1, 4)
+    augment = A.AugmentationSequential(
+        A.PadIfNeeded(6, 8, position="random"), data_keys=["image", "mask", "bbox_xyxy", "keypoints"]
+    )
+    padded, masks, moved, points = augment(x, x, boxes, boxes[..., :2])
+    assert torch.equal(padded, masks) and torch.equal(moved[..., :2], points)
+    for image, (left, top, right, bottom) in zip(padded, moved[:, 0].long().tolist()):
+        assert torch.equal(image[:, top:bottom, left:right], x[0]) and image.count_nonzero() == 24
+    assert {tuple(corner) for corner in moved[:, 0, :2].tolist()} == {(i, j) for i in range(3) for j in range(3)}
+
+
+def test_symmetries_of_the_square(device: torch.device) -> None:
+    x = torch.rand(1, 2, 5, 5, device=device).expand(128, 2, 5, 5)
+    turns = [torch.rot90(y, k, (1, 2)) for k in range(4) for y in (x[0], x[0].flip(-1))]
+    found = [[torch.equal(y, turned) for turned in turns].index(True) for y in A.D4()(x)]
+    assert set(found) == set(range(8))
+    oblong = torch.rand(1, 2, 4, 5, device=device).expand(64, 2, 4, 5)
+    kept = [oblong[0].flip(axes) for axes in ((), (-1,), (-2,), (-2, -1))]
+    assert {[torch.equal(y, turned) for turned in kept].index(True) for y in A.D4()(oblong)} == set(range(4))
+    transpose = A.AugmentationSequential(A.Transpose(p=1.0), data_keys=["image", "bbox_xyxy"])
+    y, boxes = transpose(oblong, torch.tensor([[[1.0, 0, 3, 4]]], device=device).expand(64, 1, 4))
+    assert torch.equal(y, oblong.mT) and boxes[0, 0].tolist() == [0, 1, 4, 3]
+    assert torch.equal(transpose.inverse(y, boxes)[0], oblong)
+
+
+def test_five_and_ten_crops_are_torchvisions(device: torch.device) -> None:
+    # torchvision 0.29.1: TenCrop((2, 2), vertical_flip=True).
+    x = whole(5, 5, device)
+    first = [crop[0, 0, 0, 0].item() for crop in A.TenCrop((2, 2), vertical_flip=True)(x)]
+    assert first == [0, 3, 15, 18, 12, 20, 23, 5, 8, 12]
+    five = A.FiveCrop((2, 3))(x)
+    assert [crop.shape for crop in five] == [(1, 1, 2, 3)] * 5 and five[3].data_ptr() == x[..., 3:, 2:].data_ptr()
+    mirrored = A.TenCrop((2, 3))(x)[5:]
+    assert all(torch.equal(a, b) for a, b in zip(mirrored, A.FiveCrop((2, 3))(x.flip(-1))))
+    with pytest.raises(ValueError, match="FiveCrop: expected images of at least"):
+        A.FiveCrop(6)(x)
+
+
+BAD = [
+    (lambda: A.Pad("4"), TypeError, "Pad: expected padding to be one, two or four ints"),
+    (lambda: A.Pad(4, padding_mode="wrap"), ValueError, "Pad: expected padding_mode"),
+    (lambda: A.PadIfNeeded(8, 8, 4), ValueError, "expected one of min_height and pad_height_divisor"),
+    (lambda: A.PadIfNeeded(8, None), ValueError, "expected one of min_width and pad_width_divisor"),
+    (lambda: A.PadIfNeeded(8, 8, position="left"), ValueError, "PadIfNeeded: position must be one of"),
+    (lambda: A.FiveCrop("4"), TypeError, "FiveCrop: expected size"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors_of_sizes(call: Any, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        call()

@@ -188,6 +188,10 @@ def crop(params: dict[str, Tensor], columns: Tensor) -> Variates:
     }
 
 
+def position(params: dict[str, Tensor], columns: Tensor) -> Variates:
+    return {f"shift.{i}": (params["shift"][:, i], Integers(0, last)) for i, last in ((0, 12), (1, 8))}
+
+
 def crop3d(*last: int) -> Callable[[dict[str, Tensor], Tensor], Variates]:
     """The first corner of crops, whose coordinates x, y, z go from 0 to `last`."""
     return lambda params, columns: {f"src.{i}": (params["src"][:, 0, i], Integers(0, n)) for i, n in enumerate(last)}
@@ -270,6 +274,8 @@ SPECS = {
         lambda p: A.RandomTranslate((-0.1, 0.2), (0.0, 0.25), p=p),
         plain(translate_x=Uniform(-2, 4), translate_y=Uniform(0, 4)),
     ),
+    "D4": Spec(lambda p: A.D4(p=p), plain(angle=Integers(0, 180, 180), mirror=Integers(-1, 1, 2))),
+    "PadIfNeeded": Spec(lambda p: A.PadIfNeeded(24, 32, position="random", p=p), position, whole_batch=True),
     "RandomCrop": Spec(lambda p: A.RandomCrop((9, 11), padding=2), crop, whole_batch=True),
     "RandomResizedCrop": Spec(
         lambda p: A.RandomResizedCrop((9, 11), (0.25, 0.5)),

@@ -28,7 +28,7 @@ from kvision.augmentation.container import (
 from kvision.augmentation.container.saving import allow_loading as _allow_loading
 from kvision.augmentation.container.saving import from_json, to_json
 from kvision.augmentation.container.sheet import preview
-from kvision.augmentation.crop import CenterCrop, RandomCrop, RandomResizedCrop
+from kvision.augmentation.crop import CenterCrop, FiveCrop, RandomCrop, RandomResizedCrop, TenCrop
 from kvision.augmentation.elastic import RandomElasticTransform, RandomFisheye, RandomThinPlateSpline
 from kvision.augmentation.engine import (
     AugmentationBase2D,
@@ -48,7 +48,7 @@ from kvision.augmentation.filters import (
     RandomMotionBlur,
     RandomSharpness,
 )
-from kvision.augmentation.flip import RandomHorizontalFlip, RandomVerticalFlip
+from kvision.augmentation.flip import D4, RandomHorizontalFlip, RandomVerticalFlip, Transpose
 from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.illumination import (
@@ -69,7 +69,7 @@ from kvision.augmentation.normalize import Denormalize, Normalize
 from kvision.augmentation.perspective import RandomPerspective
 from kvision.augmentation.plasma import RandomPlasmaBrightness, RandomPlasmaContrast, RandomPlasmaShadow
 from kvision.augmentation.random_noise import RandomGaussianNoise, RandomSaltAndPepperNoise
-from kvision.augmentation.resize import LongestMaxSize, PadTo, Resize, SmallestMaxSize
+from kvision.augmentation.resize import LongestMaxSize, Pad, PadIfNeeded, PadTo, Resize, SmallestMaxSize
 from kvision.augmentation.transforms import Transform
 from kvision.augmentation.transplantation import RandomTransplantation, RandomTransplantation3D
 from kvision.augmentation.volume_crops import CenterCrop3D, RandomCrop3D, RandomResizedCrop3D, Resize3D
@@ -87,6 +87,7 @@ from kvision.augmentation.warp_and_color import ColorStep
 from kvision.augmentation.weather import RandomRain, RandomSnow
 
 __all__ = [
+    "D4",
     "AugmentationBase2D",
     "AugmentationBase3D",
     "AugmentationSequential",
@@ -96,6 +97,7 @@ __all__ = [
     "ColorJitter",
     "ColorStep",
     "Denormalize",
+    "FiveCrop",
     "GeometricAugmentationBase2D",
     "GeometricAugmentationBase3D",
     "ImageSequential",
@@ -106,6 +108,8 @@ __all__ = [
     "ManyToOneAugmentationDispather",
     "MixAugmentationBaseV2",
     "Normalize",
+    "Pad",
+    "PadIfNeeded",
     "PadTo",
     "PatchMix",
     "PatchSequential",
@@ -176,7 +180,9 @@ __all__ = [
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",
     "SmallestMaxSize",
+    "TenCrop",
     "Transform",
+    "Transpose",
     "VideoSequential",
     "auto",
     "container",

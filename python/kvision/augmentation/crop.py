@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from kvision import _check
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
@@ -25,7 +26,7 @@ from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
 from kvision.core.exceptions import ValueCheckError
 
-__all__ = ["CenterCrop", "RandomCrop", "RandomResizedCrop"]
+__all__ = ["CenterCrop", "FiveCrop", "RandomCrop", "RandomResizedCrop", "TenCrop"]
 
 # The modes of torch.nn.functional.pad, as warps call them, and whether they mirror at the centers of the outermost pixels.
 _PADDING = {
@@ -95,7 +96,7 @@ class RandomCrop(GeometricAugmentationBase2D):
         generator.padding_of = PaddingOf(self)
         self._param_generator = generator
         self.size = generator.size
-        self._padding = _four_sides(padding)
+        self._padding = four_sides("RandomCrop", padding)
         padding_resampling("RandomCrop", padding_mode, ranges.fill("RandomCrop", "fill", fill))
         check_cropping_mode("RandomCrop", cropping_mode)
         self.flags = {
@@ -288,12 +289,79 @@ def check_cropping_mode(op: str, mode: str) -> None:
         raise ValueCheckError(f"{op}: expected cropping_mode to be 'slice' or 'resample', got {mode!r}")
 
 
-def _four_sides(padding: Any) -> tuple[int, int, int, int]:
-    """Left, right, top and bottom from the forms that RandomCrop takes."""
-    sides = parse_padding("RandomCrop", padding, (1, 2, 4), "one, two or four")
+def four_sides(op: str, padding: Any) -> tuple[int, int, int, int]:
+    """Left, right, top and bottom from the forms that RandomCrop and Pad take."""
+    sides = parse_padding(op, padding, (1, 2, 4), "one, two or four")
     if len(sides) == 1:
         return sides[0], sides[0], sides[0], sides[0]
     if len(sides) == 2:
         return sides[0], sides[0], sides[1], sides[1]
     left, top, right, bottom = sides
     return left, right, top, bottom
+
+
+class FiveCrop(nn.Module):
+    """Cut five windows of a size out of images: the four corners and the middle, as torchvision's `FiveCrop`.
+
+    Nothing is copied: the windows are views. Where an odd number of rows or columns is left over, half of it is rounded to the
+    even number, as torchvision does.
+
+    Args:
+        size: height and width of the windows; an int for both.
+
+    Raises:
+        TypeError: `size` is not one or two ints.
+        ValueError: a size below 1; in a call, images smaller than the window.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> [x.tolist() for x in K.augmentation.FiveCrop(1)(torch.arange(9).reshape(1, 3, 3))]
+        [[[[0]]], [[[2]]], [[[6]]], [[[8]]], [[[4]]]]
+    """
+
+    def __init__(self, size: int | tuple[int, int]) -> None:
+        super().__init__()
+        self.size = parse_size(type(self).__name__, size)
+
+    def extra_repr(self) -> str:
+        return f"size={self.size}"
+
+    def forward(self, input: Tensor) -> tuple[Tensor, ...]:
+        """The windows of images (*, H, W): upper left, upper right, lower left, lower right, middle."""
+        op, (h, w) = type(self).__name__, self.size
+        _check.trailing_shape(op, "input", input, "H", "W")
+        down, right = input.shape[-2] - h, input.shape[-1] - w
+        if down < 0 or right < 0:
+            raise ValueCheckError(f"{op}: expected images of at least {self.size}, got {tuple(input.shape[-2:])}")
+        corners = (0, 0), (0, right), (down, 0), (down, right), (round(down / 2), round(right / 2))
+        return tuple(input[..., y : y + h, x : x + w] for y, x in corners)
+
+
+class TenCrop(FiveCrop):
+    """Cut the windows of :class:`FiveCrop` out of images and out of their mirror images, as torchvision's `TenCrop`.
+
+    Args:
+        size: height and width of the windows; an int for both.
+        vertical_flip: mirror images upside down instead of from left to right.
+
+    Raises:
+        TypeError: `size` is not one or two ints.
+        ValueError: a size below 1; in a call, images smaller than the window.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> [x.item() for x in K.augmentation.TenCrop(1)(torch.arange(9).reshape(1, 3, 3))]
+        [0, 2, 6, 8, 4, 2, 0, 8, 6, 4]
+    """
+
+    def __init__(self, size: int | tuple[int, int], vertical_flip: bool = False) -> None:
+        super().__init__(size)
+        self.vertical_flip = _check.switch("TenCrop", "vertical_flip", vertical_flip)
+
+    def extra_repr(self) -> str:
+        return f"{super().extra_repr()}, vertical_flip={self.vertical_flip}"
+
+    def forward(self, input: Tensor) -> tuple[Tensor, ...]:
+        """The windows of images (*, H, W), and those of the mirror images in the same order."""
+        windows = super().forward(input)
+        return (*windows, *super().forward(input.flip(-2 if self.vertical_flip else -1)))

@@ -1,4 +1,4 @@
-"""Random flips of images."""
+"""Flips, quarter turns, and the exchange of rows and columns of images."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.transforms import Transform, center_of
 from kvision.geometry.transform.flip import flipped
 
-__all__ = ["RandomHorizontalFlip", "RandomVerticalFlip"]
+__all__ = ["D4", "RandomHorizontalFlip", "RandomVerticalFlip", "Transpose"]
 
 
 class _FlipGenerator(RandomGeneratorBase):
@@ -113,3 +113,74 @@ class RandomVerticalFlip(_RandomFlip):
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
         return [Transform.affine(center_of(shape), scale=(1.0, "sign"))]
+
+
+class _SymmetryGenerator(RandomGeneratorBase):
+    """Draws an angle and whether columns are mirrored, before the turn."""
+
+    fields = (("angle", 0), ("mirror", 0))
+
+    def draws(self, shape: Sequence[int]) -> Sequence[Draw]:
+        turns = (0, 90, 4, 0) if shape[-2] == shape[-1] else (0, 180, 2, 0)
+        return [Draw("integer", turns), Draw("integer", (-1, 2, 2, 1))]
+
+
+class D4(GeometricAugmentationBase2D):
+    """Turn and mirror images by one of the eight symmetries of the square, as Albumentations' `D4`.
+
+    Images that are not square get one of the four that keep their size: none, a half turn, and both mirror images.
+
+    Args:
+        same_on_batch: all samples get the same symmetry.
+        p: probability that a sample is augmented; each symmetry, with the one that changes nothing, is as likely as another.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        ValueError: `p` is not within 0 and 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> d4 = K.augmentation.D4()
+        >>> x = torch.tensor([[[[1.0, 2.0], [3.0, 4.0]]]]).expand(64, -1, -1, -1)
+        >>> d4(x).flatten(1).unique(dim=0).shape
+        torch.Size([8, 4])
+    """
+
+    moves_whole_pixels = stays_inside = permutes_pixels = True
+
+    def __init__(self, same_on_batch: bool = False, p: float = 1.0, keepdim: bool = False, **options: Any) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = _SymmetryGenerator()
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+        return [Transform.affine(center_of(shape), angle="angle", scale=("mirror", 1.0))]
+
+
+class Transpose(GeometricAugmentationBase2D):
+    """Exchange rows and columns of images: (B, C, H, W) becomes (B, C, W, H).
+
+    Args:
+        p: probability that a batch is transposed; :class:`D4` chooses for each sample.
+        keepdim: an image (C, H, W) gives an image (C, W, H) instead of a batch of one.
+
+    Raises:
+        ValueError: `p` is not within 0 and 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.Transpose(p=1.0)(torch.tensor([[[[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]]]))
+        tensor([[[[1., 4.],
+                  [2., 5.],
+                  [3., 6.]]]])
+    """
+
+    whole_batch = moves_whole_pixels = stays_inside = permutes_pixels = True
+
+    def __init__(self, p: float = 0.5, keepdim: bool = False, **options: Any) -> None:
+        super().__init__(p=1.0, p_batch=p, same_on_batch=True, keepdim=keepdim, **options)
+
+    def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:
+        return shape[-1], shape[-2]
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+        return [Transform.constant([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])]

@@ -7,19 +7,23 @@ from typing import Any
 
 from torch import Tensor
 
-from kvision import geometry
+from kvision import _check, geometry
 from kvision.augmentation import ranges
-from kvision.augmentation.crop import padding_resampling
+from kvision.augmentation.crop import four_sides, padding_resampling
+from kvision.augmentation.draws import Draw
 from kvision.augmentation.engine import Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.inputs import parse_size
+from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.crop import ResizeGenerator
 from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
 from kvision.core.exceptions import ValueCheckError
 
-__all__ = ["LongestMaxSize", "PadTo", "Resize", "SmallestMaxSize"]
+__all__ = ["LongestMaxSize", "Pad", "PadIfNeeded", "PadTo", "Resize", "SmallestMaxSize"]
+
+_POSITIONS = ("center", "top_left", "top_right", "bottom_left", "bottom_right", "random")
 
 
 class Resize(GeometricAugmentationBase2D):
@@ -200,3 +204,160 @@ class PadTo(GeometricAugmentationBase2D):
 
     def resampling(self, flags: dict[str, Any]) -> Resampling:
         return padding_resampling("PadTo", flags["pad_mode"], flags["pad_value"])
+
+
+class Pad(GeometricAugmentationBase2D):
+    """Pad images by amounts, as torchvision's `Pad`.
+
+    Args:
+        padding: pixels around the image: a number, a pair for left and right, top and bottom, or left, top, right, bottom;
+            negative ones cut pixels off.
+        fill: value of padded pixels.
+        padding_mode: 'constant', 'edge' (or 'replicate'), 'reflect' or 'symmetric'.
+        p: probability that a batch is padded.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+
+    Raises:
+        TypeError: `padding` does not have the form in Args.
+        ValueError: an unknown mode; in a call, nothing is left of the image.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.Pad((1, 0), fill=9)(torch.ones(1, 1, 1, 2))
+        tensor([[[[9., 1., 1., 9.]]]])
+    """
+
+    whole_batch = moves_whole_pixels = True
+
+    def __init__(
+        self,
+        padding: int | tuple[int, int] | tuple[int, int, int, int],
+        fill: float = 0,
+        padding_mode: str = "constant",
+        p: float = 1.0,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=1.0, p_batch=p, same_on_batch=True, keepdim=keepdim, **options)
+        self._padding = four_sides("Pad", padding)
+        padding_resampling("Pad", padding_mode, ranges.fill("Pad", "fill", fill))
+        self.flags = {"padding": padding, "fill": fill, "padding_mode": padding_mode}
+
+    @property
+    def stays_inside(self) -> bool:  # type: ignore[override]  # depends on the padding
+        return max(self._padding) <= 0
+
+    def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:
+        left, right, top, bottom = self._padding
+        size = shape[-2] + top + bottom, shape[-1] + left + right
+        if min(size) < 1:
+            raise ValueCheckError(
+                f"Pad: expected padding that leaves pixels of {tuple(shape[-2:])}, got {self._padding}"
+            )
+        return size
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+        left, _, top, _ = self._padding
+        return [Transform.constant([[1.0, 0.0, float(left)], [0.0, 1.0, float(top)], [0.0, 0.0, 1.0]])]
+
+    def resampling(self, flags: dict[str, Any]) -> Resampling:
+        return padding_resampling("Pad", flags["padding_mode"], flags["fill"])
+
+
+class _PositionGenerator(RandomGeneratorBase):
+    """Draws how far images move to the right and down in their padding; a fixed position draws nothing."""
+
+    fields = (("shift", 2),)
+
+    def __init__(self, minima: Sequence[int | None], divisors: Sequence[int | None], position: str) -> None:
+        super().__init__()
+        self._minima, self._divisors, self.position = minima, divisors, position
+
+    def size_for(self, shape: Sequence[int]) -> tuple[int, int]:
+        """Height and width of the padded images."""
+        height, width = (
+            max(n, minimum) if minimum is not None else -(-n // (divisor or 1)) * (divisor or 1)
+            for n, minimum, divisor in zip(shape[-2:], self._minima, self._divisors)
+        )
+        return height, width
+
+    def draws(self, shape: Sequence[int]) -> Sequence[Draw]:
+        height, width = self.size_for(shape)
+        down, right = height - shape[-2], width - shape[-1]
+        if self.position == "random":
+            return [Draw("integer", (0, 1, free + 1, 0)) for free in (right, down)]
+        if self.position == "center":
+            x, y = right // 2, down // 2
+        else:  # where the image is, not the padding
+            x, y = right * self.position.endswith("right"), down * self.position.startswith("bottom")
+        return [Draw("integer", (at, 1, 1, at)) for at in (x, y)]
+
+
+class PadIfNeeded(GeometricAugmentationBase2D):
+    """Pad images up to a size, or to a multiple of a number, as Albumentations' `PadIfNeeded`.
+
+    Args:
+        min_height: the least height; None with `pad_height_divisor`.
+        min_width: the least width; None with `pad_width_divisor`.
+        pad_height_divisor: pad to a multiple of this height instead.
+        pad_width_divisor: pad to a multiple of this width instead.
+        position: where the image is in the result: 'center', with an odd pixel on the right and at the bottom, 'top_left',
+            'top_right', 'bottom_left', 'bottom_right', or 'random' for each sample.
+        padding_mode: 'constant', 'edge' (or 'replicate'), 'reflect' or 'symmetric'.
+        fill: value of padded pixels.
+        same_on_batch: all samples get the same random position.
+        p: probability that a batch is padded.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+
+    Raises:
+        TypeError: a size is not an int.
+        ValueError: a size below 1; both or none of a least size and a divisor; an unknown position or mode.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.PadIfNeeded(2, 3, fill=9)(torch.ones(1, 1, 1, 2))
+        tensor([[[[1., 1., 9.],
+                  [9., 9., 9.]]]])
+    """
+
+    whole_batch = moves_whole_pixels = True
+
+    def __init__(
+        self,
+        min_height: int | None = 1024,
+        min_width: int | None = 1024,
+        pad_height_divisor: int | None = None,
+        pad_width_divisor: int | None = None,
+        position: str = "center",
+        padding_mode: str = "constant",
+        fill: float = 0,
+        same_on_batch: bool = False,
+        p: float = 1.0,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=1.0, p_batch=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        op = "PadIfNeeded"
+        sides = (("height", min_height, pad_height_divisor), ("width", min_width, pad_width_divisor))
+        for side, least, divisor in sides:
+            if (least is None) == (divisor is None):
+                raise ValueCheckError(
+                    f"{op}: expected one of min_{side} and pad_{side}_divisor, got {least} and {divisor}"
+                )
+            name = f"min_{side}" if divisor is None else f"pad_{side}_divisor"
+            _check.ints(op, name, least if divisor is None else divisor, 1)
+        _check.choice(op, "position", position, _POSITIONS)
+        padding_resampling(op, padding_mode, ranges.fill(op, "fill", fill))
+        self._param_generator: _PositionGenerator = _PositionGenerator(
+            (min_height, min_width), (pad_height_divisor, pad_width_divisor), position
+        )
+        self.flags = {"padding_mode": padding_mode, "fill": fill}
+
+    def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:
+        return self._param_generator.size_for(shape)
+
+    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
+        return [Transform.affine((0.0, 0.0), translation="shift")]
+
+    def resampling(self, flags: dict[str, Any]) -> Resampling:
+        return padding_resampling("PadIfNeeded", flags["padding_mode"], flags["fill"])

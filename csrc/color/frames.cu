@@ -1,9 +1,9 @@
 // Frames of video on CUDA, in one launch: each code is read from device memory once, by the caches.
 //
 // whole     a thread takes four adjacent pixels of a row.
-// boxes     a block takes 32 columns of 32 rows. What these columns and rows take of the planes, and with which
-// weights, is
-//           in shared memory. Windows that are larger than this memory are computed by each thread for itself.
+// boxes     a block takes 32 columns of 32 rows. What these take of the planes, and with which weights, is in shared
+//           memory; of bytes each thread keeps the weights of a small window of its column. Windows that are larger
+//           than the shared memory are computed by each thread for itself.
 // matrices  a thread takes a pixel.
 #include "core/launch.cuh"
 #include "frames.h"
@@ -140,7 +140,88 @@ struct TileAxis {
   }
 };
 
-// The sum of a plane, or of two of the same strides, over the windows of a column and a row of the tile.
+// The weights of a column's window, in registers. Entries behind its end have none, and are its last entry again.
+template <class F, int N>
+struct ColumnWeights {
+  F weights[N];
+  int offsets[N];  // in elements, from the row
+
+  template <int M>
+  __device__ __forceinline__ ColumnWeights(TileWeights<F, M> const& tile, int column, int64_t stride) {
+    int const first = tile.first[column], count = tile.count[column];
+#pragma unroll
+    for (int c = 0; c < N; ++c) {
+      weights[c] = c < count ? tile.weights[c][column] : F(0);
+      offsets[c] = (first + min(c, count - 1)) * int(stride);
+    }
+  }
+};
+
+// Sums of a plane over the windows of a column and of rows.
+template <class S, class T, int N>
+struct Column {
+  using F = Compute<T>;
+  S const* codes;
+  int64_t row_stride;
+  ColumnWeights<F, N> taps;
+
+  template <int M>
+  __device__ __forceinline__ Column(CodePlane const& plane, int64_t frame, TileWeights<F, M> const& tile, int column)
+      : codes(plane.row<S>(frame, 0)), row_stride(plane.row_stride), taps(tile, column, plane.column_stride) {}
+  template <int M>
+  __device__ __forceinline__ F sum(TileWeights<F, M> const& rows, int row) const {
+    S const* from = codes + rows.first[row] * row_stride;
+    F sum = 0;
+    int const count = rows.count[row];
+    for (int r = 0; r < count; ++r, from += row_stride) {
+      F in_row = 0;
+#pragma unroll
+      for (int c = 0; c < N; ++c) in_row += taps.weights[c] * F(number_of(from[taps.offsets[c]]));
+      sum += rows.weights[r][row] * in_row;
+    }
+    return sum;
+  }
+};
+
+// The same of both planes of chroma, which are pairs of bytes in memory.
+template <class T, int N>
+struct PairColumn {
+  using F = Compute<T>;
+  uint8_t const* codes;  // the first bytes of pairs
+  int64_t row_stride;
+  bool swapped;
+  ColumnWeights<F, N> taps;
+
+  template <int M>
+  __device__ __forceinline__ PairColumn(CodePlane const* planes, int64_t frame, TileWeights<F, M> const& tile,
+                                        int column)
+      : codes((planes[0].data < planes[1].data ? planes[0] : planes[1]).row<uint8_t>(frame, 0)),
+        row_stride(planes[0].row_stride),
+        swapped(planes[1].data < planes[0].data),
+        taps(tile, column, 2) {}
+  template <int M>
+  __device__ __forceinline__ void sum(TileWeights<F, M> const& rows, int row, F* sums) const {
+    uint8_t const* from = codes + rows.first[row] * row_stride;
+    F first = 0, second = 0;
+    int const count = rows.count[row];
+    for (int r = 0; r < count; ++r, from += row_stride) {
+      F a = 0, b = 0;
+#pragma unroll
+      for (int c = 0; c < N; ++c) {
+        uint32_t const pair = *reinterpret_cast<uint16_t const*>(from + taps.offsets[c]);
+        a += taps.weights[c] * F(number_of(uint8_t(pair & 255)));
+        b += taps.weights[c] * F(number_of(uint8_t(pair >> 8)));
+      }
+      F const weight = rows.weights[r][row];
+      first += weight * a;
+      second += weight * b;
+    }
+    sums[0] = swapped ? second : first;
+    sums[1] = swapped ? first : second;
+  }
+};
+
+// The sums of one or two planes over the windows of a column and a row of the tile.
 template <class S, int N, int Count, class F>
 __device__ __forceinline__ void sum_planes(CodePlane const* planes, int64_t frame, TileWeights<F, N> const& columns,
                                            TileWeights<F, N> const& rows, int column, int row, F* sums) {
@@ -169,8 +250,36 @@ __device__ __forceinline__ void sum_planes(CodePlane const* planes, int64_t fram
   }
 }
 
+// The rows of a block's tile, whose windows have at most N columns of luma and M of chroma.
+template <class S, class T, int N, int M>
+__device__ __forceinline__ void run_tile(PlanesToRgb<T> const& p, TileAxis<Compute<T>> const& columns,
+                                         TileAxis<Compute<T>> const& rows, int64_t frame, int x, int y0, bool paired) {
+  using F = Compute<T>;
+  int const lane = threadIdx.x % 32, height = min(kTile, int(p.rgb.height) - y0);
+  Column<S, T, N> const luma(p.planes[0], frame, columns.luma, lane);
+  auto const each_row = [&](auto chroma) {
+    for (int i = threadIdx.x / 32; i < height; i += kWarps) {
+      F sums[3] = {luma.sum(rows.luma, i)};
+      chroma(i, sums + 1);
+#pragma unroll
+      for (int k = 0; k < 3; ++k)
+        p.rgb.row(3 * frame + k, y0 + i)[x] = round_to<T>(p.colors.channel(k, sums[0], sums[1], sums[2], F(1)));
+    }
+  };
+  if constexpr (sizeof(S) == 1)
+    if (paired) {
+      PairColumn<T, M> const chroma(p.planes + 1, frame, columns.chroma, lane);
+      return each_row([&](int i, F* sums) { chroma.sum(rows.chroma, i, sums); });
+    }
+  Column<S, T, M> const u(p.planes[1], frame, columns.chroma, lane), v(p.planes[2], frame, columns.chroma, lane);
+  each_row([&](int i, F* sums) {
+    sums[0] = u.sum(rows.chroma, i);
+    sums[1] = v.sum(rows.chroma, i);
+  });
+}
+
 template <class S, class T>
-__global__ void __launch_bounds__(kThreads) run_boxes(__grid_constant__ PlanesToRgb<T> const p) {
+__global__ void __launch_bounds__(kThreads, 3) run_boxes(__grid_constant__ PlanesToRgb<T> const p, bool paired) {
   using F = Compute<T>;
   __shared__ TileAxis<F> columns, rows;
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
@@ -184,6 +293,23 @@ __global__ void __launch_bounds__(kThreads) run_boxes(__grid_constant__ PlanesTo
     else if (warp < 4)
       fits = rows.set(lane, box_y.window(min(y0 + lane, height - 1)), p.y, warp == 3);
     fits = __syncthreads_and(fits);
+    if constexpr (__is_same(S, uint8_t) || __is_same(S, uint16_t)) {  // codes that are finite
+      bool const is_small = warp == 0   ? columns.luma.count[lane] <= 2
+                            : warp == 1 ? columns.chroma.count[lane] <= 2
+                                        : true;
+      bool const is_middle = warp == 0   ? columns.luma.count[lane] <= 4
+                             : warp == 1 ? columns.chroma.count[lane] <= 3
+                                         : true;
+      if (fits && __syncthreads_and(is_middle)) {
+        if (__syncthreads_and(is_small)) {
+          if (x < width) run_tile<S, T, 2, 2>(p, columns, rows, frame, x, y0, paired);
+        } else {
+          if (x < width) run_tile<S, T, 4, 3>(p, columns, rows, frame, x, y0, paired);
+        }
+        __syncthreads();
+        continue;
+      }
+    }
     if (x < width)
       for (int i = warp; i < kTile && y0 + i < height; i += kWarps) {
         F sums[3];
@@ -205,6 +331,16 @@ __global__ void __launch_bounds__(kThreads) run_boxes(__grid_constant__ PlanesTo
   }
 }
 
+// Whether chroma is pairs of adjacent bytes that are read at once.
+template <class T>
+bool are_pairs(PlanesToRgb<T> const& p) {
+  CodePlane const &u = p.planes[1], &v = p.planes[2];
+  auto const a = reinterpret_cast<uintptr_t>(u.data), b = reinterpret_cast<uintptr_t>(v.data);
+  bool const is_even = (min(a, b) | uintptr_t(u.row_stride) | uintptr_t(u.frame_stride)) % 2 == 0;
+  return p.code_bytes == 1 && max(a, b) - min(a, b) == 1 && u.column_stride == 2 && v.column_stride == 2 && is_even &&
+         u.row_stride == v.row_stride && u.frame_stride == v.frame_stride;
+}
+
 template <class S, class T>
 int run(PlanesToRgb<T> const& p, CUstream_st* stream) {
   unsigned const frames = unsigned(min(p.rgb.count() / 3, int64_t(65535)));
@@ -215,7 +351,7 @@ int run(PlanesToRgb<T> const& p, CUstream_st* stream) {
     bool const vectorized = p.rgb.width % kPixelsPerThread == 0;  // the result is dense
     run_whole<S, T><<<blocks(32 * kPixelsPerThread, kWarps), kThreads, 0, stream>>>(p, vectorized);
   } else if (p.kind == FrameMap::boxes) {
-    run_boxes<S, T><<<blocks(kTile, kTile), kThreads, 0, stream>>>(p);
+    run_boxes<S, T><<<blocks(kTile, kTile), kThreads, 0, stream>>>(p, are_pairs(p));
   } else {
     run_matrices<S, T><<<blocks(32, kWarps), kThreads, 0, stream>>>(p);
   }

@@ -231,6 +231,9 @@ def _planes(op: str, planes: Any, layout: str, size: Any) -> tuple[Tensor, Tenso
     """y (B, H, W), u and v of the displayed part of frames, as views, and whether it is one frame without a batch."""
     _check.choice(op, "layout", layout, _LAYOUTS)
     parts = tuple(planes) if isinstance(planes, (tuple, list)) else (planes,)
+    if not parts or not all(isinstance(x, Tensor) for x in parts):
+        got = type(planes).__name__
+        raise TypeCheckError(f"{op}: expected planes to be a Tensor or a tuple of Tensors, got {got}")
     for x in parts:
         _check.is_tensor(op, "planes", x)
     expected = torch.uint16 if layout == "p010" else None
@@ -338,7 +341,7 @@ def _run(
     means, deviations = _per_channel(op, "mean", mean, 0.0), _per_channel(op, "std", std, 1.0)
     if min(deviations) <= 0:
         raise ValueCheckError(f"{op}: expected std above 0, got {std!r}", actual_value=std)
-    if dtype is not None and dtype not in _DTYPES:
+    if dtype is not None and (not isinstance(dtype, torch.dtype) or dtype not in _DTYPES):
         raise TypeCheckError(f"{op}: expected dtype to be torch.uint8 or a floating-point type, got {dtype!r}")
     normalizes = mean is not None or std is not None
     if dtype is None:
@@ -604,14 +607,16 @@ def rgb_to_frames(
     _check.choice(op, "layout", layout, _LAYOUTS)
     number = _check_colors(op, matrix, color_range, chroma, siting)
     _check.flag(op, "split", split)
+    _check.is_tensor(op, "image", image)
     _check.floating_or_bytes(op, "image", image)
     if image.dim() not in (3, 4) or image.shape[-3] != 3 or 0 in image.shape[-2:]:
         raise ShapeError(
             f"{op}: expected image of shape (B, 3, H, W), got {tuple(image.shape)}", actual_shape=image.shape
         )
     allowed = (torch.uint16,) if layout == "p010" else _DTYPES
-    dtype = dtype or (torch.uint16 if layout == "p010" else image.dtype)
-    if dtype not in allowed:
+    if dtype is None:
+        dtype = torch.uint16 if layout == "p010" else image.dtype
+    if not isinstance(dtype, torch.dtype) or dtype not in allowed:
         raise TypeCheckError(f"{op}: expected dtype of layout {layout!r} to be one of {allowed}, got {dtype}")
     height, width = image.shape[-2:]
     packed = layout == "yuy2"

@@ -14,7 +14,6 @@
 namespace kv::contrib::KV_ISA {
 namespace {
 
-using geometry::Contributors;
 using geometry::Resize;
 using geometry::ResizeAxis;
 
@@ -29,13 +28,16 @@ struct Weights {
     Scratch<double> exact(int64_t(axis.result) * taps);
     double largest = 0;
     for (int i = 0; i < axis.result; ++i) {
-      Contributors<double> const reads = geometry::contributors<double>(axis, i);
-      first.data[i] = reads.first;
+      geometry::Band<double> const band = geometry::window_band<double>(axis, i);
+      double* const to = exact.data + int64_t(i) * taps;
+      double sum = 0;
       for (int k = 0; k < taps; ++k) {
-        double const weight = k < reads.count ? geometry::weight_at(axis, reads, i, k) : 0;
-        exact.data[int64_t(i) * taps + k] = weight;
-        largest = max(largest, weight);
+        int const j = band.first + k;
+        to[k] = j <= band.last ? geometry::window_at<double>(axis, j * axis.den - axis.center(i)) : 0;
+        sum += to[k];
       }
+      first.data[i] = band.first;
+      for (int k = 0; k < taps; ++k) to[k] /= sum, largest = max(largest, to[k]);
     }
     bits = weight_bits(largest);
     for (int64_t k = 0; k < int64_t(axis.result) * taps; ++k) weights.data[k] = to_weight(exact.data[k], bits);
@@ -165,14 +167,18 @@ struct PatchRow {
     for (int j = 0; j < columns; ++j)
       patches.data[j] = static_cast<U*>(p.patches) + p.index(image, i, j) * p.elements();
   }
-  // Where to write row y of a channel, normalized, before it is copied to the patches.
+  // Whether rows are written to the patches as they are computed, `kVector` elements at a time.
+  static constexpr int kVector = kPartInts;
+  KV_HD bool is_direct() const { return repeats > 0 && patch >= kVector; }
+  // The elements of row y of a channel in patch j; those of its repeats are patch * patch elements apart.
+  KV_HD U* at(int j, int c, int y) const { return patches.data[j] + int64_t(c * repeats * patch + y) * patch; }
+  // Otherwise, where to write row y of a channel before it is copied.
   KV_HD U* row(int c, int y) const { return rows.data + (repeats ? 0 : (y * channels + c) * stride); }
   KV_HD void finish_row(int c, int y) const {
     if (repeats == 0) return;
-    for (int t = 0; t < repeats; ++t) {
-      int64_t const at = int64_t((c * repeats + t) * patch + y) * patch;
-      for (int j = 0; j < columns; ++j) copy(patches.data[j] + at, rows.data + j * patch, patch);
-    }
+    for (int j = 0; j < columns; ++j)
+      for (int t = 0; t < repeats; ++t)
+        __builtin_memcpy(at(j, c, y) + int64_t(t) * patch * patch, rows.data + j * patch, patch * sizeof(U));
   }
   KV_HD void finish() const {
     if (repeats > 0) return;
@@ -189,17 +195,6 @@ struct PatchRow {
         }
       }
   }
-
- private:
-  static KV_HD void copy(U* to, U const* from, int count) {
-    constexpr int kPer16 = 16 / int(sizeof(U));
-    if (count < kPer16) {
-      for (int i = 0; i < count; ++i) to[i] = from[i];
-      return;
-    }
-    for (int i = 0; i + kPer16 < count; i += kPer16) __builtin_memcpy(to + i, from + i, 16);
-    __builtin_memcpy(to + count - kPer16, from + count - kPer16, 16);
-  }
 };
 
 // Rows [begin, end) of the patches of an image of bytes.
@@ -211,8 +206,13 @@ void write_bytes(VisionPatches<uint8_t> const& p, PatchImage const& image, int b
   ByteColumns const columns(p.axis(image.width, width));
   Weights const rows(p.axis(image.height, height));
   PatchRow<U> const out(p, image);
-  // Lines of pairs of rows of each channel, those of a band and the next one.
-  int const held = rows.taps / 2 + 2;
+  // Lines of pairs of rows, those that a row of patches reads.
+  int most = 0;
+  for (int i = begin; i < end; ++i) {
+    int const from = rows.first.data[i * p.patch], to = rows.first.data[(i + 1) * p.patch - 1];
+    most = max(most, (to + rows.taps) / 2 - from / 2 + 1);
+  }
+  int const held = most + 1;
   int64_t const stride = columns.groups * N + ByteColumns::kLineMargin;
   Scratch<int32_t> lines(p.channels * held * stride);
   Scratch<uint8_t> copies(2 * (image.width + columns.margin()));
@@ -232,49 +232,68 @@ void write_bytes(VisionPatches<uint8_t> const& p, PatchImage const& image, int b
     out.begin(p, image, i);
     for (int c = 0; c < p.channels; ++c) {
       auto const line = [&](int pair) { return lines.data + (c * held + pair % held) * stride; };
-      for (int y = 0; y < p.patch; ++y) {
-        int const first = rows.first.data[i * p.patch + y], first_pair = first / 2;
-        int const pairs = (first % 2 + rows.taps) / 2, used = min(pairs, (image.height + 1) / 2 - first_pair);
-        for (next[c] = max(next[c], first_pair); next[c] < first_pair + used; ++next[c]) {
-          int const at = 2 * next[c];
-          uint8_t const* const a = row_of(c, at, 0);
-          columns.write(a, at + 1 < image.height ? row_of(c, at + 1, 1) : a, line(next[c]));
-        }
-        int16_t const* const weights = rows.of(i * p.patch + y);
-        auto const factors = [&](int k) {  // of both rows of a pair
-          int const at = 2 * k - first % 2;
-          int const a = at >= 0 ? weights[at] : 0, b = at + 1 < rows.taps ? weights[at + 1] : 0;
-          return broadcast<N>(int32_t(uint32_t(a & 0xffff) | uint32_t(b) << 16));
-        };
-        U* const to = out.row(c, y);
-        auto const write = [&](auto count) {
-          constexpr int K = decltype(count)::value;
-          int32_t const* from[K > 0 ? K : 1];
-          Lanes<int32_t, N> factor[K > 0 ? K : 1];
-          for (int k = 0; k < K; ++k)
-            from[k] = line(first_pair + min(k, used - 1)), factor[k] = k < used ? factors(k) : Lanes<int32_t, N>{};
-          for (int x = 0; x < width; x += N) {
-            Lanes<int32_t, N> sum = broadcast<N>(int32_t(1) << rows.bits >> 1);
-            auto const add = [&](int32_t const* at, Lanes<int32_t, N> weight) {
-              auto const pair = *reinterpret_cast<Lanes<int32_t, N> const*>(at + x);
-              sum += pair_products<N>(__builtin_bit_cast(Words, pair), __builtin_bit_cast(Words, weight));
-            };
-            if constexpr (K > 0) {
-              for (int k = 0; k < K; ++k) add(from[k], factor[k]);
-            } else {
-              for (int k = 0; k < used; ++k) add(line(first_pair + k), factors(k));
-            }
-            auto levels = __builtin_convertvector(sum >> rows.bits, Lanes<float, N>);
-            levels = min(max(levels, broadcast<N>(0.f)), broadcast<N>(255.f));
-            store<N>(to + x, Lanes<float, N>(levels * p.scale[c] + p.offset[c]));
-          }
-        };
-        if (pairs <= 3)
-          write(Width<3>{});
-        else
-          write(Width<0>{});
-        out.finish_row(c, y);
+      int const last = rows.first.data[(i + 1) * p.patch - 1] + rows.taps, all = (image.height + 1) / 2;
+      next[c] = max(next[c], rows.first.data[i * p.patch] / 2);
+      for (; next[c] < all && 2 * next[c] < last; ++next[c]) {
+        int const at = 2 * next[c];
+        uint8_t const* const a = row_of(c, at, 0);
+        columns.write(a, at + 1 < image.height ? row_of(c, at + 1, 1) : a, line(next[c]));
       }
+      // So many patches at a time that they and their part of the lines stay in the first cache.
+      int const block = out.is_direct() ? 16 : image.columns;
+      for (int j = 0; j < image.columns; j += block)
+        for (int y = 0; y < p.patch; ++y) {
+          int const first = rows.first.data[i * p.patch + y], first_pair = first / 2;
+          int const pairs = min((first % 2 + rows.taps) / 2, all - first_pair);
+          int16_t const* const weights = rows.of(i * p.patch + y);
+          auto const factors = [&](int k) {  // of both rows of a pair
+            int const at = 2 * k - first % 2;
+            int const a = at >= 0 ? weights[at] : 0, b = at + 1 < rows.taps ? weights[at + 1] : 0;
+            return broadcast<N>(int32_t(uint32_t(a & 0xffff) | uint32_t(b) << 16));
+          };
+          auto const with = [&](auto count) {
+            constexpr int K = decltype(count)::value;
+            int32_t const* from[K > 0 ? K : 1];
+            Lanes<int32_t, N> factor[K > 0 ? K : 1];
+            for (int k = 0; k < K; ++k)
+              from[k] = line(first_pair + min(k, pairs - 1)), factor[k] = k < pairs ? factors(k) : Lanes<int32_t, N>{};
+            float const scale = p.scale[c], offset = p.offset[c];
+            auto const pixels = [&](int64_t x) {  // N of them
+              Lanes<int32_t, N> sum = broadcast<N>(int32_t(1) << rows.bits >> 1);
+              auto const add = [&](int32_t const* at, Lanes<int32_t, N> weight) {
+                auto const pair = *reinterpret_cast<Lanes<int32_t, N> const*>(at + x);
+                sum += pair_products<N>(__builtin_bit_cast(Words, pair), __builtin_bit_cast(Words, weight));
+              };
+              if constexpr (K > 0) {
+                for (int k = 0; k < K; ++k) add(from[k], factor[k]);
+              } else {
+                for (int k = 0; k < pairs; ++k) add(line(first_pair + k), factors(k));
+              }
+              auto levels = __builtin_convertvector(sum >> rows.bits, Lanes<float, N>);
+              levels = min(max(levels, broadcast<N>(0.f)), broadcast<N>(255.f));
+              return Lanes<float, N>(levels * scale + offset);
+            };
+            if (!out.is_direct()) {
+              U* const to = out.row(c, y);
+              for (int64_t x = 0; x < width; x += N) store<N>(to + x, pixels(x));
+              return out.finish_row(c, y);
+            }
+            int64_t const plane = int64_t(p.patch) * p.patch;
+            for (int b = j; b < min(j + block, image.columns); ++b) {
+              U* const to = out.at(b, c, y);
+              for (int x = 0;; x = min(x + N, p.patch - N)) {
+                Lanes<float, N> const values = pixels(int64_t(b) * p.patch + x);
+                store<N>(to + x, values);
+                for (int t = 1; t < p.repeats; ++t) store<N>(to + t * plane + x, values);
+                if (x + N == p.patch) break;
+              }
+            }
+          };
+          if (pairs <= 3)
+            with(Width<3>{});
+          else
+            with(Width<0>{});
+        }
     }
     out.finish();
   }

@@ -109,7 +109,7 @@ FACTORIES = (
 # Where a tensor is made of numbers alone, and where parameters of modules are made, torch's default device is meant.
 MAKES_FROM_NUMBERS = (
     *(
-        "augmentation/auto/operations.py",
+        "augmentation/auto/operation_base.py",
         "constants.py",
         "demo/",
         "feature/hardnet.py",

@@ -90,7 +90,7 @@ GEOMETRY = {
     "infer_bbox_shape3d validate_bbox3d": dict(boxes=BOX3D),
     "nms nms_mask": dict(boxes=BOXES_XYXY, scores=rand("N"), iou_threshold=0.5),
     "batched_nms": dict(
-        boxes=BOXES_XYXY, scores=rand("N"), idxs=made("N", lambda s: torch.arange(s.n) % 3), iou_threshold=0.5
+        boxes=BOXES_XYXY, scores=rand("N"), idxs=made("N", lambda s: torch.arange(s.number("N")) % 3), iou_threshold=0.5
     ),
     "soft_nms": dict(boxes=BOXES_XYXY, scores=rand("N")),
     "box_area": dict(boxes=BOXES_XYXY),

@@ -146,7 +146,7 @@ def _as_tensor(name: str, data: Any) -> Tensor:
             f"decode: expected {name} to be bytes or a uint8 tensor, got {type(data).__name__}", actual_type=type(data)
         )
     _use_read_only_memory()
-    return torch.frombuffer(data, dtype=torch.uint8) if len(data) else torch.empty(0, dtype=torch.uint8)
+    return torch.frombuffer(data, dtype=torch.uint8) if len(data) else torch.empty(0, dtype=torch.uint8, device="cpu")
 
 
 @cache

@@ -142,9 +142,8 @@ class Planned(NamedTuple):
     modules: Sequence[Any]  # augmentations
     shapes: Sequence[Shape]  # of the images of each
     dtype: torch.dtype  # of those of the first one
-    keys: Sequence[
-        tuple[int, bool] | None
-    ]  # the number of the key of each, or its position under one key, and which it is
+    # Of each that draws, the number of its key and False, or under a seed its position in the chain and True.
+    keys: Sequence[tuple[int, bool] | None]
 
 
 # --- the planner ----------------------------------------------------------------------------------------------------

@@ -225,8 +225,8 @@ def _execute_run(
         keys = None
         if plan is None:
             plan, keys = _kept_plan(x, run, context, position)
-        if keys is None:
-            keys = _keys(x, plan, context)
+        if keys is None and plan.draws:
+            keys = _more_keys(None, plan.modules, x, context)
         if keys is not None and keys.seeds is not None:
             check_seeds(context.op, keys, x[:: context.frames].shape[0])
         if plan.drawn is None or keys is None:
@@ -282,13 +282,6 @@ def _kept_plan(x: Tensor, run: Sequence[Child], context: CallContext, position: 
     if not decides and all(draws.learned is None for draws in plan.draws):
         context.plans.keep(key, plan)
     return plan, keys
-
-
-def _keys(x: Tensor, plan: _RunPlan, context: CallContext) -> Keys | None:
-    """The keys of all requests of a run, if there are any."""
-    if not plan.draws:
-        return None
-    return _more_keys(None, plan.modules, x, context)
 
 
 def _draw(x: Tensor, plan: _RunPlan, keys: Keys | None, frames: int) -> Tensor | None:

@@ -43,10 +43,11 @@ struct TilePixels {
   SampleCoords<F> const& coords;
   Tile<F> const& tile;
   Footprint<F> whole;
+  bool varies;
 
   __device__ __forceinline__ TilePixels(SampleCoords<F> const& coords, Tile<F> const& tile)
-      : coords(coords), tile(tile) {
-    if (!coords.has_map() && tile.map.affine) whole = footprint(jacobian(tile.map, F(0), F(0), F(0), F(0)));
+      : coords(coords), tile(tile), varies(coords.has_map() || !tile.map.affine) {
+    if (!varies) whole = footprint(jacobian(tile.map, F(0), F(0), F(0), F(0)));
   }
   // In F, from relative coordinates.
   template <class T>
@@ -60,7 +61,7 @@ struct TilePixels {
     F const column = F(x - tile.x), row = F(y - tile.y);
     tile.map.apply(column, row, u, v);
     auto const slopes = jacobian(tile.map, column, row, u, v);
-    return {p, u + F(tile.u), v + F(tile.v), slopes, tile.map.affine ? whole : footprint(slopes)};
+    return {p, u + F(tile.u), v + F(tile.v), slopes, varies ? footprint(slopes) : whole};
   }
 };
 
@@ -90,14 +91,14 @@ __device__ __forceinline__ F sum_of_parts(F x) {
   return x;
 }
 
-// Calls pixels(time, lane of the pixel, its taps, its footprint) for each time.
+// Calls pixels(time, lane of the pixel, its taps, its footprint) for each time. `varies`: footprints differ.
 template <int Across, class F, class Pixels>
-__device__ __forceinline__ void for_each_time(CoveredPixel<F> const& own, Pixels pixels) {
+__device__ __forceinline__ void for_each_time(CoveredPixel<F> const& own, bool varies, Pixels pixels) {
   constexpr int kTogether = 32 / Across;
 #pragma unroll 1
   for (int time = 0; time < Across; ++time) {
     int const lane = time * kTogether + threadIdx.x % kTogether;
-    pixels(time, lane, from_lane(own.taps, lane), from_lane(own.footprint, lane));
+    pixels(time, lane, from_lane(own.taps, lane), varies ? from_lane(own.footprint, lane) : own.footprint);
   }
 }
 
@@ -116,6 +117,29 @@ __device__ __forceinline__ void for_each_tap(Sampling<T> const& p, CoveredTaps<F
 template <int Across, class T, class F, class Tap>
 __device__ __forceinline__ void for_each_tap(Sampling<T> const& p, CoveredTaps<F> const& taps, bool inside, Tap tap) {
   inside ? for_each_tap<Across, true>(p, taps, tap) : for_each_tap<Across, false>(p, taps, tap);
+}
+
+// Calls tap(weight, offset) for a thread's taps of a pixel in bounds, a column at a time: those beyond the last column
+// have weight 0 by themselves. Offsets are in a plane.
+template <int Across, class F, class Tap>
+__device__ __forceinline__ void for_each_tap_inside(CoveredTaps<F> const& taps, Footprint<F> const& f, int row_stride,
+                                                    int step, Tap tap) {
+  int const part = int(threadIdx.x % 32) / (32 / Across), rows = taps.last_y - taps.first_y + 1;
+  F const dy = F(taps.first_y) - taps.v;
+#pragma unroll 1
+  for (int first = taps.first_x; first <= taps.last_x; first += Across) {
+    int const column = first + part;
+    F const dx = F(column) - taps.u;
+    F qx = f.xx * dx + f.xy * dy, qy = f.xy * dx + f.yy * dy;
+    int at = taps.first_y * row_stride + min(column, taps.last_x) * step;
+#pragma unroll 4
+    for (int j = 0; j < rows; ++j) {
+      tap(vsaturate(1 - vabs(qx)) * vsaturate(1 - vabs(qy)), at);
+      qx += f.xy;
+      qy += f.yy;
+      at += row_stride;
+    }
+  }
 }
 
 template <class F>

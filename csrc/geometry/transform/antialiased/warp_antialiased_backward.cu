@@ -2,6 +2,7 @@
 // coordinate of maps.
 #include "core/block_reduce.cuh"
 #include "geometry/transform/antialiased/antialiased.cuh"
+#include "geometry/transform/source_tile.cuh"
 
 namespace kv::geometry::cuda {
 namespace {
@@ -26,22 +27,36 @@ __global__ void __launch_bounds__(kThreads)
     bool const inside = __all_sync(kAllLanes, own.inside);
     dispatch_across(own, [&](auto threads) {
       constexpr int kThreadsEach = threads.value;
-      for_each_time<kThreadsEach>(own, [&](int, int lane, CoveredTaps<F> const& taps, Footprint<F> const& f) {
-        F total = 0;
-        for_each_tap<kThreadsEach, true>(p, taps, [&](int, int, F dx, F dy) { total += weight_of(f, dx, dy); });
-        total = sum_of_parts<kThreadsEach>(total);
-        int const column_of_grad = tile.x + lane;
-        if (column_of_grad >= width) return;
-        T const* const grad = p.grad.row(tile.b, 0, y) + column_of_grad * p.grad.step;
-        for_each_tap<kThreadsEach>(p, taps, inside, [&](int row, int column, F dx, F dy) {
-          F const w = weight_of(f, dx, dy) / total;
-          if (!(w > 0) || (row | column) < 0) return;
-          F* const to = planes + (row * source + column);
-#pragma unroll 1
-          for (int c = 0; c < p.grad.channels; ++c)
-            atomicAdd(to + c * plane, w * F(read(grad[c * p.grad.channel_stride])));
-        });
-      });
+      for_each_time<kThreadsEach>(
+          own, pixels.varies, [&](int, int lane, CoveredTaps<F> const& taps, Footprint<F> const& f) {
+            F total = 0;
+            for_each_tap_inside<kThreadsEach>(taps, f, 0, 0, [&](F w, int) { total += w; });
+            F const scale = 1 / sum_of_parts<kThreadsEach>(total);
+            int const column_of_grad = tile.x + lane;
+            if (column_of_grad >= width) return;
+            T const* const grad = p.grad.row(tile.b, 0, y) + column_of_grad * p.grad.step;
+            for_each_channel_group<3>(p.grad.channels, [&](int first, auto number) {
+              constexpr int N = number.value;
+              F g[N];
+              F* to[N];
+#pragma unroll
+              for (int k = 0; k < N; ++k) {
+                g[k] = F(read(grad[(first + k) * p.grad.channel_stride])) * scale;
+                to[k] = planes + (first + k) * plane;
+              }
+              auto const add = [&](F w, int at) {
+                if (!(w > 0)) return;
+#pragma unroll
+                for (int k = 0; k < N; ++k) atomicAdd(to[k] + at, w * g[k]);
+              };
+              if (inside)
+                for_each_tap_inside<kThreadsEach>(taps, f, int(source), 1, add);
+              else
+                for_each_tap<kThreadsEach, false>(p, taps, [&](int row, int column, F dx, F dy) {
+                  if ((row | column) >= 0) add(weight_of(f, dx, dy), row * int(source) + column);
+                });
+            });
+          });
     });
   }
 }
@@ -77,22 +92,23 @@ __global__ void __launch_bounds__(kThreads)
   for (int y = tile.y + int(threadIdx.x) / 32; y < min(tile.y + kTile, height); y += kThreads / 32) {
     CoveredPixel<F> const own = pixels.at(p, y, min(x, width - 1));
     TapSums<F> kept;
-    for_each_time<kGradientThreads>(own, [&](int time, int source, CoveredTaps<F> const& taps, Footprint<F> const& f) {
-      T const* const grad = p.grad.row(tile.b, 0, y) + min(tile.x + source, width - 1) * p.grad.step;
-      TapSums<F> part;
-      for_each_tap<kGradientThreads, false>(p, taps, [&](int row, int column, F dx, F dy) {
-        F value = 0;
+    for_each_time<kGradientThreads>(
+        own, pixels.varies, [&](int time, int source, CoveredTaps<F> const& taps, Footprint<F> const& f) {
+          T const* const grad = p.grad.row(tile.b, 0, y) + min(tile.x + source, width - 1) * p.grad.step;
+          TapSums<F> part;
+          for_each_tap<kGradientThreads, false>(p, taps, [&](int row, int column, F dx, F dy) {
+            F value = 0;
 #pragma unroll 1
-        for (int c = 0; c < p.x.channels; ++c) {
-          F const pixel =
-              (row | column) < 0 ? p.fill_value(tile.b, c) : F(read(p.x.row(tile.image, c, row)[column * p.x.step]));
-          value += F(read(grad[c * p.grad.channel_stride])) * pixel;
-        }
-        part.add(f, dx, dy, value);
-      });
-      add_parts<kGradientThreads>(part);
-      if (lane / (32 / kGradientThreads) == time) kept = part;
-    });
+            for (int c = 0; c < p.x.channels; ++c) {
+              F const pixel = (row | column) < 0 ? p.fill_value(tile.b, c)
+                                                 : F(read(p.x.row(tile.image, c, row)[column * p.x.step]));
+              value += F(read(grad[c * p.grad.channel_stride])) * pixel;
+            }
+            part.add(f, dx, dy, value);
+          });
+          add_parts<kGradientThreads>(part);
+          if (lane / (32 / kGradientThreads) == time) kept = part;
+        });
     if (x >= width) continue;
     F by_u = 0, by_v = 0;
     Jacobian<F> by_j{};

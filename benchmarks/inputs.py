@@ -5,8 +5,9 @@
     python -m benchmarks.inputs --csv benchmarks/results/h200/inputs.csv
 
 `bytes` are JPEG files in memory, of 280 to 700 pixels a side, to a normalized float16 batch of 224 x 224 (random resized crop,
-flip, color jitter): images a second of each decoder alone, and of the whole pipeline while two threads decode ahead. `patches` are
-inputs of vision-language models. Times are medians of rounds in which all contestants take turns, on a CPU minima; a floor is the
+flip, color jitter): images a second of each decoder alone, and of the whole pipeline while two threads decode ahead. `frames` are
+32 video frames of 1080p in NV12, `patches` inputs of vision-language models, `warps` antialiased
+ones of 16 images of 1024 x 1024. Times are medians of rounds in which all contestants take turns, on a CPU minima; a floor is the
 bytes that must be read and written over the copy bandwidth of the same run. Bars on CUDA are for an NVIDIA H200. What misses its
 bar has an exclamation mark.
 """
@@ -38,6 +39,8 @@ from benchmarks.timing import Clock, clock
 from kvision.io import decoding
 
 CROP = (224, 224)
+FRAME = (1080, 1920)
+SIDE = 1024
 
 
 class Figure(NamedTuple):
@@ -215,17 +218,85 @@ def of_patches(setup: Setup) -> Iterator[Figure]:
             yield Figure("patches", f"Qwen2-VL, {name}, bfloat16", 1e3 * seconds, "ms")
             yield Figure("patches", f"Qwen2-VL, {name}, bfloat16", seconds * setup.bandwidth / moved, "floors", bar)
         return
-    image = (255 * dead_leaves((3, 1024, 1024))).byte()[None]
+    image = (255 * dead_leaves((3, SIDE, SIDE))).byte()[None]
     for times, dtype, bar in ((1, torch.bfloat16, 2.2), (2, torch.float32, 4.0)):
         call = partial(K.contrib.vision_patches, image, temporal_patch_size=times, dtype=dtype)
         (seconds,) = setup.seconds_of([call])
         kind = str(dtype).removeprefix("torch.")
-        yield Figure("patches", f"Qwen2-VL, 1024x1024, T = {times}, {kind}", 1e3 * seconds, "ms", bar)
+        yield Figure("patches", f"Qwen2-VL, {SIDE}x{SIDE}, T = {times}, {kind}", 1e3 * seconds, "ms", bar)
+
+
+# --- frames of video, antialiased warps -------------------------------------------------------------------------------
+
+
+def of_frames(setup: Setup) -> Iterator[Figure]:
+    """To float16 in one launch, against two calls. The floor reads the planes and writes the result."""
+    count, (height, width) = 32 if setup.is_cuda else 1, FRAME
+    frames = torch.randint(16, 236, (count, 3 * height // 2, width), dtype=torch.uint8, device=setup.device)
+    boxes = torch.tensor([[(width - height) / 2.0, 0, (width + height) / 2, height]], device=setup.device).expand(
+        count, 4
+    )
+    colors = {"matrix": "bt709", "mean": MEAN, "std": STD, "dtype": torch.float16}
+    half = (height // 2, width // 2)
+
+    def in_two_calls() -> Tensor:
+        resized: Tensor = K.geometry.resize(K.color.frames_to_rgb(frames, matrix="bt709"), half, antialias=True)
+        return resized
+
+    for name, call in (
+        ("to 224x224 crops", lambda: K.color.resize_frames(frames, CROP, boxes, **colors)),
+        ("to 224x224 crops, antialiased", lambda: K.color.resize_frames(frames, CROP, boxes, antialias=True, **colors)),
+        ("to half size, antialiased", lambda: K.color.resize_frames(frames, half, antialias=True, **colors)),
+    ):
+        result = call()
+        moved = frames.numel() + result.numel() * result.element_size()
+        seconds, two = setup.seconds_of([call, in_two_calls])
+        yield Figure("frames", name, 1e3 * seconds, "ms")
+        yield Figure("frames", name, seconds * setup.bandwidth / moved, "floors", 1.5 if setup.is_cuda else None)
+        if result.shape[2:] == half:
+            yield Figure("frames", "frames_to_rgb and resize to half size, over that", two / seconds, "")
+
+
+def of_warps(setup: Setup) -> Iterator[Figure]:
+    """Rotations that shrink. The floor reads the source and writes the result, once each; with a gradient, twice."""
+    count = 16 if setup.is_cuda else 1
+    images = dead_leaves((3, SIDE, SIDE)).to(setup.device).expand(count, -1, -1, -1).contiguous()
+    leaf = images.clone().requires_grad_()
+    for factor, bar in ((2, 1.8), (4, 2.5)):
+        side = SIDE // factor
+        center = torch.full((1, 2), SIDE / 2, device=setup.device)
+        matrix = K.geometry.get_rotation_matrix2d(
+            center, torch.tensor([20.0]).to(center), torch.full_like(center, 1 / factor)
+        )
+        matrix[:, :, 2] -= (SIDE - side) / 2
+        matrix = matrix.expand(count, 2, 3)
+        call = partial(K.geometry.warp_affine, images, matrix, (side, side), antialias=True)
+        plain = partial(K.geometry.warp_affine, images, matrix, (side, side))
+
+        def both(matrix: Tensor = matrix, side: int = side) -> Any:
+            return torch.autograd.grad(K.geometry.warp_affine(leaf, matrix, (side, side), antialias=True).sum(), leaf)
+
+        moved = (images.numel() + call().numel()) * images.element_size()
+        forward, without, f_and_b = setup.seconds_of([call, plain, both])
+        floor, on_h200 = moved / setup.bandwidth, setup.is_cuda
+        yield Figure("warps", f"warp_affine to 1/{factor}, antialiased", 1e3 * forward, "ms")
+        yield Figure(
+            "warps", f"warp_affine to 1/{factor}, antialiased", forward / floor, "floors", bar if on_h200 else None
+        )
+        yield Figure("warps", f"warp_affine to 1/{factor}, plain", without / floor, "floors")
+        yield Figure(
+            "warps", f"and its gradient, 1/{factor}", f_and_b / (2 * floor), "floors", 3.5 if on_h200 else None
+        )
 
 
 # --- the command ----------------------------------------------------------------------------------------------------
 
-GROUPS: dict[str, Callable[[Setup], Iterator[Figure]]] = {"bytes": of_bytes, "patches": of_patches}
+GROUPS: dict[str, Callable[[Setup], Iterator[Figure]]] = {
+    "bytes": of_bytes,
+    "frames": of_frames,
+    "patches": of_patches,
+    "warps": of_warps,
+}
 
 
 def write(path: Path, figures: Sequence[Figure], about: dict[str, Any]) -> None:

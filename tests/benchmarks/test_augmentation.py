@@ -34,6 +34,8 @@ def test_bars(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
 def test_inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Every group prints its figures; those of another run replace the rows of its groups alone."""
     monkeypatch.setattr(inputs, "dead_leaves", lambda size: inputs.torch.rand(size[0], 90, 70))
+    for name, value in (("SIDE", 64), ("FRAME", (64, 96)), ("CROP", (32, 32))):
+        monkeypatch.setattr(inputs, name, value)
     table = tmp_path / "inputs.csv"
     options = ["--device", "cpu", "--seconds", "0.001", "--count", "2", "--csv", str(table)]
     assert inputs.main(options) == 0

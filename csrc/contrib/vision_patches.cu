@@ -14,14 +14,13 @@
 namespace kv::contrib::cuda {
 namespace {
 
-using geometry::Band;
 using geometry::ResizeAxis;
 
-constexpr int kThreads = 256;
-constexpr int kImages = 256;         // of a launch
-constexpr int kColumns = 128;        // of a tile, about
-constexpr int kZeroed = 16;          // patches of padding that a block writes
-constexpr int64_t kShared = 100000;  // bytes, so that two blocks share a multiprocessor
+constexpr int kThreads = 384, kBlocks = 3;  // of a multiprocessor at once
+constexpr int kImages = 256;                // of a launch
+constexpr int kColumns = 128;               // of a tile, about
+constexpr int kZeroed = 16;                 // patches of padding that a block writes
+constexpr int64_t kShared = 100000;         // bytes, so that two blocks share a multiprocessor
 
 struct Table {
   PatchImage images[kImages];
@@ -39,22 +38,32 @@ struct Tiles {
   KV_HD int columns(int patch) const { return (across * patch + 3) / 4 * 4; }
 };
 
-// Not inlined: this takes most of the time to compile. Writes the band of pixel i and its normalized weights, `stride`
-// apart, zeros up to `taps`; returns the first pixel of the band.
-__device__ __noinline__ int write_band(ResizeAxis const& axis, int i, float* weights, int stride, int taps) {
-  Band<float> const band = geometry::window_band<float>(axis, i);
-  int const count = band.last - band.first + 1;
-  float sum = 0;
+// An axis of an image, as ResizeAxis has it, by the few numbers that a block needs.
+struct Axis {
+  geometry::ResizeFilter filter;
+  int source, result, radius;
+  __device__ Axis(geometry::ResizeFilter filter, int source, int result)
+      : filter(filter), source(source), result(result), radius(geometry::filter_radius(filter)) {}
+  __device__ int taps() const { return min((2 * radius * max(source, result) + result - 1) / result, source); }
+};
+
+// Writes the normalized weights of pixel i, `stride` apart, zeros up to `taps`; returns the first pixel of its band.
+__device__ __noinline__ int write_band(Axis const& axis, int i, float* weights, int stride, int taps) {
+  double const scale = double(axis.source) / axis.result, center = (i + 0.5) * scale - 0.5, unit = max(scale, 1.);
+  int const first = max(int(floor(center - axis.radius * unit)) + 1, 0);
+  float const per_unit = float(1 / unit);
+  float x = float(first - center) * per_unit, sum = 0;
+  int const count = min(taps, axis.source - first);
 #pragma unroll 1
-  for (int k = 0; k < taps; ++k) {
-    int64_t const distance = (band.first + k) * axis.den - axis.center(i);
-    float const weight = k < count ? geometry::window_at<float>(axis, distance) : 0.f;
+  for (int k = 0; k < taps; ++k, x += per_unit) {
+    float const weight = k < count ? geometry::filter_at(axis.filter, true, x) : 0.f;
     weights[k * stride] = weight;
     sum += weight;
   }
+  float const norm = 1 / sum;
 #pragma unroll 1
-  for (int k = 0; k < taps; ++k) weights[k * stride] /= sum;
-  return band.first;
+  for (int k = 0; k < taps; ++k) weights[k * stride] *= norm;
+  return first;
 }
 
 __device__ __forceinline__ int dot_signed(uint32_t bytes, uint32_t weights, int sum) {
@@ -67,9 +76,9 @@ __device__ __forceinline__ int dot_unsigned(uint32_t bytes, uint32_t weights, in
 }
 
 // The bits of integer weights behind the point. Their high bytes are signed, so that weights are below 2 in size.
-__device__ __forceinline__ int bits_of(ResizeAxis const& axis) {
+__device__ __forceinline__ int bits_of(Axis const& axis) {
   int bits = 14;
-  for (int64_t shrink = 2; shrink * axis.den <= axis.num && bits < 20; shrink *= 2) ++bits;
+  for (int result = 2 * axis.result; result <= axis.source && bits < 20; result *= 2) ++bits;
   return bits;
 }
 __device__ __forceinline__ int level_of(int sum, int bits) { return min(max(sum >> bits, 0), 255); }
@@ -124,7 +133,7 @@ __device__ __forceinline__ void resize_column(uint8_t const* row, int64_t row_st
 }
 
 template <class T, class U>
-__global__ void __launch_bounds__(kThreads)
+__global__ void __launch_bounds__(kThreads, kBlocks)
     make_patches(__grid_constant__ VisionPatches<T> const p, __grid_constant__ Table const table, Tiles const tiles) {
   using Line = std::conditional_t<sizeof(T) == 1, uint8_t, float>;
   extern __shared__ __align__(16) unsigned char memory[];
@@ -159,12 +168,7 @@ __global__ void __launch_bounds__(kThreads)
   int const columns = across * size, rows = down * size, stride_x = tiles.columns(size), channels = p.channels;
   int* const first_x = reinterpret_cast<int*>(weights_x + tiles.taps_x * stride_x);
   int* const first_y = reinterpret_cast<int*>(weights_y + tiles.taps_y * tiles.down * size);
-  __shared__ __align__(8) unsigned char axes_memory[2 * sizeof(ResizeAxis)];
-  ResizeAxis* const axes = reinterpret_cast<ResizeAxis*>(axes_memory);
-  if (thread == 0) axes[0] = p.axis(image.width, image.columns * size);
-  if (thread == 32) axes[1] = p.axis(image.height, image.rows * size);
-  __syncthreads();
-  ResizeAxis const &axis_x = axes[0], &axis_y = axes[1];
+  Axis const axis_x(p.filter, image.width, image.columns * size), axis_y(p.filter, image.height, image.rows * size);
   for (int t = thread; t < columns + rows; t += kThreads) {
     if (t < columns)
       first_x[t] = write_band(axis_x, tile_j * size + t, weights_x + t, stride_x, tiles.taps_x);
@@ -175,21 +179,22 @@ __global__ void __launch_bounds__(kThreads)
   __syncthreads();
 
   // Along x. The bands of the last rows end last.
+  int const taps_x = axis_x.taps(), taps_y = axis_y.taps();
   int const top = first_y[0];
-  int const bottom = min(first_y[rows - 1] + axis_y.max_taps, image.height);
+  int const bottom = min(first_y[rows - 1] + taps_y, image.height);
   int const read_rows = min(bottom - top, tiles.rows);
   for (int t = thread; t < columns * channels; t += kThreads) {
     int const c = t / columns, x = t - c * columns, first = first_x[x];
     T const* const row = p.row(image, c, top) + first * image.step;
     Line* const to = lines + c * stride_x + x;
     float const* const weights = weights_x + x;
-    int const taps = min(axis_x.max_taps, image.width - first);
+    int const taps = min(taps_x, image.width - first);
     if constexpr (sizeof(T) == 1) {
       bool const is_aligned = image.step == 1 && image.row_stride % 4 == 0;
       int const bits = bits_of(axis_x);
-      if (is_aligned && axis_x.max_taps <= 5)
+      if (is_aligned && taps_x <= 5)
         resize_column<2>(row, image.row_stride, 1, read_rows, weights, stride_x, taps, bits, to, tiles.stride);
-      else if (is_aligned && axis_x.max_taps <= 9)
+      else if (is_aligned && taps_x <= 9)
         resize_column<3>(row, image.row_stride, 1, read_rows, weights, stride_x, taps, bits, to, tiles.stride);
       else
         resize_column<0>(row, image.row_stride, image.step, read_rows, weights, stride_x, taps, bits, to, tiles.stride);
@@ -206,34 +211,54 @@ __global__ void __launch_bounds__(kThreads)
   }
   __syncthreads();
 
-  // Along y: four adjacent columns a thread, to the order of the patches.
-  int const quads = (columns + 3) / 4;
-  for (int t = thread; t < quads * channels * rows; t += kThreads) {
-    int const y = t / (quads * channels), rest = t - y * quads * channels, c = rest / quads, x = 4 * (rest - c * quads);
-    float const* const weights = weights_y + y * tiles.taps_y;
-    Line const* from = lines + (first_y[y] - top) * tiles.stride + c * stride_x + x;
-    int const taps = min(axis_y.max_taps, top + read_rows - first_y[y]);
-    float sums[4]{};
-    for (int k = 0; k < taps; ++k, from += tiles.stride) {
-      float const weight = weights[k];
-      if constexpr (sizeof(T) == 1) {
-        uint32_t const word = *reinterpret_cast<uint32_t const*>(from);
-#pragma unroll
-        for (int e = 0; e < 4; ++e) sums[e] += weight * float(word >> (8 * e) & 255);
-      } else if (weight != 0) {
-        float4 const four = *reinterpret_cast<float4 const*>(from);
-        sums[0] += weight * four.x, sums[1] += weight * four.y;
-        sums[2] += weight * four.z, sums[3] += weight * four.w;
-      }
-    }
-    int const i = y / size, in_patch = y - i * size;
+  // Along y: four adjacent columns a thread, every few rows, to the order of the patches.
+  int const quads = (columns + 3) / 4, all = quads * channels, at_once = max(kThreads / all, 1);
+  for (int t = thread; t < all * at_once; t += kThreads) {
+    int const rest = t % all, c = rest / quads, x = 4 * (rest - c * quads);
+    int at[4];  // in a row of patches
 #pragma unroll
     for (int e = 0; e < 4; ++e) {
-      if (x + e >= columns) break;
-      if constexpr (sizeof(T) == 1) sums[e] = min(max(rintf(sums[e]), 0.f), 255.f);
       int const j = (x + e) / size, column = x + e - j * size;
-      int const at = p.repeats ? (c * size + in_patch) * size + column : (in_patch * size + column) * channels + c;
-      pixels[(i * tiles.across + j) * elements + at] = round_to<U>(sums[e] * p.scale[c] + p.offset[c]);
+      at[e] = j * elements + (p.repeats ? c * size * size + column : column * channels + c);
+    }
+    float const scale = p.scale[c], offset = p.offset[c];
+    int const row_elements = p.repeats ? size : size * channels;
+    // Two columns that are adjacent in a patch are stored together.
+    bool const by_pairs = p.repeats && size % 2 == 0 && elements % 2 == 0;
+    for (int y = t / all; y < rows; y += at_once) {
+      float const* const weights = weights_y + y * tiles.taps_y;
+      Line const* from = lines + (first_y[y] - top) * tiles.stride + c * stride_x + x;
+      int const taps = min(taps_y, top + read_rows - first_y[y]);
+      float sums[4]{};
+#pragma unroll 4
+      for (int k = 0; k < taps; ++k, from += tiles.stride) {
+        float const weight = weights[k];
+        if constexpr (sizeof(T) == 1) {
+          uint32_t const word = *reinterpret_cast<uint32_t const*>(from);
+#pragma unroll
+          for (int e = 0; e < 4; ++e) sums[e] += weight * float(word >> (8 * e) & 255);
+        } else if (weight != 0) {
+          float4 const four = *reinterpret_cast<float4 const*>(from);
+          sums[0] += weight * four.x, sums[1] += weight * four.y;
+          sums[2] += weight * four.z, sums[3] += weight * four.w;
+        }
+      }
+      int const i = y / size;
+      U* const to = pixels + i * tiles.across * elements + (y - i * size) * row_elements;
+      U values[4];
+#pragma unroll
+      for (int e = 0; e < 4; ++e) {
+        if constexpr (sizeof(T) == 1) sums[e] = min(max(rintf(sums[e]), 0.f), 255.f);
+        values[e] = round_to<U>(sums[e] * scale + offset);
+      }
+      if (by_pairs) {
+        *reinterpret_cast<Vector<U, 2>*>(to + at[0]) = {values[0], values[1]};
+        if (x + 2 < columns) *reinterpret_cast<Vector<U, 2>*>(to + at[2]) = {values[2], values[3]};
+      } else {
+#pragma unroll
+        for (int e = 0; e < 4; ++e)
+          if (x + e < columns) to[at[e]] = values[e];
+      }
     }
   }
   __syncthreads();

@@ -58,7 +58,8 @@ LAYOUTS = {
 }
 _DTYPES = (torch.float32, torch.bfloat16, torch.float16)
 _LONGEST_ASPECT = 200  # of images for 'qwen2_vl'
-MAX_PATCH_CHANNELS, MAX_PATCH_SIZE, MAX_PATCH_SHRINK = 4, 64, 32  # of the kernel
+# What the kernel serves: channels, pixels of a side of a patch, how much an image shrinks, and bytes of the image behind one patch.
+MAX_CHANNELS, MAX_PATCH, MAX_SHRINK, MAX_BYTES = 4, 64, 32, 96_000
 
 
 class _Program(NamedTuple):
@@ -224,16 +225,18 @@ _vision_patches = FastPath("vision_patches", (torch.float32, torch.uint8))
 
 def _serves(parts: list[Tensor], sizes: list[tuple[int, int]], program: _Program) -> bool:
     """Whether the kernel serves: what the definition does, without gradients, in one launch for up to 256 images."""
-    first = parts[0]
+    first, patch = parts[0], program.patch
     if first.device.type not in _SERVED or not _vision_patches.serves(first) or program.dtype == torch.float16:
         return False
-    if first.shape[1] > MAX_PATCH_CHANNELS or program.patch > MAX_PATCH_SIZE:
+    channels, wants_gradient = first.shape[1], is_grad_enabled()
+    if channels > MAX_CHANNELS or patch > MAX_PATCH:
         return False
-    wants_gradient = is_grad_enabled()
+    row_bytes = channels * patch * (patch + 4) * first.element_size()
     for x, (height, width) in zip(parts, sizes):
         if (x.requires_grad and wants_gradient) or type(x) is not Tensor:
             return False
-        if x.shape[2] > MAX_PATCH_SHRINK * height or x.shape[3] > MAX_PATCH_SHRINK * width:
+        shrink = max(x.shape[2] / height, 1)
+        if max(shrink, x.shape[3] / width) > MAX_SHRINK or row_bytes * shrink > MAX_BYTES:
             return False
     return True
 

@@ -222,7 +222,31 @@ def test_five_and_ten_crops_are_torchvisions(device: torch.device) -> None:
         A.FiveCrop(6)(x)
 
 
+@pytest.mark.parametrize("antialias", [False, True])
+def test_views_are_windows_of_their_images(antialias: bool, device: torch.device) -> None:
+    """Of a ramp, which linear resampling keeps: the slopes are those of the windows, and the samples are not mixed up."""
+    y, x = torch.meshgrid(torch.arange(60.0), torch.arange(80.0), indexing="ij")
+    sample = torch.arange(3.0)[:, None, None].expand(3, 60, 80)
+    images = torch.stack([x.expand_as(sample), y.expand_as(sample), sample], 1).to(device)
+    views = A.MultiCrop(12, (6, 8), local_crops=3, antialias=antialias)(images.requires_grad_())
+    assert [v.shape[1:] for v in views] == [(3, 12, 12)] * 2 + [(3, 6, 8)] * 3
+    torch.autograd.grad(sum(v.sum() for v in views), images)
+    areas = []
+    for view in views:
+        assert torch.equal(view[:, 2].round(), torch.arange(3.0, device=device)[:, None, None].expand_as(view[:, 2]))
+        h, w = view.shape[-2:]
+        across, down = view[:, 0, h // 2, 2:-2].diff(dim=-1), view[:, 1, 2:-2, w // 2].diff(dim=-1)
+        assert_near = torch.testing.assert_close
+        assert_near(across, across.mean(1, keepdim=True).expand_as(across), rtol=0.02, atol=1e-3)
+        areas.append(across.mean(1) * w * down.mean(1) * h / 4800)
+    large, small = torch.cat(areas[:2]), torch.cat(areas[2:])
+    assert large.min() > 0.35 and large.max() < 1.01 and small.min() > 0.03 and small.max() < 0.45
+    whole_image = A.MultiCrop((60, 80), local_crops=0, global_scale=(1.0, 1.0), ratio=(4 / 3, 4 / 3))(images.detach())
+    assert len(whole_image) == 2 and all(torch.equal(v, images) for v in whole_image)
+
+
 BAD = [
+    (lambda: A.MultiCrop(8, 4, global_crops=0), ValueError, "MultiCrop: expected global_crops"),
     (lambda: A.Pad("4"), TypeError, "Pad: expected padding to be one, two or four ints"),
     (lambda: A.Pad(4, padding_mode="wrap"), ValueError, "Pad: expected padding_mode"),
     (lambda: A.PadIfNeeded(8, 8, 4), ValueError, "expected one of min_height and pad_height_divisor"),

@@ -28,7 +28,7 @@ from kvision.augmentation.container import (
 from kvision.augmentation.container.saving import allow_loading as _allow_loading
 from kvision.augmentation.container.saving import from_json, to_json
 from kvision.augmentation.container.sheet import preview
-from kvision.augmentation.crop import CenterCrop, FiveCrop, RandomCrop, RandomResizedCrop, TenCrop
+from kvision.augmentation.crop import CenterCrop, FiveCrop, MultiCrop, RandomCrop, RandomResizedCrop, TenCrop
 from kvision.augmentation.elastic import RandomElasticTransform, RandomFisheye, RandomThinPlateSpline
 from kvision.augmentation.engine import (
     AugmentationBase2D,
@@ -107,6 +107,7 @@ __all__ = [
     "ManyToManyAugmentationDispather",
     "ManyToOneAugmentationDispather",
     "MixAugmentationBaseV2",
+    "MultiCrop",
     "Normalize",
     "Pad",
     "PadIfNeeded",

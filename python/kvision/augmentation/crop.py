@@ -8,7 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from kvision import _check
+from kvision import _check, geometry
+from kvision._constants import constant
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
@@ -26,7 +27,7 @@ from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
 from kvision.core.exceptions import ValueCheckError
 
-__all__ = ["CenterCrop", "FiveCrop", "RandomCrop", "RandomResizedCrop", "TenCrop"]
+__all__ = ["CenterCrop", "FiveCrop", "MultiCrop", "RandomCrop", "RandomResizedCrop", "TenCrop"]
 
 # The modes of torch.nn.functional.pad, as warps call them, and whether they mirror at the centers of the outermost pixels.
 _PADDING = {
@@ -365,3 +366,80 @@ class TenCrop(FiveCrop):
         """The windows of images (*, H, W), and those of the mirror images in the same order."""
         windows = super().forward(input)
         return (*windows, *super().forward(input.flip(-2 if self.vertical_flip else -1)))
+
+
+class MultiCrop(nn.Module):
+    """Cut several windows out of every image, large and small ones, and resize them: the views of self-supervised training.
+
+    The windows are drawn as those of :class:`RandomResizedCrop`, for every view of every sample, and all views of a size are one
+    resampling of the images, which are not copied for them. Edges of windows go to edges of views.
+
+    Args:
+        global_size: height and width of large views; an int for both.
+        local_size: height and width of small views.
+        global_crops: number of large views.
+        local_crops: number of small views; 0 for none.
+        global_scale: range of the area of large windows, as a fraction of the image's.
+        local_scale: range of the area of small windows.
+        ratio: range of width / height of windows.
+        antialias: average the pixels that a pixel of a view covers.
+
+    Raises:
+        TypeError: a size or a count is not an int.
+        ValueError: a size or `global_crops` below 1, `local_crops` below 0; a range does not have the form in Args.
+
+    Source: M. Caron et al., "Emerging properties in self-supervised vision transformers" (2021).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> views = K.augmentation.MultiCrop(8, 4)(torch.rand(5, 3, 16, 20))
+        >>> len(views), views[0].shape, views[9].shape
+        (10, torch.Size([5, 3, 8, 8]), torch.Size([5, 3, 4, 4]))
+    """
+
+    def __init__(
+        self,
+        global_size: int | tuple[int, int] = 224,
+        local_size: int | tuple[int, int] = 96,
+        global_crops: int = 2,
+        local_crops: int = 8,
+        global_scale: Any = (0.4, 1.0),
+        local_scale: Any = (0.05, 0.4),
+        ratio: Any = (3.0 / 4.0, 4.0 / 3.0),
+        antialias: bool = True,
+    ) -> None:
+        super().__init__()
+        op = "MultiCrop"
+        _check.ints(op, "global_crops", global_crops, 1)
+        _check.ints(op, "local_crops", local_crops, 1, 0)
+        self.counts = global_crops, local_crops
+        self.generators = nn.ModuleList(
+            ResizedCropGenerator(parse_size(op, size), scale, ratio)
+            for size, scale in ((global_size, global_scale), (local_size, local_scale))
+        )
+        self.antialias = _check.switch(op, "antialias", antialias)
+
+    def forward(self, input: Tensor) -> list[Tensor]:
+        """The views of images (B, C, H, W): first the large ones, then the small ones, each (B, C, h, w)."""
+        _check.images("MultiCrop", "input", input)
+        batch, views = input.shape[0], []
+        for count, generator in zip(self.counts, self.generators):
+            if not count:
+                continue
+            h, w = generator.output_size
+            corners = generator((count * batch, *input.shape[1:]))["src"]
+            first, last = corners[:, :1], corners[:, 2:3]
+            # From the centers of a window's corner pixels to those of the result's: both have their edges in common.
+            inset = ((last - first + 1) / constant((w, h), corners) - 1) / 2
+            inward = constant(((1, 1), (-1, 1), (-1, -1), (1, -1)), corners)
+            image = torch.arange(batch, device=input.device).repeat(count)
+            crops = geometry.crop_and_resize(
+                input,
+                corners + inset * inward,
+                (h, w),
+                padding_mode="border",
+                box_indices=image,
+                antialias=self.antialias,
+            )
+            views += crops.unflatten(0, (count, batch)).unbind(0)
+        return views

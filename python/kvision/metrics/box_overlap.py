@@ -138,17 +138,23 @@ def generalized_overlap(a: Tensor, b: Tensor, eps: float) -> Tensor:
 def distance_overlap(a: Tensor, b: Tensor, iou_eps: float, eps: float) -> Tensor:
     """Of boxes (*, 4) and (*, 4), pair by pair; the losses' formula."""
     iou, _, around = _overlap(a, b, iou_eps)
-    apart = (a[..., :2] + a[..., 2:] - b[..., :2] - b[..., 2:]) / 2
-    return iou - apart.square().sum(-1) / (around.square().sum(-1) + eps)
+    return iou - _distance(a, b, around, eps)
 
 
 @with_kernel_casts
 def complete_overlap(a: Tensor, b: Tensor, iou_eps: float, eps: float) -> Tensor:
     """Of boxes (*, 4) and (*, 4), pair by pair; the losses' formula."""
+    iou, _, around = _overlap(a, b, iou_eps)
     angles = [torch.atan2(*_sizes(x).unbind(-1)) for x in (a, b)]
     v = 4 / math.pi**2 * (angles[0] - angles[1]).square()
-    alpha = (v / (1 - _overlap(a, b, iou_eps)[0] + v + eps)).detach()
-    return distance_overlap(a, b, iou_eps, eps) - alpha * v
+    alpha = (v / (1 - iou + v + eps)).detach()
+    return iou - _distance(a, b, around, eps) - alpha * v
+
+
+def _distance(a: Tensor, b: Tensor, around: Tensor, eps: float) -> Tensor:
+    """The squared distance of the middles, relative to the diagonal of the box of size `around`."""
+    apart = (a[..., :2] + a[..., 2:] - b[..., :2] - b[..., 2:]) / 2
+    return apart.square().sum(-1) / (around.square().sum(-1) + eps)
 
 
 # --- rotated boxes --------------------------------------------------------------------------------------------------

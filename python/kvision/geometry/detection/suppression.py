@@ -34,7 +34,8 @@ def _suppress_reference(edges: Tensor, labels: Tensor | None, threshold: float) 
         removed = _overlap(edges[..., i : i + 1], edges[..., i + 1 :]) > threshold
         if labels is not None:
             removed = removed & (labels[:, i : i + 1] == labels[:, i + 1 :])
-        kept[:, i + 1 :] &= ~(removed & kept[:, i : i + 1])
+        first, later = kept[:, : i + 1], kept[:, i + 1 :]  # nothing in place: vmap may map edges alone
+        kept = torch.cat([first, later & ~(removed & first[:, -1:])], 1)
     return kept.to(torch.uint8)
 
 

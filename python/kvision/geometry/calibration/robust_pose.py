@@ -20,7 +20,9 @@ from kvision.geometry.optim import ReprojectionError, least_squares
 
 __all__ = ["kabsch_ransac", "solve_pnp_ransac", "umeyama_ransac"]
 
-_REFITS = 4  # to the inliers of the best hypothesis, each to those of the fit before
+# A model is fitted again to what is within these multiples of the threshold, and to its inliers in the end. A wider circle frees
+# a fit from inliers that keep others out.
+_WIDTHS = (3.0, 2.0, 1.5, 1.0, 1.0)
 
 
 def solve_pnp_ransac(
@@ -94,10 +96,10 @@ def solve_pnp_ransac(
 
     with torch.no_grad():
         pose, inliers = _best(hypotheses(draws), errors, threshold, mask)
-        for _ in range(_REFITS):
-            pose, inliers = _better(
-                refit(pose, inliers.to(pose.dtype), False).matrix()[:, :3], pose, inliers, errors, threshold, mask
-            )
+        for width in _WIDTHS:
+            near = _score(errors(pose[:, None]), width * threshold, mask)[1][:, 0]
+            refitted = refit(pose, near.to(pose.dtype), False).matrix()[:, :3]
+            pose, inliers = _better(refitted, pose, inliers, errors, threshold, mask)
         is_valid = inliers.sum(1) >= 4
         inliers = inliers & is_valid[:, None]
     found = refit(pose, torch.where(is_valid[:, None], inliers, True).to(pose.dtype), True)
@@ -215,9 +217,10 @@ def _aligned_robustly(
     with torch.no_grad():
         x, y = (_at(p, draws).flatten(0, 1) for p in (points1, points2))
         matrix, inliers = _best(fitted(x, y, None).unflatten(0, (batch, -1)), errors, threshold, mask)
-        for _ in range(_REFITS):
-            refit = fitted(points1, points2, inliers.to(points1.dtype))
-            matrix, inliers = _better(refit, matrix, inliers, errors, threshold, mask)
+        for width in _WIDTHS:
+            near = _score(errors(matrix[:, None]), width * threshold, mask)[1][:, 0]
+            refitted = fitted(points1, points2, near.to(points1.dtype))
+            matrix, inliers = _better(refitted, matrix, inliers, errors, threshold, mask)
         inliers = inliers & (inliers.sum(1, keepdim=True) >= 3)
     result, is_valid = align(points1, points2, inliers.to(points1.dtype))
     return result, is_valid, inliers & is_valid[:, None]

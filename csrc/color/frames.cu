@@ -1,6 +1,6 @@
 // Frames of video on CUDA, in one launch: each code is read from device memory once, by the caches.
 //
-// whole     a thread takes four adjacent pixels of a row.
+// whole     a thread takes four adjacent pixels of a row; where chroma is interpolated, the frame is a box.
 // boxes     a block takes 32 columns of 32 rows. What these take of the planes, and with which weights, is in shared
 //           memory; of bytes each thread keeps the weights of a small window of its column. Windows that are larger
 //           than the shared memory are computed by each thread for itself.
@@ -32,51 +32,77 @@ struct Reader {
   }
 };
 
+// N codes with a stride, of which the first `count` exist. `words`: they are one aligned word.
+template <int N, class S, class F>
+__device__ __forceinline__ void load_codes(S const* from, int stride, bool words, int count, F* to) {
+  if constexpr (sizeof(S) == 1)
+    if (words) {
+      auto const codes = *reinterpret_cast<Vector<S, N> const*>(from);
+#pragma unroll
+      for (int j = 0; j < N; ++j) to[j] = F(number_of(codes.v[j]));
+      return;
+    }
+#pragma unroll
+  for (int j = 0; j < N; ++j) to[j] = j < count ? F(number_of(from[j * stride])) : F(0);
+}
+
+// Which accesses of run_whole are vectors.
+struct WholeVectors {
+  bool rgb, luma, pairs;
+};
+
 template <class S, class T>
-__global__ void __launch_bounds__(kThreads) run_whole(__grid_constant__ PlanesToRgb<T> const p, bool vectorized) {
+__global__ void __launch_bounds__(kThreads)
+    run_whole(__grid_constant__ PlanesToRgb<T> const p, WholeVectors const vectors) {
   using F = Compute<T>;
-  int const x = int(blockIdx.x * 32 + threadIdx.x % 32) * kPixelsPerThread, width = p.x.size;
+  constexpr int N = kPixelsPerThread;
+  int const x = int(blockIdx.x * 32 + threadIdx.x % 32) * N, width = p.x.size;
   int const y = int(blockIdx.y) * kWarps + threadIdx.x / 32;
   if (x >= width || y >= p.y.size) return;
-  bool const repeats = p.x.site == ChromaSite::nearest && p.x.is_halved();
+  bool const is_halved = p.x.is_halved();
+  int const row = p.y.is_halved() ? y / 2 : y, column = is_halved ? x / 2 : x, num_pixels = min(width - x, N);
+  int const num_chroma = is_halved ? (num_pixels + 1) / 2 : num_pixels;
   for (int64_t frame = blockIdx.z; frame < p.rgb.count() / 3; frame += gridDim.z) {
-    Reader<S, T> const load{p, frame};
-    F sums[3][kPixelsPerThread];
-    if (repeats) {
-      int const row = p.y.is_halved() ? y / 2 : y;
+    F luma[N], chroma[2][N];
+    int const step = int(p.planes[0].column_stride);
+    load_codes<N>(p.planes[0].template row<S>(frame, y) + x * step, step, vectors.luma, num_pixels, luma);
+    if (vectors.pairs) {  // u v u v, or v u v u
+      bool const swapped = p.planes[2].data < p.planes[1].data;
+      F codes[N];
+      load_codes<N>(p.planes[swapped ? 2 : 1].template row<S>(frame, row) + 2 * column, 1, true, N, codes);
 #pragma unroll
-      for (int j = 0; j < kPixelsPerThread; ++j) sums[0][j] = x + j < width ? load(0, y, x + j) : F(0);
-#pragma unroll
-      for (int k = 1; k < 3; ++k)
-#pragma unroll
-        for (int j = 0; j < kPixelsPerThread; j += 2)
-          sums[k][j] = sums[k][j + 1] = x + j < width ? load(k, row, (x + j) / 2) : F(0);
+      for (int j = 0; j < N; ++j) {
+        chroma[0][j] = swapped ? codes[j / 2 * 2 + 1] : codes[j / 2 * 2];
+        chroma[1][j] = swapped ? codes[j / 2 * 2] : codes[j / 2 * 2 + 1];
+      }
     } else {
-      PixelWindow<F> const wy = window_at(F(y), p.y.size);
-#pragma unroll 1
-      for (int j = 0; j < kPixelsPerThread; ++j) {
-        F sum[3] = {0, 0, 0};
-        if (x + j < width) sum_windows(window_at(F(x + j), width), wy, p.x, p.y, load, sum);
 #pragma unroll
-        for (int i = 0; i < kPixelsPerThread; ++i)  // registers have no index
+      for (int k = 0; k < 2; ++k) {
+        CodePlane const& plane = p.planes[1 + k];
+        int const stride = int(plane.column_stride);
+        S const* const from = plane.template row<S>(frame, row) + column * stride;
+        if (is_halved) {
+          F codes[N / 2];
+          load_codes<N / 2>(from, stride, false, num_chroma, codes);
 #pragma unroll
-          for (int k = 0; k < 3; ++k)
-            if (i == j) sums[k][i] = sum[k];
+          for (int j = 0; j < N; ++j) chroma[k][j] = codes[j / 2];
+        } else {
+          load_codes<N>(from, stride, false, num_chroma, chroma[k]);
+        }
       }
     }
 #pragma unroll
     for (int k = 0; k < 3; ++k) {
       T* const to = p.rgb.row(3 * frame + k, y) + x;
-      F color[kPixelsPerThread];
+      F color[N];
 #pragma unroll
-      for (int j = 0; j < kPixelsPerThread; ++j)
-        color[j] = p.colors.channel(k, sums[0][j], sums[1][j], sums[2][j], F(1));
-      if (vectorized) {
+      for (int j = 0; j < N; ++j) color[j] = p.colors.channel(k, luma[j], chroma[0][j], chroma[1][j], F(1));
+      if (vectors.rgb) {
         store_vector(to, color);
       } else {
 #pragma unroll
-        for (int j = 0; j < kPixelsPerThread; ++j)
-          if (x + j < width) to[j] = round_to<T>(color[j]);
+        for (int j = 0; j < N; ++j)
+          if (j < num_pixels) to[j] = round_to<T>(color[j]);
       }
     }
   }
@@ -110,6 +136,7 @@ __global__ void __launch_bounds__(kThreads) run_matrices(__grid_constant__ Plane
 }
 
 // What the windows of 32 columns or rows take of a plane: entries [first, first + count) with weights that add up to 1.
+// Small windows are read up to four entries.
 template <class F, int N>
 struct TileWeights {
   int first[kTile], count[kTile];
@@ -121,7 +148,8 @@ struct TileWeights {
     first[i] = begin;
     count[i] = end - begin;
     if (end - begin > N) return false;
-    for (int j = begin; j < end; ++j) weights[j - begin][i] = weight(j);
+    for (int j = 0; j < N && (j < 4 || j < end - begin); ++j)
+      weights[j][i] = begin + j < end ? weight(begin + j) : F(0);
     return true;
   }
 };
@@ -140,86 +168,115 @@ struct TileAxis {
   }
 };
 
-// The weights of a column's window, in registers. Entries behind its end have none, and are its last entry again.
+// A small window in registers: up to N entries. Those behind its end have no weight, and are its last entry again.
 template <class F, int N>
-struct ColumnWeights {
+struct Taps {
   F weights[N];
-  int offsets[N];  // in elements, from the row
+  int offsets[N];
 
   template <int M>
-  __device__ __forceinline__ ColumnWeights(TileWeights<F, M> const& tile, int column, int64_t stride) {
-    int const first = tile.first[column], count = tile.count[column];
+  __device__ __forceinline__ Taps(TileWeights<F, M> const& tile, int i, int stride) {
+    int const first = tile.first[i], count = tile.count[i];
+#pragma unroll
+    for (int j = 0; j < N; ++j) {
+      weights[j] = tile.weights[j][i];
+      offsets[j] = (first + min(j, count - 1)) * stride;
+    }
+  }
+};
+
+// The sums of a plane over small windows. All codes are requested before the first one is used.
+template <class S, class F, int N>
+__device__ __forceinline__ F sum_small(S const* codes, int64_t row_stride, Taps<F, N> const& columns,
+                                       Taps<F, N> const& rows) {
+  S loaded[N][N];
+#pragma unroll
+  for (int r = 0; r < N; ++r) {
+    S const* const from = codes + rows.offsets[r] * row_stride;
+#pragma unroll
+    for (int c = 0; c < N; ++c) loaded[r][c] = from[columns.offsets[c]];
+  }
+  F sum = 0;
+#pragma unroll
+  for (int r = 0; r < N; ++r) {
+    F in_row = 0;
+#pragma unroll
+    for (int c = 0; c < N; ++c) in_row += columns.weights[c] * F(number_of(loaded[r][c]));
+    sum += rows.weights[r] * in_row;
+  }
+  return sum;
+}
+// Of both planes of chroma, which are pairs of bytes.
+template <class F, int N>
+__device__ __forceinline__ void sum_small_pairs(uint8_t const* codes, int64_t row_stride, Taps<F, N> const& columns,
+                                                Taps<F, N> const& rows, F& first, F& second) {
+  uint32_t loaded[N][N];
+#pragma unroll
+  for (int r = 0; r < N; ++r) {
+    uint8_t const* const from = codes + rows.offsets[r] * row_stride;
+#pragma unroll
+    for (int c = 0; c < N; ++c) loaded[r][c] = *reinterpret_cast<uint16_t const*>(from + columns.offsets[c]);
+  }
+  first = second = 0;
+#pragma unroll
+  for (int r = 0; r < N; ++r) {
+    F a = 0, b = 0;
 #pragma unroll
     for (int c = 0; c < N; ++c) {
-      weights[c] = c < count ? tile.weights[c][column] : F(0);
-      offsets[c] = (first + min(c, count - 1)) * int(stride);
+      a += columns.weights[c] * F(number_of(uint8_t(loaded[r][c] & 255)));
+      b += columns.weights[c] * F(number_of(uint8_t(loaded[r][c] >> 8)));
     }
+    first += rows.weights[r] * a;
+    second += rows.weights[r] * b;
   }
-};
+}
 
-// Sums of a plane over the windows of a column and of rows.
-template <class S, class T, int N>
-struct Column {
+// The rows of a block's tile, whose windows have at most N x N pixels and M x M samples of chroma.
+template <class S, class T, int N, int M>
+__device__ __forceinline__ void run_tile(PlanesToRgb<T> const& p, TileAxis<Compute<T>> const& columns,
+                                         TileAxis<Compute<T>> const& rows, int64_t frame, int x, int y0, bool pairs) {
   using F = Compute<T>;
-  S const* codes;
-  int64_t row_stride;
-  ColumnWeights<F, N> taps;
-
-  template <int M>
-  __device__ __forceinline__ Column(CodePlane const& plane, int64_t frame, TileWeights<F, M> const& tile, int column)
-      : codes(plane.row<S>(frame, 0)), row_stride(plane.row_stride), taps(tile, column, plane.column_stride) {}
-  template <int M>
-  __device__ __forceinline__ F sum(TileWeights<F, M> const& rows, int row) const {
-    S const* from = codes + rows.first[row] * row_stride;
-    F sum = 0;
-    int const count = rows.count[row];
-    for (int r = 0; r < count; ++r, from += row_stride) {
-      F in_row = 0;
+  int const lane = threadIdx.x % 32, height = min(kTile, int(p.rgb.height) - y0);
+  S const* codes[3];
 #pragma unroll
-      for (int c = 0; c < N; ++c) in_row += taps.weights[c] * F(number_of(from[taps.offsets[c]]));
-      sum += rows.weights[r][row] * in_row;
-    }
-    return sum;
-  }
-};
-
-// The same of both planes of chroma, which are pairs of bytes in memory.
-template <class T, int N>
-struct PairColumn {
-  using F = Compute<T>;
-  uint8_t const* codes;  // the first bytes of pairs
-  int64_t row_stride;
-  bool swapped;
-  ColumnWeights<F, N> taps;
-
-  template <int M>
-  __device__ __forceinline__ PairColumn(CodePlane const* planes, int64_t frame, TileWeights<F, M> const& tile,
-                                        int column)
-      : codes((planes[0].data < planes[1].data ? planes[0] : planes[1]).row<uint8_t>(frame, 0)),
-        row_stride(planes[0].row_stride),
-        swapped(planes[1].data < planes[0].data),
-        taps(tile, column, 2) {}
-  template <int M>
-  __device__ __forceinline__ void sum(TileWeights<F, M> const& rows, int row, F* sums) const {
-    uint8_t const* from = codes + rows.first[row] * row_stride;
-    F first = 0, second = 0;
-    int const count = rows.count[row];
-    for (int r = 0; r < count; ++r, from += row_stride) {
-      F a = 0, b = 0;
-#pragma unroll
-      for (int c = 0; c < N; ++c) {
-        uint32_t const pair = *reinterpret_cast<uint16_t const*>(from + taps.offsets[c]);
-        a += taps.weights[c] * F(number_of(uint8_t(pair & 255)));
-        b += taps.weights[c] * F(number_of(uint8_t(pair >> 8)));
+  for (int k = 0; k < 3; ++k) codes[k] = p.planes[k].template row<S>(frame, 0);
+  bool const swapped = codes[2] < codes[1];
+  Taps<F, N> const luma(columns.luma, lane, int(p.planes[0].column_stride));
+  Taps<F, M> const chroma(columns.chroma, lane, int(p.planes[1].column_stride));
+  T* to = p.rgb.row(3 * frame, y0) + x;
+  int64_t const plane_size = p.rgb.plane(1) - p.rgb.plane(0);  // the result is dense
+  auto const row = [&](int i) {
+    Taps<F, N> const luma_rows(rows.luma, i, 1);
+    Taps<F, M> const chroma_rows(rows.chroma, i, 1);
+    F u, v;
+    F const y = sum_small(codes[0], p.planes[0].row_stride, luma, luma_rows);
+    if constexpr (sizeof(S) == 1) {
+      if (pairs) {
+        sum_small_pairs(swapped ? codes[2] : codes[1], p.planes[1].row_stride, chroma, chroma_rows, u, v);
+        if (swapped) {
+          F const first = u;
+          u = v;
+          v = first;
+        }
       }
-      F const weight = rows.weights[r][row];
-      first += weight * a;
-      second += weight * b;
     }
-    sums[0] = swapped ? second : first;
-    sums[1] = swapped ? first : second;
+    if (sizeof(S) != 1 || !pairs) {
+      u = sum_small(codes[1], p.planes[1].row_stride, chroma, chroma_rows);
+      v = sum_small(codes[2], p.planes[2].row_stride, chroma, chroma_rows);
+    }
+    T* const at = to + i * p.rgb.row_stride;
+#pragma unroll
+    for (int k = 0; k < 3; ++k) at[k * plane_size] = round_to<T>(p.colors.channel(k, y, u, v, F(1)));
+  };
+  int const warp = threadIdx.x / 32;
+  if (height == kTile) {
+#pragma unroll
+    for (int k = 0; k < kTile / kWarps; ++k) row(warp + k * kWarps);
+  } else {
+#pragma unroll 1
+    for (int i = warp; i < height; i += kWarps) row(i);
   }
-};
+}
 
 // The sums of one or two planes over the windows of a column and a row of the tile.
 template <class S, int N, int Count, class F>
@@ -250,36 +307,8 @@ __device__ __forceinline__ void sum_planes(CodePlane const* planes, int64_t fram
   }
 }
 
-// The rows of a block's tile, whose windows have at most N columns of luma and M of chroma.
-template <class S, class T, int N, int M>
-__device__ __forceinline__ void run_tile(PlanesToRgb<T> const& p, TileAxis<Compute<T>> const& columns,
-                                         TileAxis<Compute<T>> const& rows, int64_t frame, int x, int y0, bool paired) {
-  using F = Compute<T>;
-  int const lane = threadIdx.x % 32, height = min(kTile, int(p.rgb.height) - y0);
-  Column<S, T, N> const luma(p.planes[0], frame, columns.luma, lane);
-  auto const each_row = [&](auto chroma) {
-    for (int i = threadIdx.x / 32; i < height; i += kWarps) {
-      F sums[3] = {luma.sum(rows.luma, i)};
-      chroma(i, sums + 1);
-#pragma unroll
-      for (int k = 0; k < 3; ++k)
-        p.rgb.row(3 * frame + k, y0 + i)[x] = round_to<T>(p.colors.channel(k, sums[0], sums[1], sums[2], F(1)));
-    }
-  };
-  if constexpr (sizeof(S) == 1)
-    if (paired) {
-      PairColumn<T, M> const chroma(p.planes + 1, frame, columns.chroma, lane);
-      return each_row([&](int i, F* sums) { chroma.sum(rows.chroma, i, sums); });
-    }
-  Column<S, T, M> const u(p.planes[1], frame, columns.chroma, lane), v(p.planes[2], frame, columns.chroma, lane);
-  each_row([&](int i, F* sums) {
-    sums[0] = u.sum(rows.chroma, i);
-    sums[1] = v.sum(rows.chroma, i);
-  });
-}
-
 template <class S, class T>
-__global__ void __launch_bounds__(kThreads, 3) run_boxes(__grid_constant__ PlanesToRgb<T> const p, bool paired) {
+__global__ void __launch_bounds__(kThreads, 3) run_boxes(__grid_constant__ PlanesToRgb<T> const p, bool pairs) {
   using F = Compute<T>;
   __shared__ TileAxis<F> columns, rows;
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
@@ -294,17 +323,17 @@ __global__ void __launch_bounds__(kThreads, 3) run_boxes(__grid_constant__ Plane
       fits = rows.set(lane, box_y.window(min(y0 + lane, height - 1)), p.y, warp == 3);
     fits = __syncthreads_and(fits);
     if constexpr (__is_same(S, uint8_t) || __is_same(S, uint16_t)) {  // codes that are finite
-      bool const is_small = warp == 0   ? columns.luma.count[lane] <= 2
-                            : warp == 1 ? columns.chroma.count[lane] <= 2
-                                        : true;
-      bool const is_middle = warp == 0   ? columns.luma.count[lane] <= 4
-                             : warp == 1 ? columns.chroma.count[lane] <= 3
-                                         : true;
-      if (fits && __syncthreads_and(is_middle)) {
-        if (__syncthreads_and(is_small)) {
-          if (x < width) run_tile<S, T, 2, 2>(p, columns, rows, frame, x, y0, paired);
-        } else {
-          if (x < width) run_tile<S, T, 4, 3>(p, columns, rows, frame, x, y0, paired);
+      TileAxis<F> const& axis = warp < 2 ? columns : rows;
+      int const num_luma = warp < 4 ? axis.luma.count[lane] : 0, num_chroma = warp < 4 ? axis.chroma.count[lane] : 0;
+      bool const same_stride = p.planes[1].column_stride == p.planes[2].column_stride;
+      if (fits && same_stride && __syncthreads_and(num_luma <= 4 && num_chroma <= 3)) {
+        bool const is_small = __syncthreads_and(num_luma <= 2 && num_chroma <= 2);
+        if (__syncthreads_and(num_luma <= 2 && num_chroma <= 1)) {
+          if (x < width) run_tile<S, T, 2, 1>(p, columns, rows, frame, x, y0, pairs);
+        } else if (is_small) {
+          if (x < width) run_tile<S, T, 2, 2>(p, columns, rows, frame, x, y0, pairs);
+        } else if (x < width) {
+          run_tile<S, T, 4, 3>(p, columns, rows, frame, x, y0, pairs);
         }
         __syncthreads();
         continue;
@@ -347,10 +376,20 @@ int run(PlanesToRgb<T> const& p, CUstream_st* stream) {
   auto const blocks = [&](int width, int height) {
     return dim3(unsigned(ceil_div(p.rgb.width, width)), unsigned(ceil_div(p.rgb.height, height)), frames);
   };
-  if (p.kind == FrameMap::whole) {
-    bool const vectorized = p.rgb.width % kPixelsPerThread == 0;  // the result is dense
-    run_whole<S, T><<<blocks(32 * kPixelsPerThread, kWarps), kThreads, 0, stream>>>(p, vectorized);
-  } else if (p.kind == FrameMap::boxes) {
+  bool const repeats = p.x.site == ChromaSite::nearest || !(p.x.is_halved() || p.y.is_halved());
+  if (p.kind == FrameMap::whole && repeats) {
+    constexpr int N = kPixelsPerThread;
+    bool const whole = p.rgb.width % N == 0;  // the result is dense
+    CodePlane const &y = p.planes[0], &u = p.planes[1], &v = p.planes[2];
+    auto const first = min(reinterpret_cast<uintptr_t>(u.data), reinterpret_cast<uintptr_t>(v.data));
+    auto const are_words = [](uintptr_t data, CodePlane const& x) {
+      return (data | uintptr_t(x.row_stride) | uintptr_t(x.frame_stride)) % N == 0;
+    };
+    WholeVectors const vectors{
+        whole, whole && p.code_bytes == 1 && y.column_stride == 1 && are_words(reinterpret_cast<uintptr_t>(y.data), y),
+        whole && p.x.is_halved() && are_pairs(p) && are_words(first, u)};
+    run_whole<S, T><<<blocks(32 * N, kWarps), kThreads, 0, stream>>>(p, vectors);
+  } else if (p.kind != FrameMap::matrices) {
     run_boxes<S, T><<<blocks(kTile, kTile), kThreads, 0, stream>>>(p, are_pairs(p));
   } else {
     run_matrices<S, T><<<blocks(32, kWarps), kThreads, 0, stream>>>(p);

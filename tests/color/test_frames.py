@@ -146,6 +146,9 @@ def test_layouts_are_views(device):
     assert torch.equal(C.frames_to_rgb((y, uv.flip(-1)), "nv21"), expected)
     assert torch.equal(C.frames_to_rgb((y[:, None], *uv[:, None].unbind(-1)), "i420"), expected)
     assert torch.equal(C.frames_to_rgb(x[1]), expected[1])
+    u, v = uv.unbind(-1)
+    for call in (C.frames_to_rgb, lambda planes, layout: C.resize_frames(planes, (11, 19), layout=layout)):
+        assert torch.equal(call((y, u, v.contiguous()), "i420"), call((y, uv), "nv12"))
     for size in ((23, 39), (10, 16)):
         assert torch.equal(C.frames_to_rgb(x, size=size), expected[..., : size[0], : size[1]])
     packed = C.rgb_to_frames(expected, "yuy2")

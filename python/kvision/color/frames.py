@@ -101,9 +101,6 @@ def _warped(yuv: Tensor, matrix: Tensor, height: int, width: int) -> tuple[Tenso
     return values.unflatten(2, (height, width)), inside[:, None].expand(batch, 1, -1).unflatten(2, (height, width))
 
 
-_NUMBERS = ((0, 9), (9, 12), (12, 15), (15, 18), (18, 21))  # matrix, offset, bias, lowest and highest color
-
-
 def _reference(
     y: Tensor, u: Tensor, v: Tensor, map: Tensor | None, plan: Sequence[int], numbers: Sequence[float]
 ) -> Tensor:
@@ -117,7 +114,9 @@ def _reference(
     yuv = torch.stack(torch.broadcast_tensors(y.to(wide), *whole), 1)
     inside: Tensor | float = 1.0
     if map is None and (height, width) != yuv.shape[2:]:
-        map = yuv.new_tensor([[0, 0, yuv.shape[3], yuv.shape[2]]])
+        map = torch.cat(
+            [yuv.new_zeros(1, 2), yuv.new_full((1, 1), yuv.shape[3]), yuv.new_full((1, 1), yuv.shape[2])], 1
+        )
     if map is not None and map.dim() == 2:
         x1, y1, x2, y2 = map.to(wide).unbind(1)
         rows = _windows(y1, y2, height, y.shape[1], bool(antialias))
@@ -125,9 +124,14 @@ def _reference(
         yuv = rows[:, None] @ yuv @ columns[:, None].mT
     elif map is not None:
         yuv, inside = _warped(yuv, map.to(wide), height, width)
-    m, offset, bias, low, high = (yuv.new_tensor(numbers[a:b]) for a, b in _NUMBERS)
-    rgb = (m.view(3, 3) @ yuv.flatten(2)).unflatten(2, yuv.shape[2:]) + offset.view(3, 1, 1) * inside
-    rgb = (rgb + bias.view(3, 1, 1)).clamp(low.view(3, 1, 1), high.view(3, 1, 1))
+    luma, blue, red = yuv.unbind(1)
+    matrix, (offset, bias, low, high) = numbers[:9], (numbers[i : i + 3] for i in (9, 12, 15, 18))
+    inside = inside if isinstance(inside, float) else inside[:, 0]
+    colors = []
+    for k in range(3):
+        color = luma * matrix[3 * k] + blue * matrix[3 * k + 1] + red * matrix[3 * k + 2]
+        colors.append((color + inside * offset[k] + bias[k]).clamp(low[k], high[k]))
+    rgb = torch.stack(colors, 1)
     return saturate_to_byte(rgb) if dtype == torch.uint8 else rgb.to(dtype)
 
 
@@ -145,7 +149,8 @@ def _kernel_serves(y: Tensor, *args: Any) -> str | None:
 # RGB (B, 3, h, w) of the planes y (B, H, W), u and v (B, (H + 1) // 2 or H, (W + 1) // 2 or W): the whole frame, or that part of
 # it that `map` says, by boxes (B, 4) or by matrices (B, 3, 3) from pixels of the frame to those of the result. `plan` holds
 # height and width of the result, 0 for those of the frame, its DType, the number of the chroma's siting (0: nearest) and
-# whether boxes are antialiased. `numbers` are those of _NUMBERS.
+# whether boxes are antialiased. `numbers` are the color matrix, its offset, the
+# bias, the lowest and the highest colors.
 _planes_to_rgb = register(
     "planes_to_rgb",
     _reference,

@@ -22,7 +22,8 @@ constexpr int kRowStep = kTile / kPixelsPerThread;          // rows from one to 
 struct TileGrid {
   unsigned per_block, across, down, blocks;
   bool of_samples;
-  TileGrid(int64_t batch, int64_t height, int64_t width, int per_block, bool of_samples = false)
+  unsigned first_block = 0;  // of those of a launch
+  KV_HD TileGrid(int64_t batch, int64_t height, int64_t width, int per_block, bool of_samples = false)
       : per_block(unsigned(per_block)),
         across(unsigned(ceil_div(width, (of_samples ? 1 : per_block) * kTile))),
         down(unsigned(ceil_div(height, kTile))),
@@ -40,8 +41,8 @@ struct Tile {
 
   // The block's tile of that number.
   __device__ __forceinline__ void locate(TileGrid const& tiles, int number) {
-    unsigned const row = blockIdx.x / tiles.across, sample = row / tiles.down;
-    int const column = int(blockIdx.x - row * tiles.across), per_block = int(tiles.per_block);
+    unsigned const block = blockIdx.x - tiles.first_block, row = block / tiles.across, sample = row / tiles.down;
+    int const column = int(block - row * tiles.across), per_block = int(tiles.per_block);
     b = image = tiles.of_samples ? int(sample) * per_block + number : int(sample);
     x = (tiles.of_samples ? column : column * per_block + number) * kTile;
     y = int(row - sample * tiles.down) * kTile;

@@ -60,6 +60,8 @@ OTHER_KINDS = {
     "to_tensor": "takes arrays, PIL images and paths, and lists of them",
     "PassLAF.forward": "returns what it gets",
     "CameraCalibration": "holds results",
+    "Letterboxed": "holds results",
+    "PaddedBatch": "holds results",
     "StereoRectification": "holds results",
     "LeastSquaresResult": "holds results",
     "VisionPatches": "holds results",

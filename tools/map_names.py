@@ -17,7 +17,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCES, KERNELS, TESTS, PAGES = (ROOT / f for f in ("python/kvision", "csrc", "tests", "docs/reference"))
-REGISTERED = re.compile(r'\b(?:_?register(?:_added|_filter|_fit|_formula)?|FastPath)\(\s*"(\w+)"')
+REGISTERED = re.compile(r'\b(?:_?register(?:_added|_filter|_fit|_formula)?|FastPath|ListOperator)\(\s*"(\w+)"')
 DECLARED = re.compile(r"^KV_OPERATOR\(\s*(\w+)\s*,", re.MULTILINE)
 TABULATED = re.compile(r"^  _\((\w+), [\w:<>]+,", re.MULTILINE)  # a row of a table of formulas in a header
 SOURCES = (".cpp", ".cu", ".cuh", ".h", ".md", ".py")
@@ -49,6 +49,7 @@ EXCEPTIONS = {
     "geometry/_correspondence_errors": "the kernel of two folders: homography/test_errors.py and epipolar/test_distances.py",
     "feature/_laf_units": "test_laf.py: all formulas of frames",
     "geometry/solvers/_minimal": "test_ransac.py, which alone calls it",
+    **dict.fromkeys(("resize_list", "resize_list_backward"), "defined beside resize, which they are for lists"),
     "geometry/transform/sampling": "test_warp.py: the kernels of warps and remap",
 }
 

@@ -58,6 +58,7 @@ WITHOUT_SAMPLE = {
         "reads and writes files",
     ),
     "geometry.least_squares": "takes a function",
+    **dict.fromkeys(("geometry.letterbox", "geometry.pad_to_batch"), "takes a list of images"),
     **dict.fromkeys(
         ("geometry.calibrate_camera", "geometry.kabsch", "geometry.solve_pnp", "geometry.umeyama"),
         "solves by least_squares",

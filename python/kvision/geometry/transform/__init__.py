@@ -29,6 +29,7 @@ from kvision.geometry.transform.crop3d import (
 from kvision.geometry.transform.elastic import elastic_transform2d
 from kvision.geometry.transform.flip import Hflip, Rot180, Vflip, hflip, rot180, vflip
 from kvision.geometry.transform.homography_warper import BaseWarper, HomographyWarper
+from kvision.geometry.transform.lists.letterbox import Letterboxed, PaddedBatch, letterbox, pad_to_batch
 from kvision.geometry.transform.matrices import (
     get_affine_matrix2d,
     get_affine_matrix3d,

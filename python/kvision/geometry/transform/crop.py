@@ -17,6 +17,8 @@ from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry._formula import batch_of, register_formula
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.antialiased.warp_antialiased import check_antialias, warp_antialiased
+from kvision.geometry.transform.lists.arguments import check_list, like_batch, refuse_antialias
+from kvision.geometry.transform.lists.warp_list import warped
 from kvision.geometry.transform.matrices import crop_matrix
 from kvision.geometry.transform.nearest import as_values, of_values
 from kvision.geometry.transform.resize import resize
@@ -61,7 +63,7 @@ _crop_pixels = register(
 
 
 def crop_and_resize(
-    input_tensor: Tensor,
+    input_tensor: Tensor | list[Tensor],
     boxes: Tensor,
     size: tuple[int, int],
     mode: str = "bilinear",
@@ -77,16 +79,16 @@ def crop_and_resize(
 
     Args:
         input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
-            but nearest modes keep them.
+            but nearest modes keep them. A list of images (C, H, W) may have different sizes.
         boxes: (N, 4, 2), one for each image or all of one image. (1, 4, 2) serves all images.
         size: height and width of the result.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection', for boxes that reach out of the image.
         align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
         box_indices: (N,), int64 or int32: the image of each of the N boxes, from 0 to B - 1. On a GPU a number out of
-            this range is clamped, because reading it would wait for the device.
+            this range is clamped, because reading it would wait for the device. Not for lists.
         antialias: where boxes become smaller, average the pixels that a pixel of the result covers, as `resize` does with
-            `antialias`; see :doc:`/conventions`. Only with 'bilinear'.
+            `antialias`; see :doc:`/conventions`. Only with 'bilinear', and not for lists.
 
     Returns:
         (N, C, h, w), of the dtype of `input_tensor`.
@@ -94,8 +96,9 @@ def crop_and_resize(
     Raises:
         TypeError: `input_tensor` or `boxes` is not a tensor of real numbers; `size` is not two ints; `align_corners` or
             `antialias` is not a bool; `box_indices` is not a tensor of int64 or int32.
-        ValueError: `input_tensor` is not (B, C, H, W); `boxes` is not (N, 4, 2), or N is not the number of images; an
-            entry of `size` is below 1; `mode` or `padding_mode` is unknown; `antialias` with another mode than 'bilinear';
+        ValueError: `input_tensor` is not (B, C, H, W), or a list without images or of different types, devices or
+            numbers of channels; `boxes` is not (N, 4, 2), or N is not the number of images; an entry of `size` is below 1;
+            `mode` or `padding_mode` is unknown; `antialias` for a list or with another mode than 'bilinear';
             `box_indices` is not (N,) or, on the CPU,
             out of range; the tensors are on different devices.
 
@@ -176,10 +179,19 @@ def crop_by_boxes(
 
 def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corners, box_indices=None, antialias=False):
     """Resample the quadrangles `boxes` to the rectangle of `size` with first pixel `first` (B, 2); None for (0, 0)."""
-    _check.images(op, "input_tensor", input_tensor)
+    is_list = isinstance(input_tensor, list)
+    _check.images(op, "input_tensor", input_tensor) if not is_list else check_list(op, "input_tensor", input_tensor)
     _check.shape(op, "boxes", boxes, "N", 4, 2)
     sampling.check_options(op, mode, padding_mode, align_corners)
     check_antialias(op, antialias, mode)
+    if is_list:
+        refuse_antialias(op, antialias)
+        if box_indices is not None:
+            raise ValueCheckError(f"{op}: a list takes no box_indices; it may hold an image several times")
+        like = like_batch(input_tensor)
+        corners = sampling.cast_to_image(op, like, "boxes", boxes)
+        matrix = crop_matrix(corners, None, float(max(size[1] - 1, 1)), float(max(size[0] - 1, 1)))
+        return warped(op, input_tensor, "boxes", matrix, list(size), mode, padding_mode, align_corners)
     images = as_values(input_tensor, mode)
     if box_indices is None:
         samples = sampling.count_samples(images, boxes)
@@ -271,7 +283,7 @@ def crop_by_transform_mat(
 
 
 def center_crop(
-    input_tensor: Tensor,
+    input_tensor: Tensor | list[Tensor],
     size: tuple[int, int],
     mode: str = "bilinear",
     padding_mode: str = "zeros",
@@ -283,7 +295,7 @@ def center_crop(
 
     Args:
         input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
-            but 'nearest' and crops at whole pixels keep them.
+            but 'nearest' and crops at whole pixels keep them. A list of images (C, H, W) may have different sizes.
         size: height and width of the result.
         mode: 'bilinear', 'nearest' or 'bicubic', where the crop lies between pixels.
         padding_mode: 'zeros', 'border' or 'reflection', for sizes larger than the image.
@@ -294,7 +306,8 @@ def center_crop(
 
     Raises:
         TypeError: `input_tensor` is not a tensor of real numbers; `size` is not two ints; `align_corners` is not a bool.
-        ValueError: `input_tensor` is not (B, C, H, W); an entry of `size` is below 1; `mode` or `padding_mode` is
+        ValueError: `input_tensor` is not (B, C, H, W), or a list without images or of
+            different types, devices or numbers of channels; an entry of `size` is below 1; `mode` or `padding_mode` is
             unknown.
 
     Example:
@@ -303,9 +316,15 @@ def center_crop(
         tensor([[[[ 5.,  6.],
                   [ 9., 10.]]]])
     """
-    _check.images("center_crop", "input_tensor", input_tensor)
+    is_list = isinstance(input_tensor, list)
+    op = "center_crop"
+    _check.images(op, "input_tensor", input_tensor) if not is_list else check_list(op, "input_tensor", input_tensor)
     h, w = _check.ints("center_crop", "size", size, 2)
     sampling.check_options("center_crop", mode, padding_mode, align_corners)
+    if is_list:
+        shifts = [((x.shape[2] - w) / 2, (x.shape[1] - h) / 2) for x in input_tensor]
+        matrix = torch.tensor([[[1, 0, x], [0, 1, y]] for x, y in shifts], dtype=torch.float64)
+        return warped(op, input_tensor, "size", matrix, [h, w], mode, padding_mode, align_corners)
     _, _, height, width = input_tensor.shape
     y, x = height - h, width - w
     symbolic = _check.is_symbolic(y, x)  # their parity is unknown

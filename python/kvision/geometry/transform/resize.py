@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,17 +12,19 @@ from torch.compiler import is_compiling
 from kvision import _check
 from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
+from kvision._list_ops import ListOperator
 from kvision._modes import BORDER, BORDER_NAMES, INTERPOLATION, INTERPOLATION_NAMES
 from kvision._modules import FunctionModule
-from kvision._ops import register, saturate_to_byte
+from kvision._ops import match_layout, register, saturate_to_byte
 from kvision._torch_compat import in_onnx_export, is_tracing, largest, smallest
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters import gaussian_blur2d
+from kvision.geometry.transform.lists import arguments as lists
 from kvision.geometry.transform.nearest import as_values, of_values
 
 __all__ = ["Rescale", "Resize", "rescale", "resize", "resize_to_be_divisible"]
 
-_INTERPOLATIONS = ("bilinear", "nearest", "nearest-exact", "bicubic", "area", "lanczos")
+INTERPOLATIONS = ("bilinear", "nearest", "nearest-exact", "bicubic", "area", "lanczos")
 _SIDES = ("short", "long", "vert", "horz")
 
 # --- the definition: csrc/geometry/transform/resize/resize.h has it in a table ----------------------------------------
@@ -144,11 +147,60 @@ resized_backward = register(
     linear=True,
 )
 
+# --- lists of images ------------------------------------------------------------------------------------------------
+
+# Arguments: images (C, H, W); height and width of the results, which are then one tensor (B, C, h, w), or of each result; the
+# options of `resize`.
+
+
+def _list_reference(images, size, *options):
+    sizes = lists.sizes_of(size, len(images))
+    results = [resized.reference(x[None], next(sizes), *options, BORDER["replicate"]) for x in images]
+    return lists.collected(results, images[0][None], size)
+
+
+def _list_backward_reference(grads, size, *options):
+    sizes, grads = lists.sizes_of(size, len(size) // 2), lists.samples(grads)
+    return [resized_backward.reference(grad, next(sizes), *options, BORDER["replicate"])[0] for grad in grads]
+
+
+resized_list = ListOperator(
+    "resize_list",
+    resized,
+    _list_reference,
+    fake=lambda images, size, *options: lists.fake_results(images, size),
+    backward=lambda needs, grads, images, size, *options: (
+        resized_list_backward(grads, lists.sizes(images), *options),
+    ),
+)
+resized_list_backward = ListOperator(
+    "resize_list_backward",
+    resized_backward,
+    _list_backward_reference,
+    fake=lambda grads, size, *options: [
+        match_layout(grads[0].new_empty(1, grads[0].shape[-3], *s), lists.samples(grads)[0])[0]
+        for s in lists.sizes_of(size, len(size) // 2)
+    ],
+    backward=lambda needs, grad_grads, grads, size, *options: (
+        resized_list(grad_grads, lists.shape_of(grads), *options),
+    ),
+)
+
+
+def resize_each(
+    images: list[Tensor], sizes: list[int], interpolation: str, align_corners: bool, antialias: bool, is_list: bool
+) -> Any:
+    """Images resized to one size, or each to one of `sizes`; as a batch unless `is_list`."""
+    values, like = lists.as_value_list(images, interpolation), lists.like_batch(images)
+    results = resized_list(values, sizes, INTERPOLATION[interpolation], align_corners, antialias)
+    return lists.of_value_list(results, like, interpolation, is_list)
+
+
 # --- functions ------------------------------------------------------------------------------------------------------
 
 
 def resize(
-    input: Tensor,
+    input: Tensor | list[Tensor],
     size: int | tuple[int, int],
     interpolation: str = "bilinear",
     align_corners: bool | None = None,
@@ -159,7 +211,7 @@ def resize(
 
     Args:
         input: images (*, H, W), floating point or uint8. Other integers are computed in float32,
-            but nearest modes keep them.
+            but nearest modes keep them. A list of images (C, H, W) may have different sizes.
         size: height and width, or one side; the other side then keeps the aspect ratio, rounded down.
         interpolation: 'bilinear', 'bicubic', 'nearest', 'nearest-exact' (the pixel with the nearest center, in whole
             numbers: OpenCV's INTER_NEAREST_EXACT, Pillow and torch round and may read a neighbor), 'area' (means of
@@ -172,12 +224,14 @@ def resize(
             'gaussian' blurs images that shrink, with sigma (factor - 1) / 2.
 
     Returns:
-        (*, h, w), of the dtype of `input`; uint8 is rounded half to even and saturated.
+        (*, h, w), of the dtype of `input`; uint8 is rounded half to even and saturated. Of a list (B, C, h, w), or a list of
+        results if `size` is one side.
 
     Raises:
         TypeError: `input` is not a tensor of real numbers; `size` is not one or two ints; `align_corners` is not a bool or
             None; `antialias` is not a bool or 'gaussian'.
-        ValueError: `input` is not (*, H, W) with H, W of at least 1; `size` is below 1; `interpolation` or `side` is
+        ValueError: `input` is not (*, H, W) with H, W of at least 1, or a list without images or of different types,
+            devices or numbers of channels; `size` is below 1; `interpolation` or `side` is
             unknown.
 
     Example:
@@ -191,8 +245,10 @@ def resize(
 
 
 def _resize(op, input, size, interpolation, align_corners, side, antialias):
+    if isinstance(input, list):
+        return _resize_list(op, input, size, interpolation, align_corners, side, antialias)
     h, w = _size_of_images(op, input)
-    _check.choice(op, "interpolation", interpolation, _INTERPOLATIONS)
+    _check.choice(op, "interpolation", interpolation, INTERPOLATIONS)
     _check.choice(op, "side", side, _SIDES)
     if antialias != "gaussian":
         _check.flag(op, "antialias", antialias)
@@ -226,6 +282,25 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
         result = result.reshape(*input.shape[:-2], height, width)
     is_promoted = input.is_floating_point() and result.dtype != input.dtype
     return result.to(input.dtype) if is_promoted else result
+
+
+def _resize_list(op, images, size, interpolation, align_corners, side, antialias):
+    lists.check_list(op, "input", images)
+    _check.choice(op, "interpolation", interpolation, INTERPOLATIONS)
+    _check.choice(op, "side", side, _SIDES)
+    is_side = type(size) is not tuple and _check.is_int(size)
+    if is_side:
+        size = _check.ints(op, "size", size, 1)[0]
+        sizes = [n for x in images for n in side_to_size(size, *x.shape[1:], side)]
+    else:
+        sizes = list(_check.ints(op, "size", size, 2))
+    if antialias == "gaussian":
+        results = [_resize(op, x, size, interpolation, align_corners, side, antialias) for x in images]
+        return results if is_side else torch.stack(results)
+    _check.flag(op, "antialias", antialias)
+    if align_corners is not None:
+        _check.flag(op, "align_corners", align_corners)
+    return resize_each(images, sizes, interpolation, align_corners or False, antialias, is_side)
 
 
 def _size_of_images(op: str, input: Tensor) -> tuple[int, int]:

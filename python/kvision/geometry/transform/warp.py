@@ -17,13 +17,15 @@ from kvision.geometry.transform.antialiased.warp_antialiased import (
     remap_antialiased,
     warp_antialiased,
 )
+from kvision.geometry.transform.lists.arguments import check_list, refuse_antialias
+from kvision.geometry.transform.lists.warp_list import warped
 from kvision.geometry.transform.nearest import as_values, of_values
 
 __all__ = ["homography_warp", "remap", "warp_affine", "warp_grid", "warp_perspective"]
 
 
 def warp_perspective(
-    src: Tensor,
+    src: Tensor | list[Tensor],
     M: Tensor,
     dsize: tuple[int, int],
     mode: str = "bilinear",
@@ -39,7 +41,7 @@ def warp_perspective(
 
     Args:
         src: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
-            but nearest modes keep them.
+            but nearest modes keep them. A list of images (C, H, W) may have different sizes.
         M: (B, 3, 3), or (1, 3, 3) for all images; one image also serves many matrices. Pixels are (x, y); the center of
             the first one is (0, 0).
         dsize: height and width of the result.
@@ -58,8 +60,9 @@ def warp_perspective(
     Raises:
         TypeError: `src` or `M` is not a tensor of real numbers; `dsize` is not two ints; `align_corners` or `antialias`
             is not a bool.
-        ValueError: `src` is not (B, C, H, W); `M` is not (B, 3, 3) or (1, 3, 3); an entry of `dsize` is below 1; `mode`
-            or `padding_mode` is unknown; `fill_value` has none of these shapes; `antialias` with another mode than
+        ValueError: `src` is not (B, C, H, W), or a list without images or of different types, devices or numbers of
+            channels; `M` is not (B, 3, 3) or (1, 3, 3); an entry of `dsize` is below 1; `mode`
+            or `padding_mode` is unknown; `fill_value` has none of these shapes; `antialias` for a list or with another mode than
             'bilinear'; the tensors are on different devices.
 
     Example:
@@ -74,7 +77,7 @@ def warp_perspective(
 
 
 def warp_affine(
-    src: Tensor,
+    src: Tensor | list[Tensor],
     M: Tensor,
     dsize: tuple[int, int],
     mode: str = "bilinear",
@@ -90,7 +93,7 @@ def warp_affine(
 
     Args:
         src: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
-            but nearest modes keep them.
+            but nearest modes keep them. A list of images (C, H, W) may have different sizes.
         M: (B, 2, 3), or (1, 2, 3) for all images; one image also serves many matrices. Pixels are (x, y); the center of
             the first one is (0, 0).
         dsize: height and width of the result.
@@ -109,8 +112,9 @@ def warp_affine(
     Raises:
         TypeError: `src` or `M` is not a tensor of real numbers; `dsize` is not two ints; `align_corners` or `antialias`
             is not a bool.
-        ValueError: `src` is not (B, C, H, W); `M` is not (B, 2, 3) or (1, 2, 3); an entry of `dsize` is below 1; `mode`
-            or `padding_mode` is unknown; `fill_value` has none of these shapes; `antialias` with another mode than
+        ValueError: `src` is not (B, C, H, W), or a list without images or of different types, devices or numbers of
+            channels; `M` is not (B, 2, 3) or (1, 2, 3); an entry of `dsize` is below 1; `mode`
+            or `padding_mode` is unknown; `fill_value` has none of these shapes; `antialias` for a list or with another mode than
             'bilinear'; the tensors are on different devices.
 
     Example:
@@ -125,11 +129,15 @@ def warp_affine(
 
 
 def _warp(op, src, M, rows, dsize, mode, padding_mode, align_corners, fill_value, antialias):
-    _check.images(op, "src", src)
+    is_list = isinstance(src, list)
+    _check.images(op, "src", src) if not is_list else check_list(op, "src", src)
     _check.shape(op, "M", M, "B", rows, 3)
     size = _check.ints(op, "dsize", dsize, 2)
     sampling.check_options(op, mode, padding_mode, align_corners)
     check_antialias(op, antialias, mode)
+    if is_list:
+        refuse_antialias(op, antialias)
+        return warped(op, src, "M", M, list(size), mode, padding_mode, align_corners, fill_value, inverse=True)
     image, samples = as_values(src, mode), sampling.count_samples(src, M)
     matrix = sampling.cast_to_image(op, image, "M", M, samples)
     padding, fill = sampling.padding_and_fill(op, src, padding_mode, fill_value, samples, mode)

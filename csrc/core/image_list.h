@@ -1,0 +1,64 @@
+// Lists of images of different sizes, as tables that kernels take as a parameter. A CUDA graph keeps the parameters of
+// its kernels, so that a replay reads the tables of the call that was captured. Included by headers of kernels for
+// lists.
+#pragma once
+
+#include "images.h"
+
+namespace kv {
+
+// CUDA kernels have 32,764 bytes of parameters; longer lists take several launches.
+constexpr int kMaxListed = 512;
+
+// An image (C, H, W) that is read, with any strides, in elements.
+struct ListedImage {
+  void const* data;
+  int64_t channel_stride, row_stride, step;
+  int height, width;
+};
+
+// An image that is written: dense, planar or channels-last as all of them are.
+struct ListedResult {
+  void* data;
+  int height, width;
+};
+
+template <class T>
+KV_HD Images<T const> images_of(ListedImage const& x, int channels) {
+  return {static_cast<T const*>(x.data), 0, x.channel_stride, x.row_stride, x.step, 1, x.height, x.width, channels};
+}
+template <class T>
+KV_HD Images<T> images_of(ListedResult const& y, int channels, bool interleaved) {
+  int64_t const width = y.width, step = interleaved ? channels : 1;
+  return {
+      static_cast<T*>(y.data), 0, interleaved ? 1 : y.height * width, width * step, step, 1, y.height, width, channels};
+}
+
+// What is read and what is written for each of `count` samples. A kernel's work is a number of items, parts of a
+// result; those of sample b begin at first[b].
+struct ListedSamples {
+  int count, items;
+  bool interleaved;  // results
+  ListedImage images[kMaxListed];
+  ListedResult results[kMaxListed];
+  int first[kMaxListed];
+
+  // The sample of an item.
+  KV_HD int sample_of(int item) const {
+    int low = 0, high = count - 1;
+    while (low < high) {
+      int const middle = (low + high + 1) / 2;
+      if (first[middle] <= item)
+        low = middle;
+      else
+        high = middle - 1;
+    }
+    return low;
+  }
+};
+
+// On the CPU an item is some rows of a result.
+constexpr int64_t kItemPixels = 4096;
+KV_HD int64_t rows_of_item(int64_t width) { return max(int64_t(1), kItemPixels / width); }
+
+}  // namespace kv

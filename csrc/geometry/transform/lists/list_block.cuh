@@ -1,0 +1,29 @@
+// The sample of a list that a block of threads takes on CUDA, in shared memory. Included by warp_list.cu and
+// warp_list_backward.cu.
+#pragma once
+
+#include "geometry/transform/lists/sample_list.h"
+#include "geometry/transform/sampling.cuh"
+
+namespace kv::geometry::cuda {
+namespace {
+
+template <class S>
+struct ListBlock {
+  S sample;
+  TileGrid tiles;
+
+  // By one thread: the sample of the block's index, whose tiles are those of an image of `size(sample)`.
+  template <class List, class SizeOf>
+  static __device__ __forceinline__ void init(void* memory, List const& p, int tiles_per_block, SizeOf size) {
+    int const b = p.list.sample_of(int(blockIdx.x));
+    S const sample = sample_at(p, b);
+    Size const output = size(sample);
+    TileGrid tiles(1, output.height, output.width, tiles_per_block);
+    tiles.first_block = unsigned(p.list.first[b]);
+    new (memory) ListBlock{sample, tiles};
+  }
+};
+
+}  // namespace
+}  // namespace kv::geometry::cuda

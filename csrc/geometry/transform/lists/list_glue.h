@@ -1,0 +1,83 @@
+// Tables of lists, for the entries of operators. Included by warp_list_op.cpp and resize_list_op.cpp.
+#pragma once
+
+#include "geometry/transform/sampling_glue.h"
+#include "glue/image_list.h"
+
+namespace kv::geometry {
+
+// Height and width of all images, or of each.
+struct ListSizes {
+  char const* op;
+  std::vector<int64_t> const& sides;
+
+  ListSizes(char const* op, std::vector<int64_t> const& sides, size_t count) : op(op), sides(sides) {
+    KV_CHECK(is_one() || sides.size() == 2 * count, op, ": expected one size or ", count, " sizes, got ", sides.size(),
+             " numbers");
+  }
+  bool is_one() const { return sides.size() == 2; }
+  Size operator[](size_t b) const {
+    size_t const at = is_one() ? 0 : 2 * b;
+    return checked_size(op, {sides[at], sides[at + 1]});
+  }
+};
+
+// A batch (B, C, H, W), or as many tensors (C, H, W): what is read or written for each sample.
+struct BatchOrList {
+  Tensors const& tensors;
+  bool is_batch;
+  int64_t bytes;  // from an image of a batch to the next one
+
+  explicit BatchOrList(Tensors const& tensors)
+      : tensors(tensors),
+        is_batch(tensors[0].dim() == 4),
+        bytes(is_batch ? tensors[0].stride(0) * tensors[0].element_size() : 0) {}
+  ListedImage operator[](size_t b) const {
+    if (!is_batch) return listed(tensors[b]);
+    Tensor const& x = tensors[0];
+    char const* const data = static_cast<char const*>(x.const_data_ptr()) + int64_t(b) * bytes;
+    return {data, x.stride(1), x.stride(2), x.stride(3), int(x.size(2)), int(x.size(3))};
+  }
+};
+
+// One result (B, C, h, w), of one size; or a list of results (C, h, w), of a size each or if `as_list`. `like` is a
+// batch.
+inline Tensors empty_results(Tensor const& like, ListSizes const& sizes, size_t count, Layout layout,
+                             bool as_list = false) {
+  int64_t const channels = like.size(1);
+  if (sizes.is_one() && !as_list)
+    return {empty({int64_t(count), channels, sizes[0].height, sizes[0].width}, like, layout)};
+  Tensors results;
+  results.reserve(count);
+  for (size_t b = 0; b < count; ++b) {
+    int64_t const h = sizes[b].height, w = sizes[b].width;
+    Tensor const y = empty({1, channels, h, w}, like, layout);
+    results.push_back(layout == Layout::planar ? view_of(y, {channels, h, w}, 0)
+                                               : view_of(y, {channels, h, w}, {1, w * channels, channels}));
+  }
+  return results;
+}
+
+// Fills tables of at most kMaxListed samples each, and calls run(first sample of the table). `image_of(b)` is what is
+// read for sample b, `result_of(b)` what is written, `items_of(b)` the number of its items.
+template <class ImageOf, class ResultOf, class ItemsOf, class Run>
+void for_each_table(ListedSamples& list, size_t count, ImageOf image_of, ResultOf result_of, ItemsOf items_of,
+                    Run run) {
+  for (size_t begin = 0; begin < count; begin += kMaxListed) {
+    list.count = int(std::min(count - begin, size_t(kMaxListed)));
+    int64_t items = 0;
+    for (int i = 0; i < list.count; ++i) {
+      size_t const b = begin + size_t(i);
+      list.images[i] = image_of(b);
+      ListedImage const result = result_of(b);
+      list.results[i] = {const_cast<void*>(result.data), result.height, result.width};
+      list.first[i] = int(items);
+      items += items_of(b);
+      KV_CHECK(items <= INT32_MAX, "lists: expected results of less than 2^31 blocks");
+    }
+    list.items = int(items);
+    run(begin);
+  }
+}
+
+}  // namespace kv::geometry

@@ -1,0 +1,45 @@
+// Resizing of lists of images of different sizes: each has axes of its own, for which the kernels of resize.h are run.
+// Included by resize_list_op.cpp, resize_list_cpu.cpp and resize_list.cu.
+#pragma once
+
+#include "core/image_list.h"
+#include "geometry/transform/resize/resize.h"
+
+namespace kv::geometry {
+
+template <class T>
+struct ResizeList {
+  ListedSamples list;
+  int channels;
+  ResizeFilter filter;
+  bool align_corners, antialias, backward;
+};
+
+template <class T>
+KV_HD ResizeAxis resize_axis_at(ResizeList<T> const& p, int64_t from, int64_t to) {
+  return {p.filter, p.backward ? to : from, p.backward ? from : to, p.align_corners, p.antialias, p.backward};
+}
+
+// Without the axes: images and results have the same layout.
+template <class T>
+KV_HD Planes<T> planes_of(Images<T> const& x, bool interleaved) {
+  int64_t const planes = interleaved ? 1 : x.channels, step = interleaved ? x.channels : 1;
+  return {x.data, planes, 1, x.channel_stride, 0, x.row_stride, x.height, x.width, step};
+}
+
+KV_KERNEL(resize_list, ResizeList)
+
+// An item is some rows of a plane or of interleaved pixels on the CPU, where rows of all planes follow each other; on
+// CUDA a block of so many elements.
+constexpr int kItemElements = 256;
+KV_HD int64_t rows_of_resize_item(int64_t row_size) { return max(int64_t(1), kItemPixels / row_size); }
+inline int64_t items_of_resize(int64_t channels, bool interleaved, int64_t height, int64_t width) {
+#if defined(KV_CUDA)
+  return ceil_div(channels * height * width, kItemElements);
+#else
+  int64_t const row_size = width * (interleaved ? channels : 1), rows = height * (interleaved ? 1 : channels);
+  return ceil_div(rows, rows_of_resize_item(row_size));
+#endif
+}
+
+}  // namespace kv::geometry

@@ -1,0 +1,66 @@
+// Sampling of lists of images of different sizes: a sample of a list is a batch of one, for which the kernels of
+// sampling.h are run. Included by warp_list*.cpp and warp_list*.cu.
+#pragma once
+
+#include "core/image_list.h"
+#include "geometry/transform/sampling.h"
+
+namespace kv::geometry {
+
+// `all` is what the samples have in common, with the matrices and fills of all of them and without images.
+template <class T>
+struct SampleList {
+  Sample<T> all;
+  ListedSamples list;
+  int tiles_per_block;  // on CUDA
+};
+
+// The gradients of the images: the list has those of the results, and what is written.
+template <class T>
+struct SampleListBackward {
+  SampleImageBackward<T> all;
+  ListedSamples list;
+  int tiles_per_block;  // on CUDA
+  int64_t elements;     // of the sums, which are one block of memory
+};
+
+// The samples of one image, of which sample b is the only one.
+template <class S>
+KV_HD void select_sample(S& p, int b, Size source, Size output) {
+  p.x_axis.size = int(source.width);
+  p.y_axis.size = int(source.height);
+  p.coords.matrices += b * p.coords.matrix_stride;
+  p.coords.use.source = source;
+  p.coords.use.output = output;
+  if (p.fill) p.fill += b * p.fill_batch_stride;
+  p.images = 1;
+}
+
+template <class T>
+KV_HD Sample<T> sample_at(SampleList<T> const& p, int b) {
+  ListedImage const& image = p.list.images[b];
+  ListedResult const& result = p.list.results[b];
+  Sample<T> one = p.all;
+  select_sample(one, b, {image.height, image.width}, {result.height, result.width});
+  one.x = images_of<T>(image, p.all.x.channels);
+  one.y = images_of<T>(result, p.all.x.channels, p.list.interleaved);
+  return one;
+}
+
+template <class T>
+KV_HD SampleImageBackward<T> sample_at(SampleListBackward<T> const& p, int b) {
+  ListedImage const& grad = p.list.images[b];
+  ListedResult const& image = p.list.results[b];
+  SampleImageBackward<T> one = p.all;
+  select_sample(one, b, {image.height, image.width}, {grad.height, grad.width});
+  one.grad = images_of<T>(grad, p.all.grad.channels);
+  one.grad_x = images_of<T>(image, p.all.grad.channels, false);
+  one.sums = static_cast<Compute<T>*>(image.data);
+  return one;
+}
+
+// On the CPU an item is some rows of a result, or backward a plane; on CUDA a block.
+KV_KERNEL(sample_list, SampleList)
+KV_KERNEL(sample_list_backward, SampleListBackward)
+
+}  // namespace kv::geometry

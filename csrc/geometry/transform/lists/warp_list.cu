@@ -1,0 +1,45 @@
+// Warps of lists of images on CUDA, in one launch: a block finds its image in the table, and samples as blocks of
+// batches do.
+#include "geometry/transform/lists/list_block.cuh"
+#include "geometry/transform/sampling_blocks/sample.cuh"
+
+namespace kv::geometry::cuda {
+namespace {
+
+template <class T, int K, bool Aligned>
+__global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
+    sample_list_tiles(__grid_constant__ SampleList<T> const p, int tiles_per_block) {
+  using Block = ListBlock<Sample<T>>;
+  __shared__ __align__(16) unsigned char memory[sizeof(Block)];
+  if (threadIdx.x == 0)
+    Block::init(memory, p, tiles_per_block, [](Sample<T> const& s) -> Size { return {s.y.height, s.y.width}; });
+  __syncthreads();
+  auto const& block = *reinterpret_cast<Block const*>(memory);
+  sample_block<K, false, Aligned>(block.sample, block.tiles);
+}
+
+}  // namespace
+
+template <class T>
+int sample_list(SampleList<T> const& p, CUstream_st* stream) {
+  int const channels = p.all.x.channels;
+  bool aligned = true;
+  for (int b = 0; aligned && b < p.list.count; ++b)
+    aligned = rows_are_aligned(images_of<T>(p.list.images[b], channels));
+  auto const launch = [&](auto is_aligned) {
+    dispatch_taps(p.all.interpolation, [&](auto taps) {
+      sample_list_tiles<T, taps.value, is_aligned.value>
+          <<<unsigned(p.list.items), kThreads, SourceTile<T, is_aligned.value>::bytes(channels), stream>>>(
+              p, p.tiles_per_block);
+    });
+  };
+  if (sizeof(T) < 8 && aligned)
+    launch(std::bool_constant<(sizeof(T) < 8)>{});
+  else
+    launch(std::false_type{});
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE_WITH_BYTES(sample_list, SampleList)
+
+}  // namespace kv::geometry::cuda

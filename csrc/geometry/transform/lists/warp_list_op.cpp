@@ -1,0 +1,182 @@
+// Warps by a matrix of lists of images of different sizes: schemas and entries, for CPU and CUDA.
+#include "geometry/transform/lists/list_glue.h"
+#include "geometry/transform/lists/sample_list.h"
+#include "geometry/transform/warp_glue.h"
+
+namespace kv::geometry {
+namespace {
+
+// What the samples share, without images.
+template <class T>
+Sampling<T> shared_sampling(SamplingOptions const& a, Matrix const& m) {
+  return a.of<T>(m.use.source, m.coords<Compute<T>>());
+}
+template <class T>
+void skip_samples(Sampling<T>& p, Sampling<T> const& all, int64_t count) {
+  p.coords.matrices = all.coords.matrices + count * all.coords.matrix_stride;
+  if (all.fill) p.fill = all.fill + count * all.fill_batch_stride;
+}
+
+ListedImage checked_planes([[maybe_unused]] char const* op, ListedImage const& x) {
+#if defined(KV_CUDA)
+  KV_CHECK(int64_t(x.height) * x.row_stride <= INT32_MAX, op, ": expected planes of less than 2^31 elements, got ",
+           x.height, " rows of ", x.row_stride);
+#endif
+  return x;
+}
+
+#if defined(KV_CUDA)
+constexpr bool kOnCuda = true;
+#else
+constexpr bool kOnCuda = false;
+#endif
+
+// Blocks of tiles of a result, on CUDA.
+int64_t blocks_of(Size size, int tiles_per_block) {
+  return ceil_div(size.height, kTile) * ceil_div(size.width, kTile * tiles_per_block);
+}
+int tiles_per_block_of(ListSizes const& sizes, size_t count) {
+  int64_t tiles = 0;
+  for (size_t b = 0; b < count; ++b) tiles += blocks_of(sizes[b], 1);
+  return tiles_per_block(1, kTile, tiles * kTile);
+}
+
+// One result (B, C, h, w), of one size; or a list of results, of a size each.
+Tensors warp_list(Tensors const& images, Tensor const& matrix, std::optional<Tensor> const& fill,
+                  std::vector<int64_t> const& sides, int64_t interpolation, int64_t padding, bool align_corners,
+                  bool inverse, bool normalized) {
+  char const* const op = "warp_list";
+  check_image_list(op, "images", images);
+  size_t const count = images.size();
+  int64_t const batch = int64_t(count), channels = images[0].size(0);
+  ListSizes const sizes(op, sides, count);
+  Tensor const like = as_batch(images[0]);
+  SamplingOptions const a(op, interpolation, padding, align_corners, like, fill, {op, {}, batch, batch, like});
+  Matrix const m(op, matrix, like, batch, inverse, normalized, align_corners, {1, 1}, {1, 1});
+
+  Layout const layout = layout_of(like);
+  Tensors const results = empty_results(like, sizes, count, layout);
+  if (channels == 0) return results;
+  BatchOrList const outputs(results);
+  int const per_block = tiles_per_block_of(sizes, count);
+  dispatch_floating_and_uint8(op, like, [&]<class T>(Type<T>) {
+    SampleList<T> p;
+    p.all = {shared_sampling<T>(a, m), {}, {}, {}};
+    p.all.x.channels = int(channels);
+    p.list.interleaved = layout == Layout::channels_last;
+    p.tiles_per_block = per_block;
+    Sampling<T> const all = p.all;
+    for_each_table(
+        p.list, count, [&](size_t b) { return checked_planes(op, listed(images[b])); },
+        [&](size_t b) { return checked_planes(op, outputs[b]); },
+        [&](size_t b) {
+          return kOnCuda ? blocks_of(sizes[b], per_block) : ceil_div(sizes[b].height, rows_of_item(sizes[b].width));
+        },
+        [&](size_t first) {
+          skip_samples<T>(p.all, all, int64_t(first));
+          KV_RUN(sample_list, like, p, p.list.items, 4 * channels * kItemPixels);
+        });
+  });
+  return results;
+}
+
+// The gradients of images of a size each.
+Tensors warp_list_backward(Tensors const& grads, Tensor const& matrix, std::vector<int64_t> const& sides,
+                           int64_t interpolation, int64_t padding_number, bool align_corners, bool inverse,
+                           bool normalized) {
+  char const* const op = "warp_list_backward";
+  size_t const count = sides.size() / 2;
+  ListSizes const sizes(op, sides, count);
+  int64_t const batch = int64_t(count);
+  KV_CHECK(!grads.empty() && count > 0, op, ": expected grads with at least one tensor");
+  bool const is_batch = grads[0].dim() == 4;
+  if (is_batch) {
+    check_images(op, "grads", grads[0]);
+    KV_CHECK(grads.size() == 1 && grads[0].size(0) == batch, op, ": grads do not fit the images");
+  } else {
+    check_image_list(op, "grads", grads);
+    KV_CHECK(grads.size() == count, op, ": grads do not fit the images");
+  }
+  // On the CPU half types are added up in float32. Expanded gradients have no rows.
+  Tensors promoted;
+  [[maybe_unused]] ScalarType const computed = compute_dtype(grads[0]);
+  for (Tensor const& grad : grads) {
+#if !defined(KV_CUDA)
+    if (grad.scalar_type() != computed) {
+      promoted.push_back(empty(grad.sizes(), grad, Layout::planar, computed));
+      torch::stable::copy_(promoted.back(), grad);
+      continue;
+    }
+#endif
+    int64_t const w = grad.dim() - 1;
+    promoted.push_back(grad.stride(w) == 0 && grad.size(w) > 1 ? dense(grad) : grad);
+  }
+  Tensor const like = is_batch ? promoted[0] : as_batch(promoted[0]);
+  int64_t const channels = like.size(1);
+  Padding const padding = parse_padding(op, padding_number);
+  SamplingOptions const a(op, parse_interpolation(op, interpolation), padding, align_corners, like, {},
+                          {op, {}, batch, batch, like});
+  Matrix const m(op, matrix, like, batch, inverse, normalized, align_corners, {1, 1}, {1, 1});
+
+  // One block of memory, in which images begin at vectors.
+  std::vector<int64_t> offsets(count + 1);
+  for (size_t b = 0; b < count; ++b)
+    offsets[b + 1] = offsets[b] + ceil_div(channels * sizes[b].height * sizes[b].width, 16) * 16;
+  bool const writes_once = padding == Padding::fill;
+  Tensor sums = empty({offsets[count]}, like, Layout::planar, writes_once ? like.scalar_type() : compute_dtype(like));
+  BatchOrList const inputs(promoted);
+  auto const run = [&]<class T>(Type<T>) {
+    SampleListBackward<T> p;
+    p.all = {shared_sampling<T>(a, m), {}, {}, nullptr};
+    p.all.grad.channels = int(channels);
+    p.list.interleaved = false;
+    p.tiles_per_block = writes_once ? tiles_per_block_of(sizes, count) : 1;
+    Sampling<T> const all = p.all;
+    char* const data = static_cast<char*>(sums.mutable_data_ptr());
+    for_each_table(
+        p.list, count, [&](size_t b) { return checked_planes(op, inputs[b]); },
+        [&](size_t b) {
+          int64_t const h = sizes[b].height, w = sizes[b].width;
+          void const* const to = data + offsets[b] * sums.element_size();
+          return checked_planes(op, {to, h * w, w, 1, int(h), int(w)});
+        },
+        [&](size_t b) {
+          ListedImage const grad = inputs[b];
+          return kOnCuda ? blocks_of(writes_once ? sizes[b] : Size{grad.height, grad.width}, p.tiles_per_block)
+                         : channels;
+        },
+        [&](size_t first) {
+          skip_samples<T>(p.all, all, int64_t(first));
+          p.all.sums = writes_once ? nullptr : reinterpret_cast<Compute<T>*>(data) + offsets[first];
+          p.elements = offsets[first + size_t(p.list.count)] - offsets[first];
+          [[maybe_unused]] int64_t const cost = 8 * inputs[first].height * int64_t(inputs[first].width);
+          KV_RUN(sample_list_backward, like, p, p.list.items, cost);
+        });
+  };
+  if (channels > 0)
+#if defined(KV_CUDA)
+    dispatch_floating(op, like, run);
+#else
+    dispatch_compute_dtype(op, like, run);
+#endif
+  Tensor all = sums;
+  if (sums.scalar_type() != grads[0].scalar_type()) {
+    all = empty({offsets[count]}, grads[0]);
+    torch::stable::copy_(all, sums);
+  }
+  Tensors results;
+  results.reserve(count);
+  for (size_t b = 0; b < count; ++b)
+    results.push_back(view_of(all, {channels, sizes[b].height, sizes[b].width}, offsets[b]));
+  return results;
+}
+
+}  // namespace
+
+// `images` (C, H, W) of different sizes, one for each sample. `size` is one height and width, of a result (B, C, h, w),
+// or those of a list of results.
+KV_OPERATOR(warp_list, "(Tensor[] images, Tensor matrix, Tensor? fill, SymInt[] size, " KV_WARP_OPTIONS ") -> Tensor[]")
+// `size` has height and width of each image. The gradients are one tensor (B, C, h, w), or one of each result.
+KV_OPERATOR(warp_list_backward, "(Tensor[] grads, Tensor matrix, SymInt[] size, " KV_WARP_OPTIONS ") -> Tensor[]")
+
+}  // namespace kv::geometry

@@ -1,0 +1,1 @@
+"""Lists of images of different sizes: one launch for all of them, and a result by sample."""

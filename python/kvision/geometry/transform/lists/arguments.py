@@ -1,0 +1,103 @@
+"""Lists of images of different sizes: arguments of public functions, and rules of operators."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._ops import match_layout
+from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
+from kvision.geometry.transform.nearest import as_values, moves_values, of_values
+
+# --- arguments ------------------------------------------------------------------------------------------------------
+
+
+def check_list(op: str, name: str, images: Any) -> None:
+    """Raise unless `images` is a list of images (C, H, W) of one type, device and number of channels."""
+    if not images:
+        raise ShapeError(f"{op}: expected {name} with at least one image, got an empty list")
+    first = images[0]
+    for i, x in enumerate(images):
+        if type(x) is not Tensor or x.dim() != 3 or 0 in x.shape[1:] or i == 0:
+            _check.shape(op, f"{name}[{i}]", x, "C", "H", "W")
+            if 0 in x.shape[1:]:
+                raise ShapeError(
+                    f"{op}: expected {name}[{i}] with H, W of at least 1, got {tuple(x.shape)}", actual_shape=x.shape
+                )
+        if x.dtype is not first.dtype:
+            raise TypeCheckError(f"{op}: expected {name} of one type, got {first.dtype} and, at {i}, {x.dtype}")
+        if x.shape[0] != first.shape[0]:
+            raise ShapeError(
+                f"{op}: expected {name} with one number of channels, got {first.shape[0]} and, at {i}, {x.shape[0]}"
+            )
+        if x.device != first.device:
+            raise DeviceError(f"{op}: expected {name} on one device, got {first.device} and, at {i}, {x.device}")
+
+
+def refuse_antialias(op: str, antialias: bool) -> None:
+    """Raise where a warp of a list is to be antialiased."""
+    if antialias:
+        raise ValueCheckError(f"{op}: a list takes no antialias; resize does, and RandomResizedCrop in a container")
+
+
+def as_value_list(images: Sequence[Tensor], mode: str) -> list[Tensor]:
+    """The images as operators take them."""
+    first = images[0]
+    if first.is_floating_point() or first.dtype == torch.uint8:
+        return list(images)
+    return [as_values(x[None], mode)[0] for x in images]
+
+
+def like_batch(images: Sequence[Tensor]) -> Tensor:
+    """(B, C, 1, 1) of the type and device of a list, for checks that read nothing else of a batch."""
+    first = images[0]
+    return first[:, :1, :1].detach().expand(len(images), -1, -1, -1)
+
+
+def of_value_list(results: Sequence[Tensor], like: Tensor, mode: str, is_list: bool) -> Any:
+    """The results of an operator on :func:`as_value_list`: (B, C, h, w), or a list of (C, h, w)."""
+    if not is_list:
+        return of_values(results[0], like, mode)
+    each = [results[0][0]] if results[0].dim() == 4 else results  # of a list of one image
+    return list(each) if not moves_values(like, mode) else [of_values(y[None], like, mode)[0] for y in each]
+
+
+# --- rules of operators ---------------------------------------------------------------------------------------------
+
+
+def sizes(images: Sequence[Tensor]) -> list[int]:
+    """Height and width of each image."""
+    return [n for x in images for n in x.shape[-2:]]
+
+
+def sizes_of(size: Sequence[int], count: int) -> Iterator[list[int]]:
+    """Height and width of `count` results, of which `size` has one for all or one for each."""
+    for b in range(count):
+        yield list(size if len(size) == 2 else size[2 * b : 2 * b + 2])
+
+
+def samples(grads: Sequence[Tensor]) -> list[Tensor]:
+    """Tensors (1, C, h, w) of a batch or of a list."""
+    return list(grads[0].split(1)) if grads[0].dim() == 4 else [grad[None] for grad in grads]
+
+
+def shape_of(grads: Sequence[Tensor]) -> list[int]:
+    """The size of results that have these gradients: one for all of a batch, or one for each of a list."""
+    return list(grads[0].shape[2:]) if grads[0].dim() == 4 else sizes(grads)
+
+
+def collected(results: Sequence[Tensor], like: Tensor, size: Sequence[int]) -> list[Tensor]:
+    """Results (1, C, h, w) as operators return them, for the one size of all or the size of each; in the layout of `like`."""
+    return [match_layout(torch.cat(results), like)] if len(size) == 2 else [y[0] for y in results]
+
+
+def fake_results(images: Sequence[Tensor], size: Sequence[int]) -> list[Tensor]:
+    """What the kernels allocate for results of images (C, H, W)."""
+    first, count = images[0], len(images)
+    if len(size) == 2:
+        return [match_layout(first.new_empty(count, first.shape[0], *size), first[None])]
+    return [match_layout(first.new_empty(1, first.shape[0], *s), first[None])[0] for s in sizes_of(size, count)]

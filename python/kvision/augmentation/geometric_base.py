@@ -19,10 +19,10 @@ from kvision.augmentation.engine import (
     RigidAffineAugmentationBase2D,
     Shape,
 )
-from kvision.augmentation.maps import exact, warp, warp_covered, warp_labels
+from kvision.augmentation.maps import exact, warp, warp_covered, warp_each, warp_labels
 from kvision.augmentation.samples import inverse_at
 from kvision.augmentation.transforms import Transform, transform_matrix
-from kvision.augmentation.warp_and_color import Resampling
+from kvision.augmentation.warp_and_color import Resampling, fill_of_images
 from kvision.constants import Resample, SamplePadding
 from kvision.core.exceptions import ValueCheckError
 from kvision.geometry.linalg import transform_points
@@ -163,6 +163,14 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         y, matrix = image_pass.run(x, None if columns is None else columns.drawn)
         execution.keep_matrix(matrix)
         return y
+
+    def _warp_list(self, images: list[Tensor], matrix: Tensor, size: Sequence[int], flags: dict[str, Any]) -> Tensor:
+        """The batch that a list of images becomes."""
+        resampling = self.resampling(flags)
+        if resampling.antialias:
+            return torch.cat([warp(x[None], m, size, resampling) for x, m in zip(images, matrix.split(1))])
+        fill = fill_of_images(images[0], resampling.fill)
+        return warp_each(images, matrix, size, resampling._replace(fill=fill))[0]
 
     def _warp(self, x: Tensor, matrix: Tensor, flags: dict[str, Any]) -> Tensor:
         return warp(x, matrix, self.output_size(tuple(x.shape), flags), self.resampling(flags))

@@ -33,12 +33,21 @@ def image_and_matrix(module: Any, input: Any) -> tuple[Any, Tensor | None]:
         return input, None
     if isinstance(input, tuple) and len(input) == 2 and all(isinstance(x, Tensor) for x in input):
         return input[0], input[1]
+    if is_image_list(module, input):
+        return input, None
     if isinstance(input, (list, tuple)):
         described = _check.described(input)
         got = described if " of " in described else f"a {described} of {len(input)}"
         op = type(module).__name__
         raise TypeCheckError(f"{op}: expected input to be a Tensor, or a tuple of one and of matrices, got {got}")
     return input, None
+
+
+def is_image_list(module: Any, input: Any) -> bool:
+    """Whether an input is a list of images (C, H, W), for a container that takes them."""
+    if not isinstance(input, list) or not input or not getattr(module, "takes_lists", False):
+        return False
+    return all(isinstance(x, Tensor) and x.dim() == 3 for x in input)
 
 
 def check_image(module: Any, x: Any) -> None:

@@ -21,6 +21,8 @@ from kvision.augmentation.warp_and_color import Resampling, fill_of_images
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.antialiased.warp_antialiased import remap_antialiased, warp_antialiased
 from kvision.geometry.transform.composed.composed_warp import composed_coords, composed_warp, link_arguments
+from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.geometry.transform.lists.warp_list import warp_list
 from kvision.geometry.transform.resize_windows import resized_windows
 
 _STEPS, _GUESSES = 20, 32  # of Newton's method, which begins at the best of 32 x 32 pixels
@@ -234,3 +236,13 @@ def warp_labels(
     values = exact(masks)
     padding, fill = sampling.padding_and_fill("augmentation", values, resampling.padding, resampling.fill)
     return _warp(values, matrix, size, resampling, padding, fill, inverse).to(masks.dtype)
+
+
+def warp_each(
+    images: list[Tensor], matrix: Tensor, size: Sequence[int], resampling: Resampling, inverse: bool = True
+) -> Sequence[Tensor]:
+    """`warp` of a list of images (C, H, W): one tensor (B, C, h, w), or, with the size of each, one of each image."""
+    like = like_batch(images)
+    padding, fill = sampling.padding_and_fill("augmentation", like, resampling.padding, resampling.fill)
+    options = (INTERPOLATION[resampling.mode], padding, resampling.align_corners, inverse, False)
+    return warp_list(images, matrix.to(like.device, compute_dtype(like)), fill, list(size), *options)

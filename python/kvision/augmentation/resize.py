@@ -94,6 +94,13 @@ class Resize(GeometricAugmentationBase2D):
         mode, size = Resample.get(flags["resample"]).name.lower(), self.output_size(tuple(x.shape), flags)
         return geometry.resize(x, size, mode, align_corners=flags["align_corners"], antialias=True)
 
+    def _warp_list(self, images: list[Tensor], matrix: Tensor, size: Sequence[int], flags: dict[str, Any]) -> Tensor:
+        if not flags["antialias"]:
+            return super()._warp_list(images, matrix, size, flags)
+        mode, size = Resample.get(flags["resample"]).name.lower(), (size[0], size[1])
+        resized: Any = geometry.resize(images, size, mode, align_corners=flags["align_corners"], antialias=True)
+        return resized  # type: ignore[no-any-return]  # of one size
+
 
 class LongestMaxSize(Resize):
     """Resize images so that their longer side has a given length.

@@ -188,7 +188,8 @@ class AugmentationSequential(ImageSequential):
         else passes through; a tensor that does although its size or name is like that of data is warned about once.
 
         Args:
-            *args: images and labels in the order of the data keys; or one dict. The first image may be a tuple of it and
+            *args: images and labels in the order of the data keys; or one dict. A list of images (C, H, W) of different sizes, with
+                lists of labels, becomes a batch if the first child has a fixed size. The first image may be a tuple of it and
                 matrices (B, 3, 3), which are passed on, as chains with `return_transform` do. Images of NumPy and PIL and files
                 become floating point in [0, 1]; masks of NumPy and PIL, also those with a palette, keep their values.
             params: the `_params` of an earlier call, to repeat it on these images.
@@ -204,7 +205,8 @@ class AugmentationSequential(ImageSequential):
             image is a pair of it and the matrices (B, 3, 3).
 
         Raises:
-            TypeError: an input has another type than its key says; images are a list.
+            TypeError: an input has another type than its key says; images are a list that the first child does not
+                make a batch.
             ValueError: the number of inputs is not that of the keys; no key is the image's; an input has another shape.
         """
         if output_type != "pt":
@@ -282,7 +284,7 @@ class AugmentationSequential(ImageSequential):
         if before is not None:
             check_matrix(self, before, x)
         masks = None
-        if DataKey.MASK in keys:
+        if DataKey.MASK in keys and isinstance(x, Tensor):
             masks = functools.partial(self._masks_after, inputs[keys.index(DataKey.MASK)], tuple(x.shape))
         time = 0 if videos is None else videos.sizes[1]
         y, record = self._execute(x, params, self._context(seed, generator, time, len(keys) > 1, masks))

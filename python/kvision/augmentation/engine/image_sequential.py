@@ -32,6 +32,7 @@ from kvision.augmentation.inputs import (
     image_and_matrix,
     image_of,
     in_type_of,
+    is_image_list,
 )
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys, refuse_capture, refuse_graphs
 from kvision.augmentation.samples import (
@@ -44,6 +45,7 @@ from kvision.augmentation.samples import (
 )
 from kvision.augmentation.warp_and_color import SAME, Output
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.geometry.transform.lists.arguments import check_list, largest_shape
 
 __all__ = ["ImageSequential", "ImageSequentialBase", "ParamItem"]
 
@@ -191,6 +193,7 @@ class ImageSequential(ImageSequentialBase):
     """
 
     transformation_matrix_mode = "silent"
+    takes_lists = True  # of images of different sizes
 
     @property
     def accepts_wide_integers(self) -> bool:
@@ -308,7 +311,15 @@ class ImageSequential(ImageSequentialBase):
     # --- execution ---
 
     def transform_tensor(self, input: Tensor) -> Tensor:
-        """The input as a batch: (H, W) and (C, H, W) become (1, C, H, W); integers of 16 bits become float32."""
+        """The input as a batch, lists as they are: (H, W) and (C, H, W) become (1, C, H, W); integers of 16 bits become float32."""
+        if is_image_list(self, input):
+            check_list(type(self).__name__, "input", input)
+            check_image(self, input[0])
+            if input[0].dtype in WIDE_INTEGERS:
+                raise TypeCheckError(
+                    f"{type(self).__name__}: expected a list of images of bytes or floats, got {input[0].dtype}"
+                )
+            return input
         check_image(self, input)
         axes: int | None = self._plans.get("axes")
         if axes is None:
@@ -341,13 +352,16 @@ class ImageSequential(ImageSequentialBase):
 
     def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, context: CallContext) -> tuple[Tensor, Record]:
         """Run the children on images (B, C, H, W); gives the images and what the call did."""
+        if self.random_apply is not None and isinstance(x, list):
+            raise TypeCheckError(f"{context.op}: expected a batch for random_apply, got a list of images")
         if params is None and self.random_apply is not None and self._chooses_for_samples(context):
             sequences = self._sequences_of_samples(context, len(x) // max(context.time, context.frames))
             y, stages, children = execute_turns(x, list(self.named_children()), sequences, context, context.position)
         else:
             children = self._children_of_call(params, context)
             y, stages = execute(x, children, context)
-        record = Record(tuple(x.shape), children, stages)
+        shape = tuple(x.shape) if isinstance(x, Tensor) else largest_shape(x)
+        record = Record(shape, children, stages)
         record.size = tuple(y.shape[2:])
         return y, record
 
@@ -411,9 +425,10 @@ class ImageSequential(ImageSequentialBase):
         """Augment images.
 
         Args:
-            input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8. A tuple of images and matrices
-                (B, 3, 3) passes the matrices on, as chains with `return_transform` do. Images of NumPy and PIL and files become
-                floating point in [0, 1].
+            input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8. A list of images (C, H, W) of
+                different sizes becomes a batch if the first child has a fixed size, as RandomResizedCrop has. A tuple of
+                images and matrices (B, 3, 3) passes the matrices on, as chains with `return_transform` do. Images of NumPy and
+                PIL and files become floating point in [0, 1].
             params: the `_params` of an earlier call, to repeat it on these images.
             extra_args: accepted for code written for Kornia.
             seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
@@ -425,7 +440,8 @@ class ImageSequential(ImageSequentialBase):
             Images (B, C, h, w) of the type of `input`; with `return_transform` a pair of them and the matrices (B, 3, 3).
 
         Raises:
-            TypeError: `input` is not a tensor of a floating-point type or uint8, nor what becomes one; it is a list.
+            TypeError: `input` is not a tensor of a floating-point type or uint8, nor what becomes one; it is a list that
+                the first child does not make a batch.
             ValueError: `input` has another number of axes; `params` names a child that there is not; matrices have another
                 shape; `output_type` is unknown.
         """
@@ -468,6 +484,8 @@ class ImageSequential(ImageSequentialBase):
         return matrix
 
     def _restored(self, y: Tensor, input: Tensor) -> Tensor:
+        if isinstance(input, list) or isinstance(y, list):
+            return y
         if input.dtype in WIDE_INTEGERS and self.output_dtype is None:
             y = in_type_of(y, input)
         return without_added_axes(y, input) if y.dim() > input.dim() and self._keeps_axes() else y

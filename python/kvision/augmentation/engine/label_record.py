@@ -158,6 +158,10 @@ class LabelRecord:
 
 def moved_masks(masks: Any, stages: Chain, reading: MaskReading, images: Size | None) -> Any:
     """Masks of images of a shape after stages: a tensor, or a list of those of the instances of each image."""
+    first: Any = stages.stages[0] if stages.stages else None
+    if images is not None and hasattr(first, "move_mask_list"):  # of a list of images
+        masks, images = first.move_mask_list(_OP, masks, reading), (*images[:2], *first.size)
+        stages = Chain(stages.stages[1:])
     return labels.move_masks(masks, lambda batch: stages.move_masks(batch, reading), images)
 
 

@@ -74,6 +74,8 @@ class PatchSequential(ImageSequential):
         tensor([[[[1., 1., 0., 0.]]]])
     """
 
+    takes_lists = False
+
     def __init__(
         self,
         *args: nn.Module,

@@ -31,6 +31,7 @@ from kvision.augmentation.draws import Request
 from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.configuration import Plans
 from kvision.augmentation.engine.execution import Execution, Shape, matrix_type
+from kvision.augmentation.engine.lists import check_start, execute_list
 from kvision.augmentation.engine.passes import Planned, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import Applied, Chain, Stage
@@ -81,10 +82,17 @@ class CallContext(NamedTuple):
 
 
 def execute(
-    x: Tensor, children: Sequence[Child], context: CallContext, position: int | None = None
+    x: Any, children: Sequence[Child], context: CallContext, position: int | None = None, before: int = 0
 ) -> tuple[Tensor, Chain]:
-    """Run children on images (B, C, H, W); gives the result and what labels have to follow."""
+    """Run children on images (B, C, H, W), or a list of images; gives the result and what labels have to follow.
+
+    `before` is how many children of the first run have run already, and have drawn nothing.
+    """
     position = context.position if position is None else position
+    if isinstance(x, list):
+        x, first, drawn = _execute_list(x, children, context, position)
+        x, rest = execute(x, children[1:], context, position + drawn, 1 - drawn)
+        return x, Chain([first, *rest])
     key = _key(x, children, context, position)
     plan: _RunPlan | None = context.plans.get(key)
     if plan is not None:
@@ -106,10 +114,23 @@ def execute(
             if own.output != SAME:
                 x, _ = make_pass(None, output=own.output).run(x, None)
             stages.append(stage)
-        position += len(run)
+        position, before = position + len(run) + before, 0
     if not runs and context.output != SAME:
         x, _ = make_pass(None, output=context.output).run(x, None)
     return x, Chain(stages)
+
+
+def _execute_list(
+    images: list[Tensor], children: Sequence[Child], context: CallContext, position: int
+) -> tuple[Tensor, Stage, int]:
+    """The first child on a list of images, which it makes a batch; whether it has drawn, too."""
+    module, keys = check_start(context.op, children, context.once), None
+    if children[0].params is None and module._request((len(images), *images[0].shape)) is not None:
+        keys = _more_keys(None, [module], images[0], context)
+        if keys.seeds is not None:
+            check_seeds(context.op, keys, len(images))
+    x, stage = execute_list(images, children[0], module, keys, position)
+    return x, stage, int(keys is not None)
 
 
 def _masks_after(stages: Sequence[Stage], masks: Callable[[Chain], Any]) -> Callable[[Chain], Any]:

@@ -56,6 +56,8 @@ class VideoSequential(ImageSequential):
         tensor([2., 1., 2., 1., 2., 1.])
     """
 
+    takes_lists = False
+
     def __init__(
         self,
         *args: nn.Module,

@@ -58,6 +58,11 @@ def like_batch(images: Sequence[Tensor]) -> Tensor:
     return first[:, :1, :1].detach().expand(len(images), -1, -1, -1)
 
 
+def largest_shape(images: Sequence[Tensor]) -> tuple[int, ...]:
+    """(B, C, H, W) with the largest sides of a list."""
+    return (len(images), images[0].shape[0], *(max(x.shape[axis] for x in images) for axis in (1, 2)))
+
+
 def of_value_list(results: Sequence[Tensor], like: Tensor, mode: str, is_list: bool) -> Any:
     """The results of an operator on :func:`as_value_list`: (B, C, h, w), or a list of (C, h, w)."""
     if not is_list:

@@ -1,0 +1,203 @@
+"""Containers on lists of images: the first augmentation gives all results one size, and what follows runs on a batch.
+
+A parameter of an augmentation is drawn for the size of its image. So a launch has a request for each image, of which every
+sample reads its own; equal sizes draw what a batch draws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision._dtype import compute_dtype
+from kvision.augmentation import labels
+from kvision.augmentation.columns import Columns, Span, split_inputs
+from kvision.augmentation.draws import KINDS, MAX_DRAWS, MAX_NUMBERS, Request, draw_parameters
+from kvision.augmentation.engine.execution import Execution, matrix_type
+from kvision.augmentation.engine.record import Child
+from kvision.augmentation.engine.stages import MaskReading, Warp
+from kvision.augmentation.keys import Keys
+from kvision.augmentation.maps import exact, warp_each
+from kvision.augmentation.transforms import KINDS as TRANSFORMS
+from kvision.augmentation.transforms import Transform, _transform_matrix
+from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.geometry.transform.lists.arguments import largest_shape, like_batch, sizes
+
+_SIZES = ((37, 53), (91, 67))  # of images whose results show whether all sizes give one
+
+
+def takes_lists(module: Any) -> bool:
+    """Whether an augmentation gives images of any sizes one size, in every call."""
+    if not hasattr(module, "_warp_list") or module._is_customized() or module._draws_by_name:
+        return False
+    if not module.whole_batch or module.p_batch < 1 or module.matrix_transforms((1, 3, 37, 53), module.flags) is None:
+        return False
+    first, second = (tuple(module.output_size((1, 3, *size), module.flags)) for size in _SIZES)
+    return first == second
+
+
+def check_start(op: str, children: Sequence[Child], once: bool) -> Any:
+    """The first child; raise unless it makes a list of images a batch."""
+    if once:
+        raise TypeCheckError(f"{op}: expected a batch for resample='once', got a list of images")
+    if not children or not takes_lists(children[0].module):
+        got = type(children[0].module).__name__ if children else "no child"
+        raise TypeCheckError(
+            f"{op}: expected a list of images to meet an augmentation of a fixed size and p=1 first, as RandomResizedCrop or "
+            f"Resize((height, width)), got {got}"
+        )
+    return children[0].module
+
+
+# --- the call -------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class ListWarp(Warp):
+    """The warp of a list; `source` has height and width of each image."""
+
+    def source_size(self) -> Any:
+        return None  # of all images
+
+    def move_masks(self, masks: Any, reading: MaskReading) -> Any:
+        """Masks (1, H, W) of each image as a batch."""
+        resampling = self.resampling.for_labels(reading.mode, reading.fill)
+        return warp_each([exact(m) for m in masks], self.matrix, list(self.size), resampling)[0].to(masks[0].dtype)
+
+    def move_masks_back(self, masks: Tensor) -> Any:
+        back = warp_each(list(exact(masks)), self.matrix, self.source, self.resampling.for_inverse("nearest"), False)
+        return [m.to(masks.dtype) for m in _as_list(back)]
+
+    def invert(self, x: Tensor) -> Any:
+        return _as_list(warp_each(list(x), self.matrix, self.source, self.resampling.for_inverse(), False))
+
+    def move_mask_list(self, op: str, masks: Any, reading: MaskReading) -> list[Tensor]:
+        """Masks (N, H, W) or (H, W) of each image, moved: (N, h, w) of each."""
+        count = len(self.source) // 2
+        if not isinstance(masks, (list, tuple)) or len(masks) != count:
+            got = len(masks) if isinstance(masks, (list, tuple)) else type(masks).__name__
+            raise ShapeError(f"{op}: expected mask to be a list of {count}, one of each image, got {got}")
+        labels.check_tensors("the masks of an image", masks)
+        planes, counts = [], []
+        for b, mask in enumerate(masks):
+            size = tuple(self.source[2 * b : 2 * b + 2])
+            if mask.dim() not in (2, 3) or tuple(mask.shape[-2:]) != size:
+                raise ShapeError(
+                    f"{op}: expected mask[{b}] of shape (N, {size[0]}, {size[1]}), got {tuple(mask.shape)}"
+                )
+            own = mask if mask.dim() == 3 else mask[None]
+            planes += list(own[:, None])
+            counts.append(own.shape[0])
+        if not planes:
+            return [mask.new_empty(0, *self.size) for mask in masks]
+        samples = torch.arange(count, device="cpu").repeat_interleave(torch.tensor(counts, device="cpu"))
+        of_planes = replace(self, matrix=self.matrix[samples.to(self.matrix.device)])
+        return list(of_planes.move_masks(planes, reading)[:, 0].split(counts))
+
+
+class ListExecution(Execution):
+    """The call of the first augmentation on a list; its parameters are read from the device when they are asked for."""
+
+    def __init__(self, images: Sequence[Tensor], module: Any, values: Tensor) -> None:
+        self._sizes, self._module, self._values = sizes(images), module, values
+        self._named: dict[str, Any] | None = None
+        super().__init__(largest_shape(images))
+
+    @property
+    def params(self) -> Any:
+        if self._named is None:
+            generator, count = self._module._param_generator, self.shape[0]
+            values, each = self._values.detach().cpu(), []
+            for b in range(count) if generator is not None else ():
+                each.append(generator.to_params(values[b : b + 1], (1, self.shape[1], *self._sizes[2 * b : 2 * b + 2])))
+            self._named = {name: torch.cat([params[name] for params in each]) for name in (each[0] if each else ())}
+            self._named["batch_prob"] = torch.ones(count, device="cpu")
+            self._named["forward_input_shape"] = torch.tensor(self.shape, device="cpu")
+        return self._named
+
+    @params.setter
+    def params(self, params: Any) -> None:
+        self._named = params
+
+
+def execute_list(
+    images: Sequence[Tensor], child: Child, module: Any, keys: Keys | None, position: int
+) -> tuple[Tensor, ListWarp]:
+    """The batch that the first augmentation makes of a list, and what labels have to follow."""
+    shapes = [(len(images), *x.shape) for x in images]
+    flags, like = module.flags, like_batch(images)
+    span = Span(0, 0, False)
+    values = torch.empty(len(images), 0, device=like.device)
+    generator = module._param_generator
+    if child.params is not None and generator is not None:
+        values = generator.to_columns(child.params, shapes[0]).to(like.device)
+    elif keys is not None:
+        values = _draw(like, [module._request(shape) for shape in shapes], keys, position)
+    if values.shape[1]:
+        span = Span(0, values.shape[1], False)
+    values = values.to(compute_dtype(like))
+    chains = [module.matrix_transforms(shape, flags) for shape in shapes]
+    if all(chain == chains[0] for chain in chains):  # as those of crops, which depend on what is drawn alone
+        chains = chains[:1]
+    matrix = _matrix(values, [module._bound(chain, span) for chain in chains])
+    size = [int(n) for n in module.output_size(shapes[0], flags)]
+    batch = module._warp_list(list(images), matrix, size, flags)
+    execution = ListExecution(images, module, values)
+    execution.columns, execution.matrix, execution.is_certain = Columns(values, span), matrix, True
+    execution.identity = matrix_type(like)
+    child.record = module.__dict__["_execution"] = execution
+    return batch, ListWarp(matrix, sizes(images), size, module.resampling(flags))
+
+
+def _draw(like: Tensor, requests: Sequence[Request], keys: Keys, position: int) -> Tensor:
+    """The columns (B, P) of requests of one augmentation, one for each sample."""
+    numbers = [[r.p, r.p_batch, *(n for draw in r.draws for n in draw.numbers)] for r in requests]
+    own, seeds, first = keys.keys, keys.seeds_on(like.device), requests[0]
+    width = sum(draw.columns for draw in first.draws)
+    head = (0, position if keys.has_seed else 0, int(first.same_on_batch), 1, len(first.draws))
+    kinds = [KINDS[draw.kind].number for draw in first.draws]
+    if all(n == numbers[0] for n in numbers):
+        return draw_parameters(like, own, seeds, [width, *head, *kinds], numbers[0])
+    each = max(1, min(MAX_DRAWS // len(first.draws), MAX_NUMBERS // len(numbers[0])))
+    rows = []
+    for begin in range(0, len(requests), each):
+        part = numbers[begin : begin + each]
+        plan = [width * len(part), *[*head, *kinds] * len(part)]
+        drawn = draw_parameters(like, own, seeds, plan, [n for row in part for n in row]).unflatten(
+            1, (len(part), width)
+        )
+        rows.append(drawn[begin : begin + each].diagonal(dim1=0, dim2=1).T)
+    return torch.cat(rows)
+
+
+def _matrix(values: Tensor, chains: Sequence[Sequence[Transform]]) -> Tensor:
+    """The matrices (B, 3, 3) of one chain, or of one of the same kinds for each sample, from columns (B, P).
+
+    Numbers that differ become columns.
+    """
+    plans = []
+    for chain in chains:
+        inputs = [split_inputs(transform.inputs) for transform in chain]
+        plans.append(([n for numbers, _ in inputs for n in numbers], [columns for _, columns in inputs]))
+    numbers, columns = plans[0]
+    differ = any(own != numbers for own, _ in plans)
+    if differ:
+        own = torch.tensor([row for row, _ in plans], dtype=values.dtype).to(values.device, non_blocking=True)
+        at = values.shape[1]
+        values = torch.cat([values, own], 1)
+    plan: list[int] = []
+    for transform, of_transform in zip(chains[0], columns):
+        if differ:
+            of_transform = [at + i if column < 0 else column for i, column in enumerate(of_transform)]
+            at += len(of_transform)
+        plan += [TRANSFORMS[transform.kind][0], *of_transform]
+    matrix: Tensor = _transform_matrix(values, plan, numbers)
+    return matrix
+
+
+def _as_list(results: Sequence[Tensor]) -> list[Tensor]:
+    return list(results[0]) if results[0].dim() == 4 else list(results)

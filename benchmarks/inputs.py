@@ -95,14 +95,13 @@ class Setup:
         return [self.clock.value(timing) for timing in self.clock.race(calls)]
 
 
-def augmentation(antialias: bool = False) -> A.ImageSequential:
-    return A.ImageSequential(
-        A.RandomResizedCrop(CROP, antialias=antialias),
-        A.RandomHorizontalFlip(),
-        A.ColorJitter(*JITTER),
-        A.Normalize(MEAN, STD),
-        output_dtype=torch.float16,
+def augmentation() -> Callable[[list[Tensor]], Tensor]:
+    """Images of any sizes to a batch: a crop an image, then the rest at once."""
+    crop = A.RandomResizedCrop(CROP)
+    steps = A.ImageSequential(
+        A.RandomHorizontalFlip(), A.ColorJitter(*JITTER), A.Normalize(MEAN, STD), output_dtype=torch.float16
     )
+    return lambda images: steps(torch.cat([crop(image) for image in images]))
 
 
 # --- files in memory ------------------------------------------------------------------------------------------------
@@ -159,8 +158,7 @@ def ahead(
 
 
 def of_bytes(setup: Setup) -> Iterator[Figure]:
-    files, batches = jpegs(setup), 8 if setup.is_cuda else 2
-    augment = batch_of(augmentation())
+    files, batches, augment = jpegs(setup), 4 if setup.is_cuda else 2, augmentation()
     for backend in decoding._DECODERS:
         if isinstance(decoding._made(backend), Exception):
             continue
@@ -191,11 +189,6 @@ def decode_jpeg(library: str, files: Sequence[bytes], device: torch.device) -> C
     module: Any = optional("torchcodec.decoders" if library == "torchcodec" else "torchvision.io")
     tensors = [torch.frombuffer(bytearray(file), dtype=torch.uint8) for file in files]
     return lambda: module.decode_jpeg(tensors, device=device)
-
-
-def batch_of(augment: Callable[[Any], Tensor]) -> Callable[[list[Tensor]], Tensor]:
-    """`augment` of images of any sizes."""
-    return lambda images: torch.cat([augment(image) for image in images])
 
 
 # --- inputs of vision-language models ---------------------------------------------------------------------------------

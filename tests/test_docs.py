@@ -234,6 +234,7 @@ def test_every_function_and_augmentation_of_images_has_a_picture(monkeypatch: py
         "color.normals_to_rgb255",
         "color.rgb255_to_normals",
         "color.rgb255_to_rgb",
+        "color.rgb_to_frames",
         "color.rgb_to_rgb255",
         "enhance.adjust_hue_raw",
         "enhance.adjust_saturation_raw",

@@ -413,17 +413,15 @@ class MultiCrop(nn.Module):
         _check.ints(op, "global_crops", global_crops, 1)
         _check.ints(op, "local_crops", local_crops, 1, 0)
         self.counts = global_crops, local_crops
-        self.generators = nn.ModuleList(
-            ResizedCropGenerator(parse_size(op, size), scale, ratio)
-            for size, scale in ((global_size, global_scale), (local_size, local_scale))
-        )
+        self.global_generator = ResizedCropGenerator(parse_size(op, global_size), global_scale, ratio)
+        self.local_generator = ResizedCropGenerator(parse_size(op, local_size), local_scale, ratio)
         self.antialias = _check.switch(op, "antialias", antialias)
 
     def forward(self, input: Tensor) -> list[Tensor]:
         """The views of images (B, C, H, W): first the large ones, then the small ones, each (B, C, h, w)."""
         _check.images("MultiCrop", "input", input)
-        batch, views = input.shape[0], []
-        for count, generator in zip(self.counts, self.generators):
+        batch, views = input.shape[0], list[Tensor]()
+        for count, generator in zip(self.counts, (self.global_generator, self.local_generator)):
             if not count:
                 continue
             h, w = generator.output_size

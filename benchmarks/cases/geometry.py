@@ -97,6 +97,12 @@ def resized(name: str, factor: float, mode: str, opencv: str | None, bars: Bars,
     return case(name, lambda G, x: G.resize(x, scaled(x), mode, **options), bars, peer or None)
 
 
+def warped_smaller(shrink: int, x: Tensor, m: Tensor) -> Tensor:
+    """The warp of `warp_affine`, reduced, with antialiasing."""
+    h, w = size_of(x)
+    return kvision.geometry.warp_affine(x, m / shrink, (h // shrink, w // shrink), antialias=True)
+
+
 def antialiased(factor: float, x: Tensor) -> Tensor:
     h, w = size_of(x)
     return kvision.geometry.resize(x, (int(h * factor), int(w * factor)), antialias=True)
@@ -124,6 +130,8 @@ CASES = [
         warp_opencv("warpAffine", "INTER_CUBIC"),
         inputs=with_affine,
     ),
+    Case("warp_antialiased_half", partial(warped_smaller, 2), {}, Bars(floor=1.8, both=3.5), inputs=with_affine),
+    Case("warp_antialiased_quarter", partial(warped_smaller, 4), {}, Bars(floor=2.5, both=3.5), inputs=with_affine),
     case(
         "remap",
         lambda G, x, u, v: G.remap(x, u, v, align_corners=True),

@@ -98,25 +98,26 @@ def sample_antialiased(
     columns, rows = _count_taps(u, shape.reach_x), _count_taps(v, shape.reach_y)
     pixels = image.flatten(2)
     outside: Any = 0.0 if fill is None else fill[..., None]
-    x = first_x[..., None] + torch.arange(columns, dtype=u.dtype, device=u.device)  # (B, h, w, columns)
-    dx = x - u[..., None]
+    together = 16 if is_compiling() else 4  # rows of taps: graphs hold each step, which takes memory for all of them
+    x = first_x[..., None, None] + torch.arange(columns, dtype=u.dtype, device=u.device)  # (B, h, w, 1, columns)
+    dx = x - u[..., None, None]
     column, in_columns = _padded_pixel(x.long(), width, padding, align_corners)
     value: Any = 0.0
     total: Any = 0.0
-    for j in range(rows):
-        y = first_y + j
-        dy = (y - v)[..., None]
-        row, in_rows = (t[..., None] for t in _padded_pixel(y.long(), height, padding, align_corners))
-        weight = _triangle(shape.xx[..., None] * dx + shape.xy[..., None] * dy) * _triangle(
-            shape.xy[..., None] * dx + shape.yy[..., None] * dy
-        )
+    xx, xy, yy = (entry[..., None, None] for entry in shape[:3])
+    for j in range(0, rows, together):
+        some = torch.arange(j, min(j + together, rows), dtype=v.dtype, device=v.device)
+        y = (first_y[..., None] + some)[..., None]  # (B, h, w, rows, 1)
+        dy = y - v[..., None, None]
+        row, in_rows = _padded_pixel(y.long(), height, padding, align_corners)
+        weight = _triangle(xx * dx + xy * dy) * _triangle(xy * dx + yy * dy)
         index = (row * width + column).flatten(1)[:, None].expand(batch, channels, -1)
         tap = torch.where((in_columns & in_rows).flatten(1)[:, None], pixels.gather(2, index), outside)
         # A tap of weight 0 contributes nothing, even if it is inf or NaN.
         each = weight.flatten(1)[:, None]
         product = each * torch.where((each == 0) & ~tap.isfinite(), 0.0, tap)
-        value = value + product.unflatten(2, weight.shape[1:]).sum(-1)
-        total = total + weight.sum(-1)
+        value = value + product.unflatten(2, weight.shape[1:]).sum((-1, -2))
+        total = total + weight.sum((-1, -2))
     result: Tensor = value / total[:, None]
     return result
 

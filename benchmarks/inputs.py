@@ -5,8 +5,8 @@
     python -m benchmarks.inputs --csv benchmarks/results/h200/inputs.csv
 
 `bytes` are JPEG files in memory, of 280 to 700 pixels a side, to a normalized float16 batch of 224 x 224 (random resized crop,
-flip, color jitter): images a second of each decoder alone, and of the whole pipeline while two threads decode ahead. `frames` are
-32 video frames of 1080p in NV12, `patches` inputs of vision-language models, `warps` antialiased
+flip, color jitter): images a second of each decoder alone, and of the whole pipeline while two threads decode ahead. `lists` are
+such images, decoded. `frames` are 32 video frames of 1080p in NV12, `patches` inputs of vision-language models, `warps` antialiased
 ones of 16 images of 1024 x 1024. Times are medians of rounds in which all contestants take turns, on a CPU minima; a floor is the
 bytes that must be read and written over the copy bandwidth of the same run. Bars on CUDA are for an NVIDIA H200. What misses its
 bar has an exclamation mark.
@@ -34,8 +34,9 @@ import kvision.augmentation as A
 from benchmarks import machine, results
 from benchmarks.augmentation import JITTER, MEAN, STD
 from benchmarks.case import dead_leaves
+from benchmarks.host_time import microseconds
 from benchmarks.peers import optional, set_threads
-from benchmarks.timing import Clock, clock
+from benchmarks.timing import Clock, clock, extra_bytes, launches
 from kvision.io import decoding
 
 CROP = (224, 224)
@@ -95,13 +96,15 @@ class Setup:
         return [self.clock.value(timing) for timing in self.clock.race(calls)]
 
 
-def augmentation() -> Callable[[list[Tensor]], Tensor]:
-    """Images of any sizes to a batch: a crop an image, then the rest at once."""
-    crop = A.RandomResizedCrop(CROP)
-    steps = A.ImageSequential(
-        A.RandomHorizontalFlip(), A.ColorJitter(*JITTER), A.Normalize(MEAN, STD), output_dtype=torch.float16
+def augmentation(antialias: bool = False) -> A.ImageSequential:
+    """A list of images of any sizes, or a batch, to a batch."""
+    return A.ImageSequential(
+        A.RandomResizedCrop(CROP, antialias=antialias),
+        A.RandomHorizontalFlip(),
+        A.ColorJitter(*JITTER),
+        A.Normalize(MEAN, STD),
+        output_dtype=torch.float16,
     )
-    return lambda images: steps(torch.cat([crop(image) for image in images]))
 
 
 # --- files in memory ------------------------------------------------------------------------------------------------
@@ -189,6 +192,52 @@ def decode_jpeg(library: str, files: Sequence[bytes], device: torch.device) -> C
     module: Any = optional("torchcodec.decoders" if library == "torchcodec" else "torchvision.io")
     tensors = [torch.frombuffer(bytearray(file), dtype=torch.uint8) for file in files]
     return lambda: module.decode_jpeg(tensors, device=device)
+
+
+# --- lists ----------------------------------------------------------------------------------------------------------
+
+
+def of_lists(setup: Setup) -> Iterator[Figure]:
+    """The pipeline of `bytes` on decoded images, against a batch of as many source pixels and against a loop over single images."""
+    if not setup.is_cuda:
+        yield from of_lists_on_cpu(setup)
+        return
+    images = [image.to(setup.device) for image in setup.images(128, 280, 700)]
+    side = round(statistics.mean(image[0].numel() for image in images) ** 0.5)
+    batch = torch.stack([F.interpolate(image[None], (side, side))[0] for image in images])
+    for antialias in (False, True):
+        name, augment = "128, antialiased" if antialias else "128", augmentation(antialias)
+        calls = [partial(augment, images), partial(augment, batch), partial(one_by_one, augment, images)]
+        of_list, of_batch, of_loop = setup.seconds_of(calls)
+        yield Figure("lists", f"crop, flip, jitter, normalize of {name}", 1e3 * of_list, "ms")
+        yield Figure("lists", f"{name}, over a batch of as many pixels", of_list / of_batch, "", 1.25)
+        yield Figure("lists", f"{name}, loop over single images", 1e3 * of_loop, "ms")
+        yield Figure("lists", f"{name}, host", microseconds(calls[0]), "us", 200)
+        yield Figure("lists", f"{name}, launches", launches(calls[0]), "", 3 if antialias else 2)
+        yield Figure("lists", f"{name}, memory beyond the result", extra_bytes(calls[0]), "bytes", 65536)
+    leaves = [(image / 255).requires_grad_() for image in images]
+
+    def both() -> Any:
+        return torch.autograd.grad(K.geometry.resize(leaves, CROP).sum(), leaves)
+
+    (seconds,) = setup.seconds_of([both])
+    moved = 2 * 4 * (sum(image.numel() for image in images) + 128 * 3 * CROP[0] * CROP[1])
+    yield Figure("lists", "resize of 128, float32, and its gradients", seconds * setup.bandwidth / moved, "floors", 2.5)
+
+
+def of_lists_on_cpu(setup: Setup) -> Iterator[Figure]:
+    resize = partial(K.geometry.resize, size=CROP)
+    for name, images, bar in (
+        ("32 images of 64 to 128", setup.images(32, 64, 128), 1.3),
+        ("8 images of 280 to 700", setup.images(8, 280, 700), 1.0),
+    ):
+        of_list, of_loop = setup.seconds_of([partial(resize, images), partial(one_by_one, resize, images)])
+        yield Figure("lists", f"resize of {name}", 1e3 * of_list, "ms")
+        yield Figure("lists", f"resize of {name}, loop over single images, over that", of_loop / of_list, "", bar, True)
+
+
+def one_by_one(call: Callable[[Tensor], Tensor], images: list[Tensor]) -> Tensor:
+    return torch.cat([call(image[None]) for image in images])
 
 
 # --- inputs of vision-language models ---------------------------------------------------------------------------------
@@ -286,6 +335,7 @@ def of_warps(setup: Setup) -> Iterator[Figure]:
 
 GROUPS: dict[str, Callable[[Setup], Iterator[Figure]]] = {
     "bytes": of_bytes,
+    "lists": of_lists,
     "frames": of_frames,
     "patches": of_patches,
     "warps": of_warps,

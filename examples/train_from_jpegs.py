@@ -135,23 +135,15 @@ def ahead(work: Callable[[T], U], items: Iterable[T], count: int = 2) -> Iterato
 # --- training -------------------------------------------------------------------------------------------------------
 
 
-class Augmentation(nn.Module):
-    """Photographs of any sizes to a batch (B, 3, size, size)."""
-
-    def __init__(self, size: int) -> None:
-        super().__init__()
-        self.crop = A.RandomResizedCrop((size, size), scale=(0.3, 1.0), antialias=True)
-        self.steps = A.ImageSequential(
-            A.RandomHorizontalFlip(),
-            A.ColorJitter(0.2, 0.2, 0.2, 0.1),
-            A.Normalize(MEAN, STD),
-            output_dtype=torch.float32,
-        )
-
-    def forward(self, images: list[Tensor]) -> Tensor:
-        crops: Tensor = torch.cat([self.crop(image) for image in images])
-        augmented: Tensor = self.steps(crops)
-        return augmented
+def augmentation(size: int) -> A.ImageSequential:
+    """A list of photographs of any sizes to a batch (B, 3, size, size)."""
+    return A.ImageSequential(
+        A.RandomResizedCrop((size, size), scale=(0.3, 1.0), antialias=True),
+        A.RandomHorizontalFlip(),
+        A.ColorJitter(0.2, 0.2, 0.2, 0.1),
+        A.Normalize(MEAN, STD),
+        output_dtype=torch.float32,
+    )
 
 
 def network(classes: int) -> nn.Module:
@@ -181,7 +173,7 @@ def train(dataset: Folder, model: nn.Module, device: torch.device, options: argp
         persistent_workers=options.workers > 0,
         multiprocessing_context="forkserver" if options.workers else None,  # without the threads of this process
     )
-    augment, decoder = Augmentation(options.size), Decoder(device)
+    augment, decoder = augmentation(options.size), Decoder(device)
     optimizer = torch.optim.AdamW(model.parameters(), 1e-3)
     epochs = []
     for number in range(options.epochs):

@@ -58,5 +58,5 @@ def jpeg_header(data: bytes | memoryview) -> JpegHeader | None:
             orientation = orientation_of(bytes(data[body : at + 2 + length]))
         elif kind == _ADOBE and transform is None and length >= 14 and data[body : body + 5] == b"Adobe":
             transform = data[body + 11]
-        at += 2 + max(length, 2)
+        at += 2 + length
     return None

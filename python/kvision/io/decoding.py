@@ -114,36 +114,45 @@ def decode(
     target = _check.device("decode", device) or torch.device("cpu")
     decoder = _decoder(backend)
     is_list = isinstance(files, (list, tuple))
-    encoded = [
-        _as_tensor(f"files[{i}]" if is_list else "files", x) for i, x in enumerate(files if is_list else [files])
-    ]
+    encoded = [_as_tensor(i if is_list else None, x) for i, x in enumerate(files if is_list else [files])]
     images: list[Tensor | None] = []
     for i, image in enumerate(_decoded(encoded, decoder, target)):
         if isinstance(image, Tensor):
+            if mode == "RGB" and image.dtype == torch.uint8 and image.shape[0] == 3:  # nearly all of them
+                images.append(image)
+                continue
             reason = inconvertible(image, _MODES[mode])
             reason = reason and f'{reason}; decode it with mode="UNCHANGED"'
         else:
             reason = str(image)
         if reason and errors == "raise":
-            which = f"files[{i}]" if is_list else "the file"
-            raise ImageError(f"decode: cannot decode {which}: {reason}") from (
-                image if isinstance(image, ImageError) else None
-            )
-        images.append(None if reason or isinstance(image, ImageError) else _converted(image, mode))
+            which = _name(i) if is_list else "the file"
+            cause = image if isinstance(image, ImageError) else None
+            raise ImageError(f"decode: cannot decode {which}: {reason}") from cause
+        images.append(None if reason or isinstance(image, ImageError) else convert(image, _MODES[mode]))
     return images if is_list else images[0]
 
 
-def _as_tensor(name: str, data: Any) -> Tensor:
+def _name(index: int | None) -> str:
+    return "files" if index is None else f"files[{index}]"
+
+
+def _as_tensor(index: int | None, data: Any) -> Tensor:
     """The bytes of a file as a tensor, without a copy where they are contiguous."""
     if isinstance(data, Tensor):
         if data.dtype != torch.uint8 or data.device.type != "cpu":
-            raise TypeCheckError(f"decode: expected {name} of bytes in CPU memory, got {data.dtype} on {data.device}")
+            raise TypeCheckError(
+                f"decode: expected {_name(index)} of bytes in CPU memory, got {data.dtype} on {data.device}"
+            )
         if data.dim() != 1:
-            raise ShapeError(f"decode: expected {name} of shape (N,), got {tuple(data.shape)}", actual_shape=data.shape)
+            raise ShapeError(
+                f"decode: expected {_name(index)} of shape (N,), got {tuple(data.shape)}", actual_shape=data.shape
+            )
         return data.contiguous()
     if not isinstance(data, (bytes, bytearray, memoryview)):
         raise TypeCheckError(
-            f"decode: expected {name} to be bytes or a uint8 tensor, got {type(data).__name__}", actual_type=type(data)
+            f"decode: expected {_name(index)} to be bytes or a uint8 tensor, got {type(data).__name__}",
+            actual_type=type(data),
         )
     _use_read_only_memory()
     return torch.frombuffer(data, dtype=torch.uint8) if len(data) else torch.empty(0, dtype=torch.uint8, device="cpu")
@@ -155,11 +164,6 @@ def _use_read_only_memory() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         torch.frombuffer(b"\0", dtype=torch.uint8)
-
-
-def _converted(pixels: Tensor, mode: str) -> Tensor:
-    is_rgb = mode == "RGB" and len(pixels) == 3 and pixels.dtype == torch.uint8
-    return pixels if is_rgb else convert(pixels, _MODES[mode])
 
 
 # --- backends -------------------------------------------------------------------------------------------------------

@@ -58,7 +58,7 @@ class ListOperator:
         self.name, self.of, self.reference = name, of, reference
         self._fake, self._backward, self._nondeterministic = fake, backward, nondeterministic
         self.unserved = unserved_devices(name)
-        self.kernel = None if "cpu" in self.unserved else find_operator("kvision", name).default
+        self.kernel: Any = None if "cpu" in self.unserved else find_operator("kvision", name).default
         self._call_kernel: Any = kernel_caller(self.kernel)
         self.tensors = 0  # besides those of the list
         if self.kernel is not None:
@@ -138,7 +138,7 @@ class ListOperator:
         def jvp(ctx: Any, *tangents: Any) -> Any:
             raise operator._no_forward_mode()
 
-        rules = {
+        rules: dict[str, Any] = {
             "forward": forward,
             "setup_context": setup_context,
             "backward": backward,

@@ -98,8 +98,8 @@ class Resize(GeometricAugmentationBase2D):
         if not flags["antialias"]:
             return super()._warp_list(images, matrix, size, flags)
         mode, size = Resample.get(flags["resample"]).name.lower(), (size[0], size[1])
-        resized: Any = geometry.resize(images, size, mode, align_corners=flags["align_corners"], antialias=True)
-        return resized  # type: ignore[no-any-return]  # of one size
+        resized: Tensor = geometry.resize(images, size, mode, align_corners=flags["align_corners"], antialias=True)
+        return resized
 
 
 class LongestMaxSize(Resize):

@@ -316,15 +316,18 @@ def center_crop(
         tensor([[[[ 5.,  6.],
                   [ 9., 10.]]]])
     """
-    is_list = isinstance(input_tensor, list)
     op = "center_crop"
-    _check.images(op, "input_tensor", input_tensor) if not is_list else check_list(op, "input_tensor", input_tensor)
+    if isinstance(input_tensor, list):
+        check_list(op, "input_tensor", input_tensor)
+    else:
+        _check.images(op, "input_tensor", input_tensor)
     h, w = _check.ints("center_crop", "size", size, 2)
     sampling.check_options("center_crop", mode, padding_mode, align_corners)
-    if is_list:
+    if isinstance(input_tensor, list):
         shifts = [((x.shape[2] - w) / 2, (x.shape[1] - h) / 2) for x in input_tensor]
         matrix = torch.tensor([[[1, 0, x], [0, 1, y]] for x, y in shifts], dtype=torch.float64)
-        return warped(op, input_tensor, "size", matrix, [h, w], mode, padding_mode, align_corners)
+        cropped: Tensor = warped(op, input_tensor, "size", matrix, [h, w], mode, padding_mode, align_corners)
+        return cropped
     _, _, height, width = input_tensor.shape
     y, x = height - h, width - w
     symbolic = _check.is_symbolic(y, x)  # their parity is unknown

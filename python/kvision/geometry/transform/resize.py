@@ -164,26 +164,33 @@ def _list_backward_reference(grads, size, *options):
     return [resized_backward.reference(grad, next(sizes), *options, BORDER["replicate"])[0] for grad in grads]
 
 
+def _list_gradient(needs, grads, images, size, *options):
+    return (resized_list_backward(grads, lists.sizes(images), *options),)
+
+
+def _list_second_gradient(needs, grad_grads, grads, size, *options):
+    return (resized_list(grad_grads, lists.shape_of(grads), *options),)
+
+
+def _fake_list_gradients(grads, size, *options):
+    like = lists.samples(grads)[0]
+    empty = (like.new_empty(1, like.shape[1], *s) for s in lists.sizes_of(size, len(size) // 2))
+    return [match_layout(grad, like)[0] for grad in empty]
+
+
 resized_list = ListOperator(
     "resize_list",
     resized,
     _list_reference,
     fake=lambda images, size, *options: lists.fake_results(images, size),
-    backward=lambda needs, grads, images, size, *options: (
-        resized_list_backward(grads, lists.sizes(images), *options),
-    ),
+    backward=_list_gradient,
 )
 resized_list_backward = ListOperator(
     "resize_list_backward",
     resized_backward,
     _list_backward_reference,
-    fake=lambda grads, size, *options: [
-        match_layout(grads[0].new_empty(1, grads[0].shape[-3], *s), lists.samples(grads)[0])[0]
-        for s in lists.sizes_of(size, len(size) // 2)
-    ],
-    backward=lambda needs, grad_grads, grads, size, *options: (
-        resized_list(grad_grads, lists.shape_of(grads), *options),
-    ),
+    fake=_fake_list_gradients,
+    backward=_list_second_gradient,
 )
 
 

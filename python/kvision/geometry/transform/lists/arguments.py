@@ -97,7 +97,7 @@ def shape_of(grads: Sequence[Tensor]) -> list[int]:
 
 def collected(results: Sequence[Tensor], like: Tensor, size: Sequence[int]) -> list[Tensor]:
     """Results (1, C, h, w) as operators return them, for the one size of all or the size of each; in the layout of `like`."""
-    return [match_layout(torch.cat(results), like)] if len(size) == 2 else [y[0] for y in results]
+    return [match_layout(torch.cat(list(results)), like)] if len(size) == 2 else [y[0] for y in results]
 
 
 def fake_results(images: Sequence[Tensor], size: Sequence[int]) -> list[Tensor]:

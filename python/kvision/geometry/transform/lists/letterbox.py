@@ -17,7 +17,13 @@ __all__ = ["Letterboxed", "PaddedBatch", "letterbox", "pad_to_batch"]
 
 
 class Letterboxed(NamedTuple):
-    """What :func:`letterbox` returns: the batch, and what moves coordinates (x, y) of each image to it."""
+    """What :func:`letterbox` returns: the batch, and what moves coordinates (x, y) of each image to it.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.letterbox([torch.rand(3, 20, 40)], 64).offset
+        tensor([[ 0., 16.]])
+    """
 
     images: Tensor
     scale: Tensor
@@ -25,7 +31,13 @@ class Letterboxed(NamedTuple):
 
 
 class PaddedBatch(NamedTuple):
-    """What :func:`pad_to_batch` returns: the batch, and height and width of each image in it."""
+    """What :func:`pad_to_batch` returns: the batch, and height and width of each image in it.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.pad_to_batch([torch.rand(3, 20, 40)]).sizes
+        tensor([[20, 40]])
+    """
 
     images: Tensor
     sizes: Tensor

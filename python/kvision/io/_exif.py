@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 
+import torch
 from torch import Tensor
 
 # EXIF says which sides of the image the first row and the first column are: 1 top left, 2 top right, 3 bottom right,
@@ -18,7 +19,10 @@ def upright(image: Tensor, orientation: int) -> Tensor:
         return image
     if orientation >= 5:
         image = image.mT
-    return image.flip(_FLIPPED[orientation]) if orientation in _FLIPPED else image.contiguous()
+    if orientation not in _FLIPPED:
+        return image.contiguous()
+    bits = image.view(torch.int16) if image.dtype == torch.uint16 else image  # torch flips no uint16
+    return bits.flip(_FLIPPED[orientation]).view(image.dtype)
 
 
 def orientation_of(exif: bytes) -> int:

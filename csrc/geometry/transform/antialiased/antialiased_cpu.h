@@ -12,6 +12,20 @@ namespace {
 // Taps of a row, and those by which the last vector exceeds them.
 constexpr int kRowTaps = 2 * kMaxReach + 16;
 
+// The sum of lanes, in pairs.
+template <int N, class V>
+KV_HD auto sum_of_lanes(V v) {
+  if constexpr (N == 1) {
+    return v;
+  } else {
+    decltype(v[0] + v[0]) half[N];
+    for (int i = 0; i < N; ++i) half[i] = v[i];
+    for (int n = N / 2; n > 0; n /= 2)
+      for (int i = 0; i < n; ++i) half[i] += half[i + n];
+    return half[0];
+  }
+}
+
 // A pixel of the output: its coordinates, the shape of its window, and its taps.
 template <class F>
 struct CoveredPixel {
@@ -24,14 +38,13 @@ struct CoveredPixel {
       : slopes(slopes), footprint(f), window(p, u, v, f) {}
   KV_HD int columns() const { return window.last_x - window.first_x + 1; }
 
-  // The weights of row j, in vectors; 0 behind the last tap. Returns their sum.
-  KV_HD F row_weights(int j, F* weights) const {
-    constexpr int N = kVectorBytes / int(sizeof(F));
-    using V = Lanes<F, N>;
+  // The weights of row j, in vectors; 0 behind the last tap. They are added to `sum`.
+  static constexpr int N = kVectorBytes / int(sizeof(F));
+  using V = Lanes<F, N>;
+  KV_HD void row_weights(int j, F* weights, V& sum) const {
     Footprint<F> const& f = footprint;
     F const dy = F(j) - window.v;
     V const zero{}, by_x = zero + f.xy * dy, by_y = zero + f.yy * dy;
-    V sum{};
     for (int i = 0; i < columns(); i += N) {
       V const dx = iota<N, F>(i) + (F(window.first_x) - window.u);
       V const tx = max(zero, V(1 - vabs(V(dx * f.xx + by_x)))), ty = max(zero, V(1 - vabs(V(dx * f.xy + by_y))));
@@ -39,9 +52,6 @@ struct CoveredPixel {
       store<N>(weights + i, w);
       sum += w;
     }
-    F total = 0;
-    for (int i = 0; i < N; ++i) total += sum[i];
-    return total;
   }
 };
 

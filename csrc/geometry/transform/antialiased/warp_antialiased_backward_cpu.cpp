@@ -12,14 +12,17 @@ KV_HD void scatter(SampleImageBackward<T> const& p, CoveredPixel<F> const& pixel
                    T const* grad) {
   CoveredTaps<F> const& window = pixel.window;
   if (window.is_outside(p)) return;
-  F weights[kRowTaps], total = 0;
-  for (int j = window.first_y; j <= window.last_y; ++j) total += pixel.row_weights(j, weights);
+  using Pixel = CoveredPixel<F>;
+  F weights[kRowTaps];
+  typename Pixel::V sums{};
+  for (int j = window.first_y; j <= window.last_y; ++j) pixel.row_weights(j, weights, sums);
+  F const total = sum_of_lanes<Pixel::N>(sums);
   int const columns = pixel.columns();
   bool const inside = window.is_inside(p);
   for (int j = window.first_y; j <= window.last_y; ++j) {
     int const row = padded_pixel(p.y_axis, j);
     if (row < 0) continue;
-    pixel.row_weights(j, weights);
+    pixel.row_weights(j, weights, sums);
     for (int c = first; c < last; ++c) {
       F const g = grad[c * p.grad.channel_stride] / total;
       F* const to = p.grad_x.row(image, c, row);

@@ -22,10 +22,11 @@ KV_HD void mean_of_taps(Sample<T> const& p, CoveredPixel<F> const& pixel, int64_
   int const columns = pixel.columns(), padded = (columns + N - 1) / N * N;
   bool const reads_rows = p.x.step == 1 && window.is_inside(p) && window.first_x + padded <= p.x_axis.size;
   T const* const plane = p.x.row(p.image_of(b), first, 0);
-  F weights[kRowTaps], taps[kRowTaps], total = 0;
+  F weights[kRowTaps], taps[kRowTaps];
+  V total{};
   V sums[C] = {};
   for (int j = window.first_y; j <= window.last_y; ++j) {
-    total += pixel.row_weights(j, weights);
+    pixel.row_weights(j, weights, total);
     int const row = padded_pixel(p.y_axis, j);
     for (int c = 0; c < C; ++c) {
       auto const add = [&](auto const* values) KV_INLINE {
@@ -48,11 +49,8 @@ KV_HD void mean_of_taps(Sample<T> const& p, CoveredPixel<F> const& pixel, int64_
       add(static_cast<F const*>(taps));
     }
   }
-  for (int c = 0; c < C; ++c) {
-    F sum = 0;
-    for (int i = 0; i < N; ++i) sum += sums[c][i];
-    store<1>(to + c * p.y.channel_stride, sum / total);
-  }
+  F const scale = 1 / sum_of_lanes<N>(total);
+  for (int c = 0; c < C; ++c) store<1>(to + c * p.y.channel_stride, sum_of_lanes<N>(sums[c]) * scale);
 }
 
 }  // namespace

@@ -22,7 +22,7 @@ def upright(image: Tensor, orientation: int) -> Tensor:
     if orientation not in _FLIPPED:
         return image.contiguous()
     bits = image.view(torch.int16) if image.dtype == torch.uint16 else image  # torch flips no uint16
-    return bits.flip(_FLIPPED[orientation]).view(image.dtype)
+    return bits.flip(_FLIPPED[orientation]).view(image.dtype).contiguous()  # flip keeps the strides of a transpose
 
 
 def orientation_of(exif: bytes) -> int:

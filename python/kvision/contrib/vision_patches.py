@@ -219,14 +219,13 @@ def _target_of(rule: Callable[..., tuple[int, int] | None], *options: int) -> Ca
 
 # --- one pass -------------------------------------------------------------------------------------------------------
 
-_SERVED = ("cpu",)
 _vision_patches = FastPath("vision_patches", (torch.float32, torch.uint8))
 
 
 def _serves(parts: list[Tensor], sizes: list[tuple[int, int]], program: _Program) -> bool:
     """Whether the kernel serves: what the definition does, without gradients, in one launch for up to 256 images."""
     first, patch = parts[0], program.patch
-    if first.device.type not in _SERVED or not _vision_patches.serves(first) or program.dtype == torch.float16:
+    if not _vision_patches.serves(first) or program.dtype == torch.float16:
         return False
     channels, wants_gradient = first.shape[1], is_grad_enabled()
     if channels > MAX_CHANNELS or patch > MAX_PATCH:

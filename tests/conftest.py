@@ -6,6 +6,7 @@ import gc
 import os
 import shutil
 import sysconfig
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -35,6 +36,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--device", default="cpu", choices=("cpu", "cuda"), help="where the tensors of the tests live")
     parser.addoption("--backend", default="native", choices=("native", "reference", "auto"), help="what is tested")
     parser.addoption("--sizes", default="all", choices=("all", "few"), help="which small sizes are swept")
+    parser.addoption(
+        "--traced", default=1, type=int, help="run one of so many tests marked `tracing`, always the same ones"
+    )
 
 
 @pytest.fixture(scope="session")
@@ -98,7 +102,12 @@ def pytest_collection() -> Iterator[None]:
         gc.enable()
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def is_left_out(name: str, share: int) -> bool:
+    """Whether a test with parameters is none of the one in `share` that runs. A test without is one of its kind."""
+    return "[" in name and zlib.crc32(name.encode()) % share != 0
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark tests by folder: `operators` for the folders above, the files next to this one, and docstring examples.
 
     `peers` are tests with another library in their name or their file's. `docstrings` are their examples.
@@ -116,6 +125,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         words = f"{item.path.stem}_{item.name.partition('[')[0]}".split("_")
         if any(word.startswith(PEERS) for word in words):
             item.add_marker(pytest.mark.peers)
+    left = {
+        item for item in items if item.get_closest_marker("tracing") and is_left_out(item.nodeid, config.option.traced)
+    }
+    if left:
+        config.hook.pytest_deselected(items=left)
+        items[:] = [item for item in items if item not in left]
     slow = {item.path for item in items if item.get_closest_marker("slow") is not None}
     items.sort(key=lambda item: (item.path not in slow, item.path.parent != here))
 

@@ -186,7 +186,9 @@ def _matrix(values: Tensor, chains: Sequence[Sequence[Transform]]) -> Tensor:
     numbers, columns = plans[0]
     differ = any(own != numbers for own, _ in plans)
     if differ:
-        own = torch.tensor([row for row, _ in plans], dtype=values.dtype).to(values.device, non_blocking=True)
+        own = torch.tensor([row for row, _ in plans], dtype=values.dtype, device="cpu").to(
+            values.device, non_blocking=True
+        )
         at = values.shape[1]
         values = torch.cat([values, own], 1)
     plan: list[int] = []

@@ -325,7 +325,7 @@ def center_crop(
     sampling.check_options("center_crop", mode, padding_mode, align_corners)
     if isinstance(input_tensor, list):
         shifts = [((x.shape[2] - w) / 2, (x.shape[1] - h) / 2) for x in input_tensor]
-        matrix = torch.tensor([[[1, 0, x], [0, 1, y]] for x, y in shifts], dtype=torch.float64)
+        matrix = torch.tensor([[[1, 0, x], [0, 1, y]] for x, y in shifts], dtype=torch.float64, device="cpu")
         cropped: Tensor = warped(op, input_tensor, "size", matrix, [h, w], mode, padding_mode, align_corners)
         return cropped
     _, _, height, width = input_tensor.shape

@@ -155,6 +155,6 @@ def _placed(
     op: str, images: list[Tensor], offsets: list[tuple[int, int]], size: tuple[int, int], fill_value: float
 ) -> Tensor:
     """Images with their first pixel at `offsets` (x, y), one for each or for all, in a batch of `size`."""
-    matrix = torch.tensor([[[1.0, 0.0, -x], [0.0, 1.0, -y]] for x, y in offsets], dtype=torch.float64)
+    matrix = torch.tensor([[[1.0, 0.0, -x], [0.0, 1.0, -y]] for x, y in offsets], dtype=torch.float64, device="cpu")
     placed: Tensor = warped(op, images, "offset", matrix, list(size), "nearest", "fill", True, fill_value)
     return placed

@@ -8,8 +8,26 @@ namespace {
 
 constexpr int kChannelsTogether = 3;
 
+// The taps of a pixel that are not all in bounds, or not all finite: one of weight 0 contributes nothing.
+template <int Across, int N, class T, class F>
+__device__ __noinline__ void add_carefully(Sample<T> const& p, Tile<F> const& tile, int first,
+                                           CoveredTaps<F> const& taps, Footprint<F> const& f, F& total, F (&sums)[N]) {
+  for_each_tap<Across, false>(p, taps, [&](int row, int column, F dx, F dy) {
+    F const w = weight_of(f, dx, dy);
+    if (!(w > 0)) return;
+    total += w;
+#pragma unroll
+    for (int k = 0; k < N; ++k) {
+      T const* const plane = p.x.row(tile.image, first + k, 0);
+      sums[k] += w * ((row | column) < 0 ? p.fill_value(tile.b, first + k)
+                                         : F(read(plane[row * p.x.row_stride + column * p.x.step])));
+    }
+  });
+}
+
 template <class T>
-__global__ void __launch_bounds__(kThreads) sample_covered(__grid_constant__ Sample<T> const p, TileGrid tiles) {
+__global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 4)
+    sample_covered(__grid_constant__ Sample<T> const p, TileGrid tiles) {
   using F = Compute<T>;
   __shared__ Tile<F> tile;
   if (threadIdx.x == 0) {
@@ -28,35 +46,43 @@ __global__ void __launch_bounds__(kThreads) sample_covered(__grid_constant__ Sam
       constexpr int kThreadsEach = threads.value;
       for_each_channel_group<kChannelsTogether>(p.x.channels, [&](int first, auto number) {
         constexpr int N = number.value;
-        F kept[N];
-        for_each_time<kThreadsEach>(own, [&](int time, int, CoveredTaps<F> const& taps, Footprint<F> const& f) {
-          T const* const plane = p.x.row(tile.image, first, 0);
-          F sums[N] = {}, total = 0;
-          for_each_tap<kThreadsEach>(p, taps, inside, [&](int row, int column, F dx, F dy) {
-            F const w = weight_of(f, dx, dy);
-            if (!(w > 0)) return;  // a tap of weight 0 contributes nothing, even if it is inf or NaN
-            total += w;
-            if ((row | column) >= 0) {
-              T const* const at = plane + (row * row_stride + column * step);
+        T const* planes[N];
 #pragma unroll
-              for (int k = 0; k < N; ++k) sums[k] += w * F(read(at[k * p.x.channel_stride]));
-            } else {
+        for (int k = 0; k < N; ++k) planes[k] = p.x.row(tile.image, first + k, 0);
+        F kept[N], weight = 1;
+        for_each_time<kThreadsEach>(
+            own, pixels.varies, [&](int time, int, CoveredTaps<F> const& taps, Footprint<F> const& f) {
+              F sums[N] = {}, total = 0, rest = 0;  // the rest is not 0 where a tap is no finite number
+              if (inside) {
+                for_each_tap_inside<kThreadsEach>(taps, f, row_stride, step, [&](F w, int at) {
+                  total += w;
 #pragma unroll
-              for (int k = 0; k < N; ++k) sums[k] += w * p.fill_value(tile.b, first + k);
-            }
-          });
-          total = sum_of_parts<kThreadsEach>(total);
+                  for (int k = 0; k < N; ++k) sums[k] += w * F(read(planes[k][at]));
+                });
 #pragma unroll
-          for (int k = 0; k < N; ++k) {
-            F const mean = sum_of_parts<kThreadsEach>(sums[k]) / total;
-            if (lane / (32 / kThreadsEach) == time) kept[k] = mean;
-          }
-        });
+                for (int k = 0; k < N; ++k) rest += sums[k] - sums[k];
+              }
+              if (__any_sync(kAllLanes, !inside || rest != 0)) {
+                total = 0;
+#pragma unroll
+                for (int k = 0; k < N; ++k) sums[k] = 0;
+                add_carefully<kThreadsEach>(p, tile, first, taps, f, total, sums);
+              }
+              total = sum_of_parts<kThreadsEach>(total);
+              bool const is_own = lane / (32 / kThreadsEach) == time;
+              if (is_own) weight = total;
+#pragma unroll
+              for (int k = 0; k < N; ++k) {
+                F const sum = sum_of_parts<kThreadsEach>(sums[k]);
+                if (is_own) kept[k] = sum;
+              }
+            });
         if (x >= width) return;
+        F const scale = 1 / weight;
 #pragma unroll
         for (int k = 0; k < N; ++k)
           p.y.row(tile.b, first + k, y)[x * p.y.step] =
-              round_to<T>(own.is_outside() ? p.fill_value(tile.b, first + k) : kept[k]);
+              round_to<T>(own.is_outside() ? p.fill_value(tile.b, first + k) : kept[k] * scale);
       });
     });
   }

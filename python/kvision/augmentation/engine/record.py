@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from kvision.augmentation.inputs import VideoLayout
 
 
-_NO_STAGES = Chain()
-
-
 @dataclass(slots=True)
 class Child:
     """A child of a container that is executed, with the parameters that it replays, if any."""
@@ -62,9 +59,9 @@ class Record:
     chosen: Tensor | None = None  # (B,) bool, the samples that the container as a whole has augmented; None for all
 
     def __init__(
-        self, shape: tuple[int, ...] | None = None, children: Sequence[Child] = (), stages: Chain = _NO_STAGES
+        self, shape: tuple[int, ...] | None = None, children: Sequence[Child] = (), stages: Chain | None = None
     ) -> None:
-        self.shape, self.children, self.stages = shape, children, stages
+        self.shape, self.children, self.stages = shape, children, stages or Chain()
 
     def replaced(self, **values: Any) -> Record:
         """The same call with other values."""

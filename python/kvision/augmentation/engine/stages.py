@@ -146,7 +146,8 @@ class Chain(Stage):
         return any(stage.changes_boxes for stage in self.stages)
 
     def source_size(self) -> tuple[int, ...] | None:
-        return next((size for stage in self.stages if (size := stage.source_size()) is not None), None)
+        sizes = [stage.source_size() for stage in self.stages]
+        return next((size for size in sizes if size is not None), None)
 
     def maps(self) -> list[Execution]:
         return [execution for stage in self.stages for execution in stage.maps()]

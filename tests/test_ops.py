@@ -553,11 +553,13 @@ def test_gradients_that_kernels_sum_by_atomics_are_declared():
         "composed_coords_backward",
         "depth_warp_image_backward",
         "conv_quad_interp3d_backward",
+        "remap_antialiased_image_backward",
         "remap_image_backward",
         "sample_patches_backward",
         "scale_space_peaks_backward",
         "warp3d_volume_backward",
         "warp_and_color_backward",
+        "warp_antialiased_image_backward",
         "warp_image_backward",
     }
     x, matrix = torch.zeros(1, 1, 2, 2), torch.zeros(1, 2, 3)

@@ -14,9 +14,9 @@ import torch
 from torch import Tensor, is_grad_enabled
 from torch.compiler import is_compiling
 
-from kvision import _backend, _ops
+from kvision import _backend
 from kvision._backend import backend, current_backend, unserved_devices
-from kvision._ops import Operator
+from kvision._ops import Operator, library
 from kvision._torch_compat import (
     below_autograd,
     carry_tangents,
@@ -67,7 +67,7 @@ class ListOperator:
             qualified = f"kvision::{name}"
             torch.library.register_fake(qualified, fake)
             torch.library.register_vmap(qualified, self._refuse_vmap)
-            _ops._library.impl(name, self._differentiate, "Autograd")
+            library.impl(name, self._differentiate, "Autograd")
         self._function = self._make_function()
 
     def __call__(self, images: Sequence[Tensor], *args: Any) -> Results:

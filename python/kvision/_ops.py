@@ -110,7 +110,7 @@ def register_random(name: str, schema: str, draw: Callable[..., Tensor], fake: C
     return operator
 
 
-_library = torch.library.Library("kvision", "FRAGMENT")
+library = torch.library.Library("kvision", "FRAGMENT")
 _PLAIN = frozenset((Tensor, torch.nn.Parameter))  # types that are no subclass with rules of its own
 
 
@@ -315,7 +315,7 @@ class Operator:
         kernel = find_operator("kvision", self.name).default
         torch.library.register_fake(qualified, self._fake)
         torch.library.register_vmap(qualified, functools.partial(self._vmap, kernel))
-        _library.impl(self.name, self._differentiate, "Autograd")
+        library.impl(self.name, self._differentiate, "Autograd")
         return kernel
 
     def _differentiate(self, *args: Any) -> Any:
@@ -341,7 +341,7 @@ class Operator:
     @functools.cached_property
     def _with_symbolic_numbers(self) -> tuple[Callable[..., Any], type[torch.autograd.Function]]:
         """The kernel as a function of symbolic numbers, and the same with gradients."""
-        call = kernel_of_tensors(_library, self.name, self.kernel, self._floats, self._fake)
+        call = kernel_of_tensors(library, self.name, self.kernel, self._floats, self._fake)
         return call, self._make_function(call)
 
     def _make_function(self, call: Callable[..., Any] | None = None) -> type[torch.autograd.Function]:

@@ -107,6 +107,7 @@ def colors(shape: tuple[int, ...], device: Any, dtype: torch.dtype = torch.float
 
 def test_every_function_is_tested_here_or_in_its_own_file():
     elsewhere = {"apply_colormap", "rgb_to_raw", "raw_to_rgb", "raw_to_rgb_2x2_downscaled"}
+    elsewhere |= {"frames_to_rgb", "resize_frames", "rgb_to_frames", "warp_frames"}
     elsewhere |= {f"{a}_to_{b}" for a, b in itertools.permutations(("rgb", "yuv420", "yuv422"), 2) if "rgb" in (a, b)}
     functions = {name for name, value in vars(C).items() if hasattr(value, "__annotations__") and name.islower()}
     public = {name for name in functions if callable(getattr(C, name))}

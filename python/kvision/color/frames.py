@@ -423,7 +423,7 @@ def frames_to_rgb(
         >>> import torch, kvision as K
         >>> red = torch.tensor([[81, 81], [81, 81], [90, 240]], dtype=torch.uint8)  # OpenCV's I420 of red
         >>> K.color.frames_to_rgb(red, "i420")[:, 0, 0]
-        tensor([255,   0,   0], dtype=torch.uint8)
+        tensor([254,   0,   0], dtype=torch.uint8)
     """
     op = "frames_to_rgb"
     colors = (layout, matrix, color_range, chroma, siting, size, mean, std, dtype)

@@ -29,6 +29,12 @@ class VisionPatches(NamedTuple):
         grids: int64, in CPU memory, where models read them: (B, 3) frames, rows and columns of patches, or (B, 2) rows and
             columns.
         mask: (B, max_num_patches), True for the patches of an image; None for 'qwen2_vl'.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> inputs = K.contrib.vision_patches([torch.rand(3, 60, 90)], "siglip2", max_num_patches=8)
+        >>> inputs.patches.shape, inputs.grids, inputs.mask.sum()
+        (torch.Size([1, 8, 768]), tensor([[2, 3]]), tensor(6))
     """
 
     patches: Tensor
@@ -100,7 +106,7 @@ def vision_patches(
 
     Args:
         images: (B, C, H, W), (C, H, W), or a list of (C, H, W) of any sizes and one dtype; floating point in [0, 1], or
-            uint8.
+            bytes (uint8).
         layout: 'qwen2_vl' or 'siglip2'.
         patch_size: pixels of a side of a patch. None: 14 for 'qwen2_vl', 16 for 'siglip2'.
         merge_size: side of the blocks of patches that are adjacent in the result. Default 2, for 'qwen2_vl'.

@@ -483,6 +483,7 @@ def test_gradients_of_a_mixture(device: torch.device) -> None:
         (lambda: RandAugment(1, 3, [[("rotate", 0, 1), ("invert", 0, 1)]]), TypeError, "one entry"),
         (lambda: TrivialAugment([[("twirl", 0, 1)]]), ValueError, "got 'twirl'"),
         (lambda: RandAugment(2, 3)(images(), params=[]), ValueError, "2 steps, got 0"),
+        (lambda: RandAugment(2, 3)(images(), params=3), TypeError, "RandAugment: expected params to be the _params"),
         (
             lambda: RandAugment(1, 3)(images(batch=2), params=RandAugment(1, 3).forward_parameters((3, 3, 12, 15))),
             ValueError,

@@ -20,6 +20,7 @@ from kvision.augmentation.engine import (
     ParamItem,
     Record,
     check_batch_of_params,
+    checked_items,
 )
 from kvision.augmentation.keys import check_seeds, draw_keys
 from kvision.augmentation.samples import where_chosen
@@ -184,7 +185,7 @@ class PolicyAugmentBase(ImageSequential):
 
     def _redrawn(self, params: Sequence[ParamItem], x: Tensor) -> Drawn:
         """What was drawn for an earlier call, from its parameters."""
-        if len(params) != self.count * self._length:
+        if len(checked_items(type(self).__name__, params, "data")) != self.count * self._length:
             raise ValueCheckError(
                 f"{type(self).__name__}: expected params of {self.count * self._length} steps, got {len(params)}"
             )

@@ -50,7 +50,7 @@ from kvision.augmentation.engine.execution import (
     matrix_type,
     replaying,
 )
-from kvision.augmentation.engine.image_sequential import ImageSequential, ImageSequentialBase, ParamItem
+from kvision.augmentation.engine.image_sequential import ImageSequential, ImageSequentialBase, ParamItem, checked_items
 from kvision.augmentation.engine.patch_sequential import PatchSequential
 from kvision.augmentation.engine.record import Record
 from kvision.augmentation.engine.runs import CallContext
@@ -82,6 +82,7 @@ __all__ = [
     "VideoSequential",
     "Warp",
     "check_batch_of_params",
+    "checked_items",
     "matrix_type",
     "replaying",
     "restored_format",

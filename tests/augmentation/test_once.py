@@ -177,7 +177,7 @@ def test_a_map_behind_a_crop_reads_the_image(device: torch.device) -> None:
     bend = A.RandomThinPlateSpline(0.3, p=1.0)
     for children in ([A.CenterCrop((20, 26)), bend], [A.CenterCrop((20, 26)), bend, A.RandomAffine(1.0, p=1.0)]):
         each, once = (A.ImageSequential(*children, resample=resample)(ones, seed=1) for resample in ("each", "once"))
-        assert each.min() == 0 and once.min() == 1
+        assert each.min() == 0 and once.min() > 1 - 1e-5
 
 
 def test_composes_only_where_needed(device: torch.device) -> None:

@@ -120,6 +120,7 @@ class OpTests:
     variants: list[dict[str, Any]] = [{}]
     errors: list[tuple[dict[str, Any], type[Exception], str]] = []  # keyword arguments, exception, part of the message
     differentiable = True
+    compiler = "inductor"  # of test_compile; "aot_eager" where inductor takes a minute for the gradient by a reference
     bytes = False  # uint8 in, uint8 out
     mixed: tuple[str, ...] = ()  # operator arguments whose dtype may differ from the others'
     accepted: tuple[str, ...] = ()  # names of calls in raw_calls.py that are valid for this operator
@@ -594,7 +595,7 @@ class OpTests:
         variant = self.variants[0]
         x, kwargs = self.setup(variant, device, torch.float32)
         torch._dynamo.reset()
-        compiler = "eager" if backend == "reference" else "inductor"
+        compiler = "eager" if backend == "reference" else self.compiler
         compiled = torch.compile(lambda s: self.call(s, kwargs), fullgraph=True, backend=compiler)
         shared = all(not isinstance(v, Tensor) or v.shape[0] == 1 for v in kwargs.values())
         for batch in (2, 3) if shared else self.shape[:1]:

@@ -144,6 +144,12 @@ def test_compiled_transforms(name: str, transform: str, device: torch.device) ->
     """One graph of a call and its derivative, in either mode."""
     if transform == "jvp" and "zca" in name:
         pytest.skip("breaks the graph, where the eager call is right")
+    if (
+        transform == "jvp"
+        and name == "geometry.undistort_points"
+        and os.environ.get("HYPOTHESIS_PROFILE") != "thorough"
+    ):
+        pytest.skip("a graph of twenty steps takes minutes")
     call = CALLS[name]
     sums, values = sums_of(call, 2, device)
     needs_gradient(call, sums, values)

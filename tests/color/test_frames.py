@@ -304,6 +304,7 @@ class TestFramesToRgb(FrameTests):
 
 class TestResizeFrames(FrameTests):
     function = of_planes(C.resize_frames)
+    compiler = "aot_eager"
     variants = [
         {
             "dsize": (5, 7),
@@ -317,6 +318,7 @@ class TestResizeFrames(FrameTests):
 @pytest.mark.slow
 class TestWarpFrames(FrameTests):
     function = of_planes(C.warp_frames)
+    compiler = "aot_eager"
     variants = [
         {
             "dsize": (7, 9),

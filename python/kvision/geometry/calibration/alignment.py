@@ -72,11 +72,16 @@ def umeyama(points1: Tensor, points2: Tensor, weights: Tensor | None = None) -> 
     return _aligned("umeyama", Sim3, points1, points2, weights)
 
 
-def _aligned(op: str, group: Any, points1: Tensor, points2: Tensor, weights: Tensor | None) -> tuple[Any, Tensor]:
+def check_pairs(op: str, points1: Tensor, points2: Tensor) -> None:
+    """Raise unless the arguments are corresponding points in space."""
     for name, x in (("points1", points1), ("points2", points2)):
         _check.floating_trailing_shape(op, name, x, "B", "N", 3)
     _check.same_shape(op, points1=points1, points2=points2)
     _check.same_device(op, points1=points1, points2=points2)
+
+
+def _aligned(op: str, group: Any, points1: Tensor, points2: Tensor, weights: Tensor | None) -> tuple[Any, Tensor]:
+    check_pairs(op, points1, points2)
     if weights is not None:
         _check.floating_trailing_shape(op, "weights", weights)
         _check.shape(op, "weights", weights, *points1.shape[:2])

@@ -8,7 +8,7 @@ from torch import Tensor
 from kvision import _check
 from kvision.geometry._precision import in_full_precision
 from kvision.geometry.calibration.pnp import _before_camera, check_correspondences
-from kvision.geometry.solvers.roots import real_roots
+from kvision.geometry.solvers.roots import real_roots, value_and_derivative
 
 __all__ = ["solve_p3p"]
 
@@ -85,7 +85,7 @@ def _distances(cosines: Tensor, squares: Tensor) -> Tensor:
     quartic = _product(_product(m, m), rest) + _product(n, n)
     quartic = quartic - torch.nn.functional.pad(2 * cc[:, None] * _product(n, m), (1, 0))
     v = real_roots(quartic)
-    u = _value(n, v) / _value(m, v)
+    u = value_and_derivative(n, v)[0] / value_and_derivative(m, v)[0]
     first = (b[:, None] / (1 + v * v - 2 * v * cb[:, None])).sqrt()
     d = first[..., None] * torch.stack([torch.ones_like(v), u, v], -1)
     for _ in range(_POLISHING):
@@ -141,10 +141,3 @@ def _product(a: Tensor, b: Tensor) -> Tensor:
     """Products of polynomials (B, m) and (B, n)."""
     rows = [torch.nn.functional.pad(a * b[:, i, None], (i, b.shape[-1] - 1 - i)) for i in range(b.shape[-1])]
     return torch.stack(rows).sum(0)
-
-
-def _value(p: Tensor, x: Tensor) -> Tensor:
-    value = torch.zeros_like(x)
-    for c in p.unbind(-1):
-        value = value * x + c[:, None]
-    return value

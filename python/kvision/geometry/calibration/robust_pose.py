@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
-from kvision.geometry.calibration.alignment import kabsch, umeyama
+from kvision.geometry.calibration.alignment import check_pairs, kabsch, umeyama
 from kvision.geometry.calibration.camera import poses_where
 from kvision.geometry.calibration.p3p import poses_of_triangles
 from kvision.geometry.calibration.pnp import _before_camera, check_correspondences
@@ -88,21 +88,19 @@ def solve_pnp_ransac(
     def errors(poses: Tensor) -> Tensor:
         return _squared_errors(poses, world_points[:, None], img_points[:, None], intrinsics[:, None])
 
-    def refit(poses: Tensor, weights: Tensor, last: bool) -> Any:
-        reprojection = ReprojectionError(img_points, intrinsics, world_points)
+    def refit(poses: Tensor, points: Tensor, last: bool) -> Any:
+        reprojection, weights = ReprojectionError(img_points, intrinsics, world_points), points.to(poses.dtype)
         gradient = "implicit" if last else "none"
         fit = least_squares(reprojection, {"pose": _as_se3(poses)}, weights, max_iterations=10, gradient=gradient)
         return fit.variables["pose"]
 
     with torch.no_grad():
-        pose, inliers = _best(hypotheses(draws), errors, threshold, mask)
-        for width in _WIDTHS:
-            near = _score(errors(pose[:, None]), width * threshold, mask)[1][:, 0]
-            refitted = refit(pose, near.to(pose.dtype), False).matrix()[:, :3]
-            pose, inliers = _better(refitted, pose, inliers, errors, threshold, mask)
+        pose, inliers = _estimated(
+            hypotheses(draws), errors, lambda P, near: refit(P, near, False).matrix()[:, :3], threshold, mask
+        )
         is_valid = inliers.sum(1) >= 4
         inliers = inliers & is_valid[:, None]
-    found = refit(pose, torch.where(is_valid[:, None], inliers, True).to(pose.dtype), True)
+    found = refit(pose, torch.where(is_valid[:, None], inliers, True), True)
     is_valid = is_valid & found.t.isfinite().all(-1)
     return poses_where(is_valid, found), is_valid, inliers & is_valid[:, None]
 
@@ -197,10 +195,7 @@ def _aligned_robustly(
     max_samples: int,
     seed: int | None,
 ) -> tuple[Any, Tensor, Tensor]:
-    for name, x in (("points1", points1), ("points2", points2)):
-        _check.floating_trailing_shape(op, name, x, "B", "N", 3)
-    _check.same_shape(op, points1=points1, points2=points2)
-    _check.same_device(op, points1=points1, points2=points2)
+    check_pairs(op, points1, points2)
     if points1.shape[1] < 3:
         raise ShapeError(f"{op}: expected points1 of at least three points, got {tuple(points1.shape)}")
     threshold, draws = _sampled(op, points1, mask, 3, inl_th, max_samples, seed)
@@ -216,11 +211,9 @@ def _aligned_robustly(
 
     with torch.no_grad():
         x, y = (_at(p, draws).flatten(0, 1) for p in (points1, points2))
-        matrix, inliers = _best(fitted(x, y, None).unflatten(0, (batch, -1)), errors, threshold, mask)
-        for width in _WIDTHS:
-            near = _score(errors(matrix[:, None]), width * threshold, mask)[1][:, 0]
-            refitted = fitted(points1, points2, near.to(points1.dtype))
-            matrix, inliers = _better(refitted, matrix, inliers, errors, threshold, mask)
+        hypotheses = fitted(x, y, None).unflatten(0, (batch, -1))
+        refit = lambda _, near: fitted(points1, points2, near.to(points1.dtype))  # noqa: E731
+        _, inliers = _estimated(hypotheses, errors, refit, threshold, mask)
         inliers = inliers & (inliers.sum(1, keepdim=True) >= 3)
     result, is_valid = align(points1, points2, inliers.to(points1.dtype))
     return result, is_valid, inliers & is_valid[:, None]
@@ -282,36 +275,32 @@ def _squared_errors(poses: Tensor, X: Tensor, x: Tensor, K: Tensor) -> Tensor:
     return torch.where((z[..., 0] > 0) & error.isfinite(), error, torch.inf)
 
 
-def _score(errors: Tensor, threshold: float, mask: Tensor | None) -> tuple[Tensor, Tensor]:
-    """The sums of 1 - e^2 / t^2 over inliers of squared errors (B, S, N), and the inliers."""
-    inliers = errors <= threshold**2
-    inliers = inliers if mask is None else inliers & mask[:, None]
-    return torch.where(inliers, 1 - errors / threshold**2, 0).sum(-1), inliers
-
-
-def _best(
-    models: Tensor, errors: Callable[[Tensor], Tensor], threshold: float, mask: Tensor | None
-) -> tuple[Tensor, Tensor]:
-    """The best of models (B, S, 3, 4), and its inliers (B, N)."""
-    models = models.nan_to_num(0.0)
-    scores, inliers = _score(errors(models), threshold, mask)
-    best = scores.argmax(1)
-    rows = torch.arange(len(models), device=models.device)
-    return models[rows, best], inliers[rows, best]
-
-
-def _better(
-    refit: Tensor,
-    model: Tensor,
-    inliers: Tensor,
+def _estimated(
+    hypotheses: Tensor,
     errors: Callable[[Tensor], Tensor],
+    refit: Callable[[Tensor, Tensor], Tensor],
     threshold: float,
     mask: Tensor | None,
 ) -> tuple[Tensor, Tensor]:
-    """Where a refit of models (B, 3, 4) scores higher, it and its inliers; elsewhere what there was."""
-    both = torch.stack([model, refit.to(model.dtype)], 1).nan_to_num(0.0)
-    scores, of_both = _score(errors(both), threshold, mask)
-    is_better = scores[:, 1] > scores[:, 0]
-    return torch.where(is_better[:, None, None], both[:, 1], model), torch.where(
-        is_better[:, None], of_both[:, 1], inliers
-    )
+    """The best of models (B, S, 3, 4), refined, and its inliers, bool (B, N).
+
+    `errors` gives squared errors (B, S, N), `refit` models (B, 3, 4) of a model and of the points to fit it to. A score is the sum
+    of 1 - e^2 / t^2 over inliers.
+    """
+
+    def scored(models: Tensor) -> tuple[Tensor, Tensor]:
+        e = errors(models)
+        e = e if mask is None else torch.where(mask[:, None], e, torch.inf)
+        return e, torch.where(e <= threshold**2, 1 - e / threshold**2, 0).sum(-1)
+
+    hypotheses = hypotheses.nan_to_num(0.0)
+    e, scores = scored(hypotheses)
+    row, best = torch.arange(len(hypotheses), device=hypotheses.device), scores.argmax(1)
+    model, e, score = hypotheses[row, best], e[row, best], scores[row, best]
+    for width in _WIDTHS:
+        other = refit(model, e <= (width * threshold) ** 2).to(model.dtype).nan_to_num(0.0)
+        other_e, other_score = (x[:, 0] for x in scored(other[:, None]))
+        is_better = other_score > score
+        model = torch.where(is_better[:, None, None], other, model)
+        e, score = torch.where(is_better[:, None], other_e, e), torch.where(is_better, other_score, score)
+    return model, e <= threshold**2

@@ -141,15 +141,16 @@ def real_roots(coeffs: Tensor) -> Tensor:
     roots = _real_roots(p.detach())
     missing = roots.isnan()
     x = torch.where(missing, 0, roots)
-    steep = _value_and_derivative(p.detach().abs(), x.abs())[1]
+    steep = value_and_derivative(p.detach().abs(), x.abs())[1]
     for _ in range(2):
-        value, derivative = _value_and_derivative(p, x)
+        value, derivative = value_and_derivative(p, x)
         simple = derivative.detach().abs() > 1e-7 * steep
         x = x - torch.where(simple, value / torch.where(simple, derivative, 1), 0)
     return torch.where(missing, torch.nan, x).to(coeffs.dtype)
 
 
-def _value_and_derivative(p: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+def value_and_derivative(p: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+    """Polynomials (B, n + 1), highest power first, and their derivatives at x (B, m)."""
     value = torch.zeros_like(x)
     derivative = torch.zeros_like(x)
     for c in p.unbind(-1):
@@ -188,15 +189,15 @@ def _between(p: Tensor, critical: Tensor) -> Tensor:
     """Roots of p in [-1, 1] from those of its derivative. Both are ascending, with NaN at the end."""
     one = p.new_ones(*p.shape[:-1], 1)
     bounds = torch.cat([-one, critical.nan_to_num(1.0), one], -1)
-    value = _value_and_derivative(p, bounds)[0]
-    flat = value.abs() <= _TOUCH * _value_and_derivative(p.abs(), bounds.abs())[0]
+    value = value_and_derivative(p, bounds)[0]
+    flat = value.abs() <= _TOUCH * value_and_derivative(p.abs(), bounds.abs())[0]
     sign = torch.where(flat, 0.0, value.sign())
     low, high = bounds[..., :-1], bounds[..., 1:]
     crosses = sign[..., :-1] * sign[..., 1:] < 0
     rising = sign[..., 1:] > 0
     x = (low + high) / 2
     for _ in range(_STEPS):  # Newton's method, with bisection where a step leaves [low, high]
-        at, derivative = _value_and_derivative(p, x)
+        at, derivative = value_and_derivative(p, x)
         right = (at < 0) == rising
         low, high = torch.where(right, x, low), torch.where(right, high, x)
         step = x - at / torch.where(derivative == 0, 1, derivative)

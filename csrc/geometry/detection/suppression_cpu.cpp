@@ -8,25 +8,16 @@
 namespace kv::geometry::KV_ISA {
 namespace {
 
-template <class V>
-KV_HD V select_min(V a, V b) {
-  return b < a ? b : a;
-}
-template <class V>
-KV_HD V select_max(V a, V b) {
-  return a < b ? b : a;
-}
-
 // Calls f(k) for boxes k from `first` on that may overlap `own`: with lanes, those whose edges cross.
 template <class F, class Function>
 KV_HD void for_each_near(F const* edges, int64_t n, BoxEdges<F> const& own, int64_t first, Function f) {
   constexpr int N = kLanes<F>;
   int64_t k = first;
   for (; k + N <= n; k += N) {
-    auto const low_x = select_max(load<N>(edges + k), broadcast<N>(own.x0));
-    auto const low_y = select_max(load<N>(edges + n + k), broadcast<N>(own.y0));
-    auto const high_x = select_min(load<N>(edges + 2 * n + k), broadcast<N>(own.x1));
-    auto const high_y = select_min(load<N>(edges + 3 * n + k), broadcast<N>(own.y1));
+    auto const low_x = max(load<N>(edges + k), broadcast<N>(own.x0));
+    auto const low_y = max(load<N>(edges + n + k), broadcast<N>(own.y0));
+    auto const high_x = min(load<N>(edges + 2 * n + k), broadcast<N>(own.x1));
+    auto const high_y = min(load<N>(edges + 3 * n + k), broadcast<N>(own.y1));
     if (any_lane((low_x < high_x) & (low_y < high_y)))
       for (int i = 0; i < N; ++i) f(k + i);
   }

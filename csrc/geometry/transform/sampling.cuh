@@ -60,6 +60,15 @@ struct Tile {
     locate(tiles, number);
     if (!coords.has_map()) bind(homography(coords.matrices + b * coords.matrix_stride, coords.use), coords.use.source);
   }
+  // With the image that its sample reads. By all threads, which then see it.
+  template <class Params>
+  __device__ __forceinline__ void init_for_block(TileGrid const& tiles, Params const& p) {
+    if (threadIdx.x == 0) {
+      init(tiles, p.coords);
+      image = p.image_of(b);
+    }
+    __syncthreads();
+  }
 };
 
 // The first pixel of a thread in its tile; the next ones are kRowStep rows further down each. A warp takes 8 x 4

@@ -414,11 +414,15 @@ bool rows_are_aligned(Images<T> const& x) {
 
 // Calls run with whether they do, as a type. float64 has one form, which serves all images.
 template <class T, class Run>
-void with_alignment_of(Images<T> const& x, Run run) {
-  if (sizeof(T) < 8 && rows_are_aligned(x))
+void with_alignment(bool aligned, Run run) {
+  if (sizeof(T) < 8 && aligned)
     run(std::bool_constant<(sizeof(T) < 8)>{});
   else
     run(std::false_type{});
+}
+template <class T, class Run>
+void with_alignment_of(Images<T> const& x, Run run) {
+  with_alignment<T>(rows_are_aligned(x), run);
 }
 
 }  // namespace kv::geometry::cuda

@@ -103,20 +103,16 @@ __device__ __forceinline__ void for_each_time(CoveredPixel<F> const& own, bool v
 }
 
 // Calls tap(row, column, dx, dy) for a thread's taps of a pixel: pixels of the image, negative where there is the fill.
-template <int Across, bool Inside, class T, class F, class Tap>
+template <int Across, class T, class F, class Tap>
 __device__ __forceinline__ void for_each_tap(Sampling<T> const& p, CoveredTaps<F> const& taps, Tap tap) {
   int const part = int(threadIdx.x % 32) / (32 / Across);
 #pragma unroll 1
   for (int j = taps.first_y; j <= taps.last_y; ++j) {
-    int const row = Inside ? j : padded_pixel(p.y_axis, j);
+    int const row = padded_pixel(p.y_axis, j);
     F const dy = F(j) - taps.v;
     for (int i = taps.first_x + part; i <= taps.last_x; i += Across)
-      tap(row, Inside ? i : padded_pixel(p.x_axis, i), F(i) - taps.u, dy);
+      tap(row, padded_pixel(p.x_axis, i), F(i) - taps.u, dy);
   }
-}
-template <int Across, class T, class F, class Tap>
-__device__ __forceinline__ void for_each_tap(Sampling<T> const& p, CoveredTaps<F> const& taps, bool inside, Tap tap) {
-  inside ? for_each_tap<Across, true>(p, taps, tap) : for_each_tap<Across, false>(p, taps, tap);
 }
 
 // Calls tap(weight, offset) for a thread's taps of a pixel in bounds, a column at a time: those beyond the last column

@@ -12,7 +12,7 @@ constexpr int kChannelsTogether = 3;
 template <int Across, int N, class T, class F>
 __device__ __noinline__ void add_carefully(Sample<T> const& p, Tile<F> const& tile, int first,
                                            CoveredTaps<F> const& taps, Footprint<F> const& f, F& total, F (&sums)[N]) {
-  for_each_tap<Across, false>(p, taps, [&](int row, int column, F dx, F dy) {
+  for_each_tap<Across>(p, taps, [&](int row, int column, F dx, F dy) {
     F const w = weight_of(f, dx, dy);
     if (!(w > 0)) return;
     total += w;
@@ -30,11 +30,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 4)
     sample_covered(__grid_constant__ Sample<T> const p, TileGrid tiles) {
   using F = Compute<T>;
   __shared__ Tile<F> tile;
-  if (threadIdx.x == 0) {
-    tile.init(tiles, p.coords);
-    tile.image = p.image_of(tile.b);
-  }
-  __syncthreads();
+  tile.init_for_block(tiles, p);
   int const width = int(p.y.width), height = int(p.y.height), lane = threadIdx.x % 32, x = tile.x + lane;
   TilePixels<F> const pixels(p.coords, tile);
   int const row_stride = int(p.x.row_stride), step = int(p.x.step);

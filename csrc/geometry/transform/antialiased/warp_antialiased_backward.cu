@@ -12,11 +12,7 @@ __global__ void __launch_bounds__(kThreads)
     scatter_covered(__grid_constant__ SampleImageBackward<T> const p, TileGrid tiles) {
   using F = Compute<T>;
   __shared__ Tile<F> tile;
-  if (threadIdx.x == 0) {
-    tile.init(tiles, p.coords);
-    tile.image = p.image_of(tile.b);
-  }
-  __syncthreads();
+  tile.init_for_block(tiles, p);
   int const width = int(p.grad.width), height = int(p.grad.height), x = tile.x + int(threadIdx.x) % 32;
   int64_t const source = p.grad_x.width, plane = p.grad_x.height * source;
   F* const planes = p.sums + tile.image * p.grad_x.channels * plane;
@@ -27,36 +23,37 @@ __global__ void __launch_bounds__(kThreads)
     bool const inside = __all_sync(kAllLanes, own.inside);
     dispatch_across(own, [&](auto threads) {
       constexpr int kThreadsEach = threads.value;
-      for_each_time<kThreadsEach>(
-          own, pixels.varies, [&](int, int lane, CoveredTaps<F> const& taps, Footprint<F> const& f) {
-            F total = 0;
-            for_each_tap_inside<kThreadsEach>(taps, f, 0, 0, [&](F w, int) { total += w; });
-            F const scale = 1 / sum_of_parts<kThreadsEach>(total);
-            int const column_of_grad = tile.x + lane;
-            if (column_of_grad >= width) return;
-            T const* const grad = p.grad.row(tile.b, 0, y) + column_of_grad * p.grad.step;
-            for_each_channel_group<3>(p.grad.channels, [&](int first, auto number) {
-              constexpr int N = number.value;
-              F g[N];
-              F* to[N];
+      for_each_time<kThreadsEach>(own, pixels.varies,
+                                  [&](int, int lane, CoveredTaps<F> const& taps, Footprint<F> const& f) {
+                                    F total = 0;
+                                    for_each_tap_inside<kThreadsEach>(taps, f, 0, 0, [&](F w, int) { total += w; });
+                                    F const scale = 1 / sum_of_parts<kThreadsEach>(total);
+                                    int const column_of_grad = tile.x + lane;
+                                    if (column_of_grad >= width) return;
+                                    T const* const grad = p.grad.row(tile.b, 0, y) + column_of_grad * p.grad.step;
+                                    for_each_channel_group<3>(p.grad.channels, [&](int first, auto number) {
+                                      constexpr int N = number.value;
+                                      F g[N];
+                                      F* to[N];
 #pragma unroll
-              for (int k = 0; k < N; ++k) {
-                g[k] = F(read(grad[(first + k) * p.grad.channel_stride])) * scale;
-                to[k] = planes + (first + k) * plane;
-              }
-              auto const add = [&](F w, int at) {
-                if (!(w > 0)) return;
+                                      for (int k = 0; k < N; ++k) {
+                                        g[k] = F(read(grad[(first + k) * p.grad.channel_stride])) * scale;
+                                        to[k] = planes + (first + k) * plane;
+                                      }
+                                      auto const add = [&](F w, int at) {
+                                        if (!(w > 0)) return;
 #pragma unroll
-                for (int k = 0; k < N; ++k) atomicAdd(to[k] + at, w * g[k]);
-              };
-              if (inside)
-                for_each_tap_inside<kThreadsEach>(taps, f, int(source), 1, add);
-              else
-                for_each_tap<kThreadsEach, false>(p, taps, [&](int row, int column, F dx, F dy) {
-                  if ((row | column) >= 0) add(weight_of(f, dx, dy), row * int(source) + column);
-                });
-            });
-          });
+                                        for (int k = 0; k < N; ++k) atomicAdd(to[k] + at, w * g[k]);
+                                      };
+                                      if (inside)
+                                        for_each_tap_inside<kThreadsEach>(taps, f, int(source), 1, add);
+                                      else
+                                        for_each_tap<kThreadsEach>(p, taps, [&](int row, int column, F dx, F dy) {
+                                          if ((row | column) >= 0)
+                                            add(weight_of(f, dx, dy), row * int(source) + column);
+                                        });
+                                    });
+                                  });
     });
   }
 }
@@ -80,11 +77,7 @@ __global__ void __launch_bounds__(kThreads)
     differentiate_covered(__grid_constant__ AntialiasedCoordsBackward<T> const p, TileGrid tiles) {
   using F = Compute<T>;
   __shared__ Tile<F> tile;
-  if (threadIdx.x == 0) {
-    tile.init(tiles, p.coords);
-    tile.image = p.image_of(tile.b);
-  }
-  __syncthreads();
+  tile.init_for_block(tiles, p);
   int const width = int(p.grad.width), height = int(p.grad.height), lane = threadIdx.x % 32, x = tile.x + lane;
   TilePixels<F> const pixels(p.coords, tile);
   F sums[9] = {};
@@ -96,7 +89,7 @@ __global__ void __launch_bounds__(kThreads)
         own, pixels.varies, [&](int time, int source, CoveredTaps<F> const& taps, Footprint<F> const& f) {
           T const* const grad = p.grad.row(tile.b, 0, y) + min(tile.x + source, width - 1) * p.grad.step;
           TapSums<F> part;
-          for_each_tap<kGradientThreads, false>(p, taps, [&](int row, int column, F dx, F dy) {
+          for_each_tap<kGradientThreads>(p, taps, [&](int row, int column, F dx, F dy) {
             F value = 0;
 #pragma unroll 1
             for (int c = 0; c < p.x.channels; ++c) {

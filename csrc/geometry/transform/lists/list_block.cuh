@@ -4,6 +4,7 @@
 
 #include "geometry/transform/lists/sample_list.h"
 #include "geometry/transform/sampling.cuh"
+#include "geometry/transform/source_tile.cuh"
 
 namespace kv::geometry::cuda {
 namespace {
@@ -24,6 +25,14 @@ struct ListBlock {
     new (memory) ListBlock{sample, tiles};
   }
 };
+
+// Whether the rows of all images of a list begin at whole vectors.
+template <class T>
+bool images_are_aligned(ListedSamples const& list, int channels) {
+  for (int b = 0; b < list.count; ++b)
+    if (!rows_are_aligned(images_of<T>(list.images[b], channels))) return false;
+  return true;
+}
 
 }  // namespace
 }  // namespace kv::geometry::cuda

@@ -23,20 +23,13 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
 template <class T>
 int sample_list(SampleList<T> const& p, CUstream_st* stream) {
   int const channels = p.all.x.channels;
-  bool aligned = true;
-  for (int b = 0; aligned && b < p.list.count; ++b)
-    aligned = rows_are_aligned(images_of<T>(p.list.images[b], channels));
-  auto const launch = [&](auto is_aligned) {
+  with_alignment<T>(images_are_aligned<T>(p.list, channels), [&](auto aligned) {
     dispatch_taps(p.all.interpolation, [&](auto taps) {
-      sample_list_tiles<T, taps.value, is_aligned.value>
-          <<<unsigned(p.list.items), kThreads, SourceTile<T, is_aligned.value>::bytes(channels), stream>>>(
+      sample_list_tiles<T, taps.value, aligned.value>
+          <<<unsigned(p.list.items), kThreads, SourceTile<T, aligned.value>::bytes(channels), stream>>>(
               p, p.tiles_per_block);
     });
-  };
-  if (sizeof(T) < 8 && aligned)
-    launch(std::bool_constant<(sizeof(T) < 8)>{});
-  else
-    launch(std::false_type{});
+  });
   return cudaGetLastError();
 }
 

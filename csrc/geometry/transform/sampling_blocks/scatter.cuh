@@ -107,11 +107,7 @@ __device__ __forceinline__ void scatter_block(SampleImageBackward<T> const& p, T
   constexpr int kCells = Sums<F>::kCells;
   __shared__ Tile<F> tile;
   extern __shared__ __align__(16) unsigned char shared_sums[];
-  if (threadIdx.x == 0) {
-    tile.init(tiles, p.coords);
-    tile.image = p.image_of(tile.b);
-  }
-  __syncthreads();
+  tile.init_for_block(tiles, p);
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32, lane_x = lane % 8, lane_y = lane / 8;
   int const width = int(p.grad.width), height = int(p.grad.height),
             pixels = Sums<F>::channels(p.grad.channels) * kCells;

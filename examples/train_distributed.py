@@ -33,6 +33,7 @@ from typing import Any
 
 import torch
 import torch.distributed as dist
+import torch.distributed.nn  # before the process group exists: see process_group
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 from torch.utils.data import DataLoader, Dataset, Sampler
@@ -367,7 +368,12 @@ class Training:
 
 @contextlib.contextmanager
 def process_group(device: torch.device) -> Iterator[None]:
-    """The processes that torchrun started, or this one alone."""
+    """The processes that torchrun started, or this one alone.
+
+    torch.distributed.nn has the process group of its import as default arguments. DistributedDataParallel imports it, and if
+    that is the first import, the group outlives its destruction: a thread of gloo that lets go of a tensor while Python
+    ends then aborts the process (seen with torch 2.13).
+    """
     backend, own = ("nccl", device) if device.type == "cuda" else ("gloo", None)
     if own:
         torch.cuda.set_device(own)

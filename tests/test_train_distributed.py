@@ -9,10 +9,12 @@ import signal
 import subprocess
 import sys
 import time
+import weakref
 from pathlib import Path
 
 import pytest
 import torch
+import torch.distributed as dist
 
 import kvision as K
 from kvision import _backend
@@ -150,7 +152,16 @@ def test_ranks_share_an_epoch(monkeypatch: pytest.MonkeyPatch) -> None:
     assert alone[:3] != alone[3:]
 
 
-def test_images_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_images_of_a_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    groups, init = [], dist.init_process_group
+
+    def init_and_watch(*arguments: object, **options: object) -> None:
+        init(*arguments, **options)
+        groups.append(weakref.ref(dist.group.WORLD))
+
+    monkeypatch.setattr(dist, "init_process_group", init_and_watch)
     for label, name in enumerate(("dark", "bright")):
         (tmp_path / "data" / name).mkdir(parents=True)
         for i in range(6):
@@ -159,6 +170,8 @@ def test_images_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     options = ["--data", str(tmp_path / "data"), *SMALL, "--steps", "3", "--every", "1", "--workers", "1"]
     checkpoint = ["--checkpoint", str(tmp_path / "checkpoint"), "--out", str(tmp_path)]
     assert example("train_distributed").main([*options, *checkpoint]) == 0
+    (group,) = groups
+    assert group() is None  # its threads have ended before Python does
     printed = capsys.readouterr().out
     assert printed.startswith("1 ranks by gloo, small, 4 images a rank\n") and "step 3/3 loss" in printed
     assert printed.endswith(f"the checkpoint is {tmp_path / 'checkpoint' / 'checkpoint.pt'}\n")

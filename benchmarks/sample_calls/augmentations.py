@@ -28,6 +28,9 @@ class Augmentation:
     one_kernel: bool = False  # a parameter is shared by the samples of a batch
     all_or_none: bool = False  # p is that of a batch
     warps: bool = False  # interpolates
+    composed: bool = (
+        False  # of operations of torch and of operators alone, so that a few stand for all where tests are slow
+    )
 
     def make(self, **kwargs: Any) -> Any:
         if self.name == "PadTo":
@@ -37,6 +40,7 @@ class Augmentation:
 
 COLOR = dict(any_channels=False)
 SIZED = dict(fixed=True, changes_size=True)
+COMPOSED = dict(composed=True)
 STATISTICS = [0.5, 0.4, 0.3], [0.2, 0.3, 0.4]
 GEOMETRIC = [
     Augmentation("RandomAffine", (30.0, (0.1, 0.2), (0.8, 1.2), 10.0)),
@@ -103,7 +107,16 @@ INTENSITY = [
     Augmentation("RandomRain", ((10, 20), (3, 6), (-3, 3))),
     Augmentation("RandomSnow", ((0.3, 0.7), (1.0, 2.0)), gradient=False, **COLOR),
 ]
-IMAGES = [*GEOMETRIC, *MAPS, *INTENSITY]
+OCCLUSION = [
+    Augmentation("CoarseDropout", ((2, 5), (2, 5), (0.1, 0.4)), **COMPOSED),
+    Augmentation("FrequencyMasking", (9,), **COMPOSED),
+    Augmentation("GridDropout", (0.5,), {"unit_size_range": (4, 6)}, **COMPOSED),
+    Augmentation("GridMask", ((2, 4), (0.2, 0.5), (-0.5, 0.5)), **COMPOSED),
+    Augmentation("PixelDropout", (0.3,), {"per_channel": True, "drop_value": "random"}, **COMPOSED),
+    Augmentation("TimeMasking", (9,), **COMPOSED),
+    Augmentation("XYMasking", ((1, 2), (0, 2), (1, 4), (0.1, 0.2)), **COMPOSED),
+]
+IMAGES = [*GEOMETRIC, *MAPS, *INTENSITY, *OCCLUSION]
 FLIPS3D = [Augmentation(f"Random{way}Flip3D", fixed=True) for way in ("Horizontal", "Vertical", "Depthical")]
 GEOMETRIC3D = [
     Augmentation("RandomAffine3D", (30.0, (0.1, 0.2, 0.1), (0.8, 1.2), 10.0), warps=True),

@@ -9,6 +9,7 @@ import io
 import json
 import os
 import pickle
+import random
 from typing import Any
 
 import pytest
@@ -31,7 +32,12 @@ BASES = (
 )
 THOROUGH = os.environ.get("HYPOTHESIS_PROFILE") == "thorough"
 RANDOM = [case for case in IMAGES if not case.fixed]
+COMPOSED = [case for case in IMAGES if case.composed]
+SLOW = [c for c in IMAGES if not c.composed] + (
+    COMPOSED if THOROUGH else random.Random(1).sample(COMPOSED, len(COMPOSED) // 10 or 1)
+)
 names = pytest.mark.parametrize("case", IMAGES, ids=lambda case: case.name)
+slow_names = pytest.mark.parametrize("case", SLOW, ids=lambda case: case.name)
 random_names = pytest.mark.parametrize("case", RANDOM, ids=lambda case: case.name)
 
 
@@ -305,7 +311,7 @@ def test_pickles_and_copies(case: Augmentation) -> None:
 
 
 @pytest.mark.derivatives
-@names
+@slow_names
 def test_gradient_of_images(case: Augmentation) -> None:
     if not case.gradient:
         pytest.skip("jumps")
@@ -350,7 +356,7 @@ def test_return_transform(case: Augmentation) -> None:
 
 
 @pytest.mark.tracing
-@names
+@slow_names
 def test_compiles(case: Augmentation) -> None:
     """Two graphs serve all sizes and seeds, also of many classes in a process; one more draws what eager calls draw."""
     if case.one_kernel:
@@ -358,7 +364,7 @@ def test_compiles(case: Augmentation) -> None:
     augment, backend = case.make(**({} if case.changes_size else {"p": 0.7})), CompileCounterWithBackend("aot_eager")
     compiled = torch.compile(augment, fullgraph=True, backend=backend)
     sizes = [(2, 18, 21), (3, 20, 24), (5, 33, 22), (4, 19, 32)]
-    if "Plasma" in case.name and not THOROUGH:  # tens of seconds
+    if ("Plasma" in case.name or case.composed) and not THOROUGH:  # tens of seconds
         torch.compiler.reset()
         sizes = sizes[:1]
     for seed, (batch, *size) in enumerate(sizes):

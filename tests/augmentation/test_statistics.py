@@ -182,6 +182,32 @@ def erasing(params: dict[str, Tensor], columns: Tensor) -> Variates:
     }
 
 
+def holes(params: dict[str, Tensor], columns: Tensor) -> Variates:
+    """The first two of holes, of which there are two at least."""
+    x, y, w, h = params["holes"].double()[:, :2].unbind(2)
+    side = 4096
+    return {
+        "num_holes": (params["num_holes"], Integers(2, 5)),
+        "holes.width": (w[:, 0] / side, Uniform(0.2, 0.4, 1e-3)),
+        "holes.height": (h[:, 1] / side, Uniform(0.1, 0.3, 1e-3)),
+        "holes.x": ((x[:, 0] + 0.5) / (side - w[:, 0] + 1), Uniform(0, 1)),
+        "holes.y": ((y[:, 1] + 0.5) / (side - h[:, 1] + 1), Uniform(0, 1)),
+    }
+
+
+def stripe(axis: int) -> Callable[[dict[str, Tensor], Tensor], Variates]:
+    """One stripe of up to 3000 of 4096 pixels."""
+
+    def variates(params: dict[str, Tensor], columns: Tensor) -> Variates:
+        first, length = params["holes"].double()[:, 0, axis], params["holes"].double()[:, 0, axis + 2]
+        return {
+            "holes.length": ((length + 0.5) / 3001, Uniform(0, 1)),
+            "holes.start": ((first + 0.5) / (4097 - length), Uniform(0, 1)),
+        }
+
+    return variates
+
+
 def crop(params: dict[str, Tensor], columns: Tensor) -> Variates:
     return {
         f"src.{axis}": (params["src"][:, 0, i], Integers(0, last)) for i, axis, last in ((0, "x", 13), (1, "y", 11))
@@ -401,6 +427,42 @@ SPECS = {
     "RandomSnow": Spec(
         lambda p: A.RandomSnow((0.3, 0.7), (1.0, 2.0), p=p),
         plain(snow_coefficient=Uniform(0.3, 0.7), brightness=Uniform(1, 2)),
+    ),
+    "CoarseDropout": Spec(
+        lambda p: A.CoarseDropout((2, 5), (0.1, 0.3), (0.2, 0.4), p=p), holes, LARGE, ("holes.x", "holes.y")
+    ),
+    "FrequencyMasking": Spec(lambda p: A.FrequencyMasking(3000, p=p), stripe(1), LARGE, ("holes.start",)),
+    "GridDropout": Spec(
+        lambda p: A.GridDropout(unit_size_range=(4, 8), p=p),
+        pixels("offsets", lambda: Uniform(0, 1), (0, 0, 0), (1, 0, 0), (0, 3, 4), unit_size=Integers(4, 8)),
+    ),
+    "GridMask": Spec(
+        lambda p: A.GridMask((2, 5), (0.2, 0.4), (-0.5, 0.5), p=p),
+        plain(
+            num_grid=Integers(2, 5),
+            line_width=Uniform(0.2, 0.4),
+            rotation=Uniform(-0.5, 0.5),
+            offset_x=Uniform(0, 1),
+            offset_y=Uniform(0, 1),
+        ),
+    ),
+    "PixelDropout": Spec(
+        lambda p: A.PixelDropout((0.1, 0.4), drop_value="random", p=p),
+        lambda params, columns: {
+            **pixels("noise", lambda: Uniform(0, 1), (0, 0, 0), (0, 1, 2))(params, columns),
+            **pixels("fill", lambda: Uniform(0, 1), (0, 0, 0), (2, 1, 2))(params, columns),
+            **plain(dropout_prob=Uniform(0.1, 0.4))(params, columns),
+        },
+        SMALL,
+    ),
+    "TimeMasking": Spec(lambda p: A.TimeMasking(3000, p=p), stripe(0), LARGE, ("holes.start",)),
+    "XYMasking": Spec(
+        lambda p: A.XYMasking((0, 2), (1, 3), (0.1, 0.3), (0.1, 0.3), p=p),
+        lambda params, columns: {
+            **plain(num_masks_x=Integers(0, 2), num_masks_y=Integers(1, 3))(params, columns),
+            "holes.length": (params["holes"][:, 2, 3].double() / 4096, Uniform(0.1, 0.3, 1e-3)),
+        },
+        LARGE,
     ),
     "RandomAffine3D": Spec(lambda p: A.RandomAffine3D(30.0, (0.1, 0.2, 0.1), (0.8, 1.2), 10.0, p=p), affine3d, VOLUME),
     "RandomRotation3D": Spec(

@@ -66,6 +66,15 @@ from kvision.augmentation.mix import (
     RandomMosaic,
 )
 from kvision.augmentation.normalize import Denormalize, Normalize
+from kvision.augmentation.occlusion import (
+    CoarseDropout,
+    FrequencyMasking,
+    GridDropout,
+    GridMask,
+    PixelDropout,
+    TimeMasking,
+    XYMasking,
+)
 from kvision.augmentation.perspective import RandomPerspective
 from kvision.augmentation.plasma import RandomPlasmaBrightness, RandomPlasmaContrast, RandomPlasmaShadow
 from kvision.augmentation.random_noise import RandomGaussianNoise, RandomSaltAndPepperNoise
@@ -93,13 +102,17 @@ __all__ = [
     "AugmentationSequential",
     "CenterCrop",
     "CenterCrop3D",
+    "CoarseDropout",
     "ColorJiggle",
     "ColorJitter",
     "ColorStep",
     "Denormalize",
     "FiveCrop",
+    "FrequencyMasking",
     "GeometricAugmentationBase2D",
     "GeometricAugmentationBase3D",
+    "GridDropout",
+    "GridMask",
     "ImageSequential",
     "IntensityAugmentationBase2D",
     "IntensityAugmentationBase3D",
@@ -114,6 +127,7 @@ __all__ = [
     "PadTo",
     "PatchMix",
     "PatchSequential",
+    "PixelDropout",
     "RandomAffine",
     "RandomAffine3D",
     "RandomAutoContrast",
@@ -182,9 +196,11 @@ __all__ = [
     "RigidAffineAugmentationBase3D",
     "SmallestMaxSize",
     "TenCrop",
+    "TimeMasking",
     "Transform",
     "Transpose",
     "VideoSequential",
+    "XYMasking",
     "auto",
     "container",
     "from_json",

@@ -228,3 +228,9 @@ class PixelNoise(NamedTuple):
         parameters[:, 0].zero_()
         noise: Tensor = uniform_noise(zero, parameters, *self.arguments(map))
         return noise
+
+    def normal(self, shape: Sequence[int], map: int = 0) -> Tensor:
+        """Standard normal noise (B, C, H, W), float32."""
+        zero = torch.zeros(tuple(shape), device=self.device)
+        noise: Tensor = gaussian_noise(zero, constant(((0.0, 1.0),), zero), *self.arguments(map))
+        return noise

@@ -217,6 +217,36 @@ def _numbers(op: str, name: str, value: Any) -> list[float]:
     return numbers
 
 
+def parse_integers(op: str, name: str, value: Any, lowest: int | None = None) -> tuple[int, int]:
+    """A pair of ints in ascending order, of at least `lowest`."""
+    if isinstance(value, Tensor):
+        value = value.tolist()
+    if not isinstance(value, (tuple, list)) or len(value) != 2 or any(int(n) != n for n in value):
+        raise TypeCheckError(f"{op}: expected {name} to be a pair of ints, got {value!r}")
+    low, high = int(value[0]), int(value[1])
+    if low > high or (lowest is not None and low < lowest):
+        bound = "" if lowest is None else f" of at least {lowest}"
+        raise ValueCheckError(f"{op}: expected {name} in ascending order{bound}, got {value}")
+    return low, high
+
+
+def fill_value(op: str, name: str, value: Any) -> float | list[float] | str:
+    """What erased pixels get: a number within 0 and 1, a list of one of each channel, or 'random' for uniform noise."""
+    if isinstance(value, str):
+        if value != "random":
+            raise ValueCheckError(
+                f"{op}: expected {name} to be a number, one of each channel, or 'random', got {value!r}"
+            )
+        return value
+    if isinstance(value, Tensor):
+        value = value.tolist()
+    each = list(value) if isinstance(value, Sequence) else [value]
+    if not each:
+        raise ValueCheckError(f"{op}: expected {name} to be a number, or one of each channel, got {value!r}")
+    numbers = [parse(op, name, (number, number), bounds=(0.0, 1.0)).low for number in each]
+    return numbers if isinstance(value, Sequence) else numbers[0]
+
+
 def fill(op: str, name: str, value: Any) -> Any:
     """The value out of bounds as it is; raise unless it is None, a number, or one of each channel, also of each sample."""
     if value is not None:

@@ -13,7 +13,7 @@ from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
-from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.core.exceptions import ShapeError
 
 __all__ = ["RectangleEraseGenerator"]
 
@@ -44,20 +44,8 @@ class RectangleEraseGenerator(RandomGeneratorBase):
         op, unbounded = "RandomErasing", (0.0, float("inf"))
         self._scale = ranges.parse(op, "scale", scale, bounds=unbounded)
         self._ratio = ranges.parse(op, "ratio", ratio, bounds=(1e-6, float("inf")))
-        self.per_pixel = isinstance(value, str) and value == "random"
-        if isinstance(value, str) and not self.per_pixel:
-            raise ValueCheckError(
-                f"{op}: expected value to be a number, one of each channel, or 'random', got {value!r}"
-            )
-        if isinstance(value, Tensor):
-            value = value.tolist()
-        self.value: float | list[float] | str = value
-        if not self.per_pixel:
-            each = list(value) if isinstance(value, Sequence) else [value]
-            if not each:
-                raise ValueCheckError(f"{op}: expected value to be a number, or one of each channel, got {value!r}")
-            numbers = [ranges.parse(op, "value", (number, number), bounds=(0.0, 1.0)).low for number in each]
-            self.value = numbers if isinstance(value, Sequence) else numbers[0]
+        self.value = ranges.fill_value(op, "value", value)
+        self.per_pixel = self.value == "random"
 
     def draws(self, shape: Shape) -> Sequence[Any]:
         if isinstance(self.value, list) and len(self.value) != shape[1]:

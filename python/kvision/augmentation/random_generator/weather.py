@@ -7,10 +7,10 @@ from typing import Any
 
 from torch import Tensor
 
+from kvision.augmentation import ranges
 from kvision.augmentation.draws import integer
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
-from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = ["RainGenerator"]
 
@@ -41,9 +41,9 @@ class RainGenerator(RandomGeneratorBase):
 
     def __init__(self, number_of_drops: Any, drop_height: Any, drop_width: Any) -> None:
         super().__init__()
-        self.number_of_drops = _integers("number_of_drops", number_of_drops, 0)
-        self.drop_height = _integers("drop_height", drop_height, 1)
-        self.drop_width = _integers("drop_width", drop_width, None)
+        self.number_of_drops = ranges.parse_integers("RandomRain", "number_of_drops", number_of_drops, 0)
+        self.drop_height = ranges.parse_integers("RandomRain", "drop_height", drop_height, 1)
+        self.drop_width = ranges.parse_integers("RandomRain", "drop_width", drop_width)
 
     def draws(self, shape: Shape) -> Sequence[Any]:
         return [
@@ -59,15 +59,3 @@ class RainGenerator(RandomGeneratorBase):
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
         positions = noise.uniform((shape[0], 1, max(self.number_of_drops[1], 1), 2))
         return {"coordinates_factor": positions[:, 0].float()}
-
-
-def _integers(name: str, value: Any, lowest: int | None) -> tuple[int, int]:
-    if isinstance(value, Tensor):
-        value = value.tolist()
-    if not isinstance(value, (tuple, list)) or len(value) != 2 or any(int(n) != n for n in value):
-        raise TypeCheckError(f"RandomRain: expected {name} to be a pair of ints, got {value!r}")
-    low, high = int(value[0]), int(value[1])
-    if low > high or (lowest is not None and low < lowest):
-        bound = "" if lowest is None else f" of at least {lowest}"
-        raise ValueCheckError(f"RandomRain: expected {name} in ascending order{bound}, got {value}")
-    return low, high

@@ -1,0 +1,62 @@
+"""What augmentations that drop parts of images share: the fill, and masks that lose the same parts."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._constants import constant
+from kvision._dtype import compute_dtype
+from kvision.augmentation import ranges
+from kvision.augmentation.engine import Execution, Params
+from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.core.exceptions import ShapeError
+
+
+class DropoutBase(IntensityAugmentationBase2D, keeps_contract=True):
+    """Base of augmentations that fill parts of images, which :meth:`is_dropped` says, and the same parts of masks.
+
+    `fill` is a number within 0 and 1, one of each channel, or 'random' for the uniform noise of the parameter `fill`;
+    `fill_mask` is the value of masks, None to leave them as they are.
+    """
+
+    fill_names: ClassVar[tuple[str, str]] = ("fill", "fill_mask")  # of the arguments
+
+    def __init__(self, fill: Any, fill_mask: float | None, **options: Any) -> None:
+        super().__init__(**options)
+        op, (name, mask_name) = type(self).__name__, self.fill_names
+        self.fill = ranges.fill_value(op, name, fill)
+        self.fill_mask = None if fill_mask is None else _check.number(op, mask_name, fill_mask)
+
+    def is_dropped(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
+        """Which pixels of images of a shape are dropped, bool (B, 1, H, W) or (B, C, H, W)."""
+        raise NotImplementedError(f"{type(self).__name__}.is_dropped")
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        dropped = self.is_dropped(params, tuple(input.shape), input.device)
+        most = 255 if input.dtype == torch.uint8 else 1
+        if isinstance(self.fill, float):
+            return input.masked_fill(dropped, round(most * self.fill) if most == 255 else self.fill)
+        if isinstance(self.fill, str):
+            values = most * params["fill"].to(compute_dtype(input))
+        elif len(self.fill) != input.shape[1]:
+            op = type(self).__name__
+            raise ShapeError(f"{op}: expected {self.fill_names[0]} of {input.shape[1]} channels, got {len(self.fill)}")
+        else:
+            each = constant(tuple(most * value for value in self.fill), input, compute_dtype(input))
+            values = each[:, None, None]
+        return torch.where(dropped, (values.round() if most == 255 else values).to(input.dtype), input)
+
+    def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if not execution.applied or self.fill_mask is None:
+            return super().transform_masks(masks, execution, flags)
+        params = self._params_on_device(masks, execution)
+        dropped = self.is_dropped(params, execution.shape, masks.device).any(1, keepdim=True)
+        if execution.chosen is not None:
+            dropped = dropped & execution.chosen.to(masks.device)[:, None, None, None].bool()
+        return masks.masked_fill(dropped, flags.get("mask_fill", self.fill_mask))

@@ -1,0 +1,63 @@
+"""Single pixels that are dropped from images."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.augmentation import ranges
+from kvision.augmentation.engine import Params
+from kvision.augmentation.occlusion.dropout_base import DropoutBase
+from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
+from kvision.augmentation.random_generator.occlusion import fill_maps
+
+
+class PixelDropout(DropoutBase, keeps_contract=True):
+    """Set random pixels to a value. Masks stay as they are, unless they get a value as well.
+
+    Args:
+        dropout_prob: probability that a pixel is dropped: a number, or a pair within 0 and 1.
+        per_channel: channels lose pixels of their own; masks lose those that any channel loses.
+        drop_value: the value, within 0 and 1: a number, one of each channel, or 'random' for uniform noise.
+        mask_drop_value: the value of masks at dropped pixels; None leaves masks as they are.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: an argument does not have the form in Args, or is out of bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.PixelDropout(1.0, drop_value=0.5, p=1.0)(torch.zeros(1, 1, 1, 2))
+        tensor([[[[0.5000, 0.5000]]]])
+    """
+
+    fill_names = ("drop_value", "mask_drop_value")
+
+    def __init__(
+        self,
+        dropout_prob: Any = 0.01,
+        per_channel: bool = False,
+        drop_value: Any = 0.0,
+        mask_drop_value: float | None = None,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(drop_value, mask_drop_value, p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        op = "PixelDropout"
+        channels = None if _check.switch(op, "per_channel", per_channel) else 1
+        probability = ranges.as_pair(dropout_prob)
+        self._param_generator = MappedGenerator(
+            (probability, "dropout_prob", None, (0.0, 1.0)),
+            maps={**fill_maps(self.fill), "noise": NoiseMap(size=(channels, None, None))},
+            op=op,
+        )
+
+    def is_dropped(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
+        return params["noise"].to(device) < params["dropout_prob"].to(device)[:, None, None, None]

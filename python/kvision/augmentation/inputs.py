@@ -47,7 +47,7 @@ def is_image_list(module: Any, input: Any) -> bool:
     """Whether an input is a list of images (C, H, W), for a container that takes them."""
     if not isinstance(input, list) or not input or not getattr(module, "takes_lists", False):
         return False
-    return all(isinstance(x, Tensor) and x.dim() == 3 for x in input)
+    return all((type(x) is Tensor or isinstance(x, Tensor)) and x.dim() == 3 for x in input)
 
 
 def check_image(module: Any, x: Any) -> None:

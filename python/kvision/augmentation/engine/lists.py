@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -25,26 +25,46 @@ from kvision.augmentation.maps import exact, warp_each
 from kvision.augmentation.transforms import KINDS as TRANSFORMS
 from kvision.augmentation.transforms import Transform, _transform_matrix
 from kvision.core.exceptions import ShapeError, TypeCheckError
-from kvision.geometry.transform.lists.arguments import largest_shape, like_batch, sizes
+from kvision.geometry.transform.lists.arguments import like_batch
 
-_SIZES = ((37, 53), (91, 67))  # of images whose results show whether all sizes give one
+_SIZES = ((40037, 53003), (91009, 67003))  # of images that show what depends on their size; larger than any crop
 
 
-def takes_lists(module: Any) -> bool:
-    """Whether an augmentation gives images of any sizes one size, in every call."""
+class ListPlan(NamedTuple):
+    """What an augmentation does to images of any sizes, of which all results have one."""
+
+    size: tuple[int, int]  # of the results
+    chain: Sequence[Transform] | None  # of the matrix; None if it depends on the size
+
+
+def list_plan(module: Any) -> ListPlan | None:
+    """The plan of an augmentation for lists; None if it does not give images of any sizes one size, in every call."""
+    kept: tuple[ListPlan | None] | None = module._plans.get("list") if hasattr(module, "_plans") else (None,)
+    if kept is None:
+        kept = (_list_plan(module),)
+        module._plans.keep("list", kept)
+    return kept[0]
+
+
+def _list_plan(module: Any) -> ListPlan | None:
     if not hasattr(module, "_warp_list") or module._is_customized() or module._draws_by_name:
-        return False
-    if not module.whole_batch or module.p_batch < 1 or module.matrix_transforms((1, 3, 37, 53), module.flags) is None:
-        return False
-    first, second = (tuple(module.output_size((1, 3, *size), module.flags)) for size in _SIZES)
-    return first == second
+        return None
+    shapes, flags = [(1, 3, *size) for size in _SIZES], module.flags
+    if not module.whole_batch or module.p_batch < 1 or module.matrix_transforms(shapes[0], flags) is None:
+        return None
+    first, second = (tuple(module.output_size(shape, flags)) for shape in shapes)
+    if first != second:
+        return None
+    chains = [module.matrix_transforms(shape, flags) for shape in shapes]
+    formulas = [[(transform.kind, transform.inputs) for transform in chain] for chain in chains]
+    return ListPlan((int(first[0]), int(first[1])), chains[0] if formulas[0] == formulas[1] else None)
 
 
 def check_start(op: str, children: Sequence[Child], once: bool) -> Any:
     """The first child; raise unless it makes a list of images a batch."""
     if once:
         raise TypeCheckError(f"{op}: expected a batch for resample='once', got a list of images")
-    if not children or not takes_lists(children[0].module):
+    if not children or list_plan(children[0].module) is None:
         got = type(children[0].module).__name__ if children else "no child"
         raise TypeCheckError(
             f"{op}: expected a list of images to meet an augmentation of a fixed size and p=1 first, as RandomResizedCrop or "
@@ -102,10 +122,10 @@ class ListWarp(Warp):
 class ListExecution(Execution):
     """The call of the first augmentation on a list; its parameters are read from the device when they are asked for."""
 
-    def __init__(self, images: Sequence[Tensor], module: Any, values: Tensor) -> None:
-        self._sizes, self._module, self._values = sizes(images), module, values
+    def __init__(self, shapes: Sequence[tuple[int, ...]], sizes: Sequence[int], module: Any, values: Tensor) -> None:
+        self._sizes, self._module, self._values = sizes, module, values
         self._named: dict[str, Any] | None = None
-        super().__init__(largest_shape(images))
+        super().__init__((*shapes[0][:2], max(sizes[::2]), max(sizes[1::2])))
 
     @property
     def params(self) -> Any:
@@ -128,8 +148,9 @@ def execute_list(
     images: Sequence[Tensor], child: Child, module: Any, keys: Keys | None, position: int
 ) -> tuple[Tensor, ListWarp]:
     """The batch that the first augmentation makes of a list, and what labels have to follow."""
+    own, flags, like = list_plan(module), module.flags, like_batch(images)
+    assert own is not None
     shapes = [(len(images), *x.shape) for x in images]
-    flags, like = module.flags, like_batch(images)
     span = Span(0, 0, False)
     values = torch.empty(len(images), 0, device=like.device)
     generator = module._param_generator
@@ -140,17 +161,15 @@ def execute_list(
     if values.shape[1]:
         span = Span(0, values.shape[1], False)
     values = values.to(compute_dtype(like))
-    chains = [module.matrix_transforms(shape, flags) for shape in shapes]
-    if all(chain == chains[0] for chain in chains):  # as those of crops, which depend on what is drawn alone
-        chains = chains[:1]
+    chains = [own.chain] if own.chain is not None else [module.matrix_transforms(shape, flags) for shape in shapes]
     matrix = _matrix(values, [module._bound(chain, span) for chain in chains])
-    size = [int(n) for n in module.output_size(shapes[0], flags)]
-    batch = module._warp_list(list(images), matrix, size, flags)
-    execution = ListExecution(images, module, values)
+    batch = module._warp_list(list(images), matrix, list(own.size), flags)
+    sides = [n for shape in shapes for n in shape[2:]]
+    execution = ListExecution(shapes, sides, module, values)
     execution.columns, execution.matrix, execution.is_certain = Columns(values, span), matrix, True
     execution.identity = matrix_type(like)
     child.record = module.__dict__["_execution"] = execution
-    return batch, ListWarp(matrix, sizes(images), size, module.resampling(flags))
+    return batch, ListWarp(matrix, sides, list(own.size), module.resampling(flags))
 
 
 def _draw(like: Tensor, requests: Sequence[Request], keys: Keys, position: int) -> Tensor:

@@ -21,8 +21,11 @@ def check_list(op: str, name: str, images: Any) -> None:
     if not images:
         raise ShapeError(f"{op}: expected {name} with at least one image, got an empty list")
     first = images[0]
+    _check.shape(op, f"{name}[0]", first, "C", "H", "W")
+    if _is_uniform(images):
+        return
     for i, x in enumerate(images):
-        if type(x) is not Tensor or x.dim() != 3 or 0 in x.shape[1:] or i == 0:
+        if type(x) is not Tensor or x.dim() != 3 or 0 in x.shape[1:]:
             _check.shape(op, f"{name}[{i}]", x, "C", "H", "W")
             if 0 in x.shape[1:]:
                 raise ShapeError(
@@ -36,6 +39,18 @@ def check_list(op: str, name: str, images: Any) -> None:
             )
         if x.device != first.device:
             raise DeviceError(f"{op}: expected {name} on one device, got {first.device} and, at {i}, {x.device}")
+
+
+def _is_uniform(images: Sequence[Any]) -> bool:
+    """Whether nothing is wrong with a list: what a call asks of each image takes a third of the time of saying what it is."""
+    dtype, channels = images[0].dtype, images[0].shape[0]
+    for x in images:
+        if type(x) is not Tensor or x.dtype is not dtype:
+            return False
+        shape = x.shape
+        if len(shape) != 3 or shape[0] != channels or 0 in (shape[1], shape[2]):
+            return False
+    return len({x.device for x in images}) == 1
 
 
 def refuse_antialias(op: str, antialias: bool) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import warnings
+from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
 
 import torch
@@ -35,11 +38,24 @@ class RangeWarning(UserWarning):
 
 class _Hints:
     are_on = os.environ.get("KVISION_HINTS") != "0"
+    are_kept_back = ContextVar("are_kept_back", default=False)
+
+
+@contextlib.contextmanager
+def without_hints() -> Iterator[None]:
+    """No hints from calls inside, as of a rule of vmap, which torch calls outside of the transform."""
+    token = _Hints.are_kept_back.set(True)
+    try:
+        yield
+    finally:
+        _Hints.are_kept_back.reset(token)
 
 
 def look_at_range(image: Tensor) -> None:
     """Warn if the values of an image that is clamped to [0, 1] are those of bytes. To be called where time does not matter."""
-    if not _Hints.are_on or type(image) not in (Tensor, nn.Parameter) or not _check.values_are_readable(image):
+    if not _Hints.are_on or _Hints.are_kept_back.get():
+        return
+    if type(image) not in (Tensor, nn.Parameter) or not _check.values_are_readable(image):
         return
     if not image.is_cpu or not image.is_floating_point() or not 0 < image.numel() <= _MOST_VALUES:
         return

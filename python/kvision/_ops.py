@@ -28,12 +28,13 @@ from kvision import _backend
 from kvision._backend import backend, current_backend, unserved_devices
 from kvision._dtype import is_autocast_on
 from kvision._gradients import compile_words
-from kvision._hints import look_at_range
+from kvision._hints import look_at_range, without_hints
 from kvision._symbolic import are_symbolic, kernel_of_tensors
 from kvision._torch_compat import (
     before_first_lookup,
     below_autograd,
     carry_tangents,
+    compiling,
     constant_in_graphs,
     find_operator,
     function_caller,
@@ -351,10 +352,14 @@ class Operator:
             with below_autograd():
                 return operator._call_kernel(*args)
 
+        def backward_of_symbols(ctx: Any, *grads: Tensor) -> Any:
+            with compiling() if are_symbolic(ctx.plain) else contextlib.nullcontext():
+                return self._backward(ctx, *grads)
+
         rules = {
             "forward": call or forward,
             "setup_context": self._setup_context,
-            "backward": self._backward,
+            "backward": backward_of_symbols if call else self._backward,
             "jvp": self._jvp,
             "vmap": functools.partial(self._vmap, self),
         }
@@ -369,6 +374,7 @@ class Operator:
     def _sizes(self, *args: Any) -> Any:
         return args[0].shape if self._fake_sizes is None else self._fake_sizes(*args)
 
+    @without_hints()
     def _vmap(self, call: Callable[..., Any], info: Any, in_dims: tuple[Any, ...], *args: Any) -> tuple[Any, Any]:
         """One call for all n elements if it gives their results one after the other, else a call for each."""
         n = info.batch_size

@@ -6,10 +6,11 @@ a private one, and tools/test_torch_versions.py runs the core of the suite on th
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import torch
@@ -35,6 +36,7 @@ __all__ = [
     "before_first_lookup",
     "below_autograd",
     "carry_tangents",
+    "compiling",
     "constant_in_graphs",
     "find_operator",
     "full",
@@ -254,6 +256,19 @@ def _in_transform(*types: TransformType) -> bool:
 def in_derivative_transform() -> bool:
     """Whether torch.func.grad, vjp or jvp is active, and not only vmap. Waits for a public predicate in torch.func."""
     return in_function_transform() and _in_transform(TransformType.Grad, TransformType.Jvp)
+
+
+@contextlib.contextmanager
+def compiling() -> Iterator[None]:
+    """torch.compiler.is_compiling() inside, where autograd is traced for a graph.
+
+    Waits for torch 2.13 to be the oldest, whose compiler itself sets it until a graph is compiled.
+    """
+    previous, torch.compiler._is_compiling_flag = torch.compiler._is_compiling_flag, True
+    try:
+        yield
+    finally:
+        torch.compiler._is_compiling_flag = previous
 
 
 def is_exporting() -> bool:

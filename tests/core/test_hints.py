@@ -72,6 +72,8 @@ def test_values_of_bytes_are_named_once_with_the_line_of_the_call(call: Callable
         lambda: K.enhance.equalize(IMAGE.byte()),
         lambda: K.enhance.equalize(IMAGE[:0]),
         lambda: K.enhance.equalize(IMAGE.new_full((1, 1, 1025, 1024), 9.0)),
+        lambda: torch.vmap(lambda x: K.enhance.adjust_gamma(x, 2.0))(IMAGE),
+        lambda: torch.vmap(torch.func.grad(lambda x: K.enhance.adjust_saturation(x, 2.0).sum()))(IMAGE),
     ],
 )
 def test_other_images_and_operators_are_not(call: Callable[[], Any]) -> None:

@@ -7,8 +7,9 @@
 //               again. A new step takes the next number, in a new line at the end.
 //   parameters  How many numbers the step takes. steps.h explains them next to the formula.
 //   domain      rgb: the step needs three channels. any: it computes every value alone, in the same way for all
-//   channels. arguments   numbers: parameters are the same for all samples. tensors: each may be a tensor, with a
-//   gradient. channels    same: as many channels as before. one: the result has one channel, so the step comes last.
+//               channels.
+//   arguments   numbers: parameters are the same for all samples. tensors: each may be a tensor, with a gradient.
+//   channels    same: as many channels as before. one: the result has one channel, so the step comes last.
 //   affine      always: the Jacobian is the same for all pixels. unless_clipped: it is if the last parameter, which
 //               says whether the result is clipped to [0, 1], is 0. never: it depends on the pixel.
 #pragma once

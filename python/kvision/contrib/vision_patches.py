@@ -16,7 +16,8 @@ from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision._modes import BORDER, INTERPOLATION
 from kvision._ops import FastPath
-from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.geometry.transform.lists.arguments import check_list
 from kvision.geometry.transform.resize import resized
 
 
@@ -327,21 +328,10 @@ def _images(op: str, images: Any) -> list[Tensor]:
         if images.shape[1] == 0:
             raise ShapeError(f"{op}: expected images with channels, got {tuple(images.shape)}")
         return [images]
-    if not images:
-        raise ValueCheckError(f"{op}: expected a list with at least one image, got an empty list")
-    first = images[0]
-    for i, x in enumerate(images):
-        name = f"images[{i}]"
-        _check.shape(op, name, x, "C", "H", "W")
-        if 0 in x.shape:
-            raise ShapeError(f"{op}: expected {name} with C, H, W of at least 1, got {tuple(x.shape)}")
-        if x.shape[0] != first.shape[0]:
-            raise ShapeError(f"{op}: expected {name} with {first.shape[0]} channels as images[0], got {x.shape[0]}")
-        if x.dtype != first.dtype:
-            raise TypeCheckError(f"{op}: expected {name} of {first.dtype} as images[0], got {x.dtype}")
-        if x.device != first.device:
-            raise DeviceError(f"{op}: expected {name} on {first.device} as images[0], got {x.device}")
-    _check.floating_or_bytes(op, "images", first)
+    check_list(op, "images", images)
+    if images[0].shape[0] == 0:
+        raise ShapeError(f"{op}: expected images with channels, got {tuple(images[0].shape)}")
+    _check.floating_or_bytes(op, "images", images[0])
     return [x[None] for x in images]
 
 

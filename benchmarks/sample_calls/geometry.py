@@ -59,6 +59,11 @@ def pinhole(library: Any, tensors: Mapping[str, Tensor], extrinsics: Tensor) -> 
     return library.geometry.PinholeCamera(intrinsics, extrinsics.expand_as(intrinsics), height, width)
 
 
+def lens_camera(library: Any, tensors: Mapping[str, Tensor], model: str) -> Any:
+    size = library.image.ImageSize(*tensors["image"].shape[-2:])
+    return getattr(library.sensors.camera, model)(size, tensors["_params"])
+
+
 def affine_weights(s: Size) -> Tensor:
     """Of a thin-plate spline that moves nothing but by its kernels."""
     return torch.cat([torch.zeros(s.b, 1, 2), torch.eye(2).expand(s.b, 2, 2)], 1)
@@ -106,6 +111,13 @@ GEOMETRY = {
     ),
     "solve_pnp_dlt": dict(world_points=POINTS3, img_points=POINTS, intrinsics=CAMERA),
     "tilt_projection": dict(taux=rand("B", 0, 0.1), tauy=rand("B", 0, 0.1)),
+    "reproject_image": dict(
+        image=IMAGE,
+        _params=rand("B 4", "W/4", "W/2"),
+        camera_from=Derived(lambda library, t: lens_camera(library, t, "PinholeModel")),
+        camera_to=Derived(lambda library, t: lens_camera(library, t, "EquirectangularModel")),
+        R=made("3 3", lambda _: torch.eye(3)),
+    ),
     "undistort_image": dict(image=IMAGE, K=CAMERA, dist=rand("B 4", 0, 0.05)),
     "distort_points_affine dx_distort_points_affine": dict(
         projected_points_in_camera_z1_plane=rand("B N 2", 0, 0.5), params=rand("B 1 4", 0.1, 0.15)

@@ -217,6 +217,7 @@ geometry
     pyrdown(image)
     pyrup(image)
     remap(image, wave_x, wave_y, align_corners=True)
+    reproject_image(image, pinhole, fisheye, tipped)
     rescale(image, 0.5)
     resize(image, (96, 192))
     resize_to_be_divisible(image, 100)
@@ -269,6 +270,7 @@ def sources() -> dict[str, Any]:
     shapes[..., 10:40, 12:30] = shapes[..., 55:85, 40:80] = shapes[..., 15:30, 55:85] = 1.0
     y, x = torch.meshgrid(torch.arange(288.0), torch.arange(288.0), indexing="ij")
     left, top, right, bottom = 96.0, 4.0, 176.0, 130.0
+    size = K.image.ImageSize(288, 288)
     return {
         "torch": torch,
         "image": image,
@@ -293,6 +295,9 @@ def sources() -> dict[str, Any]:
         "wave_y": (y + 8 * torch.sin(x / 12))[None],
         "camera": torch.tensor([[[250.0, 0.0, 144.0], [0.0, 250.0, 144.0], [0.0, 0.0, 1.0]]]),
         "lens": torch.tensor([[-0.4, 0.1, 0.0, 0.0]]),
+        "pinhole": K.sensors.camera.PinholeModel(size, torch.tensor([150.0, 150.0, 143.5, 143.5])),
+        "fisheye": K.sensors.camera.KannalaBrandtK3(size, torch.tensor([130.0, 130, 143.5, 143.5, -0.05, 0, 0, 0])),
+        "tipped": K.geometry.axis_angle_to_rotation_matrix(torch.tensor([[-0.3, 0.3, 0.2]]))[0],
         "window": torch.ones(9, 9),
         "centers": torch.tensor([[[-0.8, -0.8], [0.8, -0.8], [0.8, 0.8], [-0.8, 0.8], [0.0, 0.0]]]),
         "moved": torch.tensor([[[-0.8, -0.8], [0.8, -0.8], [0.8, 0.8], [-0.8, 0.8], [0.3, 0.2]]]),

@@ -101,8 +101,10 @@ def test_copies_and_text() -> None:
 
 
 def test_errors() -> None:
-    with pytest.raises(ValueError, match=r"BrownConradyModel: expected params of shape \(\*, 12\), got \(8,\)"):
-        C.BrownConradyModel(SIZE, torch.rand(8))
+    with pytest.raises(
+        ValueError, match=r"BrownConradyModel: expected params .* n one of 8, 9, 12, 16, 18, got \(10,\)"
+    ):
+        C.BrownConradyModel(SIZE, torch.rand(10))
     with pytest.raises(ValueError, match=r"PinholeModel: expected params of shape \(4,\) or \(B, 4\), got \(2, 1, 4\)"):
         C.PinholeModel(SIZE, torch.rand(2, 1, 4))
     with pytest.raises(TypeError, match="PinholeModel: expected image_size to be an ImageSize, got tuple"):

@@ -12,8 +12,8 @@ k6, s1, s2, s3, s4, tx, ty; the first 4, 5, 8, 12 or all 14 of them may be given
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, overload
 
 import torch
 from torch import Tensor
@@ -26,6 +26,7 @@ from kvision._ops import Operator, no_derivative, register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._formula import batch_of
 from kvision.geometry._precision import in_full_precision
+from kvision.geometry._validity import with_validity
 from kvision.geometry.solvers.roots import first_root
 from kvision.geometry.transform import sampling
 
@@ -77,8 +78,18 @@ def tilt_projection(taux: Tensor, tauy: Tensor, return_inverse: bool = False) ->
     return torch.stack([z, zero, -x, zero, z, -y, zero, zero, one], -1).unflatten(-1, (3, 3)) @ rotation
 
 
+@overload
+def distort_points(
+    points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None = None, return_valid: Literal[False] = False
+) -> Tensor: ...
+@overload
+def distort_points(
+    points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None = None, return_valid: bool = False
+) -> Tensor | tuple[Tensor, Tensor]: ...
 @in_full_precision
-def distort_points(points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None = None) -> Tensor:
+def distort_points(
+    points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None = None, return_valid: bool = False
+) -> Tensor | tuple[Tensor, Tensor]:
     """Apply lens distortion to the coordinates of points.
 
     Args:
@@ -86,12 +97,14 @@ def distort_points(points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None
         K: camera matrices, (*, 3, 3).
         dist: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tx, ty, of which 4, 5, 8, 12 or 14 are given, (*, n).
         new_K: camera matrices of `points`, (*, 3, 3); None for `K`, the camera matrices of the result.
+        return_valid: also return which points are finite and within the radius to which the radial distortion grows. Beyond it
+            a lens model shows the plane again.
 
     Returns:
-        (*, N, 2) in pixels.
+        (*, N, 2) in pixels. With `return_valid` also a mask (*, N); pixels of other points have no gradient then.
 
     Raises:
-        TypeCheckError: an argument is not a floating-point tensor.
+        TypeCheckError: a tensor is not a floating-point tensor; `return_valid` is not a bool.
         ShapeError: `points` is not (*, N, 2); `K` or `new_K` is not (*, 3, 3); `dist` has a number of coefficients
             other than 4, 5, 8, 12 and 14.
         DeviceError: the tensors are on different devices.
@@ -103,9 +116,18 @@ def distort_points(points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None
         tensor([[16.,  5.]])
     """
     _check_lens("distort_points", points, K, dist, new_K)
+    _check.flag("distort_points", "return_valid", return_valid)
     new_K = K if new_K is None else new_K
-    tilt = tilt_projection(dist[..., 12:13], dist[..., 13:]) if dist.shape[-1] == 14 else None
-    return _through_lens(_distort, points, new_K, K, dist, tilt)
+
+    def through(points: Tensor, new_K: Tensor, K: Tensor, dist: Tensor) -> Tensor:
+        tilt = tilt_projection(dist[..., 12:13], dist[..., 13:]) if dist.shape[-1] == 14 else None
+        return _through_lens(_distort, points, new_K, K, dist, tilt)
+
+    if not return_valid:
+        return through(points, new_K, K, dist)
+    x, y = _on_plane(points.detach(), new_K.detach())
+    valid = x * x + y * y <= _limit(_coefficients(dist.detach()), first_root)
+    return with_validity(through, points, valid, new_K, K, dist)
 
 
 def _distorted(points: Tensor, new_K: Tensor, K: Tensor, dist: Tensor, tilt: Tensor | None) -> Tensor:
@@ -326,7 +348,7 @@ def _solve2x2(m: tuple[Tensor, Tensor, Tensor, Tensor], u: Tensor, v: Tensor) ->
     return (m[3] * u - m[1] * v) / determinant, (m[0] * v - m[2] * u) / determinant
 
 
-def _limit(c: tuple[Tensor, ...]) -> Tensor:
+def _limit(c: tuple[Tensor, ...], first_root: Callable[[Tensor], Tensor] = first_root.reference) -> Tensor:
     """The squared radius (*, 1) to which the radial distortion grows and its denominator is positive: Domain of csrc."""
     one = torch.ones_like(c[0])
     numerator, denominator = (one, c[0], c[1], c[4]), (one, c[5], c[6], c[7])
@@ -334,7 +356,7 @@ def _limit(c: tuple[Tensor, ...]) -> Tensor:
     for i, a in enumerate(numerator):
         for k, b in enumerate(denominator):
             growth[i + k] = growth[i + k] + (1 + 2 * i - 2 * k) * a * b
-    roots = (first_root.reference(torch.cat(p, -1).flatten(0, -2)) for p in (growth, denominator))
+    roots = (first_root(torch.cat(p, -1).reshape(-1, len(p))) for p in (growth, denominator))
     return torch.minimum(*roots).reshape(one.shape)
 
 

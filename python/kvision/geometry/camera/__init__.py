@@ -19,4 +19,5 @@ from kvision.geometry.camera.projection import (
     unproject_points_orthographic,
     unproject_points_z1,
 )
+from kvision.geometry.camera.reprojection import reproject_image
 from kvision.geometry.camera.stereo import StereoCamera

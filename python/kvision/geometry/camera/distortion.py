@@ -14,6 +14,7 @@ from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._ops import with_kernel_casts
 from kvision.geometry._validity import with_validity
 from kvision.geometry.conversions.series import (
+    angle_per_sine,
     angle_per_tangent,
     angle_per_tangent_with_derivatives,
     cos,
@@ -196,6 +197,22 @@ def _distort_fisheye(points: Tensor, params: Tensor) -> Tensor:
     per_radius = angle_per_tangent(square)
     scale = per_radius * _polynomial(per_radius.square() * square, _coefficients(params))
     return _to_pixels(points * scale.unsqueeze(-1), params)
+
+
+def distort_rays_kannala_brandt(rays: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
+    """The pixels (*, 2) of rays (*, 3), to 180 degrees from the axis, and which rays the lens shows.
+
+    Pixels of other rays are finite, without a gradient.
+    """
+    x, y, z = rays.detach().unbind(-1)
+    square = x * x + y * y
+    angle = torch.atan2(square.sqrt(), z).square()
+    valid = (angle <= _monotone_angle(params.detach())) & ((z > 0) | (square > 0))
+    x, y, z = torch.where(valid[..., None], rays, rays.new_tensor([0.0, 0.0, 1.0])).unbind(-1)
+    square = x * x + y * y
+    per_radius = angle_per_sine(square, z)
+    scale = per_radius * _polynomial(per_radius.square() * square, _coefficients(params))
+    return _to_pixels(torch.stack([x * scale, y * scale], -1), params), valid
 
 
 def _squared_radius(points: Tensor) -> Tensor:

@@ -3,214 +3,36 @@
 from __future__ import annotations
 
 from enum import Enum
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision._dtype import as_dtype
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry._intrinsics import camera_matrix_of
-from kvision.geometry.calibration.distortion import distort_points, undistort_points
-from kvision.geometry.camera.distortion import (
-    distort_points_affine,
-    distort_points_kannala_brandt,
-    undistort_points_affine,
-    undistort_points_kannala_brandt,
-)
-from kvision.geometry.camera.projection import project_points_orthographic, project_points_z1
 from kvision.geometry.vector import Vector2, Vector3
 from kvision.image import ImageSize
+from kvision.sensors.camera.lenses import (
+    AffineTransform,
+    BrownConradyTransform,
+    Distortion,
+    KannalaBrandtK3Transform,
+    OrthographicProjection,
+    Projection,
+    Z1Projection,
+)
 
 __all__ = [
-    "AffineTransform",
     "BrownConradyModel",
-    "BrownConradyTransform",
     "CameraModel",
     "CameraModelBase",
     "CameraModelType",
     "KannalaBrandtK3",
-    "KannalaBrandtK3Transform",
     "Orthographic",
-    "OrthographicProjection",
     "PinholeModel",
-    "Z1Projection",
 ]
-
-
-class Distortion(Protocol):
-    """A lens: a map between the plane at depth 1 and pixels."""
-
-    size: int  # the number of parameters
-
-    def distort(self, params: Tensor, points: Vector2) -> Vector2: ...
-
-    def undistort(self, params: Tensor, points: Vector2) -> Vector2: ...
-
-
-class Projection(Protocol):
-    """A map between points in the camera's frame and points of a plane."""
-
-    def project(self, points: Vector3) -> Vector2: ...
-
-    def unproject(self, points: Vector2, depth: Tensor | float) -> Vector3: ...
-
-
-def _for_points(params: Tensor, points: Tensor) -> Tensor:
-    """Parameters (B, N) of the cameras of points (B, *, D), one camera an element of the first axis: (B, 1, ..., N)."""
-    if params.dim() == 1 or points.dim() < 2:
-        return params
-    return params.reshape(params.shape[0], *[1] * (points.dim() - 2), params.shape[1])
-
-
-# --- projections ----------------------------------------------------------------------------------------------------
-
-
-class Z1Projection:
-    """The perspective projection onto the plane at depth 1.
-
-    Example:
-        >>> from kvision.geometry.vector import Vector3
-        >>> from kvision.sensors.camera import Z1Projection
-        >>> Z1Projection().project(Vector3.from_coords(2.0, 4.0, 2.0))
-        Vector2(tensor([1., 2.]))
-    """
-
-    def project(self, points: Vector3) -> Vector2:
-        """The points (x / z, y / z). They are not finite where z is 0, and mirrored where it is negative."""
-        return Vector2(project_points_z1(_data("Z1Projection.project", points, Vector3)))
-
-    def unproject(self, points: Vector2, depth: Tensor | float) -> Vector3:
-        """The points of depths z, a number or of shape (*), that project to `points`: (x z, y z, z)."""
-        x, y, z = _with_depth("Z1Projection.unproject", points, depth)
-        return Vector3.from_coords(x * z, y * z, z)
-
-
-class OrthographicProjection:
-    """The projection along z: (x, y), whatever the depth.
-
-    Example:
-        >>> from kvision.geometry.vector import Vector3
-        >>> from kvision.sensors.camera import OrthographicProjection
-        >>> OrthographicProjection().project(Vector3.from_coords(2.0, 4.0, 2.0))
-        Vector2(tensor([2., 4.]))
-    """
-
-    def project(self, points: Vector3) -> Vector2:
-        """The points (x, y)."""
-        return Vector2(project_points_orthographic(_data("OrthographicProjection.project", points, Vector3)))
-
-    def unproject(self, points: Vector2, depth: Tensor | float) -> Vector3:
-        """The points of depths z, a number or of shape (*), that project to `points`: (x, y, z)."""
-        x, y, z = _with_depth("OrthographicProjection.unproject", points, depth)
-        return Vector3.from_coords(x, y, z)
-
-
-def _with_depth(op: str, points: Vector2, depth: Tensor | float) -> list[Tensor]:
-    xy = _data(op, points, Vector2)
-    z = depth.to(xy) if isinstance(depth, Tensor) else xy.new_tensor(_check.number(op, "depth", depth))
-    _check.broadcastable(op, points=xy.shape[:-1], depth=z.shape)
-    return list(torch.broadcast_tensors(xy[..., 0], xy[..., 1], z))
-
-
-def _data(op: str, points: Any, kind: type[Vector2] | type[Vector3]) -> Tensor:
-    if not isinstance(points, kind):
-        raise TypeCheckError(
-            f"{op}: expected points to be a {kind.__name__}, got {_check.described(points)}", actual_type=type(points)
-        )
-    return points.data
-
-
-# --- lenses ---------------------------------------------------------------------------------------------------------
-
-
-class AffineTransform:
-    """No distortion: f p + c. Parameters are (fx, fy, cx, cy).
-
-    Example:
-        >>> import torch
-        >>> from kvision.geometry.vector import Vector2
-        >>> from kvision.sensors.camera import AffineTransform
-        >>> AffineTransform().distort(torch.tensor([1.0, 2, 3, 4]), Vector2.from_coords(1.0, 2.0))
-        Vector2(tensor([4., 8.]))
-    """
-
-    size = 4
-
-    def distort(self, params: Tensor, points: Vector2) -> Vector2:
-        """Points of the plane at depth 1 in pixels."""
-        xy = _data("AffineTransform.distort", points, Vector2)
-        return Vector2(distort_points_affine(xy, _for_points(params, xy)))
-
-    def undistort(self, params: Tensor, points: Vector2) -> Vector2:
-        """Pixels on the plane at depth 1."""
-        uv = _data("AffineTransform.undistort", points, Vector2)
-        return Vector2(undistort_points_affine(uv, _for_points(params, uv)))
-
-
-class BrownConradyTransform:
-    """The distortion of :func:`kvision.geometry.distort_points`. Parameters are (fx, fy, cx, cy, k1, k2, p1, p2, k3, ..., k6).
-
-    Example:
-        >>> import torch
-        >>> from kvision.geometry.vector import Vector2
-        >>> from kvision.sensors.camera import BrownConradyTransform
-        >>> params = torch.tensor([10.0, 10, 5, 5, 0.1, 0, 0, 0, 0, 0, 0, 0])
-        >>> BrownConradyTransform().distort(params, Vector2.from_coords(1.0, 0.0))
-        Vector2(tensor([16.,  5.]))
-    """
-
-    size = 12
-
-    def distort(self, params: Tensor, points: Vector2) -> Vector2:
-        """Points of the plane at depth 1 in pixels."""
-        xy = _data("BrownConradyTransform.distort", points, Vector2)
-        return Vector2(self._through(xy, params, True))
-
-    def undistort(self, params: Tensor, points: Vector2) -> Vector2:
-        """Pixels on the plane at depth 1; NaN where the lens shows no point."""
-        uv = _data("BrownConradyTransform.undistort", points, Vector2)
-        return Vector2(self._through(uv, params, False))
-
-    @staticmethod
-    def _through(points: Tensor, params: Tensor, to_pixels: bool) -> Tensor:
-        of_points = points.dim() == 1 or params.dim() == points.dim() == 2
-        given = points[..., None, :] if of_points else points
-        params = params if params.dim() == 1 else _for_points(params, given[..., 0, :])
-        matrix, dist = camera_matrix_of(*params[..., :4].unbind(-1)), params[..., 4:]
-        plane = torch.eye(3, dtype=params.dtype, device=params.device)
-        moved = (
-            distort_points(given, matrix, dist, plane) if to_pixels else undistort_points(given, matrix, dist, plane)
-        )
-        return moved.squeeze(-2) if of_points else moved
-
-
-class KannalaBrandtK3Transform:
-    """The lens of :func:`kvision.geometry.camera.distort_points_kannala_brandt`. Parameters are (fx, fy, cx, cy, k1, k2, k3, k4).
-
-    Example:
-        >>> import torch
-        >>> from kvision.geometry.vector import Vector2
-        >>> from kvision.sensors.camera import KannalaBrandtK3Transform
-        >>> params = torch.tensor([100.0, 100, 0, 0, 0, 0, 0, 0])
-        >>> KannalaBrandtK3Transform().distort(params, Vector2.from_coords(1.0, 0.0))
-        Vector2(tensor([78.5398,  0.0000]))
-    """
-
-    size = 8
-
-    def distort(self, params: Tensor, points: Vector2) -> Vector2:
-        """Points of the plane at depth 1 in pixels."""
-        xy = _data("KannalaBrandtK3Transform.distort", points, Vector2)
-        return Vector2(distort_points_kannala_brandt(xy, _for_points(params, xy)))
-
-    def undistort(self, params: Tensor, points: Vector2) -> Vector2:
-        """Pixels on the plane at depth 1; NaN where it has no point for them."""
-        uv = _data("KannalaBrandtK3Transform.undistort", points, Vector2)
-        return Vector2(undistort_points_kannala_brandt(uv, _for_points(params, uv)))
-
-
-# --- cameras --------------------------------------------------------------------------------------------------------
 
 
 class CameraModelType(Enum):
@@ -255,10 +77,13 @@ class CameraModelBase:
 
     def __init__(self, distortion: Distortion, projection: Projection, image_size: ImageSize, params: Tensor) -> None:
         op = type(self).__name__
-        _check.floating_trailing_shape(op, "params", params, distortion.size)
-        if params.dim() > 2:
+        sizes = getattr(distortion, "sizes", (distortion.size,))
+        _check.floating_trailing_shape(op, "params", params, sizes[0] if len(sizes) == 1 else "n")
+        if params.dim() > 2 or params.shape[-1] not in sizes:
+            n = sizes[0] if len(sizes) == 1 else "n"
+            which = "" if len(sizes) == 1 else f" with n one of {', '.join(map(str, sizes))}"
             raise ShapeError(
-                f"{op}: expected params of shape ({distortion.size},) or (B, {distortion.size}), got {tuple(params.shape)}",
+                f"{op}: expected params of shape ({n},) or (B, {n}){which}, got {tuple(params.shape)}",
                 actual_shape=list(params.shape),
             )
         if not isinstance(image_size, ImageSize):
@@ -330,6 +155,30 @@ class CameraModelBase:
         """The points in the camera's frame that are seen at pixels and have depths z, a number or of shape (*)."""
         return self.projection.unproject(self.distortion.undistort(self._params, points), depth)
 
+    def project_rays(self, rays: Tensor) -> Tensor:
+        """The pixels (*, 2) of rays from the camera's center, in directions (*, 3) of any length.
+
+        NaN, without a gradient, for rays that the lens does not show: those that go backwards, and those beyond the field in which
+        the lens model is one to one.
+        """
+        params = self._params_for_rays("project_rays", "rays", rays, 3)
+        pixels, valid = self.distortion.distort_rays(params, rays)
+        return torch.where(valid[..., None], pixels, torch.nan)
+
+    def unproject_rays(self, pixels: Tensor) -> Tensor:
+        """The directions (*, 3), of length 1, of the rays that are seen at pixels (*, 2); NaN for pixels without a ray."""
+        params = self._params_for_rays("unproject_rays", "pixels", pixels, 2)
+        rays = self.distortion.undistort_rays(params, pixels)
+        return rays / torch.linalg.vector_norm(rays, dim=-1, keepdim=True)
+
+    def _params_for_rays(self, method: str, name: str, points: Tensor, size: int) -> Tensor:
+        """The parameters on the device and of the type of rays or pixels (*, size)."""
+        op = f"{type(self).__name__}.{method}"
+        _check.floating_trailing_shape(op, name, points, size)
+        if not isinstance(self.projection, Z1Projection):
+            raise ValueCheckError(f"{op}: expected a camera whose rays meet in its center, got parallel ones")
+        return _check.to_device_of(op, points, "params", as_dtype(self._params, points.dtype), of=name)
+
 
 class PinholeModel(CameraModelBase):
     """A perspective camera without distortion.
@@ -375,11 +224,12 @@ class BrownConradyModel(CameraModelBase):
 
     Args:
         image_size: height and width of the images.
-        params: (fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6), floating point of shape (12,) or (B, 12).
+        params: (fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6), floating point of shape (12,) or (B, 12). 4, 5, 12 or 14
+            coefficients instead of 8 are those of `distort_points`.
 
     Raises:
         TypeError: `params` is not a floating-point tensor, or `image_size` no `ImageSize`.
-        ValueError: `params` is not of shape (12,) or (B, 12).
+        ValueError: `params` is not of such a shape.
 
     Example:
         >>> import torch, kvision as K

@@ -37,7 +37,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--backend", default="native", choices=("native", "reference", "auto"), help="what is tested")
     parser.addoption("--sizes", default="all", choices=("all", "few"), help="which small sizes are swept")
     parser.addoption(
-        "--traced", default=1, type=int, help="run one of so many tests marked `tracing`, always the same ones"
+        "--thin",
+        action="append",
+        default=[],
+        metavar="MARKER=N",
+        help="of the parametrized tests with this marker run one of N, always the same ones",
     )
 
 
@@ -126,7 +130,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if any(word.startswith(PEERS) for word in words):
             item.add_marker(pytest.mark.peers)
     left = {
-        item for item in items if item.get_closest_marker("tracing") and is_left_out(item.nodeid, config.option.traced)
+        item
+        for marker, _, count in (option.partition("=") for option in config.option.thin)
+        for item in items
+        if item.get_closest_marker(marker) and is_left_out(item.nodeid, int(count))
     }
     if left:
         config.hook.pytest_deselected(items=left)

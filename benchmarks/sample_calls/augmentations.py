@@ -116,7 +116,18 @@ OCCLUSION = [
     Augmentation("TimeMasking", (9,), **COMPOSED),
     Augmentation("XYMasking", ((1, 2), (0, 2), (1, 4), (0.1, 0.2)), **COMPOSED),
 ]
-IMAGES = [*GEOMETRIC, *MAPS, *INTENSITY, *OCCLUSION]
+CORRUPTION = [
+    Augmentation("Defocus", ((1, 2), (0.1, 0.5)), large=(), **COMPOSED),
+    Augmentation("Downscale", ((0.3, 0.9), True), **COMPOSED),
+    Augmentation("GlassBlur", (0.4, 2), large=(), **COMPOSED),
+    Augmentation("ISONoise", gradient=False, **COLOR, **COMPOSED),
+    Augmentation("MultiplicativeNoise", ((0.9, 1.1), True, True), **COMPOSED),
+    Augmentation("RingingOvershoot", ((3, 7),), large=(), **COMPOSED),
+    Augmentation("ShotNoise", gradient=False, **COMPOSED),
+    Augmentation("SpeckleNoise", ((0.1, 0.2),), **COMPOSED),
+    Augmentation("ZoomBlur", ((1.0, 1.3), (0.05, 0.1)), large=(), **COMPOSED),
+]
+IMAGES = [*GEOMETRIC, *MAPS, *INTENSITY, *OCCLUSION, *CORRUPTION]
 FLIPS3D = [Augmentation(f"Random{way}Flip3D", fixed=True) for way in ("Horizontal", "Vertical", "Depthical")]
 GEOMETRIC3D = [
     Augmentation("RandomAffine3D", (30.0, (0.1, 0.2, 0.1), (0.8, 1.2), 10.0), warps=True),

@@ -464,6 +464,44 @@ SPECS = {
         },
         LARGE,
     ),
+    "Defocus": Spec(
+        lambda p: A.Defocus((2, 6), (0.1, 0.5), p=p), plain(radius=Integers(2, 6), alias_blur=Uniform(0.1, 0.5))
+    ),
+    "Downscale": Spec(lambda p: A.Downscale((0.3, 0.9), p=p), plain(scale=Uniform(0.3, 0.9))),
+    "GlassBlur": Spec(
+        lambda p: A.GlassBlur(p=p), pixels("offsets", lambda: Uniform(0, 1), (0, 0, 0), (3, 0, 0), (2, 3, 4)), SMALL
+    ),
+    "ISONoise": Spec(
+        lambda p: A.ISONoise((0.01, 0.05), (0.1, 0.5), p=p),
+        lambda params, columns: {
+            **pixels("color_noise", lambda: Normal(0, 1), (0, 0, 0), (0, 3, 4))(params, columns),
+            **pixels("luminance_noise", lambda: Uniform(0, 1), (0, 0, 0), (0, 3, 4))(params, columns),
+            **plain(color_shift=Uniform(0.01, 0.05), intensity=Uniform(0.1, 0.5))(params, columns),
+        },
+        SMALL,
+    ),
+    "MultiplicativeNoise": Spec(
+        lambda p: A.MultiplicativeNoise((0.9, 1.1), True, True, p=p),
+        pixels("noise", lambda: Uniform(0, 1), (0, 0, 0), (2, 3, 4)),
+        SMALL,
+    ),
+    "RingingOvershoot": Spec(
+        lambda p: A.RingingOvershoot((3, 9), (0.5, 1.5), p=p), plain(blur=Integers(3, 9, 2), cutoff=Uniform(0.5, 1.5))
+    ),
+    "ShotNoise": Spec(
+        lambda p: A.ShotNoise((0.1, 0.3), p=p),
+        pixels("noise", lambda: Uniform(0, 1), (0, 0, 0), (2, 3, 4), scale=Uniform(0.1, 0.3)),
+        SMALL,
+    ),
+    "SpeckleNoise": Spec(
+        lambda p: A.SpeckleNoise((0.1, 0.4), p=p),
+        pixels("noise", lambda: Normal(0, 1), (0, 0, 0), (2, 3, 4), std=Uniform(0.1, 0.4)),
+        SMALL,
+    ),
+    "ZoomBlur": Spec(
+        lambda p: A.ZoomBlur((1.1, 1.3), (0.01, 0.03), p=p),
+        plain(max_factor=Uniform(1.1, 1.3), step_factor=Uniform(0.01, 0.03)),
+    ),
     "RandomAffine3D": Spec(lambda p: A.RandomAffine3D(30.0, (0.1, 0.2, 0.1), (0.8, 1.2), 10.0, p=p), affine3d, VOLUME),
     "RandomRotation3D": Spec(
         lambda p: A.RandomRotation3D((20.0, 30.0, 40.0), p=p),

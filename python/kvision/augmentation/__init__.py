@@ -28,6 +28,17 @@ from kvision.augmentation.container import (
 from kvision.augmentation.container.saving import allow_loading as _allow_loading
 from kvision.augmentation.container.saving import from_json, to_json
 from kvision.augmentation.container.sheet import preview
+from kvision.augmentation.corruption import (
+    Defocus,
+    Downscale,
+    GlassBlur,
+    ISONoise,
+    MultiplicativeNoise,
+    RingingOvershoot,
+    ShotNoise,
+    SpeckleNoise,
+    ZoomBlur,
+)
 from kvision.augmentation.crop import CenterCrop, FiveCrop, MultiCrop, RandomCrop, RandomResizedCrop, TenCrop
 from kvision.augmentation.elastic import RandomElasticTransform, RandomFisheye, RandomThinPlateSpline
 from kvision.augmentation.engine import (
@@ -106,13 +117,17 @@ __all__ = [
     "ColorJiggle",
     "ColorJitter",
     "ColorStep",
+    "Defocus",
     "Denormalize",
+    "Downscale",
     "FiveCrop",
     "FrequencyMasking",
     "GeometricAugmentationBase2D",
     "GeometricAugmentationBase3D",
+    "GlassBlur",
     "GridDropout",
     "GridMask",
+    "ISONoise",
     "ImageSequential",
     "IntensityAugmentationBase2D",
     "IntensityAugmentationBase3D",
@@ -121,6 +136,7 @@ __all__ = [
     "ManyToOneAugmentationDispather",
     "MixAugmentationBaseV2",
     "MultiCrop",
+    "MultiplicativeNoise",
     "Normalize",
     "Pad",
     "PadIfNeeded",
@@ -194,13 +210,17 @@ __all__ = [
     "Resize3D",
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",
+    "RingingOvershoot",
+    "ShotNoise",
     "SmallestMaxSize",
+    "SpeckleNoise",
     "TenCrop",
     "TimeMasking",
     "Transform",
     "Transpose",
     "VideoSequential",
     "XYMasking",
+    "ZoomBlur",
     "auto",
     "container",
     "from_json",

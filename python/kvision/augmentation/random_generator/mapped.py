@@ -32,7 +32,7 @@ class MappedGenerator(PlainUniformGenerator):
 
     Args:
         *samplers: as those of the base.
-        integers: pairs of the lowest and the highest integer by name.
+        integers: the lowest and the highest integer by name, then the step where it is not 1.
         maps: maps of noise by name.
         identity: values of the uniform parameters of samples that are not chosen; default: 0.
         op: the name in messages of errors.
@@ -41,7 +41,7 @@ class MappedGenerator(PlainUniformGenerator):
     def __init__(
         self,
         *samplers: Sequence[Any],
-        integers: Mapping[str, tuple[int, int]] | None = None,
+        integers: Mapping[str, tuple[int, ...]] | None = None,
         maps: Mapping[str, NoiseMap] | None = None,
         identity: Sequence[float] | None = None,
         op: str,
@@ -52,7 +52,8 @@ class MappedGenerator(PlainUniformGenerator):
         self.per_pixel = bool(self.maps)
 
     def draws(self, shape: Shape) -> Sequence[Any]:
-        return [*super().draws(shape), *(integer(low, high, low) for low, high in self.integers.values())]
+        own = (integer(low, high, low, *step) for low, high, *step in self.integers.values())
+        return [*super().draws(shape), *own]
 
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
         return {name: map.draw(noise, shape, number) for number, (name, map) in enumerate(self.maps.items())}

@@ -1,0 +1,266 @@
+"""Blurs and ringing of lenses and filters, each image by its own."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import compute_dtype
+from kvision.augmentation import maps, ranges
+from kvision.augmentation.corruption.noises import in_type_of
+from kvision.augmentation.engine import Params
+from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
+from kvision.augmentation.samples import per_sample
+from kvision.augmentation.warp_and_color import Resampling
+from kvision.core.exceptions import ValueCheckError
+from kvision.filters.filter2d import filter2d
+from kvision.filters.smoothing.gaussian import gaussian_blur2d
+
+_WIDE_DISK = 8  # radius from which on the edge of a disk is blurred by five taps, not three
+
+
+def disk_kernels(radius: Tensor, alias_blur: Tensor, reach: int) -> Tensor:
+    """Disks (B, K, K) of radii (B,) whose edges are blurred by Gaussians of deviations (B,), with K = 2 reach + 1."""
+    at = torch.arange(-reach, reach + 1, device=radius.device, dtype=radius.dtype)
+    radius, deviation = radius[:, None, None], alias_blur[:, None, None]
+    disk = (at[:, None] ** 2 + at**2 <= radius**2).to(radius)
+    distance = (at[:, None] - at).abs()
+    taps = (-0.5 * (distance / deviation) ** 2).exp() * (distance <= torch.where(radius > _WIDE_DISK, 2, 1))
+    taps = taps / taps[:, reach].sum(1)[:, None, None]  # of a column in the middle, which has all of them
+    return taps @ (disk / disk.sum((1, 2), keepdim=True)) @ taps.mT
+
+
+class Defocus(IntensityAugmentationBase2D, keeps_contract=True):
+    """Blur images by disks, as a lens out of focus does; borders are reflected.
+
+    Args:
+        radius_range: pair of the lowest and the highest radius of the disk in pixels, ints of at least 1.
+        alias_blur_range: pair of the lowest and the highest deviation of the Gaussian that blurs the edge of the disk, above 0.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds; in a call, images smaller than the disk.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.zeros(1, 1, 9, 9)
+        >>> x[..., 4, 4] = 1
+        >>> K.augmentation.Defocus((1, 1), (0.1, 0.1), p=1.0)(x)[0, 0, 4, 3:6]
+        tensor([0.2000, 0.2000, 0.2000])
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        radius_range: tuple[int, int] = (3, 10),
+        alias_blur_range: Any = (0.1, 0.5),
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        radii = ranges.parse_integers("Defocus", "radius_range", radius_range, 1)
+        self._reach = radii[1] + (2 if radii[1] > _WIDE_DISK else 1)
+        self._param_generator = MappedGenerator(
+            (alias_blur_range, "alias_blur", None, (1e-3, float("inf"))),
+            integers={"radius": radii},
+            identity=[1.0],
+            op="Defocus",
+        )
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        radius, deviation = (params[name].to(input.device, compute_dtype(input)) for name in ("radius", "alias_blur"))
+        return filter2d(input, disk_kernels(radius, deviation, self._reach))
+
+
+class RingingOvershoot(IntensityAugmentationBase2D, keeps_contract=True):
+    """Filter images by circular low-pass filters of few taps, whose edges ring; borders are reflected.
+
+    Args:
+        blur_range: pair of the lowest and the highest side of the filter in pixels, odd ints of at least 3.
+        cutoff_range: pair of the lowest and the highest frequency that passes, within 0 and pi radians a pixel.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds; in a call, images smaller than the
+            filter.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> step = (torch.arange(16) > 7).float().expand(1, 1, 16, 16)
+        >>> bool(K.augmentation.RingingOvershoot((7, 7), p=1.0)(step).amax() > 1.05)
+        True
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        blur_range: tuple[int, int] = (7, 15),
+        cutoff_range: Any = (math.pi / 4, math.pi / 2),
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        op = "RingingOvershoot"
+        sizes = ranges.parse_integers(op, "blur_range", blur_range, 3)
+        _check.odd(op, "blur_range", sizes)
+        self._reach = sizes[1] // 2
+        self._param_generator = MappedGenerator(
+            (cutoff_range, "cutoff", None, (1e-3, math.pi)), integers={"blur": (*sizes, 2)}, identity=[1.0], op=op
+        )
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        side, cutoff = (
+            params[name].to(input.device, compute_dtype(input))[:, None, None] for name in ("blur", "cutoff")
+        )
+        at = torch.arange(-self._reach, self._reach + 1, device=input.device, dtype=cutoff.dtype)
+        y, x = at[:, None], at
+        radius = (y * y + x * x).sqrt()
+        wave = torch.special.bessel_j1(cutoff * radius) / (2 * math.pi * radius)
+        taps = torch.where(radius == 0, cutoff / (4 * math.pi), wave)
+        taps = taps * (torch.maximum(y.abs(), x.abs()) <= (side - 1) / 2)
+        return filter2d(input, taps / taps.sum((1, 2), keepdim=True))
+
+
+class ZoomBlur(IntensityAugmentationBase2D, keeps_contract=True):
+    """Average images with enlargements of them about the center, as a lens that zooms during the exposure does.
+
+    The factors are 1, 1 + step, 1 + 2 step, ... below the largest one, and the image counts once more.
+
+    Args:
+        max_factor_range: pair of the lowest and the highest bound of factors, of at least 1.
+        step_factor_range: pair of the lowest and the highest step, above 0.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds; more than 256 factors.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.ZoomBlur(p=1.0)(torch.full((1, 1, 8, 8), 0.25)).mean()
+        tensor(0.2500)
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        max_factor_range: Any = (1.0, 1.31),
+        step_factor_range: Any = (0.01, 0.03),
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        generator = MappedGenerator(
+            (max_factor_range, "max_factor", None, (1.0, float("inf"))),
+            (step_factor_range, "step_factor", None, (1e-4, float("inf"))),
+            identity=[1.0, 1.0],
+            op="ZoomBlur",
+        )
+        largest, step = generator._ranges[0].high, generator._ranges[1].low
+        self._most = math.ceil((largest - 1) / step)
+        if self._most > 256:
+            raise ValueCheckError(f"ZoomBlur: expected at most 256 factors, got {self._most} between 1 and {largest:g}")
+        self._param_generator = generator
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        largest, step = (params[name].to(input.device, compute_dtype(input)) for name in ("max_factor", "step_factor"))
+        height, width = input.shape[-2:]
+        # Of each factor one pass over the image: results are sums of at most `_most` of them.
+        total = 2 * input.to(step.dtype)
+        count = torch.full_like(step, 2)
+        zero, one = torch.zeros_like(step), torch.ones_like(step)
+        for k in range(1, self._most):
+            factor = 1 + k * step
+            exists = (factor < largest).to(step)
+            shrink = 1 / factor
+            x, y = (1 - shrink) * ((width - 1) / 2), (1 - shrink) * ((height - 1) / 2)
+            matrix = torch.stack([shrink, zero, x, zero, shrink, y, zero, zero, one], 1).unflatten(1, (3, 3))
+            zoomed = maps.warp(input, matrix, (height, width), _INSIDE, inverse=False)
+            total = total + per_sample(exists, input) * zoomed
+            count = count + exists
+        return total / per_sample(count, input)
+
+
+_INSIDE = Resampling("bilinear", "border", True)
+
+
+class GlassBlur(IntensityAugmentationBase2D, keeps_contract=True):
+    """Blur images, let each pixel read a random neighbor, several times, and blur them again, as frosted glass does.
+
+    Args:
+        sigma: standard deviation of both Gaussian blurs in pixels.
+        max_delta: how far away the neighbor is at most, along x and along y.
+        iterations: how often.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: `sigma` is not a number above 0; the others are no ints of at least 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.GlassBlur(p=1.0)(torch.full((1, 1, 8, 8), 0.5)).mean()
+        tensor(0.5000)
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        sigma: float = 0.7,
+        max_delta: int = 4,
+        iterations: int = 2,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        op = "GlassBlur"
+        self.sigma = ranges.parse(op, "sigma", (sigma, sigma), bounds=(1e-3, float("inf"))).low
+        (_, self.max_delta) = ranges.parse_integers(op, "max_delta", (1, max_delta))
+        (_, self.iterations) = ranges.parse_integers(op, "iterations", (1, iterations))
+        self._param_generator = MappedGenerator(maps={"offsets": NoiseMap(size=(2 * iterations, None, None))}, op=op)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        side = 2 * int(4 * self.sigma + 0.5) + 1
+        (u,) = in_type_of(params, input, "offsets")
+        height, width = input.shape[-2:]
+        # From -max_delta to max_delta - 1, as in the benchmark of Hendrycks and Dietterich.
+        moves = ((u * (2 * self.max_delta)).long() - self.max_delta).flatten(2)
+        at = torch.arange(height * width, device=input.device).expand(len(u), -1)
+        for move in moves.split(2, 1):
+            along_y, along_x = move.gather(2, at[:, None].expand(-1, 2, -1)).unbind(1)
+            y, x = (at // width + along_y).clamp(0, height - 1), (at % width + along_x).clamp(0, width - 1)
+            at = y * width + x
+        smooth = gaussian_blur2d(input, (side, side), (self.sigma, self.sigma))
+        read = smooth.flatten(2).gather(2, at[:, None].expand(-1, input.shape[1], -1)).view_as(smooth)
+        return gaussian_blur2d(read, (side, side), (self.sigma, self.sigma))

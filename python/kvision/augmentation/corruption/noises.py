@@ -1,0 +1,220 @@
+"""Noise that depends on the image: of photons, of sensors, and factors."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._clamp import clamp
+from kvision._dtype import compute_dtype
+from kvision.augmentation import ranges
+from kvision.augmentation.corruption.poisson import poisson_quantile
+from kvision.augmentation.engine import Params
+from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
+from kvision.augmentation.samples import per_sample
+from kvision.color.hls import hls_to_rgb, rgb_to_hls
+from kvision.core.exceptions import ShapeError
+
+_GAMMA = 2.2  # of the encoding that shot noise undoes
+
+
+def in_type_of(params: Params, x: Tensor, *names: str) -> list[Tensor]:
+    """Parameters in the type that `x` computes in; vectors (B,) broadcast with images."""
+    own = (params[name].to(x.device, compute_dtype(x)) for name in names)
+    return [per_sample(value, x) if value.dim() == 1 else value for value in own]
+
+
+class ShotNoise(IntensityAugmentationBase2D, keeps_contract=True):
+    """Count photons: linear light becomes multiples of a step, Poisson variates of the image. Values are clamped to [0, 1].
+
+    Args:
+        scale_range: pair of the lowest and the highest step, above 0: white is 1 / step photons on average.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> noisy = K.augmentation.ShotNoise((0.1, 0.1), p=1.0)(torch.full((1, 1, 64, 64), 0.5))
+        >>> abs((noisy**2.2).mean() - 0.5**2.2) < 0.02
+        tensor(True)
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        scale_range: Any = (0.1, 0.3),
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = MappedGenerator(
+            (scale_range, "scale", None, (1e-6, float("inf"))),
+            maps={"noise": NoiseMap()},
+            identity=[1.0],
+            op="ShotNoise",
+        )
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        scale, u = in_type_of(params, input, "scale", "noise")
+        light = clamp(input, 0, 1).to(scale.dtype) ** _GAMMA
+        counts = poisson_quantile(u, light.detach() / scale)
+        return clamp(counts * scale, 0, 1) ** (1 / _GAMMA)
+
+
+class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
+    """Add the noise of a sensitive sensor to RGB images: counts to lightness, more where it varies, and normal noise to hue.
+
+    Args:
+        color_shift_range: pair of the lowest and the highest deviation of hue at intensity 1, as fractions of a turn.
+        intensity_range: pair of the lowest and the highest strength, of at least 0.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds; in a call, images of other channels.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.ISONoise(p=1.0)(torch.full((1, 3, 1, 1), 0.5)).flatten()
+        tensor([0.5000, 0.5000, 0.5000])
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        color_shift_range: Any = (0.01, 0.05),
+        intensity_range: Any = (0.1, 0.5),
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        plane = (1, None, None)
+        self._param_generator = MappedGenerator(
+            (color_shift_range, "color_shift", None, (0.0, 1.0)),
+            (intensity_range, "intensity", None, (0.0, float("inf"))),
+            maps={"luminance_noise": NoiseMap(size=plane), "color_noise": NoiseMap(True, plane)},
+            op="ISONoise",
+        )
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        if input.shape[1] != 3:
+            raise ShapeError(
+                f"ISONoise: expected images with 3 channels, got {tuple(input.shape)}{_check.channels_advice(input.shape)}"
+            )
+        shift, intensity, u, normal = in_type_of(
+            params, input, "color_shift", "intensity", "luminance_noise", "color_noise"
+        )
+        hue, lightness, saturation = rgb_to_hls(clamp(input, 0, 1).to(u.dtype)).split(1, 1)
+        mean = lightness.detach().mean((1, 2, 3), keepdim=True)
+        deviation = (lightness.detach() - mean).square().mean((1, 2, 3), keepdim=True).sqrt()
+        counts = poisson_quantile(u, (deviation * intensity).expand_as(u))
+        hue = hue + math.tau * shift * intensity * normal
+        lightness = clamp(lightness + counts * intensity * (1 - lightness), 0, 1)
+        return clamp(hls_to_rgb(torch.cat([hue.remainder(math.tau), lightness, saturation], 1)), 0, 1)
+
+
+class MultiplicativeNoise(IntensityAugmentationBase2D, keeps_contract=True):
+    """Multiply images by random factors, and clamp them to [0, 1].
+
+    Args:
+        multiplier: pair of the lowest and the highest factor.
+        per_channel: channels have factors of their own.
+        elementwise: pixels have factors of their own.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range does not have the form in Args.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.MultiplicativeNoise((0.5, 0.5), p=1.0)(torch.ones(1, 1, 1, 2))
+        tensor([[[[0.5000, 0.5000]]]])
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        multiplier: Any = (0.9, 1.1),
+        per_channel: bool = False,
+        elementwise: bool = False,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        op = "MultiplicativeNoise"
+        self._range = ranges.parse(op, "multiplier", multiplier, bounds=(0.0, float("inf")))
+        channels = None if _check.switch(op, "per_channel", per_channel) else 1
+        side = None if _check.switch(op, "elementwise", elementwise) else 1
+        self._param_generator = MappedGenerator(maps={"noise": NoiseMap(size=(channels, side, side))}, op=op)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        (u,) = in_type_of(params, input, "noise")
+        low, high = self._range.low, self._range.high
+        return clamp(input * (low + (high - low) * u), 0, 1)
+
+
+class SpeckleNoise(IntensityAugmentationBase2D, keeps_contract=True):
+    """Add normal noise in proportion to the values of images, as coherent light has, and clamp them to [0, 1].
+
+    Args:
+        std_range: pair of the lowest and the highest standard deviation at white.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.SpeckleNoise((0.5, 0.5), p=1.0)(torch.zeros(1, 1, 1, 2))
+        tensor([[[[0., 0.]]]])
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        std_range: Any = (0.1, 0.4),
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self._param_generator = MappedGenerator(
+            (std_range, "std", None, (0.0, float("inf"))), maps={"noise": NoiseMap(True)}, op="SpeckleNoise"
+        )
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        std, normal = in_type_of(params, input, "std", "noise")
+        return clamp(input + input * (std * normal), 0, 1)

@@ -99,11 +99,17 @@ def test_opencv_essential_and_pose():
     E = torch.from_numpy(E) / torch.from_numpy(E).norm()
     apart = torch.minimum((candidates - E).flatten(1).norm(dim=1), (candidates + E).flatten(1).norm(dim=1))
     assert apart.nan_to_num(9).min() < 1e-6
+    # In pixels of two cameras.
+    other = torch.tensor([[2.0, 0.1, 3.0], [0.0, 1.5, -4.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+    seen = K.geometry.transform_points(other[None], scene.x2)
+    pixels = G.find_essential(scene.x1[:, :5], seen[:, :5], K1=CAMERA, K2=(other @ CAMERA)[None])[0]
+    assert_close(pixels, candidates, 1e-6, 1e-6)
 
 
 P, Q, M = torch.rand(2, 8, 2), torch.rand(2, 8, 2), torch.rand(2, 3, 3)
 BAD = [
     (lambda: G.find_essential(P[:, :4], Q[:, :4]), ValueError, "find_essential: expected points1 of shape .* at least 5"),
+    (lambda: G.find_essential(P, Q, K1=M), ValueError, "find_essential: expected K1 and K2, or neither, got K1 alone"),
     (lambda: G.decompose_essential_matrix(P), ValueError, r"decompose_essential_matrix: expected E_mat of shape \(\*, 3, 3\)"),
     (lambda: G.motion_from_essential_choose_solution(M, M, M, P[0], Q[0]), ValueError, "motion_from_essential_choose_solution:"),
 ]  # fmt: skip

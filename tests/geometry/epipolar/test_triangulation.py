@@ -34,6 +34,29 @@ def test_points_at_infinity(device):
     assert_close(result[1], torch.tensor([2.0, 1, 4], device=device), 1e-5, 1e-5)
 
 
+def test_homogeneous_points(device):
+    """cv2.triangulatePoints up to the sign, which tells the side of the first camera; points at infinity have gradients."""
+    scene = Scene(1, 40, noise=0.5)
+    args = scene.P1, scene.P2, scene.x1[0], scene.x2[0]
+    theirs = torch.from_numpy(cv2.triangulatePoints(*(x.numpy() for x in args[:2]), *(x.T.numpy() for x in args[2:])).T)
+    ours = G.triangulate_points(*(x.to(device) for x in args), homogeneous=True).cpu()
+    assert_close(ours, theirs * (theirs @ scene.P1[2]).sign()[:, None], 1e-6, 1e-6)
+    assert_close(ours[:, :3] / ours[:, 3:], G.triangulate_points(*args), 1e-9, 1e-9)
+
+    P1, P2 = torch.eye(3, 4, device=device), torch.eye(3, 4, device=device)
+    P2[0, 3] = -1
+    x = torch.tensor([[0.5, 0.25], [0.5, 0.25]], device=device)
+    y = torch.tensor([[0.5, 0.25], [0.75, 0.25]], device=device)  # far away, and behind both cameras
+    result = finite_gradients(lambda x, y: G.triangulate_points(P1, P2, x, y, homogeneous=True), x, y)
+    assert result[0, 3].abs() < 1e-6 and result[0, 2] > 0
+    assert result[1, 3] < 0
+    assert_close(result[1, :3] / result[1, 3], torch.tensor([-2.0, -1, -4], device=device), 1e-5, 1e-5)
+    assert torch.autograd.gradcheck(
+        lambda x, y: G.triangulate_points(P1.double(), P2.double(), x, y, homogeneous=True),
+        (x.double().requires_grad_(), y.double().requires_grad_()),
+    )
+
+
 def test_triangulation_of_many_points_of_one_pair(device):
     """The gradients to their projections are sums of sums."""
     scene = Scene(1, 2500, noise=0.5)

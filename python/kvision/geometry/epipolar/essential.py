@@ -11,12 +11,12 @@ from torch.compiler import is_compiling
 from kvision import _check
 from kvision._dtype import promoted
 from kvision._ops import register, vjp
-from kvision.core.exceptions import ShapeError
+from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry._formula import of_all, register_formula
 from kvision.geometry._precision import in_full_precision
 from kvision.geometry.epipolar.projection import cross_product_matrix, depth_from_point, projection_from_KRt
 from kvision.geometry.epipolar.triangulation import triangulate_points, triangulated_backward
-from kvision.geometry.linalg import product_plus, root
+from kvision.geometry.linalg import inverse3x3, product_plus, root
 from kvision.geometry.solvers._minimal import five_points, minimal_solver
 from kvision.geometry.solvers.correspondences import check_correspondences
 from kvision.geometry.solvers.null_vector import null_vector_3x3
@@ -38,13 +38,21 @@ __all__ = [
 
 
 @in_full_precision
-def find_essential(points1: Tensor, points2: Tensor, weights: Tensor | None = None) -> Tensor:
+def find_essential(
+    points1: Tensor,
+    points2: Tensor,
+    weights: Tensor | None = None,
+    K1: Tensor | None = None,
+    K2: Tensor | None = None,
+) -> Tensor:
     """Estimate essential matrices from five or more correspondences.
 
     Args:
-        points1: (B, N, 2) in the first camera's coordinates, that is K1^-1 (x, y, 1) for pixels, floating point.
-        points2: the same points in the second camera's, (B, N, 2).
+        points1: (B, N, 2) in the first camera's coordinates, that is K1^-1 (x, y, 1) for pixels, floating point. Pixels with `K1`.
+        points2: the same points in the second camera's, (B, N, 2). Pixels with `K2`.
         weights: of no effect.
+        K1: camera matrices of the first image, (3, 3) or (B, 3, 3), with the last row 0, 0, 1; None for points without one.
+        K2: those of the second image, which both have or neither.
 
     Returns:
         (B, 10, 3, 3): up to ten candidates of norm 1, NaN for those that are missing. All of them fit five points; of
@@ -53,6 +61,7 @@ def find_essential(points1: Tensor, points2: Tensor, weights: Tensor | None = No
     Raises:
         TypeCheckError: an argument is not a floating-point tensor.
         ShapeError: a shape is not as in Args; there are fewer than five points.
+        ValueCheckError: one of `K1` and `K2` is None.
         DeviceError: the tensors are on different devices.
 
     Source: D. Nister, "An Efficient Solution to the Five-Point Relative Pose Problem" (2004).
@@ -64,10 +73,24 @@ def find_essential(points1: Tensor, points2: Tensor, weights: Tensor | None = No
         >>> E.shape, bool(torch.linalg.det(E).nan_to_num().abs().max() < 1e-9)
         (torch.Size([1, 10, 3, 3]), True)
     """
-    check_correspondences("find_essential", points1, points2, weights, min_points=5)
+    op = "find_essential"
+    check_correspondences(op, points1, points2, weights, min_points=5)
+    if (K1 is None) != (K2 is None):
+        raise ValueCheckError(f"{op}: expected K1 and K2, or neither, got {'K2' if K1 is None else 'K1'} alone")
+    if K1 is not None and K2 is not None:
+        points1, points2 = (_in_camera(op, f"K{i}", K, x) for i, K, x in ((1, K1, points1), (2, K2, points2)))
     if points1.shape[1] == 5:
         return minimal_solver(points1, points2, None, "essential")
     return five_points(points1, points2)
+
+
+def _in_camera(op: str, name: str, K: Tensor, points: Tensor) -> Tensor:
+    """The points (B, N, 2) of the plane at depth 1 that a camera sees at pixels (B, N, 2)."""
+    _check.floating_trailing_shape(op, name, K, 3, 3)
+    _check.same_device(op, points=points, **{name: K})
+    _check.broadcastable(op, points=points.shape[:1], **{name: K.shape[:-2]})
+    inverse = inverse3x3(K)
+    return points @ inverse[..., :2, :2].mT + inverse[..., None, :2, 2]
 
 
 @in_full_precision

@@ -19,7 +19,9 @@ __all__ = ["triangulate_points"]
 
 
 @in_full_precision
-def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor, solver: str = "eigh") -> Tensor:
+def triangulate_points(
+    P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor, solver: str = "eigh", homogeneous: bool = False
+) -> Tensor:
     """Triangulate points from their projections in two images, by direct linear transformation (DLT).
 
     Args:
@@ -28,12 +30,14 @@ def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor,
         points1: (*, N, 2) as (x, y), in the coordinates of `P1`. Leading axes and N broadcast.
         points2: the same points in the second image, (*, N, 2).
         solver: "eigh", "svd" or "cofactor": kept for those who name one. The result is the same.
+        homogeneous: return points (x, y, z, w), of which those at infinity have w = 0.
 
     Returns:
-        (*, N, 3). NaN, without a gradient, for points at infinity.
+        (*, N, 3). NaN, without a gradient, for points at infinity. With `homogeneous` (*, N, 4) of length 1, with the sign with
+        which they are in front of the first camera, and so w is negative for points behind it.
 
     Raises:
-        TypeCheckError: an argument is not a floating-point tensor.
+        TypeCheckError: a tensor is not a floating-point tensor; `homogeneous` is not a bool.
         ShapeError: a shape is not as in Args.
         DeviceError: the tensors are on different devices.
         NotImplementedError: another solver; also a ValueCheckError.
@@ -47,6 +51,9 @@ def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor,
         >>> x1, x2 = torch.tensor([[0.5, 0.25]]), torch.tensor([[0.25, 0.25]])
         >>> K.geometry.triangulate_points(P1, P2, x1, x2).round(decimals=3)
         tensor([[2., 1., 4.]])
+        >>> X = K.geometry.triangulate_points(P1, P2, x1, x1, homogeneous=True)  # parallel rays
+        >>> (X / X[..., 2:3]).round(decimals=3) + 0
+        tensor([[0.5000, 0.2500, 1.0000, 0.0000]])
     """
     op = "triangulate_points"
     for name, x in (("P1", P1), ("P2", P2)):
@@ -55,6 +62,7 @@ def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor,
         _check.floating_trailing_shape(op, name, x, "N", 2)
     _check.same_device(op, P1=P1, P2=P2, points1=points1, points2=points2)
     _check.choice(op, "solver", solver, ("eigh", "svd", "cofactor"), _check.UnknownChoiceError)
+    _check.flag(op, "homogeneous", homogeneous)
     try:
         leading = broadcast_shapes(P1.shape[:-2], P2.shape[:-2], points1.shape[:-2], points2.shape[:-2])
         count = broadcast_shapes(points1.shape[-2:], points2.shape[-2:])
@@ -64,15 +72,24 @@ def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor,
     batch = math.prod(leading)
     x1, x2 = (x.expand(*leading, *count).reshape(batch, *count) for x in (points1, points2))
     P1, P2 = (P.expand(*leading, 3, 4).reshape(batch, 3, 4) for P in (P1, P2))
+    if homogeneous:
+        X = _homogeneous(x1, x2, P1, P2)
+        depth = (X.detach() * P1.detach()[:, None, 2]).sum(-1, keepdim=True)
+        return torch.where(depth < 0, -X, X).to(x1.dtype).reshape(*leading, count[0], 4)
     return triangulated(x1, x2, P1, P2).reshape(*leading, count[0], 3)
+
+
+def _homogeneous(x1: Tensor, x2: Tensor, P1: Tensor, P2: Tensor) -> Tensor:
+    """Homogeneous points (B, N, 4) of either sign from image points (B, N, 2) and projections (B, 3, 4)."""
+    rows = [
+        promoted(x)[..., None] * promoted(P)[:, None, 2:] - promoted(P)[:, None, :2] for x, P in ((x1, P1), (x2, P2))
+    ]
+    return null_vector(torch.cat(rows, -2))
 
 
 def _reference(x1: Tensor, x2: Tensor, P1: Tensor, P2: Tensor) -> Tensor:
     """Points in space (B, N, 3) from image points (B, N, 2) and projections (B, 3, 4)."""
-    rows = [
-        promoted(x)[..., None] * promoted(P)[:, None, 2:] - promoted(P)[:, None, :2] for x, P in ((x1, P1), (x2, P2))
-    ]
-    X = null_vector(torch.cat(rows, -2))
+    X = _homogeneous(x1, x2, P1, P2)
     w = X[..., 3:]
     infinite = w.detach().abs() <= 1e-13 + 4 * torch.finfo(x1.dtype).eps
     return torch.where(infinite, torch.nan, X[..., :3] / torch.where(infinite, 1, w)).to(x1.dtype)

@@ -127,7 +127,14 @@ CORRUPTION = [
     Augmentation("SpeckleNoise", ((0.1, 0.2),), **COMPOSED),
     Augmentation("ZoomBlur", ((1.0, 1.3), (0.05, 0.1)), large=(), **COMPOSED),
 ]
-IMAGES = [*GEOMETRIC, *MAPS, *INTENSITY, *OCCLUSION, *CORRUPTION]
+DISTORTION = [
+    Augmentation("ChromaticAberration", ((-0.1, 0.1), (-0.2, 0.2)), **COLOR, **COMPOSED),
+    Augmentation("GridDistortion", (3,), large=(), **COMPOSED),
+    Augmentation("OpticalDistortion", ((-0.3, 0.3),), **COMPOSED),
+    Augmentation("PiecewiseAffine", ((0.1, 0.2), (3, 4), (3, 4)), **COMPOSED),
+    Augmentation("Swirl", **COMPOSED),
+]
+IMAGES = [*GEOMETRIC, *MAPS, *INTENSITY, *OCCLUSION, *CORRUPTION, *DISTORTION]
 FLIPS3D = [Augmentation(f"Random{way}Flip3D", fixed=True) for way in ("Horizontal", "Vertical", "Depthical")]
 GEOMETRIC3D = [
     Augmentation("RandomAffine3D", (30.0, (0.1, 0.2, 0.1), (0.8, 1.2), 10.0), warps=True),

@@ -19,6 +19,7 @@ MAPS = {
     "elastic": lambda **o: A.RandomElasticTransform((47, 47), (8.0, 8.0), (1.5, 1.5), **o),
     "thin plate": lambda **o: A.RandomThinPlateSpline(0.1, **o),
     "fisheye": lambda **o: A.RandomFisheye((-0.1, 0.1), (-0.1, 0.1), (1.9, 2.1), **o),
+    "nodes": lambda **o: A.PiecewiseAffine((0.1, 0.15), **o),
 }
 
 

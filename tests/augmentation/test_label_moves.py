@@ -87,6 +87,7 @@ CHAINS = {
     "elastic": lambda: [A.RandomElasticTransform(p=1.0)],
     "thin plate": lambda: [A.RandomThinPlateSpline(p=1.0)],
     "fisheye": lambda: [A.RandomFisheye((-0.3, 0.3), (-0.3, 0.3), (0.9, 2.0), p=1.0)],
+    "distortions": lambda: [A.GridDistortion(p=1.0), A.OpticalDistortion((0.1, 0.2), p=1.0), A.Swirl(p=1.0)],
     "chain": lambda: [
         A.RandomAffine(20.0, (0.1, 0.1), p=1.0),
         A.RandomElasticTransform(p=1.0),

@@ -502,6 +502,35 @@ SPECS = {
         lambda p: A.ZoomBlur((1.1, 1.3), (0.01, 0.03), p=p),
         plain(max_factor=Uniform(1.1, 1.3), step_factor=Uniform(0.01, 0.03)),
     ),
+    "ChromaticAberration": Spec(
+        lambda p: A.ChromaticAberration((-0.1, 0.1), (-0.2, 0.3), p=p),
+        plain(
+            primary_red=Uniform(-0.1, 0.1),
+            secondary_red=Uniform(-0.2, 0.3),
+            primary_blue=Uniform(-0.1, 0.1),
+            secondary_blue=Uniform(-0.2, 0.3),
+        ),
+    ),
+    "GridDistortion": Spec(
+        lambda p: A.GridDistortion(3, p=p), pixels("steps", lambda: Uniform(0, 1), (0, 0, 0), (0, 0, 2), (1, 0, 1))
+    ),
+    "OpticalDistortion": Spec(lambda p: A.OpticalDistortion((-0.1, 0.2), p=p), plain(distort=Uniform(-0.1, 0.2))),
+    "PiecewiseAffine": Spec(
+        lambda p: A.PiecewiseAffine((0.1, 0.2), (3, 5), (2, 4), p=p),
+        pixels(
+            "nodes",
+            lambda: Normal(0, 1),
+            (0, 0, 0),
+            (1, 2, 3),
+            scale=Uniform(0.1, 0.2),
+            rows=Integers(3, 5),
+            columns=Integers(2, 4),
+        ),
+    ),
+    "Swirl": Spec(
+        lambda p: A.Swirl((-1, 2), (0.5, 1.0), (0.4, 0.7), p=p),
+        plain(strength=Uniform(-1, 2), radius=Uniform(0.5, 1), center_x=Uniform(0.4, 0.7), center_y=Uniform(0.4, 0.7)),
+    ),
     "RandomAffine3D": Spec(lambda p: A.RandomAffine3D(30.0, (0.1, 0.2, 0.1), (0.8, 1.2), 10.0, p=p), affine3d, VOLUME),
     "RandomRotation3D": Spec(
         lambda p: A.RandomRotation3D((20.0, 30.0, 40.0), p=p),

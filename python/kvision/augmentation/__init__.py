@@ -40,6 +40,13 @@ from kvision.augmentation.corruption import (
     ZoomBlur,
 )
 from kvision.augmentation.crop import CenterCrop, FiveCrop, MultiCrop, RandomCrop, RandomResizedCrop, TenCrop
+from kvision.augmentation.distortion import (
+    ChromaticAberration,
+    GridDistortion,
+    OpticalDistortion,
+    PiecewiseAffine,
+    Swirl,
+)
 from kvision.augmentation.elastic import RandomElasticTransform, RandomFisheye, RandomThinPlateSpline
 from kvision.augmentation.engine import (
     AugmentationBase2D,
@@ -113,6 +120,7 @@ __all__ = [
     "AugmentationSequential",
     "CenterCrop",
     "CenterCrop3D",
+    "ChromaticAberration",
     "CoarseDropout",
     "ColorJiggle",
     "ColorJitter",
@@ -125,6 +133,7 @@ __all__ = [
     "GeometricAugmentationBase2D",
     "GeometricAugmentationBase3D",
     "GlassBlur",
+    "GridDistortion",
     "GridDropout",
     "GridMask",
     "ISONoise",
@@ -138,11 +147,13 @@ __all__ = [
     "MultiCrop",
     "MultiplicativeNoise",
     "Normalize",
+    "OpticalDistortion",
     "Pad",
     "PadIfNeeded",
     "PadTo",
     "PatchMix",
     "PatchSequential",
+    "PiecewiseAffine",
     "PixelDropout",
     "RandomAffine",
     "RandomAffine3D",
@@ -214,6 +225,7 @@ __all__ = [
     "ShotNoise",
     "SmallestMaxSize",
     "SpeckleNoise",
+    "Swirl",
     "TenCrop",
     "TimeMasking",
     "Transform",

@@ -1,0 +1,79 @@
+"""Maps of lenses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.augmentation import maps
+from kvision.augmentation.distortion.distortion_base import DistortionBase, from_center, per_map
+from kvision.augmentation.engine import Params
+from kvision.augmentation.random_generator.mapped import MappedGenerator
+from kvision.constants import Resample, SamplePadding
+from kvision.geometry.calibration.distortion import distort_points
+
+
+def lens_displacements(coefficients: Tensor, height: int, width: int) -> Tensor:
+    """The map (B, 2, H, W) of lenses by Brown and Conrady with coefficients (B, n); the focal lengths are width and height."""
+    like = coefficients
+    pixels = maps.pixel_positions(height, width, like)
+    camera = torch.diag(maps.vector(like, width, height, 1.0))
+    camera[:2, 2] = maps.vector(like, width / 2, height / 2)
+    read = distort_points(pixels.expand(len(like), -1, -1), camera.expand(len(like), 3, 3), like)
+    return (read - pixels).mT.unflatten(2, (height, width))
+
+
+class OpticalDistortion(DistortionBase, keeps_contract=True):
+    """Deform images as a lens does, with a random coefficient.
+
+    'camera' is the model by Brown and Conrady with k1 = k2 = k, of a camera whose focal lengths are width and height. 'fisheye' is
+    that by Kannala and Brandt with k1 = k: an equidistant image whose corners are at an angle of 1 radian gets the radius
+    angle (1 + k angle^2).
+
+    Args:
+        distort_range: pair of the lowest and the highest coefficient; positive ones read farther from the center.
+        mode: 'camera' or 'fisheye'.
+        resample: 'nearest', 'bilinear' or 'bicubic'.
+        padding_mode: values out of bounds: 'zeros', 'border' or 'reflection'.
+        same_on_batch: all samples get the same deformation.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: an argument does not have the form in Args.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.rand(1, 1, 6, 6)
+        >>> torch.allclose(K.augmentation.OpticalDistortion((0.0, 0.0), p=1.0)(x), x, atol=1e-5)
+        True
+    """
+
+    def __init__(
+        self,
+        distort_range: Any = (-0.05, 0.05),
+        mode: str = "camera",
+        resample: str | int | Resample = Resample.BILINEAR.name,
+        padding_mode: str | int | SamplePadding = SamplePadding.ZEROS.name,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(resample, padding_mode, same_on_batch=same_on_batch, p=p, keepdim=keepdim, **options)
+        _check.choice("OpticalDistortion", "mode", mode, ("camera", "fisheye"))
+        self.mode = mode
+        self._param_generator = MappedGenerator((distort_range, "distort", None, None), op="OpticalDistortion")
+
+    def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
+        height, width = shape[-2:]
+        if self.mode == "camera":
+            k = params["distort"].to(like)[:, None]
+            return lens_displacements(torch.cat([k, k, torch.zeros_like(k).expand(-1, 2)], 1), height, width)
+        (k,) = per_map(params, like, "distort")
+        x, y = from_center(height, width, like)
+        angle_squared = (x * x + y * y) / ((height / 2) ** 2 + (width / 2) ** 2)
+        return torch.stack([x * (k * angle_squared), y * (k * angle_squared)], 1)

@@ -1,0 +1,73 @@
+"""Maps of vortices."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision.augmentation.distortion.distortion_base import DistortionBase, per_map
+from kvision.augmentation.engine import Params
+from kvision.augmentation.random_generator.mapped import MappedGenerator
+from kvision.constants import Resample, SamplePadding
+
+
+class Swirl(DistortionBase, keeps_contract=True):
+    """Turn images about a center, less the farther away pixels are, as `swirl` of scikit-image does.
+
+    The pixel at distance r reads the image turned by strength 2^(-5 r / radius) radians.
+
+    Args:
+        strength_range: pair of the lowest and the highest angle at the center in radians, clockwise if positive.
+        radius_range: pair of the lowest and the highest radius, above 0, where a 32nd of the angle is left, as fractions of the
+            shorter side.
+        center_range: pair of the lowest and the highest position of the center, as fractions of width and height.
+        resample: 'nearest', 'bilinear' or 'bicubic'.
+        padding_mode: values out of bounds: 'zeros', 'border' or 'reflection'.
+        same_on_batch: all samples get the same deformation.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.rand(1, 1, 6, 6)
+        >>> torch.allclose(K.augmentation.Swirl((0.0, 0.0), p=1.0)(x), x, atol=1e-5)
+        True
+    """
+
+    def __init__(
+        self,
+        strength_range: Any = (-2.0, 2.0),
+        radius_range: Any = (0.5, 1.0),
+        center_range: Any = (0.4, 0.6),
+        resample: str | int | Resample = Resample.BILINEAR.name,
+        padding_mode: str | int | SamplePadding = SamplePadding.ZEROS.name,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(resample, padding_mode, same_on_batch=same_on_batch, p=p, keepdim=keepdim, **options)
+        self._param_generator = MappedGenerator(
+            (strength_range, "strength", None, None),
+            (radius_range, "radius", None, (1e-3, float("inf"))),
+            (center_range, "center_x", None, (0.0, 1.0)),
+            (center_range, "center_y", None, (0.0, 1.0)),
+            identity=[0.0, 1.0, 0.5, 0.5],
+            op="Swirl",
+        )
+
+    def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
+        height, width = shape[-2:]
+        strength, radius, center_x, center_y = per_map(params, like, "strength", "radius", "center_x", "center_y")
+        x = torch.arange(width, dtype=like.dtype, device=like.device) - (center_x * width - 0.5)
+        y = torch.arange(height, dtype=like.dtype, device=like.device)[:, None] - (center_y * height - 0.5)
+        distance = (x * x + y * y).sqrt()
+        angle = strength * (-5 * math.log(2) / (radius * min(height, width)) * distance).exp()
+        cos, sin = angle.cos(), angle.sin()
+        return torch.stack([x * (cos - 1) - y * sin, x * sin + y * (cos - 1)], 1)

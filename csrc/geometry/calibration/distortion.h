@@ -150,9 +150,10 @@ struct Lens {
     x = x * factor + dx;
     y = y * factor + dy;
   }
-  // From the pixel of a lens to that of an ideal camera; NaN where the lens shows no point at the pixel.
-  template <class V>
-  KV_HD void undistort(V& x, V& y, Domain<T> const& domain) const {
+  // From the pixel of a lens to that of an ideal camera; NaN where the lens shows no point at the pixel. Limit is a
+  // Domain or has its members.
+  template <class V, class Limit>
+  KV_HD void undistort(V& x, V& y, Limit const& domain) const {
     normalize(x, y);
     apply_tilt(x, y);
     V const x0 = x, y0 = y;
@@ -222,8 +223,8 @@ struct Lens {
   static constexpr int kTrials = 20;
 
   // Distorts pixels of an image; NaN beyond the domain of the lens.
-  template <class V>
-  KV_HD void distort_within(V& x, V& y, Domain<T> const& domain) const {
+  template <class V, class Limit>
+  KV_HD void distort_within(V& x, V& y, Limit const& domain) const {
     V u = x, v = y;
     normalize(u, v);
     V const r2 = u * u + v * v;

@@ -6,6 +6,18 @@
 namespace kv::geometry::KV_ISA {
 namespace {
 
+// A domain that computes its end once, where a point needs it, and not for each vector of points.
+template <class T>
+struct LensDomain : Domain<T> {
+  T mutable end = -1;
+
+  using Domain<T>::Domain;
+  KV_HD T limit() const {
+    if (end < 0) end = Domain<T>::limit();
+    return end;
+  }
+};
+
 // N adjacent pixels of an image.
 template <int N, class T>
 KV_HD void pixels_at(LensPoints<T> const& p, int64_t i, Lanes<T, N>& x, Lanes<T, N>& y) {
@@ -19,7 +31,7 @@ KV_HD void pixels_at(LensPoints<T> const& p, int64_t i, Lanes<T, N>& x, Lanes<T,
 }
 
 template <bool Distorts, int N, class T>
-KV_HD void through(Lens<T> const& lens, Domain<T> const& domain, int64_t b, int64_t i) {
+KV_HD void through(Lens<T> const& lens, LensDomain<T> const& domain, int64_t b, int64_t i) {
   auto const& p = lens.p;
   Lanes<T, N> x, y;
   if (!p.points) {
@@ -56,7 +68,7 @@ KV_HD void through_lenses(LensPoints<T> const& p, int64_t begin, int64_t end) {
   for (int64_t i = begin; i < end;) {
     int64_t const b = i / p.count, last = run_end(p, i, end);
     Lens<T> const lens(p, b);
-    Domain<T> const domain(lens.c);
+    LensDomain<T> const domain(lens.c);
     for (; i + N <= last; i += N) through<Distorts, N>(lens, domain, b, i);
     for (; i < last; ++i) through<Distorts, 1>(lens, domain, b, i);
   }

@@ -62,6 +62,7 @@ OTHER_KINDS = {
     "CameraCalibration": "holds results",
     "Letterboxed": "holds results",
     "PaddedBatch": "holds results",
+    "RigCalibration": "holds results",
     "StereoRectification": "holds results",
     "LeastSquaresResult": "holds results",
     "VisionPatches": "holds results",

@@ -60,7 +60,13 @@ WITHOUT_SAMPLE = {
     "geometry.least_squares": "takes a function",
     **dict.fromkeys(("geometry.letterbox", "geometry.pad_to_batch"), "takes a list of images"),
     **dict.fromkeys(
-        ("geometry.calibrate_camera", "geometry.kabsch", "geometry.solve_pnp", "geometry.umeyama"),
+        (
+            "geometry.calibrate_camera",
+            "geometry.calibrate_rig",
+            "geometry.kabsch",
+            "geometry.solve_pnp",
+            "geometry.umeyama",
+        ),
         "solves by least_squares",
     ),
     **dict.fromkeys(

@@ -8,7 +8,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from kvision.geometry.calibration.distortion import _coefficients, _radial, _shift, _with_jacobian
+from kvision.geometry._intrinsics import camera_matrix_of
+from kvision.geometry.calibration.distortion import _coefficients, _radial, _shift, _with_jacobian, undistort_points
 from kvision.geometry.camera.distortion import (
     distort_points_kannala_brandt,
     dx_distort_points_kannala_brandt,
@@ -53,6 +54,15 @@ def distorted_with_jacobians(model: str, points: Tensor, k: Tensor) -> tuple[Ten
     rows += [(r2, zero), (r2.square(), zero), (zero, r2), (zero, r2.square())]
     to_k = torch.stack([torch.stack(row, -1) for row in rows[: k.shape[-1]]], -1)
     return torch.stack([u, v], -1), torch.stack(jacobian, -1).unflatten(-1, (2, 2)), to_k
+
+
+def undistorted(model: str, pixels: Tensor, camera: Tensor, k: Tensor) -> Tensor:
+    """Points (B, M, 2) of the plane that cameras (fx, fy, cx, cy) (B, 4) with lenses (B, n) see at pixels."""
+    if model == "kannala_brandt":
+        plane: Tensor = undistort_points_kannala_brandt(pixels, torch.cat([camera, k], -1)[:, None])
+        return plane
+    K = camera_matrix_of(*camera.unbind(-1))
+    return undistort_points(pixels, K, k, torch.eye(3, dtype=pixels.dtype, device=pixels.device))
 
 
 def undistorted_equidistant(points: Tensor) -> Tensor:

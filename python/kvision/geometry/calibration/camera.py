@@ -215,16 +215,16 @@ def _start(
     if model == "kannala_brandt":
         focal = torch.full_like(pixels[:, 0, 0], max(height, width) / torch.pi)
         offset = undistorted_equidistant(offset / focal[:, None, None])
-        H = _homographies(X, offset, weights)
+        H = homographies_of_views(X, offset, weights)
     else:
-        H = _homographies(X, offset, weights)
+        H = homographies_of_views(X, offset, weights)
         focal = _focal_lengths(H, weights.sum(-1) > 0, float(max(height, width)))
         H = H / torch.cat([focal, torch.ones_like(focal[:, :1])], -1)[:, None, :, None]
     rotation, translation = poses_of_homographies(H)
     return torch.cat([focal, center.expand_as(focal)], -1), rotation, translation
 
 
-def _homographies(X: Tensor, x: Tensor, weights: Tensor) -> Tensor:
+def homographies_of_views(X: Tensor, x: Tensor, weights: Tensor) -> Tensor:
     """Homographies (B, V, 3, 3) from targets to images; NaN with fewer than four points."""
     batch, views, count = weights.shape
     used = (weights > 0) & x.isfinite().all(-1)

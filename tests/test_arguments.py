@@ -75,6 +75,7 @@ for home in (K.augmentation, K.augmentation.auto, K.augmentation.auto.operations
         is_container = isinstance(value, type) and issubclass(value, K.augmentation.ImageSequential)
         if is_container and not issubclass(value, K.augmentation.VideoSequential):
             OTHER_KINDS[f"{name}.forward"] = "takes arrays, PIL images and paths"
+OTHER_KINDS |= {f"{name}.forward": "takes any nesting, and passes on what it does not know" for name in K.tv.__all__}
 
 
 # Their examples write files that are gone when the call is made again.

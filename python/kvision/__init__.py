@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         metrics,
         morphology,
         sensors,
+        tv,
         utils,
     )
     from kvision._hints import RangeWarning
@@ -170,6 +171,7 @@ __all__ = [
     "to_numpy",
     "to_pil",
     "to_tensor",
+    "tv",
     "tversky_loss",
     "utils",
     "vec_like",

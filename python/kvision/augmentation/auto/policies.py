@@ -54,7 +54,7 @@ _TRIVIAL = [
 ]
 
 # The sub-policies of Cubuk et al., AutoAugment, 2019: name, probability in tenths, level; - for operations without one.
-_AUTO_POLICIES = {
+AUTO_POLICIES = {
     "imagenet": """
         posterize 4 8, rotate 6 9
         solarize 6 5, auto_contrast 6 -
@@ -177,12 +177,12 @@ class AutoAugment(PolicyAugmentBase):
         return_transform: bool | None = None,
     ) -> None:
         if isinstance(policy, str):
-            if policy not in _AUTO_POLICIES:
-                listed = ", ".join(_AUTO_POLICIES)
+            if policy not in AUTO_POLICIES:
+                listed = ", ".join(AUTO_POLICIES)
                 raise UnknownChoiceError(
                     f"AutoAugment: expected policy to be one of {listed} or a list, got {policy!r}"
                 )
-            policy = _parse(_AUTO_POLICIES[policy])
+            policy = parse_policy(AUTO_POLICIES[policy])
         entries = [[_at_level(entry) for entry in part] for part in sub_policies("AutoAugment", policy)]
         options: dict[str, Any] = {"generator": generator, "return_transform": return_transform}
         super().__init__(entries, transformation_matrix_mode, same_on_batch=same_on_batch, **options)
@@ -280,7 +280,7 @@ class TrivialAugment(PolicyAugmentBase):
         super().__init__(entries, transformation_matrix_mode, same_on_batch=same_on_batch, **options)
 
 
-def _parse(table: str) -> list[list[tuple[str, float, int | None]]]:
+def parse_policy(table: str) -> list[list[tuple[str, float, int | None]]]:
     """The sub-policies of a table: one a line, entries between commas."""
     policy = []
     for line in table.strip().splitlines():

@@ -1,0 +1,258 @@
+"""Functions of pixels' values, by the arguments of torchvision.transforms.v2.functional.
+
+v2 truncates integers after each function, steps of color programs round: bytes are shifted by half a level first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision._constants import constant
+from kvision.color import grayscale_to_rgb as repeated
+from kvision.color import rgb_to_grayscale as weighted_gray
+from kvision.color.matrix import affine_numbers
+from kvision.color.program import arguments, run
+from kvision.color.scale_shift import scale_shift
+from kvision.color.steps import STEPS
+from kvision.core.exceptions import TypeCheckError
+from kvision.enhance import equalize as equalized
+from kvision.enhance import normalize as standardized
+from kvision.enhance import sharpness
+from kvision.enhance import solarize as solarized
+from kvision.enhance.batch import as_batch, shaped
+from kvision.filters import gaussian_blur2d
+from kvision.tv.functional.dispatch import functional
+from kvision.tv.functional.values import largest, of_all_types, tensors_only, to_dtype, truncated
+
+LUMA = (0.2989, 0.587, 0.114)  # torchvision's weights
+
+
+def _program(x: Tensor, *steps: tuple[str, Sequence[Any]]) -> Tensor:
+    numbers = [STEPS[name].number for name, _ in steps]
+    return shaped(run(as_batch(x), numbers, arguments([p for _, values in steps for p in values])), x)
+
+
+def _check_factor(op: str, factor: float, low: float = 0.0, high: float = math.inf) -> None:
+    if not low <= factor <= high:
+        raise ValueError(f"{op}: expected a factor of {low} to {high}, got {factor}")
+
+
+def _is_rgb(op: str, x: Tensor) -> bool:
+    """Whether there are three channels; one is gray."""
+    if x.dim() < 3 or x.shape[-3] not in (1, 3):
+        raise TypeCheckError(f"{op}: expected an image (*, 1 or 3, H, W), got {tuple(x.shape)}")
+    return x.shape[-3] == 3
+
+
+def _gray(x: Tensor) -> Tensor:
+    """v2's gray of images (B, 3, H, W) before it is stored; of integers the whole levels."""
+    r, g, b = x.unbind(-3)
+    gray = r.mul(LUMA[0]).add_(g, alpha=LUMA[1]).add_(b, alpha=LUMA[2])[..., None, :, :]
+    return gray if x.is_floating_point() else gray.floor_()
+
+
+@functional()
+def rgb_to_grayscale(inpt: Tensor, num_output_channels: int = 1) -> Tensor:
+    if num_output_channels not in (1, 3):
+        raise ValueError(f"rgb_to_grayscale: expected num_output_channels of 1 or 3, got {num_output_channels}")
+    if not _is_rgb("rgb_to_grayscale", inpt):
+        return inpt.clone() if num_output_channels == 1 else repeated(inpt)
+    if inpt.is_floating_point() or inpt.dtype == torch.uint8:
+        gray = weighted_gray(inpt, constant(LUMA, inpt, torch.float32))
+    else:
+        gray = _gray(inpt).to(inpt.dtype)
+    return gray if num_output_channels == 1 else gray.expand(inpt.shape)
+
+
+@functional(pil=lambda image: image.convert("RGB"))
+def grayscale_to_rgb(inpt: Tensor) -> Tensor:
+    return inpt if inpt.shape[-3] >= 3 else repeated(inpt)
+
+
+@of_all_types
+def _scaled(x: Tensor, factor: float) -> Tensor:
+    return shaped(scale_shift(as_batch(x), factor, truncated(x), True), x)
+
+
+@functional()
+def adjust_brightness(inpt: Tensor, brightness_factor: float) -> Tensor:
+    _check_factor("adjust_brightness", brightness_factor)
+    return _scaled(inpt, brightness_factor)
+
+
+@of_all_types
+def _saturated(x: Tensor, factor: float) -> Tensor:
+    rows = [tuple((1 - factor) * w + factor * (i == j) for j, w in enumerate(LUMA)) for i in range(3)]
+    shift = truncated(x)
+    if x.dtype == torch.uint8:
+        shift -= (1 - factor) * 0.5 / 255  # v2's gray has whole levels, on average half a level less
+    numbers = affine_numbers((rows[0], rows[1], rows[2]), (shift, shift, shift), True)  # type: ignore[arg-type]
+    return _program(x, ("affine", numbers))
+
+
+@functional()
+def adjust_saturation(inpt: Tensor, saturation_factor: float) -> Tensor:
+    _check_factor("adjust_saturation", saturation_factor)
+    return _saturated(inpt, saturation_factor) if _is_rgb("adjust_saturation", inpt) else inpt
+
+
+@of_all_types
+def _around_mean(x: Tensor, factor: float) -> Tensor:
+    batch = as_batch(x)
+    gray = _gray(batch) if batch.shape[1] == 3 else batch.to(torch.float32) if x.dtype == torch.uint8 else batch
+    mean = gray.mean((1, 2, 3)).reshape(-1, 1, 1)
+    return shaped(scale_shift(batch, factor, mean * ((1 - factor) / largest(x.dtype)) + truncated(x), True), x)
+
+
+@functional()
+def adjust_contrast(inpt: Tensor, contrast_factor: float) -> Tensor:
+    _check_factor("adjust_contrast", contrast_factor)
+    _is_rgb("adjust_contrast", inpt)
+    return _around_mean(inpt, contrast_factor)
+
+
+# v2 converts the unit interval to bytes by a factor just below 256.
+_TO_LEVELS = ((255 + 1 - 1e-3) / 255, (-0.5 + 2.0**-10) / 255, True)
+
+
+@of_all_types
+def _rotated_hue(x: Tensor, turns: float) -> Tensor:
+    steps: list[tuple[str, Sequence[Any]]] = [("hue", (2 * math.pi * turns,))]
+    return _program(x, *steps, *([("scale_shift", _TO_LEVELS)] if x.dtype == torch.uint8 else []))
+
+
+@functional()
+def adjust_hue(inpt: Tensor, hue_factor: float) -> Tensor:
+    _check_factor("adjust_hue", hue_factor, -0.5, 0.5)
+    return _rotated_hue(inpt, hue_factor) if _is_rgb("adjust_hue", inpt) and inpt.numel() else inpt
+
+
+@of_all_types
+def _power(x: Tensor, gamma: float, gain: float) -> Tensor:
+    return _program(x, ("gamma", (gamma, gain)), *([("scale_shift", _TO_LEVELS)] if x.dtype == torch.uint8 else []))
+
+
+@functional()
+def adjust_gamma(inpt: Tensor, gamma: float, gain: float = 1) -> Tensor:
+    _check_factor("adjust_gamma", gamma)
+    return _power(inpt, gamma, gain)
+
+
+_sharpened = of_all_types(sharpness)
+
+
+@functional()
+def adjust_sharpness(inpt: Tensor, sharpness_factor: float) -> Tensor:
+    _check_factor("adjust_sharpness", sharpness_factor)
+    _is_rgb("adjust_sharpness", inpt)
+    return inpt if min(inpt.shape[-2:]) <= 2 else _sharpened(inpt, sharpness_factor)
+
+
+@functional()
+def posterize(inpt: Tensor, bits: int) -> Tensor:
+    if not isinstance(bits, int) or not 0 <= bits <= 8:
+        raise TypeCheckError(f"posterize: expected bits to be an int of 0 to 8, got {bits!r}")
+    if inpt.is_floating_point():
+        levels = 1 << bits
+        return inpt.mul(levels).floor_().clamp_(0, levels - 1).mul_(1 / levels)
+    lost = torch.iinfo(inpt.dtype).max.bit_length() - bits
+    return inpt if lost <= 0 else inpt & (((1 << bits) - 1) << lost)
+
+
+@functional()
+def solarize(inpt: Tensor, threshold: float) -> Tensor:
+    white = largest(inpt.dtype)
+    if threshold > white:
+        raise TypeCheckError(f"solarize: expected a threshold of at most {white}, got {threshold}")
+    if inpt.dtype == torch.uint8:
+        return solarized(inpt, (math.ceil(threshold) - 0.5) / 255)  # between two levels
+    return solarized(inpt, threshold) if inpt.is_floating_point() else torch.where(inpt < threshold, inpt, invert(inpt))
+
+
+@of_all_types
+def _stretched(x: Tensor) -> Tensor:
+    batch = as_batch(x)
+    low, high = (
+        extreme((2, 3))[..., None].to(torch.float32) / largest(x.dtype) for extreme in (batch.amin, batch.amax)
+    )
+    flat = low == high
+    factor = torch.where(flat, 1.0, 1 / (high - low))
+    return shaped(scale_shift(batch, factor, torch.where(flat, 0.0, -low * factor) + truncated(x), True), x)
+
+
+@functional()
+def autocontrast(inpt: Tensor) -> Tensor:
+    _is_rgb("autocontrast", inpt)
+    return _stretched(inpt) if inpt.numel() else inpt
+
+
+@functional()
+def equalize(inpt: Tensor) -> Tensor:
+    if inpt.numel() == 0:
+        return inpt
+    levels = to_dtype(inpt, torch.uint8, scale=True)
+    return to_dtype(equalized(levels), inpt.dtype, scale=True)  # type: ignore[no-any-return]
+
+
+@functional()
+def invert(inpt: Tensor) -> Tensor:
+    if inpt.is_floating_point():
+        return 1.0 - inpt
+    return ~inpt if inpt.dtype in (torch.uint8, torch.bool) else inpt ^ torch.iinfo(inpt.dtype).max
+
+
+@functional()
+def permute_channels(inpt: Tensor, permutation: Sequence[int] | Tensor) -> Tensor:
+    if len(permutation) != inpt.shape[-3]:
+        raise ValueError(
+            f"permute_channels: expected a permutation of {inpt.shape[-3]} channels, got {len(permutation)}"
+        )
+    return inpt.index_select(-3, torch.as_tensor(permutation, device=inpt.device))
+
+
+@functional(pil=tensors_only("normalize"))
+def normalize(inpt: Tensor, mean: Sequence[float], std: Sequence[float], inplace: bool = False) -> Tensor:
+    if not inpt.is_floating_point():
+        raise TypeCheckError(
+            f"normalize: expected floating point, got {inpt.dtype}; put ToDtype(torch.float32, scale=True) before"
+        )
+    if inpt.dim() < 3:
+        raise ValueError(f"normalize: expected an image (*, C, H, W), got {tuple(inpt.shape)}")
+    if not all(std):
+        raise ValueError(f"normalize: expected std other than 0, got {std}")
+    center, scale = (constant(tuple(map(float, numbers)), inpt) for numbers in (mean, std))
+    if inplace:
+        return inpt.sub_(center[:, None, None]).div_(scale[:, None, None])
+    return shaped(standardized(as_batch(inpt), center, scale), inpt)
+
+
+def _two_numbers(op: str, name: str, value: Any) -> tuple[Any, Any]:
+    values = [value] if isinstance(value, (int, float)) else list(value)
+    if len(values) not in (1, 2):
+        raise ValueError(f"{op}: expected {name} to be a number or two, got {value!r}")
+    return values[0], values[-1]
+
+
+@functional()
+def gaussian_blur(
+    inpt: Tensor, kernel_size: int | Sequence[int], sigma: float | Sequence[float] | None = None
+) -> Tensor:
+    kx, ky = _two_numbers("gaussian_blur", "kernel_size", kernel_size)
+    if kx % 2 == 0 or ky % 2 == 0 or min(kx, ky) < 1:
+        raise ValueError(f"gaussian_blur: expected odd kernel_size, got {kernel_size}")
+    sx, sy = (0.15 * kx + 0.35, 0.15 * ky + 0.35) if sigma is None else _two_numbers("gaussian_blur", "sigma", sigma)
+    if min(sx, sy) <= 0:
+        raise ValueError(f"gaussian_blur: expected sigma above 0, got {sigma}")
+    if inpt.numel() == 0:
+        return inpt
+    x = inpt if inpt.is_floating_point() or inpt.dtype == torch.uint8 else inpt.float()
+    output = shaped(gaussian_blur2d(as_batch(x), (ky, kx), (sy, sx)), inpt)
+    return output if output.dtype == inpt.dtype else output.round_().to(inpt.dtype)
+
+
+to_grayscale = rgb_to_grayscale

@@ -1,0 +1,106 @@
+"""From a kernel of tensors to v2's function: the same for images, videos, masks, PIL images, boxes and key points."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+from kvision.core.exceptions import TypeCheckError
+from kvision.tv.inputs import IMAGES, LABELS, TV_TENSORS, kind_of, pil_to_tensor, plain, to_pil_image, wrap
+
+_registered: dict[str, dict[type, Callable[..., Any]]] = {}
+
+
+def functional(
+    *, moves: bool = False, pil: Callable[..., Any] | None = None, mask: Callable[..., Any] | None = None
+) -> Callable[[Callable[..., Any]], Any]:
+    """Make a public function of a kernel, which takes a tensor (*, C, H, W) and v2's arguments.
+
+    `moves` says that masks, boxes and key points follow; then `mask` may be the kernel of masks. `pil` is a function of PIL images
+    with the same values, or NotImplemented for arguments for which they are not. Boxes and key points are torchvision's: their
+    classes exist only where it is loaded, and its functions are public.
+    """
+
+    def decorate(kernel: Callable[..., Any]) -> Any:
+        name = kernel.__name__
+        names = tuple(inspect.signature(kernel).parameters)[1:]
+
+        @functools.wraps(kernel)
+        def call(inpt: Any, *args: Any, **kwargs: Any) -> Any:
+            kind = kind_of(inpt)
+            if kind == "tensor":
+                return kernel(inpt, *args, **kwargs)
+            if kind in ("image", "video"):
+                return wrap(kernel(plain(inpt), *args, **kwargs), inpt)
+            if kind == "pil":
+                output = pil(inpt, *args, **kwargs) if pil is not None else NotImplemented
+                return _on_pil(kernel, inpt, *args, **kwargs) if output is NotImplemented else output
+            if kind == "mask" and moves:
+                kwargs.update(zip(names, args))
+                return wrap(_on_mask(mask or kernel, plain(inpt), kwargs), inpt)
+            if kind in LABELS and moves:
+                from torchvision.transforms.v2 import functional as v2
+
+                return getattr(v2, name)(inpt, *args, **kwargs)
+            if own := _own_kernel(name, inpt):
+                return own(inpt, *args, **kwargs)
+            raise TypeCheckError(f"{name}: expected an image, a video or a PIL image, got {type(inpt).__name__}")
+
+        call.kinds = IMAGES | {"mask"} | LABELS if moves else IMAGES  # type: ignore[attr-defined]
+        return call
+
+    return decorate
+
+
+def takes(function: Callable[..., Any], x: Any) -> bool:
+    """Whether `function` changes inputs such as `x`; transforms pass others on."""
+    kind = kind_of(x)
+    return kind in function.kinds or (  # type: ignore[attr-defined]
+        kind in TV_TENSORS and _own_kernel(function.__name__, x) is not None
+    )
+
+
+def register_kernel(functional: Callable[..., Any] | str, tv_tensor_cls: type) -> Callable[[Any], Any]:
+    """Register what a function does to a tv_tensor class of your own, as v2's.
+
+    Args:
+        functional: a function of this module, or its name.
+        tv_tensor_cls: a subclass of torchvision.tv_tensors.TVTensor.
+
+    Returns:
+        A decorator of a function of an input and the arguments of `functional`.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> class Points(torch.Tensor): pass
+        >>> @F.register_kernel("horizontal_flip", Points)
+        ... def flip_points(points):
+        ...     return -points
+    """
+    name = functional if isinstance(functional, str) else functional.__name__
+
+    def decorate(kernel: Any) -> Any:
+        _registered.setdefault(name, {})[tv_tensor_cls] = kernel
+        return kernel
+
+    return decorate
+
+
+def _own_kernel(name: str, x: Any) -> Callable[..., Any] | None:
+    kernels = _registered.get(name, {})
+    return next((kernels[cls] for cls in type(x).__mro__ if cls in kernels), None)
+
+
+def _on_mask(kernel: Callable[..., Any], x: Any, kwargs: dict[str, Any]) -> Any:
+    if x.dim() > 2:
+        return kernel(x, **kwargs)
+    return kernel(x[None], **kwargs)[0]
+
+
+def _on_pil(kernel: Callable[..., Any], image: Any, *args: Any, **kwargs: Any) -> Any:
+    output = kernel(pil_to_tensor(image), *args, **kwargs)
+    if isinstance(output, tuple):
+        return tuple(to_pil_image(x, image.mode) for x in output)
+    return to_pil_image(output, image.mode if output.shape[-3] == len(image.getbands()) else None)

@@ -1,0 +1,475 @@
+"""Functions that move pixels, by the arguments of torchvision.transforms.v2.functional.
+
+Values are those of v2's path of tensors. Its matrices and displacements map pixels of the result to those of the image.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from enum import Enum
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._modes import INTERPOLATION, PADDING
+from kvision.geometry import transform
+from kvision.geometry.transform import nearest, sampling
+from kvision.tv.functional.dispatch import functional
+
+Fill = float | Sequence[float] | None
+
+
+class InterpolationMode(Enum):
+    """The interpolations of torchvision, whose own enumeration is taken as well.
+
+    Example:
+        >>> from kvision import tv
+        >>> tv.InterpolationMode.BILINEAR.value
+        'bilinear'
+    """
+
+    NEAREST = "nearest"
+    NEAREST_EXACT = "nearest-exact"
+    BILINEAR = "bilinear"
+    BICUBIC = "bicubic"
+    BOX = "box"
+    HAMMING = "hamming"
+    LANCZOS = "lanczos"
+
+
+_OF_PIL = ("nearest", "lanczos", "bilinear", "bicubic", "box", "hamming")  # by the integers of PIL.Image.Resampling
+_NAMES = tuple(mode.value for mode in InterpolationMode)
+
+
+def interpolation_name(op: str, interpolation: Any) -> str:
+    if isinstance(interpolation, Enum):
+        interpolation = interpolation.value
+    if _check.is_int(interpolation) and 0 <= interpolation < len(_OF_PIL):
+        interpolation = _OF_PIL[interpolation]
+    _check.choice(op, "interpolation", interpolation, _NAMES)
+    return str(interpolation)
+
+
+# --- flips and crops ------------------------------------------------------------------------------------------------
+
+
+@functional(moves=True, pil=lambda image: image.transpose(0))  # PIL.Image.Transpose.FLIP_LEFT_RIGHT
+def horizontal_flip(inpt: Tensor) -> Tensor:
+    return inpt.flip(-1)
+
+
+@functional(moves=True, pil=lambda image: image.transpose(1))  # PIL.Image.Transpose.FLIP_TOP_BOTTOM
+def vertical_flip(inpt: Tensor) -> Tensor:
+    return inpt.flip(-2)
+
+
+@functional(moves=True, pil=lambda image, top, left, height, width: _crop_pil(image, top, left, height, width))
+def crop(inpt: Tensor, top: int, left: int, height: int, width: int) -> Tensor:
+    h, w = inpt.shape[-2:]
+    bottom, right = top + height, left + width
+    if top >= 0 and left >= 0 and bottom <= h and right <= w:
+        return inpt[..., top:bottom, left:right]
+    inside = inpt[..., max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
+    before = [min(max(-left, 0), width), min(max(-top, 0), height)]
+    after = [width - inside.shape[-1] - before[0], height - inside.shape[-2] - before[1]]
+    return F.pad(inside, [before[0], after[0], before[1], after[1]])
+
+
+def _crop_pil(image: Any, top: int, left: int, height: int, width: int) -> Any:
+    return image.crop((left, top, left + width, top + height))
+
+
+def _two(op: str, name: str, size: Any) -> tuple[int, int]:
+    """The height and width that an int, a sequence of one or of two say."""
+    if isinstance(size, int):
+        return size, size
+    if isinstance(size, (tuple, list)) and len(size) in (1, 2):
+        return int(size[0]), int(size[-1])
+    raise ValueError(f"{op}: expected {name} to be an int or one or two of them, got {size!r}")
+
+
+def _center(height: int, width: int, size: tuple[int, int]) -> tuple[int, int]:
+    """The corner of a crop in the center; an odd number of pixels too many or too few is split as in v2."""
+    return _before(height, size[0]), _before(width, size[1])
+
+
+def _before(image: int, crop: int) -> int:
+    return -((crop - image) // 2) if crop > image else round((image - crop) / 2.0)
+
+
+def _center_crop_pil(image: Any, output_size: Any) -> Any:
+    size = _two("center_crop", "output_size", output_size)
+    return _crop_pil(image, *_center(image.height, image.width, size), *size)
+
+
+@functional(moves=True, pil=_center_crop_pil)
+def center_crop(inpt: Tensor, output_size: int | Sequence[int]) -> Tensor:
+    size = _two("center_crop", "output_size", output_size)
+    return crop(inpt, *_center(*inpt.shape[-2:], size), *size)  # type: ignore[no-any-return]
+
+
+def _five(image: Any, height: int, width: int, size: Any) -> tuple[Any, ...]:
+    h, w = _two("five_crop", "size", size)
+    if h > height or w > width:
+        raise ValueError(f"five_crop: expected a size of at most {height} x {width}, got {h} x {w}")
+    corners = [(0, 0), (0, width - w), (height - h, 0), (height - h, width - w), _center(height, width, (h, w))]
+    return tuple(crop(image, *corner, h, w) for corner in corners)
+
+
+@functional(pil=lambda image, size: _five(image, image.height, image.width, size))
+def five_crop(inpt: Tensor, size: int | Sequence[int]) -> tuple[Tensor, ...]:
+    return _five(inpt, *inpt.shape[-2:], size)
+
+
+def _ten(image: Any, size: Any, vertical_flip_: bool) -> tuple[Any, ...]:
+    mirrored = vertical_flip(image) if vertical_flip_ else horizontal_flip(image)
+    return five_crop(image, size) + five_crop(mirrored, size)  # type: ignore[no-any-return]
+
+
+@functional(pil=lambda image, size, vertical_flip=False: _ten(image, size, vertical_flip))
+def ten_crop(inpt: Tensor, size: int | Sequence[int], vertical_flip: bool = False) -> tuple[Tensor, ...]:
+    return _ten(inpt, size, vertical_flip)
+
+
+# --- sizes ----------------------------------------------------------------------------------------------------------
+
+
+def resized_size(height: int, width: int, size: Any, max_size: int | None) -> tuple[int, int]:
+    """The height and width of `resize`: both, the shorter one with a limit of the longer one, or that limit alone."""
+    if isinstance(size, int):
+        size = [size]
+    if size is not None and len(size) == 2:
+        if max_size is not None:
+            raise ValueError(f"resize: expected no max_size where size has height and width, got {max_size}")
+        return int(size[0]), int(size[1])
+    short, long = min(height, width), max(height, width)
+    if size is None:
+        if not _check.is_int(max_size):
+            raise ValueError(f"resize: expected max_size to be an int where size is None, got {max_size!r}")
+        new_short, new_long = int(max_size * short / long), int(max_size)  # type: ignore[operator]  # an int
+    else:
+        new_short, new_long = size[0], int(size[0] * long / short)
+        if max_size is not None:
+            if max_size <= new_short:
+                raise ValueError(
+                    f"resize: expected max_size above the size {new_short} of the shorter side, got {max_size}"
+                )
+            if new_long > max_size:
+                new_short, new_long = int(max_size * new_short / new_long), max_size
+    return (new_long, new_short) if width <= height else (new_short, new_long)
+
+
+def _resize_pil(
+    image: Any, size: Any, interpolation: Any = "bilinear", max_size: int | None = None, antialias: bool | None = True
+) -> Any:
+    """PIL's antialiased resizing, which torch's of bytes follows; NotImplemented for what PIL does otherwise."""
+    mode = interpolation_name("resize", interpolation)
+    if "nearest" in mode or image.mode not in ("L", "RGB"):
+        return NotImplemented
+    new = resized_size(image.height, image.width, size, max_size)
+    return image if new == (image.height, image.width) else image.resize(new[::-1], _OF_PIL.index(mode))
+
+
+def _resize_mask(mask: Tensor, size: Any, interpolation: Any = "nearest", **options: Any) -> Tensor:
+    exact = interpolation_name("resize", interpolation) == "nearest-exact"
+    return resize(mask, size, "nearest-exact" if exact else "nearest", options.get("max_size"))  # type: ignore[no-any-return]
+
+
+@functional(moves=True, pil=_resize_pil, mask=_resize_mask)
+def resize(
+    inpt: Tensor,
+    size: int | Sequence[int] | None,
+    interpolation: InterpolationMode | str | int = "bilinear",
+    max_size: int | None = None,
+    antialias: bool | None = True,
+) -> Tensor:
+    mode = interpolation_name("resize", interpolation)
+    *leading, height, width = inpt.shape
+    new = resized_size(height, width, size, max_size)
+    if mode in ("box", "hamming") or (mode == "lanczos" and not antialias):
+        raise ValueError(f"resize: {mode!r} needs {'antialias=True' if mode == 'lanczos' else 'a PIL image'}")
+    if new == (height, width):
+        return inpt
+    if inpt.numel() == 0:
+        return inpt.new_empty(*leading, *new)
+    batch = inpt.reshape(-1, *inpt.shape[-3:])
+    if "nearest" in mode:  # by torch, whose rounded scale decides between two pixels that are equally near
+        output = nearest.of_values(F.interpolate(nearest.as_values(batch, mode), new, mode=mode), batch, mode)
+    else:
+        output = transform.resize(batch, new, mode, antialias=bool(antialias))
+    if output.dtype != inpt.dtype:
+        output = output.round_().to(inpt.dtype)
+    return output.reshape(*leading, *new)
+
+
+def _resized_crop_mask(mask: Tensor, top: int, left: int, height: int, width: int, size: Any, **_: Any) -> Tensor:
+    return _resize_mask(crop(mask, top, left, height, width), size)
+
+
+def _resized_crop_pil(
+    image: Any, top: int, left: int, height: int, width: int, size: Any, *args: Any, **options: Any
+) -> Any:
+    return resize(_crop_pil(image, top, left, height, width), size, *args, **options)
+
+
+@functional(moves=True, pil=_resized_crop_pil, mask=_resized_crop_mask)
+def resized_crop(
+    inpt: Tensor,
+    top: int,
+    left: int,
+    height: int,
+    width: int,
+    size: int | Sequence[int],
+    interpolation: InterpolationMode | str | int = "bilinear",
+    antialias: bool | None = True,
+) -> Tensor:
+    return resize(crop(inpt, top, left, height, width), size, interpolation, antialias=antialias)  # type: ignore[no-any-return]
+
+
+def four_paddings(padding: int | Sequence[int]) -> list[int]:
+    """Left, right, top and bottom of a padding of one, two (x and y) or four (left, top, right, bottom) numbers."""
+    p = [padding] if isinstance(padding, int) else list(padding)
+    if len(p) not in (1, 2, 4) or not all(isinstance(n, int) for n in p):
+        raise ValueError(f"pad: expected padding to be an int or 1, 2 or 4 of them, got {padding!r}")
+    left, top, right, bottom = p * (4 // len(p))
+    return [left, right, top, bottom]
+
+
+PADDING_MODES = ("constant", "edge", "reflect", "symmetric")
+
+
+def _source_indices(size: int, before: int, after: int, mode: str, device: torch.device) -> Tensor:
+    i = torch.arange(-before, size + after, device=device)
+    if mode == "edge":
+        return i.clamp(0, size - 1)
+    period = 2 * size if mode == "symmetric" else max(2 * size - 2, 1)
+    i = i.remainder(period)
+    return torch.minimum(i, period - (mode == "symmetric") - i)
+
+
+def _pad_mask(mask: Tensor, padding: Any, fill: Any = None, padding_mode: str = "constant") -> Tensor:
+    if isinstance(fill, (tuple, list)):
+        raise ValueError(f"pad: expected a number as the fill of masks, got {fill!r}")
+    return pad(mask, padding, fill, padding_mode)  # type: ignore[no-any-return]
+
+
+@functional(moves=True, mask=_pad_mask)
+def pad(inpt: Tensor, padding: int | Sequence[int], fill: Fill = None, padding_mode: str = "constant") -> Tensor:
+    left, right, top, bottom = four_paddings(padding)
+    _check.choice("pad", "padding_mode", padding_mode, PADDING_MODES)
+    if isinstance(fill, (tuple, list)) and len(fill) == 1:
+        fill = fill[0]
+    if padding_mode != "constant":
+        if isinstance(fill, (tuple, list)):
+            raise ValueError(f"pad: expected a fill of several channels only with 'constant', got {padding_mode!r}")
+        rows = _source_indices(inpt.shape[-2], top, bottom, padding_mode, inpt.device)
+        columns = _source_indices(inpt.shape[-1], left, right, padding_mode, inpt.device)
+        return inpt[..., rows[:, None], columns]
+    if not isinstance(fill, (tuple, list)):
+        return F.pad(inpt, [left, right, top, bottom], value=float(fill or 0))  # type: ignore[arg-type]
+    height, width = inpt.shape[-2:]
+    colors = torch.tensor(fill, device=inpt.device).to(inpt.dtype).reshape(-1, 1, 1)
+    output = colors.expand(*inpt.shape[:-2], height + top + bottom, width + left + right).contiguous()
+    crop(output, top, left, height, width).copy_(inpt)
+    return output
+
+
+# --- warps ----------------------------------------------------------------------------------------------------------
+
+
+def _filled(op: str, sample: Any, inpt: Tensor, size: tuple[int, int], interpolation: Any, fill: Fill) -> Tensor:
+    """`sample(images, fill, mode)` of images (B, C, H, W), with v2's rule of colors at the border.
+
+    Where m of a pixel's weight is inside, bilinear values s (zeros outside) become (s - fill) m + fill.
+    """
+    *leading, height, width = inpt.shape
+    mode = interpolation_name(op, interpolation)
+    if mode not in ("nearest", "bilinear"):
+        raise ValueError(f"{op}: expected an interpolation of 'nearest' or 'bilinear', got {mode!r}")
+    if fill is not None:
+        fill = [float(f) for f in fill] if isinstance(fill, (tuple, list)) else [float(fill)]  # type: ignore[arg-type]
+        if len(fill) not in (1, inpt.shape[-3]):
+            raise ValueError(f"{op}: expected a fill of {inpt.shape[-3]} channels, got {fill}")
+    if 0 in inpt.shape:
+        return inpt.new_empty(*leading, *size)
+    batch = inpt.reshape(-1, *inpt.shape[-3:])
+    if mode == "nearest":
+        _, color = sampling.padding_and_fill(op, batch, "zeros" if fill is None else "fill", fill, None, mode)
+        output = nearest.of_values(sample(nearest.as_values(batch, mode), color, mode), batch, mode)
+    elif fill is None:
+        output = sample(batch if batch.dtype == torch.uint8 else floats(batch), None, mode)
+    else:
+        values = floats(batch)
+        inside = sample(values.new_ones(1, 1, height, width), None, mode)
+        output = sample(values, None, mode)
+        colors = torch.tensor(fill, device=batch.device).to(values.dtype)[:, None, None]
+        output = output.sub_(colors).mul_(inside).add_(colors) if any(fill) else output.mul_(inside)
+    if output.dtype != inpt.dtype:
+        output = output.round_().to(inpt.dtype)
+    return output.reshape(*leading, *size)
+
+
+def _warp(
+    op: str, inpt: Tensor, matrix: list[list[float]], size: tuple[int, int], interpolation: Any, fill: Fill
+) -> Tensor:
+    """Sample at `matrix` times the pixels (x, y, 1) of the result; the center of the first one is (0, 0)."""
+    dtype = torch.float64 if inpt.dtype == torch.float64 else torch.float32
+    to_source = torch.tensor([matrix], dtype=dtype, device=inpt.device)
+
+    def sample(images: Tensor, color: Tensor | None, mode: str) -> Tensor:
+        options = (INTERPOLATION[mode], PADDING["fill"], False, False, False)
+        return sampling.warp(images, to_source, color, None, list(size), *options)
+
+    return _filled(op, sample, inpt, size, interpolation, fill)
+
+
+def _affine_matrix(
+    center: Sequence[float], angle: float, translate: Sequence[float], scale: float, shear: Sequence[float]
+) -> list[list[float]]:
+    """From pixels of the result to those of the image: rotation R, shears and scale around a center, then a translation.
+
+    T(center) (scale R(angle) Sy Sx)^-1 T(-center - translate), angles in degrees, clockwise in the image.
+    """
+    rotation, x, y = (math.radians(a) for a in (angle, *shear))
+    a = math.cos(rotation - y) / math.cos(y)
+    b = -(a * math.tan(x) + math.sin(rotation))
+    c = math.sin(rotation - y) / math.cos(y)
+    d = math.cos(rotation) - c * math.tan(x)
+    rows = [[d / scale, -b / scale], [-c / scale, a / scale]]  # the determinant of [a b; c d] is 1
+    shifted = [center[0] + translate[0], center[1] + translate[1]]
+    return [[*row, center[i] - row[0] * shifted[0] - row[1] * shifted[1]] for i, row in enumerate(rows)]
+
+
+def _of_pixels(matrix: list[list[float]], image: Sequence[int], result: Sequence[int]) -> list[list[float]]:
+    """A matrix of coordinates from the image's center as one of pixels; sizes are (height, width)."""
+    rows = []
+    for row, size in zip(matrix, image[::-1]):
+        shift = row[2] - row[0] * (result[1] - 1) / 2 - row[1] * (result[0] - 1) / 2 + (size - 1) / 2
+        rows.append([row[0], row[1], shift])
+    return rows
+
+
+def _from_center(center: Any, height: int, width: int) -> list[float]:
+    return [0.0, 0.0] if center is None else [center[0] - width * 0.5, center[1] - height * 0.5]
+
+
+def _nearest_mask(kernel: Any) -> Any:
+    """The kernel of masks: `kernel` with nearest pixels."""
+    return lambda mask, **kwargs: kernel(mask, **{**kwargs, "interpolation": "nearest"})
+
+
+@functional(moves=True, mask=_nearest_mask(lambda *args, **kwargs: affine(*args, **kwargs)))
+def affine(
+    inpt: Tensor,
+    angle: float,
+    translate: Sequence[float],
+    scale: float,
+    shear: float | Sequence[float],
+    interpolation: InterpolationMode | str | int = "nearest",
+    fill: Fill = None,
+    center: Sequence[float] | None = None,
+) -> Tensor:
+    if scale <= 0:
+        raise ValueError(f"affine: expected a scale above 0, got {scale}")
+    shear = [shear, 0.0] if isinstance(shear, (int, float)) else list(shear) * (2 // len(shear))
+    size = inpt.shape[-2], inpt.shape[-1]
+    matrix = _affine_matrix(_from_center(center, *size), angle, translate, scale, shear)
+    return _warp("affine", inpt, _of_pixels(matrix, size, size), size, interpolation, fill)
+
+
+def _expanded_size(matrix: list[list[float]], height: int, width: int) -> tuple[int, int]:
+    """The size that holds an image after a rotation, by its corners in float32 as v2 rounds them."""
+    corners = torch.tensor([[x * width / 2, y * height / 2, 1.0] for x, y in ((-1, -1), (-1, 1), (1, 1), (1, -1))])
+    low, high = (corners @ torch.tensor(matrix).T).aminmax(dim=0)
+    half, tolerance = torch.tensor([width / 2, height / 2]), 1e-4
+    low, high = ((x + half).mul_(1 / tolerance).trunc_().mul_(tolerance) for x in (low, high))
+    w, h = high.ceil_().sub_(low.floor_()).tolist()
+    return int(h), int(w)
+
+
+@functional(moves=True, mask=_nearest_mask(lambda *args, **kwargs: rotate(*args, **kwargs)))
+def rotate(
+    inpt: Tensor,
+    angle: float,
+    interpolation: InterpolationMode | str | int = "nearest",
+    expand: bool = False,
+    center: Sequence[float] | None = None,
+    fill: Fill = None,
+) -> Tensor:
+    height, width = inpt.shape[-2:]
+    angle = angle % 360
+    if center is None:
+        if angle == 0:
+            return inpt.clone()
+        if angle == 180 or (angle in (90, 270) and (expand or height == width)):
+            return inpt.rot90(int(angle) // 90, (-2, -1))
+    matrix = _affine_matrix(_from_center(center, height, width), -angle, (0.0, 0.0), 1.0, (0.0, 0.0))
+    size = _expanded_size(matrix, height, width) if expand else (height, width)
+    return _warp("rotate", inpt, _of_pixels(matrix, (height, width), size), size, interpolation, fill)
+
+
+def perspective_coefficients(
+    startpoints: Sequence[Sequence[float]], endpoints: Sequence[Sequence[float]]
+) -> list[float]:
+    """The numbers a to h of x = (a u + b v + c) / (g u + h v + 1), y = (d u + e v + f) / (...) from end to start points."""
+    if len(startpoints) != 4 or len(endpoints) != 4:
+        raise ValueError(f"perspective: expected four points each, got {len(startpoints)} and {len(endpoints)}")
+    rows = []
+    for (u, v), (x, y) in zip(endpoints, startpoints):
+        rows += [[u, v, 1, 0, 0, 0, -x * u, -x * v], [0, 0, 0, u, v, 1, -y * u, -y * v]]
+    points = torch.tensor(startpoints, dtype=torch.float64).reshape(8)
+    solution = torch.linalg.lstsq(torch.tensor(rows, dtype=torch.float64), points, driver="gels").solution
+    return solution.float().tolist()  # type: ignore[no-any-return]
+
+
+def _coefficients(startpoints: Any, endpoints: Any, coefficients: Any) -> Sequence[float]:
+    if (coefficients is None) == (startpoints is None or endpoints is None):
+        raise ValueError("perspective: expected either startpoints and endpoints or coefficients")
+    if coefficients is None:
+        return perspective_coefficients(startpoints, endpoints)
+    if len(coefficients) != 8:
+        raise ValueError(f"perspective: expected 8 coefficients, got {len(coefficients)}")
+    return list(coefficients)
+
+
+@functional(moves=True, mask=_nearest_mask(lambda *args, **kwargs: perspective(*args, **kwargs)))
+def perspective(
+    inpt: Tensor,
+    startpoints: Sequence[Sequence[int]] | None,
+    endpoints: Sequence[Sequence[int]] | None,
+    interpolation: InterpolationMode | str | int = "bilinear",
+    fill: Fill = None,
+    coefficients: Sequence[float] | None = None,
+) -> Tensor:
+    a, b, c, d, e, f, g, h = _coefficients(startpoints, endpoints, coefficients)
+    # The coefficients are of coordinates from the corner of the first pixel, half a pixel before its center.
+    k = g / 2 + h / 2 + 1
+    rows = [[a, b, a / 2 + b / 2 + c], [d, e, d / 2 + e / 2 + f]]
+    matrix = [[r - 0.5 * s for r, s in zip(row, (g, h, k))] for row in rows]
+    size = inpt.shape[-2], inpt.shape[-1]
+    return _warp("perspective", inpt, [*matrix, [g, h, k]], size, interpolation, fill)
+
+
+@functional(moves=True, mask=_nearest_mask(lambda *args, **kwargs: elastic(*args, **kwargs)))
+def elastic(
+    inpt: Tensor, displacement: Tensor, interpolation: InterpolationMode | str | int = "bilinear", fill: Fill = None
+) -> Tensor:
+    height, width = inpt.shape[-2:]
+    _check.shape("elastic", "displacement", displacement, 1, height, width, 2)
+    dtype = torch.float64 if inpt.dtype == torch.float64 else torch.float32
+    moved = displacement.to(inpt.device, dtype)
+    x = moved[..., 0] * (width / 2) + torch.arange(width, device=inpt.device)
+    y = moved[..., 1] * (height / 2) + torch.arange(height, device=inpt.device)[:, None]
+
+    def sample(images: Tensor, color: Tensor | None, mode: str) -> Tensor:
+        return sampling.remap(images, x, y, color, None, INTERPOLATION[mode], PADDING["fill"], False, False, False)
+
+    return _filled("elastic", sample, inpt, (height, width), interpolation, fill)
+
+
+hflip, vflip, elastic_transform = horizontal_flip, vertical_flip, elastic

@@ -1,0 +1,185 @@
+"""Functions of types, noise, erased parts, JPEG and frames, by the arguments of torchvision.transforms.v2.functional."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision.core.exceptions import TypeCheckError
+from kvision.tv.functional.dispatch import functional
+from kvision.tv.inputs import channels_of, height_and_width, kind_of, pil_to_tensor, to_pil_image, tv_tensor
+
+# A byte that is rounded after this shift is truncated: half a level below, but for rounding errors of integers.
+_HALF_A_LEVEL_DOWN = (-0.5 + 2.0**-10) / 255
+
+
+def truncated(x: Tensor) -> float:
+    """What to add to values in [0, 1] so that they are truncated where results are bytes."""
+    return _HALF_A_LEVEL_DOWN if x.dtype == torch.uint8 else 0.0
+
+
+def largest(dtype: torch.dtype) -> float:
+    """White."""
+    return 1.0 if dtype.is_floating_point else 1.0 if dtype == torch.bool else float(torch.iinfo(dtype).max)
+
+
+def of_all_types(kernel: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """A kernel of floating point and uint8, which computes other integers as fractions of white."""
+
+    def call(x: Tensor, *args: Any) -> Tensor:
+        if x.is_floating_point() or x.dtype == torch.uint8:
+            return kernel(x, *args)
+        white = largest(x.dtype)
+        return (kernel(x.double() / white, *args) * white).to(x.dtype)
+
+    return call
+
+
+def tensors_only(name: str) -> Callable[..., Any]:
+    def refuse(*_: Any, **__: Any) -> Any:
+        raise TypeCheckError(f"{name}: expected a tensor, got a PIL image; put ToImage before")
+
+    return refuse
+
+
+def _bits(dtype: torch.dtype) -> int:
+    return torch.iinfo(dtype).max.bit_length()
+
+
+@functional(
+    moves=True, pil=tensors_only("to_dtype"), mask=lambda mask, dtype=torch.float32, scale=False: mask.to(dtype)
+)
+def to_dtype(inpt: Tensor, dtype: torch.dtype = torch.float32, scale: bool = False) -> Tensor:
+    if inpt.dtype == dtype:
+        return inpt
+    if not scale:
+        return inpt.to(dtype)
+    source = inpt.dtype
+    if dtype.is_floating_point:
+        return inpt.to(dtype) if source.is_floating_point else inpt.to(dtype).mul_(1 / largest(source))
+    if source.is_floating_point:
+        if torch.finfo(source).bits <= _bits(dtype) + 1:
+            raise RuntimeError(f"to_dtype: expected a floating-point type that has all values of {dtype}, got {source}")
+        return inpt.mul(largest(dtype) + 1 - 1e-3).to(dtype)
+    shift = _bits(dtype) - _bits(source)
+    if torch.uint16 in (source, dtype):  # has no shifts
+        wide = inpt.to(torch.int64)
+        return (wide << shift if shift > 0 else wide >> -shift).to(dtype)
+    return inpt.to(dtype) << shift if shift > 0 else (inpt >> -shift).to(dtype)
+
+
+def convert_image_dtype(image: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
+    return to_dtype(image, dtype, scale=True)  # type: ignore[no-any-return]
+
+
+@functional(pil=tensors_only("gaussian_noise"))
+def gaussian_noise(inpt: Tensor, mean: float = 0.0, sigma: float = 0.1, clip: bool = True) -> Tensor:
+    if sigma < 0:
+        raise ValueError(f"gaussian_noise: expected a sigma of at least 0, got {sigma}")
+    if inpt.is_floating_point():
+        output = inpt + (mean + torch.randn_like(inpt) * sigma)
+        return output.clamp_(0, 1) if clip else output
+    if inpt.dtype != torch.uint8:
+        raise ValueError(f"gaussian_noise: expected floating point or uint8, got {inpt.dtype}")
+    noise = (mean * 255 + torch.randn_like(inpt, dtype=torch.float32) * (sigma * 255)).to(torch.int16)
+    output = inpt + noise
+    return (output.clamp_(0, 255) if clip else output).to(torch.uint8)
+
+
+@functional()
+def erase(inpt: Tensor, i: int, j: int, h: int, w: int, v: Tensor, inplace: bool = False) -> Tensor:
+    output = inpt if inplace else inpt.clone()
+    output[..., i : i + h, j : j + w] = v
+    return output
+
+
+def _jpeg_pil(image: Any, quality: int) -> Any:
+    import io
+
+    import PIL.Image
+
+    stream = io.BytesIO()
+    image.save(stream, format="JPEG", quality=quality)
+    return PIL.Image.open(stream).copy()
+
+
+@functional(pil=_jpeg_pil)
+def jpeg(image: Tensor, quality: int) -> Tensor:
+    if image.dtype != torch.uint8 or image.shape[-3] not in (1, 3):
+        raise TypeCheckError(f"jpeg: expected uint8 of 1 or 3 channels, got {image.dtype} {tuple(image.shape)}")
+    batch = image.reshape(-1, *image.shape[-3:])
+    if batch.shape[0] == 0:
+        return image.clone()
+    try:
+        from torchvision.io import decode_jpeg, encode_jpeg
+    except ImportError:
+        coded = [pil_to_tensor(_jpeg_pil(to_pil_image(x), quality)).to(image.device) for x in batch]
+    else:
+        coded = [decode_jpeg(encode_jpeg(x.cpu(), quality)).to(image.device) for x in batch]
+    return torch.stack(coded).reshape(image.shape)
+
+
+@functional()
+def uniform_temporal_subsample(inpt: Tensor, num_samples: int) -> Tensor:
+    if inpt.dim() < 4:
+        raise ValueError(f"uniform_temporal_subsample: expected a video (*, T, C, H, W), got {tuple(inpt.shape)}")
+    frames = torch.linspace(0, inpt.shape[-4] - 1, num_samples, device=inpt.device).long()
+    return inpt.index_select(-4, frames)
+
+
+# --- kinds of inputs ------------------------------------------------------------------------------------------------
+
+
+def to_image(inpt: Any) -> Tensor:
+    """A tensor, an array (H, W, C) or (H, W), or a PIL image as tv_tensors.Image; a tensor where torchvision is missing."""
+    kind = kind_of(inpt)
+    if kind == "pil":
+        inpt = pil_to_tensor(inpt)
+    elif kind == "array":
+        inpt = torch.from_numpy(inpt[..., None] if inpt.ndim < 3 else inpt).permute(2, 0, 1).contiguous()
+    elif not isinstance(inpt, Tensor):
+        raise TypeCheckError(f"to_image: expected a tensor, an array or a PIL image, got {type(inpt).__name__}")
+    return tv_tensor("Image", inpt)
+
+
+def get_dimensions(inpt: Any) -> list[int]:
+    return [channels_of(inpt), *height_and_width(inpt)]
+
+
+def get_num_channels(inpt: Any) -> int:
+    return channels_of(inpt)
+
+
+def get_size(inpt: Any) -> list[int]:
+    return list(height_and_width(inpt))
+
+
+def get_num_frames(inpt: Tensor) -> int:
+    return inpt.shape[-4]
+
+
+def is_pure_tensor(inpt: Any) -> bool:
+    return kind_of(inpt) == "tensor"
+
+
+def _of_torchvision(name: str) -> Callable[..., Any]:
+    """torchvision's function of boxes or key points, whose classes are its own."""
+
+    def call(*args: Any, **kwargs: Any) -> Any:
+        from torchvision.transforms.v2 import functional as v2
+
+        return getattr(v2, name)(*args, **kwargs)
+
+    call.__name__ = call.__qualname__ = name
+    return call
+
+
+clamp_bounding_boxes = _of_torchvision("clamp_bounding_boxes")
+clamp_keypoints = _of_torchvision("clamp_keypoints")
+convert_bounding_box_format = _of_torchvision("convert_bounding_box_format")
+sanitize_bounding_boxes = _of_torchvision("sanitize_bounding_boxes")
+sanitize_keypoints = _of_torchvision("sanitize_keypoints")
+get_image_num_channels = get_num_channels

@@ -1,0 +1,172 @@
+"""What an input is by torchvision's classes, and images between PIL, arrays and tensors.
+
+torchvision is not imported: objects of its classes exist only where it is loaded.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision.core.exceptions import TypeCheckError
+
+IMAGES = frozenset({"tensor", "image", "video", "pil"})
+PIXELS = frozenset({*IMAGES, "mask"})
+LABELS = frozenset({"boxes", "points"})
+EVERYTHING = PIXELS | LABELS
+TV_TENSORS = frozenset({"image", "video", "mask", "boxes", "points", "tv_tensor"})
+
+_TV_CLASSES = {
+    "Image": "image",
+    "Video": "video",
+    "Mask": "mask",
+    "BoundingBoxes": "boxes",
+    "KeyPoints": "points",
+    "TVTensor": "tv_tensor",
+}
+_kinds: dict[type, str] = {Tensor: "tensor"}
+
+
+def kind_of(x: Any) -> str:
+    """One of "tensor" (a plain one), "pil", "array", "other" and the kinds of tv_tensors."""
+    kind = _kinds.get(type(x))
+    if kind is None:
+        kind = _kinds[type(x)] = _classify(type(x))
+    return kind
+
+
+def _classify(cls: type) -> str:
+    if issubclass(cls, Tensor):
+        for name, kind in _TV_CLASSES.items():
+            tv_class = getattr(sys.modules.get("torchvision.tv_tensors"), name, None)
+            if tv_class is not None and issubclass(cls, tv_class):
+                return kind
+        return "tensor"
+    for module, name, kind in (("PIL.Image", "Image", "pil"), ("numpy", "ndarray", "array")):
+        if module in sys.modules and issubclass(cls, getattr(sys.modules[module], name)):
+            return kind
+    return "other"
+
+
+def wrap(output: Any, like: Any) -> Any:
+    """A plain tensor as a tv_tensor of the class of `like`, with its format and canvas."""
+    if kind_of(like) not in TV_TENSORS:
+        return output
+    if isinstance(output, (tuple, list)):
+        return type(output)(wrap(x, like) for x in output)
+    return type(like).wrap(output, like=like)
+
+
+def plain(x: Tensor) -> Tensor:
+    return x if type(x) is Tensor else x.as_subclass(Tensor)
+
+
+def tv_tensor(name: str, data: Tensor) -> Tensor:
+    """`data` as the class of torchvision.tv_tensors with this name, or as it is where torchvision is not installed."""
+    try:
+        from torchvision import tv_tensors
+    except ImportError:
+        return data
+    result: Tensor = getattr(tv_tensors, name)(data)
+    return result
+
+
+def height_and_width(x: Any) -> tuple[int, int]:
+    kind = kind_of(x)
+    if kind == "pil":
+        return x.height, x.width
+    if kind in LABELS:
+        return tuple(x.canvas_size)  # type: ignore[return-value]  # torchvision's annotation says so
+    return x.shape[-2], x.shape[-1]
+
+
+def channels_of(x: Any) -> int:
+    if kind_of(x) == "pil":
+        return len(x.getbands())
+    return x.shape[-3] if x.ndim > 2 else 1
+
+
+# --- PIL and arrays -------------------------------------------------------------------------------------------------
+
+
+def pil_to_tensor(pic: Any) -> Tensor:
+    """Copy a PIL image into a tensor of the same type.
+
+    Args:
+        pic: a PIL image.
+
+    Returns:
+        (C, H, W), channels last in memory, as v2's.
+
+    Raises:
+        TypeCheckError: `pic` is no PIL image.
+
+    Example:
+        >>> import kvision.tv.functional as F, PIL.Image
+        >>> F.pil_to_tensor(PIL.Image.new("RGB", (3, 2))).shape
+        torch.Size([3, 2, 3])
+    """
+    import numpy as np
+
+    if kind_of(pic) != "pil":
+        raise TypeCheckError(f"pil_to_tensor: expected pic to be a PIL image, got {type(pic).__name__}")
+    return torch.from_numpy(np.array(pic)).view(pic.height, pic.width, len(pic.getbands())).permute(2, 0, 1)
+
+
+_MODES = {
+    1: {"uint8": "L", "int16": "I;16", "int32": "I", "float32": "F"},
+    2: {"uint8": "LA"},
+    3: {"uint8": "RGB"},
+    4: {"uint8": "RGBA"},
+}
+_FURTHER_MODES = {3: ("YCbCr", "HSV"), 4: ("CMYK", "RGBX")}
+
+
+def to_pil_image(pic: Any, mode: str | None = None) -> Any:
+    """Make a PIL image of a tensor or an array.
+
+    Args:
+        pic: a tensor (C, H, W) or (H, W), or an array (H, W, C) or (H, W), of at most 4 channels; floats are multiplied by
+            255 and truncated.
+        mode: PIL's mode; None for the one of the number of channels and the type.
+
+    Returns:
+        A PIL image.
+
+    Raises:
+        TypeCheckError: `pic` is neither a tensor nor an array, or PIL has no mode for its type.
+        ValueError: the shape has no image of PIL, or not of this mode.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.to_pil_image(torch.zeros(3, 2, 4, dtype=torch.uint8)).size
+        (4, 2)
+    """
+    import numpy as np
+    import PIL.Image
+
+    if isinstance(pic, Tensor):
+        array = (pic.permute(1, 2, 0) if pic.dim() == 3 else pic).numpy(force=True)
+    elif kind_of(pic) == "array":
+        array = pic
+    else:
+        raise TypeCheckError(f"to_pil_image: expected pic to be a tensor or an array, got {type(pic).__name__}")
+    if array.ndim not in (2, 3) or (array.ndim == 3 and not 1 <= array.shape[2] <= 4):
+        raise ValueError(f"to_pil_image: expected pic of two axes and 1 to 4 channels, got {tuple(pic.shape)}")
+    if np.issubdtype(array.dtype, np.floating) and mode != "F":
+        array = (array * 255).astype(np.uint8)
+    channels = 1 if array.ndim == 2 else array.shape[2]
+    modes = _MODES[channels]
+    usual = modes.get(array.dtype.name)
+    if usual is None:
+        raise TypeCheckError(f"to_pil_image: expected pic of {', '.join(modes)}, got {array.dtype.name}")
+    if mode is not None and mode != usual and mode not in _FURTHER_MODES.get(channels, ()):
+        raise ValueError(f"to_pil_image: expected a mode of {channels} channels of {array.dtype.name}, got {mode!r}")
+    array = array[..., 0] if array.ndim == 3 and channels == 1 else array
+    if (channels == 3 and mode in ("YCbCr", "HSV")) or mode in ("CMYK", "RGBX"):
+        height, width = array.shape[:2]
+        return PIL.Image.frombytes(mode, (width, height), np.ascontiguousarray(array).tobytes())
+    return PIL.Image.fromarray(array)

@@ -1,0 +1,223 @@
+"""The base of v2's classes: which inputs are transformed, and draws of each sample of a batch."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.utils._pytree import tree_flatten, tree_unflatten
+
+from kvision.tv.functional.dispatch import takes
+from kvision.tv.inputs import EVERYTHING, LABELS, channels_of, height_and_width, kind_of, plain, wrap
+
+_EXPLICIT = ("image", "video", "pil")
+_ALL_TENSORS = EVERYTHING | {"tv_tensor"}
+_once: ContextVar[bool] = ContextVar("kvision.tv draws once", default=False)
+
+
+@contextmanager
+def draws_once() -> Iterator[None]:
+    token = _once.set(True)
+    try:
+        yield
+    finally:
+        _once.reset(token)
+
+
+class Transform(nn.Module):
+    """The base of transforms of your own, with the methods of v2's: make_params, transform and check_inputs.
+
+    In a sample the tv_tensors of torchvision and PIL images are transformed. A plain tensor is an image if it is the first one and
+    there is no other image or video. What else there is passes through.
+
+    Example:
+        >>> import torch
+        >>> from kvision import tv
+        >>> class Dim(tv.Transform):
+        ...     def transform(self, inpt, params):
+        ...         return inpt / 2
+        >>> Dim()({"image": torch.ones(1), "label": 3})
+        {'image': tensor([0.5000]), 'label': 3}
+    """
+
+    kinds: frozenset[str] = _ALL_TENSORS
+    """The kinds of inputs that are transformed."""
+    draws: bool = False
+    """Whether each sample of a batch (B, C, H, W) draws numbers of its own."""
+
+    def check_inputs(self, flat_inputs: list[Any]) -> None:
+        """Raise for a sample that cannot be transformed."""
+
+    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
+        """Draw the parameters of a sample, given its inputs that are transformed."""
+        return {}
+
+    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
+        """Transform an input by the parameters."""
+        raise NotImplementedError
+
+    def _call_kernel(self, functional: Callable[..., Any], inpt: Any, *args: Any, **kwargs: Any) -> Any:
+        """Apply a function of kvision.tv.functional, which passes on what it does not change."""
+        return functional(inpt, *args, **kwargs) if takes(functional, inpt) else inpt
+
+    def forward(self, *inputs: Any) -> Any:
+        sample = inputs if len(inputs) > 1 else inputs[0]
+        if type(sample) is Tensor and "tensor" in self.kinds:  # most calls
+            self.check_inputs([sample])
+            if self.draws and sample.dim() > 3 and sample.shape[0] > 1 and not _once.get():
+                return self._each([sample], [True], sample.shape[0])[0]
+            return self._flat([sample], [True])[0]
+        flat, spec = tree_flatten(sample)
+        self.check_inputs(flat)
+        needed = self._needed(flat)
+        samples = count_samples(flat, needed) if self.draws else 0
+        return tree_unflatten(self._each(flat, needed, samples) if samples else self._flat(flat, needed), spec)
+
+    def _needed(self, flat: list[Any]) -> list[bool]:
+        """Which inputs are transformed."""
+        kinds = [kind_of(x) for x in flat]
+        takes_plain = not any(kind in _EXPLICIT for kind in kinds)
+        needed = []
+        for kind in kinds:
+            needed.append(kind in self.kinds and (kind != "tensor" or takes_plain))
+            takes_plain = takes_plain and not (kind == "tensor" and needed[-1])
+        return needed
+
+    def _flat(self, flat: list[Any], needed: list[bool]) -> list[Any]:
+        params = self.make_params([x for x, is_needed in zip(flat, needed) if is_needed])
+        return [self.transform(x, params) if is_needed else x for x, is_needed in zip(flat, needed)]
+
+    def _each(self, flat: list[Any], needed: list[bool], samples: int) -> list[Any]:
+        """Transform each sample by itself. This defines what faster ways for batches give."""
+        return join([self._flat(sample, needed) for sample in split(flat, needed, samples)], flat, needed)
+
+    def extra_repr(self) -> str:
+        shown = (bool, int, float, str, tuple, list, enum.Enum)
+        items = ((name, value) for name, value in vars(self).items() if name[0] != "_" and name != "training")
+        return ", ".join(f"{name}={value}" for name, value in items if isinstance(value, shown))
+
+
+def count_samples(flat: list[Any], needed: list[bool]) -> int:
+    """How many samples draw by themselves: those of a batch of images or videos and their masks; 0 for a call as one."""
+    if _once.get():
+        return 0
+    sizes = set()
+    for x in (x for x, is_needed in zip(flat, needed) if is_needed):
+        kind = kind_of(x)
+        axes = {"video": 4, "mask": 2}.get(kind, 3)
+        if kind == "pil" or kind in LABELS or x.dim() <= axes:
+            return 0
+        sizes.add(x.shape[0])
+    return sizes.pop() if len(sizes) == 1 and sizes != {1} else 0
+
+
+def split(flat: list[Any], needed: list[bool], samples: int) -> Iterator[list[Any]]:
+    parts = [plain(x).unbind(0) if is_needed else None for x, is_needed in zip(flat, needed)]
+    for i in range(samples):
+        yield [x if part is None else wrap(part[i], x) for x, part in zip(flat, parts)]
+
+
+def join(results: list[list[Any]], flat: list[Any], needed: list[bool]) -> list[Any]:
+    columns = zip(zip(*results), flat, needed)
+    return [wrap(torch.stack([plain(y) for y in ys]), x) if is_needed else x for ys, x, is_needed in columns]
+
+
+class RandomTransform(Transform):
+    """The base of transforms that are applied with a probability `p`.
+
+    Args:
+        p: the probability.
+
+    Example:
+        >>> from kvision import tv
+        >>> tv.RandomInvert(p=0.2)
+        RandomInvert(p=0.2)
+    """
+
+    draws = True
+
+    def __init__(self, p: float = 0.5) -> None:
+        super().__init__()
+        self.p = probability(type(self).__name__, p)
+
+    def _flat(self, flat: list[Any], needed: list[bool]) -> list[Any]:
+        return flat if torch.rand(1).item() >= self.p else super()._flat(flat, needed)
+
+
+def probability(op: str, p: float) -> float:
+    if not 0 <= p <= 1:
+        raise ValueError(f"{op}: expected p in [0, 1], got {p}")
+    return p
+
+
+# --- draws as v2's, in its order, so that a seed draws the same -----------------------------------------------------
+
+
+def uniform(low: float, high: float) -> float:
+    return torch.empty(1).uniform_(low, high).item()
+
+
+def integer(low: int, high: int) -> int:
+    """Of [low, high)."""
+    return int(torch.randint(low, high, (1,)).item())
+
+
+# --- what a sample holds --------------------------------------------------------------------------------------------
+
+
+def size_of(flat: Sequence[Any]) -> tuple[int, int]:
+    """The height and width that all inputs have."""
+    sizes = {height_and_width(x) for x in flat if kind_of(x) in EVERYTHING}
+    if len(sizes) == 1:
+        return sizes.pop()
+    if not sizes:
+        raise TypeError("expected an image, a video, a mask, boxes or key points in the sample, got none")
+    raise ValueError(f"expected one height and width in the sample, got {sorted(sizes)}")
+
+
+def channels_in(flat: Sequence[Any]) -> int:
+    channels = {channels_of(x) for x in flat if kind_of(x) in ("tensor", *_EXPLICIT)}
+    if len(channels) == 1:
+        return channels.pop()
+    if not channels:
+        raise TypeError("expected an image or a video in the sample, got none")
+    raise ValueError(f"expected images of one number of channels in the sample, got {sorted(channels)}")
+
+
+# --- arguments ------------------------------------------------------------------------------------------------------
+
+
+def two(op: str, name: str, value: Any, count: Sequence[int] = (1, 2)) -> tuple[Any, ...]:
+    """A number as two, or a sequence of one or two."""
+    if isinstance(value, (int, float)):
+        return value, value
+    if not isinstance(value, (tuple, list)) or len(value) not in count:
+        raise ValueError(
+            f"{op}: expected {name} to be a number or {' or '.join(map(str, count))} of them, got {value!r}"
+        )
+    return tuple(value) if len(value) > 1 else (value[0], value[0])
+
+
+def interval(op: str, name: str, value: Any, counts: Sequence[int] = (2,)) -> list[float]:
+    """A number a as [-a, a], or a sequence."""
+    if isinstance(value, (int, float)):
+        if value < 0:
+            raise ValueError(f"{op}: expected {name} of at least 0, got {value}")
+        return [-float(value), float(value)]
+    if not isinstance(value, (tuple, list)) or len(value) not in counts:
+        raise ValueError(
+            f"{op}: expected {name} to be a number or {' or '.join(map(str, counts))} of them, got {value!r}"
+        )
+    return [float(v) for v in value]
+
+
+def fill_of(fill: Any, x: Any) -> Any:
+    """The fill of an input: one for all, or by class of input, "others" for the rest."""
+    if not isinstance(fill, dict):
+        return fill
+    return fill[type(x)] if type(x) in fill else fill.get("others")

@@ -1,0 +1,212 @@
+"""kvision.tv: torchvision's v2 by its names. Where torchvision is missing, plain tensors and PIL images alone."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pytest
+import torch
+
+from kvision import tv
+from kvision.tv import functional as F
+
+from .comparison import CHAINS, COLORS, HEIGHT, MOVES, WIDTH, differences, photograph
+
+
+def samples() -> dict[str, Any]:
+    """What people hand to a pipeline: (image, target), dicts, videos, lists with a plain tensor."""
+    tv_tensors = pytest.importorskip("torchvision.tv_tensors", reason="torchvision is not installed")
+    image, canvas = photograph(), (HEIGHT, WIDTH)
+    boxes = torch.tensor([[3, 6, 20, 25], [10, 9, 45, 51], [30, 2, 54, 60]])
+    rotated = torch.tensor([[12.0, 18, 9, 6, 25], [27, 30, 15, 18, -10]])
+    target = {
+        "boxes": tv_tensors.BoundingBoxes(boxes, format="XYXY", canvas_size=canvas),
+        "masks": tv_tensors.Mask(torch.randint(0, 5, (3, *canvas))),
+        "points": tv_tensors.KeyPoints(torch.tensor([[3.0, 6], [50, 60], [30, 45]]), canvas_size=canvas),
+        "labels": torch.tensor([1, 2, 3]),
+        "name": "x",
+    }
+    return {
+        "detection": (tv_tensors.Image(image), target),
+        "rotated": {
+            "image": image / 255.0,
+            "boxes": tv_tensors.BoundingBoxes(rotated, format="CXCYWHR", canvas_size=canvas),
+            "labels": torch.tensor([1, 2]),
+        },
+        "video": tv_tensors.Video(torch.stack([image, image.flip(-1)])),
+        "plain": [image / 255.0, 3, torch.ones(2)],
+    }
+
+
+def call(module: Any, name: str, args: Any, options: Any, sample: Any, seed: int) -> Any:
+    torch.manual_seed(seed)
+    return getattr(module, name)(*args, **options)(sample)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("kind", ["detection", "rotated", "video", "plain"])
+@pytest.mark.parametrize("rows", [MOVES, COLORS], ids=["moves", "colors"])
+def test_a_seed_gives_what_v2_gives(rows: Any, kind: str) -> None:
+    """Parameters, types and nesting are equal, values within one level or 2e-5 but for .1% of the pixels."""
+    sample = samples()[kind]
+    from torchvision.transforms import v2
+
+    found = []
+    for name, args, options in rows:
+        if name == "RandomSolarize" and kind in ("detection", "video"):
+            args = (100.0,)
+        for seed in range(3):
+            try:
+                theirs = call(v2, name, args, options, sample, seed)
+            except (TypeError, ValueError, RuntimeError, IndexError):
+                with pytest.raises((TypeError, ValueError)):
+                    call(tv, name, args, options, sample, seed)
+                continue
+            if name in ("Grayscale", "RandomGrayscale", "RGB") and kind == "video":
+                continue  # v2 passes videos on
+            levels = 3 if name in CHAINS else 1
+            ours = call(tv, name, args, options, sample, seed)
+            found += [f"{name} {options} seed {seed}: {d}" for d in differences(ours, theirs, levels)]
+    assert not found, "\n".join(found)
+
+
+def test_mixes_are_those_of_v2() -> None:
+    v2 = pytest.importorskip("torchvision.transforms.v2", reason="torchvision is not installed")
+    x, labels = torch.stack([photograph(i) / 255.0 for i in range(3)]), torch.tensor([0, 1, 4])
+    for name in ("MixUp", "CutMix"):
+        for sample in ((x, labels), {"images": x, "Labels": labels.float()[:, None]}):
+            for seed in range(3):
+                options = {"num_classes": 5} if isinstance(sample, tuple) else {}
+                ours, theirs = (call(module, name, (), options, sample, seed) for module in (tv, v2))
+                assert not differences(ours, theirs)
+
+
+def test_names_and_arguments_are_those_of_v2() -> None:
+    v2 = pytest.importorskip("torchvision.transforms.v2", reason="torchvision is not installed")
+    ours = set(tv.__all__) - {"SameOnBatch"}
+    theirs = {n for n in dir(v2) if inspect.isclass(getattr(v2, n))} - {"ToTensor"}
+    assert ours == theirs
+    for name in ours - {"InterpolationMode", "AutoAugmentPolicy", "Transform"}:
+        mine, other = (inspect.signature(getattr(module, name).__init__).parameters for module in (tv, v2))
+        defaults = [(p.name, getattr(p.default, "value", p.default), p.kind) for p in mine.values()]
+        if "args" not in other and "args" not in mine:
+            assert defaults == [(p.name, getattr(p.default, "value", p.default), p.kind) for p in other.values()], name
+    functions = [n for n, f in vars(F).items() if inspect.isfunction(f) and hasattr(f, "kinds")]
+    assert len(functions) > 35
+    for name in functions:
+        mine, other = (inspect.signature(getattr(module, name)).parameters for module in (F, v2.functional))
+        assert list(mine) == list(other), name
+
+
+def test_torchvision_is_imported_in_functions_alone() -> None:
+    sources = [path.read_text() for path in Path(inspect.getfile(tv)).parent.rglob("*.py")]
+    assert len(sources) > 10 and not any(
+        re.search("^(import|from) torchvision", text, re.MULTILINE) for text in sources
+    )
+
+
+def test_samples_of_a_batch_draw_by_themselves() -> None:
+    """Each is what the transform gives for it alone, in the order of draws; SameOnBatch draws once."""
+    x = torch.stack([photograph(i) for i in range(4)])
+    for t in (
+        tv.RandomHorizontalFlip(),
+        tv.RandomResizedCrop(24),
+        tv.ColorJitter(0.5, 0.5, 0.5, 0.1),
+        tv.RandomAffine(30, fill=3),
+        tv.RandAugment(),
+        tv.RandomChoice([tv.RandomInvert(p=1.0), tv.RandomVerticalFlip()]),
+        tv.RandomApply([tv.RandomCrop((HEIGHT, WIDTH), padding=3)], p=0.5),
+        tv.Compose([tv.RandomErasing(), tv.GaussianBlur(3)]),
+    ):
+        torch.manual_seed(3)
+        result = t(x)
+        torch.manual_seed(3)
+        if isinstance(t, tv.Compose):
+            expected = x
+            for child in t.transforms:
+                expected = torch.stack([child(sample) for sample in expected])
+        else:
+            expected = torch.stack([t(sample) for sample in x])
+        assert torch.equal(result, expected), t
+        torch.manual_seed(3)
+        once = tv.SameOnBatch([t])(x)
+        torch.manual_seed(3)
+        first = t(x[0])
+        assert torch.equal(once[0], first), t
+
+
+def test_masks_follow_the_images_of_a_batch() -> None:
+    tv_tensors = pytest.importorskip("torchvision.tv_tensors", reason="torchvision is not installed")
+    x = torch.stack([photograph(i) for i in range(4)])
+    sample = {"image": tv_tensors.Image(x), "mask": tv_tensors.Mask(x[:, 0]), "label": torch.arange(4)}
+    torch.manual_seed(0)
+    result = tv.RandomHorizontalFlip()(sample)
+    assert type(result["mask"]) is tv_tensors.Mask and torch.equal(result["image"][:, 0], result["mask"])
+    flipped = [torch.equal(result["mask"][i], x[i, 0].flip(-1)) for i in range(4)]
+    assert 0 < sum(flipped) < 4 and result["label"] is sample["label"]
+
+
+def test_pil_images_come_back_with_the_values_of_tensors() -> None:
+    x = photograph()
+    image = PIL.Image.fromarray(x.permute(1, 2, 0).numpy())
+    for name, args, options in (*MOVES[:18], *COLORS[:14]):
+        if name in ("RandomSolarize",):
+            args = (100.0,)
+        if options.get("interpolation") == "bicubic" or "antialias" in options:
+            continue  # PIL always averages, as in v2, and clips between its passes
+        outputs = []
+        for sample in (image, x):
+            torch.manual_seed(1)
+            outputs.append(getattr(tv, name)(*args, **options)(sample))
+        assert isinstance(outputs[0], PIL.Image.Image)
+        values = torch.from_numpy(np.array(outputs[0])).reshape(*outputs[0].size[::-1], -1).permute(2, 0, 1)
+        assert not differences(values.contiguous(), outputs[1].contiguous()), name
+
+
+def test_crops_and_flips_leave_the_input() -> None:
+    x = photograph()
+    kept = x.clone()
+    assert F.crop(x, 2, 3, 4, 5).data_ptr() == x[:, 2:, 3:].data_ptr()  # a view, as v2's
+    for t in (
+        tv.RandomHorizontalFlip(1.0),
+        tv.RandomErasing(1.0),
+        tv.ColorJitter(0.5, 0.5),
+        tv.RandomPerspective(p=1.0),
+    ):
+        t(x)
+        assert torch.equal(x, kept)
+
+
+def test_gradients_reach_the_image() -> None:
+    x = (photograph() / 255.0).double().requires_grad_()
+    tv.Compose([tv.RandomResizedCrop(24), tv.RandomRotation(20, "bilinear"), tv.Normalize([0.5] * 3, [0.2] * 3)])(
+        x
+    ).sum().backward()
+    assert x.grad is not None and x.grad.abs().sum() > 0
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: tv.Resize([1, 2, 3]),
+        lambda: tv.RandomHorizontalFlip(p=2),
+        lambda: tv.ColorJitter(hue=0.7),
+        lambda: tv.RandomRotation(-3),
+        lambda: tv.GaussianBlur(4),
+        lambda: tv.Pad([1, 2, 3]),
+        lambda: tv.JPEG(0),
+        lambda: tv.RandomChoice([tv.Identity()], p=[1, 2]),
+        lambda: tv.Compose([]),
+        lambda: F.resize(torch.zeros(3, 4, 4), 3, "cubic"),
+        lambda: F.affine(torch.zeros(3, 4, 4), 0, [0, 0], 0, 0),
+        lambda: F.normalize(torch.zeros(3, 4, 4), [0.0] * 3, [0.0] * 3),
+    ],
+)
+def test_errors(make: Any) -> None:
+    with pytest.raises(ValueError):
+        make()

@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 
+from kvision import _check
 from kvision.tv import functional as F
 from kvision.tv.geometry import drawn_window
 from kvision.tv.inputs import kind_of
@@ -75,6 +76,7 @@ def _factors(name: str, value: Any, center: float, low: float, high: float) -> t
     """The interval of a factor; None for one that changes nothing."""
     if value is None:
         return None
+    value = _check.scalars("ColorJitter", name, value)
     if isinstance(value, (int, float)):
         if value < 0:
             raise ValueError(f"ColorJitter: expected {name} of at least 0, got {value}")
@@ -273,7 +275,7 @@ class RandomPosterize(RandomTransform):
 
     def __init__(self, bits: int, p: float = 0.5) -> None:
         super().__init__(p)
-        self.bits = bits
+        self.bits = _check.scalar("RandomPosterize", "bits", bits)
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.posterize, inpt, bits=self.bits)
@@ -439,6 +441,7 @@ class RandomErasing(RandomTransform):
             raise ValueError(
                 f"RandomErasing: expected value to be a number, one of each channel or 'random', got {value!r}"
             )
+        value = _check.scalars("RandomErasing", "value", value)
         numbers = [value] if isinstance(value, (int, float)) else value
         self.value = None if isinstance(numbers, str) else [float(v) for v in numbers]
         self.inplace = inplace

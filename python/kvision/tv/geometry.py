@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from kvision import _check
 from kvision.tv import functional as F
 from kvision.tv.functional.geometry import (
     PADDING_MODES,
@@ -101,6 +102,7 @@ class Resize(_Resizing):
         antialias: bool | None = True,
     ) -> None:
         super().__init__(interpolation, antialias)
+        size, max_size = (_check.scalars("Resize", n, v) for n, v in (("size", size), ("max_size", max_size)))
         if size is None and not isinstance(max_size, int):
             raise ValueError(f"Resize: expected max_size to be an int where size is None, got {max_size!r}")
         if size is not None and not isinstance(size, int) and len(size) not in (1, 2):
@@ -171,6 +173,7 @@ class RandomShortestSize(_Resizing):
         antialias: bool | None = True,
     ) -> None:
         super().__init__(interpolation, antialias)
+        min_size = _check.scalars("RandomShortestSize", "min_size", min_size)
         self.min_size = [min_size] if isinstance(min_size, int) else list(min_size)
         self.max_size = max_size
 
@@ -357,6 +360,7 @@ class Pad(Transform):
 
     def __init__(self, padding: int | Sequence[int], fill: Fill = 0, padding_mode: str = "constant") -> None:
         super().__init__()
+        padding = _check.scalars("Pad", "padding", padding)
         four_paddings(padding)
         _check_padding_mode("Pad", padding_mode)
         self.padding = padding if isinstance(padding, int) else list(padding)

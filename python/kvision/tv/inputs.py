@@ -79,7 +79,7 @@ def height_and_width(x: Any) -> tuple[int, int]:
     if kind == "pil":
         return x.height, x.width
     if kind in LABELS:
-        return tuple(x.canvas_size)  # type: ignore[return-value]  # torchvision's annotation says so
+        return tuple(x.canvas_size)
     return x.shape[-2], x.shape[-1]
 
 

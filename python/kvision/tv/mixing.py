@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
+from kvision import _check
 from kvision.tv import functional as F
 from kvision.tv.functional.values import largest
 from kvision.tv.geometry import Fill, Interpolation
@@ -176,7 +177,7 @@ def _share_of(side: str, share: float) -> Callable[[int, int, int], Tensor]:
     return lambda bins, height, width: torch.linspace(0, share * (width if side == "x" else height), bins)
 
 
-_ROWS = {
+_ROWS: dict[str, Callable[[float], dict[str, Any]]] = {
     "ShearX": lambda m: {"shear": [math.degrees(math.atan(m)), 0.0], "center": [0, 0]},
     "ShearY": lambda m: {"shear": [0.0, math.degrees(math.atan(m))], "center": [0, 0]},
     "TranslateX": lambda m: {"translate": [int(m), 0]},
@@ -222,7 +223,13 @@ class _Policy(Transform):
     def _operate(self, x: Any, name: str, magnitude: float) -> Any:
         fill = fill_of(self.fill, x)
         if name in _ROWS:
-            options = {"angle": 0.0, "translate": [0, 0], "scale": 1.0, "shear": [0.0, 0.0], **_ROWS[name](magnitude)}
+            options: dict[str, Any] = {
+                "angle": 0.0,
+                "translate": [0, 0],
+                "scale": 1.0,
+                "shear": [0.0, 0.0],
+                **_ROWS[name](magnitude),
+            }
             return F.affine(x, **options, interpolation=self.interpolation, fill=fill)
         if name == "Rotate":
             return F.rotate(x, magnitude, interpolation=self.interpolation, fill=fill)
@@ -309,6 +316,7 @@ class RandAugment(_Policy):
         fill: Fill = None,
     ) -> None:
         super().__init__(interpolation, fill)
+        num_ops = _check.scalar("RandAugment", "num_ops", num_ops)
         if not isinstance(num_ops, int) or num_ops < 0:
             raise ValueError(f"RandAugment: expected num_ops to be an int of at least 0, got {num_ops!r}")
         self.num_ops, self.magnitude, self.num_magnitude_bins = num_ops, magnitude, num_magnitude_bins

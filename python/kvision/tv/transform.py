@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
+from kvision import _check
 from kvision.tv.functional.dispatch import takes
 from kvision.tv.inputs import EVERYTHING, LABELS, channels_of, height_and_width, kind_of, plain, wrap
 
@@ -150,6 +151,7 @@ class RandomTransform(Transform):
 
 
 def probability(op: str, p: float) -> float:
+    p = _check.number(op, "p", p)
     if not 0 <= p <= 1:
         raise ValueError(f"{op}: expected p in [0, 1], got {p}")
     return p
@@ -194,6 +196,7 @@ def channels_in(flat: Sequence[Any]) -> int:
 
 def two(op: str, name: str, value: Any, count: Sequence[int] = (1, 2)) -> tuple[Any, ...]:
     """A number as two, or a sequence of one or two."""
+    value = _check.scalars(op, name, value)
     if isinstance(value, (int, float)):
         return value, value
     if not isinstance(value, (tuple, list)) or len(value) not in count:
@@ -205,6 +208,7 @@ def two(op: str, name: str, value: Any, count: Sequence[int] = (1, 2)) -> tuple[
 
 def interval(op: str, name: str, value: Any, counts: Sequence[int] = (2,)) -> list[float]:
     """A number a as [-a, a], or a sequence."""
+    value = _check.scalars(op, name, value)
     if isinstance(value, (int, float)):
         if value < 0:
             raise ValueError(f"{op}: expected {name} of at least 0, got {value}")

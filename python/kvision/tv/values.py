@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
+from kvision import _check
 from kvision.tv import functional as F
 from kvision.tv.inputs import PIXELS, TV_TENSORS, kind_of, plain, wrap
 from kvision.tv.transform import Transform
@@ -72,11 +73,9 @@ class LinearTransformation(Transform):
 
     def __init__(self, transformation_matrix: Tensor, mean_vector: Tensor) -> None:
         super().__init__()
+        _check.shape("LinearTransformation", "mean_vector", mean_vector, "D")
         n = mean_vector.shape[0]
-        if transformation_matrix.shape != (n, n):
-            raise ValueError(
-                f"LinearTransformation: expected transformation_matrix ({n}, {n}), got {tuple(transformation_matrix.shape)}"
-            )
+        _check.shape("LinearTransformation", "transformation_matrix", transformation_matrix, n, n)
         for name in ("device", "dtype"):
             if getattr(transformation_matrix, name) != getattr(mean_vector, name):
                 raise ValueError(f"LinearTransformation: expected matrix and mean_vector of one {name}")
@@ -387,7 +386,7 @@ def labels_getter_of(labels_getter: Any) -> Callable[[Any], Any]:
     if labels_getter is None:
         return lambda _: None
     if callable(labels_getter):
-        return labels_getter  # type: ignore[no-any-return]
+        return labels_getter
     raise ValueError(f"labels_getter: expected 'default', a function or None, got {labels_getter!r}")
 
 
@@ -453,7 +452,7 @@ class SanitizeBoundingBoxes(_Sanitize):
         self.min_size, self.min_area = min_size, min_area
 
     def _valid(self, x: Any) -> Tensor:
-        return F.sanitize_bounding_boxes(x, min_size=self.min_size, min_area=self.min_area)[1]  # type: ignore[no-any-return]
+        return F.sanitize_bounding_boxes(x, min_size=self.min_size, min_area=self.min_area)[1]
 
 
 class SanitizeKeyPoints(_Sanitize):
@@ -475,4 +474,4 @@ class SanitizeKeyPoints(_Sanitize):
         super().__init__(labels_getter)
 
     def _valid(self, x: Any) -> Tensor:
-        return F.sanitize_keypoints(x)[1]  # type: ignore[no-any-return]
+        return F.sanitize_keypoints(x)[1]

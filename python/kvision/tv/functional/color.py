@@ -196,7 +196,7 @@ def equalize(inpt: Tensor) -> Tensor:
     if inpt.numel() == 0:
         return inpt
     levels = to_dtype(inpt, torch.uint8, scale=True)
-    return to_dtype(equalized(levels), inpt.dtype, scale=True)  # type: ignore[no-any-return]
+    return to_dtype(equalized(levels), inpt.dtype, scale=True)
 
 
 @functional()

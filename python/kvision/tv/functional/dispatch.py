@@ -14,13 +14,13 @@ _registered: dict[str, dict[type, Callable[..., Any]]] = {}
 
 
 def functional(
-    *, moves: bool = False, pil: Callable[..., Any] | None = None, mask: Callable[..., Any] | None = None
+    *, moves: bool = False, pil: Callable[..., Any] | None = None, mask: Callable[..., Any] | str | None = None
 ) -> Callable[[Callable[..., Any]], Any]:
     """Make a public function of a kernel, which takes a tensor (*, C, H, W) and v2's arguments.
 
-    `moves` says that masks, boxes and key points follow; then `mask` may be the kernel of masks. `pil` is a function of PIL images
-    with the same values, or NotImplemented for arguments for which they are not. Boxes and key points are torchvision's: their
-    classes exist only where it is loaded, and its functions are public.
+    `moves` says that masks, boxes and key points follow; `mask` is the kernel of masks where it is another, or "nearest" for that
+    interpolation. `pil` is a function of PIL images with the same values; NotImplemented says that they are not, for some arguments.
+    Boxes and key points are torchvision's: their classes exist only where it is loaded, and its functions are public.
     """
 
     def decorate(kernel: Callable[..., Any]) -> Any:
@@ -39,7 +39,9 @@ def functional(
                 return _on_pil(kernel, inpt, *args, **kwargs) if output is NotImplemented else output
             if kind == "mask" and moves:
                 kwargs.update(zip(names, args))
-                return wrap(_on_mask(mask or kernel, plain(inpt), kwargs), inpt)
+                if mask == "nearest":
+                    kwargs["interpolation"] = mask
+                return wrap(_on_mask(mask if callable(mask) else kernel, plain(inpt), kwargs), inpt)
             if kind in LABELS and moves:
                 from torchvision.transforms.v2 import functional as v2
 

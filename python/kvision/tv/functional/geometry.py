@@ -110,7 +110,7 @@ def _center_crop_pil(image: Any, output_size: Any) -> Any:
 @functional(moves=True, pil=_center_crop_pil)
 def center_crop(inpt: Tensor, output_size: int | Sequence[int]) -> Tensor:
     size = _two("center_crop", "output_size", output_size)
-    return crop(inpt, *_center(*inpt.shape[-2:], size), *size)  # type: ignore[no-any-return]
+    return crop(inpt, *_center(inpt.shape[-2], inpt.shape[-1], size), *size)
 
 
 def _five(image: Any, height: int, width: int, size: Any) -> tuple[Any, ...]:
@@ -123,12 +123,12 @@ def _five(image: Any, height: int, width: int, size: Any) -> tuple[Any, ...]:
 
 @functional(pil=lambda image, size: _five(image, image.height, image.width, size))
 def five_crop(inpt: Tensor, size: int | Sequence[int]) -> tuple[Tensor, ...]:
-    return _five(inpt, *inpt.shape[-2:], size)
+    return _five(inpt, inpt.shape[-2], inpt.shape[-1], size)
 
 
 def _ten(image: Any, size: Any, vertical_flip_: bool) -> tuple[Any, ...]:
     mirrored = vertical_flip(image) if vertical_flip_ else horizontal_flip(image)
-    return five_crop(image, size) + five_crop(mirrored, size)  # type: ignore[no-any-return]
+    return five_crop(image, size) + five_crop(mirrored, size)
 
 
 @functional(pil=lambda image, size, vertical_flip=False: _ten(image, size, vertical_flip))
@@ -149,9 +149,9 @@ def resized_size(height: int, width: int, size: Any, max_size: int | None) -> tu
         return int(size[0]), int(size[1])
     short, long = min(height, width), max(height, width)
     if size is None:
-        if not _check.is_int(max_size):
+        if not isinstance(max_size, int):
             raise ValueError(f"resize: expected max_size to be an int where size is None, got {max_size!r}")
-        new_short, new_long = int(max_size * short / long), int(max_size)  # type: ignore[operator]  # an int
+        new_short, new_long = int(max_size * short / long), max_size
     else:
         new_short, new_long = size[0], int(size[0] * long / short)
         if max_size is not None:
@@ -177,7 +177,7 @@ def _resize_pil(
 
 def _resize_mask(mask: Tensor, size: Any, interpolation: Any = "nearest", **options: Any) -> Tensor:
     exact = interpolation_name("resize", interpolation) == "nearest-exact"
-    return resize(mask, size, "nearest-exact" if exact else "nearest", options.get("max_size"))  # type: ignore[no-any-return]
+    return resize(mask, size, "nearest-exact" if exact else "nearest", options.get("max_size"))
 
 
 @functional(moves=True, pil=_resize_pil, mask=_resize_mask)
@@ -228,7 +228,7 @@ def resized_crop(
     interpolation: InterpolationMode | str | int = "bilinear",
     antialias: bool | None = True,
 ) -> Tensor:
-    return resize(crop(inpt, top, left, height, width), size, interpolation, antialias=antialias)  # type: ignore[no-any-return]
+    return resize(crop(inpt, top, left, height, width), size, interpolation, antialias=antialias)
 
 
 def four_paddings(padding: int | Sequence[int]) -> list[int]:
@@ -255,7 +255,7 @@ def _source_indices(size: int, before: int, after: int, mode: str, device: torch
 def _pad_mask(mask: Tensor, padding: Any, fill: Any = None, padding_mode: str = "constant") -> Tensor:
     if isinstance(fill, (tuple, list)):
         raise ValueError(f"pad: expected a number as the fill of masks, got {fill!r}")
-    return pad(mask, padding, fill, padding_mode)  # type: ignore[no-any-return]
+    return pad(mask, padding, fill, padding_mode)
 
 
 @functional(moves=True, mask=_pad_mask)
@@ -358,12 +358,7 @@ def _from_center(center: Any, height: int, width: int) -> list[float]:
     return [0.0, 0.0] if center is None else [center[0] - width * 0.5, center[1] - height * 0.5]
 
 
-def _nearest_mask(kernel: Any) -> Any:
-    """The kernel of masks: `kernel` with nearest pixels."""
-    return lambda mask, **kwargs: kernel(mask, **{**kwargs, "interpolation": "nearest"})
-
-
-@functional(moves=True, mask=_nearest_mask(lambda *args, **kwargs: affine(*args, **kwargs)))
+@functional(moves=True, mask="nearest")
 def affine(
     inpt: Tensor,
     angle: float,
@@ -392,7 +387,7 @@ def _expanded_size(matrix: list[list[float]], height: int, width: int) -> tuple[
     return int(h), int(w)
 
 
-@functional(moves=True, mask=_nearest_mask(lambda *args, **kwargs: rotate(*args, **kwargs)))
+@functional(moves=True, mask="nearest")
 def rotate(
     inpt: Tensor,
     angle: float,
@@ -424,7 +419,7 @@ def perspective_coefficients(
         rows += [[u, v, 1, 0, 0, 0, -x * u, -x * v], [0, 0, 0, u, v, 1, -y * u, -y * v]]
     points = torch.tensor(startpoints, dtype=torch.float64).reshape(8)
     solution = torch.linalg.lstsq(torch.tensor(rows, dtype=torch.float64), points, driver="gels").solution
-    return solution.float().tolist()  # type: ignore[no-any-return]
+    return solution.float().tolist()
 
 
 def _coefficients(startpoints: Any, endpoints: Any, coefficients: Any) -> Sequence[float]:
@@ -437,7 +432,7 @@ def _coefficients(startpoints: Any, endpoints: Any, coefficients: Any) -> Sequen
     return list(coefficients)
 
 
-@functional(moves=True, mask=_nearest_mask(lambda *args, **kwargs: perspective(*args, **kwargs)))
+@functional(moves=True, mask="nearest")
 def perspective(
     inpt: Tensor,
     startpoints: Sequence[Sequence[int]] | None,
@@ -455,7 +450,7 @@ def perspective(
     return _warp("perspective", inpt, [*matrix, [g, h, k]], size, interpolation, fill)
 
 
-@functional(moves=True, mask=_nearest_mask(lambda *args, **kwargs: elastic(*args, **kwargs)))
+@functional(moves=True, mask="nearest")
 def elastic(
     inpt: Tensor, displacement: Tensor, interpolation: InterpolationMode | str | int = "bilinear", fill: Fill = None
 ) -> Tensor:

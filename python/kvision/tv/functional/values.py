@@ -72,7 +72,7 @@ def to_dtype(inpt: Tensor, dtype: torch.dtype = torch.float32, scale: bool = Fal
 
 
 def convert_image_dtype(image: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
-    return to_dtype(image, dtype, scale=True)  # type: ignore[no-any-return]
+    return to_dtype(image, dtype, scale=True)
 
 
 @functional(pil=tensors_only("gaussian_noise"))

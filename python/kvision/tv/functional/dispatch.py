@@ -19,7 +19,7 @@ def functional(
     """Make a public function of a kernel, which takes a tensor (*, C, H, W) and v2's arguments.
 
     `moves` says that masks, boxes and key points follow; `mask` is the kernel of masks where it is another, or "nearest" for that
-    interpolation. `pil` is a function of PIL images with the same values; NotImplemented says that they are not, for some arguments.
+    interpolation. `pil` is a function of PIL images with the same values; NotImplemented says that they differ for some arguments.
     Boxes and key points are torchvision's: their classes exist only where it is loaded, and its functions are public.
     """
 

@@ -116,14 +116,24 @@ OCCLUSION = [
     Augmentation("TimeMasking", (9,), **COMPOSED),
     Augmentation("XYMasking", ((1, 2), (0, 2), (1, 4), (0.1, 0.2)), **COMPOSED),
 ]
+LARGE_FROST = torch.linspace(0, 1, 3).reshape(3, 1, 1).expand(3, 2048, 2048)
 CORRUPTION = [
+    Augmentation("CommonCorruption", ("gaussian_noise", 3), **COMPOSED),
     Augmentation("Defocus", ((1, 2), (0.1, 0.5)), large=(), **COMPOSED),
     Augmentation("Downscale", ((0.3, 0.9), True), **COMPOSED),
     Augmentation("GlassBlur", (0.4, 2), large=(), **COMPOSED),
     Augmentation("ISONoise", gradient=False, **COLOR, **COMPOSED),
     Augmentation("MultiplicativeNoise", ((0.9, 1.1), True, True), **COMPOSED),
+    Augmentation("RandomFog", **COMPOSED),
+    Augmentation(
+        "RandomFrost",
+        (torch.linspace(0, 1, 90).reshape(1, 3, 30, 1).expand(1, 3, 30, 40),),
+        large=(LARGE_FROST,),
+        **COMPOSED,
+    ),
     Augmentation("RingingOvershoot", ((3, 7),), large=(), **COMPOSED),
     Augmentation("ShotNoise", gradient=False, **COMPOSED),
+    Augmentation("Spatter", ((0.6, 0.7), (0.3, 0.3), (0.5, 0.7), (0.6, 0.7), (0.3, 0.4)), large=(), **COMPOSED),
     Augmentation("SpeckleNoise", ((0.1, 0.2),), **COMPOSED),
     Augmentation("ZoomBlur", ((1.0, 1.3), (0.05, 0.1)), large=(), **COMPOSED),
 ]

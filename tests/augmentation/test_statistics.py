@@ -531,6 +531,39 @@ SPECS = {
         lambda p: A.Swirl((-1, 2), (0.5, 1.0), (0.4, 0.7), p=p),
         plain(strength=Uniform(-1, 2), radius=Uniform(0.5, 1), center_x=Uniform(0.4, 0.7), center_y=Uniform(0.4, 0.7)),
     ),
+    "CommonCorruption": Spec(
+        lambda p: A.CommonCorruption("gaussian_noise", 3, p=p),
+        pixels("noise", lambda: Normal(0, 1), (0, 0, 0), (2, 3, 4)),
+        SMALL,
+    ),
+    "RandomFog": Spec(
+        lambda p: A.RandomFog((1.0, 2.0), (0.2, 0.5), p=p),
+        plain(roughness=Uniform(0.2, 0.5), intensity=Uniform(1, 2)),
+        SMALL,
+    ),
+    "RandomFrost": Spec(
+        lambda p: A.RandomFrost(torch.ones(2, 3, 30, 40), p=p),
+        plain(
+            image_weight=Uniform(0.6, 1.0),
+            frost_weight=Uniform(0.4, 0.75),
+            **dict.fromkeys(("texture", "top", "left"), Uniform(0, 1)),
+        ),
+    ),
+    "Spatter": Spec(
+        lambda p: A.Spatter((0.6, 0.7), (0.2, 0.4), (1.0, 2.0), (0.6, 0.7), (0.5, 1.0), p=p),
+        pixels(
+            "noise",
+            lambda: Normal(0, 1),
+            (0, 0, 0),
+            (0, 3, 4),
+            mean=Uniform(0.6, 0.7),
+            std=Uniform(0.2, 0.4),
+            gauss_sigma=Uniform(1, 2),
+            cutout_threshold=Uniform(0.6, 0.7),
+            intensity=Uniform(0.5, 1),
+        ),
+        SMALL,
+    ),
     "RandomAffine3D": Spec(lambda p: A.RandomAffine3D(30.0, (0.1, 0.2, 0.1), (0.8, 1.2), 10.0, p=p), affine3d, VOLUME),
     "RandomRotation3D": Spec(
         lambda p: A.RandomRotation3D((20.0, 30.0, 40.0), p=p),

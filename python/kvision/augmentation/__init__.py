@@ -29,13 +29,17 @@ from kvision.augmentation.container.saving import allow_loading as _allow_loadin
 from kvision.augmentation.container.saving import from_json, to_json
 from kvision.augmentation.container.sheet import preview
 from kvision.augmentation.corruption import (
+    CommonCorruption,
     Defocus,
     Downscale,
     GlassBlur,
     ISONoise,
     MultiplicativeNoise,
+    RandomFog,
+    RandomFrost,
     RingingOvershoot,
     ShotNoise,
+    Spatter,
     SpeckleNoise,
     ZoomBlur,
 )
@@ -125,6 +129,7 @@ __all__ = [
     "ColorJiggle",
     "ColorJitter",
     "ColorStep",
+    "CommonCorruption",
     "Defocus",
     "Denormalize",
     "Downscale",
@@ -173,6 +178,8 @@ __all__ = [
     "RandomEqualize3D",
     "RandomErasing",
     "RandomFisheye",
+    "RandomFog",
+    "RandomFrost",
     "RandomGamma",
     "RandomGaussianBlur",
     "RandomGaussianIllumination",
@@ -224,6 +231,7 @@ __all__ = [
     "RingingOvershoot",
     "ShotNoise",
     "SmallestMaxSize",
+    "Spatter",
     "SpeckleNoise",
     "Swirl",
     "TenCrop",

@@ -21,18 +21,74 @@ from kvision.core.exceptions import ValueCheckError
 from kvision.filters.filter2d import filter2d
 from kvision.filters.smoothing.gaussian import gaussian_blur2d
 
-_WIDE_DISK = 8  # radius from which on the edge of a disk is blurred by five taps, not three
+_WINDOW = 8  # pixels to each side; larger disks have larger windows, and are blurred by five taps, not three
 
 
-def disk_kernels(radius: Tensor, alias_blur: Tensor, reach: int) -> Tensor:
-    """Disks (B, K, K) of radii (B,) whose edges are blurred by Gaussians of deviations (B,), with K = 2 reach + 1."""
+def disk_kernels(radius: Tensor, alias_blur: Tensor, largest: int) -> Tensor:
+    """Disks (B, K, K) of radii (B,), at most `largest`, whose edges are blurred by Gaussians of deviations (B,).
+
+    The blur sees a window of 8 pixels to each side, or of the radius, which it reflects, as in Albumentations and ImageNet-C: the
+    sum of larger disks is up to 1.01.
+    """
+    reach = largest + 1 if largest < _WINDOW else largest
     at = torch.arange(-reach, reach + 1, device=radius.device, dtype=radius.dtype)
     radius, deviation = radius[:, None, None], alias_blur[:, None, None]
+    edge = radius.clamp(min=_WINDOW)
     disk = (at[:, None] ** 2 + at**2 <= radius**2).to(radius)
-    distance = (at[:, None] - at).abs()
-    taps = (-0.5 * (distance / deviation) ** 2).exp() * (distance <= torch.where(radius > _WIDE_DISK, 2, 1))
-    taps = taps / taps[:, reach].sum(1)[:, None, None]  # of a column in the middle, which has all of them
+
+    def taps_to(other: Tensor) -> Tensor:
+        distance = (at[:, None] - other).abs()
+        most = torch.where(radius > _WINDOW, 2, 1)  # taps to each side
+        of_all = torch.arange(-2, 3, device=at.device, dtype=at.dtype)
+        total = ((-0.5 * (of_all / deviation) ** 2).exp() * (of_all.abs() <= most)).sum(2, keepdim=True)
+        return (-0.5 * (distance / deviation) ** 2).exp() * (distance <= most) / total
+
+    reflected = taps_to(2 * edge - at) * (at < edge) + taps_to(-2 * edge - at) * (at > -edge)
+    taps = (taps_to(at) + reflected) * (at[:, None].abs() <= edge)
     return taps @ (disk / disk.sum((1, 2), keepdim=True)) @ taps.mT
+
+
+def reach_of(sigma: float) -> int:
+    """Taps of a Gaussian to each side, up to four standard deviations."""
+    return int(4 * sigma + 0.5)
+
+
+def glass(x: Tensor, u: Tensor, sigma: float, max_delta: int, border: str = "reflect") -> Tensor:
+    """Between two blurs, pixels read neighbors by uniform numbers (B, 2 n, H, W), n times."""
+    height, width = x.shape[-2:]
+    # From -max_delta to max_delta - 1, as in the benchmark of Hendrycks and Dietterich.
+    moves = ((u * (2 * max_delta)).long() - max_delta).flatten(2)
+    at = torch.arange(height * width, device=x.device).expand(len(u), -1)
+    for move in moves.split(2, 1):
+        along_y, along_x = move.gather(2, at[:, None].expand(-1, 2, -1)).unbind(1)
+        row, column = (at // width + along_y).clamp(0, height - 1), (at % width + along_x).clamp(0, width - 1)
+        at = row * width + column
+    blur = ((2 * reach_of(sigma) + 1,) * 2, (sigma, sigma), border)
+    smooth = gaussian_blur2d(x, *blur)
+    read = smooth.flatten(2).gather(2, at[:, None].expand(-1, x.shape[1], -1)).view_as(smooth)
+    return gaussian_blur2d(read, *blur)
+
+
+def mean_of_enlargements(x: Tensor, largest: Tensor, step: Tensor, most: int) -> Tensor:
+    """The mean of images, once more of themselves, and of enlargements by 1 + k step below `largest`, for k up to `most`."""
+    height, width = x.shape[-2:]
+    total = 2 * x.to(step.dtype)
+    count = torch.full_like(step, 2)
+    zero = torch.zeros_like(step)
+    for k in range(1, most):  # one pass over the images for each
+        factor = 1 + k * step
+        exists = (factor < largest).to(step)
+        shrink = 1 / factor
+        left, top = (1 - shrink) * ((width - 1) / 2), (1 - shrink) * ((height - 1) / 2)
+        one = torch.ones_like(step)
+        matrix = torch.stack([shrink, zero, left, zero, shrink, top, zero, zero, one], 1).unflatten(1, (3, 3))
+        zoomed = maps.warp(x, matrix, (height, width), _INSIDE, inverse=False)
+        total = total + per_sample(exists, x) * zoomed
+        count = count + exists
+    return total / per_sample(count, x)
+
+
+_INSIDE = Resampling("bilinear", "border", True)
 
 
 class Defocus(IntensityAugmentationBase2D, keeps_contract=True):
@@ -69,7 +125,7 @@ class Defocus(IntensityAugmentationBase2D, keeps_contract=True):
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         radii = ranges.parse_integers("Defocus", "radius_range", radius_range, 1)
-        self._reach = radii[1] + (2 if radii[1] > _WIDE_DISK else 1)
+        self._largest = radii[1]
         self._param_generator = MappedGenerator(
             (alias_blur_range, "alias_blur", None, (1e-3, float("inf"))),
             integers={"radius": radii},
@@ -81,7 +137,7 @@ class Defocus(IntensityAugmentationBase2D, keeps_contract=True):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         radius, deviation = (params[name].to(input.device, compute_dtype(input)) for name in ("radius", "alias_blur"))
-        return filter2d(input, disk_kernels(radius, deviation, self._reach))
+        return filter2d(input, disk_kernels(radius, deviation, self._largest))
 
 
 class RingingOvershoot(IntensityAugmentationBase2D, keeps_contract=True):
@@ -189,24 +245,7 @@ class ZoomBlur(IntensityAugmentationBase2D, keeps_contract=True):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         largest, step = (params[name].to(input.device, compute_dtype(input)) for name in ("max_factor", "step_factor"))
-        height, width = input.shape[-2:]
-        # Of each factor one pass over the image: results are sums of at most `_most` of them.
-        total = 2 * input.to(step.dtype)
-        count = torch.full_like(step, 2)
-        zero, one = torch.zeros_like(step), torch.ones_like(step)
-        for k in range(1, self._most):
-            factor = 1 + k * step
-            exists = (factor < largest).to(step)
-            shrink = 1 / factor
-            x, y = (1 - shrink) * ((width - 1) / 2), (1 - shrink) * ((height - 1) / 2)
-            matrix = torch.stack([shrink, zero, x, zero, shrink, y, zero, zero, one], 1).unflatten(1, (3, 3))
-            zoomed = maps.warp(input, matrix, (height, width), _INSIDE, inverse=False)
-            total = total + per_sample(exists, input) * zoomed
-            count = count + exists
-        return total / per_sample(count, input)
-
-
-_INSIDE = Resampling("bilinear", "border", True)
+        return mean_of_enlargements(input, largest, step, self._most)
 
 
 class GlassBlur(IntensityAugmentationBase2D, keeps_contract=True):
@@ -251,16 +290,5 @@ class GlassBlur(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        side = 2 * int(4 * self.sigma + 0.5) + 1
         (u,) = in_type_of(params, input, "offsets")
-        height, width = input.shape[-2:]
-        # From -max_delta to max_delta - 1, as in the benchmark of Hendrycks and Dietterich.
-        moves = ((u * (2 * self.max_delta)).long() - self.max_delta).flatten(2)
-        at = torch.arange(height * width, device=input.device).expand(len(u), -1)
-        for move in moves.split(2, 1):
-            along_y, along_x = move.gather(2, at[:, None].expand(-1, 2, -1)).unbind(1)
-            y, x = (at // width + along_y).clamp(0, height - 1), (at % width + along_x).clamp(0, width - 1)
-            at = y * width + x
-        smooth = gaussian_blur2d(input, (side, side), (self.sigma, self.sigma))
-        read = smooth.flatten(2).gather(2, at[:, None].expand(-1, input.shape[1], -1)).view_as(smooth)
-        return gaussian_blur2d(read, (side, side), (self.sigma, self.sigma))
+        return glass(input, u, self.sigma, self.max_delta)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -57,11 +58,19 @@ class Downscale(IntensityAugmentationBase2D, keeps_contract=True):
         scale = params["scale"].to(input.device, torch.float64)[:, None]
         sizes = [(n * scale).round().clamp(min=1) for n in input.shape[-2:]]
         if self.antialias:
-            down, across = (_block_means(n, size).to(compute_dtype(input)) for n, size in zip(input.shape[-2:], sizes))
-            return down[:, None] @ input.to(down.dtype) @ across[:, None].mT
+            return block_means(input, sizes)
         y, x = (_read(_block(n, size), n, size) for n, size in zip(input.shape[-2:], sizes))
         at = y[:, :, None] * input.shape[-1] + x[:, None]
         return input.flatten(2).gather(2, at.flatten(1)[:, None].expand(-1, input.shape[1], -1)).view_as(input)
+
+
+def block_means(x: Tensor, sizes: Sequence[Tensor], whole: bool = False) -> Tensor:
+    """Images whose pixels are the means of blocks, of which `sizes` (B, 1) lie down and across.
+
+    Pixels belong to blocks in part, or, if they are `whole`, to the one that their center is in, as in Pillow's box filter.
+    """
+    down, across = (_block_means(n, size, whole).to(compute_dtype(x)) for n, size in zip(x.shape[-2:], sizes))
+    return down[:, None] @ x.to(down.dtype) @ across[:, None].mT
 
 
 def _block(size: int, count: Tensor) -> Tensor:
@@ -74,10 +83,13 @@ def _read(block: Tensor, size: int, count: Tensor) -> Tensor:
     return (block * size / count).floor().long().clamp(max=size - 1)
 
 
-def _block_means(size: int, count: Tensor) -> Tensor:
-    """Weights (B, size, size) of pixels in the blocks of others: how much of a block they cover."""
+def _block_means(size: int, count: Tensor, whole: bool) -> Tensor:
+    """Weights (B, size, size) of pixels in the blocks of others: those that the center of a pixel is in."""
     length, at = size / count, torch.arange(size, device=count.device, dtype=count.dtype)
-    # Pixels show the block that their center is in.
     first = (((at + 0.5) / length).floor() * length)[..., None]
-    covered = torch.minimum(at + 1, first + length[..., None]) - torch.maximum(at, first)
-    return covered.clamp(min=0) / length[..., None]
+    last = first + length[..., None]
+    if whole:
+        covered = ((at + 0.5 > first) & (at + 0.5 <= last)).to(at)
+    else:
+        covered = (torch.minimum(at + 1, last) - torch.maximum(at, first)).clamp(min=0)
+    return covered / covered.sum(2, keepdim=True)

@@ -1,0 +1,240 @@
+"""Fog, frost and spatter."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._clamp import clamp
+from kvision._constants import constant
+from kvision._dtype import compute_dtype
+from kvision.augmentation import ranges
+from kvision.augmentation.corruption.blurs import reach_of
+from kvision.augmentation.corruption.noises import in_type_of
+from kvision.augmentation.engine import Params
+from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
+from kvision.augmentation.random_generator.plasma import PlasmaGenerator
+from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.filters.smoothing.gaussian import gaussian_blur2d
+
+_MUD = (63 / 255, 42 / 255, 20 / 255)
+
+
+def fogged(x: Tensor, plasma: Tensor, amount: Tensor) -> Tensor:
+    """Images under clouds (B, 1, H, W), stretched to [0, 1], of amounts (B, 1, 1, 1); the brightest value stays as it is."""
+    low, high = plasma.amin((2, 3), keepdim=True), plasma.amax((2, 3), keepdim=True)
+    clouds = (plasma - low) / (high - low).clamp(min=1e-12)
+    brightest = x.amax((1, 2, 3), keepdim=True)
+    return clamp((x + amount * clouds) * brightest / (brightest + amount).clamp(min=1e-12), 0, 1)
+
+
+class RandomFog(IntensityAugmentationBase2D, keeps_contract=True):
+    """Add fractal clouds to images, and darken them so that the brightest value stays, as in ImageNet-C.
+
+    Args:
+        intensity: pair of the lowest and the highest amount of fog, of at least 0.
+        roughness: pair, within 0 and 1: the weight of fine structure.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.full((1, 1, 4, 4), 0.5)
+        >>> torch.allclose(K.augmentation.RandomFog((0.0, 0.0), p=1.0)(x), x)
+        True
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        intensity: Any = (1.5, 3.0),
+        roughness: Any = (0.25, 0.5),
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        bounds = (0.0, float("inf"))
+        self._param_generator = PlasmaGenerator(
+            "RandomFog", roughness, (intensity, "intensity", None, bounds), one_channel=True
+        )
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        plasma, amount = in_type_of(params, input, "plasma", "intensity")
+        return fogged(clamp(input, 0, 1), plasma, amount)
+
+
+def as_textures(op: str, texture: Any) -> Tensor:
+    """Textures (N, C, h, w), floating point in [0, 1], from one or several, also of bytes."""
+    if not isinstance(texture, Tensor):
+        raise TypeCheckError(f"{op}: expected texture to be a Tensor, got {type(texture).__name__}")
+    _check.floating_or_bytes(op, "texture", texture)
+    textures = texture[None] if texture.dim() == 3 else texture
+    if textures.dim() != 4 or textures.shape[1] not in (1, 3) or 0 in textures.shape:
+        raise ShapeError(f"{op}: expected texture of shape (N, 3, H, W) or (3, H, W), got {tuple(texture.shape)}")
+    return textures.float() / 255 if textures.dtype == torch.uint8 else textures.detach()
+
+
+def cut_textures(op: str, textures: Tensor, params: Params, x: Tensor) -> Tensor:
+    """A window of a texture for each image, by uniform numbers `texture`, `top` and `left`; gray for other channels than 3."""
+    (count, _, tall, wide), (height, width) = textures.shape, x.shape[-2:]
+    if tall < height or wide < width:
+        raise ShapeError(f"{op}: expected texture of at least {height} x {width} pixels, got {tall} x {wide}")
+    u, down, right = (params[name].to(x.device, torch.float64)[:, None, None] for name in ("texture", "top", "left"))
+    index = (u * count).long()
+    rows = (down * (tall - height + 1)).long() + torch.arange(height, device=x.device)[:, None]
+    columns = (right * (wide - width + 1)).long() + torch.arange(width, device=x.device)
+    windows = textures.to(x.device, compute_dtype(x))[index, :, rows, columns].movedim(-1, 1)
+    return windows if x.shape[1] == 3 else windows.mean(1, keepdim=True)
+
+
+WINDOW = [((0.0, 1.0), name, None, None) for name in ("texture", "top", "left")]  # what `cut_textures` takes
+
+
+class RandomFrost(IntensityAugmentationBase2D, keeps_contract=True):
+    """Add windows of pictures of frost, which the user has, to darkened images.
+
+    Args:
+        texture: pictures (N, 3, h, w) or one (3, h, w), in [0, 1] or uint8, at least as large as images.
+        image_weight_range: pair of the lowest and the highest factor of images.
+        frost_weight_range: the same of pictures.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: an argument does not have the form in Args; in a call, images larger than the pictures.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> frost = K.augmentation.RandomFrost(torch.ones(3, 8, 8), (0.5, 0.5), (0.25, 0.25), p=1.0)
+        >>> frost(torch.ones(1, 1, 4, 4)).mean()
+        tensor(0.7500)
+    """
+
+    accepts_bytes = False
+    texture: Tensor
+
+    def __init__(
+        self,
+        texture: Tensor,
+        image_weight_range: Any = (0.6, 1.0),
+        frost_weight_range: Any = (0.4, 0.75),
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        self.register_buffer("texture", as_textures("RandomFrost", texture), persistent=False)
+        self._param_generator = MappedGenerator(
+            (image_weight_range, "image_weight", None, (0.0, float("inf"))),
+            (frost_weight_range, "frost_weight", None, (0.0, float("inf"))),
+            *WINDOW,
+            identity=[1.0, 0.0, 0.0, 0.0, 0.0],
+            op="RandomFrost",
+        )
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        of_image, of_frost = in_type_of(params, input, "image_weight", "frost_weight")
+        return clamp(of_image * input + of_frost * cut_textures("RandomFrost", self.texture, params, input), 0, 1)
+
+
+class Spatter(IntensityAugmentationBase2D, keeps_contract=True):
+    """Throw mud at the lens: smooth noise above a threshold hides images.
+
+    This is the mode 'mud' of Albumentations. Images of other than 3 channels get the gray of the color.
+
+    Args:
+        mean_range: pair of the lowest and the highest mean of the noise.
+        std_range: the same of its standard deviation.
+        gauss_sigma_range: the same of the deviation of the Gaussian that smooths it, in pixels, above 0.
+        cutout_threshold_range: the same of the threshold.
+        intensity_range: the same of the deviation of the Gaussian that softens the edges of stains, above 0.
+        color: red, green and blue of the mud, within 0 and 1.
+        same_on_batch: all samples get the same parameters.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: an argument does not have the form in Args, or is out of bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> mud = K.augmentation.Spatter(mean_range=(0.9, 0.9), color=(0.5, 0.5, 0.5), p=1.0)
+        >>> mud(torch.ones(1, 3, 32, 32)).amin()
+        tensor(0.5000)
+    """
+
+    accepts_bytes = False
+
+    def __init__(
+        self,
+        mean_range: Any = (0.65, 0.65),
+        std_range: Any = (0.3, 0.3),
+        gauss_sigma_range: Any = (2.0, 2.0),
+        cutout_threshold_range: Any = (0.68, 0.68),
+        intensity_range: Any = (0.6, 0.6),
+        color: Any = _MUD,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        op, any_number, positive = "Spatter", None, (1e-3, float("inf"))
+        parsed = ranges.fill_value(op, "color", color)
+        if not isinstance(parsed, list) or len(parsed) != 3:
+            raise TypeCheckError(f"{op}: expected color to be three numbers, got {color!r}")
+        self.color = tuple(parsed)
+        generator = MappedGenerator(
+            (mean_range, "mean", None, any_number),
+            (std_range, "std", None, (0.0, float("inf"))),
+            (gauss_sigma_range, "gauss_sigma", None, positive),
+            (cutout_threshold_range, "cutout_threshold", None, any_number),
+            (intensity_range, "intensity", None, positive),
+            maps={"noise": NoiseMap(True, (1, None, None))},
+            identity=[0.0, 0.0, 1.0, 1.0, 1.0],
+            op=op,
+        )
+        self._reaches = reach_of(generator._ranges[2].high), reach_of(generator._ranges[4].high)
+        self._param_generator = generator
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        names = ("mean", "std", "cutout_threshold", "noise")
+        mean, std, threshold, noise = in_type_of(params, input, *names)
+        smooth, soft = (params[name].to(noise)[:, None].expand(-1, 2) for name in ("gauss_sigma", "intensity"))
+        return muddy(input, mean + std * noise, threshold, smooth, soft, self._reaches, self.color)
+
+
+def muddy(
+    x: Tensor,
+    noise: Tensor,
+    threshold: Tensor | float,
+    smooth: Any,
+    soft: Any,
+    reaches: tuple[int, int],
+    color: tuple[float, ...] = _MUD,
+) -> Tensor:
+    """Images behind stains where smooth noise (B, 1, H, W) is above a threshold; deviations of two Gaussians, and their taps."""
+    layer = gaussian_blur2d(noise, (2 * reaches[0] + 1,) * 2, smooth, "replicate")
+    stains = gaussian_blur2d((layer > threshold).to(noise), (2 * reaches[1] + 1,) * 2, soft, "replicate")
+    stains = torch.where(stains < 0.8, 0, stains)
+    mud = constant(color, noise)[:, None, None]
+    return clamp(x * (1 - stains) + (mud if x.shape[1] == 3 else mud.mean()) * stains, 0, 1)

@@ -1,0 +1,129 @@
+"""The corruptions of ImageNet-C against numbers of imagecorruptions 1.1.2, and weather against formulas of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy import ndimage
+
+import kvision.augmentation as A
+from kvision.augmentation.corruption.common import CORRUPTIONS
+
+# What imagecorruptions makes of three pixels of `picture`, in levels.
+PIXELS = ((5, 9), (31, 42), (60, 70))
+VALUES = {
+    ("defocus_blur", 3): [[32.0, 182.4, 137.4], [157.0, 109.6, 122.2], [30.5, 81.4, 147.5]],
+    ("defocus_blur", 5): [[33.2, 159.1, 121.0], [158.7, 119.2, 129.5], [77.9, 109.2, 117.3]],
+    ("brightness", 2): [[37.1, 233.0, 255.0], [208.0, 137.8, 39.7], [16.2, 71.9, 255.0]],
+    ("contrast", 3): [[112.0, 142.7, 144.0], [137.0, 123.3, 106.0], [108.4, 114.9, 144.0]],
+    ("saturate", 1): [[163.6, 214.3, 220.0], [157.0, 141.1, 118.9], [158.2, 172.6, 220.0]],
+    ("saturate", 4): [[0.0, 197.8, 220.0], [157.0, 91.5, 0.0], [0.0, 51.3, 220.0]],
+    ("gaussian_blur", 2): [[32.0, 192.7, 166.5], [157.0, 106.3, 110.1], [16.7, 70.0, 176.1]],
+    ("pixelate", 1): [[32.0, 197.0, 220.0], [157.0, 98.0, 30.0], [16.0, 68.0, 220.0]],
+    ("pixelate", 4): [[29.0, 205.0, 157.0], [155.0, 108.0, 125.0], [16.0, 81.0, 157.0]],
+}
+# Its mean change of `picture` in severity 3, in levels, and how far ours may be off: it draws by other generators, rounds down,
+# swaps pixels in glass_blur and enlarges whole pixels in zoom_blur.
+CHANGES = {
+    "gaussian_noise": (32.67, 0.02),
+    "shot_noise": (35.08, 0.02),
+    "impulse_noise": (11.38, 0.05),
+    "glass_blur": (36.35, 0.12),
+    "motion_blur": (43.83, 0.15),
+    "zoom_blur": (26.16, 0.1),
+    "snow": (67.98, 0.05),
+    "fog": (52.97, 0.2),
+    "elastic_transform": (22.95, 0.05),
+    "jpeg_compression": (21.26, 0.1),
+    "speckle_noise": (30.64, 0.02),
+}
+
+
+def picture(device: torch.device) -> torch.Tensor:
+    y, x = np.mgrid[:64, :80]
+    green = np.sin(x / 5) * np.cos(y / 7) * 100 + 128
+    channels = [(3 * x + y) % 256, green, np.where((x // 8 + y // 8) % 2, 220, 30)]
+    return torch.from_numpy(np.stack(channels).astype(np.uint8))[None].to(device)
+
+
+def test_fixed_corruptions_have_their_values(device: torch.device) -> None:
+    image = picture(device)
+    for (name, severity), expected in VALUES.items():
+        y = 255 * A.CommonCorruption(name, severity)(image.float() / 255).cpu()
+        values = torch.stack([y[0, :, row, column] for row, column in PIXELS])
+        assert (values - torch.tensor(expected)).abs().max() <= 1, (name, severity, values)
+
+
+def test_drawn_corruptions_change_as_much(device: torch.device) -> None:
+    assert {*CHANGES, *(name for name, _ in VALUES), "frost"} == set(CORRUPTIONS)
+    images = picture(device).expand(6, -1, -1, -1)
+    for name, (expected, tolerance) in CHANGES.items():
+        y = A.CommonCorruption(name, 3)(images, seed=torch.arange(6))
+        change = (y.float() - images).abs().mean().item()
+        assert abs(change - expected) <= tolerance * expected, (name, change)
+        assert torch.equal(A.CommonCorruption(name, 3)(images[4:5], seed=torch.tensor([4])), y[4:5]), name
+
+
+def test_other_channels_and_severities(device: torch.device) -> None:
+    x = torch.rand(2, 1, 48, 40, device=device)
+    for name in CORRUPTIONS:
+        options = {"texture": torch.rand(2, 3, 50, 60)} if name == "frost" else {}
+        if name == "jpeg_compression":
+            continue
+        for severity in (1, 5):
+            y = A.CommonCorruption(name, severity, **options)(x)
+            assert y.shape == x.shape and y.min() >= 0 and y.max() <= 1, name
+
+
+def test_frost_is_a_window_of_the_texture(device: torch.device) -> None:
+    textures, x = torch.rand(2, 3, 9, 12), torch.rand(3, 3, 7, 8, device=device)
+    drawn = {"texture": [0.2, 0.9, 0.4], "top": [0.0, 0.99, 0.4], "left": [0.5, 0.0, 0.99]}
+    params = {name: torch.tensor(values) for name, values in drawn.items()}
+    params |= {"image_weight": torch.full((3,), 0.7), "frost_weight": torch.full((3,), 0.2)}
+    y = A.RandomFrost(textures, p=1.0)(x, params={**params, "batch_prob": torch.ones(3)}).cpu()
+    for i, (texture, top, left) in enumerate(((0, 0, 2), (1, 2, 0), (0, 1, 4))):
+        window = textures[texture, :, top : top + 7, left : left + 8]
+        torch.testing.assert_close(y[i], 0.7 * x[i].cpu() + 0.2 * window)
+    with pytest.raises(ValueError, match="RandomFrost: expected texture of at least 10 x 8 pixels, got 9 x 12"):
+        A.RandomFrost(textures, p=1.0)(torch.rand(1, 3, 10, 8))
+
+
+def test_mud_is_smooth_noise_above_a_threshold(device: torch.device) -> None:
+    x, noise = torch.rand(1, 3, 20, 24, device=device), torch.randn(1, 1, 20, 24)
+    numbers = {"mean": 0.65, "std": 0.5, "gauss_sigma": 1.5, "cutout_threshold": 0.68, "intensity": 0.6}
+    params = {name: torch.tensor([value]) for name, value in numbers.items()}
+    color = (0.3, 0.2, 0.1)
+    augment = A.Spatter(gauss_sigma_range=(1, 2), intensity_range=(0.5, 1.0), color=color, p=1.0)
+    y = augment(x, params={**params, "noise": noise, "batch_prob": torch.ones(1)}).cpu()
+    layer = ndimage.gaussian_filter(0.65 + 0.5 * noise[0, 0].double().numpy(), 1.5, mode="nearest", radius=8)
+    stains = ndimage.gaussian_filter((layer > 0.68).astype(float), 0.6, mode="nearest", radius=4)
+    stains[stains < 0.8] = 0
+    expected = x[0].cpu().numpy() * (1 - stains) + np.array(color)[:, None, None] * stains
+    assert 0.1 < (stains > 0).mean() < 0.9
+    np.testing.assert_allclose(y[0].numpy(), expected, atol=1e-4)
+
+
+def test_fog_keeps_the_brightest_value() -> None:
+    x, plasma = torch.rand(2, 3, 8, 9), torch.rand(2, 1, 8, 9)
+    params = {"plasma": plasma, "intensity": torch.tensor([2.0, 1.5]), "batch_prob": torch.ones(2)}
+    y = A.RandomFog(p=1.0)(x, params=params)
+    for image, clouds, amount, result in zip(x, plasma, (2.0, 1.5), y):
+        stretched = (clouds - clouds.min()) / (clouds.max() - clouds.min())
+        torch.testing.assert_close(result, (image + amount * stretched) * image.max() / (image.max() + amount))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: A.CommonCorruption("mist"), "CommonCorruption: .*name"),
+        (lambda: A.CommonCorruption("fog", 6), "CommonCorruption: expected severity to be 1, 2, 3, 4 or 5, got 6"),
+        (lambda: A.CommonCorruption("frost"), "CommonCorruption: expected texture for 'frost'"),
+        (lambda: A.RandomFrost(torch.ones(2, 8, 8)), "RandomFrost: expected texture of shape"),
+        (lambda: A.RandomFog((-1.0, 2.0)), "RandomFog: expected intensity"),
+        (lambda: A.Spatter(gauss_sigma_range=(0.0, 1.0)), "Spatter: expected gauss_sigma"),
+    ],
+)
+def test_wrong_arguments(make: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()  # type: ignore[operator]
